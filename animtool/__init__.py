@@ -1,0 +1,56 @@
+"""Keyframe and rig pipeline: motion capture and keyframes in, USD animation out."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from animtool.errors import AnimtoolError as AnimtoolError
+    from animtool.errors import Fault as Fault
+    from animtool.formats.bvh import read_bvh as read_bvh
+    from animtool.formats.bvh import write_bvh as write_bvh
+    from animtool.report.compare import compare as compare
+    from animtool.report.describe import describe as describe
+    from animtool.rig.skeleton import Joint as Joint
+    from animtool.rig.skeleton import Rig as Rig
+    from animtool.scene.bake import bake as bake
+    from animtool.scene.convert import convert as convert
+    from animtool.scene.options import BakeOptions as BakeOptions
+    from animtool.scene.sources import SourceOptions as SourceOptions
+    from animtool.scene.sources import open_source as open_source
+    from animtool.take import Take as Take
+    from animtool.take import TakeStream as TakeStream
+
+_PUBLIC = {
+    "AnimtoolError": "animtool.errors",
+    "BakeOptions": "animtool.scene.options",
+    "Fault": "animtool.errors",
+    "Joint": "animtool.rig.skeleton",
+    "Rig": "animtool.rig.skeleton",
+    "SourceOptions": "animtool.scene.sources",
+    "Take": "animtool.take",
+    "TakeStream": "animtool.take",
+    "bake": "animtool.scene.bake",
+    "compare": "animtool.report.compare",
+    "convert": "animtool.scene.convert",
+    "describe": "animtool.report.describe",
+    "open_source": "animtool.scene.sources",
+    "read_bvh": "animtool.formats.bvh",
+    "write_bvh": "animtool.formats.bvh",
+}
+
+__all__ = sorted(_PUBLIC)  # noqa: PLE0605 - the table above is the list
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used."""
+    if name not in _PUBLIC:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value: object = getattr(importlib.import_module(_PUBLIC[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *_PUBLIC]

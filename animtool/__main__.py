@@ -1,0 +1,6 @@
+"""``python -m animtool``."""
+
+from animtool.cli.main import main
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,41 @@
+"""Array types and the check of arrays at a public boundary."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["ArrayLike", "BoolArray", "Float32Array", "FloatArray", "IntArray", "as_floats"]
+
+FloatArray: TypeAlias = npt.NDArray[np.float64]
+Float32Array: TypeAlias = npt.NDArray[np.float32]
+IntArray: TypeAlias = npt.NDArray[np.int64]
+BoolArray: TypeAlias = npt.NDArray[np.bool_]
+ArrayLike: TypeAlias = npt.ArrayLike
+
+
+def as_floats(values: ArrayLike, shape: tuple[int | str, ...], name: str) -> FloatArray:
+    """Return values as C-contiguous float64 of the given shape.
+
+    Args:
+        values: Anything that numpy turns into floats.
+        shape: One entry an axis: a length, or a letter that stands for any.
+        name: What to call the array in the message.
+
+    Raises:
+        ValueError: The shape is another one.
+
+    >>> as_floats([[0, 1, 2]], ("F", 3), "positions").dtype
+    dtype('float64')
+    """
+    array = np.ascontiguousarray(values, dtype=np.float64)
+    fits = array.ndim == len(shape) and all(
+        isinstance(want, str) or want == got
+        for want, got in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        wanted = ", ".join(map(str, shape))
+        raise ValueError(f"{name} must have shape ({wanted}), not {array.shape}")
+    return array

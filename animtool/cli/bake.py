@@ -1,0 +1,184 @@
+"""``animtool bake``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from animtool.cli.console import Console
+from animtool.cli.options import (
+    RATE,
+    Parsed,
+    common_options,
+    format_option,
+    source_options,
+    source_options_record,
+)
+
+__all__ = ["bake"]
+
+
+def _parsed(name: str) -> Parsed:
+    def parse(text: str) -> Any:
+        from animtool.scene import options
+
+        return getattr(options, f"parse_{name}")(text)
+
+    return Parsed(name, parse)
+
+
+def _fraction(text: str) -> Any:
+    from fractions import Fraction
+
+    return Fraction(text)
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  animtool bake walk.bvh -o walk.usdc
+  animtool bake walk.bvh -o hero.usda --split
+  animtool bake walk.bvh -o walk_layer.usdc --rig-layer hero.rig.usda
+  animtool bake walk.bvh -o walk.usda --fps 24 --range 1001-1048 --start 1001"""
+)
+@click.argument("source", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path, allow_dash=True),
+    help="USD file to write (.usda, .usdc, .usd), or - for usda on stdout.  "
+    "[default: SOURCE with .usdc]",
+)
+@click.option(
+    "--as",
+    "form",
+    type=click.Choice(["stage", "layer"]),
+    help="One file with skeleton and animation, or only the animation, over a rig "
+    "layer.  [default: layer where there is --rig-layer, else stage]",
+)
+@click.option("--split", is_flag=True, help="A stage in three files: X.rig.usda, X.anim.usdc, X.")
+@click.option(
+    "--rig-layer",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="The rig that a layer is for, or a shot that holds it; its units, up axis, "
+    "rate and start are adopted.",
+)
+@click.option("--prim-path", metavar="PATH", help="Where the character stands, such as /World/hero.")
+@click.option("--bones", is_flag=True, help="Add light geometry that shows the joints.")
+@click.option(
+    "--strip-namespace",
+    type=click.IntRange(0),
+    default=0,
+    metavar="N",
+    show_default=True,
+    help="Drop the first N 'ns:' parts of joint names.",
+)
+@click.option(
+    "--rest",
+    "rest_frame",
+    type=_parsed("rest"),
+    metavar="offsets|frame:N",
+    help="Where the rest pose comes from.  [default: offsets]",
+)
+@source_options
+@click.option("--to-units", type=click.Choice(["m", "cm", "mm", "in"]), help="Unit of the output.")
+@click.option(
+    "--to-up", type=click.Choice(["Y", "Z"], case_sensitive=False), help="Up axis of the output."
+)
+@click.option("--fps", type=RATE, metavar="RATE", help="Frames a second of the output.")
+@click.option(
+    "--range",
+    "frame_range",
+    type=_parsed("frame_range"),
+    metavar="A-B[xN]",
+    help="Frames to write, such as 1-240 or 1-240x2, counted from --start.",
+)
+@click.option(
+    "--start",
+    type=Parsed("frame", _fraction),
+    metavar="FRAME",
+    help="Time code of the first frame.  [default: the rig layer's, the project's, 1]",
+)
+@click.option(
+    "--samples",
+    type=_parsed("offsets"),
+    metavar="OFFSETS",
+    default=(),
+    help="Samples around each frame, such as -.25,0,.25.",
+)
+@click.option("--keep-samples", is_flag=True, help="Keep the source's own samples.")
+@click.option(
+    "--root-motion",
+    type=click.Choice(["joint", "skelroot"]),
+    default="joint",
+    show_default=True,
+    help="What carries the root's motion.",
+)
+@click.option("--sparse", is_flag=True, help="Write only the joints that leave their rest.")
+@click.option("--strict", is_flag=True, help="Take warnings for errors and write nothing.")
+@click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
+@click.option("--skip-existing", is_flag=True, help="Do nothing where the output exists.")
+@format_option
+@common_options
+@click.pass_obj
+def bake(console: Console, source: Path, output: Path | None, **given: Any) -> None:
+    """Bake SOURCE, a BVH or USD file, to a USD animation that plays.
+
+    The summary says what was written and the error made: the largest distance
+    between a joint's position in float64 and in the float32 values of the file.
+    """
+    as_json = given["report_format"] == "json"
+    to_stdout = str(output) == "-"
+    if to_stdout and as_json:
+        raise click.UsageError("-o - and --format json both want stdout.")
+    if given["split"] and given["form"] == "layer":
+        raise click.UsageError("--split is a stage in three files, not --as layer.")
+    path = None if to_stdout else output or source.with_suffix(".usdc")
+    if given["skip_existing"] and path is not None and path.exists():
+        console.say(f"{path} exists: skipped")
+        if as_json:
+            console.result_json({"bake": "animtool/1", "skipped": str(path)})
+        return
+
+    from animtool.scene.bake import bake as run_bake
+
+    with console.progress(f"bake {source.name}") as progress:
+        report = run_bake(source, path, _options(given), progress=progress)
+    console.faults(report.notices)
+    from animtool.cli.summary import bake_json, bake_text
+
+    if as_json:
+        console.result_json(bake_json(report))
+        return
+    for line in bake_text(report):
+        console.say(line)
+
+
+def _options(given: dict[str, Any]) -> Any:
+    from animtool.scene.options import BakeOptions
+    from animtool.units import LengthUnit, UpAxis
+
+    to_units, to_up = given["to_units"], given["to_up"]
+    return BakeOptions(
+        source=source_options_record(given["units"], given["up"], given["source_fps"]),
+        form="split" if given["split"] else given["form"],
+        rig_layer=given["rig_layer"],
+        prim_path=given["prim_path"],
+        bones=given["bones"],
+        strip_namespace=given["strip_namespace"],
+        rest_frame=given["rest_frame"],
+        fps=given["fps"],
+        frame_range=given["frame_range"],
+        start=given["start"],
+        samples=given["samples"],
+        keep_samples=given["keep_samples"],
+        to_units=None if to_units is None else LengthUnit(to_units),
+        to_up=None if to_up is None else UpAxis(to_up.upper()),
+        root_motion=given["root_motion"] == "skelroot",
+        sparse=given["sparse"],
+        strict=given["strict"],
+        overwrite=given["overwrite"],
+    )

@@ -1,0 +1,106 @@
+"""What a command says: results on stdout, the rest on stderr."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TextIO
+
+from animtool.errors import Fault, Severity
+
+__all__ = ["Console"]
+
+_COLORS = {Severity.ERROR: "31", Severity.WARNING: "33", Severity.NOTE: "36"}
+
+
+@dataclass(slots=True)
+class Console:
+    """Where a command's words go.
+
+    Attributes:
+        verbosity: -1 errors only, 0 the usual, 1 notes and timings too.
+        json_log: Write each line on stderr as a JSON object.
+        debug: Let a Python traceback through.
+    """
+
+    verbosity: int = 0
+    json_log: bool = False
+    debug: bool = False
+
+    def result(self, text: str) -> None:
+        """Write a result to stdout."""
+        sys.stdout.write(text if text.endswith("\n") else text + "\n")
+
+    def result_json(self, value: object) -> None:
+        """Write a result to stdout as JSON."""
+        self.result(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False))
+
+    def say(self, text: str) -> None:
+        """Write a line of the summary to stderr, unless quiet."""
+        if self.verbosity >= 0:
+            self._line({"level": "info", "message": text}, text)
+
+    def detail(self, text: str) -> None:
+        """Write a line to stderr, if verbose."""
+        if self.verbosity > 0:
+            self._line({"level": "debug", "message": text}, text)
+
+    def faults(self, faults: Iterable[Fault]) -> None:
+        """Write faults to stderr: errors always, warnings unless quiet."""
+        for fault in faults:
+            if self.verbosity >= 0 or fault.severity is Severity.ERROR:
+                label = self._color(str(fault.severity), _COLORS[fault.severity])
+                entry = {"level": str(fault.severity), **fault.as_dict()}
+                self._line(entry, f"{fault}  [{label}]" if _plain(fault) else str(fault))
+
+    def error(self, message: str) -> None:
+        """Write an error that has no code to stderr."""
+        label = self._color("error", _COLORS[Severity.ERROR])
+        self._line({"level": "error", "message": message}, f"{label}: {message}")
+
+    @contextmanager
+    def progress(self, label: str) -> Iterator[Callable[[float], None] | None]:
+        """Give a function that shows the share done; None where nobody looks."""
+        if self.verbosity < 0 or self.json_log or not sys.stderr.isatty():
+            yield None
+            return
+        from rich.console import Console as RichConsole
+        from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+        bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.percentage:3.0f} %"),
+            TimeRemainingColumn(),
+            console=RichConsole(stderr=True),
+            transient=True,
+        )
+        with bar:
+            task = bar.add_task(label, total=1.0)
+            yield lambda share: bar.update(task, completed=share)
+
+    def _line(self, entry: dict[str, object], text: str) -> None:
+        line = json.dumps(entry, ensure_ascii=False) if self.json_log else text
+        try:
+            sys.stderr.write(line + "\n")
+        except UnicodeEncodeError:
+            sys.stderr.write(line.encode("ascii", "replace").decode() + "\n")
+
+    def _color(self, text: str, code: str) -> str:
+        return f"\x1b[{code}m{text}\x1b[0m" if _wants_color(sys.stderr) else text
+
+
+def _plain(fault: Fault) -> bool:
+    """Return whether a fault's severity needs saying beside its text."""
+    return fault.severity is not Severity.ERROR
+
+
+def _wants_color(stream: TextIO) -> bool:
+    """Follow NO_COLOR and FORCE_COLOR, else whether a terminal listens."""
+    if os.environ.get("NO_COLOR"):
+        return False
+    return bool(os.environ.get("FORCE_COLOR")) or stream.isatty()

@@ -1,0 +1,84 @@
+"""``animtool info``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from animtool.cli.console import Console
+from animtool.cli.options import (
+    common_options,
+    format_option,
+    source_options,
+    source_options_record,
+)
+
+if TYPE_CHECKING:
+    from animtool.report.describe import TakeDescription
+
+__all__ = ["info"]
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  animtool info walk.bvh
+  animtool info walk.usdc hero.usda --format json"""
+)
+@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
+@source_options
+@click.option("--prim-path", metavar="PATH", help="The character, where a stage has several.")
+@format_option
+@common_options
+@click.pass_obj
+def info(console: Console, files: tuple[Path, ...], **given: Any) -> None:
+    """Say what is in BVH and USD files: joints, frames, rate, bounds, what is odd."""
+    from animtool.errors import AnimtoolError
+    from animtool.report.describe import describe
+    from animtool.scene.sources import is_usd
+
+    described, code = [], 0
+    for path in files:
+        options = (
+            source_options_record(None, None, None, given["prim_path"])
+            if is_usd(path)
+            else source_options_record(given["units"], given["up"], given["source_fps"])
+        )
+        try:
+            found = describe(path, options)
+        except AnimtoolError as error:
+            if console.debug:
+                raise
+            console.faults(error.faults)
+            code = max(code, int(error.exit_code))
+            continue
+        described.append(found)
+        if given["report_format"] == "text":
+            console.result("\n".join(_text(found)))
+            console.faults(found.notices)
+    if given["report_format"] == "json":
+        files_json = [found.as_dict() for found in described]
+        console.result_json({"info": "animtool/1", "files": files_json})
+    click.get_current_context().exit(code)
+
+
+def _text(found: TakeDescription) -> list[str]:
+    from animtool.rates import rate_label
+
+    low, high = found.bounds
+    moving = ", ".join(f"{count} {kind}" for kind, count in found.animated.items())
+    channels = "" if found.channels is None else f", {found.channels} channels"
+    roots = ", ".join(found.roots[:4]) + (" …" if len(found.roots) > 4 else "")
+    corners = " to ".join("(" + ", ".join(f"{x:.4g}" for x in c) + ")" for c in (low, high))
+    return [
+        f"{found.path}: {found.format}",
+        f"  joints    {found.joints} below {roots}{channels}",
+        f"  frames    {found.frames} at {rate_label(found.fps)}, "
+        f"{float(found.duration):.4g} s, time codes {float(found.start):g} to "
+        f"{float(found.end):g}",
+        f"  animated  {moving} joints of {found.joints}; the rest never move",
+        f"  bounds    {corners} {found.units}, {found.up} up",
+        f"  odd       {len(found.notices)} notices" if found.notices else "  odd       nothing",
+    ]

@@ -1,0 +1,165 @@
+"""The command group, loaded lazily, and the one place where errors end."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from types import FrameType
+from typing import NoReturn
+
+import click
+
+from animtool.cli.console import Console
+from animtool.errors import AnimtoolError, ExitCode, StrictError
+
+__all__ = ["COMMANDS", "cli", "main"]
+
+COMMANDS = {
+    "bake": ("animtool.cli.bake:bake", "Bake a BVH or USD file to a USD animation."),
+    "completion": ("animtool.cli.completion:completion", "Print a completion script."),
+    "convert": ("animtool.cli.convert:convert", "Convert a take to another format."),
+    "diff": ("animtool.cli.diff:diff", "Compare two takes or layers."),
+    "info": ("animtool.cli.info:info", "Say what is in a file."),
+}
+
+
+class LazyGroup(click.Group):
+    """A group that imports a command's module when it is called."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of the commands."""
+        del ctx
+        return sorted(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import and return a command."""
+        del ctx
+        if cmd_name not in COMMANDS:
+            return None
+        module, _, name = COMMANDS[cmd_name][0].partition(":")
+        command: click.Command = getattr(importlib.import_module(module), name)
+        return command
+
+    def format_commands(
+        self, ctx: click.Context, formatter: click.HelpFormatter
+    ) -> None:
+        """List the commands from the table, importing none."""
+        del ctx
+        with formatter.section("Commands"):
+            formatter.write_dl([(n, text) for n, (_, text) in sorted(COMMANDS.items())])
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Name the nearest command where there is none of that name."""
+        if args and args[0] not in COMMANDS and not args[0].startswith("-"):
+            from difflib import get_close_matches
+
+            near = get_close_matches(args[0], COMMANDS, 1)
+            hint = f" Did you mean {near[0]!r}?" if near else ""
+            ctx.fail(f"No such command {args[0]!r}.{hint}")
+        return super().resolve_command(ctx, args)
+
+
+def _show_version(ctx: click.Context, _: click.Parameter, value: bool) -> None:
+    if not value or ctx.resilient_parsing:
+        return
+    from importlib.metadata import version
+    from platform import python_version
+
+    parts = [f"{name} {version(name)}" for name in ("usd-core", "numpy")]
+    parts.append(f"Python {python_version()}")
+    click.echo(f"animtool {version('animtool')} ({', '.join(parts)})")
+    ctx.exit()
+
+
+@click.group(
+    cls=LazyGroup,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="Start here: animtool bake walk.bvh -o walk.usdc",
+)
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_show_version,
+    help="Show the versions of animtool, usd-core, numpy and Python.",
+)
+def cli() -> None:
+    """Motion capture and keyframes in, USD animation layers out.
+
+    Results go to stdout, everything else to stderr. Exit codes: 0 done, 1 findings,
+    2 usage, 3 malformed input or unwritable output, 4 a tolerance missed, 5 nothing
+    matched, 70 internal error, 130 interrupted.
+    """
+
+
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """Run the command line and exit with its code."""
+    sys.exit(run(sys.argv[1:] if arguments is None else arguments))
+
+
+class _TerminatedError(BaseException):
+    """The process was asked to end."""
+
+
+def _on_terminate(signum: int, frame: FrameType | None) -> NoReturn:
+    del signum, frame
+    raise _TerminatedError
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run the command line and return its exit code."""
+    console = Console()
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
+    signal.signal(signal.SIGTERM, _on_terminate)
+    try:
+        code = cli.main(list(arguments), "animtool", standalone_mode=False, obj=console)
+        sys.stdout.flush()
+    except AnimtoolError as error:
+        if console.debug:
+            raise
+        console.faults(error.faults)
+        if isinstance(error, StrictError):
+            console.say("warnings are errors under --strict: nothing was written")
+        return int(error.exit_code)
+    except click.ClickException as error:
+        _usage(console, error)
+        return int(ExitCode.USAGE)
+    except (KeyboardInterrupt, click.Abort):
+        console.error("interrupted: nothing was written")
+        return int(ExitCode.INTERRUPTED)
+    except _TerminatedError:
+        console.error("terminated: nothing was written")
+        return 128 + signal.SIGTERM
+    except BrokenPipeError:
+        # Whoever read stdout has gone, which is no fault; nor may Python's own
+        # flush at exit complain.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return int(ExitCode.OK)
+    except MemoryError:
+        console.error("not enough memory")
+        return int(ExitCode.INTERNAL)
+    except Exception as error:
+        if console.debug:
+            raise
+        console.error(
+            f"internal error: {type(error).__name__}: {error}\n"
+            "This is a fault of animtool's. --debug shows where; please report it."
+        )
+        return int(ExitCode.INTERNAL)
+    else:
+        return int(code or 0)
+
+
+def _usage(console: Console, error: click.ClickException) -> None:
+    if console.json_log:
+        console.error(error.format_message())
+        return
+    error.show(file=sys.stderr)

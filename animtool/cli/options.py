@@ -1,0 +1,146 @@
+"""Options and value types that commands share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import click
+
+from animtool.cli.console import Console
+
+__all__ = ["Parsed", "common_options", "format_option", "source_options"]
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+class Parsed(click.ParamType[Any]):
+    """A value that a function makes of text, `ValueError` being a usage error."""
+
+    def __init__(self, name: str, parse: Callable[[str], Any]) -> None:
+        self.name = name
+        self._parse = parse
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> Any:
+        """Parse text; anything else is a default and stays as it is."""
+        if not isinstance(value, str):
+            return value
+        try:
+            return self._parse(value)
+        except ValueError as error:
+            self.fail(f"{error}.", param, ctx)
+
+
+def _rate(text: str) -> Any:
+    from animtool.rates import parse_rate
+
+    return parse_rate(text)
+
+
+RATE = Parsed("rate", _rate)
+
+
+def _set(name: str, value: Any) -> Callable[..., None]:
+    def apply(ctx: click.Context, _: click.Parameter, given: Any) -> None:
+        console = ctx.find_object(Console)
+        if console is not None and given:
+            setattr(console, name, given if value is None else value)
+
+    return apply
+
+
+def common_options(command: Command) -> Command:
+    """Add the options of every command: how much to say, and how."""
+    for decorator in (
+        click.option(
+            "--debug",
+            is_flag=True,
+            expose_value=False,
+            is_eager=True,
+            envvar="ANIMTOOL_DEBUG",
+            callback=_set("debug", True),
+            help="Show Python tracebacks.",
+        ),
+        click.option(
+            "--log-format",
+            type=click.Choice(["text", "json"]),
+            default="text",
+            expose_value=False,
+            is_eager=True,
+            envvar="ANIMTOOL_LOG_FORMAT",
+            callback=lambda ctx, _, given: _set("json_log", True)(ctx, _, given == "json"),
+            help="How lines on stderr are written.",
+            show_default=True,
+        ),
+        click.option(
+            "-v",
+            "--verbose",
+            is_flag=True,
+            expose_value=False,
+            callback=_set("verbosity", 1),
+            help="Say more.",
+        ),
+        click.option(
+            "-q",
+            "--quiet",
+            is_flag=True,
+            expose_value=False,
+            callback=_set("verbosity", -1),
+            help="Say nothing but errors.",
+        ),
+    ):
+        command = decorator(command)
+    return command
+
+
+def format_option(command: Command) -> Command:
+    """Add ``--format``."""
+    return click.option(
+        "--format",
+        "report_format",
+        type=click.Choice(["text", "json"]),
+        default="text",
+        show_default=True,
+        help="Report as text, or as JSON on stdout.",
+    )(command)
+
+
+def source_options(command: Command) -> Command:
+    """Add what states about a source what its file leaves open."""
+    for decorator in (
+        click.option(
+            "--source-fps",
+            type=RATE,
+            metavar="RATE",
+            help="The real frame rate of a BVH whose Frame Time is wrong.",
+        ),
+        click.option(
+            "--up",
+            type=click.Choice(["Y", "Z"], case_sensitive=False),
+            help="Up axis of a BVH.  [default: Y]",
+        ),
+        click.option(
+            "--units",
+            type=click.Choice(["m", "cm", "mm", "in"]),
+            help="Unit of a BVH's lengths.  [default: cm]",
+        ),
+    ):
+        command = decorator(command)
+    return command
+
+
+def source_options_record(
+    units: str | None, up: str | None, source_fps: Any, prim_path: str | None = None
+) -> Any:
+    """Return the record of `source_options`."""
+    from animtool.scene.sources import SourceOptions
+    from animtool.units import LengthUnit, UpAxis
+
+    return SourceOptions(
+        None if units is None else LengthUnit(units),
+        None if up is None else UpAxis(up.upper()),
+        source_fps,
+        prim_path,
+    )

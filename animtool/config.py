@@ -1,0 +1,62 @@
+"""Project settings: the nearest ``animtool.toml`` or ``[tool.animtool]``."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass, fields
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from animtool.errors import Fault, OptionError
+
+__all__ = ["Config", "find_config"]
+
+
+@dataclass(frozen=True, slots=True)
+class Config:
+    """What a project sets for every command.
+
+    Attributes:
+        start: Time code of the first frame, often 1001; None leaves it at 1.
+    """
+
+    start: Fraction | None = None
+
+
+def find_config(path: Path) -> Config:
+    """Return the settings of the nearest folder above a file that has some.
+
+    ``animtool.toml`` is read whole, ``pyproject.toml`` at ``[tool.animtool]``.
+
+    Raises:
+        OptionError: The settings file is malformed.
+    """
+    for folder in path.resolve().parents:
+        own, project = folder / "animtool.toml", folder / "pyproject.toml"
+        if own.is_file():
+            return _config(own, _table(own))
+        if project.is_file():
+            table = _table(project).get("tool", {}).get("animtool")
+            if table is not None:
+                return _config(project, table)
+    return Config()
+
+
+def _table(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        raise OptionError(Fault("CFG001", f"cannot be read: {error}", str(path))) from error
+
+
+def _config(path: Path, table: dict[str, Any]) -> Config:
+    names = [field.name for field in fields(Config)]
+    for name in table:
+        if name not in names:
+            allowed = f"allowed: {', '.join(names)}"
+            raise OptionError(Fault("CFG002", f"unknown setting {name!r}", str(path), (), allowed))
+    start = table.get("start")
+    if start is not None and (isinstance(start, bool) or not isinstance(start, int)):
+        raise OptionError(Fault("CFG003", f"start is {start!r}, not a whole number", str(path)))
+    return Config(None if start is None else Fraction(start))

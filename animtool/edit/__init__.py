@@ -1,0 +1,1 @@
+"""Changes to a whole take: when it is sampled, and which way is up."""

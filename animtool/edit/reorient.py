@@ -1,0 +1,59 @@
+"""Standing a take on another up axis."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.maths import so3
+from animtool.rig.skeleton import Rig
+from animtool.take import Channel, Motion, TakeStream
+from animtool.units import UpAxis, up_from_up
+
+__all__ = ["reorient"]
+
+
+def reorient(stream: TakeStream, up: UpAxis) -> TakeStream:
+    """Return the take with its roots, at rest and in motion, turned to an up axis.
+
+    Everything below the roots is in their frames and stays as it is.
+    """
+    turn = up_from_up(up, stream.rig.up)
+    if turn is None:
+        return stream
+    rotation = np.array(turn)
+    rig = _turned_rig(stream.rig, rotation, up)
+    return replace(stream, rig=rig, blocks=_turned(stream.blocks, stream.rig, rotation))
+
+
+def _turned_rig(rig: Rig, turn: FloatArray, up: UpAxis) -> Rig:
+    joints = []
+    for joint in rig.joints:
+        if joint.parent < 0:
+            x, y, z = so3.rotate(turn, joint.translation).tolist()
+            a, b, c, w = so3.multiply(turn, joint.rotation).tolist()
+            joint = replace(joint, translation=(x, y, z), rotation=(a, b, c, w))  # noqa: PLW2901
+        joints.append(joint)
+    return Rig(rig.name, tuple(joints), rig.meters_per_unit, up)
+
+
+def _turned(blocks: Iterator[Motion], rig: Rig, turn: FloatArray) -> Iterator[Motion]:
+    roots = np.array(rig.roots)
+
+    def apply(channel: Channel, multiply: bool) -> Channel:
+        operation = so3.multiply if multiply else so3.rotate
+        rest, values = channel.rest.copy(), channel.values.copy()
+        rest[roots] = operation(turn, rest[roots])
+        moving = np.isin(channel.animated, roots)
+        values[:, moving] = operation(turn, values[:, moving])
+        return Channel(rest, channel.animated, values)
+
+    for block in blocks:
+        yield replace(
+            block,
+            translations=apply(block.translations, False),
+            rotations=apply(block.rotations, True),
+        )

@@ -1,0 +1,184 @@
+"""Sampling a take at other times than its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.maths import so3
+from animtool.take import Channel, Clock, Motion, Take, time_codes
+
+__all__ = ["FrameRange", "SampleTimes", "plan_samples", "sample"]
+
+BLOCK_FRAMES = 512
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRange:
+    """Frames ``first`` to ``last``, both included, every ``step``-th [time codes]."""
+
+    first: int
+    last: int
+    step: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class SampleTimes:
+    """When to sample a take, exact.
+
+    Attributes:
+        first: Time code of the first frame.
+        last: Time code of the last frame.
+        codes: Time code of every sample ``(N,)``, ascending; sub-frame samples may
+            lie before the first or behind the last frame.
+        frames: Frame of the source at or before each sample ``(N,)``.
+        fractions: How far on to the next, in [0, 1) ``(N,)``.
+    """
+
+    first: Fraction
+    last: Fraction
+    codes: FloatArray
+    frames: IntArray
+    fractions: FloatArray
+
+
+def plan_samples(
+    clock: Clock,
+    fps: Fraction,
+    start: Fraction,
+    *,
+    frame_range: FrameRange | None = None,
+    offsets: Sequence[Fraction] = (),
+    keep_samples: bool = False,
+) -> SampleTimes:
+    """Return when to sample a take whose first frame becomes time code ``start``.
+
+    Args:
+        clock: The source's own.
+        fps: Time codes a second of the result.
+        start: Time code of the first frame.
+        frame_range: Frames to keep, as time codes of the result; None is all.
+        offsets: Samples around each frame, in frames; none is one on the frame.
+        keep_samples: Keep every sample of the source at its exact time, in place
+            of one a frame.
+
+    Raises:
+        ValueError: The range has no frame of the take, or the options exclude each
+            other.
+    """
+    ratio = clock.rate / fps  # source frames from one time code to the next
+    span = Fraction(clock.count - 1) / ratio
+    if keep_samples:
+        return _kept_samples(clock, start, 1 / ratio, frame_range)
+    whole = int(span)
+    wanted = range(whole + 1)
+    if frame_range is not None:
+        wanted = _within(frame_range, start, whole)
+    first, last = start + wanted[0], start + wanted[-1]
+    index = np.arange(wanted[0], wanted[-1] + 1, wanted.step)
+    each = [_positions(index, offset, ratio, clock.count) for offset in offsets or (0,)]
+    codes = np.stack([_codes(start + wanted[0] + o, wanted) for o in offsets or (0,)])
+    order = np.argsort(codes.T.ravel(), kind="stable")
+    frames = np.stack([frames for frames, _ in each]).T.ravel()[order]
+    fractions = np.stack([fraction for _, fraction in each]).T.ravel()[order]
+    return SampleTimes(first, last, codes.T.ravel()[order], frames, fractions)
+
+
+def _codes(first: Fraction, wanted: range) -> FloatArray:
+    return time_codes(Fraction(first), Fraction(wanted.step), len(wanted))
+
+
+def _within(frame_range: FrameRange, start: Fraction, whole: int) -> range:
+    """Return the indices of a range's frames that the take has."""
+    if start.denominator != 1:
+        raise ValueError("--range counts whole frames, and the first frame is not whole")
+    first, last = frame_range.first - int(start), frame_range.last - int(start)
+    low = first if first >= 0 else first + -(first // frame_range.step) * frame_range.step
+    wanted = range(low, min(last, whole) + 1, frame_range.step)
+    if not len(wanted):
+        raise ValueError(
+            f"--range {frame_range.first}-{frame_range.last} has no frame of the take, "
+            f"which has {int(start)}-{int(start) + whole}"
+        )
+    return wanted
+
+
+def _positions(
+    index: IntArray, offset: Fraction | int, ratio: Fraction, count: int
+) -> tuple[IntArray, FloatArray]:
+    """Return where samples lie in the source, held at its ends."""
+    shift = Fraction(offset)
+    scale = ratio.denominator * shift.denominator
+    step = ratio.numerator * shift.denominator
+    ahead = ratio.numerator * shift.numerator
+    if max(scale, step * (int(index[-1]) + 1) + abs(ahead)) < 2**62:
+        exact = index.astype(np.int64) * step + ahead
+        frames, left = np.divmod(exact, scale)
+        fractions = left / float(scale)
+    else:
+        pairs = [divmod((int(i) + shift) * ratio, 1) for i in index]
+        frames = np.array([whole for whole, _ in pairs], np.int64)
+        fractions = np.array([float(left) for _, left in pairs])
+    held = (frames < 0) | (frames >= count - 1)
+    return np.clip(frames, 0, count - 1), np.where(held, 0.0, fractions)
+
+
+def _kept_samples(
+    clock: Clock, start: Fraction, step: Fraction, frame_range: FrameRange | None
+) -> SampleTimes:
+    low, high = 0, clock.count - 1
+    if frame_range is not None:
+        if frame_range.step != 1:
+            raise ValueError("--keep-samples takes a --range without a step")
+        low = max(low, -(-(frame_range.first - start) // step))
+        high = min(high, (frame_range.last - start) // step)
+        if low > high:
+            last = start + (clock.count - 1) * step
+            raise ValueError(
+                f"--range {frame_range.first}-{frame_range.last} has no sample of the "
+                f"take, which lasts from {float(start):g} to {float(last):g}"
+            )
+    frames = np.arange(low, high + 1)
+    first = start + low * step
+    codes = time_codes(first, step, len(frames))
+    last = start + high * step
+    return SampleTimes(first, last, codes, frames, np.zeros(len(frames)))
+
+
+def sample(take: Take, times: SampleTimes) -> Iterator[tuple[FloatArray, Motion]]:
+    """Yield time codes and motion at sample times, block by block.
+
+    A sample on a frame of the source is that frame exactly; between frames
+    rotations go along the shortest arc at constant speed (slerp), the rest in a
+    straight line.
+    """
+    motion = take.motion
+    for begin in range(0, len(times.codes), BLOCK_FRAMES):
+        part = slice(begin, begin + BLOCK_FRAMES)
+        frames, fractions = times.frames[part], times.fractions[part]
+        between = fractions > 0
+        after = np.where(between, frames + 1, frames)
+        weight = fractions[between, None]
+
+        def blend(
+            channel: Channel,
+            frames: IntArray = frames,
+            after: IntArray = after,
+            between: FloatArray = between,
+            weight: FloatArray = weight,
+        ) -> Channel:
+            values = channel.values[frames]
+            if weight.size and values.size:
+                low, high = values[between], channel.values[after[between]]
+                if values.shape[-1] == 4:
+                    # Signs stay continuous: slerp may return either.
+                    values[between] = so3.slerp(low, high, weight)
+                else:
+                    values[between] = low + (high - low) * weight[..., None]
+            return Channel(channel.rest, channel.animated, values)
+
+        yield times.codes[part], motion.map(blend)

@@ -1,0 +1,138 @@
+"""Faults, errors and exit codes, shared by every part of animtool."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+from typing import ClassVar
+
+__all__ = [
+    "AnimtoolError",
+    "ExitCode",
+    "Fault",
+    "FormatError",
+    "OptionError",
+    "OutputError",
+    "Severity",
+    "StrictError",
+    "excerpt",
+]
+
+
+class ExitCode(IntEnum):
+    """What the process returns, the same for every command."""
+
+    OK = 0
+    FINDINGS = 1
+    USAGE = 2
+    MALFORMED = 3
+    TOLERANCE = 4
+    NOTHING_MATCHED = 5
+    INTERNAL = 70
+    INTERRUPTED = 130
+
+
+class Severity(StrEnum):
+    """How bad a fault is: an error stops the work, a warning only under strict."""
+
+    ERROR = "error"
+    WARNING = "warning"
+    NOTE = "note"
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One thing that is wrong, and where.
+
+    Attributes:
+        code: Stable identifier, such as ``BVH010``.
+        message: What is wrong, with the name, the value and what is allowed.
+        path: File at fault, as the user named it.
+        lines: 1-based lines at fault, the chief one first.
+        hint: What to do about it.
+        severity: Error, warning or note.
+    """
+
+    code: str
+    message: str
+    path: str | None = None
+    lines: tuple[int, ...] = ()
+    hint: str | None = None
+    severity: Severity = Severity.ERROR
+
+    def __str__(self) -> str:
+        """Return ``file:line: CODE message, hint``."""
+        place = ""
+        if self.path is not None:
+            place = f"{self.path}:{self.lines[0]}: " if self.lines else f"{self.path}: "
+        hint = f", {self.hint}" if self.hint else ""
+        return f"{place}{self.code} {self.message}{hint}"
+
+    def as_dict(self) -> dict[str, object]:
+        """Return the fault as plain values for a JSON report."""
+        return {
+            "code": self.code,
+            "severity": str(self.severity),
+            "message": self.message,
+            "path": self.path,
+            "lines": list(self.lines),
+            "hint": self.hint,
+        }
+
+
+class AnimtoolError(Exception):
+    """Base of every error that animtool raises on purpose.
+
+    Attributes:
+        faults: What is wrong, at least one, in the order found.
+        exit_code: What the command line returns for it.
+    """
+
+    exit_code: ClassVar[ExitCode] = ExitCode.INTERNAL
+
+    def __init__(self, faults: Fault | Sequence[Fault]) -> None:
+        self.faults: tuple[Fault, ...] = (
+            (faults,) if isinstance(faults, Fault) else tuple(faults)
+        )
+        super().__init__("\n".join(map(str, self.faults)))
+
+    @property
+    def code(self) -> str:
+        """Code of the first fault."""
+        return self.faults[0].code
+
+
+class FormatError(AnimtoolError):
+    """An input is malformed or cannot be read."""
+
+    exit_code = ExitCode.MALFORMED
+
+
+class OutputError(AnimtoolError):
+    """An output cannot be written."""
+
+    exit_code = ExitCode.MALFORMED
+
+
+class OptionError(AnimtoolError):
+    """An option, or a combination of options, makes no sense."""
+
+    exit_code = ExitCode.USAGE
+
+
+class StrictError(AnimtoolError):
+    """There were warnings and the caller asked for none."""
+
+    exit_code = ExitCode.FINDINGS
+
+
+def excerpt(text: str, limit: int = 40) -> str:
+    """Return text quoted for a message, cut to a length that a line can hold.
+
+    >>> excerpt("12x")
+    "'12x'"
+    >>> excerpt("a" * 100, limit=4)
+    "'aaaa…'"
+    """
+    return repr(text if len(text) <= limit else text[:limit] + "…")

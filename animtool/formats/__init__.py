@@ -1,0 +1,1 @@
+"""Readers and writers, one a format: text and bytes to takes and back."""

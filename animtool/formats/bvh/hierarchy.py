@@ -1,0 +1,338 @@
+"""The HIERARCHY block of a BVH file and the two lines that open its MOTION."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+
+from animtool.errors import Fault, Severity, excerpt
+from animtool.formats.bvh.lines import HeaderLines
+from animtool.rates import RateChoice, RateKind, rate_from_frame_time, rate_label
+
+__all__ = ["CHANNEL_NAMES", "BvhHeader", "BvhJoint", "read_header"]
+
+CHANNEL_NAMES = (
+    "Xposition",
+    "Yposition",
+    "Zposition",
+    "Xrotation",
+    "Yrotation",
+    "Zrotation",
+)
+_CHANNELS = {name.lower(): name for name in CHANNEL_NAMES}
+
+# Slower than stop motion on sixes, or faster than any capture system: rather a
+# rate written for a time, or milliseconds for seconds.
+PLAUSIBLE_RATES = (4, 1000)
+
+FLOAT32_MAX = 3.4028234663852886e38
+
+_WORDS = re.compile(r"[{}]|[^\s{}]+")
+
+
+@dataclass(slots=True)
+class BvhJoint:
+    """A joint as the file has it, in file units."""
+
+    name: str
+    parent: int
+    line: int
+    offset: tuple[float, float, float] | None = None
+    channels: tuple[str, ...] | None = None
+    tips: list[tuple[float, float, float]] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class BvhHeader:
+    """Everything before the rows of numbers.
+
+    Attributes:
+        joints: In file order, parents first.
+        declared_frames: What ``Frames:`` says.
+        frames_line: 1-based line of ``Frames:``.
+        frame_time: What ``Frame Time:`` says, as printed.
+        rate: The frame rate chosen for it.
+    """
+
+    joints: list[BvhJoint]
+    declared_frames: int = 0
+    frames_line: int = 0
+    frame_time: str = ""
+    rate: RateChoice | None = None
+
+
+@dataclass(slots=True)
+class _Block:
+    """An open brace: of a joint, or of an End Site (its parent's index)."""
+
+    joint: int
+    is_end: bool
+    line: int
+    opened: bool = False
+    has_offset: bool = False
+
+
+class _Hierarchy:
+    """The statements of a HIERARCHY block, applied one by one."""
+
+    def __init__(self, lines: HeaderLines) -> None:
+        self.lines = lines
+        self.joints: list[BvhJoint] = []
+        self.stack: list[_Block] = []
+
+    def read(self) -> None:
+        """Read up to and including the line MOTION."""
+        self._expect_start()
+        while (line := self.lines.next()) is not None:
+            words = _WORDS.findall(line)
+            while words:
+                keyword = words.pop(0)
+                if keyword.upper() == "MOTION" and not words:
+                    self._finish()
+                    return
+                self._statement(keyword, words)
+        self.lines.fail(
+            "BVH005",
+            "the file ends inside the HIERARCHY: there is no MOTION block",
+            self._open_blocks() or "is the file truncated?",
+        )
+
+    def _expect_start(self) -> None:
+        while (line := self.lines.next()) is not None:
+            if line.strip():
+                break
+        if line is None or line.split()[0].upper() != "HIERARCHY":
+            found = f", not {excerpt(line.strip())}" if line else ""
+            self.lines.fail("BVH001", f"a BVH file starts with HIERARCHY{found}")
+
+    def _statement(self, keyword: str, words: list[str]) -> None:
+        upper = keyword.upper()
+        block = self.stack[-1] if self.stack else None
+        if block is not None and not block.opened and upper != "{":
+            self.lines.fail(
+                "BVH004", f"'{{' is missing before {excerpt(keyword)}", self._name(block)
+            )
+        match upper:
+            case "{":
+                self._open(block)
+            case "}":
+                self._close()
+            case "ROOT" | "JOINT":
+                self._joint(upper, words, block)
+            case "END":
+                self._end_site(words, block)
+            case "OFFSET":
+                self._offset(words, block)
+            case "CHANNELS":
+                self._channels(words, block)
+            case _:
+                self.lines.fail(
+                    "BVH003",
+                    f"unexpected {excerpt(keyword)}",
+                    "expected ROOT, JOINT, End Site, OFFSET, CHANNELS, MOTION or a brace",
+                )
+
+    def _open(self, block: _Block | None) -> None:
+        if block is None or block.opened:
+            self.lines.fail("BVH004", "'{' belongs to no joint")
+        block.opened = True
+
+    def _close(self) -> None:
+        if not self.stack:
+            self.lines.fail("BVH004", "'}' closes nothing", "one brace too many")
+        block = self.stack.pop()
+        if not block.is_end and not block.has_offset:
+            self.lines.fail("BVH006", f"{self._name(block)} has no OFFSET")
+
+    def _joint(self, keyword: str, words: list[str], block: _Block | None) -> None:
+        if (keyword == "ROOT") != (block is None):
+            allowed = "JOINT" if block else "ROOT"
+            place = "inside a joint" if block else "outside every joint"
+            self.lines.fail("BVH003", f"{keyword} stands {place}", f"expected {allowed}")
+        if block is not None and block.is_end:
+            self.lines.fail("BVH003", "a JOINT stands inside an End Site")
+        name = self._take_name(words)
+        if not name:
+            self.lines.fail("BVH003", f"{keyword} has no name")
+        parent = block.joint if block else -1
+        self.joints.append(BvhJoint(name, parent, self.lines.number))
+        self.stack.append(_Block(len(self.joints) - 1, False, self.lines.number))
+
+    def _end_site(self, words: list[str], block: _Block | None) -> None:
+        if block is None or block.is_end:
+            self.lines.fail("BVH003", "End Site stands outside a joint")
+        self._take_name(words)
+        self.stack.append(_Block(block.joint, True, self.lines.number))
+
+    @staticmethod
+    def _take_name(words: list[str]) -> str:
+        """Take the words up to a brace: names may hold spaces."""
+        name = []
+        while words and words[0] not in {"{", "}"}:
+            name.append(words.pop(0))
+        return " ".join(name)
+
+    def _offset(self, words: list[str], block: _Block | None) -> None:
+        if block is None:
+            self.lines.fail("BVH003", "OFFSET stands outside a joint")
+        texts = [words.pop(0) for _ in range(3) if words and words[0] not in "{}"]
+        if len(texts) < 3 or (words and words[0] not in "{}"):
+            count = len(texts) + sum(word not in "{}" for word in words)
+            message = f"OFFSET has {count} numbers, 3 are needed"
+            self.lines.fail("BVH006", message, self._name(block))
+        values = tuple(self._number(text) for text in texts)
+        offset = (values[0], values[1], values[2])
+        block.has_offset = True
+        if block.is_end:
+            self.joints[block.joint].tips.append(offset)
+        else:
+            self.joints[block.joint].offset = offset
+
+    def _number(self, text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            hint = "write decimals with a point" if "," in text else None
+            self.lines.fail("BVH006", f"{excerpt(text)} is not a number", hint)
+        if not abs(value) <= FLOAT32_MAX:
+            self.lines.fail("BVH006", f"OFFSET {text} is not a finite float32")
+        return value
+
+    def _channels(self, words: list[str], block: _Block | None) -> None:
+        if block is None or block.is_end:
+            self.lines.fail("BVH003", "CHANNELS stands outside a joint")
+        joint = self.joints[block.joint]
+        if joint.channels is not None:
+            self.lines.fail("BVH007", f"{self._name(block)} has two CHANNELS lines")
+        texts = []
+        while words and words[0] not in "{}":
+            texts.append(words.pop(0))
+        if not texts or not texts[0].isdecimal():
+            self.lines.fail("BVH007", "CHANNELS needs a count first", self._name(block))
+        count, names = int(texts[0][:9]), texts[1:]
+        for name in names:
+            if name.lower() not in _CHANNELS:
+                allowed = ", ".join(CHANNEL_NAMES)
+                message = f"unknown channel {excerpt(name)}"
+                self.lines.fail("BVH007", message, f"allowed: {allowed}")
+        if len(names) != count:
+            self.lines.fail(
+                "BVH007",
+                f"CHANNELS says {count} and names {len(names)}",
+                self._name(block),
+            )
+        joint.channels = tuple(_CHANNELS[name.lower()] for name in names)
+        if len(set(joint.channels)) != count:
+            self.lines.fail("BVH007", "a channel stands twice", self._name(block))
+
+    def _finish(self) -> None:
+        if self.stack:
+            self.lines.fail(
+                "BVH004", "MOTION before every brace is closed", self._open_blocks()
+            )
+        if not self.joints:
+            self.lines.fail("BVH003", "the HIERARCHY has no ROOT")
+        if not any(joint.channels for joint in self.joints):
+            self.lines.fail("BVH007", "no joint has a channel")
+
+    def _name(self, block: _Block) -> str:
+        kind = "End Site of" if block.is_end else "joint"
+        name = excerpt(self.joints[block.joint].name)
+        return f"{kind} {name}, line {block.line}"
+
+    def _open_blocks(self) -> str | None:
+        if not self.stack:
+            return None
+        inner = self.stack[-1]
+        return f"{len(self.stack)} '}}' missing, the innermost of {self._name(inner)}"
+
+
+def read_header(lines: HeaderLines, path: str) -> tuple[BvhHeader, list[Fault]]:
+    """Read everything before the rows of numbers.
+
+    Raises:
+        FormatError: The header is malformed.
+    """
+    hierarchy = _Hierarchy(lines)
+    hierarchy.read()
+    header = BvhHeader(hierarchy.joints)
+    notices = _duplicate_names(header.joints, path)
+    _read_motion_head(lines, header)
+    notices += _rate_notices(header, path, lines.number)
+    return header, notices
+
+
+def _read_motion_head(lines: HeaderLines, header: BvhHeader) -> None:
+    text = _field(lines, "frames")
+    header.frames_line = lines.number
+    try:
+        header.declared_frames = int(text)
+    except ValueError:
+        lines.fail("BVH008", f"Frames is {excerpt(text)}, not a whole number")
+    if header.declared_frames <= 0:
+        message = f"Frames is {header.declared_frames}; at least 1 is needed"
+        lines.fail("BVH008", message)
+    header.frame_time = _field(lines, "frame time")
+    try:
+        header.rate = rate_from_frame_time(header.frame_time)
+    except ValueError:
+        message = f"Frame Time is {excerpt(header.frame_time)}"
+        lines.fail("BVH009", message, "a positive number of seconds is needed")
+
+
+def _field(lines: HeaderLines, name: str) -> str:
+    """Return what follows ``name:`` on the next line that is not blank."""
+    while (line := lines.next()) is not None:
+        if not line.strip():
+            continue
+        key, colon, value = line.partition(":")
+        if colon and " ".join(key.split()).lower() == name:
+            return value.strip()
+        message = f"expected '{name.title()}:', found {excerpt(line.strip())}"
+        lines.fail("BVH003", message)
+    message = f"the file ends before '{name.title()}:'"
+    lines.fail("BVH005", message, "is the file truncated?")
+
+
+def _duplicate_names(joints: list[BvhJoint], path: str) -> list[Fault]:
+    lines: dict[str, list[int]] = {}
+    for joint in joints:
+        lines.setdefault(joint.name, []).append(joint.line)
+    return [
+        Fault(
+            "BVH103",
+            f"joint name {excerpt(name)} stands {len(found)} times, on lines "
+            + ", ".join(map(str, found[:10]))
+            + (" …" if len(found) > 10 else ""),
+            path,
+            tuple(found),
+            "the later ones get a number behind their name",
+            Severity.WARNING,
+        )
+        for name, found in lines.items()
+        if len(found) > 1
+    ]
+
+
+def _rate_notices(header: BvhHeader, path: str, line: int) -> list[Fault]:
+    rate, text = header.rate, header.frame_time
+    assert rate is not None
+    low, high = PLAUSIBLE_RATES
+    hint = "--source-fps states the real rate"
+    severity = Severity.WARNING
+    if not low <= rate.fps <= high:
+        code = "BVH105"
+        message = f"Frame Time {text} is {rate_label(rate.fps)}, which is implausible"
+        if low <= float(text) <= high:
+            hint = f"a rate in place of a time? then --source-fps {text}"
+    elif rate.kind is RateKind.PRINTED:
+        code = "BVH106"
+        message = f"Frame Time {text} is no usual rate; {rate_label(rate.fps)} is taken"
+    elif rate.rivals:
+        code, severity = "BVH107", Severity.NOTE
+        others = ", ".join(map(str, rate.rivals[:6]))
+        message = f"Frame Time {text} is printed so that {others} fps would read the same"
+        message += f"; {rate_label(rate.fps)} is taken"
+    else:
+        return []
+    return [Fault(code, message, path, (line,), hint, severity)]

@@ -1,0 +1,222 @@
+"""A BVH file as a stream of blocks of motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from animtool import _kernels
+from animtool._types import FloatArray
+from animtool.errors import Fault, FormatError
+from animtool.formats.bvh.hierarchy import BvhHeader, BvhJoint, read_header
+from animtool.formats.bvh.lines import HeaderLines
+from animtool.formats.bvh.rows import RowReader, RowSource
+from animtool.maths.so3 import IDENTITY
+from animtool.rig.skeleton import Joint, JointType, Rig
+from animtool.take import Channel, Motion, TakeStream
+from animtool.units import LengthUnit, UpAxis
+
+__all__ = ["read_bvh"]
+
+
+def read_bvh(
+    path: Path | str,
+    *,
+    unit: LengthUnit = LengthUnit.CM,
+    up: UpAxis = UpAxis.Y,
+    fps: Fraction | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> TakeStream:
+    """Open a BVH file; its rows are read as the blocks are taken.
+
+    Position channels replace the OFFSET on their axes. Rotations multiply left to
+    right in the order of the CHANNELS line, in front of them the translation,
+    wherever the position channels stand. Values that are not finite are filled in
+    by interpolation, those beyond float32 are cut to its largest number, and both
+    are named in the notices.
+
+    Args:
+        path: The file.
+        unit: What its numbers are in.
+        up: Which of its axes points up.
+        fps: The real frame rate, where ``Frame Time`` is wrong.
+        progress: Called with the share of the file read, 0 to 1.
+
+    Raises:
+        FormatError: The file cannot be read, or is malformed. The rows raise it
+            when they are reached.
+    """
+    path = Path(path)
+    try:
+        file = path.open("rb", buffering=0)
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    try:
+        lines = HeaderLines(file, path)
+        header, notices = read_header(lines, str(path))
+    except OSError as error:
+        file.close()
+        raise _unreadable(path, error) from error
+    except BaseException:
+        file.close()
+        raise
+    rig = _rig(header, path.stem, unit, up)
+    assert header.rate is not None
+    stream = TakeStream(
+        rig,
+        header.rate.fps if fps is None else fps,
+        None,
+        Fraction(1),
+        iter(()),
+        notices,
+        {
+            "format": "BVH",
+            "declared_frames": header.declared_frames,
+            "frame_time": header.frame_time,
+            "rate_choice": "stated" if fps is not None else str(header.rate.kind),
+            "channels": sum(len(joint.channels or ()) for joint in header.joints),
+        },
+    )
+    if fps is not None:
+        stream.notices[:] = [n for n in notices if n.code not in _RATE_CODES]
+    names = [
+        f"{joint.name}.{channel}"
+        for joint in header.joints
+        for channel in joint.channels or ()
+    ]
+    source = RowSource(
+        file,
+        lines.rest,
+        str(path),
+        lines.number,
+        names,
+        header.declared_frames,
+        header.frames_line,
+        progress,
+    )
+    stream.blocks = _blocks(source, header, rig, stream.notices)
+    return stream
+
+
+_RATE_CODES = {"BVH105", "BVH106", "BVH107"}
+
+
+def _unreadable(path: Path, error: OSError) -> FormatError:
+    reason = error.strerror or str(error)
+    return FormatError(Fault("IO001", f"cannot be read: {reason}", str(path)))
+
+
+def _rig(header: BvhHeader, name: str, unit: LengthUnit, up: UpAxis) -> Rig:
+    used: set[str] = set()
+    joints = []
+    for joint in header.joints:
+        unique, number = joint.name, 2
+        while unique in used:
+            unique, number = f"{joint.name}_{number}", number + 1
+        used.add(unique)
+        made = _joint(joint, unit.meters)
+        source_name = joint.name if unique != joint.name else ""
+        joints.append(replace(made, name=unique, source_name=source_name))
+    return Rig(name, tuple(joints), unit.meters, up)
+
+
+def _joint(joint: BvhJoint, meters: float) -> Joint:
+    channels = joint.channels or ()
+    rotations = [name[0] for name in channels if name.endswith("rotation")]
+    positions = [name[0] for name in channels if name.endswith("position")]
+    axis = (0.0, 0.0, 1.0)
+    kind = JointType.FREE
+    if not channels:
+        kind = JointType.FIXED
+    elif not positions:
+        kind = JointType.PIN if len(rotations) == 1 else JointType.BALL
+        if kind is JointType.PIN:
+            axis = _axis(rotations[0])
+    elif not rotations and len(positions) == 1:
+        kind, axis = JointType.PRISMATIC, _axis(positions[0])
+
+    def scaled(values: tuple[float, float, float]) -> tuple[float, float, float]:
+        return (values[0] * meters, values[1] * meters, values[2] * meters)
+
+    return Joint(
+        joint.name,
+        joint.parent,
+        kind,
+        scaled(joint.offset or (0.0, 0.0, 0.0)),
+        axis=axis,
+        channels=channels,
+        tips=tuple(scaled(tip) for tip in joint.tips),
+    )
+
+
+def _axis(letter: str) -> tuple[float, float, float]:
+    return {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}[letter]
+
+
+class _Layout:
+    """Which column of a row goes where."""
+
+    def __init__(self, header: BvhHeader) -> None:
+        self.moving: list[int] = []
+        self.turning: list[int] = []
+        slots: list[int] = []
+        columns: list[int] = []
+        turn_columns: list[list[int]] = []
+        turn_axes: list[list[int]] = []
+        column = 0
+        for j, joint in enumerate(header.joints):
+            turns: list[tuple[int, int]] = []
+            moves = False
+            for name in joint.channels or ():
+                axis = "XYZ".index(name[0])
+                if name.endswith("position"):
+                    slots.append(3 * len(self.moving) + axis)
+                    columns.append(column)
+                    moves = True
+                else:
+                    turns.append((column, axis))
+                column += 1
+            if moves:
+                self.moving.append(j)
+            if turns:
+                self.turning.append(j)
+                turns += [(-1, 0)] * (3 - len(turns))
+                turn_columns.append([c for c, _ in turns])
+                turn_axes.append([a for _, a in turns])
+        self.slots = np.array(slots, np.int64)
+        self.columns = np.array(columns, np.int64)
+        self.turn_columns = np.array(turn_columns, np.int32).reshape(-1, 3)
+        self.turn_axes = np.array(turn_axes, np.int32).reshape(-1, 3)
+
+
+def _blocks(
+    source: RowSource, header: BvhHeader, rig: Rig, notices: list[Fault]
+) -> Iterator[Motion]:
+    file: BinaryIO = source.file
+    reader = RowReader(source)
+    layout = _Layout(header)
+    moving = np.array(layout.moving, np.int64)
+    turning = np.array(layout.turning, np.int64)
+    rest = rig.rest_translations[moving].ravel()
+    identity = rig.rest_rotations
+    previous: FloatArray = np.tile(IDENTITY, (len(turning), 1))
+    with file:
+        for rows in reader.blocks():
+            translations = np.repeat(rest[None], len(rows), axis=0)
+            translations[:, layout.slots] = rows[:, layout.columns] * rig.meters_per_unit
+            rotations = _kernels.euler_to_quaternion(
+                rows, layout.turn_columns, layout.turn_axes, previous
+            )
+            previous = rotations[-1].copy()
+            yield Motion(
+                Channel(
+                    rig.rest_translations, moving, translations.reshape(len(rows), -1, 3)
+                ),
+                Channel(identity, turning, rotations),
+            )
+        notices.extend(reader.notices)

@@ -1,0 +1,239 @@
+"""The rows of a BVH's MOTION block, as finite numbers, block by block."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import BinaryIO
+
+import numpy as np
+
+from animtool import _kernels
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.errors import Fault, FormatError, Severity, excerpt
+from animtool.formats.bvh.hierarchy import FLOAT32_MAX
+from animtool.formats.bvh.lines import CHUNK_BYTES
+
+__all__ = ["RowReader", "RowSource"]
+
+# A quarter of a megabyte of float64 a block: it stays in the processor's cache from
+# the parser to the writer.
+BLOCK_VALUES = 1 << 15
+# No number is printed with more characters than this, blanks included.
+LONGEST_NUMBER_BYTES = 1024
+# A channel may lose this many samples, or this share of them, before filling them
+# in would be inventing motion.
+MOST_FILLED_SAMPLES = 10
+MOST_FILLED_SHARE = 0.1
+MOST_NAMED = 20
+
+
+@dataclass(slots=True)
+class RowSource:
+    """Where the rows come from.
+
+    Attributes:
+        file: Open file, behind what ``head`` holds.
+        head: Bytes of the first rows, already read.
+        path: For messages.
+        line: Lines before the rows.
+        channels: What each column is called, ``joint.Xposition``.
+        declared: Frames that the header promises.
+        declared_line: Where it does.
+        progress: Called with the share of the file read, if given.
+    """
+
+    file: BinaryIO
+    head: bytes
+    path: str
+    line: int
+    channels: list[str]
+    declared: int
+    declared_line: int
+    progress: Callable[[float], None] | None = None
+
+
+class RowReader:
+    """Blocks of rows ``(F, C)``, every value finite and within float32.
+
+    Attributes:
+        notices: What was repaired or does not fit, complete after the last block.
+    """
+
+    def __init__(self, source: RowSource) -> None:
+        self.source = source
+        self.notices: list[Fault] = []
+        self._width = len(source.channels)
+        self._count = 0
+        self._extra_line: int | None = None
+        self._last: FloatArray | None = None
+        self._missing: dict[int, list[int]] = {}
+        self._beyond: dict[int, list[int]] = {}
+
+    def blocks(self) -> Iterator[FloatArray]:
+        """Yield the rows of the file.
+
+        Raises:
+            FormatError: A row is malformed, there is none, or a channel has too
+                many values that are not finite.
+        """
+        held: list[FloatArray] = []
+        for rows, lines in self._parsed():
+            self._note_count(lines)
+            block = rows
+            if not (rows.min() >= -FLOAT32_MAX and rows.max() <= FLOAT32_MAX):
+                self._note_unusable(rows, lines)
+                block = np.clip(rows, -FLOAT32_MAX, FLOAT32_MAX)
+            if held or np.isnan(block).any():
+                held.append(block)
+                # A gap that is still open at the end waits for what follows it.
+                if np.isnan(block[-1]).any():
+                    continue
+                block = np.concatenate(held)
+                held.clear()
+                self._fill(block)
+            self._last = block[-1].copy()
+            yield block
+        self._check()
+        if held:
+            block = np.concatenate(held)
+            self._fill(block)
+            yield block
+        self._report()
+
+    def _parsed(self) -> Iterator[tuple[FloatArray, IntArray]]:
+        """Yield rows and their line numbers."""
+        source = self.source
+        size = max(1, os.fstat(source.file.fileno()).st_size)
+        limit = max(1, BLOCK_VALUES // self._width)
+        longest = CHUNK_BYTES + LONGEST_NUMBER_BYTES * self._width
+        text, line, final, starved = source.head, source.line + 1, False, False
+        while True:
+            if starved or not text:
+                chunk = source.file.read(CHUNK_BYTES)
+                final = not chunk
+                text += chunk
+                if source.progress:
+                    source.progress(source.file.tell() / size)
+            rows, row_lines, consumed, lines, fault, found, token = (
+                _kernels.parse_bvh_rows(text, self._width, limit, final)
+            )
+            if len(rows):
+                yield rows, row_lines + line
+            line += lines
+            text = text[consumed:]
+            if fault:
+                raise FormatError(self._row_fault(fault, line, found, token, final, text))
+            if final and not text:
+                return
+            if len(text) > longest and not consumed:
+                message = "the line is too long to be a row of numbers"
+                raise FormatError(Fault("BVH013", message, source.path, (line,)))
+            starved = len(rows) < limit
+
+    def _row_fault(
+        self, fault: int, line: int, found: int, token: bytes, final: bool, text: bytes
+    ) -> Fault:
+        path = self.source.path
+        if fault == 2:
+            word = token.decode("utf-8", "replace")
+            name = self.source.channels[found] if found < self._width else "a further word"
+            hint = "write decimals with a point" if "," in word else None
+            message = f"{excerpt(word)} is not a number ({excerpt(name)})"
+            return Fault("BVH011", message, path, (line,), hint)
+        last = final and len(text.splitlines()) <= 1
+        hint = "each frame is one line; are these rows wrapped?"
+        if found > self._width:
+            hint = "does the HIERARCHY name every channel?"
+        elif last:
+            hint = "the last line of the file: is it truncated?"
+        message = f"the row has {found} numbers; the channels need {self._width}"
+        return Fault("BVH010", message, path, (line,), hint)
+
+    def _note_count(self, lines: IntArray) -> None:
+        before, self._count = self._count, self._count + len(lines)
+        if self._extra_line is None and self._count > self.source.declared:
+            self._extra_line = int(lines[self.source.declared - before])
+
+    def _note_unusable(self, rows: FloatArray, lines: IntArray) -> None:
+        with np.errstate(invalid="ignore"):
+            beyond = np.abs(rows) > FLOAT32_MAX
+        for found, where in ((self._missing, np.isnan(rows)), (self._beyond, beyond)):
+            self._collect(found, where, lines)
+
+    @staticmethod
+    def _collect(
+        found: dict[int, list[int]], where: BoolArray, lines: IntArray
+    ) -> None:
+        for column in np.flatnonzero(where.any(axis=0)):
+            found.setdefault(int(column), []).extend(lines[where[:, column]].tolist())
+
+    def _fill(self, block: FloatArray) -> None:
+        """Fill NaN by interpolation between finite neighbours, nearest at the ends."""
+        for column in np.flatnonzero(np.isnan(block).any(axis=0)):
+            values = block[:, column]
+            if self._last is not None:
+                values = np.concatenate([self._last[column : column + 1], values])
+            finite = np.flatnonzero(np.isfinite(values))
+            filled = np.interp(np.arange(len(values)), finite, values[finite])
+            block[:, column] = filled[-len(block) :]
+
+    def _check(self) -> None:
+        """Refuse a file without rows, or a channel that lost too much."""
+        path = self.source.path
+        if not self._count:
+            line = self.source.line
+            message = "the MOTION block has no rows of numbers"
+            raise FormatError(Fault("BVH014", message, path, (line,)))
+        faults = []
+        for column, lines in sorted(self._missing.items()):
+            lost = len(lines)
+            too_many = lost > MOST_FILLED_SAMPLES and lost > MOST_FILLED_SHARE * self._count
+            if too_many or lost == self._count:
+                name = self.source.channels[column]
+                message = f"{name}: {lost} of {self._count} values are not finite"
+                hint = "too many to fill in"
+                faults.append(Fault("BVH012", message, path, tuple(lines[:10]), hint))
+        if faults:
+            raise FormatError(faults[:MOST_NAMED])
+
+    def _report(self) -> None:
+        declared, found, path = self.source.declared, self._count, self.source.path
+        if declared != found:
+            line = self._extra_line or self.source.declared_line
+            message = f"Frames says {declared}, and there are {found} rows"
+            hint = "all rows are read"
+            self.notices.append(
+                Fault("BVH101", message, path, (line,), hint, Severity.WARNING)
+            )
+        self._name_all(
+            "BVH102", self._missing, "not finite", "interpolated between neighbours"
+        )
+        self._name_all(
+            "BVH104", self._beyond, "beyond float32", "the largest float32 is written"
+        )
+
+    def _name_all(
+        self, code: str, found: dict[int, list[int]], what: str, hint: str
+    ) -> None:
+        for column, lines in sorted(found.items())[:MOST_NAMED]:
+            places = ", ".join(map(str, lines[:10])) + (" …" if len(lines) > 10 else "")
+            name = self.source.channels[column]
+            values = "1 value is" if len(lines) == 1 else f"{len(lines)} values are"
+            message = f"{name}: {values} {what}, on line {places}"
+            self.notices.append(
+                Fault(
+                    code,
+                    message,
+                    self.source.path,
+                    tuple(lines[:10]),
+                    hint,
+                    Severity.WARNING,
+                )
+            )
+        if len(found) > MOST_NAMED:
+            message = f"{len(found) - MOST_NAMED} more channels have values {what}"
+            self.notices.append(
+                Fault(code, message, self.source.path, (), hint, Severity.WARNING)
+            )

@@ -1,0 +1,213 @@
+"""A take as the text of a BVH file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from animtool import _kernels
+from animtool._types import FloatArray
+from animtool.errors import Fault, Severity
+from animtool.maths.euler import axes_of
+from animtool.rates import rate_from_frame_time
+from animtool.rig.skeleton import Joint
+from animtool.take import Take
+
+__all__ = ["BvhText", "write_bvh"]
+
+# Degrees to 7 places are 1e-9 rad, lengths to 9 places 1e-9 of a unit: both far
+# below what float32 holds.
+ANGLE_PLACES = 7
+LENGTH_PLACES = 9
+# A float32 quaternion is off by up to 1e-5 degrees about axes that do not turn.
+UNUSED_AXIS_TOLERANCE = 1e-4
+# The same for lengths, relative to the largest offset.
+UNUSED_LENGTH_TOLERANCE = 1e-6
+
+_POSITIONS = ("Xposition", "Yposition", "Zposition")
+_DEFAULT_ROTATIONS = ("Zrotation", "Xrotation", "Yrotation")
+ROWS_AT_ONCE = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class BvhText:
+    """The parts of a BVH file.
+
+    Attributes:
+        parts: Bytes to write one after another; made as they are taken.
+        notices: What the format cannot hold.
+    """
+
+    parts: Iterator[bytes]
+    notices: list[Fault]
+
+
+def write_bvh(take: Take) -> BvhText:
+    """Return a take as BVH, in the unit of its rig.
+
+    Joints keep the channels and names that they were read with where these can
+    hold the motion; others get ``Zrotation Xrotation Yrotation``, roots and joints
+    that move also positions. Angles are continuous along time. The start time
+    code and scales have no place in the format; scales are named in the notices.
+    """
+    motion = take.motion
+    translations = motion.translations.dense() / take.rig.meters_per_unit
+    offsets = take.rig.rest_translations / take.rig.meters_per_unit
+    children: list[list[int]] = [[] for _ in take.rig.joints]
+    for i, joint in enumerate(take.rig.joints):
+        if joint.parent >= 0:
+            children[joint.parent].append(i)
+    size = float(np.abs(offsets).max(initial=0.0))
+
+    columns: list[FloatArray] = []
+    places: list[int] = []
+    layouts: list[tuple[str, ...]] = []
+    rotations = motion.rotations.dense()
+    for j, joint in enumerate(take.rig.joints):
+        tolerance = UNUSED_LENGTH_TOLERANCE * size
+        positions = _positions(joint, translations[:, j], offsets[j], tolerance)
+        turns, angles = _rotations(joint, rotations[:, j])
+        order = _ordered(joint, positions, turns)
+        layouts.append(order)
+        for name in order:
+            if name in positions:
+                columns.append(translations[:, j, "XYZ".index(name[0])])
+                places.append(LENGTH_PLACES)
+            else:
+                columns.append(angles[:, turns.index(name)])
+                places.append(ANGLE_PLACES)
+    rows = np.stack(columns, axis=1) if columns else np.zeros((motion.frames, 0))
+
+    def parts() -> Iterator[bytes]:
+        head = "\n".join(_header(take, offsets, children, layouts))
+        yield head.encode()
+        for start in range(0, len(rows), ROWS_AT_ONCE):
+            block = np.ascontiguousarray(rows[start : start + ROWS_AT_ONCE])
+            yield _kernels.format_bvh_rows(block, np.array(places, np.int64))
+
+    return BvhText(parts(), _scale_notices(take))
+
+
+def _positions(
+    joint: Joint, values: FloatArray, offset: FloatArray, tolerance: float
+) -> tuple[str, ...]:
+    """Return the position channels that a joint needs."""
+    own = tuple(name for name in joint.channels or () if name.endswith("position"))
+    off_rest = np.abs(values - offset).max(axis=0) > tolerance
+    covered = all(
+        not off_rest[axis] or _POSITIONS[axis] in own for axis in range(3)
+    )
+    if joint.channels is not None and covered:
+        return own
+    if joint.parent < 0 or off_rest.any():
+        return _POSITIONS
+    return ()
+
+
+def _rotations(joint: Joint, values: FloatArray) -> tuple[tuple[str, ...], FloatArray]:
+    """Return the rotation channels that a joint needs and their angles."""
+    own = tuple(name for name in joint.channels or () if name.endswith("rotation"))
+    given = own if joint.channels is not None else _DEFAULT_ROTATIONS
+    order = "".join(name[0] for name in given)
+    order += "".join(letter for letter in "XYZ" if letter not in order)
+    axes = np.array([axes_of(order)], np.int32)
+    angles = _kernels.quaternion_to_euler(
+        np.ascontiguousarray(values[:, None]), axes
+    )[:, 0]
+    used = len(given)
+    unused = np.abs(angles[:, used:]).max(initial=0.0)
+    if used == 3 or unused <= UNUSED_AXIS_TOLERANCE:
+        return given, angles[:, :used]
+    return tuple(f"{letter}rotation" for letter in order), angles
+
+
+def _ordered(
+    joint: Joint, positions: tuple[str, ...], turns: tuple[str, ...]
+) -> tuple[str, ...]:
+    """Return the channels in the joint's own order where it has one."""
+    own = joint.channels or ()
+    wanted = set(positions) | set(turns)
+    if wanted == set(own):
+        return own
+    return positions + turns
+
+
+def _header(
+    take: Take,
+    offsets: FloatArray,
+    children: list[list[int]],
+    layouts: list[tuple[str, ...]],
+) -> Iterator[str]:
+    yield "HIERARCHY"
+    # A stack in place of recursion: chains may be thousands of joints long.
+    pending: list[tuple[int, int] | str] = [(root, 0) for root in take.rig.roots[::-1]]
+    while pending:
+        item = pending.pop()
+        if isinstance(item, str):
+            yield item
+            continue
+        index, depth = item
+        joint, indent = take.rig.joints[index], "\t" * depth
+        kind = "ROOT" if joint.parent < 0 else "JOINT"
+        yield f"{indent}{kind} {joint.source_name or joint.name}"
+        yield f"{indent}{{"
+        yield f"{indent}\tOFFSET {_vector(offsets[index])}"
+        channels = layouts[index]
+        yield f"{indent}\tCHANNELS {' '.join([str(len(channels)), *channels])}"
+        for tip in _tips(joint, children[index]):
+            vector = _vector(np.asarray(tip) / take.rig.meters_per_unit)
+            yield f"{indent}\tEnd Site"
+            yield f"{indent}\t{{"
+            yield f"{indent}\t\tOFFSET {vector}"
+            yield f"{indent}\t}}"
+        pending.append(f"{indent}}}")
+        pending += [(child, depth + 1) for child in children[index][::-1]]
+    yield "MOTION"
+    yield f"Frames: {take.clock.count}"
+    yield f"Frame Time: {frame_time(take.clock.rate)}"
+    yield ""
+
+
+def _tips(joint: Joint, children: list[int]) -> tuple[tuple[float, float, float], ...]:
+    """Return the End Sites: a leaf gets one where its source had no say in it."""
+    if joint.tips or children or joint.channels is not None:
+        return joint.tips
+    return ((0.0, 0.0, 0.0),)
+
+
+def _vector(values: FloatArray) -> str:
+    row = np.ascontiguousarray(values, np.float64)[None]
+    places = np.full(3, LENGTH_PLACES, np.int64)
+    return _kernels.format_bvh_rows(row, places).decode().strip()
+
+
+def frame_time(rate: Fraction) -> str:
+    """Return the shortest frame time [s], 6 decimals or more, that reads as the rate.
+
+    >>> frame_time(Fraction(30)), frame_time(Fraction(24000, 1001))
+    ('0.033333', '0.041708')
+    """
+    text = ""
+    for places in range(6, 18):
+        text = f"{float(1 / rate):.{places}f}"
+        if float(text) > 0:
+            choice = rate_from_frame_time(text)
+            if choice.fps == rate and not choice.rivals:
+                break
+    return text
+
+
+def _scale_notices(take: Take) -> list[Fault]:
+    scales = take.motion.scales
+    if scales is None:
+        return []
+    off = np.abs(scales.dense() - 1.0).max(axis=(0, 2)) > 1e-3
+    names = [take.rig.names[j] for j in np.flatnonzero(off)]
+    if not names:
+        return []
+    listed = ", ".join(names[:5]) + (" …" if len(names) > 5 else "")
+    message = f"BVH has no scale: that of {len(names)} joints is lost ({listed})"
+    return [Fault("BVH108", message, severity=Severity.WARNING)]

@@ -1,0 +1,150 @@
+// Forward kinematics over all frames of a motion.
+#include <cmath>
+#include <limits>
+#include <stdexcept>
+#include <vector>
+
+#include "kernels.h"
+
+namespace animtool {
+
+namespace {
+
+struct Frame {
+  double linear[9];
+  double origin[3];
+};
+
+// world = parent . T(t) . R(q) . S(s), with scale inherited as UsdSkel does.
+template <typename T>
+inline void step(const Frame* parent, const T* t, const T* q, const T* s, Frame& world) {
+  const double x = q[0], y = q[1], z = q[2], w = q[3];
+  double r[9] = {1 - 2 * (y * y + z * z), 2 * (x * y - z * w),     2 * (x * z + y * w),
+                 2 * (x * y + z * w),     1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
+                 2 * (x * z - y * w),     2 * (y * z + x * w),     1 - 2 * (x * x + y * y)};
+  if (s)
+    for (int i = 0; i < 3; ++i)
+      for (int k = 0; k < 3; ++k) r[3 * i + k] *= static_cast<double>(s[k]);
+  if (!parent) {
+    for (int i = 0; i < 9; ++i) world.linear[i] = r[i];
+    for (int i = 0; i < 3; ++i) world.origin[i] = t[i];
+    return;
+  }
+  const double* p = parent->linear;
+  for (int i = 0; i < 3; ++i) {
+    const double a = p[3 * i], b = p[3 * i + 1], c = p[3 * i + 2];
+    for (int k = 0; k < 3; ++k) world.linear[3 * i + k] = a * r[k] + b * r[3 + k] + c * r[6 + k];
+    world.origin[i] = a * t[0] + b * t[1] + c * t[2] + parent->origin[i];
+  }
+}
+
+template <typename T>
+void forward_frame(const std::int64_t* parents, std::size_t joints, const T* t, const T* q,
+                   const T* s, Frame* world) {
+  for (std::size_t j = 0; j < joints; ++j)
+    step(parents[j] < 0 ? nullptr : world + parents[j], t + 3 * j, q + 4 * j,
+         s ? s + 3 * j : nullptr, world[j]);
+}
+
+void check_parents(In<std::int64_t, 1> parents) {
+  for (std::size_t j = 0; j < parents.shape(0); ++j)
+    if (parents.data()[j] >= static_cast<std::int64_t>(j))
+      throw std::invalid_argument("a parent stands before its children");
+}
+
+template <typename A, typename B>
+void check_shapes(std::size_t joints, const A& t, const B& q) {
+  if (t.shape(1) != joints || t.shape(2) != 3 || q.shape(0) != t.shape(0) ||
+      q.shape(1) != joints || q.shape(2) != 4)
+    throw std::invalid_argument("translations are (F, J, 3), rotations are (F, J, 4)");
+}
+
+template <typename A, typename B>
+void check_scales(const A& t, const std::optional<B>& s) {
+  if (s && (s->shape(0) != t.shape(0) || s->shape(1) != t.shape(1) || s->shape(2) != 3))
+    throw std::invalid_argument("scales are (F, J, 3)");
+}
+
+}  // namespace
+
+WorldTransforms forward_kinematics(In<std::int64_t, 1> parents, In<double, 3> translations,
+                                   In<double, 3> rotations,
+                                   std::optional<In<double, 3>> scales) {
+  const std::size_t joints = parents.shape(0), frames = translations.shape(0);
+  check_parents(parents);
+  check_shapes(joints, translations, rotations);
+  check_scales(translations, scales);
+  Buffer<double> positions(frames * joints * 3), linear(frames * joints * 9);
+  {
+    nb::gil_scoped_release release;
+    std::vector<Frame> world(joints);
+    double* position = positions.get();
+    double* matrix = linear.get();
+    for (std::size_t f = 0; f < frames; ++f) {
+      forward_frame(parents.data(), joints, translations.data() + f * joints * 3,
+                    rotations.data() + f * joints * 4,
+                    scales ? scales->data() + f * joints * 3 : nullptr, world.data());
+      for (std::size_t j = 0; j < joints; ++j) {
+        for (int i = 0; i < 3; ++i) *position++ = world[j].origin[i];
+        for (int i = 0; i < 9; ++i) *matrix++ = world[j].linear[i];
+      }
+    }
+  }
+  const std::size_t position_shape[3] = {frames, joints, 3};
+  const std::size_t linear_shape[4] = {frames, joints, 3, 3};
+  return {positions.release(position_shape), linear.release(linear_shape)};
+}
+
+RoundingReport measure_rounding(In<std::int64_t, 1> parents, In<double, 3> translations,
+                                In<double, 3> rotations, std::optional<In<double, 3>> scales,
+                                In<float, 3> written_translations,
+                                In<float, 3> written_rotations,
+                                std::optional<In<float, 3>> written_scales) {
+  const std::size_t joints = parents.shape(0), frames = translations.shape(0);
+  check_parents(parents);
+  check_shapes(joints, translations, rotations);
+  check_shapes(joints, written_translations, written_rotations);
+  check_scales(translations, scales);
+  check_scales(written_translations, written_scales);
+  if (written_translations.shape(0) != frames) throw std::invalid_argument("as many frames");
+  Buffer<double> extents(frames * 6);
+  double largest = 0;
+  std::size_t at_frame = 0, at_joint = 0;
+  {
+    nb::gil_scoped_release release;
+    std::vector<Frame> exact(joints), written(joints);
+    for (std::size_t f = 0; f < frames; ++f) {
+      const std::size_t v = f * joints * 3, q = f * joints * 4;
+      forward_frame(parents.data(), joints, translations.data() + v, rotations.data() + q,
+                    scales ? scales->data() + v : nullptr, exact.data());
+      forward_frame(parents.data(), joints, written_translations.data() + v,
+                    written_rotations.data() + q,
+                    written_scales ? written_scales->data() + v : nullptr, written.data());
+      double* low = extents.get() + f * 6;
+      double* high = low + 3;
+      for (int i = 0; i < 3; ++i) {
+        low[i] = std::numeric_limits<double>::infinity();
+        high[i] = -std::numeric_limits<double>::infinity();
+      }
+      for (std::size_t j = 0; j < joints; ++j) {
+        double squared = 0;
+        for (int i = 0; i < 3; ++i) {
+          const double p = written[j].origin[i];
+          if (p < low[i]) low[i] = p;
+          if (p > high[i]) high[i] = p;
+          const double d = p - exact[j].origin[i];
+          squared += d * d;
+        }
+        if (squared > largest) {
+          largest = squared;
+          at_frame = f;
+          at_joint = j;
+        }
+      }
+    }
+  }
+  const std::size_t shape[3] = {frames, 2, 3};
+  return {extents.release(shape), std::sqrt(largest), at_frame, at_joint};
+}
+
+}  // namespace animtool

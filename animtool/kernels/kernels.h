@@ -1,0 +1,42 @@
+// What animtool._kernels offers. Pure functions on arrays: no I/O, no Python
+// objects inside the loops, the GIL released while they run.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <tuple>
+
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/tuple.h>
+
+#include "arrays.h"
+
+namespace animtool {
+
+// values, row_lines, consumed, lines, fault, found, token
+using BvhRows = std::tuple<Out<double, 2>, Out<std::int64_t, 1>, std::size_t, std::size_t, int,
+                           std::size_t, nb::bytes>;
+using WorldTransforms = std::tuple<Out<double, 3>, Out<double, 4>>;
+// extents, error, frame, joint
+using RoundingReport = std::tuple<Out<double, 3>, double, std::size_t, std::size_t>;
+
+BvhRows parse_bvh_rows(nb::bytes text, std::size_t columns, std::size_t limit, bool final);
+
+nb::bytes format_bvh_rows(In<double, 2> values, In<std::int64_t, 1> decimals);
+
+Out<double, 3> euler_to_quaternion(In<double, 2> values, In<std::int32_t, 2> columns,
+                                   In<std::int32_t, 2> axes, In<double, 2> previous);
+
+Out<double, 3> quaternion_to_euler(In<double, 3> quaternions, In<std::int32_t, 2> axes);
+
+WorldTransforms forward_kinematics(In<std::int64_t, 1> parents, In<double, 3> translations,
+                                   In<double, 3> rotations,
+                                   std::optional<In<double, 3>> scales);
+
+RoundingReport measure_rounding(In<std::int64_t, 1> parents, In<double, 3> translations,
+                                In<double, 3> rotations, std::optional<In<double, 3>> scales,
+                                In<float, 3> written_translations,
+                                In<float, 3> written_rotations,
+                                std::optional<In<float, 3>> written_scales);
+
+}  // namespace animtool

@@ -1,0 +1,55 @@
+// Python bindings of the kernels.
+#include "kernels.h"
+
+using namespace animtool;
+using namespace nanobind::literals;
+
+NB_MODULE(_kernels, m) {
+  m.doc() = "Loops that numpy cannot vectorise. C-contiguous arrays in, new arrays out.";
+
+  m.def("parse_bvh_rows", &parse_bvh_rows, "text"_a, "columns"_a, "limit"_a, "final"_a,
+        R"(Read rows of numbers from the text of a BVH MOTION block.
+
+Reads whole lines until ``limit`` rows are read, a fault is met, or the text has
+no further whole line (``final`` says that the text ends with the file). Blank
+lines are passed over. CR, LF and CR LF each end a line.
+
+Returns ``(values, row_lines, consumed, lines, fault, found, token)``: float64
+``(F, C)``, NaN where the text says NaN or infinity and infinity where a number
+overflows float64; the 0-based line of each row; bytes and lines read; the fault
+of the line after those (0 none, 1 wrong count, 2 not a number), the numbers
+found on it and the word that is none.)");
+
+  m.def("format_bvh_rows", &format_bvh_rows, "values"_a, "decimals"_a,
+        R"(Write float64 ``(F, C)`` as lines of decimal numbers, as bytes.
+
+Column c is rounded to ``decimals[c]`` places (0 to 9), trailing zeros dropped.)");
+
+  m.def("euler_to_quaternion", &euler_to_quaternion, "values"_a, "columns"_a, "axes"_a,
+        "previous"_a,
+        R"(Turn Euler angles in degrees into quaternions ``(F, R, 4)``, x y z w.
+
+Rotation r multiplies turns about ``axes[r]`` (0 X, 1 Y, 2 Z) left to right by
+``values[:, columns[r]]``; a column of -1 is no turn. Signs are those nearest to
+the frame before, the first frame's nearest to ``previous`` ``(R, 4)``.)");
+
+  m.def("quaternion_to_euler", &quaternion_to_euler, "quaternions"_a, "axes"_a,
+        R"(Turn quaternions ``(F, R, 4)`` into Euler angles ``(F, R, 3)`` in degrees.
+
+``axes`` ``(R, 3)`` names X, Y and Z once each. Of the equal solutions, each frame
+takes the one nearest to the frame before; the first, the one nearest to zero.)");
+
+  m.def("forward_kinematics", &forward_kinematics, "parents"_a, "translations"_a, "rotations"_a,
+        "scales"_a.none(),
+        R"(World origin ``(F, J, 3)`` and linear part ``(F, J, 3, 3)`` of every joint.
+
+``parents[j] < j``, -1 for a root; local transforms are T R S, scale inherited.)");
+
+  m.def("measure_rounding", &measure_rounding, "parents"_a, "translations"_a, "rotations"_a,
+        "scales"_a.none(), "written_translations"_a, "written_rotations"_a,
+        "written_scales"_a.none(),
+        R"(Bounds of the written joints ``(F, 2, 3)`` and what rounding to float32 moved.
+
+Returns ``(extents, error, frame, joint)``: the largest distance between a joint's
+world position in float64 and in the values written, and where it is.)");
+}

@@ -1,0 +1,171 @@
+// Reading a decimal number from text, correctly rounded and without a locale.
+#pragma once
+
+#include <bit>
+#include <charconv>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <limits>
+#include <string>
+#include <system_error>
+
+#if !defined(__cpp_lib_to_chars)
+#include <locale.h>
+#include <stdlib.h>
+#if defined(__APPLE__)
+#include <xlocale.h>
+#endif
+#endif
+
+namespace animtool {
+
+enum class NumberKind { finite, not_finite, overflow, malformed };
+
+inline bool is_digit(char c) { return static_cast<unsigned char>(c - '0') < 10; }
+
+inline bool equals_ignoring_case(const char* p, const char* end, const char* word) {
+  for (; *word; ++p, ++word) {
+    if (p == end || (*p | 0x20) != *word) return false;
+  }
+  return p == end;
+}
+
+// nan, inf and infinity of C, and the spellings of older Microsoft runtimes
+// (1.#QNAN, 1.#IND, 1.#INF).
+inline bool is_not_finite(const char* p, const char* end) {
+  if (p != end && (*p == '-' || *p == '+')) ++p;
+  if (end - p >= 3 && p[0] == '1' && p[1] == '.' && p[2] == '#') return true;
+  return equals_ignoring_case(p, end, "nan") || equals_ignoring_case(p, end, "inf") ||
+         equals_ignoring_case(p, end, "infinity") ||
+         equals_ignoring_case(p, end, "nan(ind)") ||
+         equals_ignoring_case(p, end, "nan(snan)");
+}
+
+// The general case, for more digits than 53 bits hold or a large exponent. The
+// token is known to be well formed.
+inline NumberKind slow_number(const char* p, const char* end, double& value) {
+  if (*p == '+') ++p;
+#if defined(__cpp_lib_to_chars)
+  const auto result = std::from_chars(p, end, value);
+  if (result.ec == std::errc()) return NumberKind::finite;
+  // from_chars leaves the value alone when it is out of range, on either side.
+  const bool negative = *p == '-';
+  const char* e = p;
+  while (e != end && (*e | 0x20) != 'e') ++e;
+  bool tiny = e != end && e + 1 != end && e[1] == '-';
+  if (e == end) {
+    tiny = true;
+    for (const char* d = p + negative; d != end && *d != '.'; ++d) tiny &= *d == '0';
+  }
+#else
+#if defined(_WIN32)
+  static const _locale_t c_locale = _create_locale(LC_ALL, "C");
+  value = _strtod_l(std::string(p, end).c_str(), nullptr, c_locale);
+#else
+  static const locale_t c_locale = newlocale(LC_ALL_MASK, "C", nullptr);
+  value = strtod_l(std::string(p, end).c_str(), nullptr, c_locale);
+#endif
+  if (std::isfinite(value)) return NumberKind::finite;
+  const bool negative = *p == '-';
+  const bool tiny = false;
+#endif
+  if (tiny) {
+    value = negative ? -0.0 : 0.0;
+    return NumberKind::finite;
+  }
+  value = negative ? -std::numeric_limits<double>::infinity()
+                   : std::numeric_limits<double>::infinity();
+  return NumberKind::overflow;
+}
+
+// Appends the digits at p, eight at a time where eight bytes can be read: the
+// first byte that is no digit is found by a bit scan, and the digits before it
+// are summed in pairs, fours and eights by three multiplications
+// (D. Lemire, Number parsing at a gigabyte per second, 2021).
+inline void read_digits(const char*& p, const char* end, std::uint64_t& mantissa) {
+  static constexpr std::uint64_t kTens[] = {1,      10,      100,      1000,     10000,
+                                            100000, 1000000, 10000000, 100000000};
+  if constexpr (std::endian::native == std::endian::little) {
+    while (end - p >= 8) {
+      std::uint64_t word;
+      std::memcpy(&word, p, 8);
+      word ^= 0x3030303030303030u;
+      const std::uint64_t others = ((word + 0x0606060606060606u) | word) & 0xF0F0F0F0F0F0F0F0u;
+      const int count = others ? std::countr_zero(others) / 8 : 8;
+      if (count == 0) return;
+      word <<= 64 - 8 * count;
+      word = (word * 10) + (word >> 8);
+      word = (((word & 0x000000FF000000FFu) * 0x000F424000000064u) +
+              (((word >> 16) & 0x000000FF000000FFu) * 0x0000271000000001u)) >>
+             32;
+      mantissa = mantissa * kTens[count] + word;
+      p += count;
+      if (count < 8) return;
+    }
+  }
+  while (is_digit(*p)) mantissa = mantissa * 10 + static_cast<unsigned>(*p++ - '0');
+}
+
+// Reads the token that starts at p; on return p is one past its last character.
+// A token ends at a blank, a line end or `end`, where the text holds a zero byte
+// (as Python's bytes do), so that runs of digits need no second test.
+//
+// Clinger's fast path: a mantissa below 2^53 and a power of ten up to 10^22 are
+// both exact doubles, so one multiplication or division rounds correctly
+// (W. D. Clinger, How to read floating point numbers accurately, 1990).
+inline NumberKind read_number(const char*& p, const char* end, double& value) {
+  static constexpr double kPowersOfTen[] = {1e0,  1e1,  1e2,  1e3,  1e4,  1e5,  1e6,  1e7,
+                                            1e8,  1e9,  1e10, 1e11, 1e12, 1e13, 1e14, 1e15,
+                                            1e16, 1e17, 1e18, 1e19, 1e20, 1e21, 1e22};
+  const char* const start = p;
+  const bool negative = *p == '-';
+  p += negative | (*p == '+');
+
+  std::uint64_t mantissa = 0;
+  const char* const digits = p;
+  read_digits(p, end, mantissa);
+  std::ptrdiff_t count = p - digits;
+  std::ptrdiff_t fraction = 0;
+  if (*p == '.') {
+    const char* const first = ++p;
+    read_digits(p, end, mantissa);
+    fraction = p - first;
+    count += fraction;
+  }
+  bool well_formed = count > 0;
+  std::int64_t exponent = 0;
+  if (well_formed && (*p | 0x20) == 'e') {
+    ++p;
+    bool negative_exponent = false;
+    if (*p == '-' || *p == '+') negative_exponent = *p++ == '-';
+    well_formed = is_digit(*p);
+    while (is_digit(*p)) {
+      if (exponent < 100000) exponent = exponent * 10 + (*p - '0');
+      ++p;
+    }
+    if (negative_exponent) exponent = -exponent;
+  }
+  const auto at_end = [&] {
+    return *p == ' ' || *p == '\n' || *p == '\t' || *p == '\r' || p == end;
+  };
+  if (!well_formed || !at_end()) {
+    while (!at_end()) ++p;
+    if (!is_not_finite(start, p)) return NumberKind::malformed;
+    value = std::numeric_limits<double>::quiet_NaN();
+    return NumberKind::not_finite;
+  }
+
+  // 19 digits cannot overflow 64 bits, so the comparison below sees them all.
+  constexpr std::uint64_t kExactMantissa = std::uint64_t{1} << 53;
+  const std::int64_t scale = exponent - fraction;
+  if (count <= 19 && mantissa <= kExactMantissa && scale >= -22 && scale <= 22) {
+    double v = static_cast<double>(mantissa);
+    v = scale <= 0 ? v / kPowersOfTen[-scale] : v * kPowersOfTen[scale];
+    value = std::copysign(v, negative ? -1.0 : 1.0);
+    return NumberKind::finite;
+  }
+  return slow_number(start, p, value);
+}
+
+}  // namespace animtool

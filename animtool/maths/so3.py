@@ -1,0 +1,245 @@
+"""Unit quaternions (x, y, z, w): products, maps and interpolation.
+
+Every function works over leading axes that broadcast. Rotations act on column
+vectors: ``rotate(multiply(a, b), v) == rotate(a, rotate(b, v))``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from animtool._types import ArrayLike, FloatArray
+
+__all__ = [
+    "IDENTITY",
+    "align_signs",
+    "angle_between",
+    "conjugate",
+    "exp",
+    "from_axis_angle",
+    "from_matrix",
+    "log",
+    "multiply",
+    "normalize",
+    "rotate",
+    "slerp",
+    "to_matrix",
+]
+
+IDENTITY: FloatArray = np.array([0.0, 0.0, 0.0, 1.0])
+IDENTITY.setflags(write=False)
+
+# Below this angle [rad], sin(x)/x is 1 - x²/6 to float64 precision.
+SMALL_ANGLE = 1e-5
+
+
+def multiply(a: ArrayLike, b: ArrayLike) -> FloatArray:
+    """Return the product a·b: first b, then a. Shapes ``(..., 4)``.
+
+    >>> quarter = from_axis_angle([0, 0, 1], np.pi / 2)
+    >>> np.allclose(multiply(quarter, quarter), [0, 0, 1, 0])
+    True
+    """
+    a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
+    ax, ay, az, aw = np.moveaxis(a, -1, 0)
+    bx, by, bz, bw = np.moveaxis(b, -1, 0)
+    return np.stack(
+        [
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+            aw * bw - ax * bx - ay * by - az * bz,
+        ],
+        axis=-1,
+    )
+
+
+def conjugate(q: ArrayLike) -> FloatArray:
+    """Return the inverse of unit quaternions ``(..., 4)``.
+
+    >>> conjugate([0.6, 0, 0, 0.8]).tolist()
+    [-0.6, -0.0, -0.0, 0.8]
+    """
+    return np.asarray(q, np.float64) * np.array([-1.0, -1.0, -1.0, 1.0])
+
+
+def normalize(q: ArrayLike) -> FloatArray:
+    """Return quaternions ``(..., 4)`` at unit length; a zero one becomes identity.
+
+    >>> normalize([0, 0, 0, 2]).tolist()
+    [0.0, 0.0, 0.0, 1.0]
+    """
+    q = np.asarray(q, np.float64)
+    # Scaled first, so that neither tiny nor huge values leave the float range.
+    scale = np.abs(q).max(axis=-1, keepdims=True)
+    scaled = q / np.where(scale > 0, scale, 1.0)
+    length = np.linalg.norm(scaled, axis=-1, keepdims=True)
+    return np.where(scale > 0, scaled / np.where(length > 0, length, 1.0), IDENTITY)
+
+
+def rotate(q: ArrayLike, v: ArrayLike) -> FloatArray:
+    """Return vectors ``(..., 3)`` turned by unit quaternions ``(..., 4)``.
+
+    >>> np.allclose(rotate(from_axis_angle([0, 0, 1], np.pi / 2), [1, 0, 0]), [0, 1, 0])
+    True
+    """
+    q, v = np.asarray(q, np.float64), np.asarray(v, np.float64)
+    axis, w = q[..., :3], q[..., 3:]
+    across = 2.0 * np.cross(axis, v)
+    return np.asarray(v + w * across + np.cross(axis, across))
+
+
+def from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> FloatArray:
+    """Return rotations by angles ``(...)`` [rad] about unit axes ``(..., 3)``.
+
+    >>> from_axis_angle([1, 0, 0], np.pi).round(12).tolist()
+    [1.0, 0.0, 0.0, 0.0]
+    """
+    axis = np.asarray(axis, np.float64)
+    half = np.asarray(angle, np.float64)[..., None] / 2
+    vector = axis * np.sin(half)
+    return np.concatenate(
+        [vector, np.broadcast_to(np.cos(half), (*vector.shape[:-1], 1))], axis=-1
+    )
+
+
+def exp(vector: ArrayLike) -> FloatArray:
+    """Return the rotation of a rotation vector ``(..., 3)`` [rad].
+
+    >>> exp([0, 0, 0]).tolist()
+    [0.0, 0.0, 0.0, 1.0]
+    """
+    vector = np.asarray(vector, np.float64)
+    angle = np.linalg.norm(vector, axis=-1, keepdims=True)
+    small = angle < SMALL_ANGLE
+    factor = np.where(
+        small, 0.5 - angle**2 / 48, np.sin(angle / 2) / np.where(small, 1.0, angle)
+    )
+    return np.concatenate([vector * factor, np.cos(angle / 2)], axis=-1)
+
+
+def log(q: ArrayLike) -> FloatArray:
+    """Return the shortest rotation vector ``(..., 3)`` [rad] of unit quaternions.
+
+    The length is at most π; q and -q give the same vector, up to its sign at π.
+
+    >>> log([0, 0, 0, -1]).tolist()
+    [0.0, 0.0, 0.0]
+    """
+    q = np.asarray(q, np.float64)
+    q = np.where(q[..., 3:] < 0, -q, q)
+    length = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
+    w = q[..., 3:]
+    small = length < SMALL_ANGLE
+    factor = np.where(
+        small,
+        2.0 / w.clip(min=0.5) * (1 - (length / w.clip(min=0.5)) ** 2 / 3),
+        2.0 * np.arctan2(length, w) / np.where(small, 1.0, length),
+    )
+    return np.asarray(q[..., :3] * factor + 0.0)
+
+
+def angle_between(a: ArrayLike, b: ArrayLike) -> FloatArray:
+    """Return the angle ``(...)`` [rad] of the rotation between unit quaternions.
+
+    Exact for small angles, where the arc cosine of the dot product is not
+    (W. Kahan, How futile are mindless assessments of roundoff, 2006, section 12).
+
+    >>> float(angle_between([0, 0, 0, 1], [0, 0, 0, -1]))
+    0.0
+    """
+    a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
+    apart = np.linalg.norm(a - b, axis=-1)
+    opposed = np.linalg.norm(a + b, axis=-1)
+    low, high = np.minimum(apart, opposed), np.maximum(apart, opposed)
+    return np.asarray(4.0 * np.arctan2(low, high))
+
+
+def slerp(a: ArrayLike, b: ArrayLike, t: ArrayLike) -> FloatArray:
+    """Return the shortest-arc interpolation of unit quaternions at t ``(...)`` [1].
+
+    At antipodal rotations (half a turn apart) the arc is not unique; the one
+    through the given signs is taken.
+
+    References:
+        K. Shoemake, Animating rotation with quaternion curves, 1985.
+
+    >>> half = slerp([0, 0, 0, 1], [0, 0, 1, 0], 0.5)
+    >>> np.allclose(half, [0, 0, 0.5**0.5, 0.5**0.5])
+    True
+    """
+    a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
+    t = np.asarray(t, np.float64)[..., None]
+    b = np.where(np.sum(a * b, axis=-1, keepdims=True) < 0, -b, b)
+    half = angle_between(a, b)[..., None] / 2
+    sine = np.sin(half)
+    small = half < SMALL_ANGLE
+    divisor = np.where(small, 1.0, sine)
+    weight_a = np.where(small, 1 - t, np.sin((1 - t) * half) / divisor)
+    weight_b = np.where(small, t, np.sin(t * half) / divisor)
+    return normalize(weight_a * a + weight_b * b)
+
+
+def align_signs(q: ArrayLike, previous: ArrayLike | None = None) -> FloatArray:
+    """Return quaternions ``(F, ..., 4)`` with signs continuous along the first axis.
+
+    The first is brought nearest to ``previous`` ``(..., 4)``, default identity.
+
+    >>> align_signs([[0, 0, 0, -1], [0, 0, 0, 1]])[:, 3].tolist()
+    [1.0, 1.0]
+    """
+    q = np.asarray(q, np.float64)
+    if not len(q):
+        return q.copy()
+    before = np.broadcast_to(IDENTITY if previous is None else previous, q.shape[1:])
+    dots = np.sum(q * np.concatenate([before[None], q[:-1]]), axis=-1)
+    flips = np.cumprod(np.where(dots < 0, -1.0, 1.0), axis=0)
+    return np.asarray(q * flips[..., None])
+
+
+def to_matrix(q: ArrayLike) -> FloatArray:
+    """Return rotation matrices ``(..., 3, 3)`` of unit quaternions.
+
+    >>> to_matrix([0, 0, 0, 1]).tolist()
+    [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    """
+    return np.stack([rotate(q, axis) for axis in np.eye(3)], axis=-1)
+
+
+def from_matrix(matrix: ArrayLike) -> FloatArray:
+    """Return unit quaternions ``(..., 4)``, w ≥ 0, of rotation matrices.
+
+    The largest of the four squared components is the pivot, so that the division
+    is never by less than one (S. W. Shepperd, Quaternion from rotation matrix,
+    1978). The matrix must be a rotation: no scale, no mirror.
+
+    >>> from_matrix(np.diag([1.0, -1.0, -1.0])).tolist()
+    [1.0, 0.0, 0.0, 0.0]
+    """
+    m = np.asarray(matrix, np.float64)
+    trace = np.trace(m, axis1=-2, axis2=-1)
+    diagonal = np.diagonal(m, axis1=-2, axis2=-1)
+    pivot = np.argmax(np.concatenate([diagonal, trace[..., None]], axis=-1), axis=-1)
+    rows = []
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        row: list[FloatArray] = [trace] * 4
+        row[i] = 1 + m[..., i, i] - m[..., j, j] - m[..., k, k]
+        row[j] = m[..., i, j] + m[..., j, i]
+        row[k] = m[..., i, k] + m[..., k, i]
+        row[3] = m[..., k, j] - m[..., j, k]
+        rows.append(np.stack(row, axis=-1))
+    rows.append(
+        np.stack(
+            [
+                m[..., 2, 1] - m[..., 1, 2],
+                m[..., 0, 2] - m[..., 2, 0],
+                m[..., 1, 0] - m[..., 0, 1],
+                1 + trace,
+            ],
+            axis=-1,
+        )
+    )
+    table = np.stack(rows, axis=-2)
+    q = normalize(np.take_along_axis(table, pivot[..., None, None], axis=-2)[..., 0, :])
+    return np.where(q[..., 3:] < 0, -q, q) + 0.0

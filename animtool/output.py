@@ -1,0 +1,90 @@
+"""Output files: checked before the work, whole or absent after it."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from animtool.errors import Fault, OptionError, OutputError
+
+__all__ = ["check_outputs", "output_error", "replacing"]
+
+
+def check_outputs(
+    outputs: Sequence[Path], inputs: Sequence[Path], *, overwrite: bool
+) -> None:
+    """Refuse outputs that cannot or must not be written.
+
+    Raises:
+        OptionError: An output exists and overwrite is off, or is also an input.
+        OutputError: Its folder does not exist or may not be written to.
+    """
+    taken = {path.resolve() for path in inputs}
+    for path in outputs:
+        if path.resolve() in taken:
+            message = "is an input of this very command"
+            raise OptionError(Fault("OUT003", message, str(path), (), "name another -o"))
+        if path.is_dir():
+            raise OutputError(Fault("OUT002", "is a folder", str(path), (), "name a file"))
+        folder = path.parent
+        try:
+            exists = path.exists()
+        except OSError as error:
+            raise output_error(path, error) from error
+        if not folder.is_dir():
+            reason = "is no folder" if folder.exists() else "does not exist"
+            message = f"cannot be written: {str(folder)!r} {reason}"
+            raise OutputError(Fault("OUT002", message, str(path)))
+        if not os.access(folder, os.W_OK | os.X_OK):
+            message = f"cannot be written: no permission in {str(folder)!r}"
+            raise OutputError(Fault("OUT002", message, str(path)))
+        if exists and not overwrite:
+            hint = "--overwrite replaces it, --skip-existing leaves it"
+            raise OptionError(Fault("OUT001", "already exists", str(path), (), hint))
+
+
+def output_error(path: Path, error: BaseException | str) -> OutputError:
+    """Return the error of an output that could not be written."""
+    reason = error if isinstance(error, str) else str(error)
+    if isinstance(error, OSError):
+        reason = error.strerror or str(error)
+    hint = "free some space" if getattr(error, "errno", 0) == errno.ENOSPC else None
+    return OutputError(Fault("OUT002", f"cannot be written: {reason}", str(path), (), hint))
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a temporary path in the same folder that becomes ``path`` at the end.
+
+    The file is flushed to the disk and renamed when the block ends well, and
+    removed when it does not, so that ``path`` is at all times absent, as it was,
+    or whole.
+
+    Raises:
+        OutputError: It cannot be flushed or renamed.
+    """
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
+    try:
+        yield temporary
+        try:
+            _flush(temporary)
+            temporary.replace(path)
+            _flush(path.parent)
+        except OSError as error:
+            raise output_error(path, error) from error
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def _flush(path: Path) -> None:
+    if path.is_dir() and os.name == "nt":
+        return  # Windows has no handle on a folder to flush.
+    handle = os.open(path, os.O_RDWR if path.is_file() else os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -1,0 +1,172 @@
+"""Frame rates as exact fractions, read from what files and people write."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
+from enum import StrEnum
+from fractions import Fraction
+
+__all__ = [
+    "RateChoice",
+    "RateKind",
+    "parse_rate",
+    "rate_from_float",
+    "rate_from_frame_time",
+    "rate_label",
+]
+
+# Exporters print frame times to 6 or more digits: the error left in a rate up to
+# 1000 is below this, and neighbouring broadcast rates are 1e-3 apart.
+NEAREST_RATE_TOLERANCE = Fraction(25, 100_000)
+HIGHEST_RATE = 1000
+# Taken first where a time is printed so coarsely that several integers fit.
+USUAL_RATES = frozenset({12, 24, 25, 30, 48, 50, 60, 90, 100, 120, 200, 240})
+
+
+class RateKind(StrEnum):
+    """How a rate was found."""
+
+    REPRINTED = "reprinted"
+    NEAREST = "nearest"
+    PRINTED = "printed"
+
+
+@dataclass(frozen=True, slots=True)
+class RateChoice:
+    """A frame rate chosen for a printed frame time.
+
+    Attributes:
+        fps: Frames a second, exact.
+        kind: ``reprinted``: the reciprocal rounds to what is printed; ``nearest``:
+            the closest usual rate; ``printed``: the printed number taken as it is.
+        rivals: Other integer rates that would have printed the same.
+    """
+
+    fps: Fraction
+    kind: RateKind
+    rivals: tuple[int, ...] = ()
+
+
+def rate_from_frame_time(text: str) -> RateChoice:
+    """Return the rate that a printed frame time [s] stands for.
+
+    An integer whose reciprocal, rounded to the digits printed, is the printed
+    value (of several, the exact one, else a usual one, else the nearest); else the nearest of the integers 1 to 1000 and N·1000/1001 within
+    2.5e-4; else the reciprocal of the printed decimal.
+
+    Raises:
+        ValueError: The text is not a positive finite decimal number.
+
+    >>> str(rate_from_frame_time("0.0333333").fps)
+    '30'
+    >>> str(rate_from_frame_time("0.0417083750417").fps)
+    '24000/1001'
+    """
+    try:
+        printed = Decimal(text)
+    except InvalidOperation as error:
+        raise ValueError(f"{text!r} is not a number") from error
+    if not printed.is_finite() or printed <= 0:
+        raise ValueError(f"{text!r} is not a positive number")
+    digits = max(0, -int(printed.as_tuple().exponent))
+    exact = 1 / Fraction(printed)
+
+    fitting = _integers_that_print(Fraction(printed), digits)
+    if fitting:
+        usual = [] if exact in fitting else [n for n in fitting if n in USUAL_RATES]
+        best = min(usual or fitting, key=lambda n: abs(n - exact))
+        rivals = () if best == exact else tuple(n for n in fitting if n != best)
+        return RateChoice(Fraction(best), RateKind.REPRINTED, rivals)
+
+    candidates = [Fraction(n) for n in _around(exact)]
+    candidates += [Fraction(n * 1000, 1001) for n in _around(exact * 1001 / 1000)]
+    if candidates:
+        best_rate = min(candidates, key=lambda rate: abs(rate - exact))
+        if abs(best_rate - exact) <= NEAREST_RATE_TOLERANCE * best_rate:
+            return RateChoice(best_rate, RateKind.NEAREST)
+    return RateChoice(exact, RateKind.PRINTED)
+
+
+def _around(rate: Fraction) -> list[int]:
+    return [n for n in (int(rate), int(rate) + 1) if 1 <= n <= HIGHEST_RATE]
+
+
+def _integers_that_print(printed: Fraction, digits: int) -> list[int]:
+    """Integers n in 1..1000 with 1/n, rounded half up to digits, as printed."""
+    half = Fraction(1, 2 * 10**digits) if digits < 400 else Fraction(0)
+    low, high = printed - half, printed + half
+    first = int(1 / high)
+    last = int(1 / low) + 1 if low > 0 else HIGHEST_RATE
+    return [
+        n
+        for n in range(max(1, first), min(HIGHEST_RATE, last) + 1)
+        if low <= Fraction(1, n) < high
+    ]
+
+
+def rate_from_float(fps: float) -> Fraction:
+    """Return the rate that a float in file metadata stands for.
+
+    An integer or N·1000/1001 where the float is one of them to a millionth,
+    else the float's exact value rounded to a denominator below 1e6.
+
+    Raises:
+        ValueError: The rate is not positive and finite.
+
+    >>> rate_from_float(23.976023976023978)
+    Fraction(24000, 1001)
+    """
+    if not 0 < fps < float("inf"):
+        raise ValueError(f"{fps!r} is not a positive number")
+    exact = Fraction(fps)
+    for candidate in (Fraction(round(exact)), Fraction(round(exact * 1001 / 1000)) * 1000 / 1001):
+        if candidate and abs(candidate - exact) <= candidate / 1_000_000:
+            return candidate
+    return exact.limit_denominator(1_000_000)
+
+
+# The decimals that people write for the broadcast rates.
+_BROADCAST = {
+    "23.976": Fraction(24000, 1001),
+    "23.98": Fraction(24000, 1001),
+    "29.97": Fraction(30000, 1001),
+    "47.952": Fraction(48000, 1001),
+    "47.95": Fraction(48000, 1001),
+    "59.94": Fraction(60000, 1001),
+    "119.88": Fraction(120000, 1001),
+}
+
+
+def parse_rate(text: str) -> Fraction:
+    """Return the rate that a person wrote: ``24``, ``23.976`` or ``24000/1001``.
+
+    Raises:
+        ValueError: It is not a positive number.
+
+    >>> parse_rate("29.97")
+    Fraction(30000, 1001)
+    """
+    text = text.strip()
+    if text in _BROADCAST:
+        return _BROADCAST[text]
+    try:
+        rate = Fraction(text)
+    except (ValueError, ZeroDivisionError) as error:
+        raise ValueError(f"{text!r} is not a frame rate such as 24, 23.976 or 24000/1001") from error
+    if rate <= 0:
+        raise ValueError(f"a frame rate is positive, not {text}")
+    return rate
+
+
+def rate_label(fps: Fraction) -> str:
+    """Return a rate as people read it.
+
+    >>> rate_label(Fraction(24000, 1001)), rate_label(Fraction(30))
+    ('24000/1001 (23.976) fps', '30 fps')
+    """
+    if fps.denominator == 1:
+        return f"{fps.numerator} fps"
+    if len(str(fps.denominator)) <= 4:
+        return f"{fps} ({float(fps):.5g}) fps"
+    return f"{float(fps):.7g} fps"

@@ -1,0 +1,153 @@
+"""How far two takes are apart, and where."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.edit.reorient import reorient
+from animtool.maths import so3
+from animtool.rig.kinematics import forward
+from animtool.rig.skeleton import Rig
+from animtool.scene.sources import SourceOptions, open_source
+from animtool.take import Take, TakeStream
+
+__all__ = ["Difference", "TakeDifference", "compare", "compare_takes"]
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """The largest difference of one kind.
+
+    Attributes:
+        value: How large [m] or [deg].
+        joint: Where.
+        code: Time code in the first take.
+    """
+
+    value: float
+    joint: str
+    code: float
+
+
+@dataclass(frozen=True, slots=True)
+class TakeDifference:
+    """How two takes differ over the joints and frames that both have.
+
+    Attributes:
+        world: World position [m].
+        translation: Local translation [m].
+        rotation: Local rotation [deg].
+        frames: Frames compared.
+        joints: Joints compared.
+        mismatches: What one has and the other has not, in words.
+    """
+
+    world: Difference
+    translation: Difference
+    rotation: Difference
+    frames: int
+    joints: int
+    mismatches: list[str]
+
+    def within(self, meters: float, degrees: float) -> bool:
+        """Return whether the takes agree to the tolerances."""
+        return (
+            not self.mismatches
+            and self.world.value <= meters
+            and self.translation.value <= meters
+            and self.rotation.value <= degrees
+        )
+
+
+def compare(
+    first: Path | str, second: Path | str, options: SourceOptions | None = None
+) -> TakeDifference:
+    """Compare the takes of two files, frame by frame, joints by name, in metres.
+
+    The second is stood on the up axis of the first. ``options`` apply to both
+    where they can: units and up axis are stated by USD files themselves.
+
+    Raises:
+        FormatError: A file cannot be read or is malformed.
+    """
+    streams = []
+    for path in (first, second):
+        is_bvh = Path(path).suffix.lower() == ".bvh"
+        streams.append(open_source(path, options if is_bvh else None))
+    one: TakeStream = streams[0]
+    return compare_takes(
+        one.collect(), reorient(streams[1], one.rig.up).collect()
+    )
+
+
+def compare_takes(first: Take, second: Take) -> TakeDifference:
+    """Compare two takes; those of no common joint or frame differ by nothing else."""
+    pairs = _pairs(first.rig, second.rig)
+    frames = min(first.clock.count, second.clock.count)
+    mismatches = _mismatches(first, second, pairs)
+    mine = [a for a, _ in pairs]
+    theirs = [b for _, b in pairs]
+    codes = first.clock.times
+
+    def largest(values: FloatArray) -> Difference:
+        if not values.size:
+            return Difference(0.0, "", 0.0)
+        frame, joint = np.unravel_index(np.argmax(values), values.shape)
+        name = first.rig.names[mine[int(joint)]]
+        return Difference(float(values[frame, joint]), name, float(codes[frame]))
+
+    a, b = _dense(first, frames), _dense(second, frames)
+    world_a, world_b = forward(first.rig, *a), forward(second.rig, *b)
+    apart = world_a.positions[:, mine] - world_b.positions[:, theirs]
+    moved = a[0][:, mine] - b[0][:, theirs]
+    turned = so3.angle_between(a[1][:, mine], b[1][:, theirs])
+    return TakeDifference(
+        largest(np.linalg.norm(apart, axis=-1)),
+        largest(np.linalg.norm(moved, axis=-1)),
+        largest(np.degrees(turned)),
+        frames,
+        len(pairs),
+        mismatches,
+    )
+
+
+def _dense(take: Take, frames: int) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+    motion = take.motion.map(lambda channel: channel.select(slice(0, frames)))
+    scales = None if motion.scales is None else motion.scales.dense()
+    return motion.translations.dense(), motion.rotations.dense(), scales
+
+
+def _pairs(first: Rig, second: Rig) -> list[tuple[int, int]]:
+    """Match joints by source name, then by name, in order."""
+    index: dict[str, list[int]] = {}
+    for i, joint in enumerate(second.joints):
+        for key in {joint.source_name or joint.name, joint.name}:
+            index.setdefault(key, []).append(i)
+    pairs: list[tuple[int, int]] = []
+    used: set[int] = set()
+    for i, joint in enumerate(first.joints):
+        keys = (joint.source_name or joint.name, joint.name)
+        found = [k for key in keys for k in index.get(key, []) if k not in used]
+        if found:
+            used.add(found[0])
+            pairs.append((i, found[0]))
+    return pairs
+
+
+def _mismatches(first: Take, second: Take, pairs: list[tuple[int, int]]) -> list[str]:
+    found = []
+    for take, other, column in ((first, "second", 0), (second, "first", 1)):
+        matched = {pair[column] for pair in pairs}
+        missing = [n for i, n in enumerate(take.rig.names) if i not in matched]
+        if missing:
+            listed = ", ".join(missing[:5]) + (" …" if len(missing) > 5 else "")
+            found.append(f"{len(missing)} joints are not in the {other}: {listed}")
+    if first.clock.count != second.clock.count:
+        found.append(f"{first.clock.count} frames against {second.clock.count}")
+    if first.clock.rate != second.clock.rate:
+        found.append(f"{first.clock.rate} fps against {second.clock.rate}")
+    return found

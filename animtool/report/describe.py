@@ -1,0 +1,125 @@
+"""What a file with a take in it holds."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from animtool.errors import Fault
+from animtool.rig.kinematics import forward
+from animtool.scene.sources import SourceOptions, open_source
+from animtool.take import Motion
+from animtool.units import unit_name
+
+__all__ = ["TakeDescription", "describe"]
+
+FRAMES_AT_ONCE = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class TakeDescription:
+    """A take in numbers.
+
+    Attributes:
+        path: The file.
+        format: BVH or USD.
+        joints: Number of joints.
+        roots: Names of those without a parent.
+        frames: Number of frames.
+        fps: Frames a second, exact.
+        start: Time code of the first frame.
+        end: Time code of the last frame.
+        duration: From the first to the last [s].
+        channels: Numbers a frame in a BVH; None for USD.
+        animated: Joints that move, by kind of channel.
+        bounds: Lowest and highest joint position over all frames, in ``units``.
+        units: Unit of the file.
+        up: Up axis of the file.
+        notices: What is odd.
+    """
+
+    path: str
+    format: str
+    joints: int
+    roots: list[str]
+    frames: int
+    fps: Fraction
+    start: Fraction
+    end: Fraction
+    duration: Fraction
+    channels: int | None
+    animated: dict[str, int]
+    bounds: tuple[list[float], list[float]]
+    units: str
+    up: str
+    notices: list[Fault]
+
+    def as_dict(self) -> dict[str, object]:
+        """Return plain values for a JSON report; rates also as exact text."""
+        values = asdict(self)
+        values.update(
+            fps=float(self.fps),
+            rate=str(self.fps),
+            start=float(self.start),
+            end=float(self.end),
+            duration=float(self.duration),
+            bounds=[list(corner) for corner in self.bounds],
+            notices=[notice.as_dict() for notice in self.notices],
+        )
+        return values
+
+
+def describe(
+    path: Path | str, options: SourceOptions | None = None
+) -> TakeDescription:
+    """Read a file and describe its take.
+
+    Raises:
+        FormatError: It cannot be read or is malformed.
+        OptionError: Its suffix is none that animtool reads.
+    """
+    stream = open_source(path, options)
+    take = stream.collect()
+    motion, rig = take.motion, take.rig
+    lows, highs = [], []
+    for begin in range(0, motion.frames, FRAMES_AT_ONCE):
+        part = slice(begin, begin + FRAMES_AT_ONCE)
+        block: Motion = motion.map(lambda channel, part=part: channel.select(part))  # type: ignore[misc]
+        scales = None if block.scales is None else block.scales.dense()
+        world = forward(
+            rig, block.translations.dense(), block.rotations.dense(), scales
+        )
+        lows.append(world.positions.min(axis=(0, 1)))
+        highs.append(world.positions.max(axis=(0, 1)))
+    meters = rig.meters_per_unit
+    animated = {
+        "translation": len(motion.translations.animated),
+        "rotation": len(motion.rotations.animated),
+    }
+    if motion.scales is not None:
+        animated["scale"] = len(motion.scales.animated)
+    clock = take.clock
+    channels = stream.details.get("channels")
+    return TakeDescription(
+        str(path),
+        str(stream.details.get("format", "")),
+        len(rig.joints),
+        [rig.names[root] for root in rig.roots],
+        clock.count,
+        clock.rate,
+        clock.start,
+        clock.start + clock.step * (clock.count - 1),
+        clock.duration,
+        channels if isinstance(channels, int) else None,
+        animated,
+        (
+            (np.min(lows, axis=0) / meters).tolist(),
+            (np.max(highs, axis=0) / meters).tolist(),
+        ),
+        unit_name(meters),
+        rig.up.value,
+        stream.notices,
+    )

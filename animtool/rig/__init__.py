@@ -1,0 +1,1 @@
+"""Skeletons: joints, their coordinates, and forward kinematics."""

@@ -1,0 +1,130 @@
+"""Joint coordinates to local transforms and back.
+
+Coordinates q of a joint, in this order in one row of a ``(F, Q)`` array:
+
+========== = ==========================================================
+free       7 translation [m], quaternion (x, y, z, w)
+ball       4 quaternion (x, y, z, w)
+pin        1 angle about the axis [rad]
+prismatic  1 slide along the axis [m]
+fixed      0
+========== = ==========================================================
+
+All are relative to the rest frame: ``local = T(rest) · R(rest) · motion(q)``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import ArrayLike, FloatArray, as_floats
+from animtool.maths import so3
+from animtool.rig.skeleton import JointType, Rig
+
+__all__ = ["LocalTransforms", "coordinate_slices", "coordinates_from_local", "local_from_coordinates"]
+
+_WIDTH = {
+    JointType.FREE: 7,
+    JointType.BALL: 4,
+    JointType.PIN: 1,
+    JointType.PRISMATIC: 1,
+    JointType.FIXED: 0,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class LocalTransforms:
+    """Local transforms of every joint, parent space.
+
+    Attributes:
+        translations: ``(F, J, 3)`` [m].
+        rotations: Unit quaternions ``(F, J, 4)``.
+    """
+
+    translations: FloatArray
+    rotations: FloatArray
+
+
+def coordinate_slices(rig: Rig) -> list[slice]:
+    """Return where each joint's coordinates stand in a row of q."""
+    ends = np.cumsum([_WIDTH[joint.type] for joint in rig.joints])
+    return [
+        slice(int(end) - _WIDTH[joint.type], int(end))
+        for joint, end in zip(rig.joints, ends, strict=True)
+    ]
+
+
+def local_from_coordinates(rig: Rig, coordinates: ArrayLike) -> LocalTransforms:
+    """Return the local transforms of joint coordinates ``(F, Q)``.
+
+    Quaternions are normalised. Limits are not applied.
+
+    Raises:
+        ValueError: Q does not fit the rig.
+
+    >>> from animtool.rig.skeleton import Joint
+    >>> door = Rig("door", (Joint("hinge", -1, JointType.PIN, axis=(0, 1, 0)),))
+    >>> local = local_from_coordinates(door, [[np.pi]])
+    >>> local.rotations[0, 0].round(12).tolist()
+    [0.0, 1.0, 0.0, 0.0]
+    """
+    slices = coordinate_slices(rig)
+    q = as_floats(coordinates, ("F", slices[-1].stop if slices else 0), "coordinates")
+    frames = len(q)
+    translations = np.repeat(rig.rest_translations[None], frames, axis=0)
+    rotations = np.repeat(rig.rest_rotations[None], frames, axis=0)
+    for j, (joint, place) in enumerate(zip(rig.joints, slices, strict=True)):
+        rest, own = rig.rest_rotations[j], q[:, place]
+        match joint.type:
+            case JointType.FREE:
+                translations[:, j] += so3.rotate(rest, own[:, :3])
+                rotations[:, j] = so3.multiply(rest, so3.normalize(own[:, 3:]))
+            case JointType.BALL:
+                rotations[:, j] = so3.multiply(rest, so3.normalize(own))
+            case JointType.PIN:
+                turn = so3.from_axis_angle(joint.axis, own[:, 0])
+                rotations[:, j] = so3.multiply(rest, turn)
+            case JointType.PRISMATIC:
+                translations[:, j] += so3.rotate(rest, own * np.asarray(joint.axis))
+            case JointType.FIXED:
+                continue
+    return LocalTransforms(translations, rotations)
+
+
+def coordinates_from_local(rig: Rig, local: LocalTransforms) -> FloatArray:
+    """Return the joint coordinates ``(F, Q)`` nearest to local transforms.
+
+    What a joint cannot do is left out: a pin keeps the turn about its axis, a
+    prismatic joint the slide along it. Pin angles are continuous along F, over
+    whole turns too.
+
+    Raises:
+        ValueError: A shape does not fit the rig.
+    """
+    joints = len(rig.joints)
+    translations = as_floats(local.translations, ("F", joints, 3), "translations")
+    rotations = as_floats(local.rotations, ("F", joints, 4), "rotations")
+    slices = coordinate_slices(rig)
+    q = np.zeros((len(translations), slices[-1].stop if slices else 0))
+    for j, (joint, place) in enumerate(zip(rig.joints, slices, strict=True)):
+        undo = so3.conjugate(rig.rest_rotations[j])
+        turn = so3.multiply(undo, rotations[:, j])
+        slide = so3.rotate(undo, translations[:, j] - rig.rest_translations[j])
+        match joint.type:
+            case JointType.FREE:
+                q[:, place] = np.concatenate([slide, so3.align_signs(turn)], axis=1)
+            case JointType.BALL:
+                q[:, place] = so3.align_signs(turn)
+            case JointType.PIN:
+                along = turn[:, :3] @ np.asarray(joint.axis)
+                q[:, place.start] = np.unwrap(2.0 * np.arctan2(along, turn[:, 3]))
+                if len(q):
+                    whole = 2 * np.pi * np.round(q[0, place.start] / (2 * np.pi))
+                    q[:, place.start] -= whole
+            case JointType.PRISMATIC:
+                q[:, place.start] = slide @ np.asarray(joint.axis)
+            case JointType.FIXED:
+                continue
+    return q

@@ -1,0 +1,67 @@
+"""Forward kinematics: local transforms to world, over all frames at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from animtool import _kernels
+from animtool._types import ArrayLike, FloatArray, as_floats
+from animtool.rig.skeleton import Rig
+
+__all__ = ["WorldTransforms", "forward", "rest_world"]
+
+
+@dataclass(frozen=True, slots=True)
+class WorldTransforms:
+    """Where every joint is.
+
+    Attributes:
+        positions: Joint origins ``(F, J, 3)`` [m], world.
+        linear: Linear parts ``(F, J, 3, 3)``: rotations, times scale where there
+            is any. Column c is the joint's axis c in the world.
+    """
+
+    positions: FloatArray
+    linear: FloatArray
+
+
+def forward(
+    rig: Rig,
+    translations: ArrayLike,
+    rotations: ArrayLike,
+    scales: ArrayLike | None = None,
+) -> WorldTransforms:
+    """Return the world transforms of a motion.
+
+    ``world = world(parent) · T · R · S``; scale is inherited, as in UsdSkel. A
+    chain of 1000 joints keeps 3e-16 relative, so nothing is renormalised.
+
+    Args:
+        rig: J joints.
+        translations: Local, parent space ``(F, J, 3)`` [m].
+        rotations: Local unit quaternions ``(F, J, 4)``.
+        scales: Local ``(F, J, 3)`` [1]; None is no scale.
+
+    Raises:
+        ValueError: A shape does not fit the rig.
+
+    >>> from animtool.rig.skeleton import Joint
+    >>> arm = Rig("arm", (Joint("a", -1), Joint("b", 0, translation=(0, 1, 0))))
+    >>> quarter = [0, 0, 0.5**0.5, 0.5**0.5]
+    >>> world = forward(arm, [arm.rest_translations], [[quarter, [0, 0, 0, 1]]])
+    >>> world.positions[0, 1].round(12).tolist()
+    [-1.0, 0.0, 0.0]
+    """
+    joints = len(rig.joints)
+    positions, linear = _kernels.forward_kinematics(
+        rig.parents,
+        as_floats(translations, ("F", joints, 3), "translations"),
+        as_floats(rotations, ("F", joints, 4), "rotations"),
+        None if scales is None else as_floats(scales, ("F", joints, 3), "scales"),
+    )
+    return WorldTransforms(positions, linear)
+
+
+def rest_world(rig: Rig) -> WorldTransforms:
+    """Return the world transforms of the rest pose, one frame."""
+    return forward(rig, rig.rest_translations[None], rig.rest_rotations[None])

@@ -1,0 +1,1 @@
+"""Opening any source, and the bake that turns it into an output."""

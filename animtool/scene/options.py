@@ -1,0 +1,152 @@
+"""What a bake can be told, and reading it from text."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+
+from animtool.edit.resample import FrameRange
+from animtool.errors import Fault, OptionError
+from animtool.scene.sources import SourceOptions
+from animtool.units import LengthUnit, UpAxis
+
+__all__ = ["BakeOptions", "parse_frame_range", "parse_offsets", "parse_rest"]
+
+
+@dataclass(frozen=True, slots=True)
+class BakeOptions:
+    """How to bake.
+
+    Attributes:
+        source: What the source is, where its file does not say.
+        form: ``stage``, ``split`` or ``layer``; None is a layer where there is a
+            rig layer, else a stage.
+        rig_layer: The rig, or a shot that holds it, for a layer.
+        prim_path: Where the character stands; None is ``/{name of the source}``,
+            or where the rig layer has it.
+        bones: Add geometry that shows the joints.
+        strip_namespace: Leading ``ns:`` parts of joint names to drop.
+        rest_frame: Frame whose pose becomes the rest pose; None keeps the source's.
+        fps: Frames a second of the output; None is the rig layer's or the source's.
+        frame_range: Frames to write.
+        start: Time code of the first frame; None is the rig layer's, the
+            project's, or 1.
+        samples: Sub-frame samples around each frame, in frames.
+        keep_samples: Keep the source's samples at fractional time codes.
+        to_units: Unit of the output; None is the rig layer's or the source's.
+        to_up: Up axis of the output; likewise.
+        root_motion: Let the SkelRoot carry the first root joint's motion.
+        sparse: Write only the joints that are not at rest throughout.
+        strict: Take warnings for errors.
+        overwrite: Replace outputs that exist.
+    """
+
+    source: SourceOptions = field(default_factory=SourceOptions)
+    form: str | None = None
+    rig_layer: Path | None = None
+    prim_path: str | None = None
+    bones: bool = False
+    strip_namespace: int = 0
+    rest_frame: int | None = None
+    fps: Fraction | None = None
+    frame_range: FrameRange | None = None
+    start: Fraction | None = None
+    samples: tuple[Fraction, ...] = ()
+    keep_samples: bool = False
+    to_units: LengthUnit | None = None
+    to_up: UpAxis | None = None
+    root_motion: bool = False
+    sparse: bool = False
+    strict: bool = False
+    overwrite: bool = False
+
+
+_RANGE = re.compile(r"(-?\d{1,9})(?:-(-?\d{1,9})(?:x(\d{1,9}))?)?")
+
+
+def parse_frame_range(text: str) -> FrameRange:
+    """Return the range of ``1-240``, ``1-240x2`` or ``12``.
+
+    Raises:
+        ValueError: It is none.
+
+    >>> parse_frame_range("1-240x2")
+    FrameRange(first=1, last=240, step=2)
+    """
+    match = _RANGE.fullmatch(text.strip())
+    if match is None:
+        raise ValueError(f"{text!r} is not a range such as 1-240 or 1-240x2")
+    first = int(match[1])
+    last, step = int(match[2] or first), int(match[3] or 1)
+    if last < first or step < 1:
+        raise ValueError(f"{text!r} has no frame")
+    return FrameRange(first, last, step)
+
+
+def parse_offsets(text: str) -> tuple[Fraction, ...]:
+    """Return the offsets of ``-.25,0,.25``, ascending.
+
+    Raises:
+        ValueError: One is no number within a frame, or stands twice.
+
+    >>> parse_offsets("-.25,0,.25")
+    (Fraction(-1, 4), Fraction(0, 1), Fraction(1, 4))
+    """
+    offsets = []
+    for part in text.split(","):
+        try:
+            offset = Fraction(part.strip())
+        except (ValueError, ZeroDivisionError) as error:
+            message = f"{text!r} is not a list of offsets such as -.25,0,.25"
+            raise ValueError(message) from error
+        if not -1 < offset < 1:
+            raise ValueError(f"offset {part.strip()} is not within a frame")
+        offsets.append(offset)
+    if len(set(offsets)) < len(offsets) or max(offsets) - min(offsets) >= 1:
+        raise ValueError(f"offsets {text!r} meet those of the next frame")
+    return tuple(sorted(offsets))
+
+
+def parse_rest(text: str) -> int | None:
+    """Return the frame of ``frame:N``, None for ``offsets``.
+
+    Raises:
+        ValueError: It is neither.
+
+    >>> parse_rest("frame:12")
+    12
+    """
+    if text == "offsets":
+        return None
+    match = re.fullmatch(r"frame:(-?\d{1,9})", text)
+    if match is None:
+        raise ValueError(f"{text!r} is neither offsets nor frame:N")
+    return int(match[1])
+
+
+def check_options(options: BakeOptions, *, to_stdout: bool) -> None:
+    """Raise `OptionError` where options exclude each other."""
+    form = options.form or ("layer" if options.rig_layer else "stage")
+    clashes = [
+        (form == "layer" and options.rig_layer is None, "--as layer needs --rig-layer"),
+        (form != "layer" and options.rig_layer is not None, "--rig-layer goes with --as layer"),
+        (form == "layer" and options.bones, "--bones never goes into a layer"),
+        (
+            form == "layer" and options.rest_frame is not None,
+            "--rest frame:N sets a skeleton's rest pose, which a layer does not hold",
+        ),
+        (
+            form == "layer" and (options.to_units or options.to_up) is not None,
+            "a layer adopts the units and up axis of its rig layer: no --to-units, --to-up",
+        ),
+        (form == "split" and to_stdout, "--split writes three files, not stdout"),
+        (
+            options.keep_samples and bool(options.samples),
+            "--keep-samples and --samples exclude each other",
+        ),
+    ]
+    faults = [Fault("CLI002", message) for wrong, message in clashes if wrong]
+    if faults:
+        raise OptionError(faults)

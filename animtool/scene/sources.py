@@ -1,0 +1,87 @@
+"""Opening a source by what it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+from animtool.errors import Fault, FormatError, OptionError
+from animtool.take import TakeStream
+from animtool.units import LengthUnit, UpAxis
+
+__all__ = ["READERS", "SourceOptions", "is_usd", "open_source"]
+
+READERS: dict[str, str] = {
+    ".bvh": "bvh",
+    ".usd": "usd",
+    ".usda": "usd",
+    ".usdc": "usd",
+    ".usdz": "usd",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class SourceOptions:
+    """What a source is, where the file does not say.
+
+    Attributes:
+        unit: Unit of its lengths; None is what the file says, centimetres for BVH.
+        up: Its up axis; None is what the file says, Y for BVH.
+        fps: Its real frame rate; None is what the file says.
+        prim_path: The character, where a stage has several.
+    """
+
+    unit: LengthUnit | None = None
+    up: UpAxis | None = None
+    fps: Fraction | None = None
+    prim_path: str | None = None
+
+
+def is_usd(path: Path) -> bool:
+    """Return whether a path is that of a USD file."""
+    return READERS.get(path.suffix.lower()) == "usd"
+
+
+def open_source(
+    path: Path | str,
+    options: SourceOptions | None = None,
+    *,
+    progress: Callable[[float], None] | None = None,
+) -> TakeStream:
+    """Open a BVH or USD file as a stream of blocks.
+
+    Raises:
+        FormatError: It cannot be read or is malformed; the blocks may raise it too.
+        OptionError: Its suffix is none that animtool reads, or an option does not
+            apply to it.
+    """
+    path, options = Path(path), options or SourceOptions()
+    kind = READERS.get(path.suffix.lower())
+    if kind is None:
+        if not path.exists() or path.is_dir():
+            reason = "is a folder" if path.is_dir() else "does not exist"
+            raise FormatError(Fault("IO001", f"cannot be read: {reason}", str(path)))
+        message = f"{path.suffix or 'no suffix'!r} is no format that animtool reads"
+        allowed = f"allowed: {', '.join(READERS)}"
+        raise OptionError(Fault("IO002", message, str(path), (), allowed))
+    if kind == "bvh":
+        from animtool.formats.bvh import read_bvh
+
+        return read_bvh(
+            path,
+            unit=options.unit or LengthUnit.CM,
+            up=options.up or UpAxis.Y,
+            fps=options.fps,
+            progress=progress,
+        )
+    given = {"--units": options.unit, "--up": options.up, "--source-fps": options.fps}
+    for name, value in given.items():
+        if value is not None:
+            hint = "--to-units, --to-up and --fps convert"
+            message = f"{name} says what a file leaves open; a USD file states it"
+            raise OptionError(Fault("CLI004", message, str(path), (), hint))
+    from animtool.usd.read import read_usd
+
+    return read_usd(path, prim_path=options.prim_path)

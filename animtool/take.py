@@ -1,0 +1,205 @@
+"""What flows through animtool: a clock, and the motion of a rig's joints.
+
+A take arrives as a `TakeStream` of blocks of frames, so that a long one is never
+held whole, or is gathered into one `Take` where an operation needs all of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault
+from animtool.rig.skeleton import Rig
+
+__all__ = ["Channel", "Clock", "Motion", "Take", "TakeStream", "time_codes"]
+
+
+def time_codes(start: Fraction, step: Fraction, count: int) -> FloatArray:
+    """Return start + i·step for i < count ``(count,)``, each rounded once.
+
+    >>> time_codes(Fraction(1001), Fraction(1, 5), 3).tolist()
+    [1001.0, 1001.2, 1001.4]
+    """
+    common = start.denominator * step.denominator
+    first = start.numerator * step.denominator
+    each = step.numerator * start.denominator
+    # Integers this size are exact in float64, so one division rounds correctly.
+    if max(abs(first), abs(first + each * count), common) < 2**53:
+        return (first + each * np.arange(count, dtype=np.int64)) / float(common)
+    return np.array([float(start + i * step) for i in range(count)])
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """When the frames of a take are.
+
+    Attributes:
+        fps: Time codes a second.
+        start: Time code of the first frame.
+        step: Time codes from one frame to the next.
+        count: Number of frames.
+    """
+
+    fps: Fraction
+    start: Fraction
+    step: Fraction
+    count: int
+
+    @property
+    def times(self) -> FloatArray:
+        """Time code of every frame ``(F,)``."""
+        return time_codes(self.start, self.step, self.count)
+
+    @property
+    def rate(self) -> Fraction:
+        """Frames a second."""
+        return self.fps / self.step
+
+    @property
+    def duration(self) -> Fraction:
+        """From the first frame to the last [s]."""
+        return self.step * max(0, self.count - 1) / self.fps
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One kind of value for every joint; what does not move is stored once.
+
+    Attributes:
+        rest: The value of each joint while it does not move ``(J, K)``.
+        animated: Indices of the joints that move ``(A,)``, ascending.
+        values: Their values ``(F, A, K)``.
+    """
+
+    rest: FloatArray
+    animated: IntArray
+    values: FloatArray
+
+    def dense(self) -> FloatArray:
+        """Return the value of every joint in every frame ``(F, J, K)``."""
+        whole = np.repeat(self.rest[None], len(self.values), axis=0)
+        whole[:, self.animated] = self.values
+        return whole
+
+    def compact(self) -> Channel:
+        """Return the channel with the joints that never move made static."""
+        if not len(self.values):
+            return self
+        moves = (self.values != self.values[:1]).any(axis=(0, 2))
+        rest = self.rest.copy()
+        rest[self.animated[~moves]] = self.values[0, ~moves]
+        if moves.all():
+            return self
+        return Channel(rest, self.animated[moves], self.values[:, moves])
+
+    def select(self, frames: slice | IntArray) -> Channel:
+        """Return the channel at some of its frames."""
+        return replace(self, values=self.values[frames])
+
+    @staticmethod
+    def from_dense(values: FloatArray) -> Channel:
+        """Return the channel of values ``(F, J, K)``, static joints stored once."""
+        return Channel(values[0].copy(), np.arange(values.shape[1]), values).compact()
+
+    @staticmethod
+    def concatenate(channels: list[Channel]) -> Channel:
+        """Return one channel of blocks that share their rest and animated joints."""
+        first = channels[0]
+        return replace(first, values=np.concatenate([c.values for c in channels]))
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Local transforms of a rig's joints over frames, in place of rest.
+
+    Attributes:
+        translations: Parent space [m], K = 3.
+        rotations: Unit quaternions (x, y, z, w), signs continuous along time, K = 4.
+        scales: [1], K = 3; None where nothing is scaled.
+    """
+
+    translations: Channel
+    rotations: Channel
+    scales: Channel | None = None
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self.rotations.values)
+
+    def map(self, function: Callable[[Channel], Channel]) -> Motion:
+        """Return the motion with a function applied to each channel."""
+        return Motion(
+            function(self.translations),
+            function(self.rotations),
+            None if self.scales is None else function(self.scales),
+        )
+
+    @staticmethod
+    def concatenate(blocks: list[Motion]) -> Motion:
+        """Return one motion of blocks that follow each other."""
+        scales = [block.scales for block in blocks if block.scales is not None]
+        return Motion(
+            Channel.concatenate([block.translations for block in blocks]),
+            Channel.concatenate([block.rotations for block in blocks]),
+            Channel.concatenate(scales) if scales else None,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Take:
+    """The motion of one rig, whole.
+
+    Attributes:
+        rig: J joints.
+        clock: When its F frames are.
+        motion: What they hold.
+    """
+
+    rig: Rig
+    clock: Clock
+    motion: Motion
+
+
+@dataclass(slots=True)
+class TakeStream:
+    """A take that arrives block by block, once.
+
+    Attributes:
+        rig: J joints.
+        fps: Time codes a second.
+        start: Time code of the first frame; None where the source states none.
+        step: Time codes from one frame to the next.
+        blocks: Motions of consecutive frames that share their rest and animated
+            joints. Reading them may raise `animtool.errors.FormatError`.
+        notices: Warnings and notes about the source; complete once the blocks are
+            read.
+        details: What the source states beyond this, for reports.
+    """
+
+    rig: Rig
+    fps: Fraction
+    start: Fraction | None
+    step: Fraction
+    blocks: Iterator[Motion]
+    notices: list[Fault] = field(default_factory=list)
+    details: dict[str, object] = field(default_factory=dict)
+
+    def collect(self) -> Take:
+        """Return the whole take, static joints stored once."""
+        motion = Motion.concatenate(list(self.blocks)).map(Channel.compact)
+        start = Fraction(1) if self.start is None else self.start
+        return Take(self.rig, Clock(self.fps, start, self.step, motion.frames), motion)
+
+    @staticmethod
+    def of(take: Take) -> TakeStream:
+        """Return a stream of one block."""
+        clock = take.clock
+        return TakeStream(
+            take.rig, clock.fps, clock.start, clock.step, iter([take.motion])
+        )

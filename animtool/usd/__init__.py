@@ -1,0 +1,1 @@
+"""USD layers, read and written: the only package that imports pxr."""

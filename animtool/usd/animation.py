@@ -1,0 +1,306 @@
+"""Authoring a motion as a SkelAnimation, block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Gf, Sdf, Vt
+
+from animtool import _kernels
+from animtool._types import BoolArray, Float32Array, FloatArray
+from animtool.maths import so3
+from animtool.rig.skeleton import Rig
+from animtool.take import Motion
+from animtool.usd.layers import attribute, prim
+from animtool.usd.skeleton import RigPaths
+
+__all__ = ["AnimationWriter", "Rounding", "WrittenBlock", "round_blocks"]
+
+FLOAT32_MAX = float(np.finfo(np.float32).max)
+
+
+@dataclass(frozen=True, slots=True)
+class RootPath:
+    """The motion of the SkelRoot: translations ``(F, 3)``, rotations ``(F, 4)``."""
+
+    translations: FloatArray
+    rotations: Float32Array
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenBlock:
+    """Frames as the layer will hold them, in its unit.
+
+    Attributes:
+        codes: Time codes ``(F,)``.
+        translations: ``(F, J, 3)`` float32.
+        rotations: ``(F, J, 4)`` float32.
+        scales: ``(F, J, 3)`` float16.
+        extents: Bounds of the joints, SkelRoot space ``(F, 2, 3)`` float32.
+        root: Motion of the SkelRoot, where it carries that of the root joint.
+        error: Largest distance that rounding moved a joint [m].
+        error_code: Time code of that.
+        error_joint: Index of the joint that moved.
+    """
+
+    codes: FloatArray
+    translations: Float32Array
+    rotations: Float32Array
+    scales: npt.NDArray[np.float16]
+    extents: Float32Array
+    root: RootPath | None
+    error: float
+    error_code: float
+    error_joint: int
+
+
+def round_blocks(
+    blocks: Iterator[tuple[FloatArray, Motion]],
+    rig: Rig,
+    meters_per_unit: float,
+    *,
+    root_motion: bool = False,
+) -> Iterator[WrittenBlock]:
+    """Yield blocks rounded to what USD holds, and what the rounding did.
+
+    Args:
+        blocks: Time codes and motions.
+        rig: Whose motions they are.
+        meters_per_unit: Unit of the layer [m].
+        root_motion: Move the first root joint's motion to the SkelRoot; the joint
+            stays at rest.
+    """
+    for codes, motion in blocks:
+        translations = motion.translations.dense() / meters_per_unit
+        rotations = motion.rotations.dense()
+        scales = None if motion.scales is None else motion.scales.dense()
+        root = None
+        if root_motion:
+            root = _move_root(rig, translations, rotations, meters_per_unit)
+        written_t = np.clip(translations, -FLOAT32_MAX, FLOAT32_MAX).astype(np.float32)
+        written_r = rotations.astype(np.float32)
+        written_s = np.ones(translations.shape, np.float16)
+        if scales is not None:
+            written_s = scales.astype(np.float16)
+        extents, error, frame, joint = _kernels.measure_rounding(
+            rig.parents,
+            translations,
+            rotations,
+            scales,
+            written_t,
+            written_r,
+            None if scales is None else written_s.astype(np.float32),
+        )
+        if root is not None:
+            # The SkelRoot's own rounding turns everything about its origin.
+            reach = np.linalg.norm(extents, axis=-1).max(axis=-1)
+            turned = so3.angle_between(root.rotations, root.rotations.astype(np.float32))
+            error += float((reach * turned).max(initial=0.0))
+            root = RootPath(root.translations, root.rotations.astype(np.float32))
+        bounds = np.clip(extents, -FLOAT32_MAX, FLOAT32_MAX).astype(np.float32)
+        yield WrittenBlock(
+            codes,
+            written_t,
+            written_r,
+            written_s,
+            bounds,
+            root,
+            error * meters_per_unit,
+            float(codes[frame]),
+            joint,
+        )
+
+
+def _move_root(
+    rig: Rig, translations: FloatArray, rotations: FloatArray, meters_per_unit: float
+) -> RootPath:
+    """Put the first root at rest in place; return the motion that this takes away.
+
+    The SkelRoot's transform X and the local transforms M' of the roots satisfy
+    X · M' = M, with M' of the first root at rest.
+    """
+    first, *others = rig.roots
+    rest_t = rig.rest_translations[first] / meters_per_unit
+    rest_r = rig.rest_rotations[first]
+    turn = so3.align_signs(so3.multiply(rotations[:, first], so3.conjugate(rest_r)))
+    move = translations[:, first] - so3.rotate(turn, rest_t)
+    translations[:, first], rotations[:, first] = rest_t, rest_r
+    back = so3.conjugate(turn)
+    for other in others:
+        translations[:, other] = so3.rotate(back, translations[:, other] - move)
+        rotations[:, other] = so3.multiply(back, rotations[:, other])
+    return RootPath(move, turn)
+
+
+@dataclass(slots=True)
+class Rounding:
+    """The largest error over all blocks [m], and where."""
+
+    error: float = 0.0
+    code: float = 0.0
+    joint: int = 0
+
+    def add(self, block: WrittenBlock) -> None:
+        """Take the larger of the two."""
+        if block.error > self.error:
+            self.error, self.code = block.error, block.error_code
+            self.joint = block.error_joint
+
+
+class _Samples:
+    """An attribute's samples; a default only, while the values do not change.
+
+    The frames before the first change share one array, as copies of it would.
+    """
+
+    def __init__(self, spec: Any, name: str, type_name: Any, array_type: Any) -> None:
+        self._attribute = attribute(spec, name, type_name)
+        self._path = self._attribute.path
+        self._set = spec.layer.SetTimeSample
+        self._make = array_type.FromNumpy
+        self._first: npt.NDArray[Any] | None = None
+        self._held: list[FloatArray] = []
+        self.sampled = False
+
+    def add(self, codes: FloatArray, rows: npt.NDArray[Any]) -> None:
+        """Add frames of values ``(F, …)``."""
+        rows = np.ascontiguousarray(rows)
+        if self._first is None:
+            self._first = rows[0].copy()
+        if not self.sampled:
+            if (rows == self._first).all():
+                self._held.append(codes)
+                return
+            self._release()
+        put, path, make = self._set, self._path, self._make
+        for code, row in zip(codes.tolist(), rows, strict=True):
+            put(path, code, make(row))
+
+    def _release(self) -> None:
+        self.sampled = True
+        value = self._make(self._first)
+        for codes in self._held:
+            for code in codes.tolist():
+                self._set(self._path, code, value)
+        self._held.clear()
+
+    def finish(self) -> None:
+        """Author the default of values that never changed."""
+        if not self.sampled and self._first is not None:
+            self._attribute.default = self._make(self._first)
+
+
+@dataclass
+class AnimationWriter:
+    """Writes a SkelAnimation and what moves with it.
+
+    Attributes:
+        layer: Where to.
+        paths: The character's prims.
+        joints: Their paths as the Skeleton has them, J of them.
+        chosen: Which of them to write ``(J,)``; None is all.
+        rounding: What rounding did so far.
+    """
+
+    layer: Any
+    paths: RigPaths
+    joints: list[str]
+    chosen: BoolArray | None = None
+    rounding: Rounding = field(default_factory=Rounding)
+
+    def __post_init__(self) -> None:
+        """Make the prim and its attributes."""
+        spec = prim(self.layer, self.paths.animation, "SkelAnimation")
+        types = Sdf.ValueTypeNames
+        names = self.joints
+        if self.chosen is not None:
+            names = [n for n, keep in zip(names, self.chosen, strict=True) if keep]
+        attribute(spec, "joints", types.TokenArray, Vt.TokenArray(names), uniform=True)
+        self._translations = _Samples(
+            spec, "translations", types.Float3Array, Vt.Vec3fArray
+        )
+        self._rotations = _Samples(spec, "rotations", types.QuatfArray, Vt.QuatfArray)
+        self._scales = _Samples(spec, "scales", types.Half3Array, Vt.Vec3hArray)
+        self._codes: list[FloatArray] = []
+        self._extents: list[Float32Array] = []
+        self._root_path: list[RootPath] = []
+
+    def add(self, block: WrittenBlock) -> None:
+        """Write a block of frames."""
+        keep = slice(None) if self.chosen is None else self.chosen
+        self._translations.add(block.codes, block.translations[:, keep])
+        self._rotations.add(block.codes, block.rotations[:, keep])
+        self._scales.add(block.codes, block.scales[:, keep])
+        self._codes.append(block.codes)
+        self._extents.append(block.extents)
+        if block.root is not None:
+            self._root_path.append(block.root)
+        self.rounding.add(block)
+
+    @property
+    def sampled(self) -> list[str]:
+        """Names of the attributes that change over time."""
+        named = {
+            "translations": self._translations,
+            "rotations": self._rotations,
+            "scales": self._scales,
+        }
+        return [name for name, samples in named.items() if samples.sampled]
+
+    def finish(self, own_operations: list[str]) -> None:
+        """Write the defaults of what never changed and the SkelRoot's motion.
+
+        Args:
+            own_operations: Transform operations that the SkelRoot has already.
+        """
+        for samples in (self._translations, self._rotations, self._scales):
+            samples.finish()
+        if self._root_path:
+            self._author_root(own_operations)
+
+    def author_extents(self, padding: float) -> None:
+        """Write the SkelRoot's bounds: those of its joints, and padding about them."""
+        pad = np.array([[-padding] * 3, [padding] * 3], np.float32)
+        self.author_bounds([extents + pad for extents in self._extents])
+
+    def author_bounds(self, extents: list[Float32Array]) -> None:
+        """Write the SkelRoot's bounds ``(F, 2, 3)``, one array a block."""
+        spec = self.layer.GetPrimAtPath(self.paths.root)
+        samples = _Samples(spec, "extent", Sdf.ValueTypeNames.Float3Array, Vt.Vec3fArray)
+        for codes, bounds in zip(self._codes, extents, strict=True):
+            samples.add(codes, bounds)
+        samples.finish()
+
+    @property
+    def first_extent(self) -> Float32Array:
+        """Bounds of the joints in the first sample ``(2, 3)``."""
+        return self._extents[0][0]
+
+    @property
+    def codes(self) -> list[FloatArray]:
+        """Time codes of every sample, one array a block."""
+        return self._codes
+
+    def _author_root(self, own_operations: list[str]) -> None:
+        spec = self.layer.GetPrimAtPath(self.paths.root)
+        types, suffix = Sdf.ValueTypeNames, ":rootMotion" if own_operations else ""
+        names = [f"xformOp:translate{suffix}", f"xformOp:orient{suffix}"]
+        move = attribute(spec, names[0], types.Double3)
+        turn = attribute(spec, names[1], types.Quatf)
+        order = Vt.TokenArray(own_operations + names)
+        attribute(spec, "xformOpOrder", types.TokenArray, order, uniform=True)
+        put = self.layer.SetTimeSample
+        for codes, path in zip(self._codes, self._root_path, strict=True):
+            for code, position, rotation in zip(
+                codes.tolist(),
+                path.translations.tolist(),
+                path.rotations.tolist(),
+                strict=True,
+            ):
+                x, y, z, w = rotation
+                put(move.path, code, Gf.Vec3d(*position))
+                put(turn.path, code, Gf.Quatf(w, x, y, z))

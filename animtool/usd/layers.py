@@ -1,0 +1,162 @@
+"""Sdf layers: opening, metadata, prims, attributes, saving."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from pxr import Sdf, Tf
+
+from animtool.errors import Fault, FormatError, OptionError
+from animtool.output import output_error, replacing
+from animtool.units import UpAxis
+
+__all__ = [
+    "SUFFIXES",
+    "StageMetadata",
+    "attribute",
+    "author_metadata",
+    "check_suffix",
+    "find_layer",
+    "new_layer",
+    "prim",
+    "relationship",
+    "save_layer",
+]
+
+SUFFIXES = (".usd", ".usda", ".usdc")
+
+
+@dataclass(frozen=True, slots=True)
+class StageMetadata:
+    """What every layer states about itself.
+
+    Attributes:
+        default_prim: Name of the root prim; empty states none.
+        fps: Frames and time codes a second.
+        first: Time code of the first frame.
+        last: Time code of the last frame.
+        meters_per_unit: Length unit [m].
+        up: Up axis.
+    """
+
+    default_prim: str
+    fps: Fraction
+    first: Fraction
+    last: Fraction
+    meters_per_unit: float
+    up: UpAxis
+
+
+def author_metadata(layer: Any, metadata: StageMetadata) -> None:
+    """State the rate, the range, the units, the up axis and the default prim."""
+    root = layer.pseudoRoot
+    if metadata.default_prim:
+        layer.defaultPrim = metadata.default_prim
+    layer.framesPerSecond = float(metadata.fps)
+    layer.timeCodesPerSecond = float(metadata.fps)
+    layer.startTimeCode = float(metadata.first)
+    layer.endTimeCode = float(metadata.last)
+    root.SetInfo("metersPerUnit", metadata.meters_per_unit)
+    root.SetInfo("upAxis", metadata.up.value)
+
+
+def check_suffix(path: Path) -> None:
+    """Raise `OptionError` where a path is not that of a USD layer."""
+    if path.suffix.lower() not in SUFFIXES:
+        allowed = f"allowed: {', '.join(SUFFIXES)}"
+        message = f"{path.suffix or 'no suffix'!r} is no kind of USD layer"
+        raise OptionError(Fault("OUT004", message, str(path), (), allowed))
+
+
+def find_layer(path: Path) -> Any:
+    """Open a layer.
+
+    Raises:
+        FormatError: The file does not exist or is no USD layer.
+    """
+    try:
+        with path.open("rb") as file:
+            file.read(1)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        fault = Fault("IO001", f"cannot be read: {reason}", str(path))
+        raise FormatError(fault) from error
+    try:
+        layer = Sdf.Layer.FindOrOpen(str(path))
+    except Tf.ErrorException as error:
+        raise FormatError(Fault("USD001", _reason(error), str(path))) from error
+    if layer is None:
+        raise FormatError(Fault("USD001", "is no USD layer", str(path)))
+    return layer
+
+
+def _reason(error: Tf.ErrorException) -> str:
+    """Return what USD says of an error, without its own sources' places."""
+    texts = [str(getattr(item, "commentary", item)) for item in error.args]
+    return " ".join(" ".join(texts).split())[:300] or "is no USD layer"
+
+
+def new_layer(path: Path) -> Any:
+    """Return a new layer that `save_layer` writes to ``path``."""
+    return Sdf.Layer.CreateAnonymous(path.suffix)
+
+
+def prim(layer: Any, path: str, type_name: str = "", *, over: bool = False) -> Any:
+    """Return the spec of a prim, made if need be, ancestors as overs."""
+    spec = Sdf.CreatePrimInLayer(layer, path)
+    spec.specifier = Sdf.SpecifierOver if over else Sdf.SpecifierDef
+    if type_name:
+        spec.typeName = type_name
+    return spec
+
+
+def attribute(
+    spec: Any,
+    name: str,
+    type_name: Any,
+    value: Any = None,
+    *,
+    uniform: bool = False,
+    interpolation: str = "",
+) -> Any:
+    """Return a new attribute of a prim, with a default where one is given."""
+    variability = Sdf.VariabilityUniform if uniform else Sdf.VariabilityVarying
+    made = Sdf.AttributeSpec(spec, name, type_name, variability)
+    if value is not None:
+        made.default = value
+    if interpolation:
+        made.SetInfo("interpolation", interpolation)
+    return made
+
+
+def relationship(spec: Any, name: str, target: str) -> None:
+    """Make a relationship to one prim."""
+    made = Sdf.RelationshipSpec(spec, name, False, Sdf.VariabilityUniform)
+    made.targetPathList.explicitItems = [Sdf.Path(target)]
+
+
+def save_layer(layer: Any, path: Path | None) -> int:
+    """Write a layer to a file, whole or not at all, or as text to stdout.
+
+    Returns the bytes written.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    if path is None:
+        text = layer.ExportToString()
+        sys.stdout.write(text)
+        sys.stdout.flush()
+        return len(text.encode())
+    with replacing(path) as temporary:
+        try:
+            done = layer.Export(str(temporary))
+        except Tf.ErrorException as error:
+            raise output_error(path, _reason(error)) from error
+        if not done:
+            raise output_error(path, "USD could not write it")
+        return temporary.stat().st_size

@@ -1,0 +1,71 @@
+"""Legal, distinct USD names for joints, and the way back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pxr import Sdf
+
+from animtool.errors import Fault, Severity, excerpt
+from animtool.rig.skeleton import Joint
+
+__all__ = ["UsdNames", "joint_names", "legal_name"]
+
+
+@dataclass(frozen=True, slots=True)
+class UsdNames:
+    """Names for the joints of a rig.
+
+    Attributes:
+        names: A legal name each, no two the same.
+        originals: The name in the source, by legal name, where it is another.
+        notices: A warning for every two names that became one.
+    """
+
+    names: list[str]
+    originals: dict[str, str]
+    notices: list[Fault]
+
+
+def legal_name(name: str) -> str:
+    """Return the name with every character that USD forbids made ``_``.
+
+    >>> legal_name("rig:Arm.L"), legal_name("2nd")
+    ('rig_Arm_L', '_2nd')
+    """
+    if Sdf.Path.IsValidIdentifier(name):
+        return name
+    legal = "".join(c if Sdf.Path.IsValidIdentifier("a" + c) else "_" for c in name)
+    return legal if Sdf.Path.IsValidIdentifier(legal) else "_" + legal
+
+
+def joint_names(joints: Sequence[Joint], strip_namespaces: int = 0) -> UsdNames:
+    """Return names for joints, without their first namespaces (``ns:``) if asked."""
+    names: list[str] = []
+    originals: dict[str, str] = {}
+    first: dict[str, str] = {}
+    notices: list[Fault] = []
+    for joint in joints:
+        source = joint.source_name or joint.name
+        # A name that was made unique keeps its number, which is no collision.
+        stripped = joint.name.split(":")
+        stripped = stripped[min(strip_namespaces, len(stripped) - 1) :]
+        legal = legal_name(":".join(stripped))
+        unique, number = legal, 2
+        while unique in first:
+            unique, number = f"{legal}_{number}", number + 1
+        if unique != legal:
+            notices.append(
+                Fault(
+                    "USD101",
+                    f"{excerpt(first[legal])} and {excerpt(joint.name)} both become "
+                    f"{excerpt(legal)} in USD; the second is written as {unique!r}",
+                    severity=Severity.WARNING,
+                )
+            )
+        first[unique] = joint.name
+        names.append(unique)
+        if unique != source:
+            originals[unique] = source
+    return UsdNames(names, originals, notices)

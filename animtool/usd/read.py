@@ -1,0 +1,290 @@
+"""A SkelAnimation on a stage as a take."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Usd, UsdGeom, UsdSkel
+
+from animtool._types import FloatArray
+from animtool.errors import Fault, FormatError, Severity, excerpt
+from animtool.maths import so3
+from animtool.rates import rate_from_float
+from animtool.rig.skeleton import Rig
+from animtool.take import Channel, Clock, Motion, Take, TakeStream
+from animtool.units import unit_name
+from animtool.usd.rig_prims import (
+    SkeletonRig,
+    decompose,
+    find_skeletons,
+    open_stage,
+    prim_below,
+    rig_from_tokens,
+    skeleton_rig,
+    up_axis,
+)
+
+__all__ = ["read_usd"]
+
+# Time codes are doubles of fractions such as 1001 + 1/5: this finds them again.
+LARGEST_STEP_DENOMINATOR = 10_000
+# Sub-frame samples about each frame make a grid finer than the samples; beyond this
+# it is no grid but a curve's own keys.
+FINEST_GRID = 8
+
+
+def read_usd(path: Path | str, *, prim_path: str | None = None) -> TakeStream:
+    """Read the animation of a character on a stage, or of an animation layer alone.
+
+    Joints that the animation lacks are at rest, and a SkelRoot that moves carries
+    its roots along. A layer without its rig has no rest pose: its joints rest at
+    their first sample.
+
+    Args:
+        path: A USD file.
+        prim_path: The character, where the stage has several.
+
+    Raises:
+        FormatError: The file cannot be read, holds no skeletal animation, or one
+            that UsdSkel would ignore.
+        OptionError: ``prim_path`` is no path.
+    """
+    path = Path(path)
+    stage = open_stage(path)
+    below = prim_below(stage, prim_path)
+    skeletons = find_skeletons(stage, below)
+    if skeletons:
+        skeleton = skeleton_rig(skeletons[0], path)
+        animation = _bound_animation(skeletons[0])
+        if animation is None:
+            return _resting(skeleton, stage, path)
+        root = UsdSkel.Root.Find(skeletons[0].GetPrim())
+    else:
+        animation = _first_animation(stage, below)
+        if animation is None:
+            message = f"holds no Skeleton and no SkelAnimation below {below}"
+            raise FormatError(Fault("USD008", message, str(path)))
+        skeleton = _rig_of_animation(animation, path, stage)
+        root = None
+    return _read(stage, path, skeleton, animation, root)
+
+
+def _bound_animation(skeleton: Any) -> Any:
+    root = UsdSkel.Root.Find(skeleton.GetPrim())
+    if not root:
+        return None
+    cache = UsdSkel.Cache()
+    cache.Populate(root, Usd.TraverseInstanceProxies())
+    query = cache.GetSkelQuery(skeleton)
+    source = query.GetAnimQuery() if query else None
+    if source:
+        return UsdSkel.Animation(source.GetPrim())
+    # An animation that UsdSkel cannot use is bound all the same: reading says why.
+    binding = UsdSkel.BindingAPI(skeleton.GetPrim()).GetInheritedAnimationSource()
+    return UsdSkel.Animation(binding) if binding else None
+
+
+def _first_animation(stage: Any, below: str) -> Any:
+    start = stage.GetPrimAtPath(below)
+    for prim in Usd.PrimRange(start) if start else ():
+        if prim.IsA(UsdSkel.Animation):
+            return UsdSkel.Animation(prim)
+    return None
+
+
+def _rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
+    tokens = [str(token) for token in animation.GetJointsAttr().Get() or ()]
+    where = f"{path}<{animation.GetPath()}>"
+    if not tokens:
+        raise FormatError(Fault("USD002", "the SkelAnimation has no joints", where))
+    matrices = np.tile(np.eye(4), (len(tokens), 1, 1))
+    first = Usd.TimeCode.EarliestTime()
+    positions = animation.GetTranslationsAttr().Get(first)
+    if positions is not None and len(positions) == len(tokens):
+        matrices[:, 3, :3] = np.array(positions)
+    return rig_from_tokens(
+        tokens,
+        matrices,
+        path.stem,
+        where,
+        UsdGeom.GetStageMetersPerUnit(stage),
+        up_axis(stage),
+        {},
+    )
+
+
+def _resting(skeleton: SkeletonRig, stage: Any, path: Path) -> TakeStream:
+    """Return a rig without animation: one frame, at rest."""
+    rig = skeleton.rig
+    motion = Motion(
+        Channel.from_dense(rig.rest_translations[None]),
+        Channel.from_dense(rig.rest_rotations[None]),
+        _scales(skeleton.rest_scales[None]),
+    )
+    fps = rate_from_float(stage.GetTimeCodesPerSecond())
+    start = Fraction(stage.GetStartTimeCode()).limit_denominator(10**6)
+    stream = TakeStream.of(Take(rig, Clock(fps, start, Fraction(1), 1), motion))
+    stream.details = _details(stage, skeleton)
+    stream.details["animation"] = None
+    message = "no animation is bound to the skeleton; it is read at rest"
+    stream.notices.append(
+        Fault("USD103", message, str(path), severity=Severity.WARNING)
+    )
+    return stream
+
+
+@dataclass(frozen=True, slots=True)
+class _Grid:
+    """Evenly spaced time codes that hold every sample."""
+
+    start: Fraction
+    step: Fraction
+    count: int
+    even: bool
+
+
+def _grid(times: list[float], stage: Any) -> _Grid:
+    if len(times) < 2:
+        start = times[0] if times else stage.GetStartTimeCode()
+        return _Grid(_fraction(start), Fraction(1), 1, True)
+    exact = [_fraction(time) for time in times]
+    gaps = {b - a for a, b in zip(exact, exact[1:], strict=False)}
+    step = _common_divisor(gaps)
+    count = int((exact[-1] - exact[0]) / step) + 1
+    if count <= FINEST_GRID * len(times):
+        return _Grid(exact[0], step, count, len(gaps) == 1)
+    first = Fraction(int(np.floor(times[0])))
+    return _Grid(first, Fraction(1), int(np.ceil(times[-1])) - int(first) + 1, False)
+
+
+def _fraction(time: float) -> Fraction:
+    return Fraction(time).limit_denominator(LARGEST_STEP_DENOMINATOR)
+
+
+def _common_divisor(gaps: set[Fraction]) -> Fraction:
+    """Return the largest step that every gap is a multiple of."""
+    denominator = int(np.lcm.reduce([gap.denominator for gap in gaps]))
+    numerators = [int(gap * denominator) for gap in gaps]
+    return Fraction(int(np.gcd.reduce(numerators)), denominator)
+
+
+def _read(
+    stage: Any, path: Path, skeleton: SkeletonRig, animation: Any, root: Any
+) -> TakeStream:
+    where = f"{path}<{animation.GetPath()}>"
+    rig, notices = skeleton.rig, []
+    tokens = [str(token) for token in animation.GetJointsAttr().Get() or ()]
+    index = {token: i for i, token in enumerate(skeleton.tokens)}
+    places = np.array([index.get(token, -1) for token in tokens], np.int64)
+    unknown = [token for token, place in zip(tokens, places, strict=True) if place < 0]
+    if unknown:
+        message = f"joint {excerpt(unknown[0])} is not in the Skeleton"
+        hint = f"{len(unknown)} such are left out"
+        notices.append(Fault("USD104", message, where, (), hint, Severity.WARNING))
+    attributes = {
+        "translations": animation.GetTranslationsAttr(),
+        "rotations": animation.GetRotationsAttr(),
+        "scales": animation.GetScalesAttr(),
+    }
+    for name, attr in attributes.items():
+        if not attr.HasAuthoredValue():
+            message = f"{name} has no value"
+            hint = "UsdSkel ignores an animation that lacks one of the three"
+            raise FormatError(Fault("USD012", message, where, (), hint))
+    mover = _mover(root)
+    times = {t for attr in attributes.values() for t in attr.GetTimeSamples()}
+    times |= set(mover.GetTimeSamples()) if mover else set()
+    grid = _grid(sorted(times), stage)
+    if not grid.even:
+        message = f"samples are unevenly spaced; read every {float(grid.step):g} time codes"
+        notices.append(Fault("USD105", message, where, severity=Severity.NOTE))
+    fps = rate_from_float(stage.GetTimeCodesPerSecond())
+    clock = Clock(fps, grid.start, grid.step, grid.count)
+    codes = clock.times.tolist()
+    known = places >= 0
+
+    def values(name: str, rest: FloatArray) -> FloatArray:
+        rows = _values(attributes[name], codes, len(tokens), rest.shape[1], where)
+        whole = np.repeat(rest[None], len(codes), axis=0)
+        whole[:, places[known]] = rows[:, known]
+        return whole
+
+    meters = rig.meters_per_unit
+    translations = values("translations", rig.rest_translations / meters) * meters
+    rotations = values("rotations", rig.rest_rotations)
+    rotations = so3.align_signs(so3.normalize(rotations))
+    if mover is not None:
+        _carry_roots(rig, mover, codes, translations, rotations)
+    motion = Motion(
+        Channel.from_dense(translations),
+        Channel.from_dense(rotations),
+        _scales(values("scales", skeleton.rest_scales)),
+    )
+    stream = TakeStream.of(Take(rig, clock, motion))
+    stream.notices.extend(notices)
+    stream.details = _details(stage, skeleton)
+    stream.details["animation"] = str(animation.GetPath())
+    return stream
+
+
+def _scales(dense: FloatArray) -> Channel | None:
+    return None if (dense == 1.0).all() else Channel.from_dense(dense)
+
+
+def _values(
+    attr: Any, codes: list[float], joints: int, width: int, where: str
+) -> FloatArray:
+    """Return samples ``(F, J, K)``; F is 1 where the attribute does not change."""
+    changes = attr.GetNumTimeSamples() > 1
+    when = [Usd.TimeCode(c) for c in codes] if changes else [Usd.TimeCode.EarliestTime()]
+    rows = np.empty((len(when), joints, width))  # noqa: TID251 - every row is filled
+    for i, time in enumerate(when):
+        value = attr.Get(time)
+        if value is None or len(value) != joints:
+            count = 0 if value is None else len(value)
+            message = f"{attr.GetName()} has {count} values for {joints} joints"
+            hint = f"time code {time.GetValue():g}; UsdSkel falls back to rest"
+            raise FormatError(Fault("USD013", message, where, (), hint))
+        rows[i] = np.array(value, np.float64).reshape(joints, width)
+    if not np.isfinite(rows).all():
+        frame, joint, _ = np.argwhere(~np.isfinite(rows))[0]
+        message = f"{attr.GetName()} is not finite"
+        hint = f"time code {when[frame].GetValue():g}, joint {joint}"
+        raise FormatError(Fault("USD014", message, where, (), hint))
+    return rows
+
+
+def _mover(root: Any) -> Any:
+    """Return the SkelRoot where it has a transform of its own, else None."""
+    prim = UsdGeom.Xformable(root.GetPrim()) if root else None
+    return prim if prim and prim.GetXformOpOrderAttr().Get() else None
+
+
+def _carry_roots(
+    rig: Rig,
+    mover: Any,
+    codes: list[float],
+    translations: FloatArray,
+    rotations: FloatArray,
+) -> None:
+    """Give the roots the motion of the SkelRoot, in place."""
+    matrices = np.array([mover.GetLocalTransformation(Usd.TimeCode(c)) for c in codes])
+    moves, turns, scales = decompose(matrices)
+    moves = moves * rig.meters_per_unit
+    for root in rig.roots:
+        scaled = scales * translations[:, root]
+        translations[:, root] = so3.rotate(turns, scaled) + moves
+        rotations[:, root] = so3.multiply(turns, rotations[:, root])
+    rotations[:] = so3.align_signs(rotations)
+
+
+def _details(stage: Any, skeleton: SkeletonRig) -> dict[str, object]:
+    return {
+        "format": "USD",
+        "layers": len(stage.GetUsedLayers()),
+        "units": unit_name(skeleton.rig.meters_per_unit),
+    }

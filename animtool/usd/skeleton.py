@@ -1,0 +1,119 @@
+"""Authoring a rig's prims: model, SkelRoot, Skeleton."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pxr import Sdf, Vt
+
+from animtool._types import FloatArray
+from animtool.maths import so3
+from animtool.rig.kinematics import rest_world
+from animtool.rig.skeleton import Rig
+from animtool.usd.layers import attribute, prim, relationship
+from animtool.usd.names import UsdNames
+
+__all__ = ["RigPaths", "author_binding", "author_rig", "joint_extras"]
+
+_EXTRAS_VERSION = 1
+
+
+@dataclass(frozen=True, slots=True)
+class RigPaths:
+    """Where a character's prims are.
+
+    Attributes:
+        model: The component, ``/hero``.
+        root: The SkelRoot, ``/hero/Rig``.
+        skeleton: The Skeleton, ``/hero/Rig/Skel``.
+        animation: The SkelAnimation, ``/hero/Rig/Anim``.
+        binding: The prim that carries ``skel:animationSource``.
+    """
+
+    model: str
+    root: str
+    skeleton: str
+    animation: str
+    binding: str
+
+    @staticmethod
+    def below(model: str) -> RigPaths:
+        """Return the usual paths below a model."""
+        root = f"{model}/Rig"
+        return RigPaths(model, root, f"{root}/Skel", f"{root}/Anim", root)
+
+
+def author_rig(
+    layer: Any, rig: Rig, names: UsdNames, paths: RigPaths, meters_per_unit: float
+) -> None:
+    """Write the model, the SkelRoot and the Skeleton of a rig."""
+    model = prim(layer, paths.model, "Xform")
+    model.SetInfo("kind", "component")
+    for ancestor in Sdf.Path(paths.model).GetAncestorsRange():
+        if ancestor != model.path and not ancestor.IsAbsoluteRootPath():
+            prim(layer, str(ancestor), "Xform").SetInfo("kind", "group")
+    prim(layer, paths.root, "SkelRoot")
+    spec = prim(layer, paths.skeleton, "Skeleton")
+    types = Sdf.ValueTypeNames
+    tokens = Vt.TokenArray(rig.paths(names.names))
+    attribute(spec, "joints", types.TokenArray, tokens, uniform=True)
+    world = rest_world(rig)
+    bind = _matrices(world.positions[0] / meters_per_unit, world.linear[0])
+    local = so3.to_matrix(rig.rest_rotations)
+    rest = _matrices(rig.rest_translations / meters_per_unit, local)
+    matrices = types.Matrix4dArray
+    attribute(spec, "bindTransforms", matrices, bind, uniform=True)
+    attribute(spec, "restTransforms", matrices, rest, uniform=True)
+    extras = joint_extras(rig, names.names)
+    data: dict[str, Any] = {}
+    if extras:
+        data["rig"] = extras
+    if names.originals:
+        data["names"] = names.originals
+    if data:
+        spec.SetInfo("customData", {"animtool": data})
+
+
+def _matrices(positions: FloatArray, linear: FloatArray) -> Any:
+    """Return row-vector matrices, as USD has them."""
+    whole = np.zeros((len(positions), 4, 4))
+    whole[:, :3, :3] = linear.swapaxes(-1, -2)
+    whole[:, 3, :3] = positions
+    whole[:, 3, 3] = 1.0
+    return Vt.Matrix4dArray.FromNumpy(whole)
+
+
+def joint_extras(rig: Rig, names: list[str]) -> str:
+    """Return what USD has no place for, as canonical JSON; empty if there is none.
+
+    Channel orders and the ends of bones [m], by USD name.
+    """
+    joints: dict[str, dict[str, object]] = {}
+    for joint, name in zip(rig.joints, names, strict=True):
+        entry: dict[str, object] = {}
+        if joint.channels is not None:
+            entry["channels"] = list(joint.channels)
+        if joint.tips:
+            entry["tips"] = [list(tip) for tip in joint.tips]
+        if entry:
+            joints[name] = entry
+    if not joints:
+        return ""
+    content = {"animtool": _EXTRAS_VERSION, "joints": joints}
+    return json.dumps(content, sort_keys=True, separators=(",", ":"))
+
+
+def author_binding(layer: Any, paths: RigPaths, *, skeleton: bool) -> None:
+    """Bind the animation, and the skeleton too where the rig does not."""
+    spec = layer.GetPrimAtPath(paths.binding)
+    if spec is None:
+        spec = prim(layer, paths.binding, over=True)
+    schemas = Sdf.TokenListOp()
+    schemas.prependedItems = ["SkelBindingAPI"]
+    spec.SetInfo("apiSchemas", schemas)
+    relationship(spec, "skel:animationSource", paths.animation)
+    if skeleton:
+        relationship(spec, "skel:skeleton", paths.skeleton)

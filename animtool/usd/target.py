@@ -1,0 +1,267 @@
+"""The rig that an animation layer is made for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
+
+from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault, FormatError, Severity, excerpt
+from animtool.rates import rate_from_float
+from animtool.rig.skeleton import Joint, Rig
+from animtool.take import Channel, Motion
+from animtool.usd.names import joint_names
+from animtool.usd.rig_prims import (
+    SkeletonRig,
+    check_prim_path,
+    find_skeletons,
+    open_stage,
+    prim_below,
+    skeleton_rig,
+    up_axis,
+)
+from animtool.usd.skeleton import RigPaths
+
+__all__ = ["JointMap", "RigTarget", "map_joints", "open_target"]
+
+
+@dataclass(frozen=True, slots=True)
+class RigTarget:
+    """A rig on a stage, and where a layer over it has its prims.
+
+    Attributes:
+        path: The file.
+        stage: It, opened.
+        skeleton: Its rig.
+        paths: Prims as the layer names them.
+        stage_model: The model as the rig's own stage names it.
+        fps: The stage's time codes a second.
+        start: The stage's start time code, where it states one.
+        operations: Transform operations of the SkelRoot.
+        skeletons: How many skeletons share the SkelRoot's extent.
+    """
+
+    path: Path
+    stage: Any
+    skeleton: SkeletonRig
+    paths: RigPaths
+    stage_model: str
+    fps: Fraction
+    start: Fraction | None
+    operations: list[str]
+    skeletons: int
+
+    @property
+    def default_prim(self) -> str:
+        """Name of the root prim that the layer's overs stand below."""
+        return Sdf.Path(self.paths.model).GetPrefixes()[0].name
+
+
+def open_target(path: Path, prim_path: str | None) -> RigTarget:
+    """Open the stage that holds a rig: a rig layer, or a shot that refers to one.
+
+    Args:
+        path: The file.
+        prim_path: The character where the stage has it; or where a shot will have
+            it, if the stage has no such prim.
+
+    Raises:
+        FormatError: It is no USD file or holds no character.
+        OptionError: ``prim_path`` is no path.
+    """
+    stage = open_stage(path)
+    moved_to = None
+    if prim_path is not None:
+        check_prim_path(prim_path)
+        if not stage.GetPrimAtPath(prim_path):
+            prim_path, moved_to = None, prim_path
+    below = prim_below(stage, prim_path)
+    skeletons = find_skeletons(stage, below)
+    if not skeletons:
+        message = f"holds no Skeleton below {below}"
+        hint = "--rig-layer names a layer that --split wrote, or a shot that uses one"
+        raise FormatError(Fault("USD008", message, str(path), (), hint))
+    prim = skeletons[0].GetPrim()
+    root = UsdSkel.Root.Find(prim)
+    if not root:
+        message = f"the Skeleton {prim.GetPath()} is in no SkelRoot"
+        raise FormatError(Fault("USD009", message, str(path)))
+    model = _model(stage, root, prim_path)
+    paths = RigPaths(
+        str(model),
+        str(root.GetPath()),
+        str(prim.GetPath()),
+        str(root.GetPath().AppendChild("Anim")),
+        _binding(prim, root),
+    )
+    if moved_to is not None:
+        paths = _moved(paths, str(model), moved_to)
+    start = None
+    if stage.HasAuthoredMetadata("startTimeCode"):
+        start = Fraction(stage.GetStartTimeCode()).limit_denominator(1_000_000)
+    order = UsdGeom.Xformable(root).GetXformOpOrderAttr().Get() or ()
+    return RigTarget(
+        path,
+        stage,
+        skeleton_rig(skeletons[0], path),
+        paths,
+        str(model),
+        rate_from_float(stage.GetTimeCodesPerSecond()),
+        start,
+        [str(name) for name in order if "rootMotion" not in str(name)],
+        len(find_skeletons(stage, str(root.GetPath()))),
+    )
+
+
+def _model(stage: Any, root: Any, prim_path: str | None) -> Any:
+    """Return the path of the prim that stands for the character."""
+    if prim_path is not None and root.GetPath().HasPrefix(Sdf.Path(prim_path)):
+        return Sdf.Path(prim_path)
+    default = stage.GetDefaultPrim()
+    if default and root.GetPath().HasPrefix(default.GetPath()):
+        return default.GetPath()
+    return root.GetPath().GetPrefixes()[0]
+
+
+def _binding(skeleton: Any, root: Any) -> str:
+    """Return the prim nearest to the Skeleton that binds an animation, else the root."""
+    prim = skeleton
+    while prim and prim.GetPath().HasPrefix(root.GetPath()):
+        source = prim.GetRelationship("skel:animationSource")
+        if source and source.HasAuthoredTargets():
+            return str(prim.GetPath())
+        prim = prim.GetParent()
+    return str(root.GetPath())
+
+
+def _moved(paths: RigPaths, model: str, to: str) -> RigPaths:
+    def move(path: str) -> str:
+        return str(Sdf.Path(path).ReplacePrefix(Sdf.Path(model), Sdf.Path(to)))
+
+    return RigPaths(
+        move(paths.model),
+        move(paths.root),
+        move(paths.skeleton),
+        move(paths.animation),
+        move(paths.binding),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class JointMap:
+    """How the joints of a take stand in a target rig.
+
+    Attributes:
+        rig: The target's joints.
+        source: Joint of the take for each joint of the target ``(J,)``, -1 for none.
+        rest_scales: Scale of the target's rest ``(J, 3)``.
+        notices: Joints of the take that the target lacks.
+    """
+
+    rig: Rig
+    source: IntArray
+    rest_scales: FloatArray
+    notices: list[Fault]
+
+    def apply(self, motion: Motion) -> Motion:
+        """Return the motion of the target; joints that the take lacks are at rest."""
+        scales = motion.scales
+        mapped = None
+        if scales is not None or (self.rest_scales != 1.0).any():
+            if scales is None:
+                still = np.zeros((motion.frames, 0, 3))
+                mapped = Channel(self.rest_scales, _NONE, still)
+            else:
+                mapped = self._channel(scales, self.rest_scales)
+        return Motion(
+            self._channel(motion.translations, self.rig.rest_translations),
+            self._channel(motion.rotations, self.rig.rest_rotations),
+            mapped,
+        )
+
+    def _channel(self, channel: Channel, rest: FloatArray) -> Channel:
+        has = self.source >= 0
+        still = rest.copy()
+        still[has] = channel.rest[self.source[has]]
+        place = {int(joint): i for i, joint in enumerate(channel.animated)}
+        animated = [j for j, s in enumerate(self.source.tolist()) if s in place]
+        columns = [place[int(self.source[j])] for j in animated]
+        return Channel(still, np.array(animated, np.int64), channel.values[:, columns])
+
+
+_NONE: IntArray = np.zeros(0, np.int64)
+
+
+def map_joints(take: Rig, target: RigTarget, strip_namespaces: int) -> JointMap:
+    """Match joints by path, else by name, legal or original.
+
+    Raises:
+        FormatError: No joint of the take is in the target.
+    """
+    names = joint_names(take.joints, strip_namespaces)
+    by_key: dict[str, int] = {}
+    for i, (joint, name) in enumerate(zip(take.joints, names.names, strict=True)):
+        for key in (joint.source_name or joint.name, joint.name, name):
+            by_key.setdefault(key, i)
+    for i, path in enumerate(take.paths(names.names)):
+        by_key[f"/{path}"] = i
+    source = []
+    skeleton = target.skeleton
+    for joint, token in zip(skeleton.rig.joints, skeleton.tokens, strict=True):
+        keys = (f"/{token}", _original(joint), joint.name)
+        found = next((by_key[key] for key in keys if key in by_key), -1)
+        source.append(-1 if found in source else found)
+    missing = [j.name for i, j in enumerate(take.joints) if i not in set(source)]
+    if len(missing) == len(take.joints):
+        mine, theirs = excerpt(take.names[0]), excerpt(skeleton.rig.names[0])
+        message = f"no joint of the take ({mine} …) is in the rig ({theirs} …)"
+        hint = "--strip-namespace drops leading 'ns:' parts"
+        raise FormatError(Fault("USD010", message, str(target.path), (), hint))
+    notices = []
+    if missing:
+        listed = ", ".join(missing[:5]) + (" …" if len(missing) > 5 else "")
+        message = f"{len(missing)} joints of the take are not in the rig: {listed}"
+        hint = "they are left out"
+        notices.append(
+            Fault("USD102", message, str(target.path), (), hint, Severity.WARNING)
+        )
+    return JointMap(
+        skeleton.rig, np.array(source, np.int64), skeleton.rest_scales, notices
+    )
+
+
+def _original(joint: Joint) -> str:
+    return joint.source_name or joint.name
+
+
+def compose_check(target: RigTarget, layer: Any) -> Any:
+    """Return a stage of the layer over its rig, as a shot would compose them."""
+    stage = Usd.Stage.CreateInMemory()
+    root = stage.GetRootLayer()
+    if target.paths.model == target.stage_model:
+        root.subLayerPaths = [layer.identifier, target.stage.GetRootLayer().identifier]
+    else:
+        root.subLayerPaths = [layer.identifier]
+        prim = stage.OverridePrim(target.paths.model)
+        rig = target.stage.GetRootLayer().identifier
+        prim.GetReferences().AddReference(rig, target.stage_model)
+    stage.SetTimeCodesPerSecond(layer.timeCodesPerSecond)
+    return stage
+
+
+def resolved_animation(stage: Any, skeleton_path: str) -> str:
+    """Return the path of the animation that UsdSkel resolves for a Skeleton."""
+    skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath(skeleton_path))
+    root = UsdSkel.Root.Find(skeleton.GetPrim())
+    cache = UsdSkel.Cache()
+    cache.Populate(root, Usd.TraverseInstanceProxies())
+    query = cache.GetSkelQuery(skeleton)
+    if not query or not query.GetAnimQuery():
+        return ""
+    return str(query.GetAnimQuery().GetPrim().GetPath())
+
