@@ -47,7 +47,9 @@ def _table(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text("utf-8"))
     except (OSError, ValueError) as error:
-        raise OptionError(Fault("CFG001", f"cannot be read: {error}", str(path))) from error
+        raise OptionError(
+            Fault("CFG001", f"cannot be read: {error}", str(path))
+        ) from error
 
 
 def _config(path: Path, table: dict[str, Any]) -> Config:
@@ -55,8 +57,12 @@ def _config(path: Path, table: dict[str, Any]) -> Config:
     for name in table:
         if name not in names:
             allowed = f"allowed: {', '.join(names)}"
-            raise OptionError(Fault("CFG002", f"unknown setting {name!r}", str(path), (), allowed))
+            raise OptionError(
+                Fault("CFG002", f"unknown setting {name!r}", str(path), (), allowed)
+            )
     start = table.get("start")
     if start is not None and (isinstance(start, bool) or not isinstance(start, int)):
-        raise OptionError(Fault("CFG003", f"start is {start!r}, not a whole number", str(path)))
+        raise OptionError(
+            Fault("CFG003", f"start is {start!r}, not a whole number", str(path))
+        )
     return Config(None if start is None else Fraction(start))

@@ -26,9 +26,13 @@ def check_outputs(
     for path in outputs:
         if path.resolve() in taken:
             message = "is an input of this very command"
-            raise OptionError(Fault("OUT003", message, str(path), (), "name another -o"))
+            raise OptionError(
+                Fault("OUT003", message, str(path), (), "name another -o")
+            )
         if path.is_dir():
-            raise OutputError(Fault("OUT002", "is a folder", str(path), (), "name a file"))
+            raise OutputError(
+                Fault("OUT002", "is a folder", str(path), (), "name a file")
+            )
         folder = path.parent
         try:
             exists = path.exists()
@@ -52,7 +56,9 @@ def output_error(path: Path, error: BaseException | str) -> OutputError:
     if isinstance(error, OSError):
         reason = error.strerror or str(error)
     hint = "free some space" if getattr(error, "errno", 0) == errno.ENOSPC else None
-    return OutputError(Fault("OUT002", f"cannot be written: {reason}", str(path), (), hint))
+    return OutputError(
+        Fault("OUT002", f"cannot be written: {reason}", str(path), (), hint)
+    )
 
 
 @contextlib.contextmanager

@@ -49,7 +49,7 @@ def prefetch(items: Iterator[T], depth: int = 3) -> Generator[T]:
                 if stopped.is_set():
                     return
             put(_End())
-        except BaseException as error:  # noqa: BLE001 - raised again by the reader
+        except BaseException as error:
             put(_End(error))
 
     thread = threading.Thread(target=work, name="animtool-prefetch", daemon=True)

@@ -52,8 +52,9 @@ def rate_from_frame_time(text: str) -> RateChoice:
     """Return the rate that a printed frame time [s] stands for.
 
     An integer whose reciprocal, rounded to the digits printed, is the printed
-    value (of several, the exact one, else a usual one, else the nearest); else the nearest of the integers 1 to 1000 and N·1000/1001 within
-    2.5e-4; else the reciprocal of the printed decimal.
+    value (of several, the exact one, else a usual one, else the nearest); else the
+    nearest of the integers 1 to 1000 and N·1000/1001 within 2.5e-4; else the
+    reciprocal of the printed decimal.
 
     Raises:
         ValueError: The text is not a positive finite decimal number.
@@ -120,7 +121,10 @@ def rate_from_float(fps: float) -> Fraction:
     if not 0 < fps < float("inf"):
         raise ValueError(f"{fps!r} is not a positive number")
     exact = Fraction(fps)
-    for candidate in (Fraction(round(exact)), Fraction(round(exact * 1001 / 1000)) * 1000 / 1001):
+    for candidate in (
+        Fraction(round(exact)),
+        Fraction(round(exact * 1001 / 1000)) * 1000 / 1001,
+    ):
         if candidate and abs(candidate - exact) <= candidate / 1_000_000:
             return candidate
     return exact.limit_denominator(1_000_000)
@@ -153,7 +157,9 @@ def parse_rate(text: str) -> Fraction:
     try:
         rate = Fraction(text)
     except (ValueError, ZeroDivisionError) as error:
-        raise ValueError(f"{text!r} is not a frame rate such as 24, 23.976 or 24000/1001") from error
+        raise ValueError(
+            f"{text!r} is not a frame rate such as 24, 23.976 or 24000/1001"
+        ) from error
     if rate <= 0:
         raise ValueError(f"a frame rate is positive, not {text}")
     return rate

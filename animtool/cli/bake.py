@@ -58,7 +58,9 @@ Examples:
     help="One file with skeleton and animation, or only the animation, over a rig "
     "layer.  [default: layer where there is --rig-layer, else stage]",
 )
-@click.option("--split", is_flag=True, help="A stage in three files: X.rig.usda, X.anim.usdc, X.")
+@click.option(
+    "--split", is_flag=True, help="A stage in three files: X.rig.usda, X.anim.usdc, X."
+)
 @click.option(
     "--rig-layer",
     type=click.Path(path_type=Path),
@@ -66,7 +68,11 @@ Examples:
     help="The rig that a layer is for, or a shot that holds it; its units, up axis, "
     "rate and start are adopted.",
 )
-@click.option("--prim-path", metavar="PATH", help="Where the character stands, such as /World/hero.")
+@click.option(
+    "--prim-path",
+    metavar="PATH",
+    help="Where the character stands, such as /World/hero.",
+)
 @click.option("--bones", is_flag=True, help="Add light geometry that shows the joints.")
 @click.option(
     "--strip-namespace",
@@ -84,9 +90,13 @@ Examples:
     help="Where the rest pose comes from.  [default: offsets]",
 )
 @source_options
-@click.option("--to-units", type=click.Choice(["m", "cm", "mm", "in"]), help="Unit of the output.")
 @click.option(
-    "--to-up", type=click.Choice(["Y", "Z"], case_sensitive=False), help="Up axis of the output."
+    "--to-units", type=click.Choice(["m", "cm", "mm", "in"]), help="Unit of the output."
+)
+@click.option(
+    "--to-up",
+    type=click.Choice(["Y", "Z"], case_sensitive=False),
+    help="Up axis of the output.",
 )
 @click.option("--fps", type=RATE, metavar="RATE", help="Frames a second of the output.")
 @click.option(
@@ -117,14 +127,20 @@ Examples:
     show_default=True,
     help="What carries the root's motion.",
 )
-@click.option("--sparse", is_flag=True, help="Write only the joints that leave their rest.")
-@click.option("--strict", is_flag=True, help="Take warnings for errors and write nothing.")
+@click.option(
+    "--sparse", is_flag=True, help="Write only the joints that leave their rest."
+)
+@click.option(
+    "--strict", is_flag=True, help="Take warnings for errors and write nothing."
+)
 @click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
-@click.option("--skip-existing", is_flag=True, help="Do nothing where the output exists.")
+@click.option(
+    "--skip-existing", is_flag=True, help="Do nothing where the output exists."
+)
 @format_option
 @common_options
 @click.pass_obj
-def bake(console: Console, source: Path, output: Path | None, **given: Any) -> None:
+def bake(console: Console, /, source: Path, output: Path | None, **given: Any) -> None:
     """Bake SOURCE, a BVH or USD file, to a USD animation that plays.
 
     The summary says what was written and the error made: the largest distance

@@ -55,7 +55,9 @@ class Console:
             if self.verbosity >= 0 or fault.severity is Severity.ERROR:
                 label = self._color(str(fault.severity), _COLORS[fault.severity])
                 entry = {"level": str(fault.severity), **fault.as_dict()}
-                self._line(entry, f"{fault}  [{label}]" if _plain(fault) else str(fault))
+                self._line(
+                    entry, f"{fault}  [{label}]" if _plain(fault) else str(fault)
+                )
 
     def error(self, message: str) -> None:
         """Write an error that has no code to stderr."""

@@ -27,13 +27,17 @@ Examples:
 @click.argument("source", type=click.Path(path_type=Path))
 @click.argument("output", type=click.Path(path_type=Path))
 @source_options
-@click.option("--prim-path", metavar="PATH", help="The character, where a stage has several.")
-@click.option("--strict", is_flag=True, help="Take warnings for errors and write nothing.")
+@click.option(
+    "--prim-path", metavar="PATH", help="The character, where a stage has several."
+)
+@click.option(
+    "--strict", is_flag=True, help="Take warnings for errors and write nothing."
+)
 @click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
 @format_option
 @common_options
 @click.pass_obj
-def convert(console: Console, source: Path, output: Path, **given: Any) -> None:
+def convert(console: Console, /, source: Path, output: Path, **given: Any) -> None:
     """Convert SOURCE to OUTPUT: BVH to USD, USD to BVH.
 
     Joints that came from a BVH get their channel order and names back.

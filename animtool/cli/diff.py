@@ -47,7 +47,7 @@ Examples:
 @format_option
 @common_options
 @click.pass_obj
-def diff(console: Console, first: Path, second: Path, **given: Any) -> None:
+def diff(console: Console, /, first: Path, second: Path, **given: Any) -> None:
     """Compare the takes of FIRST and SECOND, joints by name, in metres.
 
     Exit code 1 where they differ by more than the tolerances, or one has joints,
@@ -65,10 +65,10 @@ def diff(console: Console, first: Path, second: Path, **given: Any) -> None:
         lines = [f"{found.joints} joints, {found.frames} frames compared"]
         for kind, unit in (("world", "m"), ("translation", "m"), ("rotation", "deg")):
             largest = getattr(found, kind)
-            where = f"  joint {largest.joint!r}, time code {largest.code:g}"
-            lines.append(
-                f"  {kind:<12}{largest.value:.3g} {unit}{where if largest.value else ''}"
-            )
+            line = f"  {kind:<12}{largest.value:.3g} {unit}"
+            if largest.value:
+                line += f"  joint {largest.joint!r}, time code {largest.code:g}"
+            lines.append(line)
         lines += [f"  {text}" for text in found.mismatches]
         lines.append("same" if same else "different")
         console.result("\n".join(lines))

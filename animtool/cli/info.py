@@ -29,11 +29,13 @@ Examples:
 )
 @click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
 @source_options
-@click.option("--prim-path", metavar="PATH", help="The character, where a stage has several.")
+@click.option(
+    "--prim-path", metavar="PATH", help="The character, where a stage has several."
+)
 @format_option
 @common_options
 @click.pass_obj
-def info(console: Console, files: tuple[Path, ...], **given: Any) -> None:
+def info(console: Console, /, files: tuple[Path, ...], **given: Any) -> None:
     """Say what is in BVH and USD files: joints, frames, rate, bounds, what is odd."""
     from animtool.errors import AnimtoolError
     from animtool.report.describe import describe
@@ -71,7 +73,9 @@ def _text(found: TakeDescription) -> list[str]:
     moving = ", ".join(f"{count} {kind}" for kind, count in found.animated.items())
     channels = "" if found.channels is None else f", {found.channels} channels"
     roots = ", ".join(found.roots[:4]) + (" …" if len(found.roots) > 4 else "")
-    corners = " to ".join("(" + ", ".join(f"{x:.4g}" for x in c) + ")" for c in (low, high))
+    corners = " to ".join(
+        "(" + ", ".join(f"{x:.4g}" for x in c) + ")" for c in (low, high)
+    )
     return [
         f"{found.path}: {found.format}",
         f"  joints    {found.joints} below {roots}{channels}",
@@ -80,5 +84,7 @@ def _text(found: TakeDescription) -> list[str]:
         f"{float(found.end):g}",
         f"  animated  {moving} joints of {found.joints}; the rest never move",
         f"  bounds    {corners} {found.units}, {found.up} up",
-        f"  odd       {len(found.notices)} notices" if found.notices else "  odd       nothing",
+        f"  odd       {len(found.notices)} notices"
+        if found.notices
+        else "  odd       nothing",
     ]

@@ -122,40 +122,45 @@ def run(arguments: Sequence[str]) -> int:
     try:
         code = cli.main(list(arguments), "animtool", standalone_mode=False, obj=console)
         sys.stdout.flush()
-    except AnimtoolError as error:
+    except (Exception, KeyboardInterrupt, click.Abort, _TerminatedError) as error:
         if console.debug:
             raise
-        console.faults(error.faults)
-        if isinstance(error, StrictError):
-            console.say("warnings are errors under --strict: nothing was written")
-        return int(error.exit_code)
-    except click.ClickException as error:
-        _usage(console, error)
-        return int(ExitCode.USAGE)
-    except (KeyboardInterrupt, click.Abort):
-        console.error("interrupted: nothing was written")
-        return int(ExitCode.INTERRUPTED)
-    except _TerminatedError:
-        console.error("terminated: nothing was written")
-        return 128 + signal.SIGTERM
-    except BrokenPipeError:
-        # Whoever read stdout has gone, which is no fault; nor may Python's own
-        # flush at exit complain.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return int(ExitCode.OK)
-    except MemoryError:
-        console.error("not enough memory")
-        return int(ExitCode.INTERNAL)
-    except Exception as error:
-        if console.debug:
-            raise
-        console.error(
-            f"internal error: {type(error).__name__}: {error}\n"
-            "This is a fault of animtool's. --debug shows where; please report it."
-        )
-        return int(ExitCode.INTERNAL)
-    else:
-        return int(code or 0)
+        return _report(console, error)
+    return int(code or 0)
+
+
+def _report(console: Console, error: BaseException) -> int:
+    """Say what ended the command and return the exit code for it."""
+    match error:
+        case AnimtoolError():
+            console.faults(error.faults)
+            if isinstance(error, StrictError):
+                console.say("warnings are errors under --strict: nothing was written")
+            code = int(error.exit_code)
+        case click.ClickException():
+            _usage(console, error)
+            code = int(ExitCode.USAGE)
+        case KeyboardInterrupt() | click.Abort():
+            console.error("interrupted: nothing was written")
+            code = int(ExitCode.INTERRUPTED)
+        case _TerminatedError():
+            console.error("terminated: nothing was written")
+            code = 128 + signal.SIGTERM
+        case BrokenPipeError():
+            # Whoever read stdout has gone, which is no fault; nor may Python's own
+            # flush at exit complain.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            code = int(ExitCode.OK)
+        case MemoryError():
+            console.error("not enough memory")
+            code = int(ExitCode.INTERNAL)
+        case _:
+            console.error(
+                f"internal error: {type(error).__name__}: {error}\n"
+                "This is a fault of animtool's. --debug shows where; please report it."
+            )
+            code = int(ExitCode.INTERNAL)
+    return code
 
 
 def _usage(console: Console, error: click.ClickException) -> None:

@@ -70,7 +70,9 @@ def common_options(command: Command) -> Command:
             expose_value=False,
             is_eager=True,
             envvar="ANIMTOOL_LOG_FORMAT",
-            callback=lambda ctx, _, given: _set("json_log", True)(ctx, _, given == "json"),
+            callback=lambda ctx, _, given: _set("json_log", True)(
+                ctx, _, given == "json"
+            ),
             help="How lines on stderr are written.",
             show_default=True,
         ),

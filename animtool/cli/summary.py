@@ -23,12 +23,17 @@ def bake_text(report: BakeReport) -> list[str]:
     result, seconds = report.result, report.seconds
     files = ", ".join(map(str, result.outputs)) or "stdout"
     unit = unit_name(report.meters_per_unit)
-    frames = f"{result.samples} samples, frames {_number(result.first)} to {_number(result.last)}"
+    first, last = _number(result.first), _number(result.last)
+    frames = f"{result.samples} samples, frames {first} to {last}"
     if report.source_fps != report.fps or report.source_frames != result.samples:
         frames += f" of {report.source_frames} at {rate_label(report.source_fps)}"
     megabytes = report.source_bytes / 1e6
     error = result.rounding.error / report.meters_per_unit
-    where = f" (joint {report.error_joint!r}, frame {result.rounding.code:g})" if error else ""
+    where = (
+        f" (joint {report.error_joint!r}, frame {result.rounding.code:g})"
+        if error
+        else ""
+    )
     moving = " and ".join(result.sampled) or "nothing"
     return [
         f"{files}: {report.form}",

@@ -95,11 +95,15 @@ def _codes(first: Fraction, wanted: range) -> FloatArray:
 def _within(frame_range: FrameRange, start: Fraction, whole: int) -> range:
     """Return the indices of a range's frames that the take has."""
     if start.denominator != 1:
-        raise ValueError("--range counts whole frames, and the first frame is not whole")
+        raise ValueError(
+            "--range counts whole frames, and the first frame is not whole"
+        )
     first, last = frame_range.first - int(start), frame_range.last - int(start)
-    low = first if first >= 0 else first + -(first // frame_range.step) * frame_range.step
+    low = (
+        first if first >= 0 else first + -(first // frame_range.step) * frame_range.step
+    )
     wanted = range(low, min(last, whole) + 1, frame_range.step)
-    if not len(wanted):
+    if not wanted:
         raise ValueError(
             f"--range {frame_range.first}-{frame_range.last} has no frame of the take, "
             f"which has {int(start)}-{int(start) + whole}"
@@ -149,6 +153,26 @@ def _kept_samples(
     return SampleTimes(first, last, codes, frames, np.zeros(len(frames)))
 
 
+@dataclass(frozen=True, slots=True)
+class _Positions:
+    """Where samples lie: at or between two frames."""
+
+    frames: IntArray
+    fractions: FloatArray
+
+    def blend(self, channel: Channel) -> Channel:
+        values = channel.values[self.frames]
+        between = self.fractions > 0
+        weight = self.fractions[between, None]
+        if weight.size and values.size:
+            low, high = values[between], channel.values[self.frames[between] + 1]
+            if values.shape[-1] == 4:
+                values[between] = so3.slerp(low, high, weight)
+            else:
+                values[between] = low + (high - low) * weight[..., None]
+        return Channel(channel.rest, channel.animated, values)
+
+
 def sample(take: Take, times: SampleTimes) -> Iterator[tuple[FloatArray, Motion]]:
     """Yield time codes and motion at sample times, block by block.
 
@@ -159,26 +183,6 @@ def sample(take: Take, times: SampleTimes) -> Iterator[tuple[FloatArray, Motion]
     motion = take.motion
     for begin in range(0, len(times.codes), BLOCK_FRAMES):
         part = slice(begin, begin + BLOCK_FRAMES)
-        frames, fractions = times.frames[part], times.fractions[part]
-        between = fractions > 0
-        after = np.where(between, frames + 1, frames)
-        weight = fractions[between, None]
+        at = _Positions(times.frames[part], times.fractions[part])
 
-        def blend(
-            channel: Channel,
-            frames: IntArray = frames,
-            after: IntArray = after,
-            between: FloatArray = between,
-            weight: FloatArray = weight,
-        ) -> Channel:
-            values = channel.values[frames]
-            if weight.size and values.size:
-                low, high = values[between], channel.values[after[between]]
-                if values.shape[-1] == 4:
-                    # Signs stay continuous: slerp may return either.
-                    values[between] = so3.slerp(low, high, weight)
-                else:
-                    values[between] = low + (high - low) * weight[..., None]
-            return Channel(channel.rest, channel.animated, values)
-
-        yield times.codes[part], motion.map(blend)
+        yield times.codes[part], motion.map(at.blend)

@@ -60,7 +60,7 @@ def conjugate(q: ArrayLike) -> FloatArray:
     >>> conjugate([0.6, 0, 0, 0.8]).tolist()
     [-0.6, -0.0, -0.0, 0.8]
     """
-    return np.asarray(q, np.float64) * np.array([-1.0, -1.0, -1.0, 1.0])
+    return np.asarray(np.asarray(q, np.float64) * [-1.0, -1.0, -1.0, 1.0])
 
 
 def normalize(q: ArrayLike) -> FloatArray:

@@ -79,9 +79,7 @@ def compare(
         is_bvh = Path(path).suffix.lower() == ".bvh"
         streams.append(open_source(path, options if is_bvh else None))
     one: TakeStream = streams[0]
-    return compare_takes(
-        one.collect(), reorient(streams[1], one.rig.up).collect()
-    )
+    return compare_takes(one.collect(), reorient(streams[1], one.rig.up).collect())
 
 
 def compare_takes(first: Take, second: Take) -> TakeDifference:

@@ -72,9 +72,7 @@ class TakeDescription:
         return values
 
 
-def describe(
-    path: Path | str, options: SourceOptions | None = None
-) -> TakeDescription:
+def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDescription:
     """Read a file and describe its take.
 
     Raises:

@@ -173,16 +173,25 @@ def plan_bake(
         stream = reorient(stream, options.to_up or stream.rig.up)
     fps = options.fps or (target.fps if target else stream.fps / stream.step)
     if target is not None and fps != target.fps:
-        message = (
-            f"--fps {float(fps):g} is not the rig layer's rate, {rate_label(target.fps)}"
-        )
+        theirs = rate_label(target.fps)
+        message = f"--fps {float(fps):g} is not the rig layer's rate, {theirs}"
         hint = "USD stretches time where a sublayer's rate is not its stage's"
         notices.append(
             Fault("USD106", message, str(target.path), (), hint, Severity.WARNING)
         )
     start = _start(options, target, stream, source)
     return BakePlan(
-        source, path, options, stream, form, reason, target, mapping, fps, start, notices
+        source,
+        path,
+        options,
+        stream,
+        form,
+        reason,
+        target,
+        mapping,
+        fps,
+        start,
+        notices,
     )
 
 
@@ -310,9 +319,7 @@ class _Counter:
 
 def _timed_blocks(
     plan: BakePlan, stream: TakeStream
-) -> tuple[
-    Iterator[tuple[FloatArray, Motion]], tuple[Fraction, Fraction] | None, Rig
-]:
+) -> tuple[Iterator[tuple[FloatArray, Motion]], tuple[Fraction, Fraction] | None, Rig]:
     """Return time codes with motions, first and last frame, and the rig at rest.
 
     The blocks stream through where each sample of the source is a sample of the
@@ -360,9 +367,12 @@ def _with_rest(plan: BakePlan, take: Take, frame: int) -> Rig:
     index = (frame - plan.start) * take.clock.rate / plan.fps
     if not 0 <= index <= take.clock.count - 1:
         last = plan.start + (take.clock.count - 1) * plan.fps / take.clock.rate
-        message = f"--rest frame:{frame}: the take has {float(plan.start):g} to {float(last):g}"
+        has = f"{float(plan.start):g} to {float(last):g}"
+        message = f"--rest frame:{frame}: the take has {has}"
         raise OptionError(Fault("CLI005", message, str(plan.source)))
-    pose = take.motion.map(lambda channel: channel.select(slice(int(index), int(index) + 1)))
+    pose = take.motion.map(
+        lambda channel: channel.select(slice(int(index), int(index) + 1))
+    )
     translations, rotations = pose.translations.dense()[0], pose.rotations.dense()[0]
     joints = []
     for joint, t, r in zip(
@@ -387,9 +397,9 @@ def _moving(plan: BakePlan, rig: Rig, motions: list[Motion]) -> BoolArray:
             channels.append((motion.scales, ones))
         for channel, rest in channels:
             moving |= (channel.rest != rest).any(axis=-1)
-            moving[channel.animated] |= (
-                channel.values != rest[channel.animated]
-            ).any(axis=(0, 2))
+            moving[channel.animated] |= (channel.values != rest[channel.animated]).any(
+                axis=(0, 2)
+            )
     if plan.options.root_motion:
         # The SkelRoot carries it; with several roots the others are relative to it.
         moving[rig.roots[0]] = False
@@ -428,8 +438,8 @@ def _unit_notice(plan: BakePlan, rig: Rig, size: float) -> list[Fault]:
     for unit in (LengthUnit.M, LengthUnit.CM, LengthUnit.IN, LengthUnit.MM):
         if low <= numbers * unit.meters <= high:
             message = (
-                f"the skeleton is {numbers:.4g} {unit_name(rig.meters_per_unit)} in size, "
-                f"which would fit {unit} better"
+                f"the skeleton is {numbers:.4g} {unit_name(rig.meters_per_unit)} "
+                f"in size, which would fit {unit} better"
             )
             return [
                 Fault(

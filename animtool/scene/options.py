@@ -131,7 +131,10 @@ def check_options(options: BakeOptions, *, to_stdout: bool) -> None:
     form = options.form or ("layer" if options.rig_layer else "stage")
     clashes = [
         (form == "layer" and options.rig_layer is None, "--as layer needs --rig-layer"),
-        (form != "layer" and options.rig_layer is not None, "--rig-layer goes with --as layer"),
+        (
+            form != "layer" and options.rig_layer is not None,
+            "--rig-layer goes with --as layer",
+        ),
         (form == "layer" and options.bones, "--bones never goes into a layer"),
         (
             form == "layer" and options.rest_frame is not None,
@@ -139,7 +142,7 @@ def check_options(options: BakeOptions, *, to_stdout: bool) -> None:
         ),
         (
             form == "layer" and (options.to_units or options.to_up) is not None,
-            "a layer adopts the units and up axis of its rig layer: no --to-units, --to-up",
+            "a layer adopts its rig layer's units and up axis: no --to-units, --to-up",
         ),
         (form == "split" and to_stdout, "--split writes three files, not stdout"),
         (

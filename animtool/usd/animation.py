@@ -25,10 +25,13 @@ FLOAT32_MAX = float(np.finfo(np.float32).max)
 
 @dataclass(frozen=True, slots=True)
 class RootPath:
-    """The motion of the SkelRoot: translations ``(F, 3)``, rotations ``(F, 4)``."""
+    """The motion of the SkelRoot: translations ``(F, 3)``, rotations ``(F, 4)``.
+
+    Written in float64, so it adds nothing to the error of the joints.
+    """
 
     translations: FloatArray
-    rotations: Float32Array
+    rotations: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,12 +98,6 @@ def round_blocks(
             written_r,
             None if scales is None else written_s.astype(np.float32),
         )
-        if root is not None:
-            # The SkelRoot's own rounding turns everything about its origin.
-            reach = np.linalg.norm(extents, axis=-1).max(axis=-1)
-            turned = so3.angle_between(root.rotations, root.rotations.astype(np.float32))
-            error += float((reach * turned).max(initial=0.0))
-            root = RootPath(root.translations, root.rotations.astype(np.float32))
         bounds = np.clip(extents, -FLOAT32_MAX, FLOAT32_MAX).astype(np.float32)
         yield WrittenBlock(
             codes,
@@ -270,7 +267,9 @@ class AnimationWriter:
     def author_bounds(self, extents: list[Float32Array]) -> None:
         """Write the SkelRoot's bounds ``(F, 2, 3)``, one array a block."""
         spec = self.layer.GetPrimAtPath(self.paths.root)
-        samples = _Samples(spec, "extent", Sdf.ValueTypeNames.Float3Array, Vt.Vec3fArray)
+        samples = _Samples(
+            spec, "extent", Sdf.ValueTypeNames.Float3Array, Vt.Vec3fArray
+        )
         for codes, bounds in zip(self._codes, extents, strict=True):
             samples.add(codes, bounds)
         samples.finish()
@@ -278,7 +277,8 @@ class AnimationWriter:
     @property
     def first_extent(self) -> Float32Array:
         """Bounds of the joints in the first sample ``(2, 3)``."""
-        return self._extents[0][0]
+        first: Float32Array = self._extents[0][0]
+        return first
 
     @property
     def codes(self) -> list[FloatArray]:
@@ -290,7 +290,7 @@ class AnimationWriter:
         types, suffix = Sdf.ValueTypeNames, ":rootMotion" if own_operations else ""
         names = [f"xformOp:translate{suffix}", f"xformOp:orient{suffix}"]
         move = attribute(spec, names[0], types.Double3)
-        turn = attribute(spec, names[1], types.Quatf)
+        turn = attribute(spec, names[1], types.Quatd)
         order = Vt.TokenArray(own_operations + names)
         attribute(spec, "xformOpOrder", types.TokenArray, order, uniform=True)
         put = self.layer.SetTimeSample
@@ -303,4 +303,4 @@ class AnimationWriter:
             ):
                 x, y, z, w = rotation
                 put(move.path, code, Gf.Vec3d(*position))
-                put(turn.path, code, Gf.Quatf(w, x, y, z))
+                put(turn.path, code, Gf.Quatd(w, x, y, z))

@@ -20,7 +20,16 @@ WAIST = 0.2
 HALF_WIDTH = 0.08
 
 _FACES = np.array(
-    [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 1], [5, 2, 1], [5, 3, 2], [5, 4, 3], [5, 1, 4]]
+    [
+        [0, 1, 2],
+        [0, 2, 3],
+        [0, 3, 4],
+        [0, 4, 1],
+        [5, 2, 1],
+        [5, 3, 2],
+        [5, 4, 3],
+        [5, 1, 4],
+    ]
 )
 
 
@@ -73,7 +82,11 @@ def author_bones(layer: Any, rig: Rig, paths: RigPaths, meters_per_unit: float) 
     attribute(spec, "subdivisionScheme", types.Token, "none", uniform=True)
     color = Vt.Vec3fArray([Gf.Vec3f(0.75, 0.72, 0.65)])
     attribute(
-        spec, "primvars:displayColor", types.Color3fArray, color, interpolation="constant"
+        spec,
+        "primvars:displayColor",
+        types.Color3fArray,
+        color,
+        interpolation="constant",
     )
     skinned = np.repeat(owners, 6).astype(np.int32)
     for name, kind, value in (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -152,7 +153,7 @@ def _grid(times: list[float], stage: Any) -> _Grid:
         start = times[0] if times else stage.GetStartTimeCode()
         return _Grid(_fraction(start), Fraction(1), 1, True)
     exact = [_fraction(time) for time in times]
-    gaps = {b - a for a, b in zip(exact, exact[1:], strict=False)}
+    gaps = {b - a for a, b in pairwise(exact)}
     step = _common_divisor(gaps)
     count = int((exact[-1] - exact[0]) / step) + 1
     if count <= FINEST_GRID * len(times):
@@ -200,7 +201,9 @@ def _read(
     times |= set(mover.GetTimeSamples()) if mover else set()
     grid = _grid(sorted(times), stage)
     if not grid.even:
-        message = f"samples are unevenly spaced; read every {float(grid.step):g} time codes"
+        message = (
+            f"samples are unevenly spaced; read every {float(grid.step):g} time codes"
+        )
         notices.append(Fault("USD105", message, where, severity=Severity.NOTE))
     fps = rate_from_float(stage.GetTimeCodesPerSecond())
     clock = Clock(fps, grid.start, grid.step, grid.count)
@@ -240,8 +243,10 @@ def _values(
 ) -> FloatArray:
     """Return samples ``(F, J, K)``; F is 1 where the attribute does not change."""
     changes = attr.GetNumTimeSamples() > 1
-    when = [Usd.TimeCode(c) for c in codes] if changes else [Usd.TimeCode.EarliestTime()]
-    rows = np.empty((len(when), joints, width))  # noqa: TID251 - every row is filled
+    when = (
+        [Usd.TimeCode(c) for c in codes] if changes else [Usd.TimeCode.EarliestTime()]
+    )
+    rows = np.empty((len(when), joints, width))
     for i, time in enumerate(when):
         value = attr.Get(time)
         if value is None or len(value) != joints:

@@ -102,7 +102,13 @@ def skeleton_rig(skeleton: Any, path: Path) -> SkeletonRig:
     model = skeleton.GetPrim().GetParent().GetParent() or skeleton.GetPrim()
     name = model.GetName() if model.GetName() != "/" else skeleton.GetPrim().GetName()
     return rig_from_tokens(
-        tokens, rest, name, where, UsdGeom.GetStageMetersPerUnit(stage), up_axis(stage), data
+        tokens,
+        rest,
+        name,
+        where,
+        UsdGeom.GetStageMetersPerUnit(stage),
+        up_axis(stage),
+        data,
     )
 
 

@@ -23,7 +23,6 @@ from animtool.usd.rig_prims import (
     open_stage,
     prim_below,
     skeleton_rig,
-    up_axis,
 )
 from animtool.usd.skeleton import RigPaths
 
@@ -59,7 +58,7 @@ class RigTarget:
     @property
     def default_prim(self) -> str:
         """Name of the root prim that the layer's overs stand below."""
-        return Sdf.Path(self.paths.model).GetPrefixes()[0].name
+        return str(Sdf.Path(self.paths.model).GetPrefixes()[0].name)
 
 
 def open_target(path: Path, prim_path: str | None) -> RigTarget:
@@ -75,7 +74,7 @@ def open_target(path: Path, prim_path: str | None) -> RigTarget:
         OptionError: ``prim_path`` is no path.
     """
     stage = open_stage(path)
-    moved_to = None
+    moved_to: str | None = None
     if prim_path is not None:
         check_prim_path(prim_path)
         if not stage.GetPrimAtPath(prim_path):
@@ -129,7 +128,7 @@ def _model(stage: Any, root: Any, prim_path: str | None) -> Any:
 
 
 def _binding(skeleton: Any, root: Any) -> str:
-    """Return the prim nearest to the Skeleton that binds an animation, else the root."""
+    """Return the prim nearest the Skeleton that binds an animation, else the root."""
     prim = skeleton
     while prim and prim.GetPath().HasPrefix(root.GetPath()):
         source = prim.GetRelationship("skel:animationSource")
@@ -264,4 +263,3 @@ def resolved_animation(stage: Any, skeleton_path: str) -> str:
     if not query or not query.GetAnimQuery():
         return ""
     return str(query.GetAnimQuery().GetPrim().GetPath())
-

@@ -110,7 +110,9 @@ class _Hierarchy:
         block = self.stack[-1] if self.stack else None
         if block is not None and not block.opened and upper != "{":
             self.lines.fail(
-                "BVH004", f"'{{' is missing before {excerpt(keyword)}", self._name(block)
+                "BVH004",
+                f"'{{' is missing before {excerpt(keyword)}",
+                self._name(block),
             )
         match upper:
             case "{":
@@ -129,7 +131,7 @@ class _Hierarchy:
                 self.lines.fail(
                     "BVH003",
                     f"unexpected {excerpt(keyword)}",
-                    "expected ROOT, JOINT, End Site, OFFSET, CHANNELS, MOTION or a brace",
+                    "expected ROOT, JOINT, End Site, OFFSET, CHANNELS, MOTION, { or }",
                 )
 
     def _open(self, block: _Block | None) -> None:
@@ -148,7 +150,9 @@ class _Hierarchy:
         if (keyword == "ROOT") != (block is None):
             allowed = "JOINT" if block else "ROOT"
             place = "inside a joint" if block else "outside every joint"
-            self.lines.fail("BVH003", f"{keyword} stands {place}", f"expected {allowed}")
+            self.lines.fail(
+                "BVH003", f"{keyword} stands {place}", f"expected {allowed}"
+            )
         if block is not None and block.is_end:
             self.lines.fail("BVH003", "a JOINT stands inside an End Site")
         name = self._take_name(words)
@@ -282,16 +286,16 @@ def _read_motion_head(lines: HeaderLines, header: BvhHeader) -> None:
 
 def _field(lines: HeaderLines, name: str) -> str:
     """Return what follows ``name:`` on the next line that is not blank."""
-    while (line := lines.next()) is not None:
-        if not line.strip():
-            continue
-        key, colon, value = line.partition(":")
-        if colon and " ".join(key.split()).lower() == name:
-            return value.strip()
+    while (line := lines.next()) is not None and not line.strip():
+        continue
+    if line is None:
+        message = f"the file ends before '{name.title()}:'"
+        lines.fail("BVH005", message, "is the file truncated?")
+    key, colon, value = line.partition(":")
+    if not colon or " ".join(key.split()).lower() != name:
         message = f"expected '{name.title()}:', found {excerpt(line.strip())}"
         lines.fail("BVH003", message)
-    message = f"the file ends before '{name.title()}:'"
-    lines.fail("BVH005", message, "is the file truncated?")
+    return value.strip()
 
 
 def _duplicate_names(joints: list[BvhJoint], path: str) -> list[Fault]:
@@ -331,7 +335,9 @@ def _rate_notices(header: BvhHeader, path: str, line: int) -> list[Fault]:
     elif rate.rivals:
         code, severity = "BVH107", Severity.NOTE
         others = ", ".join(map(str, rate.rivals[:6]))
-        message = f"Frame Time {text} is printed so that {others} fps would read the same"
+        message = (
+            f"Frame Time {text} is printed so that {others} fps would read the same"
+        )
         message += f"; {rate_label(rate.fps)} is taken"
     else:
         return []

@@ -36,7 +36,9 @@ class HeaderLines:
         if not self.rest:
             self.fail("BVH002", "the file is empty", line=False)
         if self.rest.startswith((b"\xff\xfe", b"\xfe\xff")):
-            self.fail("BVH001", "the file is UTF-16 text", "save it as UTF-8", line=False)
+            self.fail(
+                "BVH001", "the file is UTF-16 text", "save it as UTF-8", line=False
+            )
         self.rest = self.rest.removeprefix(b"\xef\xbb\xbf")
         if b"\0" in self.rest:
             message = "the file is binary, not the text of a BVH"

@@ -208,14 +208,18 @@ def _blocks(
     with file:
         for rows in reader.blocks():
             translations = np.repeat(rest[None], len(rows), axis=0)
-            translations[:, layout.slots] = rows[:, layout.columns] * rig.meters_per_unit
+            translations[:, layout.slots] = (
+                rows[:, layout.columns] * rig.meters_per_unit
+            )
             rotations = _kernels.euler_to_quaternion(
                 rows, layout.turn_columns, layout.turn_axes, previous
             )
             previous = rotations[-1].copy()
             yield Motion(
                 Channel(
-                    rig.rest_translations, moving, translations.reshape(len(rows), -1, 3)
+                    rig.rest_translations,
+                    moving,
+                    translations.reshape(len(rows), -1, 3),
                 ),
                 Channel(identity, turning, rotations),
             )

@@ -124,7 +124,9 @@ class RowReader:
             line += lines
             text = text[consumed:]
             if fault:
-                raise FormatError(self._row_fault(fault, line, found, token, final, text))
+                raise FormatError(
+                    self._row_fault(fault, line, found, token, final, text)
+                )
             if final and not text:
                 return
             if len(text) > longest and not consumed:
@@ -138,7 +140,9 @@ class RowReader:
         path = self.source.path
         if fault == 2:
             word = token.decode("utf-8", "replace")
-            name = self.source.channels[found] if found < self._width else "a further word"
+            name = (
+                self.source.channels[found] if found < self._width else "a further word"
+            )
             hint = "write decimals with a point" if "," in word else None
             message = f"{excerpt(word)} is not a number ({excerpt(name)})"
             return Fault("BVH011", message, path, (line,), hint)
@@ -189,7 +193,9 @@ class RowReader:
         faults = []
         for column, lines in sorted(self._missing.items()):
             lost = len(lines)
-            too_many = lost > MOST_FILLED_SAMPLES and lost > MOST_FILLED_SHARE * self._count
+            too_many = (
+                lost > MOST_FILLED_SAMPLES and lost > MOST_FILLED_SHARE * self._count
+            )
             if too_many or lost == self._count:
                 name = self.source.channels[column]
                 message = f"{name}: {lost} of {self._count} values are not finite"

@@ -97,9 +97,7 @@ def _positions(
     """Return the position channels that a joint needs."""
     own = tuple(name for name in joint.channels or () if name.endswith("position"))
     off_rest = np.abs(values - offset).max(axis=0) > tolerance
-    covered = all(
-        not off_rest[axis] or _POSITIONS[axis] in own for axis in range(3)
-    )
+    covered = all(not off_rest[axis] or _POSITIONS[axis] in own for axis in range(3))
     if joint.channels is not None and covered:
         return own
     if joint.parent < 0 or off_rest.any():
@@ -114,9 +112,9 @@ def _rotations(joint: Joint, values: FloatArray) -> tuple[tuple[str, ...], Float
     order = "".join(name[0] for name in given)
     order += "".join(letter for letter in "XYZ" if letter not in order)
     axes = np.array([axes_of(order)], np.int32)
-    angles = _kernels.quaternion_to_euler(
-        np.ascontiguousarray(values[:, None]), axes
-    )[:, 0]
+    angles = _kernels.quaternion_to_euler(np.ascontiguousarray(values[:, None]), axes)[
+        :, 0
+    ]
     used = len(given)
     unused = np.abs(angles[:, used:]).max(initial=0.0)
     if used == 3 or unused <= UNUSED_AXIS_TOLERANCE:

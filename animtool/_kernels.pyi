@@ -1,0 +1,63 @@
+"""
+Loops that numpy cannot vectorise. C-contiguous arrays in, new arrays out.
+"""
+
+from typing import Annotated
+
+import numpy
+from numpy.typing import NDArray
+
+
+def parse_bvh_rows(text: bytes, columns: int, limit: int, final: bool) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], int, int, int, int, bytes]:
+    """
+    Read rows of numbers from the text of a BVH MOTION block.
+
+    Reads whole lines until ``limit`` rows are read, a fault is met, or the text has
+    no further whole line (``final`` says that the text ends with the file). Blank
+    lines are passed over. CR, LF and CR LF each end a line.
+
+    Returns ``(values, row_lines, consumed, lines, fault, found, token)``: float64
+    ``(F, C)``, NaN where the text says NaN or infinity and infinity where a number
+    overflows float64; the 0-based line of each row; bytes and lines read; the fault
+    of the line after those (0 none, 1 wrong count, 2 not a number), the numbers
+    found on it and the word that is none.
+    """
+
+def format_bvh_rows(values: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], decimals: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> bytes:
+    """
+    Write float64 ``(F, C)`` as lines of decimal numbers, as bytes.
+
+    Column c is rounded to ``decimals[c]`` places (0 to 9), trailing zeros dropped.
+    """
+
+def euler_to_quaternion(values: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], columns: Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)], axes: Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)], previous: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')]:
+    """
+    Turn Euler angles in degrees into quaternions ``(F, R, 4)``, x y z w.
+
+    Rotation r multiplies turns about ``axes[r]`` (0 X, 1 Y, 2 Z) left to right by
+    ``values[:, columns[r]]``; a column of -1 is no turn. Signs are those nearest to
+    the frame before, the first frame's nearest to ``previous`` ``(R, 4)``.
+    """
+
+def quaternion_to_euler(quaternions: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], axes: Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')]:
+    """
+    Turn quaternions ``(F, R, 4)`` into Euler angles ``(F, R, 3)`` in degrees.
+
+    ``axes`` ``(R, 3)`` names X, Y and Z once each. Of the equal solutions, each frame
+    takes the one nearest to the frame before; the first, the one nearest to zero.
+    """
+
+def forward_kinematics(parents: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], translations: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], rotations: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], scales: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)] | None) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C')]]:
+    """
+    World origin ``(F, J, 3)`` and linear part ``(F, J, 3, 3)`` of every joint.
+
+    ``parents[j] < j``, -1 for a root; local transforms are T R S, scale inherited.
+    """
+
+def measure_rounding(parents: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], translations: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], rotations: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], scales: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)] | None, written_translations: Annotated[NDArray[numpy.float32], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], written_rotations: Annotated[NDArray[numpy.float32], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], written_scales: Annotated[NDArray[numpy.float32], dict(shape=(None, None, None), order='C', device='cpu', writable=False)] | None) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], float, int, int]:
+    """
+    Bounds of the written joints ``(F, 2, 3)`` and what rounding to float32 moved.
+
+    Returns ``(extents, error, frame, joint)``: the largest distance between a joint's
+    world position in float64 and in the values written, and where it is.
+    """

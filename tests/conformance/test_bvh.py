@@ -1,0 +1,111 @@
+"""Every real BVH, in every form: what UsdSkel makes of it is what the file says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
+from support.bvh import read_reference
+from support.data import data_files
+from support.usd import joint_positions, open_stage, skeleton_query, validation_errors
+
+from animtool.rates import rate_from_frame_time
+from animtool.scene.bake import BakeReport, bake
+from animtool.scene.options import BakeOptions
+
+# Joints may be this far from float64 forward kinematics, as a share of the
+# skeleton's size: float32 holds 6e-8, and errors add up along a chain.
+POSITION_TOLERANCE = 1e-6
+FRAMES_CHECKED = 25
+
+FILES = data_files("bvh", "*.bvh")
+
+
+def forms(source: Path, folder: Path) -> dict[str, tuple[BakeOptions, Path]]:
+    """Return options and output of each form."""
+    plain = BakeOptions()
+    rig = folder / "split.rig.usda"
+    return {
+        "usda": (plain, folder / "stage.usda"),
+        "usdc": (plain, folder / "stage.usdc"),
+        "sparse": (replace(plain, sparse=True), folder / "sparse.usdc"),
+        "skelroot": (replace(plain, root_motion=True), folder / "skelroot.usdc"),
+        "bones": (replace(plain, bones=True), folder / "bones.usdc"),
+        "split": (replace(plain, form="split"), folder / "split.usda"),
+        "layer": (replace(plain, rig_layer=rig), folder / "layer.usdc"),
+        "sparse layer": (
+            replace(plain, rig_layer=rig, sparse=True, root_motion=True),
+            folder / "sparse_layer.usda",
+        ),
+    }
+
+
+def compose(report: BakeReport, folder: Path) -> Usd.Stage:
+    """Open what was written; a layer over its rig."""
+    output = report.result.outputs[-1]
+    if not report.form.startswith("layer"):
+        return open_stage(output)
+    shot = Sdf.Layer.CreateNew(str(folder / f"{output.stem}.shot.usda"))
+    shot.subLayerPaths = [f"./{output.name}", "./split.rig.usda"]
+    layer = Sdf.Layer.FindOrOpen(str(output))
+    for name in ("timeCodesPerSecond", "framesPerSecond", "defaultPrim"):
+        setattr(shot, name, getattr(layer, name))
+    for name in ("upAxis", "metersPerUnit"):
+        shot.pseudoRoot.SetInfo(name, layer.pseudoRoot.GetInfo(name))
+    shot.startTimeCode, shot.endTimeCode = layer.startTimeCode, layer.endTimeCode
+    shot.Save()
+    return Usd.Stage.Open(shot)
+
+
+@pytest.mark.parametrize("path", FILES)
+def test_bake(path: Path, tmp_path: Path) -> None:
+    reference = read_reference(path)
+    count = len(reference.rows)
+    frames = np.unique(np.linspace(0, count - 1, FRAMES_CHECKED).astype(int))
+    truth = reference.positions(frames)
+    tolerance = POSITION_TOLERANCE * reference.size()
+    time = path.read_text("latin-1").split("Frame Time:")[1].split()[0]
+    rate = rate_from_frame_time(time).fps
+    for name, (options, output) in forms(path, tmp_path).items():
+        report = bake(path, output, options)
+        stage = compose(report, tmp_path)
+        assert validation_errors(stage) == [], name
+        found = joint_positions(stage, 1 + frames)
+        error = np.linalg.norm(found - truth, axis=-1).max()
+        assert error <= tolerance, f"{name}: {error / reference.size():.2e} of the size"
+        # The error that the bake reports bounds what UsdSkel finds.
+        assert error <= report.result.rounding.error / 0.01 + 1e-7 * reference.size()
+        assert stage.GetStartTimeCode() == 1
+        assert stage.GetEndTimeCode() == count
+        assert stage.GetTimeCodesPerSecond() == float(rate)
+        assert stage.GetFramesPerSecond() == float(rate)
+        assert UsdGeom.GetStageUpAxis(stage) == "Y"
+        assert UsdGeom.GetStageMetersPerUnit(stage) == 0.01
+
+
+@pytest.mark.parametrize("path", FILES)
+def test_extent_is_what_usdskel_computes(path: Path, tmp_path: Path) -> None:
+    for name, (options, output) in forms(path, tmp_path).items():
+        report = bake(path, output, options)
+        stage = compose(report, tmp_path)
+        root = UsdGeom.Boundable(
+            next(p for p in stage.Traverse() if p.IsA(UsdSkel.Root))
+        )
+        for code in (report.result.first, report.result.last):
+            time = Usd.TimeCode(float(code))
+            written = np.array(root.GetExtentAttr().Get(time))
+            computed = np.array(UsdGeom.Boundable.ComputeExtentFromPlugins(root, time))
+            scale = max(1.0, np.abs(computed).max())
+            assert np.abs(written - computed).max() <= 2e-6 * scale, name
+
+
+@pytest.mark.parametrize("path", FILES)
+def test_sparse_leaves_out_what_rests(path: Path, tmp_path: Path) -> None:
+    whole = bake(path, tmp_path / "whole.usda")
+    sparse = bake(path, tmp_path / "sparse.usda", BakeOptions(sparse=True))
+    assert sparse.result.joints <= whole.result.joints
+    query = skeleton_query(open_stage(tmp_path / "sparse.usda"))
+    assert len(query.GetAnimQuery().GetJointOrder()) == sparse.result.joints

@@ -1,0 +1,31 @@
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+
+def data_folder(name: str) -> Path | None:
+    """Return a folder of ``$ANIMTOOL_DATA``, None where there is none."""
+    root = os.environ.get("ANIMTOOL_DATA")
+    folder = Path(root or "", name)
+    return folder if root and folder.is_dir() else None
+
+
+def pytest_report_header() -> str:
+    return f"ANIMTOOL_DATA: {os.environ.get('ANIMTOOL_DATA') or 'not set'}"
+
+
+@pytest.fixture(scope="session")
+def root() -> Path:
+    """The checkout."""
+    return ROOT
+
+
+@pytest.fixture(scope="session")
+def walk() -> Path:
+    """The shipped walk cycle."""
+    return ROOT / "samples/walk/walk.bvh"
