@@ -24,7 +24,7 @@ FRAMES_CHECKED = 25
 FILES = data_files("bvh", "*.bvh")
 
 
-def forms(source: Path, folder: Path) -> dict[str, tuple[BakeOptions, Path]]:
+def forms(folder: Path) -> dict[str, tuple[BakeOptions, Path]]:
     """Return options and output of each form."""
     plain = BakeOptions()
     rig = folder / "split.rig.usda"
@@ -69,7 +69,7 @@ def test_bake(path: Path, tmp_path: Path) -> None:
     tolerance = POSITION_TOLERANCE * reference.size()
     time = path.read_text("latin-1").split("Frame Time:")[1].split()[0]
     rate = rate_from_frame_time(time).fps
-    for name, (options, output) in forms(path, tmp_path).items():
+    for name, (options, output) in forms(tmp_path).items():
         report = bake(path, output, options)
         stage = compose(report, tmp_path)
         assert validation_errors(stage) == [], name
@@ -88,7 +88,7 @@ def test_bake(path: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("path", FILES)
 def test_extent_is_what_usdskel_computes(path: Path, tmp_path: Path) -> None:
-    for name, (options, output) in forms(path, tmp_path).items():
+    for name, (options, output) in forms(tmp_path).items():
         report = bake(path, output, options)
         stage = compose(report, tmp_path)
         root = UsdGeom.Boundable(

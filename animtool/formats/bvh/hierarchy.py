@@ -27,6 +27,8 @@ PLAUSIBLE_RATES = (4, 1000)
 
 FLOAT32_MAX = 3.4028234663852886e38
 
+_AFTER_OFFSET = {"{", "}", "CHANNELS", "JOINT", "END"}
+
 _WORDS = re.compile(r"[{}]|[^\s{}]+")
 
 
@@ -82,8 +84,8 @@ class _Hierarchy:
 
     def read(self) -> None:
         """Read up to and including the line MOTION."""
-        self._expect_start()
-        while (line := self.lines.next()) is not None:
+        line: str | None = self._after_start()
+        while line is not None:
             words = _WORDS.findall(line)
             while words:
                 keyword = words.pop(0)
@@ -91,19 +93,22 @@ class _Hierarchy:
                     self._finish()
                     return
                 self._statement(keyword, words)
+            line = self.lines.next()
         self.lines.fail(
             "BVH005",
             "the file ends inside the HIERARCHY: there is no MOTION block",
             self._open_blocks() or "is the file truncated?",
         )
 
-    def _expect_start(self) -> None:
-        while (line := self.lines.next()) is not None:
-            if line.strip():
-                break
-        if line is None or line.split()[0].upper() != "HIERARCHY":
+    def _after_start(self) -> str:
+        """Return what follows HIERARCHY on its line."""
+        while (line := self.lines.next()) is not None and not line.strip():
+            continue
+        word, _, rest = (line or "").strip().partition(" ")
+        if word.upper() != "HIERARCHY":
             found = f", not {excerpt(line.strip())}" if line else ""
             self.lines.fail("BVH001", f"a BVH file starts with HIERARCHY{found}")
+        return rest
 
     def _statement(self, keyword: str, words: list[str]) -> None:
         upper = keyword.upper()
@@ -180,7 +185,7 @@ class _Hierarchy:
         if block is None:
             self.lines.fail("BVH003", "OFFSET stands outside a joint")
         texts = [words.pop(0) for _ in range(3) if words and words[0] not in "{}"]
-        if len(texts) < 3 or (words and words[0] not in "{}"):
+        if len(texts) < 3 or (words and words[0].upper() not in _AFTER_OFFSET):
             count = len(texts) + sum(word not in "{}" for word in words)
             message = f"OFFSET has {count} numbers, 3 are needed"
             self.lines.fail("BVH006", message, self._name(block))
@@ -208,12 +213,14 @@ class _Hierarchy:
         joint = self.joints[block.joint]
         if joint.channels is not None:
             self.lines.fail("BVH007", f"{self._name(block)} has two CHANNELS lines")
-        texts = []
-        while words and words[0] not in "{}":
-            texts.append(words.pop(0))
-        if not texts or not texts[0].isdecimal():
+        if not words or not words[0].isdecimal():
             self.lines.fail("BVH007", "CHANNELS needs a count first", self._name(block))
-        count, names = int(texts[0][:9]), texts[1:]
+        count = int(words.pop(0)[:9])
+        names: list[str] = []
+        while words and (len(names) < count or words[0].lower() in _CHANNELS):
+            if words[0] in "{}":
+                break
+            names.append(words.pop(0))
         for name in names:
             if name.lower() not in _CHANNELS:
                 allowed = ", ".join(CHANNEL_NAMES)

@@ -1,0 +1,338 @@
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from support.bvh import COLUMNS, HEADER, random_rows, read_reference, small_bvh
+
+from animtool.errors import FormatError, Severity
+from animtool.formats.bvh import read_bvh
+from animtool.formats.bvh import rows as rows_module
+from animtool.rig.kinematics import forward
+from animtool.rig.skeleton import JointType
+from animtool.take import Take, TakeStream
+from animtool.units import LengthUnit
+
+
+@pytest.fixture
+def write(tmp_path: Path):  # type: ignore[no-untyped-def]
+    def write(text: str | bytes) -> Path:
+        path = tmp_path / "take.bvh"
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return path
+
+    return write
+
+
+def read(path: Path) -> tuple[TakeStream, Take]:
+    stream = read_bvh(path)
+    return stream, stream.collect()
+
+
+def codes(stream: TakeStream) -> list[str]:
+    return [n.code for n in stream.notices if n.severity is Severity.WARNING]
+
+
+def fault(path: Path) -> FormatError:
+    with pytest.raises(FormatError) as caught:
+        read_bvh(path).collect()
+    return caught.value
+
+
+def test_positions_against_the_reference(write) -> None:  # type: ignore[no-untyped-def]
+    path = write(small_bvh(random_rows(50)))
+    _, take = read(path)
+    world = forward(
+        take.rig, take.motion.translations.dense(), take.motion.rotations.dense()
+    )
+    truth = read_reference(path).positions(np.arange(50))
+    assert_allclose(world.positions / 0.01, truth, rtol=1e-13, atol=1e-12)
+
+
+@pytest.mark.parametrize("per_block", [1, 2, 7, 1000])
+def test_blocks_change_nothing(write, monkeypatch, per_block: int) -> None:  # type: ignore[no-untyped-def]
+    path = write(small_bvh(random_rows(60)))
+    whole = read(path)[1].motion
+    monkeypatch.setattr(rows_module, "BLOCK_VALUES", COLUMNS * per_block)
+    monkeypatch.setattr(rows_module, "CHUNK_BYTES", 64)
+    blocks = list(read_bvh(path).blocks)
+    assert max(block.frames for block in blocks) <= per_block
+    split = read(path)[1].motion
+    assert_array_equal(split.rotations.values, whole.rotations.values)
+    assert_array_equal(split.translations.values, whole.translations.values)
+
+
+def test_static_joints_are_stored_once(write) -> None:  # type: ignore[no-untyped-def]
+    rows = random_rows(5)
+    rows[:, 6:] = [10.0, 20.0, 30.0]
+    _, take = read(write(small_bvh(rows)))
+    assert take.motion.rotations.animated.tolist() == [0]
+    assert take.motion.rotations.values.shape == (5, 1, 4)
+    assert not np.allclose(take.motion.rotations.rest[1], [0, 0, 0, 1])
+
+
+def test_units_and_stated_rate(write) -> None:  # type: ignore[no-untyped-def]
+    path = write(small_bvh(random_rows(2), frame_time="1.0"))
+    stream = read_bvh(path, unit=LengthUnit.IN, fps=Fraction(60))
+    assert stream.fps == 60
+    take = stream.collect()
+    assert codes(stream) == []
+    assert_allclose(take.rig.joints[1].translation, (0, 10 * 0.0254, 0))
+
+
+@pytest.mark.parametrize("bad", ["nan", "inf", "-inf", "1.#QNAN"])
+@pytest.mark.parametrize("frames", [[3], [0, 1], [18, 19], [4, 5, 6, 12]])
+def test_gaps_are_interpolated(write, bad: str, frames: list[int]) -> None:  # type: ignore[no-untyped-def]
+    rows = np.zeros((20, COLUMNS))
+    rows[:, 0] = np.arange(20) * 100.0
+    lines = small_bvh(rows).splitlines()
+    first = len(lines) - 20
+    for frame in frames:
+        words = lines[first + frame].split()
+        lines[first + frame] = " ".join([bad, *words[1:]])
+    stream, take = read(write("\n".join(lines) + "\n"))
+    truth = np.arange(20.0)
+    truth[[f for f in frames if f < 2]] = 2.0 if 0 in frames else truth[0]
+    truth[[f for f in frames if f > 17]] = 17.0
+    assert_allclose(take.motion.translations.values[:, 0, 0], truth, atol=1e-12)
+    assert codes(stream) == ["BVH102"]
+    notice = stream.notices[0]
+    assert notice.lines == tuple(first + f + 1 for f in frames)
+    assert "Hips.Xposition" in notice.message
+
+
+@pytest.mark.parametrize("per_block", [1, 3, 8])
+def test_gaps_across_blocks(write, monkeypatch, per_block: int) -> None:  # type: ignore[no-untyped-def]
+    rows = random_rows(24)
+    text = small_bvh(rows).splitlines()
+    first = len(text) - 24
+    for frame in range(5, 11):
+        words = text[first + frame].split()
+        words[4] = "nan"
+        text[first + frame] = " ".join(words)
+    path = write("\n".join(text))
+    whole = read(path)[1].motion.rotations.values
+    monkeypatch.setattr(rows_module, "BLOCK_VALUES", COLUMNS * per_block)
+    assert_array_equal(read(path)[1].motion.rotations.values, whole)
+
+
+@pytest.mark.parametrize(
+    ("count", "lost", "refused"),
+    [
+        (200, 11, False),
+        (100, 10, False),
+        (100, 11, True),
+        (50, 10, False),
+        (3, 3, True),
+    ],
+)
+def test_how_much_may_be_lost(write, count: int, lost: int, refused: bool) -> None:  # type: ignore[no-untyped-def]
+    text = small_bvh(np.ones((count, COLUMNS))).splitlines()
+    for frame in range(lost):
+        text[-1 - frame] = "1 nan 1 1 1 1 1 1 1"
+    path = write("\n".join(text))
+    if refused:
+        assert fault(path).code == "BVH012"
+    else:
+        assert codes(read(path)[0]) == ["BVH102"]
+
+
+@pytest.mark.parametrize("value", ["1e39", "-1e39", "1e400", "1e308"])
+def test_beyond_float32(write, value: str) -> None:  # type: ignore[no-untyped-def]
+    text = small_bvh(np.ones((4, COLUMNS))).splitlines()
+    text[-2] = f"1 {value} 1 1 1 1 1 1 1"
+    stream, take = read(write("\n".join(text)))
+    assert codes(stream) == ["BVH104"]
+    largest = float(np.finfo(np.float32).max)
+    expected = np.copysign(largest, float(value)) * 0.01
+    assert_allclose(take.motion.translations.values[2, 0, 1], expected)
+
+
+def with_channels(channels: str, offset: str = "1 2 3") -> str:
+    count = len(channels.split())
+    header = (
+        f"HIERARCHY\nROOT r\n{{\nOFFSET {offset}\nCHANNELS {count} {channels}\n"
+        "End Site\n{\nOFFSET 0 1 0\n}\n}\n"
+    )
+    return small_bvh(np.arange(1.0, count + 1)[None], header=header)
+
+
+def test_positions_replace_the_offset_on_their_axes(write) -> None:  # type: ignore[no-untyped-def]
+    _, take = read(write(with_channels("Yposition Zrotation")))
+    assert_allclose(take.motion.translations.dense()[0, 0], [0.01, 0.01, 0.03])
+
+
+def test_rotations_before_positions(write) -> None:  # type: ignore[no-untyped-def]
+    channels = "Zrotation Xrotation Yrotation Xposition Yposition Zposition"
+    _, take = read(write(with_channels(channels)))
+    assert_allclose(take.motion.translations.dense()[0, 0], [0.04, 0.05, 0.06])
+    assert take.rig.joints[0].channels == tuple(channels.split())
+
+
+@pytest.mark.parametrize(
+    ("channels", "kind"),
+    [
+        ("Yrotation", JointType.PIN),
+        ("Yposition", JointType.PRISMATIC),
+        ("Zrotation Xrotation", JointType.BALL),
+        ("Zrotation Xrotation Yrotation", JointType.BALL),
+        ("Xposition Zrotation Xrotation Yrotation", JointType.FREE),
+    ],
+)
+def test_joint_types(write, channels: str, kind: JointType) -> None:  # type: ignore[no-untyped-def]
+    joint = read(write(with_channels(channels)))[1].rig.joints[0]
+    assert joint.type is kind
+    if len(channels.split()) == 1:
+        assert joint.axis == (0.0, 1.0, 0.0)
+
+
+def test_names_with_spaces_dots_and_letters_beyond_ascii(write) -> None:  # type: ignore[no-untyped-def]
+    for name in ("Left Arm", "arm.L", "ns:arm", "Bär", "手"):
+        text = small_bvh(random_rows(2), header=HEADER.replace("Spine", name))
+        assert read(write(text))[1].rig.names[1] == name
+    latin = small_bvh(random_rows(2), header=HEADER.replace("Spine", "Bär"))
+    assert read(write(latin.encode("latin-1")))[1].rig.names[1] == "Bär"
+
+
+def test_duplicates_are_kept_apart(write) -> None:  # type: ignore[no-untyped-def]
+    stream, take = read(
+        write(small_bvh(random_rows(2), header=HEADER.replace("Spine", "Hips")))
+    )
+    assert take.rig.names == ["Hips", "Hips_2"]
+    assert take.rig.joints[1].source_name == "Hips"
+    assert stream.notices[0].code == "BVH103"
+    assert stream.notices[0].lines == (2, 6)
+
+
+def test_several_end_sites(write) -> None:  # type: ignore[no-untyped-def]
+    more = HEADER.replace(
+        "\t\tEnd Site", "\t\tEnd Site\n\t\t{\n\t\t\tOFFSET 1 0 0\n\t\t}\n\t\tEnd Site"
+    )
+    tips = read(write(small_bvh(random_rows(2), header=more)))[1].rig.joints[1].tips
+    assert_allclose(tips, [(0.01, 0, 0), (0, 0.05, 0)])
+
+
+def test_byte_order_mark_and_no_final_newline(write) -> None:  # type: ignore[no-untyped-def]
+    rows = random_rows(3)
+    text = small_bvh(rows).rstrip("\n")
+    stream, take = read(write(b"\xef\xbb\xbf" + text.encode()))
+    assert (take.clock.count, codes(stream)) == (3, [])
+
+
+def test_a_whole_joint_on_one_line(write) -> None:  # type: ignore[no-untyped-def]
+    header = "HIERARCHY ROOT r { CHANNELS 3 Xrotation Yrotation Zrotation OFFSET 1 2 3 "
+    header += "End Site { OFFSET 0 1 0 } }\n"
+    _, take = read(write(small_bvh([[1, 2, 3]], header=header)))
+    assert take.rig.joints[0].translation == (0.01, 0.02, 0.03)
+    assert take.rig.joints[0].tips == ((0.0, 0.01, 0.0),)
+
+
+JOINT = "HIERARCHY\nROOT a\n{\n"
+CHANNELS = JOINT + "OFFSET 0 0 0\nCHANNELS"
+BAD_HEADERS = {
+    "no hierarchy": ("BVH001", "MOTION\n", (1,)),
+    "binary": ("BVH001", "HIERARCHY\0\0", ()),
+    "empty": ("BVH002", "", ()),
+    "only blanks": ("BVH001", " \n\n", (2,)),
+    "unknown word": ("BVH003", "HIERARCHY\nROOT a\n{\nSCALE 1\n", (4,)),
+    "joint outside": ("BVH003", "HIERARCHY\nJOINT a\n{\n", (2,)),
+    "root inside": ("BVH003", "HIERARCHY\nROOT a\n{\nROOT b\n", (4,)),
+    "no name": ("BVH003", "HIERARCHY\nROOT\n{\n", (2,)),
+    "joint in end": ("BVH003", JOINT + "OFFSET 0 0 0\nEnd Site\n{\nJOINT b\n", (7,)),
+    "end site outside": ("BVH003", "HIERARCHY\nEnd Site\n{\n", (2,)),
+    "no root": ("BVH003", "HIERARCHY\nMOTION\n", (2,)),
+    "no brace": ("BVH004", "HIERARCHY\nROOT a\nOFFSET 0 0 0\n", (3,)),
+    "brace alone": ("BVH004", "HIERARCHY\n{\n", (2,)),
+    "truncated": ("BVH005", JOINT + "OFFSET 0 0 0\n", (4,)),
+    "no offset": ("BVH006", "HIERARCHY\nROOT a\n{\n}\n", (4,)),
+    "offset words": ("BVH006", JOINT + "OFFSET 0 x 0\n", (4,)),
+    "offset four": ("BVH006", JOINT + "OFFSET 0 0 0 0\n", (4,)),
+    "offset nan": ("BVH006", JOINT + "OFFSET 0 nan 0\n", (4,)),
+    "offset comma": ("BVH006", JOINT + "OFFSET 0 1,5 0\n", (4,)),
+    "channel name": ("BVH007", CHANNELS + " 1 Xscale\n", (5,)),
+    "channel count": ("BVH007", CHANNELS + " 2 Xrotation\n", (5,)),
+    "channel twice": ("BVH007", CHANNELS + " 2 Xrotation Xrotation\n", (5,)),
+    "no count": ("BVH007", CHANNELS + " Xrotation\n", (5,)),
+    "no channels": ("BVH007", JOINT + "OFFSET 0 0 0\n}\nMOTION\n", (6,)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD_HEADERS)
+def test_malformed_headers(write, case: str) -> None:  # type: ignore[no-untyped-def]
+    code, text, lines = BAD_HEADERS[case]
+    error = fault(write(text))
+    assert (error.code, error.faults[0].lines) == (code, lines)
+
+
+MOTION_HEAD = HEADER + "MOTION\n"
+FIRST = MOTION_HEAD.count("\n") + 1
+ROW = " ".join(["1"] * COLUMNS)
+
+
+@pytest.mark.parametrize(
+    ("code", "text", "line"),
+    [
+        ("BVH008", "Frames: x\n", FIRST),
+        ("BVH008", "Frames: 0\n", FIRST),
+        ("BVH008", "Frames: 1.5\n", FIRST),
+        ("BVH003", "Rate: 30\n", FIRST),
+        ("BVH005", "Frames: 1\n", FIRST),
+        ("BVH009", "Frames: 1\nFrame Time: 0\n", FIRST + 1),
+        ("BVH009", "Frames: 1\nFrame Time: -1\n", FIRST + 1),
+        ("BVH009", "Frames: 1\nFrame Time: inf\n", FIRST + 1),
+        ("BVH009", "Frames: 1\nFrame Time:\n", FIRST + 1),
+        ("BVH014", "Frames: 1\nFrame Time: .1\n", FIRST + 1),
+        ("BVH010", f"Frames: 2\nFrame Time: .1\n{ROW}\n1 2\n", FIRST + 3),
+        ("BVH010", f"Frames: 1\nFrame Time: .1\n{ROW} 1\n", FIRST + 2),
+        ("BVH011", f"Frames: 1\nFrame Time: .1\n\n{ROW[:-1]}x\n", FIRST + 3),
+        ("BVH011", f"Frames: 1\nFrame Time: .1\n{ROW}\nend\n", FIRST + 3),
+    ],
+)
+def test_malformed_motion(write, code: str, text: str, line: int) -> None:  # type: ignore[no-untyped-def]
+    error = fault(write(MOTION_HEAD + text))
+    assert (error.code, error.faults[0].lines) == (code, (line,))
+
+
+def test_a_truncated_last_row_says_so(write) -> None:  # type: ignore[no-untyped-def]
+    text = small_bvh(random_rows(4)).rstrip("\n").rsplit(" ", 2)[0]
+    assert "truncated" in str(fault(write(text)))
+
+
+def test_a_line_of_ten_megabytes(write) -> None:  # type: ignore[no-untyped-def]
+    head = MOTION_HEAD + "Frames: 1\nFrame Time: .1\n"
+    assert fault(write(head + "1 " * 5_000_000)).code in {"BVH010", "BVH013"}
+    assert fault(write(head + "1" * 10_000_000)).code == "BVH013"
+    assert fault(write(head + " " * 10_000_000 + ROW)).code == "BVH013"
+    assert fault(write("HIERARCHY\nROOT " + "a" * 10_000_000)).code == "BVH013"
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le"])
+def test_utf16_is_named_or_refused(write, encoding: str) -> None:  # type: ignore[no-untyped-def]
+    assert fault(write(small_bvh(random_rows(2)).encode(encoding))).code == "BVH001"
+
+
+def test_missing_and_folder(tmp_path: Path) -> None:
+    assert fault(tmp_path / "none.bvh").code == "IO001"
+    (tmp_path / "folder.bvh").mkdir()
+    assert fault(tmp_path / "folder.bvh").code == "IO001"
+
+
+def test_a_thousand_joints_deep(write) -> None:  # type: ignore[no-untyped-def]
+    depth = 2000
+    joint = "JOINT j{0}\n{{\nOFFSET 0 1 0\nCHANNELS 1 Xrotation\n"
+    header = "HIERARCHY\nROOT j\n{\nOFFSET 0 0 0\n" + "".join(
+        map(joint.format, range(depth))
+    )
+    header += "}\n" * (depth + 1)
+    _, take = read(write(small_bvh(np.zeros((1, depth)), header=header)))
+    assert len(take.rig.joints) == depth + 1
+
+
+def test_memory_follows_the_data_not_the_promise(write) -> None:  # type: ignore[no-untyped-def]
+    text = small_bvh(random_rows(3)).replace("Frames: 3", "Frames: 1000000000000")
+    stream, take = read(write(text))
+    assert take.clock.count == 3
+    assert "1000000000000" in stream.notices[0].message
