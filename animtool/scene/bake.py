@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,12 +26,13 @@ from animtool.scene.sources import open_source
 from animtool.take import Motion, Take, TakeStream, time_codes
 from animtool.units import LengthUnit, unit_name
 from animtool.usd.animation import WrittenBlock, round_blocks
-from animtool.usd.layers import check_suffix
+from animtool.usd.layers import check_prim_path, check_suffix
 from animtool.usd.names import UsdNames, joint_names, legal_name
-from animtool.usd.rig_prims import check_prim_path
 from animtool.usd.skeleton import RigPaths
-from animtool.usd.target import JointMap, RigTarget, map_joints, open_target
 from animtool.usd.write import Form, UsdJob, UsdResult, author, output_paths, write_usd
+
+if TYPE_CHECKING:
+    from animtool.usd.target import JointMap, RigTarget
 
 __all__ = ["BakePlan", "BakeReport", "bake", "plan_bake", "run_bake"]
 
@@ -161,6 +163,8 @@ def plan_bake(
     notices: list[Fault] = []
     reason = "a rig layer was named" if options.form is None else "asked for"
     if options.rig_layer is not None:
+        from animtool.usd.target import map_joints, open_target
+
         target = open_target(options.rig_layer, options.prim_path)
         stream = reorient(stream, target.skeleton.rig.up)
         mapping = map_joints(stream.rig, target, options.strip_namespace)

@@ -10,7 +10,7 @@ from typing import Any
 
 from pxr import Sdf, Tf
 
-from animtool.errors import Fault, FormatError, OptionError
+from animtool.errors import Fault, FormatError, OptionError, excerpt
 from animtool.output import output_error, replacing
 from animtool.units import UpAxis
 
@@ -19,6 +19,7 @@ __all__ = [
     "StageMetadata",
     "attribute",
     "author_metadata",
+    "check_prim_path",
     "check_suffix",
     "find_layer",
     "new_layer",
@@ -70,6 +71,16 @@ def check_suffix(path: Path) -> None:
         allowed = f"allowed: {', '.join(SUFFIXES)}"
         message = f"{path.suffix or 'no suffix'!r} is no kind of USD layer"
         raise OptionError(Fault("OUT004", message, str(path), (), allowed))
+
+
+def check_prim_path(text: str) -> None:
+    """Raise `OptionError` where a text is no absolute prim path."""
+    valid = Sdf.Path.IsValidPathString(text)
+    if isinstance(valid, tuple):
+        valid = valid[0]
+    if not valid or not Sdf.Path(text).IsAbsoluteRootOrPrimPath() or text == "/":
+        message = f"--prim-path {excerpt(text)} is no path such as /World/hero"
+        raise OptionError(Fault("CLI003", message))
 
 
 def find_layer(path: Path) -> Any:

@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom, UsdSkel
+from pxr import Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, FormatError, OptionError, excerpt
+from animtool.errors import Fault, FormatError, excerpt
 from animtool.maths import so3
 from animtool.rig.skeleton import Joint, Rig
 from animtool.units import UpAxis
-from animtool.usd.layers import find_layer
+from animtool.usd.layers import check_prim_path, find_layer
 
 __all__ = [
     "SkeletonRig",
@@ -200,16 +200,6 @@ def prim_below(stage: Any, prim_path: str | None) -> str:
     if default and find_skeletons(stage, str(default.GetPath())):
         return str(default.GetPath())
     return "/"
-
-
-def check_prim_path(text: str) -> None:
-    """Raise `OptionError` where a text is no absolute prim path."""
-    valid = Sdf.Path.IsValidPathString(text)
-    if isinstance(valid, tuple):
-        valid = valid[0]
-    if not valid or not Sdf.Path(text).IsAbsoluteRootOrPrimPath() or text == "/":
-        message = f"--prim-path {excerpt(text)} is no path such as /World/hero"
-        raise OptionError(Fault("CLI003", message))
 
 
 def _fail(code: str, message: str, where: str, hint: str | None = None) -> NoReturn:

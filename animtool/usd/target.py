@@ -15,10 +15,10 @@ from animtool.errors import Fault, FormatError, Severity, excerpt
 from animtool.rates import rate_from_float
 from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Channel, Motion
+from animtool.usd.layers import check_prim_path
 from animtool.usd.names import joint_names
 from animtool.usd.rig_prims import (
     SkeletonRig,
-    check_prim_path,
     find_skeletons,
     open_stage,
     prim_below,

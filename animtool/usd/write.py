@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pxr import Sdf
@@ -25,7 +25,9 @@ from animtool.usd.layers import (
 )
 from animtool.usd.names import UsdNames
 from animtool.usd.skeleton import RigPaths, author_binding, author_rig
-from animtool.usd.target import RigTarget, compose_check, resolved_animation
+
+if TYPE_CHECKING:
+    from animtool.usd.target import RigTarget
 
 __all__ = ["Form", "UsdJob", "UsdResult", "output_paths", "write_usd"]
 
@@ -217,8 +219,10 @@ def _author_extents(job: UsdJob, authored: Authored, writer: AnimationWriter) ->
     from pxr import Usd, UsdGeom
 
     if job.target is not None:
+        from animtool.usd.target import compose_check, resolved_animation
+
         stage = compose_check(job.target, authored.animation)
-        _check_resolved(job, stage)
+        _check_resolved(job, resolved_animation(stage, job.paths.skeleton))
     else:
         top = Sdf.Layer.CreateAnonymous(".usda")
         layers = [authored.animation]
@@ -253,8 +257,7 @@ def _author_extents(job: UsdJob, authored: Authored, writer: AnimationWriter) ->
         writer.author_bounds(bounds)
 
 
-def _check_resolved(job: UsdJob, stage: Any) -> None:
-    found = resolved_animation(stage, job.paths.skeleton)
+def _check_resolved(job: UsdJob, found: str) -> None:
     if found != job.paths.animation:
         path = None if job.output is None else str(job.output)
         message = (

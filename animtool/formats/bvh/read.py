@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
@@ -53,18 +52,12 @@ def read_bvh(
     """
     path = Path(path)
     try:
-        file = path.open("rb", buffering=0)
+        with path.open("rb", buffering=0) as file:
+            lines = HeaderLines(file, path)
+            header, notices = read_header(lines, str(path))
+            rows_start = file.tell() - len(lines.rest)
     except OSError as error:
         raise _unreadable(path, error) from error
-    try:
-        lines = HeaderLines(file, path)
-        header, notices = read_header(lines, str(path))
-    except OSError as error:
-        file.close()
-        raise _unreadable(path, error) from error
-    except BaseException:
-        file.close()
-        raise
     rig = _rig(header, path.stem, unit, up)
     assert header.rate is not None
     stream = TakeStream(
@@ -90,9 +83,8 @@ def read_bvh(
         for channel in joint.channels or ()
     ]
     source = RowSource(
-        file,
-        lines.rest,
-        str(path),
+        path,
+        rows_start,
         lines.number,
         names,
         header.declared_frames,
@@ -197,7 +189,6 @@ class _Layout:
 def _blocks(
     source: RowSource, header: BvhHeader, rig: Rig, notices: list[Fault]
 ) -> Iterator[Motion]:
-    file: BinaryIO = source.file
     reader = RowReader(source)
     layout = _Layout(header)
     moving = np.array(layout.moving, np.int64)
@@ -205,22 +196,19 @@ def _blocks(
     rest = rig.rest_translations[moving].ravel()
     identity = rig.rest_rotations
     previous: FloatArray = np.tile(IDENTITY, (len(turning), 1))
-    with file:
-        for rows in reader.blocks():
-            translations = np.repeat(rest[None], len(rows), axis=0)
-            translations[:, layout.slots] = (
-                rows[:, layout.columns] * rig.meters_per_unit
-            )
-            rotations = _kernels.euler_to_quaternion(
-                rows, layout.turn_columns, layout.turn_axes, previous
-            )
-            previous = rotations[-1].copy()
-            yield Motion(
-                Channel(
-                    rig.rest_translations,
-                    moving,
-                    translations.reshape(len(rows), -1, 3),
-                ),
-                Channel(identity, turning, rotations),
-            )
-        notices.extend(reader.notices)
+    for rows in reader.blocks():
+        translations = np.repeat(rest[None], len(rows), axis=0)
+        translations[:, layout.slots] = rows[:, layout.columns] * rig.meters_per_unit
+        rotations = _kernels.euler_to_quaternion(
+            rows, layout.turn_columns, layout.turn_axes, previous
+        )
+        previous = rotations[-1].copy()
+        yield Motion(
+            Channel(
+                rig.rest_translations,
+                moving,
+                translations.reshape(len(rows), -1, 3),
+            ),
+            Channel(identity, turning, rotations),
+        )
+    notices.extend(reader.notices)

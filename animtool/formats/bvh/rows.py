@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
@@ -34,9 +35,8 @@ class RowSource:
     """Where the rows come from.
 
     Attributes:
-        file: Open file, behind what ``head`` holds.
-        head: Bytes of the first rows, already read.
-        path: For messages.
+        path: The file.
+        start: Byte at which they start.
         line: Lines before the rows.
         channels: What each column is called, ``joint.Xposition``.
         declared: Frames that the header promises.
@@ -44,9 +44,8 @@ class RowSource:
         progress: Called with the share of the file read, if given.
     """
 
-    file: BinaryIO
-    head: bytes
-    path: str
+    path: Path
+    start: int
     line: int
     channels: list[str]
     declared: int
@@ -64,6 +63,7 @@ class RowReader:
     def __init__(self, source: RowSource) -> None:
         self.source = source
         self.notices: list[Fault] = []
+        self._path = str(source.path)
         self._width = len(source.channels)
         self._count = 0
         self._extra_line: int | None = None
@@ -105,17 +105,26 @@ class RowReader:
     def _parsed(self) -> Iterator[tuple[FloatArray, IntArray]]:
         """Yield rows and their line numbers."""
         source = self.source
-        size = max(1, os.fstat(source.file.fileno()).st_size)
+        try:
+            with source.path.open("rb", buffering=0) as file:
+                file.seek(source.start)
+                yield from self._parse(file)
+        except OSError as error:
+            message = f"cannot be read: {error.strerror or error}"
+            raise FormatError(Fault("IO001", message, self._path)) from error
+
+    def _parse(self, file: BinaryIO) -> Iterator[tuple[FloatArray, IntArray]]:
+        size = max(1, os.fstat(file.fileno()).st_size)
         limit = max(1, BLOCK_VALUES // self._width)
         longest = CHUNK_BYTES + LONGEST_NUMBER_BYTES * self._width
-        text, line, final, starved = source.head, source.line + 1, False, False
+        text, line, final, starved = b"", self.source.line + 1, False, True
         while True:
-            if starved or not text:
-                chunk = source.file.read(CHUNK_BYTES)
+            if starved:
+                chunk = file.read(CHUNK_BYTES)
                 final = not chunk
                 text += chunk
-                if source.progress:
-                    source.progress(source.file.tell() / size)
+                if self.source.progress:
+                    self.source.progress(file.tell() / size)
             rows, row_lines, consumed, lines, fault, found, token = (
                 _kernels.parse_bvh_rows(text, self._width, limit, final)
             )
@@ -124,20 +133,19 @@ class RowReader:
             line += lines
             text = text[consumed:]
             if fault:
-                raise FormatError(
-                    self._row_fault(fault, line, found, token, final, text)
-                )
+                last = final and len(text.splitlines()) <= 1
+                raise FormatError(self._row_fault(fault, line, found, token, last))
             if final and not text:
                 return
             if len(text) > longest and not consumed:
                 message = "the line is too long to be a row of numbers"
-                raise FormatError(Fault("BVH013", message, source.path, (line,)))
+                raise FormatError(Fault("BVH013", message, self._path, (line,)))
             starved = len(rows) < limit
 
     def _row_fault(
-        self, fault: int, line: int, found: int, token: bytes, final: bool, text: bytes
+        self, fault: int, line: int, found: int, token: bytes, last: bool
     ) -> Fault:
-        path = self.source.path
+        path = self._path
         if fault == 2:
             word = token.decode("utf-8", "replace")
             name = (
@@ -146,7 +154,6 @@ class RowReader:
             hint = "write decimals with a point" if "," in word else None
             message = f"{excerpt(word)} is not a number ({excerpt(name)})"
             return Fault("BVH011", message, path, (line,), hint)
-        last = final and len(text.splitlines()) <= 1
         hint = "each frame is one line; are these rows wrapped?"
         if found > self._width:
             hint = "does the HIERARCHY name every channel?"
@@ -185,7 +192,7 @@ class RowReader:
 
     def _check(self) -> None:
         """Refuse a file without rows, or a channel that lost too much."""
-        path = self.source.path
+        path = self._path
         if not self._count:
             line = self.source.line
             message = "the MOTION block has no rows of numbers"
@@ -205,7 +212,7 @@ class RowReader:
             raise FormatError(faults[:MOST_NAMED])
 
     def _report(self) -> None:
-        declared, found, path = self.source.declared, self._count, self.source.path
+        declared, found, path = self.source.declared, self._count, self._path
         if declared != found:
             line = self._extra_line or self.source.declared_line
             message = f"Frames says {declared}, and there are {found} rows"
@@ -232,7 +239,7 @@ class RowReader:
                 Fault(
                     code,
                     message,
-                    self.source.path,
+                    self._path,
                     tuple(lines[:10]),
                     hint,
                     Severity.WARNING,
@@ -241,5 +248,5 @@ class RowReader:
         if len(found) > MOST_NAMED:
             message = f"{len(found) - MOST_NAMED} more channels have values {what}"
             self.notices.append(
-                Fault(code, message, self.source.path, (), hint, Severity.WARNING)
+                Fault(code, message, self._path, (), hint, Severity.WARNING)
             )

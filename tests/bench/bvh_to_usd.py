@@ -1,0 +1,484 @@
+"""How fast animtool bakes BVH to USD, beside Blender, pybvh and np.loadtxt.
+
+Every tool runs as a process of its own, in turn, and is timed from outside; see
+README.md beside this file. Only the standard library is imported here, so that this
+process stays small: on Linux a child's peak memory begins at that of its parent.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+RSS_UNIT = 1 if sys.platform == "darwin" else 1024
+
+WHOLE = "whole process [s]"
+INNER = "without start-up [s]"
+PEAK = "peak memory [MB]"
+PEAK_PER_FILE = "peak / file [x]"
+WHOLE_RATIO = "whole / animtool [x]"
+INNER_RATIO = "inner / animtool [x]"
+ERROR = "largest error [cm]"
+SECONDS = "time [s]"
+SPEED = "speed [MB/s]"
+RATIO = "ratio [x]"
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A bound on a figure."""
+
+    at_least: bool
+    bound: float
+
+    def met(self, value: float) -> bool:
+        """Return whether the value keeps it."""
+        return value >= self.bound if self.at_least else value <= self.bound
+
+    def __str__(self) -> str:
+        return f"{'>=' if self.at_least else '<='} {self.bound:g}"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure: the median of its runs, and how far they spread."""
+
+    section: str
+    tool: str
+    measure: str
+    values: list[float]
+    wanted: Wanted | None = None
+
+    @property
+    def median(self) -> float:
+        """The figure."""
+        return statistics.median(self.values)
+
+
+@dataclass(frozen=True)
+class Run:
+    """What one process took, and what it printed."""
+
+    seconds: float
+    peak_bytes: int
+    report: dict[str, Any]
+
+
+@dataclass
+class Tool:
+    """A command to time, made for its output file.
+
+    Attributes:
+        name: For the table.
+        command: Returns the command, given a path without suffix for its output.
+        runs: How many.
+        output: Suffix of what it writes, if anything.
+    """
+
+    name: str
+    command: Callable[[Path], list[str]]
+    runs: int
+    output: str = ""
+    taken: list[Run] = field(default_factory=list)
+
+    def inner(self) -> list[float]:
+        """Return the seconds that the process itself counted in its work."""
+        return [run.report["seconds"]["total"] for run in self.taken]
+
+
+def run(command: list[str], *, report: bool = True) -> Run:
+    """Run a command to its end, and read the JSON object that it printed last."""
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
+        began = time.perf_counter()
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=out, stderr=err
+        )
+        _, status, usage = os.wait4(process.pid, 0)
+        seconds = time.perf_counter() - began
+        process.returncode = os.waitstatus_to_exitcode(status)
+        if process.returncode:
+            err.seek(0)
+            sys.exit(f"{' '.join(command)}\n{err.read().decode(errors='replace')}")
+        out.seek(0)
+        found = _last_object("\n" + out.read().decode()) if report else {}
+    return Run(seconds, usage.ru_maxrss * RSS_UNIT, found)
+
+
+def _last_object(text: str) -> dict[str, Any]:
+    start = text.rindex("\n{") + 1
+    found: dict[str, Any] = json.JSONDecoder().raw_decode(text[start:])[0]
+    return found
+
+
+def in_turn(tools: list[Tool], work: Path, *, warm_up: bool) -> None:
+    """Run the tools A B C A B C, each as often as it asks for.
+
+    A warm-up is a first round that does not count.
+    """
+    for i in range(-1 if warm_up else 0, max(tool.runs for tool in tools)):
+        for tool in tools:
+            if i >= tool.runs:
+                continue
+            stem = work / tool.name
+            if tool.output:
+                stem.with_suffix(tool.output).unlink(missing_ok=True)
+            taken = run(tool.command(stem))
+            if i >= 0:
+                tool.taken.append(taken)
+            print(f"  {tool.name}: {taken.seconds:.2f} s", file=sys.stderr)
+
+
+class Bench:
+    """The sections, and the figures that they found."""
+
+    def __init__(self, options: argparse.Namespace, work: Path) -> None:
+        self.options = options
+        self.work = work
+        self.rows: list[Row] = []
+
+    def add(
+        self,
+        section: str,
+        tool: str,
+        measure: str,
+        values: list[float] | float,
+        wanted: Wanted | None = None,
+    ) -> None:
+        """Keep a figure."""
+        values = values if isinstance(values, list) else [values]
+        self.rows.append(Row(section, tool, measure, values, wanted))
+
+    def part(self, *arguments: object) -> dict[str, Any]:
+        """Run one of `parts.py` and return its result."""
+        command = [self.options.python, str(HERE / "parts.py"), *map(str, arguments)]
+        return run(command).report
+
+    def start_up(self) -> None:
+        """Time what a user waits for before anything happens."""
+        options, python = self.options, self.options.python
+        small = options.small
+        commands = {
+            "animtool --help": [options.animtool, "--help"],
+            "python, import animtool": [python, "-c", "import animtool"],
+            "python, pass": [python, "-c", "pass"],
+            "animtool bake": self._bake(small, self.work / "small"),
+        }
+        bounds = {"animtool --help": 0.1, "animtool bake": 0.6}
+        times: dict[str, list[float]] = {name: [] for name in commands}
+        for i in range(options.start_up_runs + 1):
+            for name, command in commands.items():
+                seconds = run(command, report=False).seconds
+                if i:  # The first warms the caches.
+                    times[name].append(seconds)
+        for name, values in times.items():
+            wanted = Wanted(False, bounds[name]) if name in bounds else None
+            shown = f"{name} {small.name}" if name == "animtool bake" else name
+            self.add("start-up", shown, SECONDS, values, wanted)
+        medians = {name: statistics.median(values) for name, values in times.items()}
+        own = medians["python, import animtool"] - medians["python, pass"]
+        self.add("start-up", "import animtool alone", SECONDS, own, Wanted(False, 0.03))
+
+    def _bake(self, source: Path, stem: Path) -> list[str]:
+        output = stem.with_suffix(".usdc")
+        command = [self.options.animtool, "bake", str(source), "-o", str(output)]
+        return [*command, "--overwrite", "--format", "json"]
+
+    def file(
+        self, section: str, source: Path, every: int, wanted: dict[str, Wanted]
+    ) -> None:
+        """Time every tool on one file, and measure what each got wrong."""
+        options, long, size = self.options, section == "long", source.stat().st_size
+        tools = list(self._tools(source, options.bpy_runs if long else options.runs))
+        print(f"{section}: {size / 1e6:.1f} MB", file=sys.stderr)
+        in_turn(tools, self.work, warm_up=not long)
+        errors = self._errors(source, every, tools)
+        own = tools[0]
+        for tool in tools:
+            name, whole = tool.name, [run.seconds for run in tool.taken]
+            peaks = [run.peak_bytes / 1e6 for run in tool.taken]
+            self.add(section, name, WHOLE, whole)
+            self.add(section, name, INNER, tool.inner())
+            self._ratios(section, tool, own, wanted)
+            self.add(section, name, PEAK, peaks)
+            per_file = [peak * 1e6 / size for peak in peaks]
+            bound = wanted.get(PEAK_PER_FILE) if tool is own else None
+            self.add(section, name, PEAK_PER_FILE, per_file, bound)
+            if name in errors:
+                self.add(section, name, ERROR, errors[name]["error"])
+
+    def _ratios(
+        self, section: str, tool: Tool, own: Tool, wanted: dict[str, Wanted]
+    ) -> None:
+        """Compare medians with animtool's; loadtxt's bound is the other way round."""
+        whole = statistics.median(run.seconds for run in tool.taken)
+        own_whole = statistics.median(run.seconds for run in own.taken)
+        inner = statistics.median(tool.inner()) / statistics.median(own.inner())
+        blender = tool.name == "Blender"
+        bound = wanted.get(WHOLE_RATIO) if blender else None
+        self.add(section, tool.name, WHOLE_RATIO, whole / own_whole, bound)
+        bound = wanted.get(INNER_RATIO) if blender else None
+        self.add(section, tool.name, INNER_RATIO, inner, bound)
+        if tool.name == "np.loadtxt" and RATIO in wanted:
+            self.add(
+                section,
+                "animtool / np.loadtxt",
+                RATIO,
+                own_whole / whole,
+                wanted[RATIO],
+            )
+
+    def _tools(self, source: Path, bpy_runs: int) -> Iterator[Tool]:
+        options, peers, runs = self.options, HERE / "peers", self.options.runs
+        yield Tool("animtool", lambda stem: self._bake(source, stem), runs, ".usdc")
+        load = [options.python, str(peers / "loadtxt.py"), str(source)]
+        yield Tool("np.loadtxt", lambda _: load, runs)
+        if options.pybvh_python:
+            positions = str(peers / "pybvh_positions.py")
+            command = [options.pybvh_python, positions, str(source)]
+            yield Tool("pybvh", lambda _: command, runs)
+        else:
+            print("  pybvh skipped: no --pybvh-python", file=sys.stderr)
+        if options.bpy_python:
+            blender = [options.bpy_python, str(peers / "blender.py"), str(source)]
+            yield Tool(
+                "Blender",
+                lambda stem: [*blender, str(stem.with_suffix(".usdc"))],
+                bpy_runs,
+                ".usdc",
+            )
+        else:
+            print("  Blender skipped: no --bpy-python", file=sys.stderr)
+
+    def _errors(self, source: Path, every: int, tools: list[Tool]) -> dict[str, Any]:
+        """Return what `parts.errors` says of each tool's last output."""
+        outputs = []
+        for tool in tools:
+            stem = self.work / tool.name
+            if tool.output:
+                outputs.append(f"{tool.name}={stem.with_suffix(tool.output)}")
+            elif tool.name == "pybvh":
+                stored = stem.with_suffix(".npz")
+                run([*tool.command(stem), str(stored), str(every)])
+                outputs.append(f"{tool.name}={stored}")
+        found = self.part("errors", source, every, *outputs)
+        for name, entry in found.items():
+            print(f"  {name}: {entry}", file=sys.stderr)
+        return found
+
+    def kernel(self, source: Path) -> None:
+        """Time the row parser against np.loadtxt."""
+        runs = self.options.runs
+        found = self.part("kernel", source, self.work, self.options.kernel_mb, runs)
+        section, medians = "row parser", {}
+        for name, seconds in found["times"].items():
+            speeds = [found["bytes"] / 1e6 / value for value in seconds]
+            self.add(section, name, SECONDS, seconds)
+            self.add(section, name, SPEED, speeds)
+            medians[name] = statistics.median(seconds)
+        ratio = medians["np.loadtxt"] / medians["parse_bvh_rows"]
+        self.add(section, "np.loadtxt / parser", RATIO, ratio, Wanted(True, 4))
+
+    def authoring(self) -> None:
+        """Time the authoring of samples against a bare loop."""
+        frames, joints = self.options.authoring_frames, 60
+        runs = self.options.runs
+        found = self.part("authoring", self.work, frames, joints, runs)
+        section, medians = "authoring", {}
+        for name, seconds in found["times"].items():
+            self.add(section, name, SECONDS, seconds)
+            medians[name] = statistics.median(seconds)
+        ratio = medians["AnimationWriter"] / medians["layer route"]
+        self.add(section, "AnimationWriter / layer", RATIO, ratio, Wanted(False, 1.5))
+
+    def run(self) -> None:
+        """Run every section that was asked for."""
+        sections = self.options.sections
+        long = self.work / f"long-{self.options.frames}.bvh"
+        if {"long", "kernel"} & set(sections) and not long.exists():
+            self.part("make-long", self.options.long_from, long, self.options.frames)
+        if "start-up" in sections:
+            self.start_up()
+        if "kernel" in sections:
+            self.kernel(long)
+        if "authoring" in sections:
+            self.authoring()
+        if "medium" in sections:
+            bounds = {WHOLE_RATIO: Wanted(True, 5), INNER_RATIO: Wanted(True, 12)}
+            self.file("medium", self.options.medium, 1, bounds)
+        if "long" in sections:
+            bounds = {
+                WHOLE_RATIO: Wanted(True, 25),
+                RATIO: Wanted(False, 2.5),
+                PEAK_PER_FILE: Wanted(False, 3),
+            }
+            self.file("long", long, self.options.every, bounds)
+
+
+def processor() -> str:
+    """Return the model of the processor."""
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        for line in cpuinfo.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()
+
+
+def machine(options: argparse.Namespace) -> list[str]:
+    """Return what the figures were measured on and with."""
+    lines = [
+        f"processor: {processor()}, {os.cpu_count()} cores",
+        f"system: {platform.system()} {platform.machine()}",
+    ]
+    if hasattr(os, "getloadavg"):
+        lines.append(f"load before the run: {os.getloadavg()[0]:.2f}")
+    for python, packages in (
+        (options.python, ["animtool", "usd-core", "numpy"]),
+        (options.pybvh_python, ["pybvh", "numpy"]),
+        (options.bpy_python, ["bpy", "numpy"]),
+    ):
+        if python:
+            lines.append(_versions(python, packages))
+    return lines
+
+
+def _versions(python: str, packages: list[str]) -> str:
+    code = (
+        "import json, platform, sys; from importlib.metadata import version; "
+        "found = {'Python': platform.python_version()}; "
+        "found.update((name, version(name)) for name in sys.argv[1:]); "
+        "print(json.dumps(found))"
+    )
+    found = run([python, "-c", code, *packages]).report
+    names = [*packages, "Python"]
+    return ", ".join(f"{name} {found[name]}" for name in names)
+
+
+def _cell(row: Row | None) -> str:
+    if row is None:
+        return ""
+    shown = f"{row.median:.3g}"
+    if len(row.values) > 1 and row.measure.endswith("[s]"):
+        shown += f" ({min(row.values):.3g}-{max(row.values):.3g})"
+    return shown
+
+
+def table(rows: list[Row]) -> list[str]:
+    """Return a table of one section: a line a tool, a column a measure."""
+    measures = list(dict.fromkeys(row.measure for row in rows))
+    tools = list(dict.fromkeys(row.tool for row in rows))
+    cells = {(row.tool, row.measure): row for row in rows}
+    grid = [[rows[0].section, *measures]]
+    for tool in tools:
+        grid.append([tool, *(_cell(cells.get((tool, m))) for m in measures)])
+    widths = [max(map(len, column)) for column in zip(*grid, strict=True)]
+    return [
+        "  ".join(text.ljust(width) for text, width in zip(line, widths, strict=True))
+        for line in grid
+    ]
+
+
+def verdicts(rows: list[Row]) -> list[str]:
+    """Return a line for every figure that has a bound."""
+    lines = []
+    for row in rows:
+        if row.wanted is not None:
+            word = "met" if row.wanted.met(row.median) else "MISSED"
+            figure = f"{row.section}, {row.tool}, {row.measure}"
+            lines.append(f"{word:6}  {figure}: {row.median:.3g} ({row.wanted})")
+    return lines
+
+
+def write_csv(path: Path, about: list[str], rows: list[Row]) -> None:
+    """Write one line a figure, below what it was measured on."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="", encoding="utf-8") as file:
+        file.writelines(f"# {line}\n" for line in about)
+        writer = csv.writer(file, lineterminator="\n")
+        names = "section tool measure median min max runs wanted met"
+        writer.writerow(names.split())
+        for row in rows:
+            figures = [row.median, min(row.values), max(row.values)]
+            met = "" if row.wanted is None else row.wanted.met(row.median)
+            writer.writerow(
+                [
+                    row.section,
+                    row.tool,
+                    row.measure,
+                    *(f"{figure:.5g}" for figure in figures),
+                    len(row.values),
+                    row.wanted or "",
+                    {True: "yes", False: "no", "": ""}[met],
+                ]
+            )
+
+
+SECTIONS = ("start-up", "kernel", "authoring", "medium", "long")
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the options."""
+    data = Path(os.environ.get("ANIMTOOL_DATA", "data")) / "bvh"
+    walk = ROOT / "samples" / "walk" / "walk.bvh"
+    made = argparse.ArgumentParser(
+        description=__doc__.splitlines()[0] if __doc__ else None,
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    add = made.add_argument
+    add("--sections", nargs="+", choices=SECTIONS, default=SECTIONS)
+    add("--runs", type=int, default=5, help="runs of each tool; the median counts")
+    add("--bpy-runs", type=int, default=1, help="runs of Blender on the long file")
+    add("--start-up-runs", type=int, default=15)
+    add("--frames", type=int, default=100_000, help="frames of the long file")
+    add("--every", type=int, default=50, help="compare every nth frame of it")
+    add("--kernel-mb", type=float, default=20, help="text for the row parser")
+    add("--authoring-frames", type=int, default=10_000)
+    add("--long-from", type=Path, default=data / "ad_jesse_dance.bvh")
+    add("--medium", type=Path, default=data / "assimp_cmu_01_03.bvh")
+    small = walk if walk.exists() else data / "ad_zombie.bvh"
+    add("--small", type=Path, default=small)
+    add("--python", default=sys.executable, help="interpreter with animtool")
+    add("--bpy-python", help="interpreter with bpy; without it Blender is skipped")
+    add("--pybvh-python", help="interpreter with pybvh; without it pybvh is skipped")
+    add("--animtool", help="the command; by default the one beside --python")
+    add("--work", type=Path, help="keep work files here instead of a temporary folder")
+    add("--csv", type=Path, default=HERE / "results" / "bvh_to_usd.csv")
+    return made
+
+
+def main() -> None:
+    """Measure, print the tables, write the CSV."""
+    options = parser().parse_args()
+    if options.animtool is None:
+        options.animtool = str(Path(options.python).with_name("animtool"))
+    about = machine(options)
+    with tempfile.TemporaryDirectory(prefix="animtool-bench-") as temporary:
+        work = options.work or Path(temporary)
+        work.mkdir(parents=True, exist_ok=True)
+        bench = Bench(options, work)
+        bench.run()
+    print("\n".join(about))
+    for section in dict.fromkeys(row.section for row in bench.rows):
+        print()
+        print("\n".join(table([r for r in bench.rows if r.section == section])))
+    print()
+    print("\n".join(verdicts(bench.rows)))
+    write_csv(options.csv, about, bench.rows)
+
+
+if __name__ == "__main__":
+    main()

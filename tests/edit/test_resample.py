@@ -1,0 +1,132 @@
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from animtool.edit.resample import FrameRange, plan_samples, sample
+from animtool.maths import so3
+from animtool.rig.skeleton import Joint, Rig
+from animtool.take import Channel, Clock, Motion, Take
+
+NTSC = Fraction(24000, 1001)
+
+
+def clock(count: int, fps: Fraction = Fraction(120)) -> Clock:
+    return Clock(fps, Fraction(1), Fraction(1), count)
+
+
+def spin(count: int, fps: Fraction) -> Take:
+    """Return a joint that turns at one radian a second and slides as fast."""
+    seconds = np.arange(count) / float(fps)
+    turns = so3.from_axis_angle(np.array([0.0, 0.6, 0.8]), seconds)[:, None]
+    slides = np.zeros((count, 1, 3))
+    slides[:, 0, 0] = seconds
+    rig = Rig("spin", (Joint("a", -1),))
+    motion = Motion(
+        Channel.from_dense(slides), Channel.from_dense(so3.align_signs(turns))
+    )
+    return Take(rig, clock(count, fps), motion)
+
+
+@given(st.sampled_from([24, 25, 30, 60, 90, 100, 119, 120, 240]).map(Fraction))
+def test_constant_speed_is_kept_exactly(fps: Fraction) -> None:
+    take = spin(241, Fraction(120))
+    times = plan_samples(take.clock, fps, Fraction(1))
+    blocks = [motion for _, motion in sample(take, times)]
+    whole = Motion.concatenate(blocks)
+    seconds = (times.codes - 1) / float(fps)
+    truth = so3.from_axis_angle(np.array([0.0, 0.6, 0.8]), seconds)
+    found = whole.rotations.values[:, 0]
+    assert so3.angle_between(found, truth).max() < 1e-14
+    assert (np.sum(found[1:] * found[:-1], axis=-1) > 0).all()
+    assert_allclose(whole.translations.values[:, 0, 0], seconds, atol=1e-14)
+
+
+def test_samples_that_coincide_are_the_source_exactly() -> None:
+    take = spin(1201, Fraction(120))
+    times = plan_samples(take.clock, Fraction(24), Fraction(1001))
+    assert len(times.codes) == 241
+    assert not times.fractions.any()
+    found = Motion.concatenate([motion for _, motion in sample(take, times)])
+    assert_array_equal(found.rotations.values, take.motion.rotations.values[::5])
+    assert (times.first, times.last) == (1001, 1241)
+
+
+def test_kept_samples_have_exact_time_codes() -> None:
+    times = plan_samples(clock(11), Fraction(24), Fraction(1001), keep_samples=True)
+    assert times.codes.tolist() == [
+        float(Fraction(1001) + Fraction(i, 5)) for i in range(11)
+    ]
+    assert times.last == 1003
+    ntsc = plan_samples(clock(4), NTSC, Fraction(1), keep_samples=True)
+    step = NTSC / 120
+    assert ntsc.codes.tolist() == [float(1 + i * step) for i in range(4)]
+
+
+def test_a_long_take_at_a_broken_rate_does_not_drift() -> None:
+    times = plan_samples(clock(10**7, Fraction(30)), Fraction(30000, 1001), Fraction(1))
+    ratio = Fraction(30) / Fraction(30000, 1001)
+    for i in (1, 999, 10**6 + 1, len(times.codes) - 1):
+        whole, left = divmod(i * ratio, 1)
+        assert (times.frames[i], times.fractions[i]) == (whole, float(left))
+
+
+@pytest.mark.parametrize(
+    ("frames", "codes"),
+    [
+        (FrameRange(1, 11, 1), range(1, 12)),
+        (FrameRange(3, 9, 2), (3, 5, 7, 9)),
+        (FrameRange(-5, 100, 4), (3, 7, 11)),
+        (FrameRange(11, 11), (11,)),
+    ],
+)
+def test_ranges(frames: FrameRange, codes: object) -> None:
+    times = plan_samples(clock(11), Fraction(120), Fraction(1), frame_range=frames)
+    assert times.codes.tolist() == list(codes)  # type: ignore[call-overload]
+    assert (times.first, times.last) == (times.codes[0], times.codes[-1])
+
+
+@pytest.mark.parametrize("frames", [FrameRange(12, 20), FrameRange(-9, 0)])
+@pytest.mark.parametrize("keep", [False, True])
+def test_a_range_without_a_frame(frames: FrameRange, keep: bool) -> None:
+    with pytest.raises(ValueError, match="which"):
+        plan_samples(
+            clock(11), Fraction(120), Fraction(1), frame_range=frames, keep_samples=keep
+        )
+
+
+def test_kept_samples_within_a_range() -> None:
+    times = plan_samples(
+        clock(21),
+        Fraction(24),
+        Fraction(1),
+        frame_range=FrameRange(2, 3),
+        keep_samples=True,
+    )
+    assert_allclose(times.codes, np.arange(2, 3.1, 0.2))
+    with pytest.raises(ValueError, match="step"):
+        plan_samples(
+            clock(21), Fraction(24), Fraction(1),
+            frame_range=FrameRange(1, 3, 2), keep_samples=True,
+        )  # fmt: skip
+
+
+def test_sub_frame_samples_are_ascending_and_held_at_the_ends() -> None:
+    offsets = (Fraction(-1, 4), Fraction(0), Fraction(1, 4))
+    take = spin(3, Fraction(24))
+    times = plan_samples(take.clock, Fraction(24), Fraction(10), offsets=offsets)
+    assert times.codes.tolist() == [9.75, 10, 10.25, 10.75, 11, 11.25, 11.75, 12, 12.25]
+    assert (times.first, times.last) == (10, 12)
+    found = Motion.concatenate([motion for _, motion in sample(take, times)])
+    slide = found.translations.values[:, 0, 0] * 24
+    assert_allclose(slide, [0, 0, 0.25, 0.75, 1, 1.25, 1.75, 2, 2], atol=1e-14)
+
+
+def test_one_frame() -> None:
+    times = plan_samples(clock(1), Fraction(24), Fraction(1))
+    assert (times.codes.tolist(), times.first, times.last) == ([1.0], 1, 1)

@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from animtool.errors import AnimtoolError, OptionError, OutputError
+from animtool.output import check_outputs, replacing
+
+
+def test_a_file_appears_whole(tmp_path: Path) -> None:
+    target = tmp_path / "a.txt"
+    with replacing(target) as temporary:
+        temporary.write_text("done")
+        assert not target.exists()
+        assert temporary.parent == target.parent
+    assert target.read_text() == "done"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+def test_a_failure_leaves_what_was(tmp_path: Path, error: type[BaseException]) -> None:
+    target = tmp_path / "a.txt"
+    target.write_text("old")
+
+    def fail() -> None:
+        with replacing(target) as temporary:
+            temporary.write_text("half")
+            raise error
+
+    with pytest.raises(error):
+        fail()
+    assert target.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_nothing_written_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(OutputError), replacing(tmp_path / "a.txt"):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("name", "error", "code"),
+    [
+        ("there.usda", OptionError, "OUT001"),
+        ("missing/a.usda", OutputError, "OUT002"),
+        ("there.usda/a.usda", OutputError, "OUT002"),
+        ("folder", OutputError, "OUT002"),
+        ("input.bvh", OptionError, "OUT003"),
+        ("../{}/input.bvh", OptionError, "OUT003"),
+    ],
+)
+def test_refusals(
+    tmp_path: Path, name: str, error: type[AnimtoolError], code: str
+) -> None:
+    (tmp_path / "there.usda").write_text("mine")
+    (tmp_path / "folder").mkdir()
+    source = tmp_path / "input.bvh"
+    source.write_text("")
+    output = tmp_path / name.format(tmp_path.name)
+    with pytest.raises(error) as caught:
+        check_outputs([output], [source], overwrite=False)
+    assert caught.value.code == code
+
+
+def test_overwrite_allows_what_exists(tmp_path: Path) -> None:
+    there = tmp_path / "there.usda"
+    there.write_text("mine")
+    check_outputs([there], [], overwrite=True)
+    with pytest.raises(OptionError):
+        check_outputs([there], [there], overwrite=True)

@@ -1,0 +1,133 @@
+"""The shape of the package: who may import whom, and what is loaded when."""
+
+from __future__ import annotations
+
+import ast
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import animtool
+
+PACKAGE = Path(animtool.__file__).parent
+# A package imports from those above it only.
+LAYERS = [
+    {"errors", "units", "rates", "output", "config", "prefetch", "_types", "_kernels"},
+    {"maths"},
+    {"rig.skeleton"},
+    {"take"},
+    {"rig"},
+    {"formats"},
+    {"usd"},
+    {"edit"},
+    {"scene"},
+    {"report"},
+    {"cli"},
+]
+RANK = {name: i for i, names in enumerate(LAYERS) for name in names}
+
+
+def rank(module: str) -> int:
+    """Return how far down a module of animtool stands."""
+    name = module.removeprefix("animtool.")
+    for key in (".".join(name.split(".")[:2]), name.split(".")[0]):
+        if key in RANK:
+            return RANK[key]
+    raise AssertionError(f"{module} is in no layer")
+
+
+def imports(path: Path) -> set[str]:
+    """Return every module that a file imports, inside functions too."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            if node.module == "animtool":
+                found |= {f"animtool.{alias.name}" for alias in node.names}
+            else:
+                found.add(node.module)
+    return found
+
+
+MODULES = [
+    pytest.param(path, id=str(path.relative_to(PACKAGE)))
+    for path in sorted(PACKAGE.rglob("*.py"))
+    if path.name not in {"__main__.py"} and path != PACKAGE / "__init__.py"
+]
+
+
+@pytest.mark.parametrize("path", MODULES)
+def test_imports_point_one_way(path: Path) -> None:
+    module = ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts)
+    module = module.removesuffix(".__init__")
+    folder = module.split(".")[1]
+    for name in imports(path):
+        if name.startswith("animtool."):
+            assert rank(name) <= rank(module), f"{module} imports {name}"
+        if name.split(".")[0] == "pxr":
+            assert folder == "usd"
+        if name.split(".")[0] in {"click", "rich"}:
+            assert folder == "cli"
+
+
+def loaded(code: str) -> set[str]:
+    """Return the modules that a fresh interpreter has after some code."""
+    script = f"{code}\nimport sys, json\nprint(json.dumps(sorted(sys.modules)))"
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+def test_importing_animtool_loads_nothing_heavy() -> None:
+    assert not loaded("import animtool") & {"numpy", "pxr", "scipy", "click", "rich"}
+
+
+def test_help_loads_nothing_heavy() -> None:
+    code = "from animtool.cli.main import run\nrun(['--help'])"
+    assert not loaded(code) & {"numpy", "pxr", "scipy", "rich"}
+
+
+def test_a_bvh_is_described_without_usd(walk: Path) -> None:
+    code = f"from animtool.cli.main import run\nrun(['info', {str(walk)!r}])"
+    assert not loaded(code) & {"pxr", "scipy", "rich"}
+
+
+def test_a_bake_loads_no_more_usd_than_it_needs(walk: Path, tmp_path: Path) -> None:
+    code = (
+        "from animtool.cli.main import run\n"
+        f"run(['bake', {str(walk)!r}, '-o', {str(tmp_path / 'o.usdc')!r}])"
+    )
+    assert not loaded(code) & {"pxr.UsdSkel", "pxr.UsdGeom", "pxr.Usd", "scipy", "rich"}
+
+
+def test_every_public_name_exists() -> None:
+    for name in animtool.__all__:
+        assert getattr(animtool, name) is not None
+    with pytest.raises(AttributeError, match="nothing_such"):
+        _ = animtool.nothing_such
+
+
+def test_the_stub_names_what_the_kernels_have() -> None:
+    pytest.importorskip("nanobind", reason="nanobind makes the stub")
+    from nanobind.stubgen import StubGen
+
+    from animtool import _kernels
+
+    generator = StubGen(_kernels)
+    generator.put(_kernels)
+    committed = PACKAGE / "_kernels.pyi"
+
+    def signatures(text: str) -> dict[str, str]:
+        tree = ast.parse(text)
+        return {
+            node.name: ast.unparse(node.args)
+            for node in tree.body
+            if isinstance(node, ast.FunctionDef)
+        }
+
+    assert signatures(generator.get()) == signatures(committed.read_text("utf-8"))
