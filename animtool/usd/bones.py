@@ -19,18 +19,7 @@ __all__ = ["author_bones", "bone_segments"]
 WAIST = 0.2
 HALF_WIDTH = 0.08
 
-_FACES = np.array(
-    [
-        [0, 1, 2],
-        [0, 2, 3],
-        [0, 3, 4],
-        [0, 4, 1],
-        [5, 2, 1],
-        [5, 3, 2],
-        [5, 4, 3],
-        [5, 1, 4],
-    ]
-)
+_FACES = np.array([[[0, b, a], [5, a, b]] for a, b in ((1, 2), (2, 3), (3, 4), (4, 1))])
 
 
 def bone_segments(rig: Rig) -> tuple[FloatArray, IntArray]:
@@ -65,7 +54,7 @@ def author_bones(layer: Any, rig: Rig, paths: RigPaths, meters_per_unit: float) 
     if not len(segments):
         return False
     points = _octahedra(segments / meters_per_unit).reshape(-1, 3).astype(np.float32)
-    faces = (_FACES[None] + 6 * np.arange(len(segments))[:, None, None]).reshape(-1)
+    faces = (_FACES.reshape(1, -1) + 6 * np.arange(len(segments))[:, None]).reshape(-1)
     spec = prim(layer, f"{paths.root}/Bones", "Mesh")
     schemas = Sdf.TokenListOp()
     schemas.prependedItems = ["SkelBindingAPI"]

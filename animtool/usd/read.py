@@ -91,7 +91,9 @@ def _bound_animation(skeleton: Any) -> Any:
 
 def _first_animation(stage: Any, below: str) -> Any:
     start = stage.GetPrimAtPath(below)
-    for prim in Usd.PrimRange(start) if start else ():
+    # An animation layer alone has only overs above its animation.
+    everything = Usd.PrimAllPrimsPredicate
+    for prim in Usd.PrimRange(start, everything) if start else ():
         if prim.IsA(UsdSkel.Animation):
             return UsdSkel.Animation(prim)
     return None

@@ -1,0 +1,168 @@
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
+from support.bvh import random_rows, small_bvh
+
+from animtool.errors import FormatError
+from animtool.formats.bvh import read_bvh
+from animtool.report.compare import compare_takes
+from animtool.scene.bake import bake
+from animtool.scene.options import BakeOptions
+from animtool.usd.read import read_usd
+
+
+@pytest.fixture
+def take(tmp_path: Path) -> Path:
+    path = tmp_path / "hero.bvh"
+    path.write_text(small_bvh(random_rows(13), frame_time="0.0083333"))
+    return path
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        BakeOptions(),
+        BakeOptions(form="split"),
+        BakeOptions(sparse=True),
+        BakeOptions(root_motion=True),
+        BakeOptions(bones=True, prim_path="/World/hero"),
+        BakeOptions(start=Fraction(-3)),
+    ],
+)
+def test_what_was_written_comes_back(
+    take: Path, tmp_path: Path, options: BakeOptions
+) -> None:
+    bake(take, tmp_path / "o.usda", options)
+    back = read_usd(tmp_path / "o.usda").collect()
+    found = compare_takes(read_bvh(take).collect(), back)
+    assert found.mismatches == []
+    assert found.world.value < 3e-7
+    assert found.rotation.value < 1e-4
+    assert back.clock.start == (options.start or 1)
+    assert back.rig.joints[0].channels == read_bvh(take).rig.joints[0].channels
+    assert_allclose(back.rig.joints[1].tips, [(0, 0.05, 0)])
+
+
+def test_kept_samples_come_back_with_their_step(take: Path, tmp_path: Path) -> None:
+    bake(take, tmp_path / "rig.usda", BakeOptions(form="split", fps=Fraction(24)))
+    options = BakeOptions(rig_layer=tmp_path / "rig.rig.usda", keep_samples=True)
+    bake(take, tmp_path / "layer.usda", options)
+    shot = Sdf.Layer.CreateNew(str(tmp_path / "shot.usda"))
+    shot.subLayerPaths = ["./layer.usda", "./rig.rig.usda"]
+    shot.timeCodesPerSecond, shot.defaultPrim = 24, "hero"
+    shot.pseudoRoot.SetInfo("metersPerUnit", 0.01)
+    shot.Save()
+    back = read_usd(tmp_path / "shot.usda").collect()
+    assert (back.clock.step, back.clock.rate) == (Fraction(1, 5), 120)
+    found = compare_takes(read_bvh(take).collect(), back)
+    assert found.mismatches == []
+    assert found.world.value < 3e-7
+
+
+def test_a_layer_alone_has_a_rig_of_its_own(take: Path, tmp_path: Path) -> None:
+    bake(take, tmp_path / "rig.usda", BakeOptions(form="split"))
+    options = BakeOptions(rig_layer=tmp_path / "rig.rig.usda")
+    bake(take, tmp_path / "layer.usda", options)
+    back = read_usd(tmp_path / "layer.usda").collect()
+    assert back.rig.names == ["Hips", "Spine"]
+    found = compare_takes(read_bvh(take).collect(), back)
+    assert found.world.value < 3e-7
+
+
+@pytest.fixture
+def stage(tmp_path: Path) -> Usd.Stage:
+    """Return a stage made by USD's own schemas, with a rest rotation and scales."""
+    stage = Usd.Stage.CreateNew(str(tmp_path / "made.usda"))
+    stage.SetTimeCodesPerSecond(24)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    root = UsdSkel.Root.Define(stage, "/c/R")
+    stage.SetDefaultPrim(stage.GetPrimAtPath("/c"))
+    skeleton = UsdSkel.Skeleton.Define(stage, "/c/R/S")
+    skeleton.CreateJointsAttr(["a", "a/b", "a/b/c"])
+    turned = Gf.Matrix4d().SetRotate(
+        Gf.Rotation((0, 0, 1), 90)
+    ) * Gf.Matrix4d().SetTranslate((0, 1, 0))
+    rest = [Gf.Matrix4d(1), turned, turned]
+    skeleton.CreateRestTransformsAttr(rest)
+    skeleton.CreateBindTransformsAttr(rest)
+    animation = UsdSkel.Animation.Define(stage, "/c/R/A")
+    animation.CreateJointsAttr(["a/b", "a"])
+    for code in (1, 2, 4):
+        turn = Gf.Quatf(Gf.Rotation((1, 0, 0), 10.0 * code).GetQuat())
+        animation.CreateRotationsAttr().Set(Vt.QuatfArray([turn, Gf.Quatf(1)]), code)
+        animation.CreateTranslationsAttr().Set([(0, 2, 0), (code, 0, 0)], code)
+        scale = Vt.Vec3hArray([Gf.Vec3h(code, 1, 1), Gf.Vec3h(1)])
+        animation.CreateScalesAttr().Set(scale, code)
+    binding = UsdSkel.BindingAPI.Apply(root.GetPrim())
+    binding.CreateAnimationSourceRel().SetTargets([animation.GetPath()])
+    binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
+    return stage
+
+
+def path_of(stage: Usd.Stage) -> Path:
+    stage.Save()
+    return Path(stage.GetRootLayer().realPath)
+
+
+def test_order_rest_and_scales(stage: Usd.Stage) -> None:
+    stream = read_usd(path_of(stage))
+    take = stream.collect()
+    assert take.clock.count == 4  # every time code from 1 to 4
+    assert [n.code for n in stream.notices] == ["USD105"]
+    translations = take.motion.translations.dense()
+    assert_allclose(translations[0], [[1, 0, 0], [0, 2, 0], [0, 1, 0]], atol=1e-7)
+    assert_allclose(translations[2, 0], [3, 0, 0])
+    assert_allclose(
+        take.motion.rotations.dense()[:, 2],
+        np.tile([0, 0, 0.5**0.5, 0.5**0.5], (4, 1)),
+        atol=1e-7,
+    )
+    assert take.motion.scales is not None
+    assert_allclose(take.motion.scales.dense()[:, 1, 0], [1, 2, 3, 4])
+
+
+@pytest.mark.parametrize(
+    ("code", "spoil"),
+    [
+        ("USD012", lambda s: s.GetPrimAtPath("/c/R/A").RemoveProperty("scales")),
+        ("USD013", lambda s: s.GetPrimAtPath("/c/R/A").GetAttribute("translations").Set([(0, 0, 0)], 2)),
+        ("USD014", lambda s: s.GetPrimAtPath("/c/R/A").GetAttribute("translations").Set([(np.nan, 0, 0)] * 2, 2)),
+        ("USD003", lambda s: s.GetPrimAtPath("/c/R/S").GetAttribute("restTransforms").Set([Gf.Matrix4d(1)])),
+        ("USD005", lambda s: s.GetPrimAtPath("/c/R/S").GetAttribute("joints").Set(["a", "a", "b"])),
+        ("USD006", lambda s: s.GetPrimAtPath("/c/R/S").GetAttribute("joints").Set(["a/b", "a", "c"])),
+        ("USD002", lambda s: s.GetPrimAtPath("/c/R/S").GetAttribute("joints").Set([])),
+        ("USD008", lambda s: s.RemovePrim("/c")),
+    ],
+)  # fmt: skip
+def test_what_usdskel_would_ignore_is_said(stage: Usd.Stage, code: str, spoil) -> None:  # type: ignore[no-untyped-def]
+    spoil(stage)
+    with pytest.raises(FormatError) as caught:
+        read_usd(path_of(stage))
+    assert caught.value.code == code
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"#usda 1.0\n(", b"PXR-USDC\0\0", b"nonsense"]
+)
+@pytest.mark.parametrize("suffix", [".usda", ".usdc"])
+def test_files_that_are_no_usd(tmp_path: Path, content: bytes, suffix: str) -> None:
+    path = tmp_path / f"bad{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(FormatError) as caught:
+        read_usd(path)
+    assert caught.value.code in {"USD001", "USD008"}
+
+
+def test_a_rig_without_animation_rests(take: Path, tmp_path: Path) -> None:
+    bake(take, tmp_path / "rig.usda", BakeOptions(form="split"))
+    stream = read_usd(tmp_path / "rig.rig.usda")
+    back = stream.collect()
+    assert back.clock.count == 1
+    assert [n.code for n in stream.notices] == ["USD103"]
+    assert_allclose(back.motion.translations.dense()[0], back.rig.rest_translations)
