@@ -114,7 +114,7 @@ def _on_terminate(signum: int, frame: FrameType | None) -> NoReturn:
 
 def run(arguments: Sequence[str]) -> int:
     """Run the command line and return its exit code."""
-    console = Console()
+    console = Console(json_log=_logs_json(arguments))
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
@@ -161,6 +161,13 @@ def _report(console: Console, error: BaseException) -> int:
             )
             code = int(ExitCode.INTERNAL)
     return code
+
+
+def _logs_json(arguments: Sequence[str]) -> bool:
+    """Return whether stderr is to be JSON, even where the options are misspelt."""
+    asked = " ".join(arguments).replace("=", " ")
+    usual = os.environ.get("ANIMTOOL_LOG_FORMAT") == "json"
+    return "--log-format json" in asked or (usual and "--log-format" not in asked)
 
 
 def _usage(console: Console, error: click.ClickException) -> None:

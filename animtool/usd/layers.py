@@ -75,10 +75,8 @@ def check_suffix(path: Path) -> None:
 
 def check_prim_path(text: str) -> None:
     """Raise `OptionError` where a text is no absolute prim path."""
-    valid = Sdf.Path.IsValidPathString(text)
-    if isinstance(valid, tuple):
-        valid = valid[0]
-    if not valid or not Sdf.Path(text).IsAbsoluteRootOrPrimPath() or text == "/":
+    path = Sdf.Path(text) if Sdf.Path.IsValidPathString(text) else Sdf.Path()
+    if not (path.IsAbsolutePath() and path.IsPrimPath()):
         message = f"--prim-path {excerpt(text)} is no path such as /World/hero"
         raise OptionError(Fault("CLI003", message))
 

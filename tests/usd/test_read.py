@@ -127,24 +127,37 @@ def test_order_rest_and_scales(stage: Usd.Stage) -> None:
     assert_allclose(take.motion.scales.dense()[:, 1, 0], [1, 2, 3, 4])
 
 
-@pytest.mark.parametrize(
-    ("code", "spoil"),
-    [
-        ("USD012", lambda s: s.GetPrimAtPath("/c/R/A").RemoveProperty("scales")),
-        ("USD013", lambda s: s.GetPrimAtPath("/c/R/A").GetAttribute("translations").Set([(0, 0, 0)], 2)),
-        ("USD014", lambda s: s.GetPrimAtPath("/c/R/A").GetAttribute("translations").Set([(np.nan, 0, 0)] * 2, 2)),
-        ("USD003", lambda s: s.GetPrimAtPath("/c/R/S").GetAttribute("restTransforms").Set([Gf.Matrix4d(1)])),
-        ("USD005", lambda s: s.GetPrimAtPath("/c/R/S").GetAttribute("joints").Set(["a", "a", "b"])),
-        ("USD006", lambda s: s.GetPrimAtPath("/c/R/S").GetAttribute("joints").Set(["a/b", "a", "c"])),
-        ("USD002", lambda s: s.GetPrimAtPath("/c/R/S").GetAttribute("joints").Set([])),
-        ("USD008", lambda s: s.RemovePrim("/c")),
-    ],
-)  # fmt: skip
-def test_what_usdskel_would_ignore_is_said(stage: Usd.Stage, code: str, spoil) -> None:  # type: ignore[no-untyped-def]
-    spoil(stage)
+SPOILT = {
+    "USD012": ("A", "scales", None),
+    "USD013": ("A", "translations", [(0, 0, 0)]),
+    "USD014": ("A", "translations", [(np.nan, 0, 0)] * 2),
+    "USD003": ("S", "restTransforms", [Gf.Matrix4d(1)]),
+    "USD005": ("S", "joints", ["a", "a", "b"]),
+    "USD006": ("S", "joints", ["a/b", "a", "c"]),
+    "USD002": ("S", "joints", []),
+}
+
+
+@pytest.mark.parametrize("code", SPOILT)
+def test_what_usdskel_would_ignore_is_said(stage: Usd.Stage, code: str) -> None:
+    where, name, value = SPOILT[code]
+    prim = stage.GetPrimAtPath(f"/c/R/{where}")
+    if value is None:
+        prim.RemoveProperty(name)
+    elif where == "A":
+        prim.GetAttribute(name).Set(value, 2)
+    else:
+        prim.GetAttribute(name).Set(value)
     with pytest.raises(FormatError) as caught:
         read_usd(path_of(stage))
     assert caught.value.code == code
+
+
+def test_a_stage_without_a_character(stage: Usd.Stage) -> None:
+    stage.RemovePrim("/c")
+    with pytest.raises(FormatError) as caught:
+        read_usd(path_of(stage))
+    assert caught.value.code == "USD008"
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,176 @@
+from __future__ import annotations
+
+import json
+from dataclasses import fields
+from fractions import Fraction
+from pathlib import Path
+
+import pytest
+from pxr import Sdf
+from support.bvh import random_rows, small_bvh
+from support.cli import animtool, animtool_process
+
+from animtool.cli.bake import _options, bake
+from animtool.scene.options import BakeOptions
+
+
+@pytest.fixture
+def take(tmp_path: Path) -> Path:
+    path = tmp_path / "take.bvh"
+    path.write_text(small_bvh(random_rows(6)))
+    return path
+
+
+def test_defaults_are_those_of_the_options() -> None:
+    context = bake.make_context("bake", ["take.bvh"])
+    assert _options(context.params) == BakeOptions()
+
+
+def test_every_option_is_reachable() -> None:
+    names = {p.name for p in bake.params} | {"source", "form"}
+    renamed = {"root_motion": "root_motion", "fps": "fps"}
+    for field in fields(BakeOptions):
+        assert renamed.get(field.name, field.name) in names
+
+
+def test_summary_in_words(take: Path, tmp_path: Path) -> None:
+    done = animtool("bake", take, "-o", tmp_path / "o.usdc")
+    assert (done.code, done.stdout) == (0, "")
+    for said in ("stage: no rig layer was named", "30 fps", "in cm", "float32", "MB/s"):
+        assert said in done.stderr
+
+
+def test_summary_in_json(take: Path, tmp_path: Path) -> None:
+    done = animtool("bake", take, "-o", tmp_path / "o.usdc", "--format", "json")
+    report = json.loads(done.stdout)
+    assert report["bake"] == "animtool/1"
+    assert (report["samples"], report["rate"], report["units"]) == (6, "30", "cm")
+    assert 0 < report["error"]["relative"] < 1e-6
+    assert report["error"]["joint"] in {"Hips", "Spine"}
+    assert set(report["seconds"]) == {"read", "author", "save", "total"}
+
+
+def test_output_beside_the_source(take: Path) -> None:
+    assert animtool("bake", take).code == 0
+    assert take.with_suffix(".usdc").exists()
+
+
+def test_stdout_is_usda(take: Path, tmp_path: Path) -> None:
+    done = animtool_process("bake", take, "-o", "-")
+    assert done.stdout.startswith("#usda 1.0")
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    assert layer.ImportFromString(done.stdout)
+    assert list(tmp_path.iterdir()) == [take]
+
+
+def test_overwriting(take: Path, tmp_path: Path) -> None:
+    output = tmp_path / "o.usda"
+    output.write_text("mine")
+    refused = animtool("bake", take, "-o", output)
+    assert refused.code == 2
+    assert "--overwrite" in refused.stderr
+    skipped = animtool("bake", take, "-o", output, "--skip-existing")
+    assert skipped.code == 0
+    assert output.read_text() == "mine"
+    assert animtool("bake", take, "-o", output, "--overwrite").code == 0
+    assert output.read_text().startswith("#usda")
+
+
+def test_one_existing_file_of_a_split_stops_all(take: Path, tmp_path: Path) -> None:
+    (tmp_path / "o.rig.usda").write_text("mine")
+    done = animtool("bake", take, "-o", tmp_path / "o.usda", "--split")
+    assert done.code == 2
+    assert not (tmp_path / "o.usda").exists()
+
+
+@pytest.mark.parametrize(
+    ("source", "output", "code"),
+    [
+        ("none.bvh", "o.usda", 3),
+        ("folder.bvh", "o.usda", 3),
+        ("take.bvh", "o.fbx", 2),
+        ("take.bvh", "none/o.usda", 3),
+        ("take.bvh", "folder.bvh", 2),
+        ("take.bvh", "folder.bvh/../take.bvh", 2),
+        ("take.fbx", "o.usda", 2),
+    ],
+)
+def test_bad_paths(take: Path, source: str, output: str, code: int) -> None:
+    folder = take.parent
+    (folder / "folder.bvh").mkdir()
+    (folder / "take.fbx").write_text("")
+    before = {p: p.stat().st_mtime_ns for p in folder.rglob("*")}
+    done = animtool("bake", source, "-o", output, cwd=folder)
+    assert done.code == code, done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert {p: p.stat().st_mtime_ns for p in folder.rglob("*")} == before
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--as", "layer"],
+        ["--as", "stage", "--rig-layer", "r.usda"],
+        ["--rig-layer", "r.usda", "--bones"],
+        ["--rig-layer", "r.usda", "--rest", "frame:1"],
+        ["--rig-layer", "r.usda", "--to-units", "m"],
+        ["--keep-samples", "--samples", "0,.5"],
+        ["--prim-path", "hero"],
+        ["--prim-path", "/"],
+        ["--range", "100-200"],
+        ["--rest", "frame:99"],
+    ],
+)
+def test_options_that_make_no_sense(
+    take: Path, tmp_path: Path, arguments: list[str]
+) -> None:
+    done = animtool("bake", take, "-o", tmp_path / "o.usda", *arguments)
+    assert done.code == 2, done.stderr
+    assert not (tmp_path / "o.usda").exists()
+
+
+def test_the_first_frame(take: Path, tmp_path: Path) -> None:
+    def first(*arguments: object) -> float:
+        done = animtool(
+            "bake",
+            take,
+            "-o",
+            tmp_path / "o.usda",
+            "--overwrite",
+            "--format",
+            "json",
+            *arguments,
+        )
+        return float(json.loads(done.stdout)["start"])
+
+    assert first() == 1
+    (tmp_path / "animtool.toml").write_text("start = 1001")
+    assert first() == 1001
+    assert first("--start", "7") == 7
+
+
+def test_rates(take: Path, tmp_path: Path) -> None:
+    done = animtool(
+        "bake", take, "-o", tmp_path / "o.usda", "--fps", "23.976", "--format", "json"
+    )
+    assert Fraction(json.loads(done.stdout)["rate"]) == Fraction(24000, 1001)
+    odd = tmp_path / "odd.bvh"
+    odd.write_text(small_bvh(random_rows(3), frame_time="1.0"))
+    assert animtool("bake", odd, "--strict").code == 1
+    assert animtool("bake", odd, "--strict", "--source-fps", "60").code == 0
+
+
+def test_a_size_that_fits_another_unit(walk: Path, tmp_path: Path) -> None:
+    done = animtool("bake", walk, "-o", tmp_path / "o.usda", "--units", "cm")
+    assert "BVH109" not in done.stderr
+    text = walk.read_text().splitlines()
+    for i, line in enumerate(text):
+        if line.strip().startswith("OFFSET"):
+            numbers = [repr(float(x) / 100) for x in line.split()[1:]]
+            text[i] = " ".join(["OFFSET", *numbers])
+    path = tmp_path / "metres.bvh"
+    path.write_text("\n".join(text))
+    done = animtool("bake", path, "--strict", "--bones")
+    assert done.code == 0
+    assert "BVH109" in done.stderr
+    assert "--units m" in done.stderr

@@ -1,0 +1,146 @@
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.cli import animtool, animtool_process
+
+from animtool.cli import main as main_module
+from animtool.cli.console import Console
+from animtool.cli.main import COMMANDS
+from animtool.errors import ExitCode, Fault, Severity
+
+
+def test_version_names_what_matters() -> None:
+    done = animtool("--version")
+    assert done.code == 0
+    assert all(
+        name in done.stdout for name in ("animtool", "usd-core", "numpy", "Python")
+    )
+
+
+@pytest.mark.parametrize("command", sorted(COMMANDS))
+def test_every_command_has_help_with_an_example(command: str) -> None:
+    done = animtool(command, "--help")
+    assert done.code == 0
+    assert "Example" in done.stdout
+    assert f"animtool {command}" in done.stdout
+
+
+def test_the_table_says_what_the_commands_say() -> None:
+    listed = animtool("--help").stdout
+    assert all(name in listed for name in COMMANDS)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["bak"], "Did you mean 'bake'"),
+        (["bake"], "Missing argument"),
+        (["bake", "a.bvh", "--ovrwrite"], "--overwrite"),
+        (["bake", "a.bvh", "--fps", "fast"], "24000/1001"),
+        (["bake", "a.bvh", "--range", "9-1"], "no frame"),
+        (["bake", "a.bvh", "--samples", "0,1.5"], "within a frame"),
+        (["bake", "a.bvh", "--rest", "bind"], "frame:N"),
+        (["bake", "a.bvh", "-o", "-", "--format", "json"], "both want stdout"),
+        (["bake", "a.bvh", "--split", "--as", "layer"], "--split"),
+        (["diff", "a.bvh"], "SECOND"),
+        (["info"], "FILES"),
+    ],
+)
+def test_usage_errors(arguments: list[str], said: str) -> None:
+    done = animtool(*arguments)
+    assert done.code == ExitCode.USAGE
+    assert said in done.stderr
+    assert done.stdout == ""
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (KeyboardInterrupt(), 130),
+        (MemoryError(), 70),
+        (ZeroDivisionError("oh"), 70),
+        (main_module._TerminatedError(), 128 + signal.SIGTERM),
+    ],
+)
+def test_what_ends_a_command(
+    monkeypatch: pytest.MonkeyPatch, error: BaseException, code: int
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("animtool.report.describe.describe", fail)
+    done = animtool("info", "a.bvh")
+    assert done.code == code
+    assert "Traceback" not in done.stderr
+
+
+def test_a_reader_that_leaves_is_no_fault(walk: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "animtool", "bake", str(walk), "-o", "-"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    assert process.stderr is not None
+    assert process.stdout.readline() == "#usda 1.0\n"
+    process.stdout.close()
+    assert "Error" not in process.stderr.read()
+    process.stderr.close()
+    assert process.wait() == 0
+
+
+def test_debug_lets_the_traceback_through() -> None:
+    done = animtool_process("info", "none.bvh", "--debug")
+    assert "Traceback" in done.stderr
+
+
+def test_log_format_json() -> None:
+    done = animtool("bake", "none.bvh", "--log-format", "json")
+    entry = json.loads(done.stderr)
+    assert (entry["code"], entry["level"], entry["path"]) == (
+        "IO001",
+        "error",
+        "none.bvh",
+    )
+    usage = animtool_process("bake", "--log-format", "json", "--nope")
+    assert usage.code == ExitCode.USAGE
+    assert json.loads(usage.stderr)["level"] == "error"
+
+
+def test_environment_sets_the_log_format() -> None:
+    done = animtool_process("info", "none.bvh", ANIMTOOL_LOG_FORMAT="json")
+    assert json.loads(done.stderr.splitlines()[0])["code"] == "IO001"
+
+
+def test_colors(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    console, warning = Console(), Fault("X1", "odd", severity=Severity.WARNING)
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    console.faults([warning])
+    assert "\x1b[33m" in capsys.readouterr().err
+    monkeypatch.setenv("NO_COLOR", "1")
+    console.faults([warning])
+    assert "\x1b" not in capsys.readouterr().err
+
+
+def test_quiet_keeps_errors_only(capsys: pytest.CaptureFixture[str]) -> None:
+    console = Console(verbosity=-1)
+    console.say("summary")
+    console.faults([Fault("W1", "w", severity=Severity.WARNING), Fault("E1", "e")])
+    assert capsys.readouterr().err == "E1 e\n"
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion(shell: str) -> None:
+    done = animtool("completion", shell)
+    assert done.code == 0
+    assert "_ANIMTOOL_COMPLETE" in done.stdout

@@ -1,0 +1,126 @@
+"""A bake that is stopped, or runs out of room, leaves nothing half-written."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Sdf
+from support.bvh import random_rows, small_bvh
+from support.cli import animtool
+
+TRIES = 20
+
+
+@pytest.fixture(scope="module")
+def long_take(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a take that takes a moment."""
+    path = tmp_path_factory.mktemp("take") / "long.bvh"
+    path.write_text(small_bvh(random_rows(20_000)))
+    return path
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+def test_a_bake_killed_at_any_moment(long_take: Path, tmp_path: Path) -> None:
+    whole = tmp_path / "whole.usdc"
+    assert animtool("bake", long_take, "-o", whole).code == 0
+    content = whole.read_bytes()
+    command = [sys.executable, "-m", "animtool", "bake", str(long_take), "--overwrite"]
+    rng = np.random.default_rng(0)
+    outcomes = []
+    for attempt in range(TRIES):
+        folder = tmp_path / str(attempt)
+        folder.mkdir()
+        output = folder / "o.usdc"
+        process = subprocess.Popen(
+            [*command, "-o", str(output)], stderr=subprocess.DEVNULL
+        )
+        try:
+            process.wait(timeout=float(rng.uniform(0.05, 0.8)))
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+        outcomes.append(output.exists())
+        if output.exists():
+            assert output.read_bytes() == content
+    assert len(outcomes) == TRIES
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_bake_asked_to_stop_cleans_up(
+    long_take: Path, tmp_path: Path, number: signal.Signals
+) -> None:
+    output = tmp_path / "o.usdc"
+    # The child stops itself in the middle of its work, at a place that is known.
+    script = (
+        "import os, sys\n"
+        "from animtool.usd import write\n"
+        "from animtool.cli.main import run\n"
+        "save = write.save_layer\n"
+        "def stop(layer, path):\n"
+        "    open(path.with_name('.half.tmp'), 'w').close()\n"
+        "    os.unlink(path.with_name('.half.tmp'))\n"
+        f"    os.kill(os.getpid(), {int(number)})\n"
+        "    return save(layer, path)\n"
+        "write.save_layer = stop\n"
+        f"sys.exit(run(['bake', {str(long_take)!r}, '-o', {str(output)!r}]))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == (130 if number == signal.SIGINT else 143)
+    assert "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX file size limits")
+@pytest.mark.parametrize("suffix", [".usda", ".usdc"])
+@pytest.mark.parametrize("limit", [0, 20_000, 300_000])
+def test_a_full_disk(long_take: Path, tmp_path: Path, suffix: str, limit: int) -> None:
+    output = tmp_path / f"o{suffix}"
+    # A limit on the size of files fails writes as a full disk does.
+    script = (
+        "import resource, signal, sys\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))\n"
+        "from animtool.cli.main import run\n"
+        f"sys.exit(run(['bake', {str(long_take)!r}, '-o', {str(output)!r}]))"
+    )
+    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=environment,
+    )
+    assert done.returncode == 3, done.stderr
+    assert "cannot be written" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_late_fault_leaves_what_was_there(tmp_path: Path) -> None:
+    path = tmp_path / "bad.bvh"
+    path.write_text(small_bvh(random_rows(5000)) + "1 2 3\n")
+    output = tmp_path / "o.usda"
+    output.write_text("mine")
+    done = animtool("bake", path, "-o", output, "--overwrite")
+    assert done.code == 3
+    assert output.read_text() == "mine"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["bad.bvh", "o.usda"]
+
+
+def test_an_output_that_usd_has_open_is_replaced(walk: Path, tmp_path: Path) -> None:
+    output = tmp_path / "o.usda"
+    animtool("bake", walk, "-o", output)
+    layer = Sdf.Layer.FindOrOpen(str(output))
+    assert animtool("bake", walk, "-o", output, "--overwrite", "--start", "5").code == 0
+    layer.Reload(force=True)
+    assert layer.startTimeCode == 5

@@ -1,0 +1,36 @@
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import pytest
+from support.cli import animtool_process
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdc"])
+def test_the_same_bytes_in_every_process(
+    walk: Path, tmp_path: Path, suffix: str
+) -> None:
+    digests = set()
+    for seed in ("0", "1", "random"):
+        output = tmp_path / f"seed_{seed}{suffix}"
+        # Names of files stand nowhere in them.
+        done = animtool_process(
+            "bake", walk, "-o", output, "--bones", PYTHONHASHSEED=seed
+        )
+        assert done.code == 0, done.stderr
+        digests.add(hashlib.sha256(output.read_bytes()).hexdigest())
+    again = tmp_path / f"seed_0{suffix}"
+    animtool_process("bake", walk, "-o", again, "--bones", "--overwrite")
+    digests.add(hashlib.sha256(again.read_bytes()).hexdigest())
+    assert len(digests) == 1
+
+
+def test_split_files_are_the_same(walk: Path, tmp_path: Path) -> None:
+    found = []
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        animtool_process("bake", walk, "-o", tmp_path / folder / "o.usdc", "--split")
+        found.append({p.name: p.read_bytes() for p in (tmp_path / folder).iterdir()})
+    assert len(found[0]) == 3
+    assert found[0] == found[1]
