@@ -14,7 +14,7 @@ def data_files(folder: str, pattern: str) -> list[Any]:
     root = os.environ.get("ANIMTOOL_DATA")
     if not root:
         return [_skipped("ANIMTOOL_DATA is not set")]
-    found = sorted(Path(root, folder).glob(pattern))
+    found = sorted(Path(root, folder).resolve().glob(pattern))
     if not found:
         return [_skipped(f"no {pattern} in ANIMTOOL_DATA/{folder}")]
     return [pytest.param(path, id=path.name) for path in found]

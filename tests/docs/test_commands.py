@@ -1,0 +1,82 @@
+"""Every command printed in the documents runs, and says what it promises."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+from support.cli import animtool
+
+DOCUMENTS = ["README.md", "animtool/docs/guide.md", "samples/walk/README.md"]
+
+
+def fenced(text: str, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", text, re.M | re.S)
+
+
+@pytest.fixture
+def workplace(root: Path, tmp_path: Path) -> Path:
+    """Return a folder with the samples, and the folders that the documents write to."""
+    shutil.copytree(root / "samples", tmp_path / "samples")
+    for name in ("rig", "sets"):
+        (tmp_path / name).mkdir()
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", DOCUMENTS)
+def test_printed_commands(root: Path, workplace: Path, name: str) -> None:
+    text = (root / name).read_text("utf-8")
+    commands = re.findall(r"^(?:\$|   ) (animtool .*)$", text, re.M)
+    assert commands
+    for command in commands:
+        done = animtool(*shlex.split(command)[1:], cwd=workplace)
+        assert done.code == 0, f"{command}\n{done.stderr}"
+
+
+def test_printed_python(
+    root: Path, workplace: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    blocks = fenced((root / "animtool/docs/guide.md").read_text("utf-8"), "python")
+    assert blocks
+    monkeypatch.chdir(workplace)
+    for block in blocks:
+        exec(compile(block, "guide.md", "exec"), {})
+
+
+def test_the_sample_is_what_its_script_makes(root: Path, tmp_path: Path) -> None:
+    import runpy
+    import sys
+
+    made = tmp_path / "walk.bvh"
+    before = sys.argv
+    sys.argv = ["make_walk.py", str(made)]
+    try:
+        runpy.run_path(str(root / "samples/walk/make_walk.py"), run_name="__main__")
+    finally:
+        sys.argv = before
+    assert made.read_bytes() == (root / "samples/walk/walk.bvh").read_bytes()
+
+
+def test_setup_commands_are_run_by_ci(root: Path) -> None:
+    commands = fenced((root / "README.md").read_text("utf-8"), "sh")
+    assert len(commands) == 2
+    assert all(len(command.splitlines()) == 1 for command in commands)
+    script = (root / ".ci/run").read_text("utf-8")
+    assert "README.md" in script
+
+
+def test_every_code_is_in_the_guide(root: Path) -> None:
+    guide = (root / "animtool/docs/guide.md").read_text("utf-8")
+    listed = set(re.findall(r"\b[A-Z]{2,4}\d{3}\b", guide))
+    for family, first, last in re.findall(
+        "([A-Z]{2,4})(\\d{3})\N{EN DASH}[A-Z]{2,4}(\\d{3})", guide
+    ):
+        listed |= {f"{family}{n:03}" for n in range(int(first), int(last) + 1)}
+    used = set()
+    for path in (root / "animtool").rglob("*.py"):
+        used |= set(re.findall(r"\"([A-Z]{2,4}\d{3})\"", path.read_text("utf-8")))
+    assert used <= listed, used - listed
+    assert listed <= used, listed - used
