@@ -427,6 +427,12 @@ def write_csv(path: Path, about: list[str], rows: list[Row]) -> None:
             )
 
 
+def keep_bytecode(folder: Path) -> None:
+    """Let every tool keep its compiled modules, as an installed one does."""
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    os.environ["PYTHONPYCACHEPREFIX"] = str(folder)
+
+
 SECTIONS = ("start-up", "kernel", "authoring", "medium", "long")
 
 
@@ -467,8 +473,9 @@ def main() -> None:
         options.animtool = str(Path(options.python).with_name("animtool"))
     about = machine(options)
     with tempfile.TemporaryDirectory(prefix="animtool-bench-") as temporary:
-        work = options.work or Path(temporary)
+        work = (options.work or Path(temporary)).resolve()
         work.mkdir(parents=True, exist_ok=True)
+        keep_bytecode(work / "bytecode")
         bench = Bench(options, work)
         bench.run()
     print("\n".join(about))
