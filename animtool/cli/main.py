@@ -141,10 +141,10 @@ def _report(console: Console, error: BaseException) -> int:
             _usage(console, error)
             code = int(ExitCode.USAGE)
         case KeyboardInterrupt() | click.Abort():
-            console.error("interrupted: nothing was written")
+            console.error("interrupted")
             code = int(ExitCode.INTERRUPTED)
         case _TerminatedError():
-            console.error("terminated: nothing was written")
+            console.error("terminated")
             code = 128 + signal.SIGTERM
         case BrokenPipeError():
             # Whoever read stdout has gone, which is no fault; nor may Python's own

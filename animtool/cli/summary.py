@@ -25,8 +25,10 @@ def bake_text(report: BakeReport) -> list[str]:
     unit = unit_name(report.meters_per_unit)
     first, last = _number(result.first), _number(result.last)
     frames = f"{result.samples} samples, frames {first} to {last}"
+    frames += f" at {rate_label(report.fps)}"
     if report.source_fps != report.fps or report.source_frames != result.samples:
-        frames += f" of {report.source_frames} at {rate_label(report.source_fps)}"
+        source = f"{report.source_frames} frames at {rate_label(report.source_fps)}"
+        frames += f", from {source}"
     megabytes = report.source_bytes / 1e6
     error = result.rounding.error / report.meters_per_unit
     where = (
@@ -34,11 +36,13 @@ def bake_text(report: BakeReport) -> list[str]:
         if error
         else ""
     )
+    assumed = " (taken for granted: --units)" if report.unit_assumed else ""
     moving = " and ".join(result.sampled) or "nothing"
     return [
         f"{files}: {report.form}",
-        f"  {frames}, {rate_label(report.fps)}",
-        f"  {result.joints} joints, {moving} animated, in {unit}, {report.up} up",
+        f"  {frames}",
+        f"  {result.joints} joints, {moving} animated",
+        f"  {report.up} up, lengths in {unit}{assumed}",
         f"  {result.bytes / 1e6:.3g} MB in {seconds['total']:.2f} s "
         f"({megabytes / seconds['total']:.3g} MB/s): read {seconds['read']:.2f} beside "
         f"author {seconds['author']:.2f}, save {seconds['save']:.2f}",

@@ -89,6 +89,7 @@ class BakeReport:
         size: Extent of the skeleton at rest [m].
         error_joint: Name of the joint that rounding moved most.
         notices: Warnings and notes.
+        unit_assumed: Whether nothing states the unit of the source.
         seconds: Wall time by stage; ``read`` runs beside ``author``.
         source_bytes: Size of the source.
     """
@@ -105,6 +106,7 @@ class BakeReport:
     size: float
     error_joint: str
     notices: list[Fault]
+    unit_assumed: bool = False
     seconds: dict[str, float] = field(default_factory=dict)
     source_bytes: int = 0
 
@@ -289,6 +291,7 @@ def run_bake(plan: BakePlan) -> BakeReport:
         size,
         names.names[result.rounding.joint],
         notices,
+        options.source.unit is None and "units" not in stream.details,
         {
             "read": counter.seconds,
             "author": author_seconds,

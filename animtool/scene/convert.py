@@ -53,7 +53,8 @@ def convert(
     if is_usd(output):
         return _to_usd(source, output, options, overwrite, strict, progress)
     if output.suffix.lower() != ".bvh":
-        message = f"{output.suffix or 'no suffix'!r} is no format that animtool writes"
+        kind = f"suffix {output.suffix!r}" if output.suffix else "a name without suffix"
+        message = f"{kind} is no format that animtool writes"
         raise OptionError(
             Fault("OUT004", message, str(output), (), f"allowed: {_WRITES}")
         )

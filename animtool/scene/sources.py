@@ -63,7 +63,8 @@ def open_source(
         if not path.exists() or path.is_dir():
             reason = "is a folder" if path.is_dir() else "does not exist"
             raise FormatError(Fault("IO001", f"cannot be read: {reason}", str(path)))
-        message = f"{path.suffix or 'no suffix'!r} is no format that animtool reads"
+        kind = f"suffix {path.suffix!r}" if path.suffix else "a name without suffix"
+        message = f"{kind} is no format that animtool reads"
         allowed = f"allowed: {', '.join(READERS)}"
         raise OptionError(Fault("IO002", message, str(path), (), allowed))
     if kind == "bvh":

@@ -42,7 +42,7 @@ class WrittenBlock:
         codes: Time codes ``(F,)``.
         translations: ``(F, J, 3)`` float32.
         rotations: ``(F, J, 4)`` float32.
-        scales: ``(F, J, 3)`` float16.
+        scales: ``(F, J, 3)`` float16; None where nothing is scaled.
         extents: Bounds of the joints, SkelRoot space ``(F, 2, 3)`` float32.
         root: Motion of the SkelRoot, where it carries that of the root joint.
         error: Largest distance that rounding moved a joint [m].
@@ -53,7 +53,7 @@ class WrittenBlock:
     codes: FloatArray
     translations: Float32Array
     rotations: Float32Array
-    scales: npt.NDArray[np.float16]
+    scales: npt.NDArray[np.float16] | None
     extents: Float32Array
     root: RootPath | None
     error: float
@@ -86,9 +86,7 @@ def round_blocks(
             root = _move_root(rig, translations, rotations, meters_per_unit)
         written_t = np.clip(translations, -FLOAT32_MAX, FLOAT32_MAX).astype(np.float32)
         written_r = rotations.astype(np.float32)
-        written_s = np.ones(translations.shape, np.float16)
-        if scales is not None:
-            written_s = scales.astype(np.float16)
+        written_s = None if scales is None else scales.astype(np.float16)
         extents, error, frame, joint = _kernels.measure_rounding(
             rig.parents,
             translations,
@@ -96,7 +94,7 @@ def round_blocks(
             scales,
             written_t,
             written_r,
-            None if scales is None else written_s.astype(np.float32),
+            None if written_s is None else written_s.astype(np.float32),
         )
         bounds = np.clip(extents, -FLOAT32_MAX, FLOAT32_MAX).astype(np.float32)
         yield WrittenBlock(
@@ -185,10 +183,11 @@ class _Samples:
                 self._set(self._path, code, value)
         self._held.clear()
 
-    def finish(self) -> None:
-        """Author the default of values that never changed."""
-        if not self.sampled and self._first is not None:
-            self._attribute.default = self._make(self._first)
+    def finish(self, otherwise: npt.NDArray[Any]) -> None:
+        """Author the default of values that never changed, or never came."""
+        if not self.sampled:
+            first = otherwise if self._first is None else self._first
+            self._attribute.default = self._make(first)
 
 
 @dataclass
@@ -216,6 +215,7 @@ class AnimationWriter:
         names = self.joints
         if self.chosen is not None:
             names = [n for n, keep in zip(names, self.chosen, strict=True) if keep]
+        self._count = len(names)
         attribute(spec, "joints", types.TokenArray, Vt.TokenArray(names), uniform=True)
         self._translations = _Samples(
             spec, "translations", types.Float3Array, Vt.Vec3fArray
@@ -231,7 +231,8 @@ class AnimationWriter:
         keep = slice(None) if self.chosen is None else self.chosen
         self._translations.add(block.codes, block.translations[:, keep])
         self._rotations.add(block.codes, block.rotations[:, keep])
-        self._scales.add(block.codes, block.scales[:, keep])
+        if block.scales is not None:
+            self._scales.add(block.codes, block.scales[:, keep])
         self._codes.append(block.codes)
         self._extents.append(block.extents)
         if block.root is not None:
@@ -254,8 +255,9 @@ class AnimationWriter:
         Args:
             own_operations: Transform operations that the SkelRoot has already.
         """
+        ones = np.ones((self._count, 3), np.float16)
         for samples in (self._translations, self._rotations, self._scales):
-            samples.finish()
+            samples.finish(ones)
         if self._root_path:
             self._author_root(own_operations)
 
@@ -272,7 +274,7 @@ class AnimationWriter:
         )
         for codes, bounds in zip(self._codes, extents, strict=True):
             samples.add(codes, bounds)
-        samples.finish()
+        samples.finish(np.zeros((2, 3), np.float32))
 
     @property
     def first_extent(self) -> Float32Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from dataclasses import dataclass
 from fractions import Fraction
@@ -69,7 +70,8 @@ def check_suffix(path: Path) -> None:
     """Raise `OptionError` where a path is not that of a USD layer."""
     if path.suffix.lower() not in SUFFIXES:
         allowed = f"allowed: {', '.join(SUFFIXES)}"
-        message = f"{path.suffix or 'no suffix'!r} is no kind of USD layer"
+        kind = f"suffix {path.suffix!r}" if path.suffix else "a name without suffix"
+        message = f"{kind} is no kind of USD layer"
         raise OptionError(Fault("OUT004", message, str(path), (), allowed))
 
 
@@ -106,7 +108,8 @@ def find_layer(path: Path) -> Any:
 def _reason(error: Tf.ErrorException) -> str:
     """Return what USD says of an error, without its own sources' places."""
     texts = [str(getattr(item, "commentary", item)) for item in error.args]
-    return " ".join(" ".join(texts).split())[:300] or "is no USD layer"
+    text = re.sub(r"(pxrInternal\w*|Sdf_\w+)::", "", " ".join(" ".join(texts).split()))
+    return text[:300] or "is no USD layer"
 
 
 def new_layer(path: Path) -> Any:

@@ -36,7 +36,13 @@ def test_every_option_is_reachable() -> None:
 def test_summary_in_words(take: Path, tmp_path: Path) -> None:
     done = animtool("bake", take, "-o", tmp_path / "o.usdc")
     assert (done.code, done.stdout) == (0, "")
-    for said in ("stage: no rig layer was named", "30 fps", "in cm", "float32", "MB/s"):
+    for said in (
+        "stage: no rig layer was named",
+        "30 fps",
+        "lengths in cm (taken for granted",
+        "float32",
+        "MB/s",
+    ):
         assert said in done.stderr
 
 
