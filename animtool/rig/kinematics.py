@@ -49,7 +49,7 @@ def forward(
     >>> arm = Rig("arm", (Joint("a", -1), Joint("b", 0, translation=(0, 1, 0))))
     >>> quarter = [0, 0, 0.5**0.5, 0.5**0.5]
     >>> world = forward(arm, [arm.rest_translations], [[quarter, [0, 0, 0, 1]]])
-    >>> world.positions[0, 1].round(12).tolist()
+    >>> (world.positions[0, 1].round(12) + 0.0).tolist()
     [-1.0, 0.0, 0.0]
     """
     joints = len(rig.joints)

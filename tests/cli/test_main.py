@@ -81,19 +81,16 @@ def test_what_ends_a_command(
 
 
 def test_a_reader_that_leaves_is_no_fault(walk: Path) -> None:
-    process = subprocess.Popen(
-        [sys.executable, "-m", "animtool", "bake", str(walk), "-o", "-"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stdout is not None
-    assert process.stderr is not None
-    assert process.stdout.readline() == "#usda 1.0\n"
-    process.stdout.close()
-    assert "Error" not in process.stderr.read()
-    process.stderr.close()
-    assert process.wait() == 0
+    command = [sys.executable, "-P", "-m", "animtool", "bake", str(walk), "-o", "-"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, text=True, **pipes) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stdout.readline() == "#usda 1.0\n"
+        process.stdout.close()
+        said = process.stderr.read()
+    assert process.returncode == 0
+    assert "Error" not in said
 
 
 def test_debug_lets_the_traceback_through() -> None:

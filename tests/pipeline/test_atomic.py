@@ -30,7 +30,15 @@ def test_a_bake_killed_at_any_moment(long_take: Path, tmp_path: Path) -> None:
     whole = tmp_path / "whole.usdc"
     assert animtool("bake", long_take, "-o", whole).code == 0
     content = whole.read_bytes()
-    command = [sys.executable, "-m", "animtool", "bake", str(long_take), "--overwrite"]
+    command = [
+        sys.executable,
+        "-P",
+        "-m",
+        "animtool",
+        "bake",
+        str(long_take),
+        "--overwrite",
+    ]
     rng = np.random.default_rng(0)
     outcomes = []
     for attempt in range(TRIES):
@@ -72,7 +80,10 @@ def test_a_bake_asked_to_stop_cleans_up(
         f"sys.exit(run(['bake', {str(long_take)!r}, '-o', {str(output)!r}]))"
     )
     done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=False
+        [sys.executable, "-P", "-c", script],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == (130 if number == signal.SIGINT else 143)
     assert "Traceback" not in done.stderr
@@ -94,7 +105,7 @@ def test_a_full_disk(long_take: Path, tmp_path: Path, suffix: str, limit: int) -
     )
     environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run(
-        [sys.executable, "-c", script],
+        [sys.executable, "-P", "-c", script],
         capture_output=True,
         text=True,
         check=False,

@@ -36,7 +36,7 @@ def animtool_process(
 ) -> Done:
     """Run a command in a process of its own."""
     done = subprocess.run(
-        [sys.executable, "-m", "animtool", *map(str, arguments)],
+        [sys.executable, "-P", "-m", "animtool", *map(str, arguments)],
         capture_output=True,
         text=True,
         check=False,
