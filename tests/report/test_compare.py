@@ -1,0 +1,73 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from support.bvh import random_rows, small_bvh
+
+from animtool.formats.bvh import read_bvh
+from animtool.maths import so3
+from animtool.report.compare import compare, compare_takes
+from animtool.scene.bake import bake
+from animtool.scene.options import BakeOptions
+from animtool.scene.sources import SourceOptions
+from animtool.take import Channel, Take
+from animtool.units import LengthUnit, UpAxis
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    path = tmp_path / "take.bvh"
+    path.write_text(small_bvh(random_rows(8)))
+    return path
+
+
+@pytest.fixture
+def take(path: Path) -> Take:
+    return read_bvh(path).collect()
+
+
+def moved(take: Take, **channels: Channel) -> Take:
+    return replace(take, motion=replace(take.motion, **channels))
+
+
+def test_a_known_slide_and_turn(take: Take) -> None:
+    translations, rotations = (
+        take.motion.translations.dense(),
+        take.motion.rotations.dense(),
+    )
+    translations[5, 0, 1] += 0.25
+    slid = compare_takes(
+        take, moved(take, translations=Channel.from_dense(translations))
+    )
+    assert_allclose([slid.world.value, slid.translation.value], 0.25)
+    assert slid.rotation.value == 0
+    assert slid.world.code == 6
+    rotations[2, 1] = so3.multiply(
+        rotations[2, 1], so3.from_axis_angle([0.0, 1.0, 0.0], 0.5)
+    )
+    turned = compare_takes(take, moved(take, rotations=Channel.from_dense(rotations)))
+    assert_allclose(turned.rotation.value, np.degrees(0.5))
+    assert (turned.rotation.joint, turned.rotation.code) == ("Spine", 3)
+    assert turned.world.value == 0  # nothing hangs below the spine
+
+
+def test_scales_move_what_hangs_below(take: Take) -> None:
+    scales = np.ones((8, 2, 3))
+    scales[4, 0] = 2.0
+    found = compare_takes(take, moved(take, scales=Channel.from_dense(scales)))
+    assert_allclose(found.world.value, 0.1)
+    assert not found.within(0.09, 1.0)
+    assert found.within(0.11, 1.0)
+
+
+def test_other_units_and_up_axis_are_the_same_take(path: Path, tmp_path: Path) -> None:
+    options = BakeOptions(to_units=LengthUnit.M, to_up=UpAxis.Z)
+    bake(path, tmp_path / "o.usdc", options)
+    found = compare(path, tmp_path / "o.usdc")
+    assert found.within(1e-6, 1e-4)
+    in_metres = compare(path, tmp_path / "o.usdc", SourceOptions(unit=LengthUnit.M))
+    assert in_metres.world.value > 1.0

@@ -1,0 +1,24 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from animtool.maths import so3
+from animtool.units import LengthUnit, UpAxis, unit_name, up_from_up
+
+
+@pytest.mark.parametrize("unit", list(LengthUnit))
+def test_names_of_units(unit: LengthUnit) -> None:
+    assert unit_name(unit.meters) == unit.value
+    assert unit_name(float(np.float32(unit.meters))) == unit.value
+
+
+def test_up_axes_stand_on_each_other() -> None:
+    z_from_y = up_from_up(UpAxis.Z, UpAxis.Y)
+    y_from_z = up_from_up(UpAxis.Y, UpAxis.Z)
+    assert z_from_y is not None
+    assert y_from_z is not None
+    assert_allclose(so3.rotate(z_from_y, [0, 1, 0]), [0, 0, 1], atol=1e-15)
+    assert_allclose(so3.rotate(y_from_z, [0, 0, 1]), [0, 1, 0], atol=1e-15)
+    assert_allclose(so3.rotate(z_from_y, [1, 0, 0]), [1, 0, 0], atol=1e-15)
