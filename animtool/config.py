@@ -37,7 +37,8 @@ def find_config(path: Path) -> Config:
         if own.is_file():
             return _config(own, _table(own))
         if project.is_file():
-            table = _table(project).get("tool", {}).get("animtool")
+            tools = _table(project).get("tool", {})
+            table = tools.get("animtool") if isinstance(tools, dict) else None
             if table is not None:
                 return _config(project, table)
     return Config()
@@ -52,7 +53,10 @@ def _table(path: Path) -> dict[str, Any]:
         ) from error
 
 
-def _config(path: Path, table: dict[str, Any]) -> Config:
+def _config(path: Path, table: Any) -> Config:
+    if not isinstance(table, dict):
+        message = f"animtool is {table!r}, not a table of settings"
+        raise OptionError(Fault("CFG001", message, str(path)))
     names = [field.name for field in fields(Config)]
     for name in table:
         if name not in names:

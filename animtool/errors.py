@@ -62,12 +62,13 @@ class Fault:
     severity: Severity = Severity.ERROR
 
     def __str__(self) -> str:
-        """Return ``file:line: CODE message, hint``."""
+        """Return ``file:line: CODE message, hint``, what is no error by its name."""
         place = ""
         if self.path is not None:
             place = f"{self.path}:{self.lines[0]}: " if self.lines else f"{self.path}: "
         hint = f", {self.hint}" if self.hint else ""
-        return f"{place}{self.code} {self.message}{hint}"
+        kind = "" if self.severity is Severity.ERROR else f"{self.severity}: "
+        return f"{place}{kind}{self.code} {self.message}{hint}"
 
     def as_dict(self) -> dict[str, object]:
         """Return the fault as plain values for a JSON report."""

@@ -7,6 +7,7 @@ import errno
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from uuid import uuid4
 
 from animtool.errors import Fault, OptionError, OutputError
 
@@ -41,9 +42,13 @@ def check_outputs(
         if not folder.is_dir():
             reason = "is no folder" if folder.exists() else "does not exist"
             message = f"cannot be written: {str(folder)!r} {reason}"
-            raise OutputError(Fault("OUT002", message, str(path)))
+            hint = "make the folder first"
+            raise OutputError(Fault("OUT002", message, str(path), (), hint))
         if not os.access(folder, os.W_OK | os.X_OK):
             message = f"cannot be written: no permission in {str(folder)!r}"
+            raise OutputError(Fault("OUT002", message, str(path)))
+        if exists and overwrite and not os.access(path, os.W_OK):
+            message = "cannot be written: it is read-only"
             raise OutputError(Fault("OUT002", message, str(path)))
         if exists and not overwrite:
             hint = "--overwrite replaces it, --skip-existing leaves it"
@@ -72,15 +77,19 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         OutputError: It cannot be flushed or renamed.
     """
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
+    # A link stays one: what it leads to is replaced.
+    final = path.resolve()
+    # Unique over threads, processes and hosts that share a folder.
+    temporary = final.with_name(f".animtool-{uuid4().hex[:12]}{final.suffix}")
     try:
         yield temporary
         try:
             _flush(temporary)
-            temporary.replace(path)
-            _flush(path.parent)
+            temporary.replace(final)
         except OSError as error:
             raise output_error(path, error) from error
+        with contextlib.suppress(OSError):
+            _flush(final.parent)
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)

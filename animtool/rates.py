@@ -19,6 +19,11 @@ __all__ = [
 # Exporters print frame times to 6 or more digits: the error left in a rate up to
 # 1000 is below this, and neighbouring broadcast rates are 1e-3 apart.
 NEAREST_RATE_TOLERANCE = Fraction(25, 100_000)
+# Metadata says 29.97 for 30000/1001, which is 1e-6 off; 1000/1001 apart is 1e-3.
+METADATA_TOLERANCE = Fraction(5, 1_000_000)
+# Powers of ten [s] beyond which a time between frames is none.
+FRAME_TIME_EXPONENTS = (-9, 6)
+LOWEST_WRITTEN_RATE, HIGHEST_WRITTEN_RATE = Fraction(1, 1000), Fraction(100_000)
 HIGHEST_RATE = 1000
 # Taken first where a time is printed so coarsely that several integers fit.
 USUAL_RATES = frozenset({12, 24, 25, 30, 48, 50, 60, 90, 100, 120, 200, 240})
@@ -70,6 +75,9 @@ def rate_from_frame_time(text: str) -> RateChoice:
         raise ValueError(f"{text!r} is not a number") from error
     if not printed.is_finite() or printed <= 0:
         raise ValueError(f"{text!r} is not a positive number")
+    low, high = FRAME_TIME_EXPONENTS
+    if not low <= printed.adjusted() <= high:
+        raise ValueError(f"{text!r} is not a number of seconds between two frames")
     digits = max(0, -int(printed.as_tuple().exponent))
     exact = 1 / Fraction(printed)
 
@@ -109,8 +117,9 @@ def _integers_that_print(printed: Fraction, digits: int) -> list[int]:
 def rate_from_float(fps: float) -> Fraction:
     """Return the rate that a float in file metadata stands for.
 
-    An integer or N·1000/1001 where the float is one of them to a millionth,
-    else the float's exact value rounded to a denominator below 1e6.
+    An integer or N·1000/1001 where the float is one of them to 5e-6, or the
+    decimal that is usually written for one; else the float's exact value rounded to
+    a denominator below 1e6.
 
     Raises:
         ValueError: The rate is not positive and finite.
@@ -121,12 +130,16 @@ def rate_from_float(fps: float) -> Fraction:
     if not 0 < fps < float("inf"):
         raise ValueError(f"{fps!r} is not a positive number")
     exact = Fraction(fps)
-    for candidate in (
-        Fraction(round(exact)),
-        Fraction(round(exact * 1001 / 1000)) * 1000 / 1001,
-    ):
-        if candidate and abs(candidate - exact) <= candidate / 1_000_000:
-            return candidate
+    usual = _BROADCAST.get(f"{fps:g}")
+    if usual is not None:
+        return usual
+    integer, broadcast = round(exact), round(exact * 1001 / 1000)
+    nearest = min(
+        (Fraction(integer), Fraction(broadcast * 1000, 1001)),
+        key=lambda rate: abs(rate - exact),
+    )
+    if abs(nearest - exact) <= nearest * METADATA_TOLERANCE:
+        return nearest
     return exact.limit_denominator(1_000_000)
 
 
@@ -156,12 +169,12 @@ def parse_rate(text: str) -> Fraction:
         return _BROADCAST[text]
     try:
         rate = Fraction(text)
-    except (ValueError, ZeroDivisionError) as error:
+    except (ValueError, ArithmeticError) as error:
         raise ValueError(
             f"{text!r} is not a frame rate such as 24, 23.976 or 24000/1001"
         ) from error
-    if rate <= 0:
-        raise ValueError(f"a frame rate is positive, not {text}")
+    if not LOWEST_WRITTEN_RATE <= rate <= HIGHEST_WRITTEN_RATE:
+        raise ValueError(f"a frame rate is between 0.001 and 100000, not {text}")
     return rate
 
 

@@ -43,3 +43,12 @@ def test_malformed_settings(tmp_path: Path, text: str, code: str) -> None:
     with pytest.raises(OptionError) as caught:
         find_config(tmp_path / "take.bvh")
     assert caught.value.code == code
+
+
+def test_settings_that_are_no_table(tmp_path: Path) -> None:
+    project = tmp_path / "pyproject.toml"
+    project.write_text("tool = 5")
+    assert find_config(tmp_path / "take.bvh") == Config()
+    project.write_text("[tool]\nanimtool = 5")
+    with pytest.raises(OptionError):
+        find_config(tmp_path / "take.bvh")

@@ -69,3 +69,22 @@ def test_overwrite_allows_what_exists(tmp_path: Path) -> None:
     check_outputs([there], [], overwrite=True)
     with pytest.raises(OptionError):
         check_outputs([there], [there], overwrite=True)
+
+
+def test_a_link_stays_a_link(tmp_path: Path) -> None:
+    target, link = tmp_path / "real.txt", tmp_path / "link.txt"
+    target.write_text("old")
+    link.symlink_to(target)
+    with replacing(link) as temporary:
+        temporary.write_text("new")
+    assert link.is_symlink()
+    assert target.read_text() == "new"
+
+
+def test_several_writers_of_one_file(tmp_path: Path) -> None:
+    target = tmp_path / "a.txt"
+    with replacing(target) as one, replacing(target) as two:
+        assert one != two
+        one.write_text("one")
+        two.write_text("two")
+    assert target.read_text() == "one"

@@ -40,7 +40,7 @@ from animtool.rates import (
         ("0.0166833", "60000/1001", RateKind.NEAREST),
         ("0.03334", "30", RateKind.NEAREST),
         ("0.0353", "10000/353", RateKind.PRINTED),
-        ("1e-9", "1000000000", RateKind.PRINTED),
+        ("1e-6", "1000000", RateKind.PRINTED),
         ("100", "1/100", RateKind.PRINTED),
     ],
 )
@@ -55,7 +55,10 @@ def test_every_integer_rate_is_found_again(rate: int, digits: int) -> None:
     assert choice.fps == rate
 
 
-@pytest.mark.parametrize("text", ["", "x", "0", "-1", "nan", "inf", "1,5"])
+@pytest.mark.parametrize(
+    "text",
+    ["", "x", "0", "-1", "nan", "inf", "1,5", "1e-400", "1e-9999999", "1e9999999"],
+)
 def test_what_is_no_frame_time(text: str) -> None:
     with pytest.raises(ValueError, match="number"):
         rate_from_frame_time(text)
@@ -71,6 +74,22 @@ def test_rivals_are_named_only_where_the_choice_is_open() -> None:
 def test_floats_of_metadata(rate: int, broadcast: bool) -> None:
     exact = Fraction(rate * 1000, 1001) if broadcast else Fraction(rate)
     assert rate_from_float(float(exact)) == exact
+
+
+@pytest.mark.parametrize(
+    ("value", "rate"),
+    [
+        (23.976, "24000/1001"),
+        (23.98, "24000/1001"),
+        (29.97, "30000/1001"),
+        (47.952, "48000/1001"),
+        (59.94, "60000/1001"),
+        (119.88, "120000/1001"),
+        (0.2, "1/5"),
+    ],
+)
+def test_decimals_in_metadata(value: float, rate: str) -> None:
+    assert rate_from_float(value) == Fraction(rate)
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
@@ -92,7 +111,9 @@ def test_what_people_write(text: str, fps: str) -> None:
     assert parse_rate(text) == Fraction(fps)
 
 
-@pytest.mark.parametrize("text", ["", "fast", "0", "-24", "1/0"])
+@pytest.mark.parametrize(
+    "text", ["", "fast", "0", "-24", "1/0", "1e400", "1e-400", "1e12"]
+)
 def test_what_people_should_not_write(text: str) -> None:
     with pytest.raises(ValueError, match="rate"):
         parse_rate(text)

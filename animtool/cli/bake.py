@@ -29,12 +29,6 @@ def _parsed(name: str) -> Parsed:
     return Parsed(name, parse)
 
 
-def _fraction(text: str) -> Any:
-    from fractions import Fraction
-
-    return Fraction(text)
-
-
 @click.command(
     epilog="""\b
 Examples:
@@ -43,11 +37,11 @@ Examples:
   animtool bake walk.bvh -o walk_layer.usdc --rig-layer hero.rig.usda
   animtool bake walk.bvh -o walk.usda --fps 24 --range 1001-1048 --start 1001"""
 )
-@click.argument("source", type=click.Path(path_type=Path))
+@click.argument("source", type=click.Path(path_type=Path, readable=False))
 @click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path, allow_dash=True),
+    type=click.Path(path_type=Path, allow_dash=True, readable=False),
     help="USD file to write (.usda, .usdc, .usd), or - for usda on stdout.  "
     "[default: SOURCE with .usdc]",
 )
@@ -63,7 +57,7 @@ Examples:
 )
 @click.option(
     "--rig-layer",
-    type=click.Path(path_type=Path),
+    type=click.Path(path_type=Path, readable=False),
     metavar="FILE",
     help="The rig that a layer is for, or a shot that holds it; its units, up axis, "
     "rate and start are adopted.",
@@ -91,6 +85,11 @@ Examples:
 )
 @source_options
 @click.option(
+    "--source-prim",
+    metavar="PATH",
+    help="The character to read, where a USD source has several.",
+)
+@click.option(
     "--to-units", type=click.Choice(["m", "cm", "mm", "in"]), help="Unit of the output."
 )
 @click.option(
@@ -104,11 +103,11 @@ Examples:
     "frame_range",
     type=_parsed("frame_range"),
     metavar="A-B[xN]",
-    help="Frames to write, such as 1-240 or 1-240x2, counted from --start.",
+    help="Frames to write, such as 1-240, 1-240x2 or 12, as the output numbers them.",
 )
 @click.option(
     "--start",
-    type=Parsed("frame", _fraction),
+    type=_parsed("frame"),
     metavar="FRAME",
     help="Time code of the first frame.  [default: the rig layer's, the project's, 1]",
 )
@@ -161,16 +160,18 @@ def bake(console: Console, /, source: Path, output: Path | None, **given: Any) -
 
     from animtool.scene.bake import bake as run_bake
 
-    with console.progress(f"bake {source.name}") as progress:
+    with console.progress(f"bake {source.name}", stdout=to_stdout) as progress:
         report = run_bake(source, path, _options(given), progress=progress)
     console.faults(report.notices)
-    from animtool.cli.summary import bake_json, bake_text
+    from animtool.cli.summary import bake_details, bake_json, bake_text
 
     if as_json:
         console.result_json(bake_json(report))
         return
     for line in bake_text(report):
         console.say(line)
+    for line in bake_details(report):
+        console.detail(line)
 
 
 def _options(given: dict[str, Any]) -> Any:
@@ -179,7 +180,9 @@ def _options(given: dict[str, Any]) -> Any:
 
     to_units, to_up = given["to_units"], given["to_up"]
     return BakeOptions(
-        source=source_options_record(given["units"], given["up"], given["source_fps"]),
+        source=source_options_record(
+            given["units"], given["up"], given["source_fps"], given["source_prim"]
+        ),
         form="split" if given["split"] else given["form"],
         rig_layer=given["rig_layer"],
         prim_path=given["prim_path"],

@@ -49,15 +49,13 @@ class Console:
         if self.verbosity > 0:
             self._line({"level": "debug", "message": text}, text)
 
-    def faults(self, faults: Iterable[Fault]) -> None:
-        """Write faults to stderr: errors always, warnings unless quiet."""
+    def faults(self, faults: Iterable[Fault], *, fatal: bool = False) -> None:
+        """Write faults to stderr: errors and what ends the work always."""
         for fault in faults:
-            if self.verbosity >= 0 or fault.severity is Severity.ERROR:
-                label = self._color(str(fault.severity), _COLORS[fault.severity])
+            if fatal or self.verbosity >= 0 or fault.severity is Severity.ERROR:
+                code = self._color(fault.code, _COLORS[fault.severity])
                 entry = {"level": str(fault.severity), **fault.as_dict()}
-                self._line(
-                    entry, f"{fault}  [{label}]" if _plain(fault) else str(fault)
-                )
+                self._line(entry, str(fault).replace(fault.code, code, 1))
 
     def error(self, message: str) -> None:
         """Write an error that has no code to stderr."""
@@ -65,9 +63,17 @@ class Console:
         self._line({"level": "error", "message": message}, f"{label}: {message}")
 
     @contextmanager
-    def progress(self, label: str) -> Iterator[Callable[[float], None] | None]:
-        """Give a function that shows the share done; None where nobody looks."""
-        if self.verbosity < 0 or self.json_log or not sys.stderr.isatty():
+    def progress(
+        self, label: str, *, stdout: bool = False
+    ) -> Iterator[Callable[[float], None] | None]:
+        """Give a function that shows the share done; None where nobody looks.
+
+        Args:
+            label: What is being done.
+            stdout: Whether a result goes to stdout, which may be the same terminal.
+        """
+        shared = stdout and sys.stdout.isatty()
+        if self.verbosity < 0 or self.json_log or shared or not sys.stderr.isatty():
             yield None
             return
         from rich.console import Console as RichConsole
@@ -81,24 +87,25 @@ class Console:
             console=RichConsole(stderr=True),
             transient=True,
         )
-        with bar:
-            task = bar.add_task(label, total=1.0)
-            yield lambda share: bar.update(task, completed=share)
+        task = bar.add_task(label, total=1.0)
+
+        def show(share: float) -> None:
+            # Started late: what fails at once shows no bar.
+            if not bar.live.is_started:
+                bar.start()
+            bar.update(task, completed=share)
+
+        try:
+            yield show
+        finally:
+            bar.stop()
 
     def _line(self, entry: dict[str, object], text: str) -> None:
         line = json.dumps(entry, ensure_ascii=False) if self.json_log else text
-        try:
-            sys.stderr.write(line + "\n")
-        except UnicodeEncodeError:
-            sys.stderr.write(line.encode("ascii", "replace").decode() + "\n")
+        sys.stderr.write(line + "\n")
 
     def _color(self, text: str, code: str) -> str:
         return f"\x1b[{code}m{text}\x1b[0m" if _wants_color(sys.stderr) else text
-
-
-def _plain(fault: Fault) -> bool:
-    """Return whether a fault's severity needs saying beside its text."""
-    return fault.severity is not Severity.ERROR
 
 
 def _wants_color(stream: TextIO) -> bool:

@@ -24,8 +24,8 @@ Examples:
   animtool convert walk.usdc walk.bvh
   animtool convert shot.usda hero.bvh --prim-path /World/hero"""
 )
-@click.argument("source", type=click.Path(path_type=Path))
-@click.argument("output", type=click.Path(path_type=Path))
+@click.argument("source", type=click.Path(path_type=Path, readable=False))
+@click.argument("output", type=click.Path(path_type=Path, readable=False))
 @source_options
 @click.option(
     "--prim-path", metavar="PATH", help="The character, where a stage has several."
@@ -34,6 +34,9 @@ Examples:
     "--strict", is_flag=True, help="Take warnings for errors and write nothing."
 )
 @click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
+@click.option(
+    "--skip-existing", is_flag=True, help="Do nothing where the output exists."
+)
 @format_option
 @common_options
 @click.pass_obj
@@ -42,6 +45,11 @@ def convert(console: Console, /, source: Path, output: Path, **given: Any) -> No
 
     Joints that came from a BVH get their channel order and names back.
     """
+    if given["skip_existing"] and output.exists():
+        console.say(f"{output} exists: skipped")
+        if given["report_format"] == "json":
+            console.result_json({"convert": "animtool/1", "skipped": str(output)})
+        return
     from animtool.scene.convert import convert as run_convert
 
     options = source_options_record(

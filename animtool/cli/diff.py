@@ -18,6 +18,8 @@ from animtool.cli.options import (
 
 __all__ = ["diff"]
 
+_KINDS = (("world", "m"), ("translation", "m"), ("rotation", "deg"), ("scale", ""))
+
 
 @click.command(
     epilog="""\b
@@ -25,8 +27,8 @@ Examples:
   animtool diff walk.bvh walk.usdc
   animtool diff old.usdc new.usdc --tol 1e-4 --tol-degrees .01"""
 )
-@click.argument("first", type=click.Path(path_type=Path))
-@click.argument("second", type=click.Path(path_type=Path))
+@click.argument("first", type=click.Path(path_type=Path, readable=False))
+@click.argument("second", type=click.Path(path_type=Path, readable=False))
 @click.option(
     "--tol",
     type=click.FloatRange(0),
@@ -63,7 +65,7 @@ def diff(console: Console, /, first: Path, second: Path, **given: Any) -> None:
         console.result_json({"diff": "animtool/1", "same": same, **asdict(found)})
     else:
         lines = [f"{found.joints} joints, {found.frames} frames compared"]
-        for kind, unit in (("world", "m"), ("translation", "m"), ("rotation", "deg")):
+        for kind, unit in _KINDS:
             largest = getattr(found, kind)
             line = f"  {kind:<12}{largest.value:.3g} {unit}"
             if largest.value:

@@ -27,7 +27,9 @@ Examples:
   animtool info walk.bvh
   animtool info walk.usdc hero.usda --format json"""
 )
-@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument(
+    "files", nargs=-1, required=True, type=click.Path(path_type=Path, readable=False)
+)
 @source_options
 @click.option(
     "--prim-path", metavar="PATH", help="The character, where a stage has several."
@@ -76,15 +78,15 @@ def _text(found: TakeDescription) -> list[str]:
     corners = " to ".join(
         "(" + ", ".join(f"{x:.4g}" for x in c) + ")" for c in (low, high)
     )
+    every = "" if found.step == 1 else f", one every {found.step} time codes"
+    notices = "1 notice" if len(found.notices) == 1 else f"{len(found.notices)} notices"
     return [
         f"{found.path}: {found.format}",
         f"  joints    {found.joints} below {roots}{channels}",
         f"  frames    {found.frames} at {rate_label(found.fps)}, "
         f"{float(found.duration):.4g} s, time codes {float(found.start):g} to "
-        f"{float(found.end):g}",
+        f"{float(found.end):g}{every}",
         f"  animated  {moving} joints of {found.joints}; the rest never move",
         f"  bounds    {corners} {found.units}, {found.up} up",
-        f"  odd       {len(found.notices)} notices"
-        if found.notices
-        else "  odd       nothing",
+        f"  odd       {notices if found.notices else 'nothing'}",
     ]

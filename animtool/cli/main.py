@@ -115,9 +115,11 @@ def _on_terminate(signum: int, frame: FrameType | None) -> NoReturn:
 def run(arguments: Sequence[str]) -> int:
     """Run the command line and return its exit code."""
     console = Console(json_log=_logs_json(arguments))
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="replace")
+    if hasattr(sys.stdout, "reconfigure") and not sys.stdout.isatty():
+        # usda and JSON are UTF-8, whatever the locale.
+        sys.stdout.reconfigure(encoding="utf-8", errors="surrogateescape")
+    if hasattr(sys.stderr, "reconfigure"):
+        sys.stderr.reconfigure(errors="backslashreplace")
     signal.signal(signal.SIGTERM, _on_terminate)
     try:
         code = cli.main(list(arguments), "animtool", standalone_mode=False, obj=console)
@@ -133,7 +135,7 @@ def _report(console: Console, error: BaseException) -> int:
     """Say what ended the command and return the exit code for it."""
     match error:
         case AnimtoolError():
-            console.faults(error.faults)
+            console.faults(error.faults, fatal=True)
             if isinstance(error, StrictError):
                 console.say("warnings are errors under --strict: nothing was written")
             code = int(error.exit_code)
@@ -151,6 +153,9 @@ def _report(console: Console, error: BaseException) -> int:
             # flush at exit complain.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             code = int(ExitCode.OK)
+        case OSError():
+            console.error(f"cannot be read or written: {error.strerror or error}")
+            code = int(ExitCode.MALFORMED)
         case MemoryError():
             console.error("not enough memory")
             code = int(ExitCode.INTERNAL)

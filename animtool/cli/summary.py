@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
@@ -11,42 +12,54 @@ from animtool.units import unit_name
 if TYPE_CHECKING:
     from animtool.scene.bake import BakeReport
 
-__all__ = ["bake_json", "bake_text"]
+__all__ = ["bake_details", "bake_json", "bake_text"]
 
 
 def _number(value: Fraction) -> str:
     return str(value) if value.denominator == 1 else f"{float(value):.6g}"
 
 
+def _finite(value: float) -> float | None:
+    """Return the value, or None where JSON has no number for it."""
+    return value if math.isfinite(value) else None
+
+
 def bake_text(report: BakeReport) -> list[str]:
     """Return the lines of a summary."""
-    result, seconds = report.result, report.seconds
+    result, total = report.result, report.seconds["total"]
     files = ", ".join(map(str, result.outputs)) or "stdout"
     unit = unit_name(report.meters_per_unit)
-    first, last = _number(result.first), _number(result.last)
-    frames = f"{result.samples} samples, frames {first} to {last}"
+    samples = "1 sample" if result.samples == 1 else f"{result.samples} samples"
+    frames = f"{samples}, frames {_number(result.first)} to {_number(result.last)}"
     frames += f" at {rate_label(report.fps)}"
     if report.source_fps != report.fps or report.source_frames != result.samples:
         source = f"{report.source_frames} frames at {rate_label(report.source_fps)}"
         frames += f", from {source}"
-    megabytes = report.source_bytes / 1e6
     error = result.rounding.error / report.meters_per_unit
-    where = (
-        f" (joint {report.error_joint!r}, frame {result.rounding.code:g})"
-        if error
-        else ""
-    )
-    assumed = " (taken for granted: --units)" if report.unit_assumed else ""
+    where = ""
+    if error:
+        where = f" (joint {report.error_joint!r}, frame {result.rounding.code:g})"
     moving = " and ".join(result.sampled) or "nothing"
+    assumed = "; the source taken to be in cm (--units)" if report.unit_assumed else ""
     return [
         f"{files}: {report.form}",
         f"  {frames}",
         f"  {result.joints} joints, {moving} animated",
         f"  {report.up} up, lengths in {unit}{assumed}",
-        f"  {result.bytes / 1e6:.3g} MB in {seconds['total']:.2f} s "
-        f"({megabytes / seconds['total']:.3g} MB/s): read {seconds['read']:.2f} beside "
-        f"author {seconds['author']:.2f}, save {seconds['save']:.2f}",
+        f"  {result.bytes / 1e6:.3g} MB written in {total:.2f} s, "
+        f"{report.source_bytes / 1e6 / total:.3g} MB/s of source",
         f"  largest error of float32: {error:.2g} {unit}{where}",
+    ]
+
+
+def bake_details(report: BakeReport) -> list[str]:
+    """Return what only the verbose are told."""
+    seconds = ", ".join(f"{name} {value:.3f}" for name, value in report.seconds.items())
+    stated = ", ".join(f"{key} {value}" for key, value in report.details.items())
+    return [
+        f"  source: {stated}",
+        f"  seconds: {seconds} (read runs beside author)",
+        f"  skeleton at rest: {report.size:.4g} m across",
     ]
 
 
@@ -77,8 +90,8 @@ def bake_json(report: BakeReport) -> dict[str, object]:
             report.source_bytes / 1e6 / report.seconds["total"], 3
         ),
         "error": {
-            "meters": result.rounding.error,
-            "relative": result.rounding.error / report.size if report.size else None,
+            "meters": _finite(result.rounding.error),
+            "relative": _finite(result.rounding.error / (report.size or math.inf)),
             "joint": report.error_joint,
             "frame": result.rounding.code,
         },

@@ -15,6 +15,8 @@ from animtool.take import Channel, Clock, Motion, Take, time_codes
 __all__ = ["FrameRange", "SampleTimes", "plan_samples", "sample"]
 
 BLOCK_FRAMES = 512
+# Days of animation: rather a rate that is mistyped.
+MOST_SAMPLES = 10_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +69,8 @@ def plan_samples(
             of one a frame.
 
     Raises:
-        ValueError: The range has no frame of the take, or the options exclude each
-            other.
+        ValueError: The range has no frame of the take, the options exclude each
+            other, or there would be more than 10 million samples.
     """
     ratio = clock.rate / fps  # source frames from one time code to the next
     span = Fraction(clock.count - 1) / ratio
@@ -76,6 +78,8 @@ def plan_samples(
         return _kept_samples(clock, start, 1 / ratio, frame_range)
     whole = int(span)
     wanted = range(whole + 1)
+    if frame_range is None and (whole + 1) * max(1, len(offsets)) > MOST_SAMPLES:
+        raise ValueError(f"at {float(fps):g} fps the take has {whole + 1} frames")
     if frame_range is not None:
         wanted = _within(frame_range, start, whole)
     first, last = start + wanted[0], start + wanted[-1]

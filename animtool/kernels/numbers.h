@@ -49,15 +49,30 @@ inline NumberKind slow_number(const char* p, const char* end, double& value) {
 #if defined(__cpp_lib_to_chars)
   const auto result = std::from_chars(p, end, value);
   if (result.ec == std::errc()) return NumberKind::finite;
-  // from_chars leaves the value alone when it is out of range, on either side.
+  // from_chars leaves the value alone when it is out of range, on either side: the
+  // place of the first digit that is not zero, and the exponent, tell which.
   const bool negative = *p == '-';
-  const char* e = p;
-  while (e != end && (*e | 0x20) != 'e') ++e;
-  bool tiny = e != end && e + 1 != end && e[1] == '-';
-  if (e == end) {
-    tiny = true;
-    for (const char* d = p + negative; d != end && *d != '.'; ++d) tiny &= *d == '0';
+  std::int64_t place = 0, exponent = 0;
+  bool found = false, after_point = false;
+  const char* d = p + negative;
+  for (; d != end && (*d | 0x20) != 'e'; ++d) {
+    if (*d == '.') {
+      after_point = true;
+    } else if (after_point) {
+      if (!found) --place;
+      found |= *d != '0';
+    } else {
+      found |= *d != '0';
+      place += found;
+    }
   }
+  if (d != end) {
+    const bool below = *++d == '-';
+    if (*d == '-' || *d == '+') ++d;
+    for (; d != end && exponent < 1000000; ++d) exponent = exponent * 10 + (*d - '0');
+    if (below) exponent = -exponent;
+  }
+  const bool tiny = place + exponent <= 0;
 #else
 #if defined(_WIN32)
   static const _locale_t c_locale = _create_locale(LC_ALL, "C");

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 
 from animtool._types import FloatArray
 from animtool.edit.reorient import reorient
+from animtool.edit.resample import plan_samples, sample
 from animtool.maths import so3
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Rig
 from animtool.scene.sources import SourceOptions, open_source
-from animtool.take import Take, TakeStream
+from animtool.take import Clock, Motion, Take
+
+# USD holds scales as 16-bit floats, which are 5e-4 apart near one.
+SCALE_TOLERANCE = 1e-3
 
 __all__ = ["Difference", "TakeDifference", "compare", "compare_takes"]
 
@@ -41,6 +46,7 @@ class TakeDifference:
         world: World position [m].
         translation: Local translation [m].
         rotation: Local rotation [deg].
+        scale: Local scale [1].
         frames: Frames compared.
         joints: Joints compared.
         mismatches: What one has and the other has not, in words.
@@ -49,6 +55,7 @@ class TakeDifference:
     world: Difference
     translation: Difference
     rotation: Difference
+    scale: Difference
     frames: int
     joints: int
     mismatches: list[str]
@@ -60,13 +67,14 @@ class TakeDifference:
             and self.world.value <= meters
             and self.translation.value <= meters
             and self.rotation.value <= degrees
+            and self.scale.value <= SCALE_TOLERANCE
         )
 
 
 def compare(
     first: Path | str, second: Path | str, options: SourceOptions | None = None
 ) -> TakeDifference:
-    """Compare the takes of two files, frame by frame, joints by name, in metres.
+    """Compare the takes of two files by time from the first frame, joints by name.
 
     The second is stood on the up axis of the first. ``options`` apply to both
     where they can: units and up axis are stated by USD files themselves.
@@ -78,15 +86,21 @@ def compare(
     for path in (first, second):
         is_bvh = Path(path).suffix.lower() == ".bvh"
         streams.append(open_source(path, options if is_bvh else None))
-    one: TakeStream = streams[0]
-    return compare_takes(one.collect(), reorient(streams[1], one.rig.up).collect())
+    one, two = streams
+    found = compare_takes(one.collect(), reorient(two, one.rig.up).collect())
+    if None not in {one.start, two.start} and one.start != two.start:
+        first_codes = f"{float(one.start or 0):g} against {float(two.start or 0):g}"
+        found.mismatches.append(f"first time code {first_codes}")
+    return found
 
 
 def compare_takes(first: Take, second: Take) -> TakeDifference:
     """Compare two takes; those of no common joint or frame differ by nothing else."""
     pairs = _pairs(first.rig, second.rig)
-    frames = min(first.clock.count, second.clock.count)
     mismatches = _mismatches(first, second, pairs)
+    if first.clock.rate != second.clock.rate:
+        second = _at_rate(second, first.clock.rate)
+    frames = min(first.clock.count, second.clock.count)
     mine = [a for a, _ in pairs]
     theirs = [b for _, b in pairs]
     codes = first.clock.times
@@ -107,16 +121,31 @@ def compare_takes(first: Take, second: Take) -> TakeDifference:
         largest(np.linalg.norm(apart, axis=-1)),
         largest(np.linalg.norm(moved, axis=-1)),
         largest(np.degrees(turned)),
+        largest(np.abs(_scales(a)[:, mine] - _scales(b)[:, theirs]).max(axis=-1)),
         frames,
         len(pairs),
         mismatches,
     )
 
 
+def _at_rate(take: Take, rate: Fraction) -> Take:
+    """Return the take at another frame rate, from the same first frame."""
+    times = plan_samples(take.clock, rate, Fraction(1))
+    motion = Motion.concatenate([block for _, block in sample(take, times)])
+    return Take(take.rig, Clock(rate, Fraction(1), Fraction(1), motion.frames), motion)
+
+
 def _dense(take: Take, frames: int) -> tuple[FloatArray, FloatArray, FloatArray | None]:
     motion = take.motion.map(lambda channel: channel.select(slice(0, frames)))
     scales = None if motion.scales is None else motion.scales.dense()
     return motion.translations.dense(), motion.rotations.dense(), scales
+
+
+def _scales(
+    dense: tuple[FloatArray, FloatArray, FloatArray | None],
+) -> FloatArray:
+    translations, _, scales = dense
+    return np.ones(translations.shape) if scales is None else scales
 
 
 def _pairs(first: Rig, second: Rig) -> list[tuple[int, int]]:

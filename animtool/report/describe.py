@@ -30,6 +30,7 @@ class TakeDescription:
         roots: Names of those without a parent.
         frames: Number of frames.
         fps: Frames a second, exact.
+        step: Time codes from one frame to the next.
         start: Time code of the first frame.
         end: Time code of the last frame.
         duration: From the first to the last [s].
@@ -47,6 +48,7 @@ class TakeDescription:
     roots: list[str]
     frames: int
     fps: Fraction
+    step: Fraction
     start: Fraction
     end: Fraction
     duration: Fraction
@@ -62,6 +64,7 @@ class TakeDescription:
         values = asdict(self)
         values.update(
             fps=float(self.fps),
+            step=float(self.step),
             rate=str(self.fps),
             start=float(self.start),
             end=float(self.end),
@@ -108,6 +111,7 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
         [rig.names[root] for root in rig.roots],
         clock.count,
         clock.rate,
+        clock.step,
         clock.start,
         clock.start + clock.step * (clock.count - 1),
         clock.duration,

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from animtool import _kernels
 from animtool._types import ArrayLike, FloatArray, as_floats
 from animtool.rig.skeleton import Rig
 
-__all__ = ["WorldTransforms", "forward", "rest_world"]
+__all__ = ["WorldTransforms", "forward", "rest_size", "rest_world"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,3 +67,9 @@ def forward(
 def rest_world(rig: Rig) -> WorldTransforms:
     """Return the world transforms of the rest pose, one frame."""
     return forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
+
+
+def rest_size(rig: Rig) -> float:
+    """Return the diagonal of the joints' bounds at rest [m]."""
+    positions = rest_world(rig).positions[0]
+    return float(np.linalg.norm(positions.max(axis=0) - positions.min(axis=0)))

@@ -14,17 +14,16 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray
 from animtool.config import find_config
 from animtool.edit.reorient import reorient
-from animtool.edit.resample import SampleTimes, plan_samples, sample
+from animtool.edit.resample import FrameRange, SampleTimes, plan_samples, sample
 from animtool.errors import Fault, OptionError, Severity, StrictError
 from animtool.output import check_outputs
 from animtool.prefetch import prefetch
 from animtool.rates import rate_label
-from animtool.rig.kinematics import rest_world
+from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
 from animtool.scene.options import BakeOptions, check_options
 from animtool.scene.sources import open_source
 from animtool.take import Motion, Take, TakeStream, time_codes
-from animtool.units import LengthUnit, unit_name
 from animtool.usd.animation import WrittenBlock, round_blocks
 from animtool.usd.layers import check_prim_path, check_suffix
 from animtool.usd.names import UsdNames, joint_names, legal_name
@@ -35,10 +34,6 @@ if TYPE_CHECKING:
     from animtool.usd.target import JointMap, RigTarget
 
 __all__ = ["BakePlan", "BakeReport", "bake", "plan_bake", "run_bake"]
-
-# A person or a creature is between these tall; a skeleton far outside is rather in
-# another unit.
-LIKELY_HEIGHT_METERS = (0.3, 6.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +87,7 @@ class BakeReport:
         unit_assumed: Whether nothing states the unit of the source.
         seconds: Wall time by stage; ``read`` runs beside ``author``.
         source_bytes: Size of the source.
+        details: What the source states of itself.
     """
 
     source: Path
@@ -109,6 +105,7 @@ class BakeReport:
     unit_assumed: bool = False
     seconds: dict[str, float] = field(default_factory=dict)
     source_bytes: int = 0
+    details: dict[str, object] = field(default_factory=dict)
 
 
 def bake(
@@ -170,14 +167,14 @@ def plan_bake(
         target = open_target(options.rig_layer, options.prim_path)
         stream = reorient(stream, target.skeleton.rig.up)
         mapping = map_joints(stream.rig, target, options.strip_namespace)
-        notices += mapping.notices
+        notices += target.notices + mapping.notices
     else:
         if options.prim_path is not None:
             check_prim_path(options.prim_path)
         if options.form is None:
             reason = "no rig layer was named"
         stream = reorient(stream, options.to_up or stream.rig.up)
-    fps = options.fps or (target.fps if target else stream.fps / stream.step)
+    fps = options.fps or (target.fps if target else stream.fps)
     if target is not None and fps != target.fps:
         theirs = rate_label(target.fps)
         message = f"--fps {float(fps):g} is not the rig layer's rate, {theirs}"
@@ -229,7 +226,7 @@ def run_bake(plan: BakePlan) -> BakeReport:
     counter = _Counter()
     counted = replace(stream, blocks=counter.count(stream.blocks))
     timed, frames, rig = _timed_blocks(plan, counted)
-    size = _size(rig)
+    size = rest_size(rig)
 
     meters = rig.meters_per_unit
     if plan.mapping is not None and target is not None:
@@ -240,9 +237,12 @@ def run_bake(plan: BakePlan) -> BakeReport:
     elif options.to_units is not None:
         meters = options.to_units.meters
     chosen = None
+    if plan.mapping is not None and (plan.mapping.source < 0).any():
+        chosen = plan.mapping.source >= 0
     if options.sparse:
         held = list(timed)
-        chosen, timed = _moving(plan, rig, [motion for _, motion in held]), iter(held)
+        moving = _moving(plan, rig, [motion for _, motion in held])
+        chosen, timed = moving if chosen is None else moving & chosen, iter(held)
 
     names, joints, paths = _usd_places(plan, rig)
     step = stream.step * plan.fps / stream.fps
@@ -271,7 +271,6 @@ def run_bake(plan: BakePlan) -> BakeReport:
         rounded.close()
     author_seconds = time.perf_counter() - began
     notices = stream.notices + plan.notices + names.notices + result.notices
-    notices += _unit_notice(plan, stream.rig, size)
     if options.strict:
         warnings = [n for n in notices if n.severity is Severity.WARNING]
         if warnings:
@@ -281,7 +280,7 @@ def run_bake(plan: BakePlan) -> BakeReport:
     return BakeReport(
         plan.source,
         result,
-        f"{plan.form}: {plan.reason}",
+        f"{plan.form} ({plan.reason})",
         counter.frames,
         stream.fps / stream.step,
         plan.fps,
@@ -299,6 +298,7 @@ def run_bake(plan: BakePlan) -> BakeReport:
             "total": total,
         },
         plan.source.stat().st_size,
+        stream.details,
     )
 
 
@@ -333,12 +333,17 @@ def _timed_blocks(
     output; otherwise the take is gathered and sampled anew.
     """
     options = plan.options
-    same_rate = plan.fps == stream.fps / stream.step
-    as_is = same_rate and not options.samples and options.frame_range is None
-    if as_is and options.rest_frame is None:
+    as_is = (
+        plan.fps == stream.fps
+        and not options.samples
+        and options.frame_range is None
+        and options.rest_frame is None
+    )
+    if as_is:
         return _streamed(plan, stream), None, stream.rig
     take = stream.collect()
-    times = _sample_times(plan, take)
+    times = _sample_times(plan, take, options.frame_range)
+    plan.notices.extend(_cut_notice(plan, times))
     rig = take.rig
     if options.rest_frame is not None:
         rig = _with_rest(plan, take, options.rest_frame)
@@ -350,18 +355,21 @@ def _streamed(
 ) -> Iterator[tuple[FloatArray, Motion]]:
     done = 0
     for block in stream.blocks:
-        yield time_codes(plan.start + done, Fraction(1), block.frames), block
+        first = plan.start + done * stream.step
+        yield time_codes(first, stream.step, block.frames), block
         done += block.frames
 
 
-def _sample_times(plan: BakePlan, take: Take) -> SampleTimes:
+def _sample_times(
+    plan: BakePlan, take: Take, frame_range: FrameRange | None
+) -> SampleTimes:
     options = plan.options
     try:
         return plan_samples(
             take.clock,
             plan.fps,
             plan.start,
-            frame_range=options.frame_range,
+            frame_range=frame_range,
             offsets=options.samples,
             keep_samples=options.keep_samples,
         )
@@ -369,24 +377,38 @@ def _sample_times(plan: BakePlan, take: Take) -> SampleTimes:
         raise OptionError(Fault("CLI005", str(error), str(plan.source))) from error
 
 
+def _cut_notice(plan: BakePlan, times: SampleTimes) -> list[Fault]:
+    """Say so where a range reaches beyond the take."""
+    wanted = plan.options.frame_range
+    if wanted is None or plan.options.keep_samples:
+        return []
+    last = wanted.last - (wanted.last - wanted.first) % wanted.step
+    if times.first == wanted.first and times.last == last:
+        return []
+    message = (
+        f"--range {wanted.first}-{wanted.last} reaches beyond the take; "
+        f"{float(times.first):g} to {float(times.last):g} are written"
+    )
+    return [Fault("CLI101", message, str(plan.source), severity=Severity.WARNING)]
+
+
 def _with_rest(plan: BakePlan, take: Take, frame: int) -> Rig:
     """Return the rig with a frame of the take as its rest pose."""
-    index = (frame - plan.start) * take.clock.rate / plan.fps
-    if not 0 <= index <= take.clock.count - 1:
-        last = plan.start + (take.clock.count - 1) * plan.fps / take.clock.rate
-        has = f"{float(plan.start):g} to {float(last):g}"
-        message = f"--rest frame:{frame}: the take has {has}"
-        raise OptionError(Fault("CLI005", message, str(plan.source)))
-    pose = take.motion.map(
-        lambda channel: channel.select(slice(int(index), int(index) + 1))
+    try:
+        times = plan_samples(
+            take.clock, plan.fps, plan.start, frame_range=FrameRange(frame, frame)
+        )
+    except ValueError as error:
+        message = str(error).replace("--range", "--rest frame:N")
+        raise OptionError(Fault("CLI005", message, str(plan.source))) from error
+    ((_, pose),) = sample(take, times)
+    translations = pose.translations.dense()[0].tolist()
+    rotations = pose.rotations.dense()[0].tolist()
+    joints = tuple(
+        replace(joint, translation=tuple(t), rotation=tuple(r))
+        for joint, t, r in zip(take.rig.joints, translations, rotations, strict=True)
     )
-    translations, rotations = pose.translations.dense()[0], pose.rotations.dense()[0]
-    joints = []
-    for joint, t, r in zip(
-        take.rig.joints, translations.tolist(), rotations.tolist(), strict=True
-    ):
-        joints.append(replace(joint, translation=tuple(t), rotation=tuple(r)))
-    return replace(take.rig, joints=tuple(joints))
+    return replace(take.rig, joints=joints)
 
 
 def _moving(plan: BakePlan, rig: Rig, motions: list[Motion]) -> BoolArray:
@@ -427,35 +449,3 @@ def _usd_places(plan: BakePlan, rig: Rig) -> tuple[UsdNames, list[str], RigPaths
         placed = replace(fault, path=str(plan.source))
         names.notices[names.notices.index(fault)] = placed
     return names, rig.paths(names.names), RigPaths.below(model)
-
-
-def _size(rig: Rig) -> float:
-    """Return the diagonal of the skeleton's bounds at rest [m]."""
-    positions = rest_world(rig).positions[0]
-    return float(np.linalg.norm(positions.max(axis=0) - positions.min(axis=0)))
-
-
-def _unit_notice(plan: BakePlan, rig: Rig, size: float) -> list[Fault]:
-    """Point out a skeleton whose size fits another unit better."""
-    low, high = LIKELY_HEIGHT_METERS
-    stated = plan.options.source.unit is not None or plan.stream.details.get("units")
-    if stated or len(rig.joints) < 8 or low <= size <= high:
-        return []
-    numbers = size / rig.meters_per_unit
-    for unit in (LengthUnit.M, LengthUnit.CM, LengthUnit.IN, LengthUnit.MM):
-        if low <= numbers * unit.meters <= high:
-            message = (
-                f"the skeleton is {numbers:.4g} {unit_name(rig.meters_per_unit)} "
-                f"in size, which would fit {unit} better"
-            )
-            return [
-                Fault(
-                    "BVH109",
-                    message,
-                    str(plan.source),
-                    (),
-                    f"--units {unit} says so",
-                    Severity.NOTE,
-                )
-            ]
-    return []

@@ -12,7 +12,14 @@ from animtool.errors import Fault, OptionError
 from animtool.scene.sources import SourceOptions
 from animtool.units import LengthUnit, UpAxis
 
-__all__ = ["BakeOptions", "parse_frame_range", "parse_offsets", "parse_rest"]
+__all__ = [
+    "BakeOptions",
+    "check_options",
+    "parse_frame",
+    "parse_frame_range",
+    "parse_offsets",
+    "parse_rest",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +70,8 @@ class BakeOptions:
     overwrite: bool = False
 
 
+LARGEST_FRAME = 10**9
+
 _RANGE = re.compile(r"(-?\d{1,9})(?:-(-?\d{1,9})(?:x(\d{1,9}))?)?")
 
 
@@ -98,7 +107,7 @@ def parse_offsets(text: str) -> tuple[Fraction, ...]:
     for part in text.split(","):
         try:
             offset = Fraction(part.strip())
-        except (ValueError, ZeroDivisionError) as error:
+        except (ValueError, ArithmeticError) as error:
             message = f"{text!r} is not a list of offsets such as -.25,0,.25"
             raise ValueError(message) from error
         if not -1 < offset < 1:
@@ -107,6 +116,24 @@ def parse_offsets(text: str) -> tuple[Fraction, ...]:
     if len(set(offsets)) < len(offsets) or max(offsets) - min(offsets) >= 1:
         raise ValueError(f"offsets {text!r} meet those of the next frame")
     return tuple(sorted(offsets))
+
+
+def parse_frame(text: str) -> Fraction:
+    """Return a time code such as ``1001`` or ``1000.5``.
+
+    Raises:
+        ValueError: It is none, or beyond a thousand million.
+
+    >>> parse_frame("1000.5")
+    Fraction(2001, 2)
+    """
+    try:
+        frame = Fraction(text.strip())
+    except (ValueError, ArithmeticError) as error:
+        raise ValueError(f"{text!r} is not a frame such as 1001") from error
+    if abs(frame) > LARGEST_FRAME:
+        raise ValueError(f"frame {text!r} is beyond {LARGEST_FRAME}")
+    return frame
 
 
 def parse_rest(text: str) -> int | None:

@@ -7,11 +7,18 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
-from animtool.errors import Fault, FormatError, OptionError
+from animtool.errors import Fault, FormatError, OptionError, Severity
+from animtool.rig.skeleton import Rig
 from animtool.take import TakeStream
 from animtool.units import LengthUnit, UpAxis
 
 __all__ = ["READERS", "SourceOptions", "is_usd", "open_source"]
+
+# A character spans between these at rest; the skeleton of a person between those.
+LIKELY_METERS = (0.3, 6.0)
+PERSON_METERS = (1.0, 2.6)
+# Fewer joints are a prop as likely as a character.
+FEWEST_JOINTS = 8
 
 READERS: dict[str, str] = {
     ".bvh": "bvh",
@@ -70,13 +77,16 @@ def open_source(
     if kind == "bvh":
         from animtool.formats.bvh import read_bvh
 
-        return read_bvh(
+        stream = read_bvh(
             path,
             unit=options.unit or LengthUnit.CM,
             up=options.up or UpAxis.Y,
             fps=options.fps,
             progress=progress,
         )
+        if options.unit is None:
+            stream.notices += _size_notice(stream.rig, str(path))
+        return stream
     given = {"--units": options.unit, "--up": options.up, "--source-fps": options.fps}
     for name, value in given.items():
         if value is not None:
@@ -86,3 +96,21 @@ def open_source(
     from animtool.usd.read import read_usd
 
     return read_usd(path, prim_path=options.prim_path)
+
+
+def _size_notice(rig: Rig, path: str) -> list[Fault]:
+    """Point out a skeleton of a size that fits another unit better."""
+    from animtool.rig.kinematics import rest_size
+
+    size = rest_size(rig)
+    low, high = LIKELY_METERS
+    if len(rig.joints) < FEWEST_JOINTS or low <= size <= high:
+        return []
+    numbers = size / rig.meters_per_unit
+    low, high = PERSON_METERS
+    fitting = [unit for unit in LengthUnit if low <= numbers * unit.meters <= high]
+    message = f"the skeleton spans {numbers:.4g}, which in centimetres is no character"
+    hint = "--units says what it is in"
+    if fitting:
+        hint = f"--units {fitting[0]} would make it {numbers * fitting[0].meters:.2g} m"
+    return [Fault("BVH109", message, path, (), hint, Severity.NOTE)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,6 +21,7 @@ from animtool.usd.skeleton import RigPaths
 __all__ = ["AnimationWriter", "Rounding", "WrittenBlock", "round_blocks"]
 
 FLOAT32_MAX = float(np.finfo(np.float32).max)
+FLOAT16_MAX = float(np.finfo(np.float16).max)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +87,9 @@ def round_blocks(
             root = _move_root(rig, translations, rotations, meters_per_unit)
         written_t = np.clip(translations, -FLOAT32_MAX, FLOAT32_MAX).astype(np.float32)
         written_r = rotations.astype(np.float32)
-        written_s = None if scales is None else scales.astype(np.float16)
+        written_s = None
+        if scales is not None:
+            written_s = np.clip(scales, -FLOAT16_MAX, FLOAT16_MAX).astype(np.float16)
         extents, error, frame, joint = _kernels.measure_rounding(
             rig.parents,
             translations,
@@ -152,11 +155,13 @@ class _Samples:
     The frames before the first change share one array, as copies of it would.
     """
 
-    def __init__(self, spec: Any, name: str, type_name: Any, array_type: Any) -> None:
+    def __init__(
+        self, spec: Any, name: str, type_name: Any, make: Callable[[Any], Any]
+    ) -> None:
         self._attribute = attribute(spec, name, type_name)
         self._path = self._attribute.path
         self._set = spec.layer.SetTimeSample
-        self._make = array_type.FromNumpy
+        self._make = make
         self._first: npt.NDArray[Any] | None = None
         self._held: list[FloatArray] = []
         self.sampled = False
@@ -218,10 +223,14 @@ class AnimationWriter:
         self._count = len(names)
         attribute(spec, "joints", types.TokenArray, Vt.TokenArray(names), uniform=True)
         self._translations = _Samples(
-            spec, "translations", types.Float3Array, Vt.Vec3fArray
+            spec, "translations", types.Float3Array, Vt.Vec3fArray.FromNumpy
         )
-        self._rotations = _Samples(spec, "rotations", types.QuatfArray, Vt.QuatfArray)
-        self._scales = _Samples(spec, "scales", types.Half3Array, Vt.Vec3hArray)
+        self._rotations = _Samples(
+            spec, "rotations", types.QuatfArray, Vt.QuatfArray.FromNumpy
+        )
+        self._scales = _Samples(
+            spec, "scales", types.Half3Array, Vt.Vec3hArray.FromNumpy
+        )
         self._codes: list[FloatArray] = []
         self._extents: list[Float32Array] = []
         self._root_path: list[RootPath] = []
@@ -249,17 +258,20 @@ class AnimationWriter:
         }
         return [name for name, samples in named.items() if samples.sampled]
 
-    def finish(self, own_operations: list[str]) -> None:
+    def finish(self, placing: list[str], *, replaces_motion: bool) -> None:
         """Write the defaults of what never changed and the SkelRoot's motion.
 
         Args:
-            own_operations: Transform operations that the SkelRoot has already.
+            placing: Transform operations that the SkelRoot has already, and keeps.
+            replaces_motion: Whether it has others, which must no longer move it.
         """
         ones = np.ones((self._count, 3), np.float16)
         for samples in (self._translations, self._rotations, self._scales):
             samples.finish(ones)
         if self._root_path:
-            self._author_root(own_operations)
+            self._author_root(placing)
+        elif replaces_motion:
+            self._author_order(placing)
 
     def author_extents(self, padding: float) -> None:
         """Write the SkelRoot's bounds: those of its joints, and padding about them."""
@@ -270,7 +282,7 @@ class AnimationWriter:
         """Write the SkelRoot's bounds ``(F, 2, 3)``, one array a block."""
         spec = self.layer.GetPrimAtPath(self.paths.root)
         samples = _Samples(
-            spec, "extent", Sdf.ValueTypeNames.Float3Array, Vt.Vec3fArray
+            spec, "extent", Sdf.ValueTypeNames.Float3Array, Vt.Vec3fArray.FromNumpy
         )
         for codes, bounds in zip(self._codes, extents, strict=True):
             samples.add(codes, bounds)
@@ -287,22 +299,31 @@ class AnimationWriter:
         """Time codes of every sample, one array a block."""
         return self._codes
 
-    def _author_root(self, own_operations: list[str]) -> None:
+    def _author_root(self, placing: list[str]) -> None:
+        """Write the SkelRoot's motion, behind the operations that place it."""
         spec = self.layer.GetPrimAtPath(self.paths.root)
-        types, suffix = Sdf.ValueTypeNames, ":rootMotion" if own_operations else ""
-        names = [f"xformOp:translate{suffix}", f"xformOp:orient{suffix}"]
-        move = attribute(spec, names[0], types.Double3)
-        turn = attribute(spec, names[1], types.Quatd)
-        order = Vt.TokenArray(own_operations + names)
-        attribute(spec, "xformOpOrder", types.TokenArray, order, uniform=True)
-        put = self.layer.SetTimeSample
+        types = Sdf.ValueTypeNames
+        names = ["xformOp:translate:rootMotion", "xformOp:orient:rootMotion"]
+        move = _Samples(spec, names[0], types.Double3, _vector)
+        turn = _Samples(spec, names[1], types.Quatd, _quaternion)
+        self._author_order(placing + names)
         for codes, path in zip(self._codes, self._root_path, strict=True):
-            for code, position, rotation in zip(
-                codes.tolist(),
-                path.translations.tolist(),
-                path.rotations.tolist(),
-                strict=True,
-            ):
-                x, y, z, w = rotation
-                put(move.path, code, Gf.Vec3d(*position))
-                put(turn.path, code, Gf.Quatd(w, x, y, z))
+            move.add(codes, path.translations)
+            turn.add(codes, path.rotations)
+        move.finish(np.zeros(3))
+        turn.finish(so3.IDENTITY)
+
+    def _author_order(self, names: list[str]) -> None:
+        spec = self.layer.GetPrimAtPath(self.paths.root)
+        order = Vt.TokenArray(names)
+        types = Sdf.ValueTypeNames
+        attribute(spec, "xformOpOrder", types.TokenArray, order, uniform=True)
+
+
+def _vector(row: FloatArray) -> Any:
+    return Gf.Vec3d(*row.tolist())
+
+
+def _quaternion(row: FloatArray) -> Any:
+    x, y, z, w = row.tolist()
+    return Gf.Quatd(w, x, y, z)

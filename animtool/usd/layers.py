@@ -109,7 +109,10 @@ def _reason(error: Tf.ErrorException) -> str:
     """Return what USD says of an error, without its own sources' places."""
     texts = [str(getattr(item, "commentary", item)) for item in error.args]
     text = re.sub(r"(pxrInternal\w*|Sdf_\w+)::", "", " ".join(" ".join(texts).split()))
-    return text[:300] or "is no USD layer"
+    for marker in ("Error occurred writing file: ", "Failed writing usdc data: "):
+        head, _, tail = text.partition(marker)
+        text = head + tail.split(marker)[0]
+    return text.strip()[:300] or "is no USD layer"
 
 
 def new_layer(path: Path) -> Any:
@@ -171,4 +174,4 @@ def save_layer(layer: Any, path: Path | None) -> int:
             raise output_error(path, _reason(error)) from error
         if not done:
             raise output_error(path, "USD could not write it")
-        return temporary.stat().st_size
+    return path.stat().st_size

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
@@ -23,6 +24,7 @@ from animtool.usd.rig_prims import (
     decompose,
     find_skeletons,
     open_stage,
+    others_notice,
     prim_below,
     rig_from_tokens,
     skeleton_rig,
@@ -36,14 +38,18 @@ LARGEST_STEP_DENOMINATOR = 10_000
 # Sub-frame samples about each frame make a grid finer than the samples; beyond this
 # it is no grid but a curve's own keys.
 FINEST_GRID = 8
+UNIT_SCALE_TOLERANCE = 1e-6
+# More frames than any take of unevenly spaced keys: there, a key has gone astray.
+MOST_FRAMES = 100_000
 
 
 def read_usd(path: Path | str, *, prim_path: str | None = None) -> TakeStream:
     """Read the animation of a character on a stage, or of an animation layer alone.
 
-    Joints that the animation lacks are at rest, and a SkelRoot that moves carries
-    its roots along. A layer without its rig has no rest pose: its joints rest at
-    their first sample.
+    Joints that the animation lacks are at rest. A SkelRoot (or a prim below it) that
+    moves carries the roots along; one that only stands somewhere does not: where a
+    character is placed is no part of its take. A layer without its rig has no rest
+    pose: its joints rest at their first sample.
 
     Args:
         path: A USD file.
@@ -63,15 +69,17 @@ def read_usd(path: Path | str, *, prim_path: str | None = None) -> TakeStream:
         animation = _bound_animation(skeletons[0])
         if animation is None:
             return _resting(skeleton, stage, path)
-        root = UsdSkel.Root.Find(skeletons[0].GetPrim())
+        prim = skeletons[0].GetPrim()
     else:
         animation = _first_animation(stage, below)
         if animation is None:
             message = f"holds no Skeleton and no SkelAnimation below {below}"
             raise FormatError(Fault("USD008", message, str(path)))
         skeleton = _rig_of_animation(animation, path, stage)
-        root = None
-    return _read(stage, path, skeleton, animation, root)
+        prim = None
+    stream = _read(stage, path, skeleton, animation, prim)
+    stream.notices += others_notice(skeletons, str(path))
+    return stream
 
 
 def _bound_animation(skeleton: Any) -> Any:
@@ -133,6 +141,8 @@ def _resting(skeleton: SkeletonRig, stage: Any, path: Path) -> TakeStream:
     stream = TakeStream.of(Take(rig, Clock(fps, start, Fraction(1), 1), motion))
     stream.details = _details(stage, skeleton)
     stream.details["animation"] = None
+    if not stage.HasAuthoredMetadata("startTimeCode"):
+        stream.start = None
     message = "no animation is bound to the skeleton; it is read at rest"
     stream.notices.append(
         Fault("USD103", message, str(path), severity=Severity.WARNING)
@@ -150,7 +160,12 @@ class _Grid:
     even: bool
 
 
-def _grid(times: list[float], stage: Any) -> _Grid:
+def _grid(times: list[float], stage: Any, where: str) -> _Grid:
+    if not times and stage.HasAuthoredTimeCodeRange():
+        # Nothing moves, for as long as the stage lasts.
+        begin, end = map(_fraction, (stage.GetStartTimeCode(), stage.GetEndTimeCode()))
+        still = min(max(0, math.floor(end - begin)), MOST_FRAMES) + 1
+        return _Grid(begin, Fraction(1), still, True)
     if len(times) < 2:
         start = times[0] if times else stage.GetStartTimeCode()
         return _Grid(_fraction(start), Fraction(1), 1, True)
@@ -158,10 +173,18 @@ def _grid(times: list[float], stage: Any) -> _Grid:
     gaps = {b - a for a, b in pairwise(exact)}
     step = _common_divisor(gaps)
     count = int((exact[-1] - exact[0]) / step) + 1
-    if count <= FINEST_GRID * len(times):
-        return _Grid(exact[0], step, count, len(gaps) == 1)
-    first = Fraction(int(np.floor(times[0])))
-    return _Grid(first, Fraction(1), int(np.ceil(times[-1])) - int(first) + 1, False)
+    if count > FINEST_GRID * len(times):
+        first, last = math.floor(exact[0]), math.ceil(exact[-1])
+        if last - first > MOST_FRAMES:
+            message = f"{len(times)} samples spread over {last - first} time codes"
+            raise FormatError(Fault("USD016", message, where, (), "a stray sample?"))
+        return _Grid(Fraction(first), Fraction(1), last - first + 1, False)
+    # Samples within a frame before the first serve its motion blur.
+    start = _fraction(stage.GetStartTimeCode())
+    early = (start - exact[0]) / step
+    if exact[0] < start < exact[0] + 1 and early.denominator == 1 and early < count:
+        return _Grid(start, step, count - int(early), len(gaps) == 1)
+    return _Grid(exact[0], step, count, len(gaps) == 1)
 
 
 def _fraction(time: float) -> Fraction:
@@ -170,13 +193,12 @@ def _fraction(time: float) -> Fraction:
 
 def _common_divisor(gaps: set[Fraction]) -> Fraction:
     """Return the largest step that every gap is a multiple of."""
-    denominator = int(np.lcm.reduce([gap.denominator for gap in gaps]))
-    numerators = [int(gap * denominator) for gap in gaps]
-    return Fraction(int(np.gcd.reduce(numerators)), denominator)
+    denominator = math.lcm(*(gap.denominator for gap in gaps))
+    return Fraction(math.gcd(*(int(gap * denominator) for gap in gaps)), denominator)
 
 
 def _read(
-    stage: Any, path: Path, skeleton: SkeletonRig, animation: Any, root: Any
+    stage: Any, path: Path, skeleton: SkeletonRig, animation: Any, prim: Any
 ) -> TakeStream:
     where = f"{path}<{animation.GetPath()}>"
     rig, notices = skeleton.rig, []
@@ -198,10 +220,10 @@ def _read(
             message = f"{name} has no value"
             hint = "UsdSkel ignores an animation that lacks one of the three"
             raise FormatError(Fault("USD012", message, where, (), hint))
-    mover = _mover(root)
+    movers = _movers(prim)
     times = {t for attr in attributes.values() for t in attr.GetTimeSamples()}
-    times |= set(mover.GetTimeSamples()) if mover else set()
-    grid = _grid(sorted(times), stage)
+    times |= {time for mover in movers for time in mover.GetTimeSamples()}
+    grid = _grid(sorted(times), stage, where)
     if not grid.even:
         message = (
             f"samples are unevenly spaced; read every {float(grid.step):g} time codes"
@@ -222,12 +244,14 @@ def _read(
     translations = values("translations", rig.rest_translations / meters) * meters
     rotations = values("rotations", rig.rest_rotations)
     rotations = so3.align_signs(so3.normalize(rotations))
-    if mover is not None:
-        _carry_roots(rig, mover, codes, translations, rotations)
+    scales = values("scales", skeleton.rest_scales)
+    if movers:
+        matrices = _carriers(prim, codes)
+        notices += _carry_roots(rig, matrices, translations, rotations, scales, where)
     motion = Motion(
         Channel.from_dense(translations),
         Channel.from_dense(rotations),
-        _scales(values("scales", skeleton.rest_scales)),
+        _scales(scales),
     )
     stream = TakeStream.of(Take(rig, clock, motion))
     stream.notices.extend(notices)
@@ -265,28 +289,58 @@ def _values(
     return rows
 
 
-def _mover(root: Any) -> Any:
-    """Return the SkelRoot where it has a transform of its own, else None."""
-    prim = UsdGeom.Xformable(root.GetPrim()) if root else None
-    return prim if prim and prim.GetXformOpOrderAttr().Get() else None
+def _movers(skeleton: Any) -> list[Any]:
+    """Return the prims from the SkelRoot to the Skeleton, if one of them moves."""
+    chain: list[Any] = []
+    prim = skeleton
+    while prim and prim.GetPath().pathElementCount:
+        chain.append(UsdGeom.Xformable(prim))
+        if prim.IsA(UsdSkel.Root):
+            break
+        prim = prim.GetParent()
+    moves = any(mover and mover.TransformMightBeTimeVarying() for mover in chain)
+    return [mover for mover in chain if mover] if moves else []
+
+
+def _carriers(skeleton: Any, codes: list[float]) -> FloatArray:
+    """Return the Skeleton's transforms above its SkelRoot's parent ``(F, 4, 4)``."""
+    above = UsdSkel.Root.Find(skeleton).GetPrim().GetParent()
+    matrices = []
+    for code in codes:
+        cache = UsdGeom.XformCache(Usd.TimeCode(code))
+        world = cache.GetLocalToWorldTransform(skeleton)
+        matrices.append(world * cache.GetLocalToWorldTransform(above).GetInverse())
+    return np.array(matrices)
 
 
 def _carry_roots(
     rig: Rig,
-    mover: Any,
-    codes: list[float],
+    matrices: FloatArray,
     translations: FloatArray,
     rotations: FloatArray,
-) -> None:
-    """Give the roots the motion of the SkelRoot, in place."""
-    matrices = np.array([mover.GetLocalTransformation(Usd.TimeCode(c)) for c in codes])
-    moves, turns, scales = decompose(matrices)
-    moves = moves * rig.meters_per_unit
+    scales: FloatArray,
+    where: str,
+) -> list[Fault]:
+    """Give the roots the motion of what carries them, in place."""
+    if not np.isfinite(matrices).all():
+        raise FormatError(
+            Fault("USD014", "the SkelRoot's transform is not finite", where)
+        )
+    moves, turns, sizes = decompose(matrices)
     for root in rig.roots:
-        scaled = scales * translations[:, root]
-        translations[:, root] = so3.rotate(turns, scaled) + moves
+        sized = sizes * translations[:, root]
+        translations[:, root] = so3.rotate(turns, sized) + moves * rig.meters_per_unit
         rotations[:, root] = so3.multiply(turns, rotations[:, root])
+        scales[:, root] *= sizes
     rotations[:] = so3.align_signs(rotations)
+    # Rounding of the matrices is no scale.
+    near = np.abs(scales - 1.0) < UNIT_SCALE_TOLERANCE
+    scales[near] = 1.0
+    if np.ptp(sizes, axis=-1).max() <= UNIT_SCALE_TOLERANCE:
+        return []
+    message = "the SkelRoot is scaled by different factors along its axes"
+    hint = "joints that turn under it are not read exactly"
+    return [Fault("USD109", message, where, (), hint, Severity.WARNING)]
 
 
 def _details(stage: Any, skeleton: SkeletonRig) -> dict[str, object]:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import Tf, Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, FormatError, excerpt
+from animtool.errors import Fault, FormatError, Severity, excerpt
 from animtool.maths import so3
 from animtool.rig.skeleton import Joint, Rig
 from animtool.units import UpAxis
@@ -23,9 +24,17 @@ __all__ = [
     "decompose",
     "find_skeletons",
     "open_stage",
+    "others_notice",
+    "prim_below",
     "rig_from_tokens",
     "skeleton_rig",
+    "up_axis",
 ]
+
+
+# Rates and units outside are no rates and units, and would overflow what they scale.
+SMALLEST_METADATA, LARGEST_METADATA = 1e-9, 1e9
+LARGEST_REST = float(np.finfo(np.float32).max)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,10 +60,25 @@ def open_stage(path: Path) -> Any:
     """
     layer = find_layer(path)
     try:
-        return Usd.Stage.Open(layer)
-    except Exception as error:
+        stage = Usd.Stage.Open(layer)
+    except Tf.ErrorException as error:
         fault = Fault("USD001", f"does not compose: {error}", str(path))
         raise FormatError(fault) from error
+    _check_metadata(stage, str(path))
+    return stage
+
+
+def _check_metadata(stage: Any, where: str) -> None:
+    """Refuse metadata that no number on the stage could be read by."""
+    for name, value in (
+        ("timeCodesPerSecond", stage.GetTimeCodesPerSecond()),
+        ("metersPerUnit", UsdGeom.GetStageMetersPerUnit(stage)),
+    ):
+        if not SMALLEST_METADATA <= value <= LARGEST_METADATA:
+            _fail("USD015", f"{name} is {value}", where, "a positive number is needed")
+    up = str(UsdGeom.GetStageUpAxis(stage))
+    if up not in list(UpAxis):
+        _fail("USD015", f"upAxis is {up!r}", where, "allowed: Y, Z")
 
 
 def find_skeletons(stage: Any, below: str = "/") -> list[Any]:
@@ -96,20 +120,13 @@ def skeleton_rig(skeleton: Any, path: Path) -> SkeletonRig:
         message = f"{len(matrices)} restTransforms for {len(tokens)} joints"
         _fail("USD003", message, where, "UsdSkel ignores such a Skeleton")
     rest = np.array(matrices, np.float64).reshape(-1, 4, 4)
-    if not np.isfinite(rest).all():
-        _fail("USD004", "a rest transform is not finite", where)
+    if not (np.abs(rest) <= LARGEST_REST).all():
+        _fail("USD004", "a rest transform is not a finite float32", where)
     data = skeleton.GetPrim().GetCustomDataByKey("animtool") or {}
     model = skeleton.GetPrim().GetParent().GetParent() or skeleton.GetPrim()
     name = model.GetName() if model.GetName() != "/" else skeleton.GetPrim().GetName()
-    return rig_from_tokens(
-        tokens,
-        rest,
-        name,
-        where,
-        UsdGeom.GetStageMetersPerUnit(stage),
-        up_axis(stage),
-        data,
-    )
+    meters, up = _own_units(skeleton.GetRestTransformsAttr(), stage)
+    return rig_from_tokens(tokens, rest, name, where, meters, up, data)
 
 
 def rig_from_tokens(
@@ -125,6 +142,8 @@ def rig_from_tokens(
     index = {token: i for i, token in enumerate(tokens)}
     if len(index) != len(tokens):
         _fail("USD005", "a joint stands twice", where)
+    if not isinstance(data, dict) or not isinstance(data.get("names", {}), dict):
+        _fail("USD007", "customData animtool is malformed", where)
     extras = _extras(data, where)
     originals = dict(data.get("names", {}))
     translations, rotations, scales = decompose(rest)
@@ -141,7 +160,6 @@ def rig_from_tokens(
             unique, number = f"{leaf}_{number}", number + 1
         used.add(unique)
         own = extras.get(leaf, {})
-        channels = own.get("channels")
         x, y, z = (translations[i] * meters_per_unit).tolist()
         a, b, c, w = rotations[i].tolist()
         joints.append(
@@ -151,8 +169,8 @@ def rig_from_tokens(
                 translation=(x, y, z),
                 rotation=(a, b, c, w),
                 source_name=str(originals.get(leaf, "" if unique == leaf else leaf)),
-                channels=None if channels is None else tuple(channels),
-                tips=tuple((t[0], t[1], t[2]) for t in own.get("tips", ())),
+                channels=own.get("channels"),
+                tips=own.get("tips", ()),
             )
         )
     rig = Rig(name, tuple(joints), meters_per_unit, up)
@@ -173,13 +191,42 @@ def _extras(data: dict[str, Any], where: str) -> dict[str, dict[str, Any]]:
         return {}
     try:
         content = json.loads(text)
-        version = content["animtool"]
-        joints: dict[str, dict[str, Any]] = content["joints"]
-    except (ValueError, KeyError, TypeError) as error:
+        version, joints = content["animtool"], content["joints"]
+        extras = {str(name): _joint_extras(entry) for name, entry in joints.items()}
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         _fail("USD007", f"customData animtool:rig is malformed: {error}", where)
     if version != 1:
         _fail("USD007", f"customData animtool:rig needs animtool/{version}", where)
-    return joints
+    return extras
+
+
+def _joint_extras(entry: dict[str, Any]) -> dict[str, Any]:
+    """Return a joint's channels and tips, checked."""
+    channels, tips = entry.get("channels"), entry.get("tips", ())
+    if channels is not None:
+        channels = tuple(channels)
+        if not all(isinstance(name, str) for name in channels):
+            raise TypeError("channels are names")
+    points = [(float(x), float(y), float(z)) for x, y, z in tips]
+    if not all(map(math.isfinite, sum(points, ()))):
+        raise ValueError("a tip is not finite")
+    return {"channels": channels, "tips": tuple(points)}
+
+
+def _own_units(attr: Any, stage: Any) -> tuple[float, UpAxis]:
+    """Return unit [m] and up axis of the layer that an attribute's value is from.
+
+    A shot in metres may refer to a rig in centimetres: the numbers of the rig, and
+    of an animation for it, are centimetres all the same.
+    """
+    meters, up = UsdGeom.GetStageMetersPerUnit(stage), up_axis(stage)
+    stack = attr.GetPropertyStack(Usd.TimeCode.Default())
+    root = stack[0].layer.pseudoRoot if stack else None
+    if root is not None and root.HasInfo("metersPerUnit"):
+        meters = float(root.GetInfo("metersPerUnit"))
+    if root is not None and root.HasInfo("upAxis"):
+        up = UpAxis(str(root.GetInfo("upAxis")))
+    return meters, up
 
 
 def up_axis(stage: Any) -> UpAxis:
@@ -200,6 +247,17 @@ def prim_below(stage: Any, prim_path: str | None) -> str:
     if default and find_skeletons(stage, str(default.GetPath())):
         return str(default.GetPath())
     return "/"
+
+
+def others_notice(skeletons: list[Any], where: str) -> list[Fault]:
+    """Name the characters that are passed over where there are several."""
+    if len(skeletons) < 2:
+        return []
+    taken, *others = [str(skeleton.GetPath()) for skeleton in skeletons]
+    listed = ", ".join(others[:5]) + (" …" if len(others) > 5 else "")
+    message = f"{taken} is taken of {len(skeletons)} skeletons; the others: {listed}"
+    hint = "--source-prim or --prim-path names one"
+    return [Fault("USD107", message, where, (), hint, Severity.WARNING)]
 
 
 def _fail(code: str, message: str, where: str, hint: str | None = None) -> NoReturn:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -13,20 +14,32 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, FormatError, Severity, excerpt
 from animtool.rates import rate_from_float
-from animtool.rig.skeleton import Joint, Rig
+from animtool.rig.skeleton import Rig
 from animtool.take import Channel, Motion
+from animtool.units import UpAxis, unit_name
 from animtool.usd.layers import check_prim_path
-from animtool.usd.names import joint_names
+from animtool.usd.names import joint_names, legal_name
 from animtool.usd.rig_prims import (
     SkeletonRig,
     find_skeletons,
     open_stage,
+    others_notice,
     prim_below,
     skeleton_rig,
+    up_axis,
 )
 from animtool.usd.skeleton import RigPaths
 
-__all__ = ["JointMap", "RigTarget", "map_joints", "open_target"]
+MOST_NAMED = 40
+
+__all__ = [
+    "JointMap",
+    "RigTarget",
+    "compose_check",
+    "map_joints",
+    "open_target",
+    "resolved_animation",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,8 +54,12 @@ class RigTarget:
         stage_model: The model as the rig's own stage names it.
         fps: The stage's time codes a second.
         start: The stage's start time code, where it states one.
-        operations: Transform operations of the SkelRoot.
+        operations: Transform operations of the SkelRoot that place it.
+        moves: Whether it has others, which move it: the take replaces those.
         skeletons: How many skeletons share the SkelRoot's extent.
+        unit: Length unit that the stage states [m]; the rig has its own.
+        up: Up axis that the stage states.
+        notices: What is odd about it.
     """
 
     path: Path
@@ -53,12 +70,11 @@ class RigTarget:
     fps: Fraction
     start: Fraction | None
     operations: list[str]
+    moves: bool
     skeletons: int
-
-    @property
-    def default_prim(self) -> str:
-        """Name of the root prim that the layer's overs stand below."""
-        return str(Sdf.Path(self.paths.model).GetPrefixes()[0].name)
+    unit: float
+    up: UpAxis
+    notices: list[Fault]
 
 
 def open_target(path: Path, prim_path: str | None) -> RigTarget:
@@ -103,18 +119,52 @@ def open_target(path: Path, prim_path: str | None) -> RigTarget:
     start = None
     if stage.HasAuthoredMetadata("startTimeCode"):
         start = Fraction(stage.GetStartTimeCode()).limit_denominator(1_000_000)
-    order = UsdGeom.Xformable(root).GetXformOpOrderAttr().Get() or ()
+    placing, moving = _operations(root)
+    notices = others_notice(skeletons, str(path))
+    skeleton = skeleton_rig(skeletons[0], path)
+    notices += _unit_notice(stage, skeleton.rig, str(path))
+    if moving:
+        message = f"the SkelRoot {root.GetPath()} moves by {', '.join(moving)}"
+        hint = "the take replaces that motion"
+        notices.append(Fault("USD108", message, str(path), (), hint, Severity.NOTE))
     return RigTarget(
         path,
         stage,
-        skeleton_rig(skeletons[0], path),
+        skeleton,
         paths,
         str(model),
         rate_from_float(stage.GetTimeCodesPerSecond()),
         start,
-        [str(name) for name in order if "rootMotion" not in str(name)],
+        placing,
+        bool(moving),
         len(find_skeletons(stage, str(root.GetPath()))),
+        UsdGeom.GetStageMetersPerUnit(stage),
+        up_axis(stage),
+        notices,
     )
+
+
+def _unit_notice(stage: Any, rig: Rig, where: str) -> list[Fault]:
+    """Say so where a shot is in other units than the rig that it refers to."""
+    unit, up = UsdGeom.GetStageMetersPerUnit(stage), up_axis(stage)
+    same_unit = math.isclose(unit, rig.meters_per_unit, rel_tol=1e-6)
+    if same_unit and up is rig.up:
+        return []
+    mine = f"{unit_name(rig.meters_per_unit)}, {rig.up} up"
+    message = f"the stage is in {unit_name(unit)}, {up} up, its rig in {mine}"
+    hint = "the animation is in the rig's; the shot's own transform must match them"
+    return [Fault("USD110", message, where, (), hint, Severity.NOTE)]
+
+
+def _operations(root: Any) -> tuple[list[str], list[str]]:
+    """Return the transform operations that place a SkelRoot, and that move it."""
+    placing: list[str] = []
+    moving: list[str] = []
+    for operation in UsdGeom.Xformable(root).GetOrderedXformOps():
+        name = str(operation.GetOpName())
+        moves = "rootMotion" in name or operation.MightBeTimeVarying()
+        (moving if moves else placing).append(name)
+    return placing, moving
 
 
 def _model(stage: Any, root: Any, prim_path: str | None) -> Any:
@@ -203,19 +253,24 @@ def map_joints(take: Rig, target: RigTarget, strip_namespaces: int) -> JointMap:
         FormatError: No joint of the take is in the target.
     """
     names = joint_names(take.joints, strip_namespaces)
-    by_key: dict[str, int] = {}
+    own = [legal_name(joint.source_name or joint.name) for joint in take.joints]
+    by_key: dict[str, list[int]] = {}
+    for paths in (take.paths(own), take.paths(names.names)):
+        for i, path in enumerate(paths):
+            by_key.setdefault(f"/{path}", []).append(i)
     for i, (joint, name) in enumerate(zip(take.joints, names.names, strict=True)):
         for key in (joint.source_name or joint.name, joint.name, name):
-            by_key.setdefault(key, i)
-    for i, path in enumerate(take.paths(names.names)):
-        by_key[f"/{path}"] = i
-    source = []
+            by_key.setdefault(key, []).append(i)
+    source: list[int] = []
+    used: set[int] = set()
     skeleton = target.skeleton
     for joint, token in zip(skeleton.rig.joints, skeleton.tokens, strict=True):
-        keys = (f"/{token}", _original(joint), joint.name)
-        found = next((by_key[key] for key in keys if key in by_key), -1)
-        source.append(-1 if found in source else found)
-    missing = [j.name for i, j in enumerate(take.joints) if i not in set(source)]
+        keys = (f"/{token}", joint.source_name or joint.name, joint.name)
+        free = (i for key in keys for i in by_key.get(key, ()) if i not in used)
+        found = next(free, -1)
+        used.add(found)
+        source.append(found)
+    missing = [j.name for i, j in enumerate(take.joints) if i not in used]
     if len(missing) == len(take.joints):
         mine, theirs = excerpt(take.names[0]), excerpt(skeleton.rig.names[0])
         message = f"no joint of the take ({mine} …) is in the rig ({theirs} …)"
@@ -223,19 +278,31 @@ def map_joints(take: Rig, target: RigTarget, strip_namespaces: int) -> JointMap:
         raise FormatError(Fault("USD010", message, str(target.path), (), hint))
     notices = []
     if missing:
-        listed = ", ".join(missing[:5]) + (" …" if len(missing) > 5 else "")
+        listed = _list(missing)
         message = f"{len(missing)} joints of the take are not in the rig: {listed}"
         hint = "they are left out"
         notices.append(
             Fault("USD102", message, str(target.path), (), hint, Severity.WARNING)
+        )
+    resting = [
+        joint.name
+        for joint, found in zip(skeleton.rig.joints, source, strict=True)
+        if found < 0
+    ]
+    if resting:
+        listed = _list(resting)
+        message = f"{len(resting)} joints of the rig are not in the take: {listed}"
+        hint = "they stay at rest"
+        notices.append(
+            Fault("USD111", message, str(target.path), (), hint, Severity.NOTE)
         )
     return JointMap(
         skeleton.rig, np.array(source, np.int64), skeleton.rest_scales, notices
     )
 
 
-def _original(joint: Joint) -> str:
-    return joint.source_name or joint.name
+def _list(names: list[str]) -> str:
+    return ", ".join(names[:MOST_NAMED]) + (" …" if len(names) > MOST_NAMED else "")
 
 
 def compose_check(target: RigTarget, layer: Any) -> Any:
@@ -246,7 +313,7 @@ def compose_check(target: RigTarget, layer: Any) -> Any:
         root.subLayerPaths = [layer.identifier, target.stage.GetRootLayer().identifier]
     else:
         root.subLayerPaths = [layer.identifier]
-        prim = stage.OverridePrim(target.paths.model)
+        prim = stage.DefinePrim(target.paths.model)
         rig = target.stage.GetRootLayer().identifier
         prim.GetReferences().AddReference(rig, target.stage_model)
     stage.SetTimeCodesPerSecond(layer.timeCodesPerSecond)

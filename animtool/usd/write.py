@@ -29,7 +29,15 @@ from animtool.usd.skeleton import RigPaths, author_binding, author_rig
 if TYPE_CHECKING:
     from animtool.usd.target import RigTarget
 
-__all__ = ["Form", "UsdJob", "UsdResult", "output_paths", "write_usd"]
+__all__ = [
+    "Authored",
+    "Form",
+    "UsdJob",
+    "UsdResult",
+    "author",
+    "output_paths",
+    "write_usd",
+]
 
 
 class Form(StrEnum):
@@ -57,11 +65,12 @@ class UsdJob:
         paths: The character's prims.
         fps: Time codes a second.
         frames: First and last time code; None takes those of the samples.
+        start: Time code of the first sample.
+        step: Time codes from one sample to the next.
         meters_per_unit: Unit of the layer [m].
         target: The rig of a layer.
         chosen: Joints to write ``(J,)``; None is all.
         bones: Add geometry that shows the joints.
-        name: What the files of a split are called by.
     """
 
     form: Form
@@ -142,7 +151,10 @@ def author(job: UsdJob, blocks: Iterator[WrittenBlock]) -> tuple[Authored, UsdRe
         author_binding(animation, job.paths, skeleton=job.form is not Form.LAYER)
         for block in blocks:
             writer.add(block)
-        writer.finish([] if job.target is None else job.target.operations)
+        if job.target is None:
+            writer.finish([], replaces_motion=False)
+        else:
+            writer.finish(job.target.operations, replaces_motion=job.target.moves)
         result.samples = sum(map(len, writer.codes))
         result.first, result.last = job.frames or (
             job.start,
@@ -193,9 +205,10 @@ def write_usd(job: UsdJob, authored: Authored, result: UsdResult) -> None:
 
 def _metadata(job: UsdJob, result: UsdResult) -> StageMetadata:
     default = Sdf.Path(job.paths.model).GetPrefixes()[0].name
-    return StageMetadata(
-        default, job.fps, result.first, result.last, job.meters_per_unit, job.rig.up
-    )
+    unit, up = job.meters_per_unit, job.rig.up
+    if job.target is not None:
+        unit, up = job.target.unit, job.target.up
+    return StageMetadata(default, job.fps, result.first, result.last, unit, up)
 
 
 def _author_metadata(job: UsdJob, authored: Authored, result: UsdResult) -> None:
@@ -222,7 +235,7 @@ def _author_extents(job: UsdJob, authored: Authored, writer: AnimationWriter) ->
         from animtool.usd.target import compose_check, resolved_animation
 
         stage = compose_check(job.target, authored.animation)
-        _check_resolved(job, resolved_animation(stage, job.paths.skeleton))
+        _check_resolved(job, stage, resolved_animation(stage, job.paths.skeleton))
     else:
         top = Sdf.Layer.CreateAnonymous(".usda")
         layers = [authored.animation]
@@ -257,7 +270,7 @@ def _author_extents(job: UsdJob, authored: Authored, writer: AnimationWriter) ->
         writer.author_bounds(bounds)
 
 
-def _check_resolved(job: UsdJob, found: str) -> None:
+def _check_resolved(job: UsdJob, stage: Any, found: str) -> None:
     if found != job.paths.animation:
         path = None if job.output is None else str(job.output)
         message = (
@@ -265,4 +278,6 @@ def _check_resolved(job: UsdJob, found: str) -> None:
             f"not {job.paths.animation}"
         )
         hint = "a binding in the rig is stronger than the layer"
+        if stage.GetPrimAtPath(job.paths.skeleton).IsInstanceProxy():
+            hint = "the rig is instanced there, and a layer cannot reach into instances"
         raise OutputError(Fault("USD011", message, path, (), hint))

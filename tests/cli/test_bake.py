@@ -1,13 +1,16 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from dataclasses import fields
 from fractions import Fraction
 from pathlib import Path
 
 import pytest
 from pxr import Sdf
-from support.bvh import random_rows, small_bvh
+from support.bvh import HEADER, random_rows, small_bvh
 from support.cli import animtool, animtool_process
 
 from animtool.cli.bake import _options, bake
@@ -28,18 +31,17 @@ def test_defaults_are_those_of_the_options() -> None:
 
 def test_every_option_is_reachable() -> None:
     names = {p.name for p in bake.params} | {"source", "form"}
-    renamed = {"root_motion": "root_motion", "fps": "fps"}
     for field in fields(BakeOptions):
-        assert renamed.get(field.name, field.name) in names
+        assert field.name in names
 
 
 def test_summary_in_words(take: Path, tmp_path: Path) -> None:
     done = animtool("bake", take, "-o", tmp_path / "o.usdc")
     assert (done.code, done.stdout) == (0, "")
     for said in (
-        "stage: no rig layer was named",
+        "stage (no rig layer was named)",
         "30 fps",
-        "lengths in cm (taken for granted",
+        "lengths in cm; the source taken to be in cm",
         "float32",
         "MB/s",
     ):
@@ -133,6 +135,44 @@ def test_options_that_make_no_sense(
     done = animtool("bake", take, "-o", tmp_path / "o.usda", *arguments)
     assert done.code == 2, done.stderr
     assert not (tmp_path / "o.usda").exists()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--start", "1/0"],
+        ["--start", "1e400"],
+        ["--start", "soon"],
+        ["--fps", "1e12"],
+        ["--source-fps", "1e400"],
+    ],
+)
+def test_numbers_beyond_reason(take: Path, arguments: list[str]) -> None:
+    done = animtool("bake", take, "-o", "-", *arguments)
+    assert done.code == 2, done.stderr
+
+
+def test_a_range_beyond_the_take_is_said(take: Path, tmp_path: Path) -> None:
+    done = animtool("bake", take, "-o", tmp_path / "o.usda", "--range", "5-500")
+    assert done.code == 0
+    assert "CLI101" in done.stderr
+    strict = animtool("bake", take, "-o", "-", "--range", "5-500", "--strict")
+    assert (strict.code, strict.stdout) == (1, "")
+
+
+def test_stdout_is_utf8_whatever_the_locale(tmp_path: Path) -> None:
+    path = tmp_path / "take.bvh"
+    path.write_text(
+        small_bvh(random_rows(2), header=HEADER.replace("Spine", "Brüst")), "utf-8"
+    )
+    command = [sys.executable, "-P", "-m", "animtool", "bake", str(path), "-o", "-"]
+    done = subprocess.run(
+        command,
+        capture_output=True,
+        check=True,
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+    )
+    assert "Hips/Brüst" in done.stdout.decode("utf-8")
 
 
 def test_the_first_frame(take: Path, tmp_path: Path) -> None:

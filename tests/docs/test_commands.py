@@ -19,10 +19,8 @@ def fenced(text: str, language: str) -> list[str]:
 
 @pytest.fixture
 def workplace(root: Path, tmp_path: Path) -> Path:
-    """Return a folder with the samples, and the folders that the documents write to."""
+    """Return a folder with the samples."""
     shutil.copytree(root / "samples", tmp_path / "samples")
-    for name in ("rig", "sets"):
-        (tmp_path / name).mkdir()
     return tmp_path
 
 

@@ -37,7 +37,8 @@ def test_decimals_are_read_as_python_reads_them(value: object) -> None:
         "123456789012345678901234567890", "2.2250738585072011e-308", "5e-324", "1e-400",
         "179769313486231570000000000000000000000e270",
         "0.1000000000000000055511151231257827",
-        "8.5e-3", "12345678.12345678", "1234567.1", "0." + "0" * 400 + "1",
+        "8.5e-3",
+        "0." + "0" * 400 + "1e5", "0" * 400 + "e9", "12345678.12345678", "1234567.1", "0." + "0" * 400 + "1",
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("tail", ["", "\n", " \r\n", "         \n"])
@@ -55,7 +56,9 @@ def test_what_is_not_finite_is_nan(text: str) -> None:
     assert np.isnan(parse(f"1 {text}", 2)[0][0, 1])
 
 
-@pytest.mark.parametrize("text", ["1e400", "-1e999", "1" + "0" * 400])
+@pytest.mark.parametrize(
+    "text", ["1e400", "-1e999", "1" + "0" * 400, "1" + "0" * 400 + "e-5", "0.1e400"]
+)
 def test_overflow_is_infinity(text: str) -> None:
     value = parse(text)[0][0, 0]
     assert np.isinf(value)

@@ -60,8 +60,13 @@ def test_scales_move_what_hangs_below(take: Take) -> None:
     scales[4, 0] = 2.0
     found = compare_takes(take, moved(take, scales=Channel.from_dense(scales)))
     assert_allclose(found.world.value, 0.1)
-    assert not found.within(0.09, 1.0)
-    assert found.within(0.11, 1.0)
+    assert (found.scale.value, found.scale.joint) == (1.0, "Hips")
+    assert not found.within(1.0, 1.0)
+    leaf = np.ones((8, 2, 3))
+    leaf[:, 1] = 3.0
+    found = compare_takes(take, moved(take, scales=Channel.from_dense(leaf)))
+    assert found.world.value == 0
+    assert not found.within(1.0, 1.0)
 
 
 def test_other_units_and_up_axis_are_the_same_take(path: Path, tmp_path: Path) -> None:

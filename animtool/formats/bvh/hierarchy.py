@@ -199,7 +199,7 @@ class _Hierarchy:
 
     def _number(self, text: str) -> float:
         try:
-            value = float(text)
+            value = float("x" if "_" in text else text)
         except ValueError:
             hint = "write decimals with a point" if "," in text else None
             self.lines.fail("BVH006", f"{excerpt(text)} is not a number", hint)

@@ -187,7 +187,12 @@ class RowReader:
             if self._last is not None:
                 values = np.concatenate([self._last[column : column + 1], values])
             finite = np.flatnonzero(np.isfinite(values))
-            filled = np.interp(np.arange(len(values)), finite, values[finite])
+            known = values[finite]
+            if self.source.channels[column].endswith("rotation"):
+                # From 179 to -179 degrees is a step of 2, not of 358.
+                known = np.unwrap(known, period=360.0)
+            filled = np.interp(np.arange(len(values)), finite, known)
+            filled[finite] = values[finite]
             block[:, column] = filled[-len(block) :]
 
     def _check(self) -> None:
@@ -217,6 +222,8 @@ class RowReader:
             line = self._extra_line or self.source.declared_line
             message = f"Frames says {declared}, and there are {found} rows"
             hint = "all rows are read"
+            if declared > found:
+                hint += "; is the file cut off?"
             self.notices.append(
                 Fault("BVH101", message, path, (line,), hint, Severity.WARNING)
             )

@@ -13,8 +13,9 @@ from animtool._types import FloatArray
 from animtool.errors import Fault, Severity
 from animtool.maths.euler import axes_of
 from animtool.rates import rate_from_frame_time
-from animtool.rig.skeleton import Joint
+from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Take
+from animtool.units import LengthUnit, UpAxis, unit_name
 
 __all__ = ["BvhText", "write_bvh"]
 
@@ -88,7 +89,7 @@ def write_bvh(take: Take) -> BvhText:
             block = np.ascontiguousarray(rows[start : start + ROWS_AT_ONCE])
             yield _kernels.format_bvh_rows(block, np.array(places, np.int64))
 
-    return BvhText(parts(), _scale_notices(take))
+    return BvhText(parts(), _scale_notices(take) + _unit_notices(take.rig))
 
 
 def _positions(
@@ -196,6 +197,16 @@ def frame_time(rate: Fraction) -> str:
             if choice.fps == rate and not choice.rivals:
                 break
     return text
+
+
+def _unit_notices(rig: Rig) -> list[Fault]:
+    """Say what a BVH cannot, where a reader would take it for something else."""
+    unit = unit_name(rig.meters_per_unit)
+    if (unit, rig.up) == (LengthUnit.CM.value, UpAxis.Y):
+        return []
+    message = f"a BVH states no unit and no up axis: this one is in {unit}, {rig.up} up"
+    hint = f"read it back with --units {unit} --up {rig.up}"
+    return [Fault("BVH110", message, None, (), hint, Severity.NOTE)]
 
 
 def _scale_notices(take: Take) -> list[Fault]:

@@ -104,6 +104,15 @@ def test_gaps_are_interpolated(write, bad: str, frames: list[int]) -> None:  # t
     assert "Hips.Xposition" in notice.message
 
 
+def test_a_gap_across_the_half_turn_is_small(write) -> None:  # type: ignore[no-untyped-def]
+    text = small_bvh(np.zeros((3, COLUMNS))).splitlines()
+    for i, angle in enumerate(("179", "nan", "-179")):
+        text[i - 3] = f"0 0 0 {angle} 0 0 0 0 0"
+    _, take = read(write("\n".join(text)))
+    half_turn = take.motion.rotations.dense()[1, 0]
+    assert_allclose(np.abs(half_turn), [0, 0, 1, 0], atol=1e-15)
+
+
 @pytest.mark.parametrize("per_block", [1, 3, 8])
 def test_gaps_across_blocks(write, monkeypatch, per_block: int) -> None:  # type: ignore[no-untyped-def]
     rows = random_rows(24)
