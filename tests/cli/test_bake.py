@@ -220,3 +220,24 @@ def test_a_size_that_fits_another_unit(walk: Path, tmp_path: Path) -> None:
     assert done.code == 0
     assert "BVH109" in done.stderr
     assert "--units m" in done.stderr
+
+
+def test_strict_says_why_even_when_quiet(take: Path, tmp_path: Path) -> None:
+    take.write_text(take.read_text().replace("Frames: 6", "Frames: 9"))
+    done = animtool("bake", take, "-o", tmp_path / "o.usda", "--strict", "-q")
+    assert done.code == 1
+    assert f"{take}:" in done.stderr
+    assert "warning: BVH101" in done.stderr
+
+
+def test_more_is_said_when_asked(take: Path, tmp_path: Path) -> None:
+    done = animtool("bake", take, "-o", tmp_path / "o.usda", "-v")
+    assert "Frame Time" in done.stderr or "frame_time 0.0333333" in done.stderr
+    assert "seconds: read" in done.stderr
+
+
+def test_a_mistyped_rate_is_refused_before_the_work(take: Path, tmp_path: Path) -> None:
+    take.write_text(take.read_text().replace("0.0333333", "100000"))
+    done = animtool("bake", take, "-o", tmp_path / "o.usda", "--fps", "1000")
+    assert done.code == 2
+    assert "frames" in done.stderr

@@ -8,11 +8,15 @@ import pytest
 from numpy.testing import assert_allclose
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 from support.bvh import random_rows, small_bvh
+from support.usd import joint_positions
 
+from animtool.edit.resample import FrameRange
 from animtool.errors import FormatError
 from animtool.formats.bvh import read_bvh
 from animtool.report.compare import compare_takes
+from animtool.rig.kinematics import forward
 from animtool.scene.bake import bake
+from animtool.scene.convert import convert
 from animtool.scene.options import BakeOptions
 from animtool.usd.read import read_usd
 
@@ -179,3 +183,155 @@ def test_a_rig_without_animation_rests(take: Path, tmp_path: Path) -> None:
     assert back.clock.count == 1
     assert [n.code for n in stream.notices] == ["USD103"]
     assert_allclose(back.motion.translations.dense()[0], back.rig.rest_translations)
+
+
+def test_a_take_on_twos_keeps_its_time_codes(tmp_path: Path) -> None:
+    options = BakeOptions(frame_range=FrameRange(1, 13, 2), fps=Fraction(24))
+    slow = tmp_path / "slow.bvh"
+    slow.write_text(small_bvh(random_rows(13), frame_time="0.0416667"))
+    bake(slow, tmp_path / "twos.usda", options)
+    report = bake(tmp_path / "twos.usda", tmp_path / "again.usda")
+    assert (report.fps, report.result.first, report.result.last) == (24, 1, 13)
+    anim = [
+        Sdf.Layer.FindOrOpen(str(tmp_path / name)).ListTimeSamplesForPath(path)
+        for name, path in (
+            ("twos.usda", "/slow/Rig/Anim.rotations"),
+            ("again.usda", "/slow/Rig/Anim.rotations"),
+        )
+    ]
+    assert anim[0] == anim[1] == [1, 3, 5, 7, 9, 11, 13]
+    convert(tmp_path / "twos.usda", tmp_path / "ones.bvh")
+    back = read_bvh(tmp_path / "ones.bvh").collect()
+    assert (back.clock.count, back.clock.rate) == (13, 24)
+
+
+def test_sub_frame_samples_start_at_the_first_frame(take: Path, tmp_path: Path) -> None:
+    offsets = (Fraction(-1, 4), Fraction(0), Fraction(1, 4))
+    bake(
+        take, tmp_path / "fine.usda", BakeOptions(samples=offsets, start=Fraction(1001))
+    )
+    back = read_usd(tmp_path / "fine.usda").collect()
+    assert (back.clock.start, back.clock.step) == (1001, Fraction(1, 4))
+    found = compare_takes(read_bvh(take).collect(), back)
+    assert found.world.value > 0  # other rates are said, and compared by time
+    assert any("fps" in text for text in found.mismatches)
+    slow = compare_takes(back, read_bvh(take).collect())
+    assert slow.world.value < 2e-3
+
+
+def test_a_take_that_never_moves_lasts(tmp_path: Path) -> None:
+    path = tmp_path / "still.bvh"
+    path.write_text(small_bvh(np.tile(random_rows(1), (60, 1))))
+    bake(path, tmp_path / "o.usda")
+    convert(tmp_path / "o.usda", tmp_path / "back.bvh")
+    found = compare_takes(
+        read_bvh(path).collect(), read_bvh(tmp_path / "back.bvh").collect()
+    )
+    assert (found.mismatches, found.frames) == ([], 60)
+
+
+@pytest.mark.parametrize("scale", [(0.5, 0.5, 0.5), (1.0, 2.0, 1.0)])
+def test_a_skelroot_that_moves_and_is_scaled(
+    take: Path, tmp_path: Path, scale: tuple[float, ...]
+) -> None:
+    bake(take, tmp_path / "o.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "o.usda"))
+    root = UsdGeom.Xformable(stage.GetPrimAtPath("/hero/Rig"))
+    move = root.AddTranslateOp()
+    move.Set((0, 0, 0), 1)
+    move.Set((120, 0, 0), 13)
+    root.AddScaleOp().Set(scale)
+    stage.Export(str(tmp_path / "scaled.usda"))
+    stream = read_usd(tmp_path / "scaled.usda")
+    found = stream.collect()
+    truth = joint_positions(
+        Usd.Stage.Open(str(tmp_path / "scaled.usda")), found.clock.times
+    )
+    assert found.motion.scales is not None
+    world = forward(
+        found.rig,
+        found.motion.translations.dense(),
+        found.motion.rotations.dense(),
+        found.motion.scales.dense(),
+    )
+    if len(set(scale)) == 1:
+        assert stream.notices == []
+        assert_allclose(world.positions / 0.01, truth, atol=1e-4)
+    else:
+        assert [n.code for n in stream.notices] == ["USD109"]
+
+
+@pytest.mark.parametrize(
+    ("times", "code"),
+    [([0, 1, 2, 3_000_000], "USD016"), ([0, 0.1, 0.3, 2 / 7, 9.77], "")],
+)
+def test_irregular_times(stage: Usd.Stage, times: list[float], code: str) -> None:
+    attr = stage.GetPrimAtPath("/c/R/A").GetAttribute("translations")
+    for time in times:
+        attr.Set([(0, 2, 0), (time, 0, 0)], time)
+    if code:
+        with pytest.raises(FormatError) as caught:
+            read_usd(path_of(stage))
+        assert caught.value.code == code
+        return
+    assert read_usd(path_of(stage)).collect().clock.count >= 10
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("timeCodesPerSecond", 0.0),
+        ("timeCodesPerSecond", -24.0),
+        ("metersPerUnit", 0.0),
+        ("metersPerUnit", -1.0),
+        ("metersPerUnit", float("nan")),
+        ("upAxis", "X"),
+    ],
+)
+def test_metadata_that_is_none(stage: Usd.Stage, name: str, value: object) -> None:
+    stage.SetMetadata(name, value)
+    with pytest.raises(FormatError) as caught:
+        read_usd(path_of(stage))
+    assert caught.value.code == "USD015"
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        "x",
+        {"names": "x"},
+        {"rig": "{"},
+        {"rig": "[]"},
+        {"rig": '{"animtool":1,"joints":[]}'},
+        {"rig": '{"animtool":1,"joints":{"c":{"channels":5}}}'},
+        {"rig": '{"animtool":1,"joints":{"c":{"tips":[[1]]}}}'},
+        {"rig": '{"animtool":2,"joints":{}}'},
+    ],
+)
+def test_custom_data_of_other_shapes(stage: Usd.Stage, data: object) -> None:
+    stage.GetPrimAtPath("/c/R/S").SetCustomDataByKey("animtool", data)
+    with pytest.raises(FormatError) as caught:
+        read_usd(path_of(stage))
+    assert caught.value.code == "USD007"
+
+
+def test_several_characters_are_named(take: Path, tmp_path: Path) -> None:
+    bake(take, tmp_path / "one.usda", BakeOptions(prim_path="/World/a"))
+    stage = Usd.Stage.Open(str(tmp_path / "one.usda"))
+    stage.DefinePrim("/World/b").GetReferences().AddInternalReference("/World/a")
+    stage.Export(str(tmp_path / "two.usda"))
+    stream = read_usd(tmp_path / "two.usda")
+    assert [n.code for n in stream.notices] == ["USD107"]
+    assert "/World/b/Rig/Skel" in stream.notices[0].message
+    chosen = read_usd(tmp_path / "two.usda", prim_path="/World/b")
+    assert (chosen.rig.name, chosen.notices) == ("b", [])
+
+
+def test_what_carries_the_root_must_be_finite(take: Path, tmp_path: Path) -> None:
+    bake(take, tmp_path / "o.usda", BakeOptions(root_motion=True))
+    stage = Usd.Stage.Open(str(tmp_path / "o.usda"))
+    attr = stage.GetPrimAtPath("/hero/Rig").GetAttribute("xformOp:translate:rootMotion")
+    attr.Set((np.nan, 0, 0), 3)
+    with pytest.raises(FormatError) as caught:
+        read_usd(path_of(stage))
+    assert caught.value.code == "USD014"

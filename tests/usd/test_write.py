@@ -164,6 +164,11 @@ def test_prim_path_of_a_layer(take: Path, tmp_path: Path, prim: str) -> None:
     query = skeleton_query(shot)
     assert str(query.GetAnimQuery().GetPrim().GetPath()) == f"{prim}/Rig/Anim"
     assert layer.defaultPrim == prim.split("/")[1]
+    root = UsdGeom.Boundable(shot.GetPrimAtPath(f"{prim}/Rig"))
+    for code in (1001, 1003):
+        written = np.array(root.GetExtentAttr().Get(code))
+        computed = UsdGeom.Boundable.ComputeExtentFromPlugins(root, Usd.TimeCode(code))
+        assert_allclose(written, np.array(computed), rtol=1e-6, atol=1e-6)
 
 
 def test_over_a_shot_that_holds_the_rig(take: Path, tmp_path: Path) -> None:
@@ -177,8 +182,16 @@ def test_over_a_shot_that_holds_the_rig(take: Path, tmp_path: Path) -> None:
     shot.Save()
     options = BakeOptions(rig_layer=tmp_path / "shot.usda", prim_path="/World/a/hero")
     report = bake(take, tmp_path / "over.usda", options)
-    assert (report.result.first, report.up, report.meters_per_unit) == (1009, "Z", 1.0)
+    # The layer states what the shot states; its numbers are those of the skeleton.
+    assert (report.result.first, report.up, report.meters_per_unit) == (1009, "Y", 0.01)
+    assert [n.code for n in report.notices] == ["USD110"]
     layer = Sdf.Layer.FindOrOpen(str(tmp_path / "over.usda"))
+    root = layer.pseudoRoot
+    assert (root.GetInfo("metersPerUnit"), root.GetInfo("upAxis")) == (1.0, "Z")
+    shot.GetRootLayer().subLayerPaths = ["./over.usda"]
+    bake(take, tmp_path / "own.usda", BakeOptions(fps=Fraction(24)))
+    own = joint_positions(open_stage(tmp_path / "own.usda"), [1, 2])
+    assert_allclose(joint_positions(shot, [1009, 1010]), own, atol=2e-5)
     assert layer.GetPrimAtPath("/World/a/hero/Rig/Anim").specifier == Sdf.SpecifierDef
 
 
@@ -203,7 +216,8 @@ def test_joints_that_only_one_side_has(take: Path, tmp_path: Path) -> None:
     layer_over(take, tmp_path)
     options = BakeOptions(rig_layer=tmp_path / "rig.rig.usda")
     report = bake(path, tmp_path / "over.usda", options)
-    assert [n.code for n in report.notices] == ["USD102"]
+    assert [n.code for n in report.notices] == ["USD102", "USD111"]
+    assert report.result.joints == 1
     none = tmp_path / "none.bvh"
     renamed = HEADER.replace("Spine", "Tail").replace("Hips", "Base")
     none.write_text(small_bvh(random_rows(2), header=renamed))
@@ -315,3 +329,95 @@ def test_the_largest_float32_is_written(tmp_path: Path) -> None:
     anim = stage.GetPrimAtPath("/far/Rig/Anim")
     assert anim.GetAttribute("translations").Get(3)[0][0] == np.finfo(np.float32).max
     assert np.isfinite(report.result.rounding.error)
+
+
+def over(layer: Path, rig: Path, fps: float = 120) -> Usd.Stage:
+    """Compose a layer over the file that holds its rig."""
+    stage = Usd.Stage.CreateInMemory()
+    stage.GetRootLayer().subLayerPaths = [str(layer), str(rig)]
+    stage.SetTimeCodesPerSecond(fps)
+    return stage
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_a_take_replaces_the_motion_of_a_skelroot(
+    take: Path, tmp_path: Path, again: bool
+) -> None:
+    bake(take, tmp_path / "rig.usda", BakeOptions(root_motion=True))
+    settings = BakeOptions(rig_layer=tmp_path / "rig.usda", root_motion=again)
+    report = bake(take, tmp_path / "layer.usda", settings)
+    assert [n.code for n in report.notices] == ["USD108"]
+    bake(take, tmp_path / "own.usda")
+    own = joint_positions(open_stage(tmp_path / "own.usda"), [1, 7, 13])
+    stage = over(tmp_path / "layer.usda", tmp_path / "rig.usda")
+    assert_allclose(joint_positions(stage, [1, 7, 13]), own, atol=2e-5)
+
+
+def test_where_a_skelroot_stands_is_kept(take: Path, tmp_path: Path) -> None:
+    bake(take, tmp_path / "rig.usda")
+    stage = open_stage(tmp_path / "rig.usda")
+    root = UsdGeom.Xformable(stage.GetPrimAtPath("/hero/Rig"))
+    root.AddTranslateOp().Set((100, 0, 0))
+    stage.Export(str(tmp_path / "placed.usda"))
+    before = joint_positions(open_stage(tmp_path / "placed.usda"), [1, 9])
+    # Its own take back over it: the place counts once.
+    for root_motion in (False, True):
+        layer = tmp_path / f"layer_{root_motion}.usda"
+        options = BakeOptions(
+            rig_layer=tmp_path / "placed.usda", root_motion=root_motion
+        )
+        bake(tmp_path / "placed.usda", layer, options)
+        found = joint_positions(over(layer, tmp_path / "placed.usda"), [1, 9])
+        assert_allclose(found, before, atol=1e-5)
+
+
+def test_motion_of_a_skelroot_that_never_changes(tmp_path: Path) -> None:
+    path = tmp_path / "still.bvh"
+    path.write_text(small_bvh(np.tile(random_rows(1), (5, 1))))
+    bake(path, tmp_path / "o.usda", BakeOptions(root_motion=True))
+    stage = open_stage(tmp_path / "o.usda")
+    root = UsdGeom.Xformable(stage.GetPrimAtPath("/still/Rig"))
+    assert len(root.GetOrderedXformOps()) == 2
+    assert not root.TransformMightBeTimeVarying()
+
+
+TWO_HANDS = """HIERARCHY
+ROOT Hips { OFFSET 0 0 0 CHANNELS 3 Xposition Yposition Zposition
+JOINT Hand { OFFSET 1 0 0 CHANNELS 3 Zrotation Xrotation Yrotation }
+JOINT Arm { OFFSET 0 1 0 CHANNELS 3 Zrotation Xrotation Yrotation
+JOINT Hand { OFFSET 0 2 0 CHANNELS 3 Zrotation Xrotation Yrotation } } }
+"""
+
+
+def test_equal_names_in_two_branches(tmp_path: Path) -> None:
+    path = tmp_path / "two.bvh"
+    path.write_text(small_bvh(random_rows(6, 12), header=TWO_HANDS))
+    bake(path, tmp_path / "rig.usda")
+    stage = open_stage(tmp_path / "rig.usda")
+    # As other tools write it: the same name below two parents.
+    tokens = ["Hips", "Hips/Hand", "Hips/Arm", "Hips/Arm/Hand"]
+    stage.GetPrimAtPath("/two/Rig/Skel").GetAttribute("joints").Set(tokens)
+    stage.GetPrimAtPath("/two/Rig/Anim").GetAttribute("joints").Set(tokens)
+    stage.Export(str(tmp_path / "same.usda"))
+    before = joint_positions(open_stage(tmp_path / "same.usda"), [1, 6])
+    options = BakeOptions(rig_layer=tmp_path / "same.usda")
+    for source in (path, tmp_path / "same.usda"):
+        report = bake(source, tmp_path / f"{source.suffix[1:]}.usda", options)
+        assert [n.code for n in report.notices] == (
+            ["BVH103"] if source == path else []
+        )
+        stage = over(tmp_path / f"{source.suffix[1:]}.usda", tmp_path / "same.usda", 30)
+        assert_allclose(joint_positions(stage, [1, 6]), before, atol=1e-5)
+
+
+@pytest.mark.parametrize("fps", [24, 120])
+def test_rest_between_frames_of_the_source(
+    take: Path, tmp_path: Path, fps: int
+) -> None:
+    bake(
+        take, tmp_path / "o.usda", BakeOptions(rest_frame=2, fps=Fraction(fps) * 10 / 7)
+    )
+    query = skeleton_query(open_stage(tmp_path / "o.usda"))
+    rest = np.array(query.ComputeJointLocalTransforms(Usd.TimeCode(2), True))
+    posed = np.array(query.ComputeJointLocalTransforms(Usd.TimeCode(2), False))
+    assert_allclose(rest, posed, atol=1e-6)
