@@ -21,6 +21,7 @@ from animtool.take import Channel, Clock, Motion, Take, TakeStream
 from animtool.units import unit_name
 from animtool.usd.rig_prims import (
     SkeletonRig,
+    composition_notices,
     decompose,
     find_skeletons,
     open_stage,
@@ -79,6 +80,7 @@ def read_usd(path: Path | str, *, prim_path: str | None = None) -> TakeStream:
         prim = None
     stream = _read(stage, path, skeleton, animation, prim)
     stream.notices += others_notice(skeletons, str(path))
+    stream.notices += composition_notices(stage, str(path))
     return stream
 
 

@@ -21,6 +21,7 @@ from animtool.usd.layers import check_prim_path, find_layer
 
 __all__ = [
     "SkeletonRig",
+    "composition_notices",
     "decompose",
     "find_skeletons",
     "open_stage",
@@ -247,6 +248,16 @@ def prim_below(stage: Any, prim_path: str | None) -> str:
     if default and find_skeletons(stage, str(default.GetPath())):
         return str(default.GetPath())
     return "/"
+
+
+def composition_notices(stage: Any, where: str) -> list[Fault]:
+    """Name what the stage refers to and does not find."""
+    texts = sorted(
+        {" ".join(str(error).split()) for error in stage.GetCompositionErrors()}
+    )
+    return [
+        Fault("USD112", text[:300], where, severity=Severity.WARNING) for text in texts
+    ]
 
 
 def others_notice(skeletons: list[Any], where: str) -> list[Fault]:

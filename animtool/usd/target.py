@@ -21,6 +21,7 @@ from animtool.usd.layers import check_prim_path
 from animtool.usd.names import joint_names, legal_name
 from animtool.usd.rig_prims import (
     SkeletonRig,
+    composition_notices,
     find_skeletons,
     open_stage,
     others_notice,
@@ -120,7 +121,8 @@ def open_target(path: Path, prim_path: str | None) -> RigTarget:
     if stage.HasAuthoredMetadata("startTimeCode"):
         start = Fraction(stage.GetStartTimeCode()).limit_denominator(1_000_000)
     placing, moving = _operations(root)
-    notices = others_notice(skeletons, str(path))
+    notices = composition_notices(stage, str(path))
+    notices += others_notice(skeletons, str(path))
     skeleton = skeleton_rig(skeletons[0], path)
     notices += _unit_notice(stage, skeleton.rig, str(path))
     if moving:

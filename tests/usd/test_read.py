@@ -335,3 +335,17 @@ def test_what_carries_the_root_must_be_finite(take: Path, tmp_path: Path) -> Non
     with pytest.raises(FormatError) as caught:
         read_usd(path_of(stage))
     assert caught.value.code == "USD014"
+
+
+def test_layers_that_are_missing_are_named(
+    take: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    bake(take, tmp_path / "o.usda")
+    layer = Sdf.Layer.CreateNew(str(tmp_path / "shot.usda"))
+    layer.subLayerPaths = ["./gone.usda", "./o.usda"]
+    layer.Save()
+    stream = read_usd(tmp_path / "shot.usda")
+    assert [n.code for n in stream.notices] == ["USD112"]
+    assert "gone.usda" in stream.notices[0].message
+    # USD says so on stderr too, in its own words.
+    assert "gone.usda" in capfd.readouterr().err
