@@ -298,7 +298,7 @@ def _author_animtool(data: _Samples, path: Path, *, extents: bool = False) -> An
         writer = AnimationWriter(layer, paths, data.names)
         for block in data.blocks():
             writer.add(block)
-        writer.finish([])
+        writer.finish([], replaces_motion=False)
     if extents:
         with Sdf.ChangeBlock():
             writer.author_extents(0.0)
