@@ -17,6 +17,7 @@ __all__ = [
     "Severity",
     "StrictError",
     "excerpt",
+    "refuse_warnings",
 ]
 
 
@@ -126,6 +127,13 @@ class StrictError(AnimtoolError):
     """There were warnings and the caller asked for none."""
 
     exit_code = ExitCode.FINDINGS
+
+
+def refuse_warnings(notices: Sequence[Fault], *, strict: bool) -> None:
+    """Raise `StrictError` where there are warnings and none are wanted."""
+    warnings = [n for n in notices if n.severity is Severity.WARNING]
+    if strict and warnings:
+        raise StrictError(warnings)
 
 
 def excerpt(text: str, limit: int = 40) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
-from animtool.errors import Fault, OptionError, Severity, StrictError
+from animtool.errors import Fault, OptionError, refuse_warnings
 from animtool.output import check_outputs, output_error, replacing
 from animtool.scene.sources import SourceOptions, is_usd, open_source
 from animtool.take import Clock, Motion, Take
@@ -67,7 +67,7 @@ def convert(
     take = _every_frame(stream.collect())
     text = write_bvh(take)
     notices = stream.notices + text.notices
-    _refuse_warnings(notices, strict)
+    refuse_warnings(notices, strict=strict)
     with replacing(output) as temporary:
         try:
             with temporary.open("wb") as file:
@@ -107,9 +107,3 @@ def _to_usd(
     )
     report = bake(source, output, settings, progress=progress)
     return ConvertReport(output, report.result.samples, report.joints, report.notices)
-
-
-def _refuse_warnings(notices: list[Fault], strict: bool) -> None:
-    warnings = [n for n in notices if n.severity is Severity.WARNING]
-    if strict and warnings:
-        raise StrictError(warnings)

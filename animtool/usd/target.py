@@ -278,26 +278,23 @@ def map_joints(take: Rig, target: RigTarget, strip_namespaces: int) -> JointMap:
         message = f"no joint of the take ({mine} …) is in the rig ({theirs} …)"
         hint = "--strip-namespace drops leading 'ns:' parts"
         raise FormatError(Fault("USD010", message, str(target.path), (), hint))
-    notices = []
-    if missing:
-        listed = _list(missing)
-        message = f"{len(missing)} joints of the take are not in the rig: {listed}"
-        hint = "they are left out"
-        notices.append(
-            Fault("USD102", message, str(target.path), (), hint, Severity.WARNING)
-        )
     resting = [
         joint.name
         for joint, found in zip(skeleton.rig.joints, source, strict=True)
         if found < 0
     ]
+    where = str(target.path)
+    notices = []
+    if missing:
+        message = f"{len(missing)} joints of the take are not in the rig: "
+        message += _list(missing)
+        hint, kind = "they are left out", Severity.WARNING
+        notices.append(Fault("USD102", message, where, (), hint, kind))
     if resting:
-        listed = _list(resting)
-        message = f"{len(resting)} joints of the rig are not in the take: {listed}"
-        hint = "they stay at rest"
-        notices.append(
-            Fault("USD111", message, str(target.path), (), hint, Severity.NOTE)
-        )
+        message = f"{len(resting)} joints of the rig are not in the take: "
+        message += _list(resting)
+        hint, kind = "they stay at rest", Severity.NOTE
+        notices.append(Fault("USD111", message, where, (), hint, kind))
     return JointMap(
         skeleton.rig, np.array(source, np.int64), skeleton.rest_scales, notices
     )

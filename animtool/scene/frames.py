@@ -1,0 +1,132 @@
+"""The frames of a bake: when the source is sampled, and which joints move."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray
+from animtool.edit.resample import FrameRange, SampleTimes, plan_samples, sample
+from animtool.errors import Fault, OptionError, Severity
+from animtool.rig.skeleton import Rig
+from animtool.scene.plan import BakePlan
+from animtool.take import Motion, Take, TakeStream, time_codes
+
+__all__ = ["moving_joints", "timed_blocks"]
+
+
+def timed_blocks(
+    plan: BakePlan, stream: TakeStream
+) -> tuple[Iterator[tuple[FloatArray, Motion]], tuple[Fraction, Fraction] | None, Rig]:
+    """Return time codes with motions, first and last frame, and the rig at rest.
+
+    The blocks stream through where each sample of the source is a sample of the
+    output; otherwise the take is gathered and sampled anew.
+    """
+    options = plan.options
+    as_is = (
+        plan.fps == stream.fps
+        and not options.samples
+        and options.frame_range is None
+        and options.rest_frame is None
+    )
+    if as_is:
+        return _streamed(plan, stream), None, stream.rig
+    take = stream.collect()
+    times = _sample_times(plan, take, options.frame_range)
+    plan.notices.extend(_cut_notice(plan, times))
+    rig = take.rig
+    if options.rest_frame is not None:
+        rig = _with_rest(plan, take, options.rest_frame)
+    return sample(take, times), (times.first, times.last), rig
+
+
+def _streamed(
+    plan: BakePlan, stream: TakeStream
+) -> Iterator[tuple[FloatArray, Motion]]:
+    done = 0
+    for block in stream.blocks:
+        first = plan.start + done * stream.step
+        yield time_codes(first, stream.step, block.frames), block
+        done += block.frames
+
+
+def _sample_times(
+    plan: BakePlan, take: Take, frame_range: FrameRange | None
+) -> SampleTimes:
+    options = plan.options
+    try:
+        return plan_samples(
+            take.clock,
+            plan.fps,
+            plan.start,
+            frame_range=frame_range,
+            offsets=options.samples,
+            keep_samples=options.keep_samples,
+        )
+    except ValueError as error:
+        raise OptionError(Fault("CLI005", str(error), str(plan.source))) from error
+
+
+def _cut_notice(plan: BakePlan, times: SampleTimes) -> list[Fault]:
+    """Say so where a range reaches beyond the take."""
+    wanted = plan.options.frame_range
+    if wanted is None or plan.options.keep_samples:
+        return []
+    last = wanted.last - (wanted.last - wanted.first) % wanted.step
+    if times.first == wanted.first and times.last == last:
+        return []
+    message = (
+        f"--range {wanted.first}-{wanted.last} reaches beyond the take; "
+        f"{float(times.first):g} to {float(times.last):g} are written"
+    )
+    return [Fault("CLI101", message, str(plan.source), severity=Severity.WARNING)]
+
+
+def _with_rest(plan: BakePlan, take: Take, frame: int) -> Rig:
+    """Return the rig with a frame of the take as its rest pose."""
+    try:
+        times = plan_samples(
+            take.clock, plan.fps, plan.start, frame_range=FrameRange(frame, frame)
+        )
+    except ValueError as error:
+        message = str(error).replace("--range", "--rest frame:N")
+        raise OptionError(Fault("CLI005", message, str(plan.source))) from error
+    ((_, pose),) = sample(take, times)
+    translations = pose.translations.dense()[0].tolist()
+    rotations = pose.rotations.dense()[0].tolist()
+    joints = tuple(
+        replace(joint, translation=tuple(t), rotation=tuple(r))
+        for joint, t, r in zip(take.rig.joints, translations, rotations, strict=True)
+    )
+    return replace(take.rig, joints=joints)
+
+
+def moving_joints(plan: BakePlan, rig: Rig, motions: list[Motion]) -> BoolArray:
+    """Return which joints are not at the rig's rest in every frame ``(J,)``."""
+    moving = np.zeros(len(rig.joints), bool)
+    ones = np.ones((len(rig.joints), 3))
+    if plan.mapping is not None:
+        ones = plan.mapping.rest_scales
+    for motion in motions:
+        channels = [
+            (motion.translations, rig.rest_translations),
+            (motion.rotations, rig.rest_rotations),
+        ]
+        if motion.scales is not None:
+            channels.append((motion.scales, ones))
+        for channel, rest in channels:
+            moving |= (channel.rest != rest).any(axis=-1)
+            moving[channel.animated] |= (channel.values != rest[channel.animated]).any(
+                axis=(0, 2)
+            )
+    if plan.options.root_motion:
+        # The SkelRoot carries it; with several roots the others are relative to it.
+        moving[rig.roots[0]] = False
+        moving[rig.roots[1:]] = True
+    if not moving.any():
+        moving[rig.roots[0]] = True
+    return moving

@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import pytest
+from support.bvh import random_rows, small_bvh
+
+from animtool.edit.resample import FrameRange
+from animtool.errors import AnimtoolError
+from animtool.scene.bake import run_bake
+from animtool.scene.options import (
+    BakeOptions,
+    check_options,
+    parse_frame_range,
+    parse_offsets,
+)
+from animtool.scene.plan import plan_bake
+from animtool.scene.sources import open_source
+
+
+@pytest.fixture
+def take(tmp_path: Path) -> Path:
+    path = tmp_path / "take.bvh"
+    path.write_text(small_bvh(random_rows(6)))
+    return path
+
+
+def test_a_plan_writes_nothing_and_runs(take: Path, tmp_path: Path) -> None:
+    output = tmp_path / "o.usda"
+    plan = plan_bake(take, output)
+    assert (plan.form, plan.fps, plan.start) == ("stage", 30, 1)
+    assert not output.exists()
+    report = run_bake(plan)
+    assert output.exists()
+    assert report.result.outputs == [output]
+    assert report.seconds["total"] >= report.seconds["author"]
+
+
+def test_a_plan_finds_what_is_wrong_before_the_rows(take: Path, tmp_path: Path) -> None:
+    take.write_text(take.read_text() + "not a row\n")
+    (tmp_path / "o.usda").write_text("mine")
+    with pytest.raises(AnimtoolError) as caught:
+        plan_bake(take, tmp_path / "o.usda")
+    assert caught.value.code == "OUT001"
+    plan_bake(take, tmp_path / "new.usda")
+
+
+def test_every_clash_of_options_is_said_at_once() -> None:
+    options = BakeOptions(form="layer", bones=True, rest_frame=3)
+    with pytest.raises(AnimtoolError) as caught:
+        check_options(options, to_stdout=False)
+    assert len(caught.value.faults) == 3
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("12", FrameRange(12, 12)),
+        ("-10--1", FrameRange(-10, -1)),
+        (" 1-9x3 ", FrameRange(1, 9, 3)),
+    ],
+)
+def test_ranges(text: str, found: FrameRange) -> None:
+    assert parse_frame_range(text) == found
+
+
+@pytest.mark.parametrize("text", ["", "a-b", "1-", "1-2x0", "1-2-3", "1.5", "1e3"])
+def test_what_is_no_range(text: str) -> None:
+    with pytest.raises(ValueError, match=r"range|frame"):
+        parse_frame_range(text)
+
+
+def test_offsets_are_sorted_and_stay_within_a_frame() -> None:
+    assert parse_offsets("0,1/4,-.25") == (Fraction(-1, 4), Fraction(0), Fraction(1, 4))
+    for text in ("", "0,0", "-.5,.5", "2", "a"):
+        with pytest.raises(ValueError, match="offset"):
+            parse_offsets(text)
+
+
+@pytest.mark.parametrize(
+    ("name", "code"), [("none.bvh", "IO001"), ("none", "IO001"), ("take.txt", "IO002")]
+)
+def test_sources_that_are_none(take: Path, name: str, code: str) -> None:
+    (take.parent / "take.txt").write_text("")
+    with pytest.raises(AnimtoolError) as caught:
+        open_source(take.parent / name)
+    assert caught.value.code == code
