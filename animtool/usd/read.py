@@ -79,6 +79,8 @@ def read_usd(path: Path | str, *, prim_path: str | None = None) -> TakeStream:
         skeleton = _rig_of_animation(animation, path, stage)
         prim = None
     stream = _read(stage, path, skeleton, animation, prim)
+    if prim is None:
+        stream.notices += _lost_motion(animation, str(path))
     stream.notices += others_notice(skeletons, str(path))
     stream.notices += composition_notices(stage, str(path))
     return stream
@@ -107,6 +109,17 @@ def _first_animation(stage: Any, below: str) -> Any:
         if prim.IsA(UsdSkel.Animation):
             return UsdSkel.Animation(prim)
     return None
+
+
+def _lost_motion(animation: Any, where: str) -> list[Fault]:
+    """Say so where a layer alone moves a SkelRoot, whose rig is elsewhere."""
+    parent = animation.GetPrim().GetParent()
+    order = parent.GetAttribute("xformOpOrder")
+    if not order or not order.HasAuthoredValue():
+        return []
+    message = f"{parent.GetPath()} carries the root's motion, which is left out"
+    hint = "read a stage that holds the rig too"
+    return [Fault("USD113", message, where, (), hint, Severity.WARNING)]
 
 
 def _rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:

@@ -102,7 +102,6 @@ class UsdResult:
         sampled: Attributes of the SkelAnimation that change.
         joints: Joints in the SkelAnimation.
         rounding: What rounding to float32 moved.
-        notices: What is odd about the result.
     """
 
     outputs: list[Path] = field(default_factory=list)
@@ -113,7 +112,6 @@ class UsdResult:
     sampled: list[str] = field(default_factory=list)
     joints: int = 0
     rounding: Rounding = field(default_factory=Rounding)
-    notices: list[Fault] = field(default_factory=list)
 
 
 def output_paths(output: Path, form: Form) -> list[Path]:

@@ -79,6 +79,15 @@ def test_a_layer_alone_has_a_rig_of_its_own(take: Path, tmp_path: Path) -> None:
     assert found.world.value < 3e-7
 
 
+def test_a_layer_alone_that_moves_its_skelroot_says_so(
+    take: Path, tmp_path: Path
+) -> None:
+    bake(take, tmp_path / "rig.usda", BakeOptions(form="split"))
+    options = BakeOptions(rig_layer=tmp_path / "rig.rig.usda", root_motion=True)
+    bake(take, tmp_path / "layer.usda", options)
+    assert [n.code for n in read_usd(tmp_path / "layer.usda").notices] == ["USD113"]
+
+
 @pytest.fixture
 def stage(tmp_path: Path) -> Usd.Stage:
     """Return a stage made by USD's own schemas, with a rest rotation and scales."""
