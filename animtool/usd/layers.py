@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -27,6 +29,7 @@ __all__ = [
     "prim",
     "relationship",
     "save_layer",
+    "usd_errors",
 ]
 
 SUFFIXES = (".usd", ".usda", ".usdc")
@@ -96,13 +99,20 @@ def find_layer(path: Path) -> Any:
         reason = error.strerror or str(error)
         fault = Fault("IO001", f"cannot be read: {reason}", str(path))
         raise FormatError(fault) from error
-    try:
+    with usd_errors(path):
         layer = Sdf.Layer.FindOrOpen(str(path))
-    except Tf.ErrorException as error:
-        raise FormatError(Fault("USD001", _reason(error), str(path))) from error
     if layer is None:
         raise FormatError(Fault("USD001", "is no USD layer", str(path)))
     return layer
+
+
+@contextmanager
+def usd_errors(path: Path) -> Iterator[None]:
+    """Turn what USD itself raises about a file into a `FormatError`."""
+    try:
+        yield
+    except Tf.ErrorException as error:
+        raise FormatError(Fault("USD001", _reason(error), str(path))) from error
 
 
 def _reason(error: Tf.ErrorException) -> str:

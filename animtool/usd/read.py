@@ -19,8 +19,10 @@ from animtool.rates import rate_from_float
 from animtool.rig.skeleton import Rig
 from animtool.take import Channel, Clock, Motion, Take, TakeStream
 from animtool.units import unit_name
+from animtool.usd.layers import usd_errors
 from animtool.usd.rig_prims import (
     SkeletonRig,
+    array_value,
     composition_notices,
     decompose,
     find_skeletons,
@@ -62,7 +64,11 @@ def read_usd(path: Path | str, *, prim_path: str | None = None) -> TakeStream:
         OptionError: ``prim_path`` is no path.
     """
     path = Path(path)
-    stage = open_stage(path)
+    with usd_errors(path):
+        return _read_stage(open_stage(path), path, prim_path)
+
+
+def _read_stage(stage: Any, path: Path, prim_path: str | None) -> TakeStream:
     below = prim_below(stage, prim_path)
     skeletons = find_skeletons(stage, below)
     if skeletons:
@@ -123,14 +129,14 @@ def _lost_motion(animation: Any, where: str) -> list[Fault]:
 
 
 def _rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
-    tokens = [str(token) for token in animation.GetJointsAttr().Get() or ()]
+    tokens = [str(token) for token in array_value(animation.GetJointsAttr())]
     where = f"{path}<{animation.GetPath()}>"
     if not tokens:
         raise FormatError(Fault("USD002", "the SkelAnimation has no joints", where))
     matrices = np.tile(np.eye(4), (len(tokens), 1, 1))
     first = Usd.TimeCode.EarliestTime()
-    positions = animation.GetTranslationsAttr().Get(first)
-    if positions is not None and len(positions) == len(tokens):
+    positions = array_value(animation.GetTranslationsAttr(), first)
+    if len(positions) == len(tokens):
         matrices[:, 3, :3] = np.array(positions)
     return rig_from_tokens(
         tokens,
@@ -217,7 +223,7 @@ def _read(
 ) -> TakeStream:
     where = f"{path}<{animation.GetPath()}>"
     rig, notices = skeleton.rig, []
-    tokens = [str(token) for token in animation.GetJointsAttr().Get() or ()]
+    tokens = [str(token) for token in array_value(animation.GetJointsAttr())]
     index = {token: i for i, token in enumerate(skeleton.tokens)}
     places = np.array([index.get(token, -1) for token in tokens], np.int64)
     unknown = [token for token, place in zip(tokens, places, strict=True) if place < 0]
@@ -289,10 +295,9 @@ def _values(
     )
     rows = np.empty((len(when), joints, width))
     for i, time in enumerate(when):
-        value = attr.Get(time)
-        if value is None or len(value) != joints:
-            count = 0 if value is None else len(value)
-            message = f"{attr.GetName()} has {count} values for {joints} joints"
+        value = array_value(attr, time)
+        if len(value) != joints:
+            message = f"{attr.GetName()} has {len(value)} values for {joints} joints"
             hint = f"time code {time.GetValue():g}; UsdSkel falls back to rest"
             raise FormatError(Fault("USD013", message, where, (), hint))
         rows[i] = np.array(value, np.float64).reshape(joints, width)

@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Sequence, Sized
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
-from pxr import Tf, Usd, UsdGeom, UsdSkel
+from pxr import Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError, Severity, excerpt
 from animtool.maths import so3
 from animtool.rig.skeleton import Joint, Rig
 from animtool.units import UpAxis
-from animtool.usd.layers import check_prim_path, find_layer
+from animtool.usd.layers import check_prim_path, find_layer, usd_errors
 
 __all__ = [
     "SkeletonRig",
+    "array_value",
     "composition_notices",
     "decompose",
     "find_skeletons",
@@ -60,11 +61,8 @@ def open_stage(path: Path) -> Any:
         FormatError: The file does not exist, is no USD layer or does not compose.
     """
     layer = find_layer(path)
-    try:
+    with usd_errors(path):
         stage = Usd.Stage.Open(layer)
-    except Tf.ErrorException as error:
-        fault = Fault("USD001", f"does not compose: {error}", str(path))
-        raise FormatError(fault) from error
     _check_metadata(stage, str(path))
     return stage
 
@@ -77,6 +75,12 @@ def _check_metadata(stage: Any, where: str) -> None:
     ):
         if not SMALLEST_METADATA <= value <= LARGEST_METADATA:
             _fail("USD015", f"{name} is {value}", where, "a positive number is needed")
+    for name, code in (
+        ("startTimeCode", stage.GetStartTimeCode()),
+        ("endTimeCode", stage.GetEndTimeCode()),
+    ):
+        if not abs(code) <= LARGEST_METADATA:
+            _fail("USD015", f"{name} is {code}", where, "a finite number is needed")
     up = str(UsdGeom.GetStageUpAxis(stage))
     if up not in list(UpAxis):
         _fail("USD015", f"upAxis is {up!r}", where, "allowed: Y, Z")
@@ -113,10 +117,10 @@ def skeleton_rig(skeleton: Any, path: Path) -> SkeletonRig:
     """
     stage = skeleton.GetPrim().GetStage()
     where = f"{path}<{skeleton.GetPath()}>"
-    tokens = [str(token) for token in skeleton.GetJointsAttr().Get() or ()]
+    tokens = [str(token) for token in array_value(skeleton.GetJointsAttr())]
     if not tokens:
         _fail("USD002", "the Skeleton has no joints", where)
-    matrices = skeleton.GetRestTransformsAttr().Get() or ()
+    matrices = array_value(skeleton.GetRestTransformsAttr())
     if len(matrices) != len(tokens):
         message = f"{len(matrices)} restTransforms for {len(tokens)} joints"
         _fail("USD003", message, where, "UsdSkel ignores such a Skeleton")
@@ -176,6 +180,12 @@ def rig_from_tokens(
         )
     rig = Rig(name, tuple(joints), meters_per_unit, up)
     return SkeletonRig(rig, list(tokens), scales)
+
+
+def array_value(attr: Any, time: Any = None) -> Any:
+    """Return an attribute's array; an empty one where it has none, or no array."""
+    value = attr.Get() if time is None else attr.Get(time)
+    return value if isinstance(value, Sized) and not isinstance(value, str) else ()
 
 
 def _parent(token: str, index: dict[str, int]) -> int:

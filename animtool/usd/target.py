@@ -17,7 +17,7 @@ from animtool.rates import rate_from_float
 from animtool.rig.skeleton import Rig
 from animtool.take import Channel, Motion
 from animtool.units import UpAxis, unit_name
-from animtool.usd.layers import check_prim_path
+from animtool.usd.layers import check_prim_path, usd_errors
 from animtool.usd.names import joint_names, legal_name
 from animtool.usd.rig_prims import (
     SkeletonRig,
@@ -90,7 +90,11 @@ def open_target(path: Path, prim_path: str | None) -> RigTarget:
         FormatError: It is no USD file or holds no character.
         OptionError: ``prim_path`` is no path.
     """
-    stage = open_stage(path)
+    with usd_errors(path):
+        return _target(open_stage(path), path, prim_path)
+
+
+def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
     moved_to: str | None = None
     if prim_path is not None:
         check_prim_path(prim_path)

@@ -286,6 +286,14 @@ def test_irregular_times(stage: Usd.Stage, times: list[float], code: str) -> Non
     assert read_usd(path_of(stage)).collect().clock.count >= 10
 
 
+def test_values_of_another_type(stage: Usd.Stage) -> None:
+    path = path_of(stage)
+    text = path.read_text().replace("float3[] translations", "string translations")
+    path.with_name("spoilt.usda").write_text(text)
+    with pytest.raises(FormatError):
+        read_usd(path.with_name("spoilt.usda"))
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [
@@ -295,6 +303,8 @@ def test_irregular_times(stage: Usd.Stage, times: list[float], code: str) -> Non
         ("metersPerUnit", -1.0),
         ("metersPerUnit", float("nan")),
         ("upAxis", "X"),
+        ("startTimeCode", float("nan")),
+        ("endTimeCode", float("inf")),
     ],
 )
 def test_metadata_that_is_none(stage: Usd.Stage, name: str, value: object) -> None:

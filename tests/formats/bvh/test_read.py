@@ -1,10 +1,13 @@
 from __future__ import annotations
 
+import contextlib
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from support.bvh import COLUMNS, HEADER, random_rows, read_reference, small_bvh
 
@@ -345,3 +348,30 @@ def test_memory_follows_the_data_not_the_promise(write) -> None:  # type: ignore
     stream, take = read(write(text))
     assert take.clock.count == 3
     assert "1000000000000" in stream.notices[0].message
+
+
+PIECES = [
+    *(b"{", b"}", b"nan", b"1e999", b"-", b"\n", b"\r", b"\0", b"\xff", b"1e-400"),
+    *(b"JOINT x", b"OFFSET", b"CHANNELS 3", b"End Site", b"MOTION", b"0" * 50),
+]
+edits = st.lists(
+    st.tuples(st.integers(0, 10**6), st.integers(0, 20), st.sampled_from(PIECES)),
+    min_size=1,
+    max_size=5,
+)
+
+
+@given(edits)
+def test_spoilt_files_are_read_or_refused(
+    tmp_path_factory: pytest.TempPathFactory, changes: list[tuple[int, int, bytes]]
+) -> None:
+    text = bytearray(small_bvh(random_rows(3)).encode())
+    for place, removed, piece in changes:
+        at = place % (len(text) + 1)
+        text[at : at + removed] = piece
+    path = tmp_path_factory.getbasetemp() / "spoilt.bvh"
+    path.write_bytes(text)
+    with contextlib.suppress(FormatError):
+        take = read_bvh(path).collect()
+        assert np.isfinite(take.motion.translations.dense()).all()
+        assert np.isfinite(take.motion.rotations.dense()).all()
