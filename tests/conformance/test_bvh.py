@@ -12,14 +12,20 @@ from support.bvh import read_reference
 from support.data import data_files
 from support.usd import joint_positions, open_stage, skeleton_query, validation_errors
 
+from animtool.formats.bvh.hierarchy import CHANNEL_NAMES
 from animtool.rates import rate_from_frame_time
+from animtool.report.compare import compare_takes
 from animtool.scene.bake import BakeReport, bake
+from animtool.scene.convert import convert
 from animtool.scene.options import BakeOptions
+from animtool.usd.read import read_usd
 
 # Joints may be this far from float64 forward kinematics, as a share of the
 # skeleton's size: float32 holds 6e-8, and errors add up along a chain.
 POSITION_TOLERANCE = 1e-6
 FRAMES_CHECKED = 25
+
+_CHANNELS = {name.lower(): name for name in CHANNEL_NAMES}
 
 FILES = data_files("bvh", "*.bvh")
 
@@ -109,3 +115,28 @@ def test_sparse_leaves_out_what_rests(path: Path, tmp_path: Path) -> None:
     assert sparse.result.joints <= whole.result.joints
     query = skeleton_query(open_stage(tmp_path / "sparse.usda"))
     assert len(query.GetAnimQuery().GetJointOrder()) == sparse.result.joints
+
+
+@pytest.mark.parametrize("path", FILES)
+def test_there_and_back(path: Path, tmp_path: Path) -> None:
+    first, text, second = (tmp_path / name for name in ("a.usdc", "b.bvh", "c.usdc"))
+    convert(path, first)
+    convert(first, text)
+    convert(text, second)
+    one, two = read_usd(first).collect(), read_usd(second).collect()
+    source = read_reference(path)
+    again = read_reference(text)
+    assert again.names == source.names
+    assert again.channels == [
+        [_CHANNELS[name.lower()] for name in names] for names in source.channels
+    ]
+    for mine, theirs in zip(one.rig.joints, two.rig.joints, strict=True):
+        assert np.allclose(mine.tips, theirs.tips, rtol=0, atol=1e-9)
+    found = compare_takes(one, two)
+    assert found.mismatches == []
+    size = source.size() * 0.01
+    reach = max(size, float(np.abs(one.motion.translations.dense()).max()))
+    # Twice the rounding of float32, along the chain.
+    assert found.world.value <= 2 * POSITION_TOLERANCE * reach
+    assert found.translation.value <= 2.4e-7 * reach
+    assert found.rotation.value <= 3e-5
