@@ -17,6 +17,7 @@ __all__ = [
     "Severity",
     "StrictError",
     "excerpt",
+    "listed",
     "refuse_warnings",
 ]
 
@@ -127,6 +128,15 @@ class StrictError(AnimtoolError):
     """There were warnings and the caller asked for none."""
 
     exit_code = ExitCode.FINDINGS
+
+
+def listed(items: Sequence[object], most: int = 5) -> str:
+    """Return the first items, separated by commas, with a sign that there are more.
+
+    >>> listed(["a", "b"]), listed(range(9), most=2)
+    ('a, b', '0, 1 …')
+    """
+    return ", ".join(map(str, items[:most])) + (" …" if len(items) > most else "")
 
 
 def refuse_warnings(notices: Sequence[Fault], *, strict: bool) -> None:

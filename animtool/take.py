@@ -132,6 +132,18 @@ class Motion:
         """Number of frames."""
         return len(self.rotations.values)
 
+    def dense(self) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+        """Return translations, rotations and scales of every joint in every frame."""
+        return (
+            self.translations.dense(),
+            self.rotations.dense(),
+            None if self.scales is None else self.scales.dense(),
+        )
+
+    def select(self, frames: slice | IntArray) -> Motion:
+        """Return the motion at some of its frames."""
+        return self.map(lambda channel: channel.select(frames))
+
     def map(self, function: Callable[[Channel], Channel]) -> Motion:
         """Return the motion with a function applied to each channel."""
         return Motion(

@@ -69,12 +69,13 @@ def info(console: Console, /, files: tuple[Path, ...], **given: Any) -> None:
 
 
 def _text(found: TakeDescription) -> list[str]:
+    from animtool.errors import listed
     from animtool.rates import rate_label
 
     low, high = found.bounds
     moving = ", ".join(f"{count} {kind}" for kind, count in found.animated.items())
     channels = "" if found.channels is None else f", {found.channels} channels"
-    roots = ", ".join(found.roots[:4]) + (" …" if len(found.roots) > 4 else "")
+    roots = listed(found.roots, 4)
     corners = " to ".join(
         "(" + ", ".join(f"{x:.4g}" for x in c) + ")" for c in (low, high)
     )

@@ -169,7 +169,10 @@ def _report(console: Console, error: BaseException) -> int:
 
 
 def _logs_json(arguments: Sequence[str]) -> bool:
-    """Return whether stderr is to be JSON, even where the options are misspelt."""
+    """Return whether stderr is to be JSON.
+
+    Read here and not by the commands, so that misspelt options are said as JSON too.
+    """
     asked = " ".join(arguments).replace("=", " ")
     usual = os.environ.get("ANIMTOOL_LOG_FORMAT") == "json"
     return "--log-format json" in asked or (usual and "--log-format" not in asked)

@@ -46,7 +46,7 @@ def _set(name: str, value: Any) -> Callable[..., None]:
     def apply(ctx: click.Context, _: click.Parameter, given: Any) -> None:
         console = ctx.find_object(Console)
         if console is not None and given:
-            setattr(console, name, given if value is None else value)
+            setattr(console, name, value)
 
     return apply
 
@@ -70,9 +70,6 @@ def common_options(command: Command) -> Command:
             expose_value=False,
             is_eager=True,
             envvar="ANIMTOOL_LOG_FORMAT",
-            callback=lambda ctx, _, given: _set("json_log", True)(
-                ctx, _, given == "json"
-            ),
             help="How lines on stderr are written.",
             show_default=True,
         ),

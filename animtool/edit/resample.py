@@ -9,10 +9,11 @@ from fractions import Fraction
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault, OptionError
 from animtool.maths import so3
 from animtool.take import Channel, Clock, Motion, Take, time_codes
 
-__all__ = ["FrameRange", "SampleTimes", "plan_samples", "sample"]
+__all__ = ["FrameRange", "SampleTimes", "plan_samples", "resampled", "sample"]
 
 BLOCK_FRAMES = 512
 # Days of animation: rather a rate that is mistyped.
@@ -69,7 +70,7 @@ def plan_samples(
             of one a frame.
 
     Raises:
-        ValueError: The range has no frame of the take, the options exclude each
+        OptionError: The range has no frame of the take, the options exclude each
             other, or there would be more than 10 million samples.
     """
     ratio = clock.rate / fps  # source frames from one time code to the next
@@ -78,10 +79,10 @@ def plan_samples(
         return _kept_samples(clock, start, 1 / ratio, frame_range)
     whole = int(span)
     wanted = range(whole + 1)
-    if frame_range is None and (whole + 1) * max(1, len(offsets)) > MOST_SAMPLES:
-        raise ValueError(f"at {float(fps):g} fps the take has {whole + 1} frames")
     if frame_range is not None:
         wanted = _within(frame_range, start, whole)
+    if len(wanted) * max(1, len(offsets)) > MOST_SAMPLES:
+        raise _refusal(f"at {float(fps):g} fps the take has {whole + 1} frames")
     first, last = start + wanted[0], start + wanted[-1]
     index = np.arange(wanted[0], wanted[-1] + 1, wanted.step)
     each = [_positions(index, offset, ratio, clock.count) for offset in offsets or (0,)]
@@ -92,6 +93,10 @@ def plan_samples(
     return SampleTimes(first, last, codes.T.ravel()[order], frames, fractions)
 
 
+def _refusal(message: str) -> OptionError:
+    return OptionError(Fault("CLI005", message))
+
+
 def _codes(first: Fraction, wanted: range) -> FloatArray:
     return time_codes(Fraction(first), Fraction(wanted.step), len(wanted))
 
@@ -99,17 +104,15 @@ def _codes(first: Fraction, wanted: range) -> FloatArray:
 def _within(frame_range: FrameRange, start: Fraction, whole: int) -> range:
     """Return the indices of a range's frames that the take has."""
     if start.denominator != 1:
-        raise ValueError(
-            "--range counts whole frames, and the first frame is not whole"
-        )
+        raise _refusal("whole frames are asked for, and the first is not whole")
     first, last = frame_range.first - int(start), frame_range.last - int(start)
     low = (
         first if first >= 0 else first + -(first // frame_range.step) * frame_range.step
     )
     wanted = range(low, min(last, whole) + 1, frame_range.step)
     if not wanted:
-        raise ValueError(
-            f"--range {frame_range.first}-{frame_range.last} has no frame of the take, "
+        raise _refusal(
+            f"frames {frame_range.first}-{frame_range.last} are not in the take, "
             f"which has {int(start)}-{int(start) + whole}"
         )
     return wanted
@@ -141,14 +144,14 @@ def _kept_samples(
     low, high = 0, clock.count - 1
     if frame_range is not None:
         if frame_range.step != 1:
-            raise ValueError("--keep-samples takes a --range without a step")
+            raise _refusal("--keep-samples takes a --range without a step")
         low = max(low, -(-(frame_range.first - start) // step))
         high = min(high, (frame_range.last - start) // step)
         if low > high:
             last = start + (clock.count - 1) * step
-            raise ValueError(
-                f"--range {frame_range.first}-{frame_range.last} has no sample of the "
-                f"take, which lasts from {float(start):g} to {float(last):g}"
+            raise _refusal(
+                f"frames {frame_range.first}-{frame_range.last} are not in the take, "
+                f"which lasts from {float(start):g} to {float(last):g}"
             )
     frames = np.arange(low, high + 1)
     first = start + low * step
@@ -158,7 +161,7 @@ def _kept_samples(
 
 
 @dataclass(frozen=True, slots=True)
-class _Positions:
+class _Places:
     """Where samples lie: at or between two frames."""
 
     frames: IntArray
@@ -187,6 +190,17 @@ def sample(take: Take, times: SampleTimes) -> Iterator[tuple[FloatArray, Motion]
     motion = take.motion
     for begin in range(0, len(times.codes), BLOCK_FRAMES):
         part = slice(begin, begin + BLOCK_FRAMES)
-        at = _Positions(times.frames[part], times.fractions[part])
-
+        at = _Places(times.frames[part], times.fractions[part])
         yield times.codes[part], motion.map(at.blend)
+
+
+def resampled(take: Take, fps: Fraction) -> Take:
+    """Return the take with a sample on every time code at another rate.
+
+    Raises:
+        OptionError: There would be more than 10 million.
+    """
+    times = plan_samples(take.clock, fps, take.clock.start)
+    motion = Motion.concatenate([block for _, block in sample(take, times)])
+    clock = Clock(fps, take.clock.start, Fraction(1), motion.frames)
+    return Take(take.rig, clock, motion)

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 
 from animtool._types import FloatArray
 from animtool.edit.reorient import reorient
-from animtool.edit.resample import plan_samples, sample
+from animtool.edit.resample import resampled
+from animtool.errors import listed
 from animtool.maths import so3
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Rig
 from animtool.scene.sources import SourceOptions, open_source
-from animtool.take import Clock, Motion, Take
+from animtool.take import Take
 
 # USD holds scales as 16-bit floats, which are 5e-4 apart near one.
 SCALE_TOLERANCE = 1e-3
@@ -99,7 +99,7 @@ def compare_takes(first: Take, second: Take) -> TakeDifference:
     pairs = _pairs(first.rig, second.rig)
     mismatches = _mismatches(first, second, pairs)
     if first.clock.rate != second.clock.rate:
-        second = _at_rate(second, first.clock.rate)
+        second = resampled(second, first.clock.rate)
     frames = min(first.clock.count, second.clock.count)
     mine = [a for a, _ in pairs]
     theirs = [b for _, b in pairs]
@@ -112,7 +112,7 @@ def compare_takes(first: Take, second: Take) -> TakeDifference:
         name = first.rig.names[mine[int(joint)]]
         return Difference(float(values[frame, joint]), name, float(codes[frame]))
 
-    a, b = _dense(first, frames), _dense(second, frames)
+    a, b = (take.motion.select(slice(0, frames)).dense() for take in (first, second))
     world_a, world_b = forward(first.rig, *a), forward(second.rig, *b)
     apart = world_a.positions[:, mine] - world_b.positions[:, theirs]
     moved = a[0][:, mine] - b[0][:, theirs]
@@ -126,19 +126,6 @@ def compare_takes(first: Take, second: Take) -> TakeDifference:
         len(pairs),
         mismatches,
     )
-
-
-def _at_rate(take: Take, rate: Fraction) -> Take:
-    """Return the take at another frame rate, from the same first frame."""
-    times = plan_samples(take.clock, rate, Fraction(1))
-    motion = Motion.concatenate([block for _, block in sample(take, times)])
-    return Take(take.rig, Clock(rate, Fraction(1), Fraction(1), motion.frames), motion)
-
-
-def _dense(take: Take, frames: int) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-    motion = take.motion.map(lambda channel: channel.select(slice(0, frames)))
-    scales = None if motion.scales is None else motion.scales.dense()
-    return motion.translations.dense(), motion.rotations.dense(), scales
 
 
 def _scales(
@@ -171,8 +158,9 @@ def _mismatches(first: Take, second: Take, pairs: list[tuple[int, int]]) -> list
         matched = {pair[column] for pair in pairs}
         missing = [n for i, n in enumerate(take.rig.names) if i not in matched]
         if missing:
-            listed = ", ".join(missing[:5]) + (" …" if len(missing) > 5 else "")
-            found.append(f"{len(missing)} joints are not in the {other}: {listed}")
+            found.append(
+                f"{len(missing)} joints are not in the {other}: {listed(missing)}"
+            )
     if first.clock.count != second.clock.count:
         found.append(f"{first.clock.count} frames against {second.clock.count}")
     if first.clock.rate != second.clock.rate:

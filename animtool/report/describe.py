@@ -11,7 +11,6 @@ import numpy as np
 from animtool.errors import Fault
 from animtool.rig.kinematics import forward
 from animtool.scene.sources import SourceOptions, open_source
-from animtool.take import Motion
 from animtool.units import unit_name
 
 __all__ = ["TakeDescription", "describe"]
@@ -87,12 +86,8 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
     motion, rig = take.motion, take.rig
     lows, highs = [], []
     for begin in range(0, motion.frames, FRAMES_AT_ONCE):
-        part = slice(begin, begin + FRAMES_AT_ONCE)
-        block: Motion = motion.map(lambda channel, part=part: channel.select(part))  # type: ignore[misc]
-        scales = None if block.scales is None else block.scales.dense()
-        world = forward(
-            rig, block.translations.dense(), block.rotations.dense(), scales
-        )
+        block = motion.select(slice(begin, begin + FRAMES_AT_ONCE))
+        world = forward(rig, *block.dense())
         lows.append(world.positions.min(axis=(0, 1)))
         highs.append(world.positions.max(axis=(0, 1)))
     meters = rig.meters_per_unit

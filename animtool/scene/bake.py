@@ -167,7 +167,8 @@ def _job(
     if options.sparse:
         held = list(timed)
         moving = moving_joints(plan, rig, [motion for _, motion in held])
-        chosen, timed = moving if chosen is None else moving & chosen, iter(held)
+        kept = moving if chosen is None else moving & chosen
+        chosen, timed = kept if kept.any() else chosen, iter(held)
     names, joints, paths = _usd_places(plan, rig)
     job = UsdJob(
         form=plan.form,

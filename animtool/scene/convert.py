@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
 
 from animtool.errors import Fault, OptionError, refuse_warnings
 from animtool.output import check_outputs, output_error, replacing
 from animtool.scene.sources import SourceOptions, is_usd, open_source
-from animtool.take import Clock, Motion, Take
 
 __all__ = ["ConvertReport", "convert"]
 
@@ -61,10 +59,13 @@ def convert(
             Fault("OUT004", message, str(output), (), f"allowed: {_WRITES}")
         )
     check_outputs([output], [source], overwrite=overwrite)
+    from animtool.edit.resample import resampled
     from animtool.formats.bvh import write_bvh
 
     stream = open_source(source, options, progress=progress)
-    take = _every_frame(stream.collect())
+    take = stream.collect()
+    if take.clock.step > 1:
+        take = resampled(take, take.clock.fps)
     text = write_bvh(take)
     notices = stream.notices + text.notices
     refuse_warnings(notices, strict=strict)
@@ -76,19 +77,6 @@ def convert(
         except OSError as error:
             raise output_error(output, error) from error
     return ConvertReport(output, take.clock.count, len(take.rig.joints), notices)
-
-
-def _every_frame(take: Take) -> Take:
-    """Return the take with a sample on every time code, if it has fewer."""
-    clock = take.clock
-    if clock.step <= 1:
-        return take
-    from animtool.edit.resample import plan_samples, sample
-
-    times = plan_samples(clock, clock.fps, clock.start)
-    motion = Motion.concatenate([block for _, block in sample(take, times)])
-    every = Clock(clock.fps, clock.start, Fraction(1), motion.frames)
-    return Take(take.rig, every, motion)
 
 
 def _to_usd(

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray
 from animtool.edit.resample import FrameRange, SampleTimes, plan_samples, sample
-from animtool.errors import Fault, OptionError, Severity
+from animtool.errors import Fault, Severity
 from animtool.rig.skeleton import Rig
 from animtool.scene.plan import BakePlan
 from animtool.take import Motion, Take, TakeStream, time_codes
@@ -36,7 +36,14 @@ def timed_blocks(
     if as_is:
         return _streamed(plan, stream), None, stream.rig
     take = stream.collect()
-    times = _sample_times(plan, take, options.frame_range)
+    times = plan_samples(
+        take.clock,
+        plan.fps,
+        plan.start,
+        frame_range=options.frame_range,
+        offsets=options.samples,
+        keep_samples=options.keep_samples,
+    )
     plan.notices.extend(_cut_notice(plan, times))
     rig = take.rig
     if options.rest_frame is not None:
@@ -52,23 +59,6 @@ def _streamed(
         first = plan.start + done * stream.step
         yield time_codes(first, stream.step, block.frames), block
         done += block.frames
-
-
-def _sample_times(
-    plan: BakePlan, take: Take, frame_range: FrameRange | None
-) -> SampleTimes:
-    options = plan.options
-    try:
-        return plan_samples(
-            take.clock,
-            plan.fps,
-            plan.start,
-            frame_range=frame_range,
-            offsets=options.samples,
-            keep_samples=options.keep_samples,
-        )
-    except ValueError as error:
-        raise OptionError(Fault("CLI005", str(error), str(plan.source))) from error
 
 
 def _cut_notice(plan: BakePlan, times: SampleTimes) -> list[Fault]:
@@ -88,19 +78,18 @@ def _cut_notice(plan: BakePlan, times: SampleTimes) -> list[Fault]:
 
 def _with_rest(plan: BakePlan, take: Take, frame: int) -> Rig:
     """Return the rig with a frame of the take as its rest pose."""
-    try:
-        times = plan_samples(
-            take.clock, plan.fps, plan.start, frame_range=FrameRange(frame, frame)
-        )
-    except ValueError as error:
-        message = str(error).replace("--range", "--rest frame:N")
-        raise OptionError(Fault("CLI005", message, str(plan.source))) from error
+    frames = FrameRange(frame, frame)
+    times = plan_samples(take.clock, plan.fps, plan.start, frame_range=frames)
     ((_, pose),) = sample(take, times)
-    translations = pose.translations.dense()[0].tolist()
-    rotations = pose.rotations.dense()[0].tolist()
+    translations, rotations, _ = pose.dense()
     joints = tuple(
         replace(joint, translation=tuple(t), rotation=tuple(r))
-        for joint, t, r in zip(take.rig.joints, translations, rotations, strict=True)
+        for joint, t, r in zip(
+            take.rig.joints,
+            translations[0].tolist(),
+            rotations[0].tolist(),
+            strict=True,
+        )
     )
     return replace(take.rig, joints=joints)
 

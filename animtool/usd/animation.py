@@ -79,9 +79,8 @@ def round_blocks(
             stays at rest.
     """
     for codes, motion in blocks:
-        translations = motion.translations.dense() / meters_per_unit
-        rotations = motion.rotations.dense()
-        scales = None if motion.scales is None else motion.scales.dense()
+        translations, rotations, scales = motion.dense()
+        translations /= meters_per_unit
         root = None
         if root_motion:
             root = _move_root(rig, translations, rotations, meters_per_unit)

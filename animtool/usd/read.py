@@ -74,8 +74,6 @@ def _read_stage(stage: Any, path: Path, prim_path: str | None) -> TakeStream:
     if skeletons:
         skeleton = skeleton_rig(skeletons[0], path)
         animation = _bound_animation(skeletons[0])
-        if animation is None:
-            return _resting(skeleton, stage, path)
         prim = skeletons[0].GetPrim()
     else:
         animation = _first_animation(stage, below)
@@ -84,7 +82,10 @@ def _read_stage(stage: Any, path: Path, prim_path: str | None) -> TakeStream:
             raise FormatError(Fault("USD008", message, str(path)))
         skeleton = _rig_of_animation(animation, path, stage)
         prim = None
-    stream = _read(stage, path, skeleton, animation, prim)
+    if animation is None:
+        stream = _resting(skeleton, stage, path)
+    else:
+        stream = _read(stage, path, skeleton, animation, prim)
     if prim is None:
         stream.notices += _lost_motion(animation, str(path))
     stream.notices += others_notice(skeletons, str(path))
@@ -158,7 +159,7 @@ def _resting(skeleton: SkeletonRig, stage: Any, path: Path) -> TakeStream:
         _scales(skeleton.rest_scales[None]),
     )
     fps = rate_from_float(stage.GetTimeCodesPerSecond())
-    start = Fraction(stage.GetStartTimeCode()).limit_denominator(10**6)
+    start = _fraction(stage.GetStartTimeCode())
     stream = TakeStream.of(Take(rig, Clock(fps, start, Fraction(1), 1), motion))
     stream.details = _details(stage, skeleton)
     stream.details["animation"] = None

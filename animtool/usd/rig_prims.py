@@ -13,7 +13,7 @@ import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, FormatError, Severity, excerpt
+from animtool.errors import Fault, FormatError, Severity, excerpt, listed
 from animtool.maths import so3
 from animtool.rig.skeleton import Joint, Rig
 from animtool.units import UpAxis
@@ -275,8 +275,9 @@ def others_notice(skeletons: list[Any], where: str) -> list[Fault]:
     if len(skeletons) < 2:
         return []
     taken, *others = [str(skeleton.GetPath()) for skeleton in skeletons]
-    listed = ", ".join(others[:5]) + (" …" if len(others) > 5 else "")
-    message = f"{taken} is taken of {len(skeletons)} skeletons; the others: {listed}"
+    message = (
+        f"{taken} is taken of {len(skeletons)} skeletons; the others: {listed(others)}"
+    )
     hint = "--source-prim or --prim-path names one"
     return [Fault("USD107", message, where, (), hint, Severity.WARNING)]
 

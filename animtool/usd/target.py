@@ -12,7 +12,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, FormatError, Severity, excerpt
+from animtool.errors import Fault, FormatError, Severity, excerpt, listed
 from animtool.rates import rate_from_float
 from animtool.rig.skeleton import Rig
 from animtool.take import Channel, Motion
@@ -291,21 +291,17 @@ def map_joints(take: Rig, target: RigTarget, strip_namespaces: int) -> JointMap:
     notices = []
     if missing:
         message = f"{len(missing)} joints of the take are not in the rig: "
-        message += _list(missing)
+        message += listed(missing, MOST_NAMED)
         hint, kind = "they are left out", Severity.WARNING
         notices.append(Fault("USD102", message, where, (), hint, kind))
     if resting:
         message = f"{len(resting)} joints of the rig are not in the take: "
-        message += _list(resting)
+        message += listed(resting, MOST_NAMED)
         hint, kind = "they stay at rest", Severity.NOTE
         notices.append(Fault("USD111", message, where, (), hint, kind))
     return JointMap(
         skeleton.rig, np.array(source, np.int64), skeleton.rest_scales, notices
     )
-
-
-def _list(names: list[str]) -> str:
-    return ", ".join(names[:MOST_NAMED]) + (" …" if len(names) > MOST_NAMED else "")
 
 
 def compose_check(target: RigTarget, layer: Any) -> Any:

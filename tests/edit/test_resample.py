@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from animtool.edit.resample import FrameRange, plan_samples, sample
+from animtool.errors import OptionError
 from animtool.maths import so3
 from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Channel, Clock, Motion, Take
@@ -94,7 +95,7 @@ def test_ranges(frames: FrameRange, codes: object) -> None:
 @pytest.mark.parametrize("frames", [FrameRange(12, 20), FrameRange(-9, 0)])
 @pytest.mark.parametrize("keep", [False, True])
 def test_a_range_without_a_frame(frames: FrameRange, keep: bool) -> None:
-    with pytest.raises(ValueError, match="which"):
+    with pytest.raises(OptionError, match="which"):
         plan_samples(
             clock(11), Fraction(120), Fraction(1), frame_range=frames, keep_samples=keep
         )
@@ -109,7 +110,7 @@ def test_kept_samples_within_a_range() -> None:
         keep_samples=True,
     )
     assert_allclose(times.codes, np.arange(2, 3.1, 0.2))
-    with pytest.raises(ValueError, match="step"):
+    with pytest.raises(OptionError, match="step"):
         plan_samples(
             clock(21), Fraction(24), Fraction(1),
             frame_range=FrameRange(1, 3, 2), keep_samples=True,
@@ -130,3 +131,10 @@ def test_sub_frame_samples_are_ascending_and_held_at_the_ends() -> None:
 def test_one_frame() -> None:
     times = plan_samples(clock(1), Fraction(24), Fraction(1))
     assert (times.codes.tolist(), times.first, times.last) == ([1.0], 1, 1)
+
+
+@pytest.mark.parametrize("frames", [None, FrameRange(1, 10**9)])
+def test_far_too_many_samples(frames: FrameRange | None) -> None:
+    slow = clock(100, Fraction(1, 100))
+    with pytest.raises(OptionError, match="frames"):
+        plan_samples(slow, Fraction(100_000), Fraction(1), frame_range=frames)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 
-from animtool.errors import Fault, Severity, excerpt
+from animtool.errors import Fault, Severity, excerpt, listed
 from animtool.formats.bvh.lines import HeaderLines
 from animtool.rates import RateChoice, RateKind, rate_from_frame_time, rate_label
 
@@ -313,8 +313,7 @@ def _duplicate_names(joints: list[BvhJoint], path: str) -> list[Fault]:
         Fault(
             "BVH103",
             f"joint name {excerpt(name)} stands {len(found)} times, on lines "
-            + ", ".join(map(str, found[:10]))
-            + (" …" if len(found) > 10 else ""),
+            + listed(found, 10),
             path,
             tuple(found),
             "the later ones get a number behind their name",
@@ -341,7 +340,7 @@ def _rate_notices(header: BvhHeader, path: str, line: int) -> list[Fault]:
         message = f"Frame Time {text} is no usual rate; {rate_label(rate.fps)} is taken"
     elif rate.rivals:
         code, severity = "BVH107", Severity.NOTE
-        others = ", ".join(map(str, rate.rivals[:6]))
+        others = listed(rate.rivals, 6)
         message = (
             f"Frame Time {text} is printed so that {others} fps would read the same"
         )

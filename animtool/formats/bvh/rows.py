@@ -12,7 +12,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, FormatError, Severity, excerpt
+from animtool.errors import Fault, FormatError, Severity, excerpt, listed
 from animtool.formats.bvh.hierarchy import FLOAT32_MAX
 from animtool.formats.bvh.lines import CHUNK_BYTES
 
@@ -238,7 +238,7 @@ class RowReader:
         self, code: str, found: dict[int, list[int]], what: str, hint: str
     ) -> None:
         for column, lines in sorted(found.items())[:MOST_NAMED]:
-            places = ", ".join(map(str, lines[:10])) + (" …" if len(lines) > 10 else "")
+            places = listed(lines, 10)
             name = self.source.channels[column]
             values = "1 value is" if len(lines) == 1 else f"{len(lines)} values are"
             message = f"{name}: {values} {what}, on line {places}"

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import FloatArray
-from animtool.errors import Fault, Severity
+from animtool.errors import Fault, Severity, listed
 from animtool.maths.euler import axes_of
 from animtool.rates import rate_from_frame_time
 from animtool.rig.skeleton import Joint, Rig
@@ -217,6 +217,5 @@ def _scale_notices(take: Take) -> list[Fault]:
     names = [take.rig.names[j] for j in np.flatnonzero(off)]
     if not names:
         return []
-    listed = ", ".join(names[:5]) + (" …" if len(names) > 5 else "")
-    message = f"BVH has no scale: that of {len(names)} joints is lost ({listed})"
+    message = f"BVH has no scale: that of {len(names)} joints is lost ({listed(names)})"
     return [Fault("BVH108", message, severity=Severity.WARNING)]
