@@ -54,6 +54,8 @@ class Fault:
         lines: 1-based lines at fault, the chief one first.
         hint: What to do about it.
         severity: Error, warning or note.
+        column: 1-based column of the chief line.
+        where: Place inside a structured file, such as ``joints[3].axis``.
     """
 
     code: str
@@ -62,15 +64,22 @@ class Fault:
     lines: tuple[int, ...] = ()
     hint: str | None = None
     severity: Severity = Severity.ERROR
+    column: int | None = None
+    where: str | None = None
 
     def __str__(self) -> str:
-        """Return ``file:line: CODE message, hint``, what is no error by its name."""
+        """Return ``file:line:column: CODE where: message, hint``, as far as known.
+
+        What is no error is said by its name, before the code.
+        """
         place = ""
         if self.path is not None:
-            place = f"{self.path}:{self.lines[0]}: " if self.lines else f"{self.path}: "
+            spots = [*self.lines[:1], *([] if self.column is None else [self.column])]
+            place = ":".join(map(str, [self.path, *spots])) + ": "
+        where = f"{self.where}: " if self.where else ""
         hint = f", {self.hint}" if self.hint else ""
         kind = "" if self.severity is Severity.ERROR else f"{self.severity}: "
-        return f"{place}{kind}{self.code} {self.message}{hint}"
+        return f"{place}{kind}{self.code} {where}{self.message}{hint}"
 
     def as_dict(self) -> dict[str, object]:
         """Return the fault as plain values for a JSON report."""
@@ -80,6 +89,8 @@ class Fault:
             "message": self.message,
             "path": self.path,
             "lines": list(self.lines),
+            "column": self.column,
+            "where": self.where,
             "hint": self.hint,
         }
 

@@ -1,4 +1,4 @@
-"""What flows through animtool: a clock, and the motion of a rig's joints.
+"""What flows through animtool: a clock, and the motion of a rig.
 
 A take arrives as a `TakeStream` of blocks of frames, so that a long one is never
 held whole, or is gathered into one `Take` where an operation needs all of it.
@@ -115,17 +115,23 @@ class Channel:
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Local transforms of a rig's joints over frames, in place of rest.
+    """What a rig does over frames: its joints, its shapes, its controls.
 
     Attributes:
-        translations: Parent space [m], K = 3.
+        translations: Local, parent space, in place of rest [m], K = 3.
         rotations: Unit quaternions (x, y, z, w), signs continuous along time, K = 4.
         scales: [1], K = 3; None where nothing is scaled.
+        weights: Of the rig's shapes, in its order [1], K = 1; None where the take has
+            none.
+        controls: Values of the rig's controls, in its order, K = 1; None where the
+            take has none. Joints and shapes already hold what they drive.
     """
 
     translations: Channel
     rotations: Channel
     scales: Channel | None = None
+    weights: Channel | None = None
+    controls: Channel | None = None
 
     @property
     def frames(self) -> int:
@@ -145,21 +151,30 @@ class Motion:
         return self.map(lambda channel: channel.select(frames))
 
     def map(self, function: Callable[[Channel], Channel]) -> Motion:
-        """Return the motion with a function applied to each channel."""
+        """Return the motion with a function applied to each channel it has."""
         return Motion(
             function(self.translations),
             function(self.rotations),
-            None if self.scales is None else function(self.scales),
+            *(
+                None if channel is None else function(channel)
+                for channel in (self.scales, self.weights, self.controls)
+            ),
         )
 
     @staticmethod
     def concatenate(blocks: list[Motion]) -> Motion:
         """Return one motion of blocks that follow each other."""
-        scales = [block.scales for block in blocks if block.scales is not None]
+
+        def joined(name: str) -> Channel | None:
+            parts = [getattr(block, name) for block in blocks]
+            return None if parts[0] is None else Channel.concatenate(parts)
+
         return Motion(
             Channel.concatenate([block.translations for block in blocks]),
             Channel.concatenate([block.rotations for block in blocks]),
-            Channel.concatenate(scales) if scales else None,
+            joined("scales"),
+            joined("weights"),
+            joined("controls"),
         )
 
 
