@@ -1,0 +1,307 @@
+"""A YAML or JSON file as plain values, with the line and column of each.
+
+YAML is read by the core schema of version 1.2: ``1e-3`` is a number, ``no``, ``12:30``
+and dates are text, ``010`` is ten. Anchors, aliases, tags and keys that stand twice
+are refused. JSON is nearly a part of YAML and is read the same way.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NoReturn, cast
+
+import yaml
+
+from animtool.errors import Fault, FormatError, excerpt
+
+__all__ = ["Document", "Location", "read_document"]
+
+Location = Sequence[str | int]
+
+# A rig of thousands of joints has a few; more is data, which belongs into npz.
+MOST_BYTES = 32_000_000
+# A person nests five or six.
+DEEPEST = 50
+MOST_FAULTS = 100
+# Python refuses to read more digits, and no float has as many.
+MOST_DIGITS = 400
+
+_NUMBERS: list[tuple[re.Pattern[str], Callable[[str], float]]] = [
+    (re.compile(r"[-+]?[0-9]+"), int),
+    (re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?"), float),
+    (re.compile(r"0o[0-7]+"), lambda text: int(text[2:], 8)),
+    (re.compile(r"0x[0-9a-fA-F]+"), lambda text: int(text[2:], 16)),
+]
+_NAMED = {
+    **dict.fromkeys(("", "~", "null", "Null", "NULL")),
+    **dict.fromkeys(("true", "True", "TRUE"), True),
+    **dict.fromkeys(("false", "False", "FALSE"), False),
+    **dict.fromkeys((".inf", ".Inf", ".INF", "+.inf", "+.Inf", "+.INF"), float("inf")),
+    **dict.fromkeys(("-.inf", "-.Inf", "-.INF"), float("-inf")),
+    **dict.fromkeys((".nan", ".NaN", ".NAN"), float("nan")),
+}
+
+
+@dataclass(slots=True)
+class Document:
+    """A file that a person wrote.
+
+    Attributes:
+        path: As the user named it.
+        value: Its content: mappings, lists, text, numbers, booleans, None.
+        places: 1-based line and column of every node, keys included, in the order
+            of the file.
+        faults: What is wrong with its content, as `add` found.
+    """
+
+    path: Path
+    value: dict[str, Any]
+    places: list[tuple[int, int]] = field(repr=False)
+    faults: list[Fault] = field(default_factory=list)
+
+    def place(self, location: Location) -> tuple[int, int]:
+        """Return line and column of a value, or of the nearest one around it."""
+        node: Any = self.value
+        index = 0
+        for step in location:
+            if isinstance(node, dict) and step in node:
+                index += 1
+                for key, value in node.items():
+                    if key == step:
+                        break
+                    index += 1 + _nodes(value)
+                index += 1
+                node = node[step]
+            elif isinstance(node, list) and isinstance(step, int) and step < len(node):
+                index += 1 + sum(_nodes(item) for item in node[:step])
+                node = node[step]
+        return self.places[index]
+
+    def at(self, location: Location) -> Any:
+        """Return the value at a location."""
+        node: Any = self.value
+        for step in location:
+            node = node[step]
+        return node
+
+    def add(
+        self, code: str, location: Location, message: str, hint: str | None = None
+    ) -> None:
+        """Note a fault at a location."""
+        line, column = self.place(location)
+        self.faults.append(
+            Fault(
+                code,
+                message,
+                str(self.path),
+                (line,),
+                hint,
+                column=column,
+                where=spelled(location),
+            )
+        )
+
+    def check(self) -> None:
+        """Raise `FormatError` with every fault noted so far, in the file's order."""
+        if self.faults:
+            ordered = sorted(self.faults, key=lambda f: (f.lines, f.column or 0))
+            raise FormatError(_cut(ordered))
+
+
+def spelled(location: Location) -> str:
+    """Return a location as a person reads it.
+
+    >>> spelled(["joints", 3, "axis"])
+    'joints[3].axis'
+    """
+    text = ""
+    for step in location:
+        text += f"[{step}]" if isinstance(step, int) else f".{step}"
+    return text.removeprefix(".")
+
+
+def read_document(path: Path) -> Document:
+    """Read a file that a person wrote.
+
+    Raises:
+        FormatError: It cannot be read, is no YAML, holds an anchor, alias or tag, a
+            key that stands twice, or is no mapping.
+    """
+    text = _text(path)
+    reader = _Reader(path)
+    try:
+        value = reader.read(text)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        spot = (mark.line + 1, mark.column + 1) if mark else (1, 1)
+        problem = " ".join(filter(None, (error.context, error.problem)))
+        hint = "tabs may not indent" if "cannot start any token" in problem else None
+        reader.fault("DOC001", f"is no YAML: {problem}", spot, hint)
+        value = {}
+    except yaml.YAMLError as error:
+        reader.fault("DOC001", f"is no YAML: {error}".split("\n", 1)[0], (1, 1))
+        value = {}
+    if reader.faults:
+        raise FormatError(_cut(reader.faults))
+    if not isinstance(value, dict):
+        kind = "empty" if value is None else f"a {type(value).__name__}"
+        hint = "begin with a line such as 'rig: animtool/1'"
+        reader.fault("DOC007", f"is {kind}, not a mapping of keys", (1, 1), hint)
+        raise FormatError(reader.faults)
+    return Document(path, value, reader.places)
+
+
+def _text(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            data = file.read(MOST_BYTES + 1)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        fault = Fault("IO001", f"cannot be read: {reason}", str(path))
+        raise FormatError(fault) from error
+    if len(data) > MOST_BYTES:
+        message = f"is larger than {MOST_BYTES // 1_000_000} MB"
+        hint = "arrays belong into npz files"
+        raise FormatError(Fault("DOC006", message, str(path), (), hint))
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        message = f"byte {data[error.start]:#04x} is not UTF-8"
+        raise FormatError(Fault("DOC008", message, str(path), (line,))) from error
+
+
+def _cut(faults: list[Fault]) -> list[Fault]:
+    """Return the first faults, and a last one that counts the rest."""
+    if len(faults) <= MOST_FAULTS:
+        return faults
+    rest = f"{len(faults) - MOST_FAULTS} more faults are not shown"
+    return [*faults[:MOST_FAULTS], Fault("DOC011", rest, faults[0].path)]
+
+
+def _nodes(value: Any) -> int:
+    """Return how many nodes a value is made of, keys included."""
+    if isinstance(value, dict):
+        return 1 + sum(1 + _nodes(item) for item in value.values())
+    if isinstance(value, list):
+        return 1 + sum(_nodes(item) for item in value)
+    return 1
+
+
+class _Reader:
+    """Builds values from parser events, with a stack of its own.
+
+    Events, not nodes: depth and aliases are met before anything is built of them.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.places: list[tuple[int, int]] = []
+        self.faults: list[Fault] = []
+
+    def fault(
+        self, code: str, message: str, place: tuple[int, int], hint: str | None = None
+    ) -> None:
+        line, column = place
+        self.faults.append(
+            Fault(code, message, str(self.path), (line,), hint, column=column)
+        )
+
+    def read(self, text: str) -> Any:
+        parser = cast("Any", yaml).CParser(text)
+        root: list[Any] = []
+        stack: list[_Open] = [_Open(root, None)]
+        documents = 0
+        while (event := parser.get_event()) is not None:
+            kind = type(event)
+            if kind is yaml.ScalarEvent:
+                place = self._place(event)
+                stack[-1].put(self._scalar(event, place), place, self)
+            elif kind is yaml.MappingStartEvent or kind is yaml.SequenceStartEvent:
+                place = self._place(event)
+                made: Any = {} if kind is yaml.MappingStartEvent else []
+                if len(stack) > DEEPEST:
+                    self._stop("DOC005", f"is nested deeper than {DEEPEST}", place)
+                stack[-1].put(made, place, self)
+                stack.append(_Open(made, place))
+            elif kind is yaml.MappingEndEvent or kind is yaml.SequenceEndEvent:
+                stack.pop()
+            elif kind is yaml.AliasEvent:
+                place = self._spot(event)
+                self.places.append(place)
+                message = f"alias *{event.anchor} is not allowed"
+                self.fault("DOC002", message, place, "write the value out")
+                stack[-1].put(None, place, self)
+            elif kind is yaml.DocumentStartEvent:
+                documents += 1
+                if documents > 1:
+                    place = self._spot(event)
+                    self._stop("DOC007", "holds more than one document", place)
+        return root[0] if root else None
+
+    def _stop(self, code: str, message: str, place: tuple[int, int]) -> NoReturn:
+        self.fault(code, message, place)
+        raise FormatError(_cut(self.faults))
+
+    @staticmethod
+    def _spot(event: Any) -> tuple[int, int]:
+        return event.start_mark.line + 1, event.start_mark.column + 1
+
+    def _place(self, event: Any) -> tuple[int, int]:
+        place = self._spot(event)
+        self.places.append(place)
+        if event.anchor is not None:
+            message = f"anchor &{event.anchor} is not allowed"
+            self.fault("DOC002", message, place, "write the value out")
+        if event.tag is not None:
+            message = f"tag {event.tag} is not allowed"
+            self.fault("DOC003", message, place, "leave it out")
+        return place
+
+    def _scalar(self, event: Any, place: tuple[int, int]) -> Any:
+        text: str = event.value
+        if not event.implicit[0]:
+            return text
+        if text in _NAMED:
+            return _NAMED[text]
+        if not (text[0].isdigit() or text[0] in "+-."):
+            return text
+        for pattern, make in _NUMBERS:
+            if pattern.fullmatch(text):
+                if len(text) > MOST_DIGITS:
+                    self.fault("DOC001", f"a number of {len(text)} characters", place)
+                    return 0
+                return make(text)
+        return text
+
+
+@dataclass(slots=True)
+class _Open:
+    """A mapping or list that is not at its end yet."""
+
+    made: Any
+    begun: tuple[int, int] | None
+    key: str | None = None
+    keys: dict[str, int] = field(default_factory=dict)
+
+    def put(self, value: Any, place: tuple[int, int], reader: _Reader) -> None:
+        if isinstance(self.made, list):
+            self.made.append(value)
+            return
+        if self.key is not None:
+            self.made[self.key] = value
+            self.key = None
+            return
+        if not isinstance(value, str):
+            shown = "a collection" if isinstance(value, dict | list) else repr(value)
+            reader.fault("DOC010", f"a key is {shown}, not text", place, "quote it")
+            value = f"\0{place}"
+        elif value in self.keys:
+            message = f"key {excerpt(value)} stands twice"
+            hint = f"first in line {self.keys[value]}"
+            reader.fault("DOC004", message, place, hint)
+        self.keys.setdefault(value, place[0])
+        self.key = value
