@@ -10,7 +10,7 @@ from typing import Any
 
 from animtool.errors import Fault, OptionError
 
-__all__ = ["Config", "find_config"]
+__all__ = ["Config", "find_config", "project_roots"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,9 +19,12 @@ class Config:
 
     Attributes:
         start: Time code of the first frame, often 1001; None leaves it at 1.
+        roots: Folders that files of the project may refer into: the one that the
+            settings are in, and those they name.
     """
 
     start: Fraction | None = None
+    roots: tuple[Path, ...] = ()
 
 
 def find_config(path: Path) -> Config:
@@ -69,4 +72,18 @@ def _config(path: Path, table: Any) -> Config:
         raise OptionError(
             Fault("CFG003", f"start is {start!r}, not a whole number", str(path))
         )
-    return Config(None if start is None else Fraction(start))
+    roots = table.get("roots", [])
+    if not isinstance(roots, list) or not all(isinstance(r, str) for r in roots):
+        message = f"roots is {roots!r}, not a list of folders"
+        raise OptionError(Fault("CFG003", message, str(path)))
+    folders = (path.parent, *(path.parent / root for root in roots))
+    return Config(None if start is None else Fraction(start), folders)
+
+
+def project_roots(path: Path) -> tuple[Path, ...]:
+    """Return the folders that a file may refer into: its project's, else its own.
+
+    Raises:
+        OptionError: The settings file is malformed.
+    """
+    return find_config(path).roots or (path.resolve().parent,)

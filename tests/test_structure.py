@@ -17,9 +17,10 @@ PACKAGE = Path(animtool.__file__).parent
 LAYERS = [
     {"errors", "units", "rates", "output", "config", "prefetch", "_types", "_kernels"},
     {"maths"},
-    {"rig.skeleton"},
-    {"take"},
+    {"documents"},
     {"rig"},
+    {"take"},
+    {"clip"},
     {"formats"},
     {"usd"},
     {"edit"},

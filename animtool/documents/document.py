@@ -211,7 +211,7 @@ class _Reader:
         )
 
     def read(self, text: str) -> Any:
-        parser = cast("Any", yaml).CParser(text)
+        parser = cast("Any", yaml.CSafeLoader(text))
         root: list[Any] = []
         stack: list[_Open] = [_Open(root, None)]
         documents = 0

@@ -37,7 +37,7 @@ def _turned_rig(rig: Rig, turn: FloatArray, up: UpAxis) -> Rig:
             a, b, c, w = so3.multiply(turn, joint.rotation).tolist()
             joint = replace(joint, translation=(x, y, z), rotation=(a, b, c, w))  # noqa: PLW2901
         joints.append(joint)
-    return Rig(rig.name, tuple(joints), rig.meters_per_unit, up)
+    return replace(rig, joints=tuple(joints), up=up)
 
 
 def _turned(blocks: Iterator[Motion], rig: Rig, turn: FloatArray) -> Iterator[Motion]:

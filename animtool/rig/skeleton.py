@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
@@ -10,11 +10,20 @@ from functools import cached_property
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
+from animtool.rig.controls import Control
+from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.parts import (
+    Attachment,
+    Collider,
+    IkChain,
+    Mesh,
+    Shape,
+    Vector,
+)
 from animtool.units import UpAxis
 
-__all__ = ["Joint", "JointType", "Rig"]
+__all__ = ["Joint", "JointType", "Mimic", "Pose", "Rig"]
 
-Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 
@@ -26,6 +35,29 @@ class JointType(StrEnum):
     PIN = "pin"
     PRISMATIC = "prismatic"
     FIXED = "fixed"
+
+
+@dataclass(frozen=True, slots=True)
+class Mimic:
+    """A pin or prismatic joint's coordinate as ``gain`` · another's + ``offset``.
+
+    Attributes:
+        joint: Name of the pin or prismatic joint that it follows.
+        gain: In radians and metres of the two joints.
+        offset: [rad] or [m].
+    """
+
+    joint: str
+    gain: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """A local transform, parent space: translation [m], rotation (x, y, z, w)."""
+
+    translation: Vector
+    rotation: Quaternion
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +76,9 @@ class Joint:
             source has none of its own.
         tips: Ends of the joint's bone that carry no joint (BVH End Sites), in the
             joint's frame [m].
+        limits: How far it may go; None is any way.
+        mimic: The joint that it follows.
+        mirror: Name of its counterpart on the other side; empty for none.
     """
 
     name: str
@@ -55,6 +90,9 @@ class Joint:
     source_name: str = ""
     channels: tuple[str, ...] | None = None
     tips: tuple[Vector, ...] = ()
+    limits: RangeLimit | BallLimit | None = None
+    mimic: Mimic | None = None
+    mirror: str = ""
 
 
 @dataclass(frozen=True)
@@ -66,6 +104,13 @@ class Rig:
         joints: Parents before children, several roots allowed.
         meters_per_unit: Length unit of the source [m]; joints are in metres.
         up: The up axis of the source.
+        bind: Local transforms of the joints whose bind pose is not their rest.
+        meshes: Surfaces.
+        shapes: Blend shapes.
+        controls: What an animator holds.
+        ik: Chains that reach for goals.
+        attach: Joints that simulations move.
+        colliders: What simulations may not pass through.
 
     Raises:
         ValueError: A name stands twice, or a parent does not precede its child.
@@ -75,6 +120,13 @@ class Rig:
     joints: tuple[Joint, ...]
     meters_per_unit: float = 1.0
     up: UpAxis = UpAxis.Y
+    bind: Mapping[str, Pose] = field(default_factory=dict)
+    meshes: tuple[Mesh, ...] = ()
+    shapes: tuple[Shape, ...] = ()
+    controls: tuple[Control, ...] = ()
+    ik: tuple[IkChain, ...] = ()
+    attach: tuple[Attachment, ...] = ()
+    colliders: tuple[Collider, ...] = ()
     _index: dict[str, int] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

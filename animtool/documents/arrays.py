@@ -1,0 +1,92 @@
+"""References from a file to arrays in npz files: where they lead, what is there."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.lib import format as npy
+
+from animtool._types import FloatArray
+
+__all__ = ["ArrayHeader", "array_header", "load_array", "reference", "split_reference"]
+
+
+@dataclass(frozen=True, slots=True)
+class ArrayHeader:
+    """Shape of an array, and whether it holds floats or integers."""
+
+    shape: tuple[int, ...]
+    kind: str
+
+
+def split_reference(text: str, default: str) -> tuple[str, str]:
+    """Return file and array name of a reference.
+
+    >>> split_reference("face.npz#smile", "deltas"), split_reference("a.npz", "points")
+    (('face.npz', 'smile'), ('a.npz', 'points'))
+    """
+    name, _, key = text.partition("#")
+    return name, key or default
+
+
+def reference(folder: Path, roots: Sequence[Path], name: str) -> Path:
+    """Return the file that a name means, seen from a folder.
+
+    Raises:
+        ValueError: It leads out of the roots.
+    """
+    path = (folder / name).resolve()
+    if not any(path.is_relative_to(root.resolve()) for root in roots):
+        shown = ", ".join(str(root) for root in roots)
+        raise ValueError(f"{name!r} leads out of {shown}")
+    return path
+
+
+def array_header(path: Path, key: str) -> ArrayHeader:
+    """Return the header of an array, without its numbers.
+
+    Raises:
+        ValueError: There is no such file or array, or it holds Python objects.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = [name.removesuffix(".npy") for name in archive.namelist()]
+            if key not in names:
+                shown = ", ".join(names[:12]) or "nothing"
+                raise ValueError(f"{path.name} has no array {key!r}; it holds {shown}")
+            with archive.open(f"{key}.npy") as file:
+                version = npy.read_magic(file)
+                read = (
+                    npy.read_array_header_1_0
+                    if version == (1, 0)
+                    else npy.read_array_header_2_0
+                )
+                shape, _, dtype = read(file)
+    except (OSError, zipfile.BadZipFile, EOFError, NotImplementedError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ValueError(f"{path.name} cannot be read: {reason}") from error
+    if dtype.hasobject:
+        raise ValueError(f"{path.name}#{key} holds pickled Python objects")
+    if dtype.kind not in "fiub":
+        raise ValueError(f"{path.name}#{key} holds {dtype}, not numbers")
+    return ArrayHeader(tuple(shape), dtype.kind)
+
+
+def load_array(path: Path, key: str) -> FloatArray:
+    """Return an array as float64.
+
+    Raises:
+        ValueError: There is no such file or array, it holds Python objects, or a
+            value is not finite.
+    """
+    array_header(path, key)
+    with np.load(path, allow_pickle=False) as archive:
+        values: Any = np.asarray(archive[key], np.float64)
+    if not np.isfinite(values).all():
+        raise ValueError(f"{path.name}#{key} holds a value that is not finite")
+    return np.asarray(values)

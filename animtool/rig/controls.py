@@ -1,0 +1,150 @@
+"""Controls: named values that an animator holds, and what they drive."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.rig.expressions import Expression
+
+__all__ = [
+    "Control",
+    "ControlCycleError",
+    "Drive",
+    "DrivenValues",
+    "evaluate_controls",
+    "evaluation_order",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """What a control adds to one target.
+
+    Attributes:
+        target: ``shape/NAME``, ``control/NAME`` or ``joint/NAME.PART``, PART being
+            ``angle``, ``slide``, ``rotation.x|y|z`` (of a rotation vector) or
+            ``translation.x|y|z``.
+        expression: Of control names; None where there is a curve.
+        curve: Points (control value, target value), ascending, joined by straight
+            lines and held at the ends.
+        unit: What a value of 1 means: radians or metres of the file's unit, or 1.
+    """
+
+    target: str
+    expression: Expression | None = None
+    curve: tuple[tuple[float, float], ...] = ()
+    unit: float = 1.0
+
+    def evaluate(self, control: str, values: Mapping[str, FloatArray]) -> FloatArray:
+        """Return what it adds, given the values of all controls."""
+        if self.expression is not None:
+            return self.expression.evaluate(values) * self.unit
+        points = np.array(self.curve, np.float64)
+        return np.interp(values[control], points[:, 0], points[:, 1]) * self.unit
+
+
+@dataclass(frozen=True, slots=True)
+class Control:
+    """A named value.
+
+    Attributes:
+        name: A Python identifier, as expressions name it.
+        low: Least value that is meant; None is no limit.
+        high: Largest value that is meant.
+        default: Its value where nothing sets it.
+        drives: What it moves.
+    """
+
+    name: str
+    low: float | None = None
+    high: float | None = None
+    default: float = 0.0
+    drives: tuple[Drive, ...] = ()
+
+
+class ControlCycleError(ValueError):
+    """Controls drive each other in a circle.
+
+    Attributes:
+        cycle: Their names, the first one again at the end.
+    """
+
+    def __init__(self, cycle: list[str]) -> None:
+        self.cycle = cycle
+        super().__init__(" → ".join(cycle))
+
+
+def evaluation_order(controls: Sequence[Control]) -> list[str]:
+    """Return the controls' names, each behind those that its value depends on.
+
+    A control depends on those that drive it, and on all that their expressions read.
+
+    Raises:
+        ControlCycleError: They depend on each other in a circle.
+    """
+    needs: dict[str, dict[str, None]] = {control.name: {} for control in controls}
+    for control in controls:
+        for drive in control.drives:
+            kind, _, name = drive.target.partition("/")
+            if kind == "control" and name in needs:
+                needs[name] |= dict.fromkeys(_reads(control.name, drive))
+    try:
+        return list(TopologicalSorter(needs).static_order())
+    except CycleError as error:
+        raise ControlCycleError(list(error.args[1])) from error
+
+
+def _reads(control: str, drive: Drive) -> tuple[str, ...]:
+    return (control,) if drive.expression is None else drive.expression.names
+
+
+@dataclass(frozen=True, slots=True)
+class DrivenValues:
+    """What controls come to.
+
+    Attributes:
+        controls: Value of every control, ``(F,)`` or ``(1,)`` where it never moves.
+        targets: What is added to each joint part or shape, by target.
+    """
+
+    controls: dict[str, FloatArray]
+    targets: dict[str, FloatArray]
+
+
+def evaluate_controls(
+    controls: Sequence[Control], keyed: Mapping[str, FloatArray]
+) -> DrivenValues:
+    """Return the values of controls and what they add to joints and shapes.
+
+    A control is its keyed value, else its default, and what others add to it. What
+    several add to one target is summed, in the rig's order. Values out of range are
+    left as they are, and so are those that are not finite: the caller looks.
+
+    Args:
+        controls: The rig's.
+        keyed: Values ``(F,)`` of those that a clip animates.
+    """
+    values = {
+        control.name: np.asarray(keyed.get(control.name, [control.default]), np.float64)
+        for control in controls
+    }
+    by_name = {control.name: control for control in controls}
+    into: dict[str, list[tuple[str, Drive]]] = {}
+    for control in controls:
+        for drive in control.drives:
+            into.setdefault(drive.target, []).append((control.name, drive))
+    for name in evaluation_order(controls):
+        for driver, drive in into.pop(f"control/{name}", ()):
+            values[name] = values[name] + drive.evaluate(driver, values)
+    targets: dict[str, FloatArray] = {}
+    for target, drives in into.items():
+        total = np.zeros(1)
+        for driver, drive in drives:
+            total = total + drive.evaluate(driver, values)
+        targets[target] = total
+    return DrivenValues({name: values[name] for name in by_name}, targets)

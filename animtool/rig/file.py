@@ -1,0 +1,156 @@
+"""Reading a rig file, ``*.rig.yaml``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from animtool.config import project_roots
+from animtool.documents.arrays import reference
+from animtool.documents.check import check_version, nearest, validated
+from animtool.documents.document import Document, read_document
+from animtool.errors import AnimtoolError
+from animtool.rig.joint_entries import FileUnits, joints_of, quaternion
+from animtool.rig.part_entries import PartReader
+from animtool.rig.schema import RigModel
+from animtool.rig.skeleton import Joint, Pose, Rig
+from animtool.units import LengthUnit, UpAxis
+
+__all__ = ["load_rig", "rig_of_document"]
+
+RigReader = Callable[[Path], Rig]
+
+
+def load_rig(path: Path | str, reader: RigReader | None = None) -> Rig:
+    """Return the rig of a rig file.
+
+    Args:
+        path: The file.
+        reader: Opens the file that a sidecar's ``from`` names; None opens none.
+
+    Raises:
+        FormatError: With every fault of the file, each with line and column.
+        OptionError: The project's settings are malformed.
+    """
+    return rig_of_document(read_document(Path(path)), reader)
+
+
+def rig_of_document(document: Document, reader: RigReader | None = None) -> Rig:
+    """Return the rig of a document; see `load_rig`."""
+    check_version(document, "rig")
+    model = validated(document, RigModel)
+    roots = project_roots(document.path)
+    units = FileUnits(
+        LengthUnit(model.units.length).meters,
+        math.radians(1.0) if model.units.angle == "deg" else 1.0,
+    )
+    base = None
+    if model.source is not None:
+        base = _base(document, model.source, roots, reader)
+        document.check()
+    joints = joints_of(document, model.joints, units) if base is None else ()
+    if base is not None:
+        joints = _overlaid(document, model, base, units)
+    if not joints:
+        document.add("RIG004", (), "the rig has no joints")
+    by_name = {joint.name: joint for joint in joints}
+    parts = PartReader(document, model, units, by_name, roots)
+    meshes = parts.meshes()
+    shapes = parts.shapes()
+    inherited = base.shapes if base is not None else ()
+    rig = Rig(
+        model.name,
+        joints,
+        LengthUnit(model.units.length).meters if base is None else base.meters_per_unit,
+        UpAxis(model.up) if base is None else base.up,
+        _bind(document, model, by_name, units),
+        meshes or (base.meshes if base is not None else ()),
+        (*inherited, *shapes),
+        parts.controls(shape.name for shape in (*inherited, *shapes)),
+        parts.ik(),
+        parts.attach(),
+        parts.colliders(),
+    )
+    document.check()
+    return rig
+
+
+def _base(
+    document: Document, name: str, roots: tuple[Path, ...], reader: RigReader | None
+) -> Rig | None:
+    """Return the rig that a sidecar adds to."""
+    folder = document.path.resolve().parent
+    try:
+        path = reference(folder, roots, name)
+    except ValueError as error:
+        hint = "roots in animtool.toml allows more folders"
+        document.add("RIG021", ("from",), str(error), hint)
+        return None
+    if reader is None:
+        message = f"{name!r} is not read here"
+        document.add("RIG023", ("from",), message, "animtool.open_rig reads it")
+        return None
+    try:
+        return reader(path)
+    except AnimtoolError as error:
+        for fault in error.faults:
+            document.add("RIG023", ("from",), str(fault))
+        return None
+
+
+def _overlaid(
+    document: Document, model: RigModel, base: Rig, units: FileUnits
+) -> tuple[Joint, ...]:
+    """Return the joints of a base with the types and limits that a sidecar adds."""
+    names = {joint.source_name or joint.name: joint.name for joint in base.joints}
+    names |= {joint.name: joint.name for joint in base.joints}
+    for i, entry in enumerate(model.joints):
+        if entry.name not in names:
+            message = f"{entry.name!r} is no joint of {model.source}"
+            hint = nearest(entry.name, list(names))
+            document.add("RIG008", ("joints", i, "name"), message, hint)
+        for key in ("parent", "translate", "rotate", "tips", "channels"):
+            if key in entry.model_fields_set:
+                message = f"{key} comes from {model.source}"
+                document.add("RIG023", ("joints", i, key), message, "leave it out")
+    document.check()
+    # Alone, as roots: what they add does not depend on the tree.
+    alone = [entry.model_copy(update={"mirror": None}) for entry in model.joints]
+    added = {names[joint.name]: joint for joint in joints_of(document, alone, units)}
+    mirrors = {names[e.name]: e.mirror or "" for e in model.joints}
+    return tuple(
+        replace(
+            joint,
+            type=added[joint.name].type,
+            axis=added[joint.name].axis,
+            limits=added[joint.name].limits,
+            mimic=added[joint.name].mimic,
+            mirror=mirrors[joint.name],
+        )
+        if joint.name in added
+        else joint
+        for joint in base.joints
+    )
+
+
+def _bind(
+    document: Document, model: RigModel, joints: dict[str, Joint], units: FileUnits
+) -> dict[str, Pose]:
+    bind: dict[str, Pose] = {}
+    for name, pose in model.bind.items():
+        if name not in joints:
+            message = f"{name!r} is no joint"
+            document.add("RIG008", ("bind", name), message, nearest(name, list(joints)))
+            continue
+        rest = joints[name]
+        translation, rotation = rest.translation, rest.rotation
+        if pose.translate is not None:
+            x, y, z = (value * units.length for value in pose.translate)
+            translation = (x, y, z)
+        if pose.rotate is not None:
+            rotation = quaternion(document, ("bind", name, "rotate"), pose.rotate)
+        if (translation, rotation) != (rest.translation, rest.rotation):
+            bind[name] = Pose(translation, rotation)
+    return bind

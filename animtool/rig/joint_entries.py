@@ -1,0 +1,291 @@
+"""The joints of a rig file: a tree in any order, mirrored sides, limits, mimics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.documents.check import nearest
+from animtool.documents.document import Document, Location
+from animtool.maths import so3
+from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.mirror import mirrored_joint
+from animtool.rig.parts import Vector
+from animtool.rig.schema import (
+    BallJointModel,
+    BallLimitsModel,
+    JointModel,
+    PinJointModel,
+    PrismaticJointModel,
+)
+from animtool.rig.skeleton import Joint, JointType, Mimic
+
+__all__ = ["FileUnits", "joints_of", "quaternion", "unit_vector"]
+
+# Shorter, an axis or quaternion is a slip and not a direction.
+SHORTEST = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class FileUnits:
+    """What the numbers of a file count: metres a unit, radians a unit."""
+
+    length: float
+    angle: float
+
+    def of(self, joint_type: JointType) -> float:
+        """Return the unit of a pin's or prismatic joint's coordinate."""
+        return self.length if joint_type is JointType.PRISMATIC else self.angle
+
+
+@dataclass(slots=True)
+class _Entry:
+    """A joint to make: one that stands in the file, or the mirror image of one."""
+
+    index: int
+    source: str
+    parent: str | None
+    mirrored: bool = False
+
+
+@dataclass(slots=True)
+class _Tree:
+    """Joints made so far, parents first."""
+
+    made: list[Joint] = field(default_factory=list)
+    places: dict[str, int] = field(default_factory=dict)
+    world: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)
+
+
+def joints_of(
+    document: Document, models: list[JointModel], units: FileUnits
+) -> tuple[Joint, ...]:
+    """Return the joints of a file, parents before children; faults are noted."""
+    entries = _entries(document, models)
+    tree = _Tree()
+    for name in _parents_first(document, entries):
+        entry = entries[name]
+        parent = -1 if entry.parent is None else tree.places.get(entry.parent, -1)
+        origin = (np.zeros(3), so3.IDENTITY)
+        parent_world = tree.world[parent] if parent >= 0 else origin
+        if entry.mirrored:
+            source = tree.places[entry.source]
+            joint = mirrored_joint(
+                tree.made[source], tree.world[source], parent, parent_world
+            )
+        else:
+            joint = _joint(document, entry.index, models[entry.index], units, parent)
+        tree.places[name] = len(tree.made)
+        tree.made.append(joint)
+        position, rotation = parent_world
+        tree.world.append(
+            (
+                position + so3.rotate(rotation, joint.translation),
+                so3.multiply(rotation, joint.rotation),
+            )
+        )
+    return _with_mimics(document, models, entries, tree.made, units)
+
+
+def _entries(document: Document, models: list[JointModel]) -> dict[str, _Entry]:
+    entries: dict[str, _Entry] = {}
+    mirrors = {m.name: m.mirror for m in models if m.mirror is not None}
+    for i, model in enumerate(models):
+        if model.name in entries:
+            message = f"joint {model.name!r} stands twice"
+            first = document.place(("joints", entries[model.name].index))[0]
+            hint = f"first in line {first}"
+            document.add("RIG001", ("joints", i, "name"), message, hint)
+            continue
+        entries[model.name] = _Entry(i, model.name, model.parent)
+    for i, model in enumerate(models):
+        if model.mirror is None:
+            continue
+        if model.mirror in entries:
+            message = f"mirror {model.mirror!r} is a joint already"
+            hint = "mirror writes that joint; leave the other out"
+            document.add("RIG010", ("joints", i, "mirror"), message, hint)
+            continue
+        parent = model.parent
+        parent = mirrors.get(parent, parent) if parent is not None else None
+        entries[model.mirror] = _Entry(i, model.name, parent, mirrored=True)
+    for entry in list(entries.values()):
+        if entry.parent is not None and entry.parent not in entries:
+            message = f"parent {entry.parent!r} is no joint"
+            location = ("joints", entry.index, "parent")
+            if not entry.mirrored:
+                hint = nearest(entry.parent, list(entries))
+                document.add("RIG002", location, message, hint)
+            entry.parent = None
+    return entries
+
+
+def _parents_first(document: Document, entries: dict[str, _Entry]) -> Iterator[str]:
+    """Yield names in the file's order, but each behind its parent and its source."""
+    done: set[str] = set()
+    for start in entries:
+        trail: list[str] = []
+        name: str | None = start
+        pending = [start]
+        while pending:
+            name = pending[-1]
+            entry = entries[name]
+            needs = [entry.parent] if entry.parent is not None else []
+            needs += [entry.source] if entry.mirrored else []
+            missing = next((need for need in needs if need not in done), None)
+            if name in done or missing is None:
+                pending.pop()
+                if name not in done:
+                    done.add(name)
+                    yield name
+                continue
+            if missing in pending:
+                trail = [*pending[pending.index(missing) :], missing]
+                shown = " → ".join(reversed(trail))
+                message = f"joints are each other's parents: {shown}"
+                document.add("RIG003", ("joints", entry.index), message)
+                entry.parent = None
+                if entry.mirrored and missing == entry.source:
+                    pending.pop()
+                    done.add(name)
+                continue
+            pending.append(missing)
+
+
+def _joint(
+    document: Document, i: int, model: JointModel, units: FileUnits, parent: int
+) -> Joint:
+    at: Location = ("joints", i)
+    rotation = quaternion(document, (*at, "rotate"), model.rotate)
+    x, y, z = (value * units.length for value in model.translate)
+    tips = tuple(_scaled(tip, units.length) for tip in model.tips)
+    joint = Joint(
+        model.name,
+        parent,
+        JointType(model.type),
+        (x, y, z),
+        rotation,
+        channels=None if model.channels is None else tuple(model.channels),
+        tips=tips,
+        mirror=model.mirror or "",
+    )
+    if isinstance(model, PinJointModel | PrismaticJointModel):
+        axis = unit_vector(document, (*at, "axis"), model.axis)
+        limits = _range(document, (*at, "limits"), model.limits, units.of(joint.type))
+        joint = replace(joint, axis=axis, limits=limits)
+    elif isinstance(model, BallJointModel) and model.limits is not None:
+        limit = _ball_limit(document, (*at, "limits"), model.limits, units)
+        joint = replace(joint, limits=limit)
+    return joint
+
+
+def _scaled(values: list[float], unit: float) -> Vector:
+    x, y, z = (value * unit for value in values)
+    return (x, y, z)
+
+
+def _range(
+    document: Document, location: Location, pair: list[float] | None, unit: float
+) -> RangeLimit | None:
+    if pair is None:
+        return None
+    low, high = pair
+    if low > high:
+        message = f"the range from {low:g} to {high:g} is reversed"
+        document.add("RIG007", location, message, f"write [{high:g}, {low:g}]")
+    return RangeLimit(low * unit, high * unit)
+
+
+def _ball_limit(
+    document: Document, at: Location, model: BallLimitsModel, units: FileUnits
+) -> BallLimit:
+    swing = None
+    if model.swing is not None:
+        both = model.swing if isinstance(model.swing, list) else [model.swing] * 2
+        if not all(0 <= angle * units.angle <= np.pi for angle in both):
+            message = f"swing {model.swing} is not between 0 and half a turn"
+            document.add("RIG007", (*at, "swing"), message)
+        swing = (both[0] * units.angle, both[1] * units.angle)
+    twist = None
+    if model.twist == "locked":
+        twist = (0.0, 0.0)
+    elif isinstance(model.twist, list):
+        limit = _range(document, (*at, "twist"), model.twist, units.angle)
+        twist = None if limit is None else (limit.low, limit.high)
+    axis = unit_vector(document, (*at, "twist_axis"), model.twist_axis)
+    return BallLimit(swing, twist, axis)
+
+
+def _with_mimics(
+    document: Document,
+    models: list[JointModel],
+    entries: dict[str, _Entry],
+    joints: list[Joint],
+    units: FileUnits,
+) -> tuple[Joint, ...]:
+    """Return the joints with those that follow others, which must exist by now."""
+    by_name = {joint.name: i for i, joint in enumerate(joints)}
+    scalar = (JointType.PIN, JointType.PRISMATIC)
+    for name, entry in entries.items():
+        model = models[entry.index]
+        if not isinstance(model, PinJointModel | PrismaticJointModel) or not (
+            model.mimic and name in by_name
+        ):
+            continue
+        mimic, at = model.mimic, ("joints", entry.index, "mimic", "joint")
+        leader = by_name.get(mimic.joint)
+        if leader is None:
+            message = f"{mimic.joint!r} is no joint"
+            document.add("RIG008", at, message, nearest(mimic.joint, list(by_name)))
+            continue
+        if joints[leader].type not in scalar:
+            message = f"{mimic.joint!r} is a {joints[leader].type} joint"
+            document.add("RIG009", at, message, "a mimic follows a pin or prismatic")
+            continue
+        target = mimic.joint
+        if entry.mirrored:
+            target = joints[leader].mirror or target
+        own, other = units.of(JointType(model.type)), units.of(joints[leader].type)
+        followed = Mimic(target, mimic.gain * own / other, mimic.offset * own)
+        joints[by_name[name]] = replace(joints[by_name[name]], mimic=followed)
+    _refuse_chains(document, entries, joints)
+    return tuple(joints)
+
+
+def _refuse_chains(
+    document: Document, entries: dict[str, _Entry], joints: list[Joint]
+) -> None:
+    """Refuse a mimic of a mimic, and with it every circle of them."""
+    following = {joint.name for joint in joints if joint.mimic}
+    for joint in joints:
+        if joint.mimic and joint.mimic.joint in following:
+            entry = entries[joint.name]
+            if not entry.mirrored:
+                message = f"{joint.mimic.joint!r} follows another joint itself"
+                hint = "name the joint that is moved"
+                at = ("joints", entry.index, "mimic", "joint")
+                document.add("RIG009", at, message, hint)
+
+
+def quaternion(
+    document: Document, location: Location, values: list[float]
+) -> tuple[float, float, float, float]:
+    """Return the rotation (x, y, z, w) of [w, x, y, z] in a file, at unit length."""
+    w, x, y, z = values
+    if not np.linalg.norm(values) > SHORTEST:
+        document.add("RIG006", location, f"quaternion {values} has no length")
+    a, b, c, d = so3.normalize([x, y, z, w]).tolist()
+    return (a, b, c, d)
+
+
+def unit_vector(document: Document, location: Location, values: list[float]) -> Vector:
+    """Return a direction at unit length."""
+    length = float(np.linalg.norm(values))
+    if not SHORTEST < length < 1 / SHORTEST:
+        document.add("RIG005", location, f"axis {values} gives no direction")
+        return (0.0, 0.0, 1.0)
+    x, y, z = (value / length for value in values)
+    return (x, y, z)

@@ -1,0 +1,109 @@
+"""How far a joint may go."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import ArrayLike, FloatArray
+from animtool.maths import so3
+
+__all__ = ["BallLimit", "RangeLimit", "swing_twist"]
+
+
+@dataclass(frozen=True, slots=True)
+class RangeLimit:
+    """Least and largest coordinate of a pin [rad] or prismatic joint [m]."""
+
+    low: float
+    high: float
+
+    def excess(self, coordinate: FloatArray) -> FloatArray:
+        """Return how far coordinates ``(F,)`` lie outside, signed; 0 within."""
+        return coordinate - self.clamped(coordinate)
+
+    def clamped(self, coordinate: FloatArray) -> FloatArray:
+        """Return coordinates ``(F,)`` brought inside."""
+        return np.clip(coordinate, self.low, self.high)
+
+
+@dataclass(frozen=True, slots=True)
+class BallLimit:
+    """Cone and twist of a ball joint, whose motion is swing · twist.
+
+    Attributes:
+        swing: Half-angles of the cone [rad] about the two axes that follow the twist
+            axis in the cycle x, y, z; None is no limit.
+        twist: Least and largest turn about the axis [rad]; None is no limit, and
+            (0, 0) the joint of two degrees of freedom that cannot twist.
+        twist_axis: Unit axis in the joint's rest frame, along the bone as a rule.
+    """
+
+    swing: tuple[float, float] | None = None
+    twist: tuple[float, float] | None = None
+    twist_axis: tuple[float, float, float] = (0.0, 1.0, 0.0)
+
+    def excess(self, rotations: FloatArray) -> FloatArray:
+        """Return the angle between rotations ``(F, 4)`` and the limits [rad]."""
+        return so3.angle_between(rotations, self.clamped(rotations))
+
+    def clamped(self, rotations: FloatArray) -> FloatArray:
+        """Return rotations ``(F, 4)`` with swing and twist brought inside.
+
+        The swing is shortened along its own direction until it lies on the ellipse.
+        """
+        swing, twist = swing_twist(rotations, self.twist_axis)
+        if self.twist is not None:
+            twist = np.clip(twist, *self.twist)
+        if self.swing is not None:
+            across = so3.log(swing)
+            parts = across @ _across(self.twist_axis).T
+            wide = np.maximum(self.swing, SMALLEST_CONE)
+            reach = np.linalg.norm(parts / wide, axis=-1, keepdims=True)
+            swing = so3.exp(across / np.maximum(reach, 1.0))
+        inside = so3.multiply(swing, so3.from_axis_angle(self.twist_axis, twist))
+        within = so3.angle_between(inside, rotations) < LIMIT_TOLERANCE
+        return np.where(within[:, None], rotations, inside)
+
+
+# A cone of no width is a line that rounding always misses [rad].
+SMALLEST_CONE = 1e-12
+# Rotations that differ by less are the same but for rounding [rad].
+LIMIT_TOLERANCE = 1e-9
+
+
+def swing_twist(
+    rotations: ArrayLike, axis: tuple[float, float, float]
+) -> tuple[FloatArray, FloatArray]:
+    """Split rotations ``(F, 4)`` into swing ``(F, 4)`` and twist ``(F,)`` [rad].
+
+    ``q = swing · twist``, the twist about the axis, in [-π, π], the swing about an
+    axis at right angles to it. A swing of half a turn leaves the twist open: 0.
+
+    >>> swing, twist = swing_twist([[0.0, 1.0, 0.0, 0.0]], (0, 1, 0))
+    >>> float(twist[0].round(9)), swing.round(9).tolist()
+    (3.141592654, [[0.0, 0.0, 0.0, 1.0]])
+    """
+    q = np.asarray(rotations, np.float64)
+    along = q[:, :3] @ np.asarray(axis, np.float64)
+    w = q[:, 3]
+    open_twist = np.hypot(along, w) < LIMIT_TOLERANCE
+    half = np.where(open_twist, 0.0, np.arctan2(along, w))
+    twist = 2 * half
+    twist = np.where(twist > np.pi, twist - 2 * np.pi, twist)
+    twist = np.where(twist < -np.pi, twist + 2 * np.pi, twist)
+    undo = so3.from_axis_angle(axis, -twist)
+    swing = so3.multiply(q, undo)
+    return np.where(swing[:, 3:] < 0, -swing, swing), twist
+
+
+def _across(axis: tuple[float, float, float]) -> FloatArray:
+    """Return the two unit axes at right angles to a twist axis ``(2, 3)``."""
+    direction = np.asarray(axis, np.float64)
+    near = int(np.argmax(np.abs(direction)))
+    basis = np.eye(3)
+    first = basis[(near + 1) % 3]
+    first = first - (first @ direction) * direction
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(direction, first)])

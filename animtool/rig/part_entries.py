@@ -1,0 +1,347 @@
+"""The rest of a rig file: meshes, shapes, controls, chains, attachments, colliders."""
+
+from __future__ import annotations
+
+import keyword
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from animtool.documents.arrays import array_header, reference, split_reference
+from animtool.documents.check import nearest
+from animtool.documents.document import Document, Location
+from animtool.rig.controls import (
+    Control,
+    ControlCycleError,
+    Drive,
+    evaluation_order,
+)
+from animtool.rig.expressions import FUNCTIONS, Expression, parse_expression
+from animtool.rig.joint_entries import FileUnits, unit_vector
+from animtool.rig.parts import (
+    ArrayRef,
+    Attachment,
+    Capsule,
+    Collider,
+    IkChain,
+    Inbetween,
+    Mesh,
+    Shape,
+    Skin,
+)
+from animtool.rig.schema import ControlModel, DriveModel, MeshModel, RigModel
+from animtool.rig.skeleton import Joint
+from animtool.rig.targets import DRIVEN_PARTS, split_part
+
+__all__ = ["PartReader"]
+
+
+@dataclass(slots=True)
+class PartReader:
+    """Makes the parts of a rig of its file; faults are noted in the document.
+
+    Attributes:
+        document: The file.
+        model: Its content.
+        units: What its numbers count.
+        joints: The rig's joints, by name.
+        roots: Folders that references may lead into.
+        vertices: Number of points of each mesh, as far as known.
+    """
+
+    document: Document
+    model: RigModel
+    units: FileUnits
+    joints: dict[str, Joint]
+    roots: Sequence[Path]
+    vertices: dict[str, int] = field(default_factory=dict)
+
+    def meshes(self) -> tuple[Mesh, ...]:
+        """Return the meshes, their arrays looked at."""
+        self._distinct("meshes", "mesh")
+        return tuple(
+            self._mesh(("meshes", i), mesh) for i, mesh in enumerate(self.model.meshes)
+        )
+
+    def shapes(self) -> tuple[Shape, ...]:
+        """Return the blend shapes, their arrays looked at."""
+        self._distinct("shapes", "shape")
+        names = [shape.name for shape in self.model.shapes]
+        meshes = [mesh.name for mesh in self.model.meshes]
+        made = []
+        for i, shape in enumerate(self.model.shapes):
+            at = ("shapes", i)
+            if shape.mesh is not None:
+                self._known((*at, "mesh"), shape.mesh, meshes, "mesh")
+            rows = (self.vertices.get(shape.mesh or ""), 3)
+            for k, name in enumerate(shape.combine):
+                self._known((*at, "combine", k), name, names, "shape")
+            between: list[Inbetween] = []
+            for k, step in enumerate(shape.inbetweens):
+                spot = (*at, "inbetweens", k)
+                if not 0 < step.at < 1 or (between and step.at <= between[-1].at):
+                    message = f"inbetween weight {step.at:g} is out of place"
+                    hint = "weights ascend between 0 and 1"
+                    self.document.add("RIG024", (*spot, "at"), message, hint)
+                ref = self._array((*spot, "deltas"), step.deltas, "deltas", rows)
+                between.append(Inbetween(step.at, ref))
+            made.append(
+                Shape(
+                    shape.name,
+                    shape.mesh or "",
+                    self._maybe((*at, "deltas"), shape.deltas, "deltas", rows),
+                    self._maybe((*at, "normals"), shape.normals, "normals", rows),
+                    tuple(between),
+                    tuple(shape.combine),
+                )
+            )
+        return tuple(made)
+
+    def controls(self, shapes: Iterable[str]) -> tuple[Control, ...]:
+        """Return the controls, what they drive and read known, without circles."""
+        self._distinct("controls", "control")
+        known = list(shapes)
+        made = tuple(
+            self._control(("controls", i), control, known)
+            for i, control in enumerate(self.model.controls)
+        )
+        try:
+            evaluation_order(made)
+        except ControlCycleError as error:
+            names = [control.name for control in made]
+            at = ("controls", names.index(error.cycle[0]))
+            message = f"controls drive each other in a circle: {error}"
+            self.document.add("RIG014", at, message)
+        return made
+
+    def ik(self) -> tuple[IkChain, ...]:
+        """Return the chains, each tip below its root."""
+        self._distinct("ik", "chain")
+        made = []
+        for i, chain in enumerate(self.model.ik):
+            at = ("ik", i)
+            known = [
+                self._known((*at, key), getattr(chain, key), self.joints, "joint")
+                for key in ("root", "tip")
+            ]
+            if all(known) and not self._below(chain.root, chain.tip):
+                message = f"{chain.tip!r} is not below {chain.root!r}"
+                self.document.add("RIG022", (*at, "tip"), message)
+            pole = None
+            if chain.pole_dir is not None:
+                pole = unit_vector(self.document, (*at, "pole_dir"), chain.pole_dir)
+            made.append(
+                IkChain(
+                    chain.name, chain.root, chain.tip, chain.goal, pole, chain.stretch
+                )
+            )
+        return tuple(made)
+
+    def attach(self) -> tuple[Attachment, ...]:
+        """Return the attachments."""
+        self._distinct("attach", "attachment")
+        made = []
+        for i, entry in enumerate(self.model.attach):
+            for k, name in enumerate(entry.joints):
+                self._known(("attach", i, "joints", k), name, self.joints, "joint")
+            made.append(Attachment(entry.name, entry.kind, tuple(entry.joints)))
+        return tuple(made)
+
+    def colliders(self) -> tuple[Collider, ...]:
+        """Return the colliders."""
+        made = []
+        for i, entry in enumerate(self.model.colliders):
+            at = ("colliders", i)
+            self._known((*at, "joint"), entry.joint, self.joints, "joint")
+            axis = unit_vector(
+                self.document, (*at, "capsule", "axis"), entry.capsule.axis
+            )
+            length = self.units.length
+            capsule = Capsule(
+                entry.capsule.radius * length, entry.capsule.length * length, axis
+            )
+            made.append(Collider(entry.joint, capsule))
+        return tuple(made)
+
+    def _mesh(self, at: Location, mesh: MeshModel) -> Mesh:
+        points = self._array((*at, "points"), mesh.points, "points", (None, 3))
+        count = self.vertices.get(mesh.name)
+        count = self._rows(points) if count is None else count
+        if count is not None:
+            self.vertices[mesh.name] = count
+        skin = None
+        if mesh.skin is not None:
+            spot = (*at, "skin")
+            for k, name in enumerate(mesh.skin.joints):
+                self._known((*spot, "joints", k), name, self.joints, "joint")
+            rows = (count, None)
+            skin = Skin(
+                mesh.skin.method,
+                tuple(mesh.skin.joints),
+                self._array((*spot, "indices"), mesh.skin.indices, "indices", rows),
+                self._array((*spot, "weights"), mesh.skin.weights, "weights", rows),
+            )
+        return Mesh(
+            mesh.name,
+            points,
+            self._array((*at, "faces"), mesh.faces, "faces", (None, None)),
+            self._maybe((*at, "normals"), mesh.normals, "normals", (count, 3)),
+            None if mesh.geom_bind is None else tuple(mesh.geom_bind),
+            skin,
+        )
+
+    def _rows(self, ref: ArrayRef) -> int | None:
+        try:
+            shape = array_header(ref.path, ref.key).shape
+        except ValueError:
+            return None
+        return shape[0] if shape else None
+
+    def _maybe(
+        self, at: Location, text: str | None, key: str, shape: tuple[int | None, ...]
+    ) -> ArrayRef | None:
+        return None if text is None else self._array(at, text, key, shape)
+
+    def _array(
+        self, at: Location, text: str, key: str, shape: tuple[int | None, ...]
+    ) -> ArrayRef:
+        """Return a reference, and note what is wrong with where it leads."""
+        name, key = split_reference(text, key)
+        folder = self.document.path.resolve().parent
+        try:
+            path = reference(folder, self.roots, name)
+        except ValueError as error:
+            hint = "roots in animtool.toml allows more folders"
+            self.document.add("RIG021", at, str(error), hint)
+            return ArrayRef(text, folder, key)
+        try:
+            header = array_header(path, key)
+        except ValueError as error:
+            code = "RIG020" if "pickled" in str(error) else "RIG018"
+            self.document.add(code, at, str(error))
+            return ArrayRef(text, path, key)
+        fits = len(header.shape) == len(shape) and all(
+            want is None or want == got
+            for want, got in zip(shape, header.shape, strict=True)
+        )
+        if not fits:
+            wanted = ", ".join("any" if n is None else str(n) for n in shape)
+            message = f"{text!r} has shape {header.shape}, not ({wanted})"
+            self.document.add("RIG019", at, message)
+        if key in {"faces", "indices"} and header.kind == "f":
+            self.document.add("RIG019", at, f"{text!r} holds floats, not whole numbers")
+        return ArrayRef(text, path, key)
+
+    def _control(self, at: Location, model: ControlModel, shapes: list[str]) -> Control:
+        name = model.name
+        taken = name in FUNCTIONS or name == "pi" or keyword.iskeyword(name)
+        if not name.isidentifier() or taken:
+            message = f"{name!r} cannot name a control in an expression"
+            hint = "letters, digits and underscores, no word of Python, no function"
+            self.document.add("RIG025", (*at, "name"), message, hint)
+        low, high = model.range or (None, None)
+        if low is not None and high is not None:
+            if low > high:
+                message = f"the range from {low:g} to {high:g} is reversed"
+                hint = f"write [{high:g}, {low:g}]"
+                self.document.add("RIG017", (*at, "range"), message, hint)
+            elif not low <= model.default <= high:
+                message = f"default {model.default:g} is not in {low:g} to {high:g}"
+                self.document.add("RIG017", (*at, "default"), message)
+        drives = (
+            self._drive((*at, "drives", k), drive, shapes)
+            for k, drive in enumerate(model.drives)
+        )
+        return Control(name, low, high, model.default, tuple(filter(None, drives)))
+
+    def _drive(
+        self, at: Location, model: DriveModel, shapes: list[str]
+    ) -> Drive | None:
+        given = [
+            k for k in ("shape", "joint", "control") if getattr(model, k) is not None
+        ]
+        if len(given) != 1:
+            message = f"drives {' and '.join(given) or 'nothing'}"
+            self.document.add("RIG015", at, message, "one of shape, joint, control")
+            return None
+        if (model.expr is None) == (model.curve is None):
+            message = (
+                "has both expr and curve" if model.expr else "has no expr or curve"
+            )
+            self.document.add("RIG015", at, message, "one of them says by how much")
+            return None
+        target, unit = self._target((*at, given[0]), given[0], model, shapes)
+        if model.expr is not None:
+            expression = self._expression((*at, "expr"), model.expr)
+            return Drive(target, expression, (), unit) if expression else None
+        points = tuple((x, y) for x, y in model.curve or ())
+        for k in range(1, len(points)):
+            if points[k][0] <= points[k - 1][0]:
+                message = f"{points[k][0]:g} does not follow {points[k - 1][0]:g}"
+                hint = "control values ascend"
+                self.document.add("RIG016", (*at, "curve", k), message, hint)
+        return Drive(target, None, points, unit)
+
+    def _expression(self, at: Location, text: str) -> Expression | None:
+        try:
+            expression = parse_expression(text)
+        except ValueError as error:
+            self.document.add("RIG013", at, str(error))
+            return None
+        names = [control.name for control in self.model.controls]
+        for name in expression.names:
+            self._known(at, name, names, "control")
+        return expression
+
+    def _target(
+        self, at: Location, kind: str, model: DriveModel, shapes: list[str]
+    ) -> tuple[str, float]:
+        name = str(getattr(model, kind))
+        if kind != "joint":
+            names = [control.name for control in self.model.controls]
+            self._known(at, name, shapes if kind == "shape" else names, kind)
+            return f"{kind}/{name}", 1.0
+        joint, part = split_part(name, DRIVEN_PARTS)
+        if not part:
+            message = f"{name!r} names no part of a joint"
+            hint = f"a joint's name and one of .{', .'.join(DRIVEN_PARTS)}"
+            self.document.add("RIG015", at, message, hint)
+        elif self._known(at, joint, self.joints, "joint"):
+            types = DRIVEN_PARTS[part]
+            if self.joints[joint].type not in types:
+                fitting = [
+                    p for p, t in DRIVEN_PARTS.items() if self.joints[joint].type in t
+                ]
+                message = f"a {self.joints[joint].type} joint has no {part}"
+                hint = f"it has {', '.join(fitting) or 'nothing that moves'}"
+                self.document.add("RIG015", at, message, hint)
+        length = part == "slide" or part.startswith("translation")
+        unit = self.units.length if length else self.units.angle
+        return f"joint/{name}", unit
+
+    def _distinct(self, key: str, kind: str) -> None:
+        seen: dict[str, int] = {}
+        for i, entry in enumerate(getattr(self.model, key)):
+            if entry.name in seen:
+                line = self.document.place((key, seen[entry.name]))[0]
+                message = f"{kind} {entry.name!r} stands twice"
+                hint = f"first in line {line}"
+                self.document.add("RIG011", (key, i, "name"), message, hint)
+            seen.setdefault(entry.name, i)
+
+    def _known(self, at: Location, name: str, names: Iterable[Any], kind: str) -> bool:
+        names = list(names)
+        if name in names:
+            return True
+        code = "RIG008" if kind == "joint" else "RIG012"
+        self.document.add(code, at, f"{name!r} is no {kind}", nearest(name, names))
+        return False
+
+    def _below(self, root: str, tip: str) -> bool:
+        """Return whether a joint is below another, or is it."""
+        joints = list(self.joints.values())
+        place = next(i for i, joint in enumerate(joints) if joint.name == tip)
+        while place >= 0 and joints[place].name != root:
+            place = joints[place].parent
+        return place >= 0
