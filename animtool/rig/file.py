@@ -72,6 +72,7 @@ def rig_of_document(document: Document, reader: RigReader | None = None) -> Rig:
         parts.ik(),
         parts.attach(),
         parts.colliders(),
+        units.angle,
     )
     document.check()
     return rig

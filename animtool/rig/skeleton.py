@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -111,6 +112,7 @@ class Rig:
         ik: Chains that reach for goals.
         attach: Joints that simulations move.
         colliders: What simulations may not pass through.
+        radians_per_unit: Angle unit of the source [rad]; inside they are radians.
 
     Raises:
         ValueError: A name stands twice, or a parent does not precede its child.
@@ -127,6 +129,7 @@ class Rig:
     ik: tuple[IkChain, ...] = ()
     attach: tuple[Attachment, ...] = ()
     colliders: tuple[Collider, ...] = ()
+    radians_per_unit: float = math.radians(1.0)
     _index: dict[str, int] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

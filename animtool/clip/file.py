@@ -1,0 +1,316 @@
+"""Reading a clip file, ``*.clip.yaml``."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.clip.clip import (
+    Clip,
+    ClipChannel,
+    Interp,
+    Parametrization,
+    Tangent,
+)
+from animtool.clip.schema import ChannelModel, ClipModel, KeyModel
+from animtool.config import project_roots
+from animtool.documents.arrays import reference
+from animtool.documents.check import check_version, nearest, validated
+from animtool.documents.document import Document, Location, read_document
+from animtool.maths import so3
+from animtool.maths.extrapolation import Extrapolation
+from animtool.rates import parse_rate
+from animtool.rig.skeleton import Rig
+from animtool.rig.targets import KEYED_PARTS, split_part
+from animtool.units import LengthUnit
+
+__all__ = ["ClipFile", "load_clip", "open_clip"]
+
+_ROTATING = frozenset({Interp.STEP, Interp.SLERP, Interp.SQUAD, Interp.SPLINE})
+_SCALAR = frozenset(Interp) - {Interp.SLERP, Interp.SQUAD, Interp.SPLINE}
+# Beyond, frames are no longer exact in float64 with fractions of a thousandth.
+FARTHEST_FRAME = 1e9
+# Shorter, a quaternion is a slip and not a rotation.
+SHORTEST = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class ClipFile:
+    """A clip file, checked as far as it can be without its rig.
+
+    Attributes:
+        document: Its text, with places.
+        model: Its content.
+        rig: The rig file that it names, resolved; None where it names none.
+    """
+
+    document: Document
+    model: ClipModel
+    rig: Path | None
+
+
+def open_clip(path: Path | str) -> ClipFile:
+    """Read a clip file; `load_clip` puts it on its rig.
+
+    Raises:
+        FormatError: With every fault of its keys, types and values.
+    """
+    document = read_document(Path(path))
+    check_version(document, "clip")
+    model = validated(document, ClipModel)
+    rig = None
+    if model.rig is not None:
+        folder = document.path.resolve().parent
+        try:
+            rig = reference(folder, project_roots(document.path), model.rig)
+        except ValueError as error:
+            hint = "roots in animtool.toml allows more folders"
+            document.add("CLIP012", ("rig",), str(error), hint)
+            document.check()
+    return ClipFile(document, model, rig)
+
+
+def load_clip(file: ClipFile, rig: Rig) -> Clip:
+    """Return the clip of a file, for a rig.
+
+    Args:
+        file: Its content.
+        rig: Whose controls, shapes and joints its targets are.
+
+    Raises:
+        FormatError: With every fault: unknown targets, keys out of order, handles
+            that point backwards, values of the wrong width.
+    """
+    return _ClipReader(file.document, file.model, rig).clip()
+
+
+class _ClipReader:
+    def __init__(self, document: Document, model: ClipModel, rig: Rig) -> None:
+        self.document, self.model, self.rig = document, model, rig
+        length = model.units.length
+        self.length = LengthUnit(length).meters if length else rig.meters_per_unit
+        angles = {"rad": 1.0, "deg": math.radians(1.0), None: rig.radians_per_unit}
+        self.angle = angles[model.units.angle]
+
+    def clip(self) -> Clip:
+        fps = self._fps()
+        seen: dict[str, int] = {}
+        channels = []
+        for i, model in enumerate(self.model.channels):
+            at = ("channels", i)
+            self._once((*at, "target"), model.target, seen, i)
+            made = self._channel(at, model)
+            if made is not None:
+                channels.append(made)
+        if not self.model.channels:
+            self.document.add("CLIP013", (), "the clip has no channels")
+        first, last = self._range(channels)
+        self.document.check()
+        name = self.model.name or self.document.path.name.partition(".")[0]
+        return Clip(name, fps, first, last, tuple(channels))
+
+    def _fps(self) -> Fraction:
+        try:
+            given = self.model.fps
+            return parse_rate(given if isinstance(given, str) else f"{given:.12g}")
+        except ValueError as error:
+            self.document.add("CLIP008", ("fps",), str(error))
+            return Fraction(24)
+
+    def _range(self, channels: list[ClipChannel]) -> tuple[Fraction, Fraction]:
+        if self.model.range is None:
+            ends = [t for c in channels for t in (c.times[0], c.times[-1])] or [1.0]
+            return Fraction(min(ends)), Fraction(max(ends))
+        first, last = self.model.range
+        if first > last:
+            message = f"the range from {first:g} to {last:g} is reversed"
+            hint = f"write [{last:g}, {first:g}]"
+            self.document.add("CLIP006", ("range",), message, hint)
+        if max(abs(first), abs(last)) > FARTHEST_FRAME:
+            message = f"a frame is beyond {FARTHEST_FRAME:.0e}"
+            self.document.add("CLIP006", ("range",), message)
+        return Fraction(first), Fraction(last)
+
+    def _once(self, at: Location, target: str, seen: dict[str, int], i: int) -> None:
+        """Refuse a target twice, or motion and its replacement on one joint."""
+        claim = target.replace(".local_translation", ".translation")
+        claim = claim.replace(".local_rotation", ".rotation")
+        if claim in seen:
+            other = self.model.channels[seen[claim]].target
+            line = self.document.place(("channels", seen[claim]))[0]
+            what = "stands twice" if other == target else f"and {other!r} are the same"
+            hint = f"the other in line {line}"
+            self.document.add("CLIP010", at, f"target {target!r} {what}", hint)
+        seen.setdefault(claim, i)
+
+    def _channel(self, at: Location, model: ChannelModel) -> ClipChannel | None:
+        kind = self._kind((*at, "target"), model.target)
+        if kind is None:
+            return None
+        width, unit = self._shape(kind, model)
+        turning = kind == "rotation" and model.euler is None
+        if model.euler is not None and kind != "rotation":
+            message = f"{model.target!r} is no rotation"
+            self.document.add("CLIP009", (*at, "euler"), message, "leave euler out")
+        usual = Interp.SPLINE if turning else Interp.BEZIER
+        interps = tuple(Interp(k.interp or model.interp or usual) for k in model.keys)
+        self._check_interps(at, model, _ROTATING if turning else _SCALAR)
+        times = np.array([key.t for key in model.keys])
+        self._check_times(at, times)
+        values = self._values(at, model, width)
+        if values is None:
+            return None
+        handles = [self._handle((*at, "keys", k), key, model, width, unit)
+                   for k, key in enumerate(model.keys)]  # fmt: skip
+        return ClipChannel(
+            model.target,
+            times,
+            _quaternions(self.document, at, values) if turning else values * unit,
+            interps,
+            tuple((before, behind) for before, _, behind, _ in handles),
+            np.array([handle for _, handle, _, _ in handles]),
+            np.array([handle for *_, handle in handles]),
+            np.array([key.tcb or [0.0, 0.0, 0.0] for key in model.keys]),
+            Parametrization(model.parametrization),
+            model.euler or "",
+            Extrapolation(model.pre),
+            Extrapolation(model.post),
+        )
+
+    def _kind(self, at: Location, target: str) -> str | None:
+        """Return what a target is: control, shape, angle, slide, vector, rotation."""
+        group, _, name = target.partition("/")
+        if group in {"control", "shape"} and name:
+            things = self.rig.controls if group == "control" else self.rig.shapes
+            names = [thing.name for thing in things]
+            if name not in names:
+                hint = nearest(name, names)
+                self.document.add("CLIP002", at, f"{name!r} is no {group}", hint)
+                return None
+            return group
+        if group != "joint" or not name:
+            message = f"{target!r} is no target"
+            hint = "control/NAME, shape/NAME or joint/NAME.PART"
+            self.document.add("CLIP001", at, message, hint)
+            return None
+        return self._joint_kind(at, name)
+
+    def _joint_kind(self, at: Location, name: str) -> str | None:
+        joint, part = split_part(name, KEYED_PARTS)
+        names = self.rig.names
+        if not part:
+            message = f"{name!r} names no part of a joint"
+            hint = f"a joint's name and one of .{', .'.join(KEYED_PARTS)}"
+            self.document.add("CLIP001", at, message, hint)
+            return None
+        if joint not in names:
+            hint = nearest(joint, names)
+            self.document.add("CLIP002", at, f"{joint!r} is no joint", hint)
+            return None
+        found = self.rig.joints[self.rig.index(joint)]
+        if found.type not in KEYED_PARTS[part]:
+            fitting = [p for p, types in KEYED_PARTS.items() if found.type in types]
+            message = f"a {found.type} joint has no {part}"
+            hint = f"it has {', '.join(fitting)}"
+            self.document.add("CLIP003", at, message, hint)
+            return None
+        if found.mimic is not None and part in {"angle", "slide"}:
+            message = f"{joint!r} follows {found.mimic.joint!r}"
+            self.document.add("CLIP003", at, message, "key that joint")
+            return None
+        return {"angle": "angle", "slide": "slide", "scale": "scale"}.get(
+            part, "rotation" if part.endswith("rotation") else "translation"
+        )
+
+    def _shape(self, kind: str, model: ChannelModel) -> tuple[int, float]:
+        """Return the number of components and what 1 means."""
+        if kind == "rotation":
+            return (4, 1.0) if model.euler is None else (3, self.angle)
+        return {
+            "angle": (1, self.angle),
+            "slide": (1, self.length),
+            "translation": (3, self.length),
+            "scale": (3, 1.0),
+        }.get(kind, (1, 1.0))
+
+    def _check_interps(
+        self, at: Location, model: ChannelModel, allowed: frozenset[Interp]
+    ) -> None:
+        places: list[tuple[Location, str | None]] = [((*at, "interp"), model.interp)]
+        places += [
+            ((*at, "keys", k, "interp"), key.interp) for k, key in enumerate(model.keys)
+        ]
+        for place, name in places:
+            if name is not None and Interp(name) not in allowed:
+                hint = f"allowed: {', '.join(sorted(allowed))}"
+                message = f"{name} does not fit {model.target!r}"
+                self.document.add("CLIP009", place, message, hint)
+
+    def _check_times(self, at: Location, times: FloatArray) -> None:
+        for k in np.flatnonzero(np.abs(times) > FARTHEST_FRAME).tolist():
+            message = f"frame {times[k]:g} is beyond {FARTHEST_FRAME:.0e}"
+            self.document.add("CLIP004", (*at, "keys", k, "t"), message)
+        for k in (np.flatnonzero(np.diff(times) <= 0) + 1).tolist():
+            same = times[k] == times[k - 1]
+            what = "stands twice" if same else f"stands behind {times[k - 1]:g}"
+            place = (*at, "keys", k, "t")
+            hint = "key times ascend"
+            self.document.add("CLIP004", place, f"frame {times[k]:g} {what}", hint)
+
+    def _values(
+        self, at: Location, model: ChannelModel, width: int
+    ) -> FloatArray | None:
+        rows = []
+        for k, key in enumerate(model.keys):
+            row = key.v if isinstance(key.v, list) else [key.v]
+            if width == 3 and len(row) == 1 and model.target.endswith(".scale"):
+                row = row * 3
+            if len(row) != width:
+                place = (*at, "keys", k, "v")
+                message = f"{len(row)} numbers where {width} are wanted"
+                self.document.add("CLIP007", place, message)
+                return None
+            rows.append(row)
+        return np.array(rows, np.float64)
+
+    def _handle(
+        self, at: Location, key: KeyModel, model: ChannelModel, width: int, unit: float
+    ) -> tuple[Tangent, list[float], Tangent, list[float]]:
+        """Return tangent and handle before a key, and behind it."""
+        found: list[tuple[Tangent, list[float]]] = []
+        for name, given, sign in (("in", key.in_, -1), ("out", key.out, 1)):
+            none = [0.0] * (1 + width)
+            if given is None or isinstance(given, str):
+                found.append((Tangent(given or model.tangents), none))
+                continue
+            dt, dv = given
+            values = dv if isinstance(dv, list) else [dv]
+            if width == 3 and len(values) == 1 and model.target.endswith(".scale"):
+                values = values * 3
+            if isinstance(dt, list) or len(values) != width:
+                message = f"the handle is not a time and {width} values"
+                self.document.add("CLIP007", (*at, name), message)
+                found.append((Tangent.FREE, none))
+                continue
+            if dt * sign < 0:
+                where = "before" if sign < 0 else "behind"
+                message = f"the handle's time {dt:g} points backwards"
+                hint = f"'{name}' lies {where} its key"
+                self.document.add("CLIP005", (*at, name), message, hint)
+            found.append((Tangent.FREE, [dt, *(value * unit for value in values)]))
+        (before, first), (behind, second) = found
+        return before, first, behind, second
+
+
+def _quaternions(document: Document, at: Location, values: FloatArray) -> FloatArray:
+    """Return unit (x, y, z, w) of [w, x, y, z]."""
+    lengths = np.linalg.norm(values, axis=1)
+    for k in np.flatnonzero(~(lengths > SHORTEST)).tolist():
+        message = f"quaternion {values[k].tolist()} has no length"
+        document.add("CLIP014", (*at, "keys", k, "v"), message)
+    return so3.align_signs(so3.normalize(values[:, [1, 2, 3, 0]]))

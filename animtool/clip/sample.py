@@ -1,0 +1,354 @@
+"""Sampling a clip on its rig: curves, controls, joints, shapes, limits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.clip.clip import Clip, ClipChannel
+from animtool.clip.segments import curves_of, rotation_kinds
+from animtool.errors import Fault, FormatError, Severity
+from animtool.maths import euler, so3
+from animtool.maths.curves import evaluate
+from animtool.maths.rotation_curves import evaluate_rotations
+from animtool.rig.controls import DrivenValues, evaluate_controls
+from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.skeleton import Joint, JointType, Rig
+from animtool.rig.targets import DRIVEN_PARTS, KEYED_PARTS, split_part
+from animtool.take import Channel, Motion
+
+__all__ = ["Sampled", "sample_clip"]
+
+# Beyond a limit by less is rounding [rad], [m], [1].
+LIMIT_TOLERANCE = 1e-9
+
+Parts = dict[str, FloatArray]
+
+
+@dataclass(frozen=True, slots=True)
+class Sampled:
+    """A clip at some times.
+
+    Attributes:
+        motion: Joints, shapes and controls; what does not move is stored once.
+        notices: Controls out of range and limits exceeded, with frame and by how
+            much, the worst of each.
+    """
+
+    motion: Motion
+    notices: list[Fault]
+
+
+def sample_clip(
+    clip: Clip, rig: Rig, times: FloatArray, *, clamp: bool = False
+) -> Sampled:
+    """Return a clip on its rig at times ``(F,)`` [frames of the clip].
+
+    Channels whose keys are all alike are not sampled, and joints that neither a
+    channel nor a moving control reaches are left at rest. What channels and controls
+    say of one joint is added: turns of controls are rotation vectors, applied before
+    the channel's rotation. A combined shape's weight is the product of its drivers'.
+
+    Args:
+        clip: Its keys.
+        rig: Its rig.
+        times: Any, in any order; ascending ones are quickest.
+        clamp: Bring controls into their ranges and joints into their limits.
+
+    Raises:
+        FormatError: An expression of the rig has no value at some frame (CLIP015).
+    """
+    count = len(times)
+    notices: list[Fault] = []
+    keyed = _evaluate(clip, times)
+    controls = {
+        name.removeprefix("control/"): value[:, 0]
+        for name, value in keyed.items()
+        if name.startswith("control/")
+    }
+    if clamp:
+        controls = _into_range(rig, controls)
+    driven = evaluate_controls(rig.controls, controls)
+    _refuse_undefined(driven, times)
+    notices += _range_notices(rig, driven, times)
+    parts = _parts_by_joint(keyed, driven)
+    _follow(rig, parts)
+    made = _Joints(rig, times, clamp, notices)
+    for name, part in parts.items():
+        made.add(rig.index(name), part)
+    moving_controls = _control_channel(rig, driven, count) if controls else None
+    motion = Motion(
+        made.channel("translations", rig.rest_translations),
+        made.channel("rotations", rig.rest_rotations),
+        made.channel("scales", np.ones((len(rig.joints), 3)))
+        if made.values["scales"]
+        else None,
+        _weights(rig, keyed, driven, count),
+        moving_controls,
+    )
+    return Sampled(motion, notices)
+
+
+def _evaluate(clip: Clip, times: FloatArray) -> dict[str, FloatArray]:
+    """Return the value of every target ``(F, D)``, ``(1, D)`` where it never moves."""
+    values: dict[str, FloatArray] = {}
+    curves: list[ClipChannel] = []
+    for channel in clip.channels:
+        if _is_static(channel):
+            values[channel.target] = _turned(channel, channel.values[:1])
+        elif channel.values.shape[1] == 4:
+            values[channel.target] = evaluate_rotations(
+                channel.times,
+                channel.values,
+                rotation_kinds(channel),
+                times,
+                channel.pre,
+                channel.post,
+            )
+        else:
+            curves.append(channel)
+    if curves:
+        rows = evaluate(curves_of(curves), times)
+        begin = 0
+        for channel in curves:
+            end = begin + channel.values.shape[1]
+            values[channel.target] = _turned(channel, rows[begin:end].T)
+            begin = end
+    return values
+
+
+def _is_static(channel: ClipChannel) -> bool:
+    """Return whether no key and no handle says another value than the first key."""
+    still = bool((channel.values == channel.values[0]).all())
+    return still and not channel.ins[:, 1:].any() and not channel.outs[:, 1:].any()
+
+
+def _turned(channel: ClipChannel, values: FloatArray) -> FloatArray:
+    """Return Euler angles as quaternions, everything else as it is."""
+    if not channel.euler:
+        return values
+    return euler.to_quaternion(np.degrees(values), channel.euler)
+
+
+def _into_range(rig: Rig, values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    ranges = {control.name: (control.low, control.high) for control in rig.controls}
+    return {
+        name: value if ranges[name][0] is None else np.clip(value, *ranges[name])
+        for name, value in values.items()
+    }
+
+
+def _refuse_undefined(driven: DrivenValues, times: FloatArray) -> None:
+    for name, values in [*driven.controls.items(), *driven.targets.items()]:
+        wrong = np.flatnonzero(~np.isfinite(values))
+        if wrong.size:
+            frame = times[wrong[0]] if len(values) > 1 else times[0]
+            message = f"{name} has no value at frame {frame:g}"
+            hint = "an expression divides by nothing, or leaves the numbers"
+            raise FormatError(Fault("CLIP015", message, None, (), hint))
+
+
+def _range_notices(rig: Rig, driven: DrivenValues, times: FloatArray) -> list[Fault]:
+    notices = []
+    for control in rig.controls:
+        if control.low is None or control.high is None:
+            continue
+        values = driven.controls[control.name]
+        excess = values - np.clip(values, control.low, control.high)
+        worst = int(np.argmax(np.abs(excess)))
+        if abs(excess[worst]) > LIMIT_TOLERANCE:
+            frame = times[worst]
+            message = (
+                f"control {control.name!r} is {values[worst]:.6g} at frame {frame:g}, "
+                f"outside {control.low:g} to {control.high:g}"
+            )
+            notices.append(
+                Fault("CLIP101", message, severity=Severity.WARNING, hint=_CLAMP)
+            )
+    return notices
+
+
+_CLAMP = "--clamp brings it inside"
+
+
+def _parts_by_joint(
+    keyed: Mapping[str, FloatArray], driven: DrivenValues
+) -> dict[str, Parts]:
+    """Return what moves each joint, by part; driven parts begin with ``+``."""
+    parts: dict[str, Parts] = {}
+    for target, value in keyed.items():
+        if target.startswith("joint/"):
+            name, part = split_part(target.removeprefix("joint/"), KEYED_PARTS)
+            parts.setdefault(name, {})[part] = value
+    for target, value in driven.targets.items():
+        if target.startswith("joint/") and value.any():
+            name, part = split_part(target.removeprefix("joint/"), DRIVEN_PARTS)
+            parts.setdefault(name, {})[f"+{part}"] = value
+    return parts
+
+
+def _follow(rig: Rig, parts: dict[str, Parts]) -> None:
+    """Give joints that follow another the coordinate that comes of it."""
+    for joint in rig.joints:
+        if joint.mimic is None:
+            continue
+        leader = parts.get(joint.mimic.joint, {})
+        coordinate = np.zeros(1)
+        for part in ("angle", "slide"):
+            if part in leader:
+                coordinate = coordinate + leader[part][:, 0]
+            if f"+{part}" in leader:
+                coordinate = coordinate + leader[f"+{part}"]
+        own = joint.mimic.gain * coordinate + joint.mimic.offset
+        if own.any():
+            part = "angle" if joint.type is JointType.PIN else "slide"
+            parts.setdefault(joint.name, {})[f"+{part}"] = own
+
+
+@dataclass(slots=True)
+class _Joints:
+    """Local transforms of the joints that are moved."""
+
+    rig: Rig
+    times: FloatArray
+    clamp: bool
+    notices: list[Fault]
+    values: dict[str, dict[int, FloatArray]] = field(
+        default_factory=lambda: {"translations": {}, "rotations": {}, "scales": {}}
+    )
+
+    def add(self, j: int, parts: Parts) -> None:
+        """Work out a joint's translation, rotation and scale ``(F or 1, K)``."""
+        joint = self.rig.joints[j]
+        rest_t, rest_r = np.array(joint.translation), np.array(joint.rotation)
+        base_t = parts.get("local_translation", rest_t[None])
+        slide = self._slide(joint, parts)
+        if slide is not None:
+            base_t = base_t + so3.rotate(rest_r, slide)
+        base_r = parts.get("local_rotation", rest_r[None])
+        turn = self._turn(joint, parts)
+        if turn is not None:
+            base_r = so3.multiply(base_r, turn)
+        if slide is not None or "local_translation" in parts:
+            self.values["translations"][j] = base_t
+        if turn is not None or "local_rotation" in parts:
+            self.values["rotations"][j] = base_r
+        if "scale" in parts:
+            self.values["scales"][j] = parts["scale"]
+
+    def channel(self, name: str, rest: FloatArray) -> Channel:
+        """Return the channel of a part: what moves, and what stands elsewhere."""
+        still, count = rest.copy(), len(self.times)
+        animated: list[int] = []
+        columns: list[FloatArray] = []
+        for j, values in sorted(self.values[name].items()):
+            if len(values) == 1 or (values == values[0]).all():
+                still[j] = values[0]
+                continue
+            animated.append(j)
+            columns.append(so3.align_signs(values) if name == "rotations" else values)
+        shape = (count, 0, rest.shape[1])
+        moving = np.stack(columns, axis=1) if columns else np.zeros(shape)
+        return Channel(still, np.array(animated, np.int64), moving)
+
+    def _slide(self, joint: Joint, parts: Parts) -> FloatArray | None:
+        """Return the motion's translation in the joint's rest frame."""
+        found = _sum(parts.get("slide"), parts.get("+slide"))
+        if found is not None:
+            found = self._limited(joint, found)
+            return found * np.array(joint.axis)
+        total = parts.get("translation")
+        for i, axis in enumerate("xyz"):
+            if f"+translation.{axis}" in parts:
+                moved = parts[f"+translation.{axis}"][:, None] * np.eye(3)[i]
+                total = moved if total is None else total + moved
+        return total
+
+    def _turn(self, joint: Joint, parts: Parts) -> FloatArray | None:
+        """Return the motion's rotation in the joint's rest frame."""
+        found = _sum(parts.get("angle"), parts.get("+angle"))
+        if found is not None:
+            found = self._limited(joint, found)
+            return so3.from_axis_angle(joint.axis, found[:, 0])
+        total = parts.get("rotation")
+        driven = [parts.get(f"+rotation.{axis}") for axis in "xyz"]
+        if any(value is not None for value in driven):
+            columns = [np.zeros(1) if v is None else v for v in driven]
+            turned = so3.exp(np.stack(np.broadcast_arrays(*columns), axis=-1))
+            total = turned if total is None else so3.multiply(turned, total)
+        if total is not None and isinstance(joint.limits, BallLimit):
+            inside = joint.limits.clamped(total)
+            excess = so3.angle_between(total, inside)
+            self._notice(joint, excess, "its cone or twist by")
+            total = inside if self.clamp else total
+        return total
+
+    def _limited(self, joint: Joint, values: FloatArray) -> FloatArray:
+        if not isinstance(joint.limits, RangeLimit):
+            return values
+        inside = joint.limits.clamped(values)
+        self._notice(joint, np.abs(values - inside)[:, 0], "its limits by")
+        return inside if self.clamp else values
+
+    def _notice(self, joint: Joint, excess: FloatArray, what: str) -> None:
+        worst = int(np.argmax(excess))
+        if not excess[worst] > LIMIT_TOLERANCE:
+            return
+        amount = f"{np.degrees(excess[worst]):.4g}°"
+        if joint.type is JointType.PRISMATIC:
+            amount = f"{excess[worst]:.4g} m"
+        done = "clamped" if self.clamp else "exceeds"
+        message = f"joint {joint.name!r} {done} {what} {amount} at frame "
+        message += f"{self.times[worst]:g}"
+        hint = None if self.clamp else _CLAMP
+        self.notices.append(
+            Fault("CLIP102", message, severity=Severity.WARNING, hint=hint)
+        )
+
+
+def _sum(keyed: FloatArray | None, driven: FloatArray | None) -> FloatArray | None:
+    """Return what a channel ``(F, 1)`` and controls ``(F,)`` come to."""
+    if driven is None:
+        return keyed
+    return driven[:, None] if keyed is None else keyed + driven[:, None]
+
+
+def _column_channel(columns: list[FloatArray], count: int) -> Channel:
+    """Return the channel of columns ``(F,)`` or ``(1,)``."""
+    rest = np.array([column[0] for column in columns])[:, None]
+    animated = [i for i, column in enumerate(columns) if (column != column[0]).any()]
+    values = np.zeros((count, len(animated), 1))
+    for place, i in enumerate(animated):
+        values[:, place, 0] = columns[i]
+    return Channel(rest, np.array(animated, np.int64), values)
+
+
+def _control_channel(rig: Rig, driven: DrivenValues, count: int) -> Channel:
+    return _column_channel([driven.controls[c.name] for c in rig.controls], count)
+
+
+def _weights(
+    rig: Rig, keyed: Mapping[str, FloatArray], driven: DrivenValues, count: int
+) -> Channel | None:
+    """Return the shapes' weights; None where all are zero throughout."""
+    found: dict[str, FloatArray] = {}
+    for shape in rig.shapes:
+        target = f"shape/{shape.name}"
+        value = np.zeros(1)
+        if target in keyed:
+            value = value + keyed[target][:, 0]
+        if target in driven.targets:
+            value = value + driven.targets[target]
+        found[shape.name] = value
+    for shape in rig.shapes:
+        if shape.combine:
+            product = np.ones(1)
+            for name in shape.combine:
+                product = product * found[name]
+            found[shape.name] = found[shape.name] + product
+    if not any(value.any() for value in found.values()):
+        return None
+    return _column_channel([found[shape.name] for shape in rig.shapes], count)
