@@ -143,9 +143,9 @@ def _slopes(
 ) -> FloatArray:
     """Return slopes of the segments between keys, at the end that has the handles."""
     spans = curves.times[following] - curves.times[keys]
-    spans = np.where(spans > 0, spans, np.inf)
-    secants = (curves.values[following] - curves.values[keys]) / spans
     kinds = curves.kinds[keys]
+    spans = np.where((spans > 0) & (kinds != SegmentKind.HOLD), spans, np.inf)
+    secants = (curves.values[following] - curves.values[keys]) / spans
     dt, dv = handles.T
     pointing = (kinds == SegmentKind.BEZIER) & (dt > 0)
     slopes = np.where(pointing, dv / np.where(dt > 0, dt, 1.0), secants)
