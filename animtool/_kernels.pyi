@@ -30,6 +30,16 @@ def format_bvh_rows(values: Annotated[NDArray[numpy.float64], dict(shape=(None, 
     Column c is rounded to ``decimals[c]`` places (0 to 9), trailing zeros dropped.
     """
 
+def evaluate_curves(first: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], values: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], kinds: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], ins: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], outs: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], at: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+    """
+    Evaluate C curves with K keys in all, as ``(C, F)``, held outside their keys.
+
+    Curve c has the keys ``first[c]`` to ``first[c + 1]``, times ascending. ``kinds`` is
+    0 hold, 1 linear, 2 cubic, 3 Bezier. ``ins`` and ``outs`` are handles ``(K, 2)``: time
+    and value from the key. ``at`` is ``(1, F)``, or ``(C, F)`` with times of each curve's
+    own; ascending times are the quickest.
+    """
+
 def euler_to_quaternion(values: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], columns: Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)], axes: Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)], previous: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')]:
     """
     Turn Euler angles in degrees into quaternions ``(F, R, 4)``, x y z w.

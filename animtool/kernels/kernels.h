@@ -24,6 +24,10 @@ BvhRows parse_bvh_rows(nb::bytes text, std::size_t columns, std::size_t limit, b
 
 nb::bytes format_bvh_rows(In<double, 2> values, In<std::int64_t, 1> decimals);
 
+Out<double, 2> evaluate_curves(In<std::int64_t, 1> first, In<double, 1> times,
+                               In<double, 1> values, In<std::int64_t, 1> kinds,
+                               In<double, 2> ins, In<double, 2> outs, In<double, 2> at);
+
 Out<double, 3> euler_to_quaternion(In<double, 2> values, In<std::int32_t, 2> columns,
                                    In<std::int32_t, 2> axes, In<double, 2> previous);
 

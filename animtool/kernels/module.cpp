@@ -25,6 +25,15 @@ found on it and the word that is none.)");
 
 Column c is rounded to ``decimals[c]`` places (0 to 9), trailing zeros dropped.)");
 
+  m.def("evaluate_curves", &evaluate_curves, "first"_a, "times"_a, "values"_a, "kinds"_a,
+        "ins"_a, "outs"_a, "at"_a,
+        R"(Evaluate C curves with K keys in all, as ``(C, F)``, held outside their keys.
+
+Curve c has the keys ``first[c]`` to ``first[c + 1]``, times ascending. ``kinds`` is
+0 hold, 1 linear, 2 cubic, 3 Bezier. ``ins`` and ``outs`` are handles ``(K, 2)``: time
+and value from the key. ``at`` is ``(1, F)``, or ``(C, F)`` with times of each curve's
+own; ascending times are the quickest.)");
+
   m.def("euler_to_quaternion", &euler_to_quaternion, "values"_a, "columns"_a, "axes"_a,
         "previous"_a,
         R"(Turn Euler angles in degrees into quaternions ``(F, R, 4)``, x y z w.

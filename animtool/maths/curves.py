@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-from animtool._types import FloatArray, IntArray
-from animtool.maths.extrapolation import Extrapolation
+import numpy as np
 
-__all__ = ["Curves", "SegmentKind"]
+from animtool import _kernels
+from animtool._types import ArrayLike, FloatArray, IntArray, as_floats
+from animtool.maths.extrapolation import Extrapolation, fold
+
+__all__ = ["Curves", "SegmentKind", "end_slopes", "evaluate"]
 
 
 class SegmentKind(IntEnum):
@@ -49,3 +52,159 @@ class Curves:
     outs: FloatArray
     pre: tuple[Extrapolation, ...]
     post: tuple[Extrapolation, ...]
+
+
+def evaluate(curves: Curves, times: ArrayLike) -> FloatArray:
+    """Return every curve's values ``(C, F)`` at times ``(F,)``, in any order.
+
+    At a key the value is the key's own, exactly. Each segment is solved from its
+    nearer key, so the error is about 2e-15 of the values and handles, with handles
+    of no length too. The exception is a curve that runs vertically inside a segment
+    (both handles as long as it): there a rounding of the time alone moves the value.
+
+    A BEZIER handle longer than its segment is shrunk to it, slope kept, whatever
+    the other one is: then the time never runs backwards.
+
+    Raises:
+        ValueError: The arrays do not fit, times do not ascend within a curve, a
+            number is not finite, or a BEZIER handle points the wrong way.
+
+    >>> ease = Curves(
+    ...     first=np.array([0, 2]),
+    ...     times=np.array([0.0, 3.0]),
+    ...     values=np.array([0.0, 1.0]),
+    ...     kinds=np.array([SegmentKind.BEZIER, SegmentKind.HOLD]),
+    ...     ins=np.array([[0.0, 0.0], [-1.0, 0.0]]),
+    ...     outs=np.array([[1.0, 0.0], [0.0, 0.0]]),
+    ...     pre=(Extrapolation.HOLD,),
+    ...     post=(Extrapolation.OSCILLATE,),
+    ... )
+    >>> evaluate(ease, [-1.0, 0.0, 1.5, 3.0, 6.0]).tolist()
+    [[0.0, 0.0, 0.5, 1.0, 0.0]]
+    """
+    _check(curves)
+    at = as_floats(times, ("F",), "times")
+    if not np.isfinite(at).all():
+        raise ValueError("times must be finite")
+    going_on = _going_on(curves, at)
+    if not len(going_on):
+        return _held(curves, at[None])
+    starts, ends = _ends(curves)
+    rows = np.tile(at, (len(curves.pre), 1))
+    beyond, cycles = np.zeros(rows.shape), np.zeros(rows.shape)
+    for c in going_on:
+        start, end = float(curves.times[starts[c]]), float(curves.times[ends[c]])
+        folded = fold(at, start, end, curves.pre[c], curves.post[c])
+        rows[c], beyond[c], cycles[c] = folded.times, folded.beyond, folded.cycles
+    slopes = end_slopes(curves)
+    rises = curves.values[ends] - curves.values[starts]
+    found = _held(curves, rows)
+    found += beyond * np.where(beyond < 0, slopes[:, :1], slopes[:, 1:])
+    found += cycles * rises[:, None]
+    return found
+
+
+def end_slopes(curves: Curves) -> FloatArray:
+    """Return the slopes ``(C, 2)`` at each curve's first and last key.
+
+    By which LINEAR extrapolation goes on: 0 for a single key and beside a HOLD
+    segment, else the slope of the first or last segment at that key. A BEZIER handle
+    with no length in time has no slope of its own: the straight line between the two
+    keys counts instead.
+
+    >>> line = Curves(
+    ...     first=np.array([0, 2]),
+    ...     times=np.array([0.0, 2.0]),
+    ...     values=np.array([0.0, 1.0]),
+    ...     kinds=np.array([SegmentKind.LINEAR, SegmentKind.HOLD]),
+    ...     ins=np.zeros((2, 2)),
+    ...     outs=np.zeros((2, 2)),
+    ...     pre=(Extrapolation.LINEAR,),
+    ...     post=(Extrapolation.LINEAR,),
+    ... )
+    >>> end_slopes(line).tolist()
+    [[0.5, 0.5]]
+    """
+    starts, ends = _ends(curves)
+    alone = starts == ends
+    after = np.where(alone, starts, starts + 1)
+    before = np.where(alone, ends, ends - 1)
+    return np.stack(
+        [
+            _slopes(curves, starts, after, curves.outs[starts]),
+            _slopes(curves, before, ends, -curves.ins[ends]),
+        ],
+        axis=-1,
+    )
+
+
+def _slopes(
+    curves: Curves, keys: IntArray, following: IntArray, handles: FloatArray
+) -> FloatArray:
+    """Return slopes of the segments between keys, at the end that has the handles."""
+    spans = curves.times[following] - curves.times[keys]
+    kinds = curves.kinds[keys]
+    spans = np.where((spans > 0) & (kinds != SegmentKind.HOLD), spans, np.inf)
+    secants = (curves.values[following] - curves.values[keys]) / spans
+    dt, dv = handles.T
+    pointing = (kinds == SegmentKind.BEZIER) & (dt > 0)
+    slopes = np.where(pointing, dv / np.where(dt > 0, dt, 1.0), secants)
+    slopes = np.where(kinds == SegmentKind.CUBIC, 3.0 * dv / spans, slopes)
+    return np.where(kinds == SegmentKind.HOLD, 0.0, slopes)
+
+
+def _ends(curves: Curves) -> tuple[IntArray, IntArray]:
+    return curves.first[:-1], curves.first[1:] - 1
+
+
+def _going_on(curves: Curves, at: FloatArray) -> IntArray:
+    """Return the curves that are not held at some of the times."""
+    if not len(at):
+        return np.zeros(0, np.int64)
+    starts, ends = _ends(curves)
+    pre = np.array([mode is not Extrapolation.HOLD for mode in curves.pre], bool)
+    post = np.array([mode is not Extrapolation.HOLD for mode in curves.post], bool)
+    early = pre & (at.min() < curves.times[starts])
+    late = post & (at.max() > curves.times[ends])
+    return np.flatnonzero(early | late)
+
+
+def _held(curves: Curves, at: FloatArray) -> FloatArray:
+    """Return values ``(C, F)`` at ``(1, F)`` or ``(C, F)``, held outside the keys."""
+    return _kernels.evaluate_curves(
+        curves.first,
+        curves.times,
+        curves.values,
+        curves.kinds,
+        np.ascontiguousarray(curves.ins),
+        np.ascontiguousarray(curves.outs),
+        at,
+    )
+
+
+def _check(curves: Curves) -> None:
+    first, keys = curves.first, len(curves.times)
+    if first.ndim != 1 or not len(first) or first[0] != 0 or first[-1] != keys:
+        raise ValueError("first must go from 0 to the number of keys")
+    if (np.diff(first) < 1).any():
+        raise ValueError("every curve needs a key")
+    if not len(curves.pre) == len(curves.post) == len(first) - 1:
+        raise ValueError("pre and post must name one extrapolation a curve")
+    shapes = {"times": (keys,), "values": (keys,), "kinds": (keys,)}
+    for name, shape in {**shapes, "ins": (keys, 2), "outs": (keys, 2)}.items():
+        array = getattr(curves, name)
+        if array.shape != shape:
+            raise ValueError(f"{name} must have shape {shape}, not {array.shape}")
+        if not np.isfinite(array).all():
+            raise ValueError(f"{name} must be finite")
+    within = np.ones(keys, bool)  # whether a segment follows
+    within[first[1:] - 1] = False
+    if (np.diff(curves.times)[within[:-1]] <= 0).any():
+        raise ValueError("times must ascend within a curve")
+    kinds = curves.kinds[within]
+    if ((kinds < SegmentKind.HOLD) | (kinds > SegmentKind.BEZIER)).any():
+        raise ValueError("kinds must be of SegmentKind")
+    keys_before = np.flatnonzero(within & (curves.kinds == SegmentKind.BEZIER))
+    outs, ins = curves.outs[keys_before, 0], curves.ins[keys_before + 1, 0]
+    if (outs < 0).any() or (ins > 0).any():
+        raise ValueError("handles must point away from their key, into the segment")

@@ -1,0 +1,222 @@
+"""Slopes of curves at their keys, and controls of paths through points.
+
+Functions of keys take times ``(K,)``, ascending, and values ``(K, D)``; they return
+slopes [value/time] of that shape. With two or more keys the first and the last take
+the straight slope of their one segment, if nothing else is said; one key is flat.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from animtool._types import ArrayLike, FloatArray, as_floats
+
+__all__ = [
+    "auto_clamped",
+    "catmull_rom_controls",
+    "catmull_rom_spatial",
+    "nonuniform",
+    "secant",
+    "tcb",
+]
+
+
+def secant(times: ArrayLike, values: ArrayLike) -> FloatArray:
+    """Return the slope ``(K, D)`` from the key before to the key behind.
+
+    >>> secant([0, 1, 4], [[0], [1], [2]])[1].tolist()
+    [0.5]
+    """
+    times, values, spans, slopes = _segments(times, values)
+    inner = (values[2:] - values[:-2]) / (spans[:-1] + spans[1:])
+    return _with_ends(inner, slopes, values)
+
+
+def nonuniform(times: ArrayLike, values: ArrayLike) -> FloatArray:
+    """Return the slope ``(K, D)`` of the parabola through each key and both beside it.
+
+    >>> nonuniform([0, 1, 4], [[0], [1], [16]])[1].tolist()
+    [2.0]
+    """
+    _, values, spans, slopes = _segments(times, values)
+    a, b = spans[:-1], spans[1:]
+    inner = (b * slopes[:-1] + a * slopes[1:]) / (a + b)
+    return _with_ends(inner, slopes, values)
+
+
+def tcb(
+    times: ArrayLike,
+    values: ArrayLike,
+    parameters: ArrayLike,
+    rule: Literal["nonuniform", "kb84"] = "nonuniform",
+) -> tuple[FloatArray, FloatArray]:
+    """Return slopes before and behind each key, each ``(K, D)``.
+
+    With tension, continuity and bias all 0, "nonuniform" gives `nonuniform`. "kb84"
+    is the paper's own, with its correction for keys unevenly spaced.
+
+    Args:
+        times: ``(K,)``.
+        values: ``(K, D)``.
+        parameters: Tension, continuity, bias of each key ``(K, 3)`` [1].
+        rule: How uneven spacing is weighed.
+
+    References:
+        D. Kochanek and R. Bartels, Interpolating splines with local tension,
+        continuity, and bias control, 1984.
+
+    >>> ins, outs = tcb([0, 1, 2], [[0], [1], [0]], [[0, 1, 0]] * 3)
+    >>> ins[1].tolist(), outs[1].tolist()
+    ([-1.0], [1.0])
+    """
+    _, values, spans, slopes = _segments(times, values)
+    settings = as_floats(parameters, (len(values), 3), "parameters")[1:-1]
+    tension, continuity, bias = settings.T[:, :, None]
+    a, b = spans[:-1], spans[1:]
+    # What each secant slope is multiplied by; its key difference is a or b times it.
+    before, behind = (b, a) if rule == "nonuniform" else (a, b)
+    sides = []
+    for c in (-continuity, continuity):
+        one = (1 - tension) * (1 + c) * (1 + bias) * before * slopes[:-1]
+        two = (1 - tension) * (1 - c) * (1 - bias) * behind * slopes[1:]
+        sides.append(_with_ends((one + two) / (a + b), slopes, values))
+    return sides[0], sides[1]
+
+
+def auto_clamped(times: ArrayLike, values: ArrayLike) -> FloatArray:
+    """Return slopes ``(K, D)`` with which a cubic curve never overshoots.
+
+    Between two keys it stays between their values, and it is flat at a key that is
+    higher or lower than both beside it. Elsewhere the slope is `nonuniform`'s, cut
+    to three times the smaller of the straight slopes on both sides; the ends take
+    the one-sided parabola, cut alike.
+
+    References:
+        F. N. Fritsch and R. E. Carlson, Monotone piecewise cubic interpolation,
+        1980; J. M. Hyman, Accurate monotonicity preserving cubic interpolation,
+        1983, eq. 2.3.
+
+    >>> auto_clamped([0, 1, 2, 3], [[0], [0], [9], [5]]).ravel().tolist()
+    [0.0, 0.0, 0.0, -10.5]
+    """
+    _, values, spans, slopes = _segments(times, values)
+    found = nonuniform(times, values)
+    if len(values) < 3:
+        return found
+    for end, one, two in ((0, 0, 1), (-1, -1, -2)):
+        weight = spans[one] / (spans[one] + spans[two])
+        found[end] = slopes[one] + weight * (slopes[one] - slopes[two])
+    before = np.concatenate([slopes[:1], slopes])
+    behind = np.concatenate([slopes, slopes[-1:]])
+    monotone = np.sign(before) == np.sign(behind)
+    limit = 3 * np.minimum(np.abs(before), np.abs(behind))
+    along = np.sign(before) * found
+    return np.where(monotone, np.sign(before) * np.clip(along, 0, limit), 0.0) + 0.0
+
+
+def catmull_rom_spatial(
+    points: ArrayLike, alpha: float, u: ArrayLike
+) -> FloatArray:
+    """Return positions ``(N, D)`` between the second and third of four points.
+
+    Args:
+        points: ``(4, D)``.
+        alpha: Power of the distance between knots: 0 uniform, 0.5 centripetal (no
+            cusps or loops), 1 chordal.
+        u: From 0 at the second point to 1 at the third ``(N,)``.
+
+    References:
+        P. J. Barry and R. N. Goldman, A recursive evaluation algorithm for a class
+        of Catmull-Rom splines, 1988; C. Yuksel, S. Schaefer and J. Keyser,
+        Parameterization and applications of Catmull-Rom curves, 2011.
+
+    >>> catmull_rom_spatial([[0], [1], [2], [3]], 0.5, [0, 0.5, 1]).tolist()
+    [[1.0], [1.5], [2.0]]
+    """
+    points = as_floats(points, (4, "D"), "points")
+    u = as_floats(u, ("N",), "u")[:, None]
+    outs, ins = _controls(points, alpha)
+    start, end = points[1], points[2]
+    w = 1.0 - u
+    # Counted from the nearer point, so that both ends are met exactly.
+    early = start + u * u * (3 * w + u) * (end - start)
+    late = end + w * w * (3 * u + w) * (start - end)
+    handles = 3 * u * w * (w * outs[0] + u * ins[0])
+    return np.asarray(np.where(u <= 0.5, early, late) + handles)
+
+
+def catmull_rom_controls(
+    points: ArrayLike, alpha: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the Bézier handles before and behind each point, each ``(K, D)``.
+
+    A segment with these as control offsets runs along `catmull_rom_spatial`, evenly
+    in its knots. Before the first point and behind the last, the path is mirrored in
+    that point. A point that coincides with the next has no handles between them.
+
+    Args:
+        points: ``(K, D)``.
+        alpha: As in `catmull_rom_spatial`.
+
+    >>> ins, outs = catmull_rom_controls([[0], [3], [6]], 0.5)
+    >>> ins.ravel().tolist(), outs.ravel().tolist()
+    ([-1.0, -1.0, -1.0], [1.0, 1.0, 1.0])
+    """
+    points = as_floats(points, ("K", "D"), "points")
+    if len(points) < 2:
+        return np.zeros(points.shape), np.zeros(points.shape)
+    first, last = 2 * points[:1] - points[1:2], 2 * points[-1:] - points[-2:-1]
+    path = np.concatenate([first, points, last])
+    behind, before = _controls(path, alpha)
+    # The ends' other sides have no segment; straight on, they change nothing.
+    return (
+        np.concatenate([-behind[:1], before]),
+        np.concatenate([behind, -before[-1:]]),
+    )
+
+
+def _controls(path: FloatArray, alpha: float) -> tuple[FloatArray, FloatArray]:
+    """Return handles behind the start and before the end of each inner segment."""
+    steps = np.diff(path, axis=0)
+    knots = np.linalg.norm(steps, axis=1, keepdims=True) ** alpha
+    a, h, b = knots[:-2], knots[1:-1], knots[2:]
+    return (
+        _handle(steps[:-2], a, steps[1:-1], h),
+        -_handle(steps[2:], b, steps[1:-1], h),
+    )
+
+
+def _handle(
+    beside: FloatArray, a: FloatArray, along: FloatArray, h: FloatArray
+) -> FloatArray:
+    """Return a third of the slope of the parabola at the knot between two steps.
+
+    Times the knot interval h of the step ``along``: (h² beside / a + a along) /
+    (a + h) / 3. Steps of no length have no direction to give.
+    """
+    proper = (a > 0) & (h > 0)
+    ratio = np.where(proper, h, 1.0) / np.where(proper, a, 1.0)
+    curved = (ratio * beside + along / ratio) / (1.0 + 1.0 / ratio)
+    return np.where(h > 0, np.where(a > 0, curved, along), 0.0) / 3
+
+
+def _segments(
+    times: ArrayLike, values: ArrayLike
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return checked times and values, and spans ``(K-1, 1)`` and slopes between."""
+    times = as_floats(times, ("K",), "times")
+    values = as_floats(values, (len(times), "D"), "values")
+    spans = np.diff(times)[:, None]
+    if not (spans > 0).all():
+        raise ValueError("times must ascend")
+    return times, values, spans, np.diff(values, axis=0) / spans
+
+
+def _with_ends(
+    inner: FloatArray, slopes: FloatArray, values: FloatArray
+) -> FloatArray:
+    if len(values) < 2:
+        return np.zeros(values.shape)
+    return np.concatenate([slopes[:1], inner, slopes[-1:]])

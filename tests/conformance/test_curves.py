@@ -1,0 +1,97 @@
+"""Curves and tangents against values computed with 50 digits."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.curves import hermite_curve, one_curve
+from support.data import data_files
+
+from animtool._types import FloatArray
+from animtool.maths import tangents
+from animtool.maths.curves import SegmentKind, evaluate
+
+TOLERANCE = 1e-14
+# Beside a vertical tangent one rounding of the time moves the value by 1e-6.
+VERTICAL_TOLERANCE = 1e-5
+VERTICAL = {
+    "vertical_mid",
+    "near_vertical_1e-4",
+    "near_vertical_1e-8",
+    "near_vertical_1e-12",
+    "overlong_3x",  # shrinks to vertical_mid
+}
+
+Case = dict[str, Any]
+
+
+def _bezier(case: Case) -> tuple[FloatArray, float]:
+    keys = case["keys"]
+    curve = one_curve(
+        [key["t"] for key in keys],
+        [key["v"] for key in keys],
+        SegmentKind.BEZIER,
+        [key["in"] for key in keys],
+        [key["out"] for key in keys],
+    )
+    handles = np.abs([*curve.ins[:, 1], *curve.outs[:, 1]]).max()
+    return evaluate(curve, case["times"])[0], max(np.abs(curve.values).max(), handles)
+
+
+def _hermite(case: Case) -> tuple[FloatArray, float]:
+    times, values = case["t"], np.array(case["v"])[:, None]
+    kind = case["kind"]
+    if kind.startswith("tcb_"):
+        ins, outs = tangents.tcb(times, values, case["tcb"], kind.removeprefix("tcb_"))
+    else:
+        ins = outs = getattr(tangents, kind)(times, values)
+    curve = hermite_curve(times, case["v"], ins[:, 0], outs[:, 0])
+    handles = np.abs([*curve.ins[:, 1], *curve.outs[:, 1]]).max()
+    return evaluate(curve, case["times"])[0], max(np.abs(values).max(), handles)
+
+
+def _catmull_rom(case: Case) -> tuple[FloatArray, float]:
+    found = tangents.catmull_rom_spatial(case["points"], case["alpha"], case["u"])
+    return found, float(np.abs(case["points"]).max())
+
+
+EVALUATORS: dict[str, Callable[[Case], tuple[FloatArray, float]]] = {
+    "bezier": _bezier,
+    "hermite": _hermite,
+    "catmull_rom_spatial": _catmull_rom,
+}
+
+
+@pytest.mark.parametrize("path", data_files("curves", "*.json"))
+def test_values(path: Path) -> None:
+    oracle = json.loads(path.read_text("utf-8"))
+    evaluator = EVALUATORS.get(oracle["kind"])
+    if evaluator is None:
+        pytest.skip(f"{oracle['kind']} is no curve of numbers")
+    for case in oracle["cases"]:
+        found, scale = evaluator(case)
+        error = np.abs(found - np.array(case["values"], np.float64)).max()
+        loose = case["name"] in VERTICAL
+        bound = VERTICAL_TOLERANCE if loose else TOLERANCE
+        assert error <= bound * scale, f"{case['name']}: {error / scale:.2e}"
+
+
+@pytest.mark.parametrize("path", data_files("curves", "catmull_rom_spatial.json"))
+def test_controls_trace_the_same_path(path: Path) -> None:
+    for case in json.loads(path.read_text("utf-8"))["cases"]:
+        points = np.array(case["points"])
+        ins, outs = tangents.catmull_rom_controls(points, case["alpha"])
+        truth = np.array(case["values"], np.float64)
+        for axis in range(points.shape[1]):
+            before, behind = np.zeros((4, 2)), np.zeros((4, 2))
+            before[:, 1], behind[:, 1] = ins[:, axis], outs[:, axis]
+            kind = SegmentKind.CUBIC
+            curve = one_curve([0, 1, 2, 3], points[:, axis], kind, before, behind)
+            found = evaluate(curve, 1 + np.array(case["u"]))[0]
+            error = np.abs(found - truth[:, axis]).max()
+            assert error <= TOLERANCE * np.abs(points).max()
