@@ -20,6 +20,12 @@ from animtool.maths.rotation_segments import (
 __all__ = ["RotationKind", "evaluate_rotations", "spline"]
 
 
+# A velocity at a key turns by no more than this over either segment [rad]. Slerps
+# stay below half of it; more would wind the curve around between keys, and past two
+# turns squad's inner points no longer tell how far to go.
+LARGEST_TURN = 2 * np.pi
+
+
 class RotationKind(IntEnum):
     """How rotations run from a key to the next.
 
@@ -58,9 +64,10 @@ def evaluate_rotations(
     SQUAD and SPLINE segments have one angular velocity at each key: that of the
     quadratic through the key and its neighbours, which any spacing of the times
     keeps. Next to a SLERP it is the slerp's; at an end, or next to a STEP, that of
-    the slerp on the other side. A key therefore changes no more than the two
-    segments before and the two behind it. A C2 interpolant would pass every change
-    on to all of them.
+    the slerp on the other side. It is limited to a whole turn over the longer of the
+    key's segments: only where a short, fast one meets a long one.
+    A key therefore changes no more than the two segments before and the two behind
+    it, where a C2 interpolant would pass every change on to all of them.
 
     LINEAR goes on with the velocity that the curve has at its end, which is constant
     in the body frame and in the world frame alike; a STEP there holds.
@@ -69,7 +76,8 @@ def evaluate_rotations(
 
     Limits: between neighbours more than half a turn apart the curve goes the short
     way; exactly half a turn apart, the way of the given signs. Angular acceleration
-    jumps at keys.
+    jumps at keys; so does velocity between SLERP segments, at a STEP, and where the
+    limit above cuts what a SLERP arrives with.
 
     Args:
         times: Of the keys, strictly ascending ``(K,)``, K ≥ 1.
@@ -104,7 +112,10 @@ def evaluate_rotations(
     folded = fold(at, curve.times[0], curve.times[-1], pre, post)
     velocities = curve.velocities()
     q = curve.evaluate(folded.times, velocities)
-    for mode, side, edge in ((pre, folded.beyond < 0, 0), (post, folded.beyond > 0, -1)):
+    for mode, side, edge in (
+        (pre, folded.beyond < 0, 0),
+        (post, folded.beyond > 0, -1),
+    ):
         if mode is Extrapolation.LINEAR and side.any():
             turn = folded.beyond[side, None] * velocities[edge]
             q[side] = so3.normalize(so3.multiply(q[side], so3.exp(turn)))
@@ -141,7 +152,9 @@ class _Curve:
         above = np.pad(rank, pad[0]) - np.pad(rank, pad[1])
         chosen = np.where(above > 0, before, np.where(above < 0, after, blend))
         silent = (np.pad(rank, pad[0]) == 0) & (np.pad(rank, pad[1]) == 0)
-        return np.where(silent, 0.0, chosen)
+        return _limited(
+            np.where(silent, 0.0, chosen), *(np.pad(spans, side) for side in pad)
+        )
 
     def evaluate(self, times: FloatArray, velocities: FloatArray) -> FloatArray:
         """Return rotations at times within those of the keys ``(F, 4)``."""
@@ -158,12 +171,18 @@ class _Curve:
             u = (times[chosen] - self.times[low]) / span
             ends = self.keys[[low, low + 1]]
             if kind is RotationKind.SLERP:
-                q[chosen] = so3.slerp(*ends, u)
+                q[chosen] = so3.slerp(ends[0], ends[1], u)
                 continue
             segment = squad_by_velocities if kind is RotationKind.SQUAD else hermite
             turns = span[:, None] * velocities[[low, low + 1]]
             q[chosen] = segment(ends, turns, u)
         return q
+
+
+def _limited(velocities: FloatArray, *spans: FloatArray) -> FloatArray:
+    """Return velocities that turn by at most `LARGEST_TURN` over the spans."""
+    turns = np.linalg.norm(velocities, axis=-1, keepdims=True) * np.maximum(*spans)
+    return np.asarray(velocities * (LARGEST_TURN / np.maximum(turns, LARGEST_TURN)))
 
 
 def _checked(times: ArrayLike, keys: ArrayLike, kinds: ArrayLike) -> _Curve:
