@@ -1,0 +1,210 @@
+"""Rotations keyed over time: stepped, slerped, squad or a C1 spline between keys."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from animtool._types import ArrayLike, FloatArray, IntArray, as_floats
+from animtool.maths import so3
+from animtool.maths.extrapolation import Extrapolation, fold
+from animtool.maths.rotation_segments import (
+    aligned_keys,
+    hermite,
+    rotation_between,
+    squad_by_velocities,
+)
+
+__all__ = ["RotationKind", "evaluate_rotations", "spline"]
+
+
+# A velocity at a key turns by no more than this over either segment [rad]. Slerps
+# stay below half of it; more would wind the curve around between keys, and past two
+# turns squad's inner points no longer tell how far to go.
+LARGEST_TURN = 2 * np.pi
+
+
+class RotationKind(IntEnum):
+    """How rotations run from a key to the next.
+
+    STEP holds the key, SLERP turns evenly along the shortest arc. SQUAD and SPLINE
+    are C1 where they meet each other or a SLERP.
+    """
+
+    STEP = 0
+    SLERP = 1
+    SQUAD = 2
+    SPLINE = 3
+
+
+def spline(times: ArrayLike, keys: ArrayLike, at: ArrayLike) -> FloatArray:
+    """Return the C1 spline through rotation keys, held outside their times.
+
+    The arguments, the errors and the limits are those of `evaluate_rotations`.
+
+    >>> keys = so3.from_axis_angle([0, 0, 1], [0.0, 0.5, 2.0])
+    >>> np.allclose(spline([0, 1, 4], keys, [3])[0], so3.exp([0, 0, 1.5]))
+    True
+    """
+    return evaluate_rotations(times, keys, RotationKind.SPLINE, at)
+
+
+def evaluate_rotations(
+    times: ArrayLike,
+    keys: ArrayLike,
+    kinds: ArrayLike,
+    at: ArrayLike,
+    pre: Extrapolation = Extrapolation.HOLD,
+    post: Extrapolation = Extrapolation.HOLD,
+) -> FloatArray:
+    """Return rotations at times, from rotation keys.
+
+    SQUAD and SPLINE segments have one angular velocity at each key: that of the
+    quadratic through the key and its neighbours, which any spacing of the times
+    keeps. Next to a SLERP it is the slerp's; at an end, or next to a STEP, that of
+    the slerp on the other side. It is limited to a whole turn over the longer of the
+    key's segments: only where a short, fast one meets a long one.
+    A key therefore changes no more than the two segments before and the two behind
+    it, where a C2 interpolant would pass every change on to all of them.
+
+    LINEAR goes on with the velocity that the curve has at its end, which is constant
+    in the body frame and in the world frame alike; a STEP there holds.
+    CYCLE_OFFSET multiplies each cycle from the left by the shortest rotation from
+    the first key to the last: q(t + T) = last·first⁻¹·q(t).
+
+    Limits: between neighbours more than half a turn apart the curve goes the short
+    way; exactly half a turn apart, the way of the given signs. Angular acceleration
+    jumps at keys; so does velocity between SLERP segments, at a STEP, and where the
+    limit above cuts what a SLERP arrives with.
+
+    Args:
+        times: Of the keys, strictly ascending ``(K,)``, K ≥ 1.
+        keys: Quaternions of any length but zero ``(K, 4)``.
+        kinds: `RotationKind` of the segment after each key ``(K,)``, or one for all;
+            that of the last key says nothing.
+        at: Where to evaluate, in any order ``(F,)``.
+        pre: How the curve goes on before its first key.
+        post: How it goes on behind its last.
+
+    Returns:
+        Unit quaternions ``(F, 4)``, of continuous sign in the order of ``at``. At its
+        own time a key is returned as it is, normalized.
+
+    Raises:
+        ValueError: A shape does not fit, times do not ascend, a number is not finite,
+            a key is zero, or a kind is none.
+
+    References:
+        M.-J. Kim, M.-S. Kim, S. Y. Shin, A general construction scheme for unit
+        quaternion curves with simple high order derivatives, SIGGRAPH 1995.
+
+    >>> keys = [[0, 0, 0, 1], [0, 0, 1, 0]]
+    >>> half = evaluate_rotations([0, 2], keys, RotationKind.SLERP, [1.0])
+    >>> np.allclose(half, [[0, 0, 0.5**0.5, 0.5**0.5]])
+    True
+    """
+    curve = _checked(times, keys, kinds)
+    at = _finite(at, ("F",), "at")
+    if not len(at):
+        return np.zeros((0, 4))
+    folded = fold(at, curve.times[0], curve.times[-1], pre, post)
+    velocities = curve.velocities()
+    q = curve.evaluate(folded.times, velocities)
+    for mode, side, edge in (
+        (pre, folded.beyond < 0, 0),
+        (post, folded.beyond > 0, -1),
+    ):
+        if mode is Extrapolation.LINEAR and side.any():
+            turn = folded.beyond[side, None] * velocities[edge]
+            q[side] = so3.normalize(so3.multiply(q[side], so3.exp(turn)))
+    around = folded.cycles != 0
+    if around.any():
+        rise = so3.multiply(curve.keys[-1], so3.conjugate(curve.keys[0]))
+        turn = folded.cycles[around, None] * so3.log(rise)
+        q[around] = so3.normalize(so3.multiply(so3.exp(turn), q[around]))
+    return so3.align_signs(q, q[0])
+
+
+@dataclass(frozen=True, slots=True)
+class _Curve:
+    """Checked keys: ascending times, aligned unit quaternions, kinds."""
+
+    times: FloatArray
+    keys: FloatArray
+    kinds: IntArray
+
+    def velocities(self) -> FloatArray:
+        """Return the angular velocity in body space [rad per time] ``(K, 3)``."""
+        spans = np.diff(self.times)[:, None]
+        secants = rotation_between(self.keys[:-1], self.keys[1:]) / spans
+        pad = ((1, 0), (0, 0)), ((0, 1), (0, 0))
+        before, after = (np.pad(secants, side) for side in pad)
+        # The weight of the secant before is the span after; at ends neither counts.
+        span_before, span_after = (
+            np.pad(spans, side, constant_values=1.0) for side in pad
+        )
+        share = span_after / (span_before + span_after)
+        blend = share * before + (1 - share) * after
+        # Which side has its say: a slerp above all, a step or none at all last.
+        rank = np.array([0, 2, 1, 1])[self.kinds[:-1], None]
+        above = np.pad(rank, pad[0]) - np.pad(rank, pad[1])
+        chosen = np.where(above > 0, before, np.where(above < 0, after, blend))
+        silent = (np.pad(rank, pad[0]) == 0) & (np.pad(rank, pad[1]) == 0)
+        return _limited(
+            np.where(silent, 0.0, chosen), *(np.pad(spans, side) for side in pad)
+        )
+
+    def evaluate(self, times: FloatArray, velocities: FloatArray) -> FloatArray:
+        """Return rotations at times within those of the keys ``(F, 4)``."""
+        index = np.searchsorted(self.times, times, side="right") - 1
+        q = self.keys[index]
+        # At a key the key stands; the rest lies strictly within a segment.
+        within = self.times[index] != times
+        for kind in (RotationKind.SLERP, RotationKind.SQUAD, RotationKind.SPLINE):
+            chosen = within & (self.kinds[index] == kind)
+            if not chosen.any():
+                continue
+            low = index[chosen]
+            span = self.times[low + 1] - self.times[low]
+            u = (times[chosen] - self.times[low]) / span
+            ends = self.keys[[low, low + 1]]
+            if kind is RotationKind.SLERP:
+                q[chosen] = so3.slerp(ends[0], ends[1], u)
+                continue
+            segment = squad_by_velocities if kind is RotationKind.SQUAD else hermite
+            turns = span[:, None] * velocities[[low, low + 1]]
+            q[chosen] = segment(ends, turns, u)
+        return q
+
+
+def _limited(velocities: FloatArray, *spans: FloatArray) -> FloatArray:
+    """Return velocities that turn by at most `LARGEST_TURN` over the spans."""
+    turns = np.linalg.norm(velocities, axis=-1, keepdims=True) * np.maximum(*spans)
+    return np.asarray(velocities * (LARGEST_TURN / np.maximum(turns, LARGEST_TURN)))
+
+
+def _checked(times: ArrayLike, keys: ArrayLike, kinds: ArrayLike) -> _Curve:
+    """Return keys that can be evaluated."""
+    times = _finite(times, ("K",), "times")
+    if not len(times):
+        raise ValueError("a curve has at least one key")
+    if (np.diff(times) <= 0).any():
+        late = int((np.diff(times) <= 0).argmax()) + 1
+        raise ValueError(f"times must ascend; that of key {late} is {times[late]}")
+    kinds = np.asarray(kinds)
+    if kinds.shape not in {(), times.shape}:
+        raise ValueError(f"kinds must have shape {times.shape}, not {kinds.shape}")
+    if not np.isin(kinds, list(RotationKind)).all():
+        raise ValueError(f"kinds must be of {[int(kind) for kind in RotationKind]}")
+    every = np.broadcast_to(kinds, times.shape).astype(np.int64)
+    return _Curve(times, aligned_keys(keys, len(times)), every)
+
+
+def _finite(values: ArrayLike, shape: tuple[int | str, ...], name: str) -> FloatArray:
+    """Return values of the shape, all finite."""
+    array = as_floats(values, shape, name)
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} must be finite")
+    return array
