@@ -259,7 +259,7 @@ class _Joints:
         found = _sum(parts.get("slide"), parts.get("+slide"))
         if found is not None:
             found = self._limited(joint, found)
-            return found * np.array(joint.axis)
+            return np.asarray(found * np.array(joint.axis))
         total = parts.get("translation")
         for i, axis in enumerate("xyz"):
             if f"+translation.{axis}" in parts:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -13,6 +13,8 @@ from animtool.maths.curves import Curves, SegmentKind
 from animtool.maths.rotation_curves import RotationKind
 
 __all__ = ["curves_of", "rotation_kinds"]
+
+_Rule = Callable[[FloatArray, FloatArray], FloatArray]
 
 _ALPHA = {
     Parametrization.UNIFORM: 0.0,
@@ -163,8 +165,7 @@ class _Slopes:
         ins, outs = self._paths
         return outs[k], ins[k + 1]
 
-    def _slopes(self, name: str, rule: object) -> FloatArray:
+    def _slopes(self, name: str, rule: _Rule) -> FloatArray:
         if name not in self._made:
-            made = rule(self.channel.times, self.channel.values)  # type: ignore[operator]
-            self._made[name] = made
+            self._made[name] = rule(self.channel.times, self.channel.values)
         return self._made[name]
