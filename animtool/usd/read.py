@@ -243,10 +243,8 @@ def _read(
             hint = "UsdSkel ignores an animation that lacks one of the three"
             raise FormatError(Fault("USD012", message, where, (), hint))
     movers = _movers(prim)
-    shapes = [str(token) for token in array_value(animation.GetBlendShapesAttr())]
     weights = animation.GetBlendShapeWeightsAttr()
-    if not weights.HasAuthoredValue():
-        shapes = []
+    shapes = _shapes(animation)
     sampled = [*attributes.values(), *([weights] if shapes else [])]
     times = {t for attr in sampled for t in attr.GetTimeSamples()}
     times |= {time for mover in movers for time in mover.GetTimeSamples()}
@@ -293,6 +291,13 @@ def _read(
 
 def _scales(dense: FloatArray) -> Channel | None:
     return None if (dense == 1.0).all() else Channel.from_dense(dense)
+
+
+def _shapes(animation: Any) -> list[str]:
+    """Return the shapes that an animation has weights of."""
+    if not animation.GetBlendShapeWeightsAttr().HasAuthoredValue():
+        return []
+    return [str(token) for token in array_value(animation.GetBlendShapesAttr())]
 
 
 def _weights(attr: Any, codes: list[float], shapes: int, where: str) -> Channel:
