@@ -49,6 +49,7 @@ class WrittenBlock:
         error: Largest distance that rounding moved a joint [m].
         error_code: Time code of that.
         error_joint: Index of the joint that moved.
+        weights: Of the rig's shapes ``(F, S)`` float32; None where there are none.
     """
 
     codes: FloatArray
@@ -60,6 +61,7 @@ class WrittenBlock:
     error: float
     error_code: float
     error_joint: int
+    weights: Float32Array | None = None
 
 
 def round_blocks(
@@ -109,7 +111,15 @@ def round_blocks(
             error * meters_per_unit,
             float(codes[frame]),
             joint,
+            _weights(motion),
         )
+
+
+def _weights(motion: Motion) -> Float32Array | None:
+    if motion.weights is None:
+        return None
+    weights = motion.weights.dense()[..., 0]
+    return np.clip(weights, -FLOAT32_MAX, FLOAT32_MAX).astype(np.float32)
 
 
 def _move_root(
@@ -203,6 +213,7 @@ class AnimationWriter:
         paths: The character's prims.
         joints: Their paths as the Skeleton has them, J of them.
         chosen: Which of them to write ``(J,)``; None is all.
+        shapes: Names of the rig's shapes, S of them; without, no weights are written.
         rounding: What rounding did so far.
     """
 
@@ -210,6 +221,7 @@ class AnimationWriter:
     paths: RigPaths
     joints: list[str]
     chosen: BoolArray | None = None
+    shapes: tuple[str, ...] = ()
     rounding: Rounding = field(default_factory=Rounding)
 
     def __post_init__(self) -> None:
@@ -230,6 +242,8 @@ class AnimationWriter:
         self._scales = _Samples(
             spec, "scales", types.Half3Array, Vt.Vec3hArray.FromNumpy
         )
+        self._weights: list[Float32Array] = []
+        self._weight_samples: _Samples | None = None
         self._codes: list[FloatArray] = []
         self._extents: list[Float32Array] = []
         self._root_path: list[RootPath] = []
@@ -241,6 +255,8 @@ class AnimationWriter:
         self._rotations.add(block.codes, block.rotations[:, keep])
         if block.scales is not None:
             self._scales.add(block.codes, block.scales[:, keep])
+        if self.shapes and block.weights is not None:
+            self._weights.append(block.weights)
         self._codes.append(block.codes)
         self._extents.append(block.extents)
         if block.root is not None:
@@ -254,8 +270,9 @@ class AnimationWriter:
             "translations": self._translations,
             "rotations": self._rotations,
             "scales": self._scales,
+            "blendShapeWeights": self._weight_samples,
         }
-        return [name for name, samples in named.items() if samples.sampled]
+        return [n for n, samples in named.items() if samples and samples.sampled]
 
     def finish(self, placing: list[str], *, replaces_motion: bool) -> None:
         """Write the defaults of what never changed and the SkelRoot's motion.
@@ -267,6 +284,8 @@ class AnimationWriter:
         ones = np.ones((self._count, 3), np.float16)
         for samples in (self._translations, self._rotations, self._scales):
             samples.finish(ones)
+        if self._weights:
+            self._author_weights()
         if self._root_path:
             self._author_root(placing)
         elif replaces_motion:
@@ -297,6 +316,24 @@ class AnimationWriter:
     def codes(self) -> list[FloatArray]:
         """Time codes of every sample, one array a block."""
         return self._codes
+
+    def _author_weights(self) -> None:
+        """Write the weights of the shapes that are not zero in every frame."""
+        used = np.any([(rows != 0.0).any(axis=0) for rows in self._weights], axis=0)
+        if not used.any():
+            return
+        spec = self.layer.GetPrimAtPath(self.paths.animation)
+        types = Sdf.ValueTypeNames
+        names = [n for n, keep in zip(self.shapes, used, strict=True) if keep]
+        tokens = Vt.TokenArray(names)
+        attribute(spec, "blendShapes", types.TokenArray, tokens, uniform=True)
+        samples = _Samples(
+            spec, "blendShapeWeights", types.FloatArray, Vt.FloatArray.FromNumpy
+        )
+        for codes, rows in zip(self._codes, self._weights, strict=True):
+            samples.add(codes, rows[:, used])
+        samples.finish(np.zeros(len(names), np.float32))
+        self._weight_samples = samples
 
     def _author_root(self, placing: list[str]) -> None:
         """Write the SkelRoot's motion, behind the operations that place it."""

@@ -243,7 +243,10 @@ def _read(
             hint = "UsdSkel ignores an animation that lacks one of the three"
             raise FormatError(Fault("USD012", message, where, (), hint))
     movers = _movers(prim)
-    times = {t for attr in attributes.values() for t in attr.GetTimeSamples()}
+    weights = animation.GetBlendShapeWeightsAttr()
+    shapes = _shapes(animation)
+    sampled = [*attributes.values(), *([weights] if shapes else [])]
+    times = {t for attr in sampled for t in attr.GetTimeSamples()}
     times |= {time for mover in movers for time in mover.GetTimeSamples()}
     grid = _grid(sorted(times), stage, where)
     if not grid.even:
@@ -257,7 +260,8 @@ def _read(
     known = places >= 0
 
     def values(name: str, rest: FloatArray) -> FloatArray:
-        rows = _values(attributes[name], codes, len(tokens), rest.shape[1], where)
+        attr, width = attributes[name], rest.shape[1]
+        rows = _values(attr, codes, len(tokens), width, where)
         whole = np.repeat(rest[None], len(codes), axis=0)
         whole[:, places[known]] = rows[:, known]
         return whole
@@ -274,11 +278,14 @@ def _read(
         Channel.from_dense(translations),
         Channel.from_dense(rotations),
         _scales(scales),
+        _weights(weights, codes, len(shapes), where) if shapes else None,
     )
     stream = TakeStream.of(Take(rig, clock, motion))
     stream.notices.extend(notices)
     stream.details = _details(stage, skeleton)
     stream.details["animation"] = str(animation.GetPath())
+    if shapes:
+        stream.details["shapes"] = shapes
     return stream
 
 
@@ -286,26 +293,44 @@ def _scales(dense: FloatArray) -> Channel | None:
     return None if (dense == 1.0).all() else Channel.from_dense(dense)
 
 
+def _shapes(animation: Any) -> list[str]:
+    """Return the shapes that an animation has weights of."""
+    if not animation.GetBlendShapeWeightsAttr().HasAuthoredValue():
+        return []
+    return [str(token) for token in array_value(animation.GetBlendShapesAttr())]
+
+
+def _weights(attr: Any, codes: list[float], shapes: int, where: str) -> Channel:
+    rows = _values(attr, codes, shapes, 1, where, of="shape")
+    return Channel.from_dense(np.repeat(rows, len(codes) // len(rows), axis=0))
+
+
 def _values(
-    attr: Any, codes: list[float], joints: int, width: int, where: str
+    attr: Any,
+    codes: list[float],
+    count: int,
+    width: int,
+    where: str,
+    *,
+    of: str = "joint",
 ) -> FloatArray:
     """Return samples ``(F, J, K)``; F is 1 where the attribute does not change."""
     changes = attr.GetNumTimeSamples() > 1
     when = (
         [Usd.TimeCode(c) for c in codes] if changes else [Usd.TimeCode.EarliestTime()]
     )
-    rows = np.empty((len(when), joints, width))
+    rows = np.empty((len(when), count, width))
     for i, time in enumerate(when):
         value = array_value(attr, time)
-        if len(value) != joints:
-            message = f"{attr.GetName()} has {len(value)} values for {joints} joints"
+        if len(value) != count:
+            message = f"{attr.GetName()} has {len(value)} values for {count} {of}s"
             hint = f"time code {time.GetValue():g}; UsdSkel falls back to rest"
             raise FormatError(Fault("USD013", message, where, (), hint))
-        rows[i] = np.array(value, np.float64).reshape(joints, width)
+        rows[i] = np.array(value, np.float64).reshape(count, width)
     if not np.isfinite(rows).all():
         frame, joint, _ = np.argwhere(~np.isfinite(rows))[0]
         message = f"{attr.GetName()} is not finite"
-        hint = f"time code {when[frame].GetValue():g}, joint {joint}"
+        hint = f"time code {when[frame].GetValue():g}, {of} {joint}"
         raise FormatError(Fault("USD014", message, where, (), hint))
     return rows
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -21,6 +22,7 @@ from animtool.usd.layers import check_prim_path, usd_errors
 from animtool.usd.names import joint_names, legal_name
 from animtool.usd.rig_prims import (
     SkeletonRig,
+    array_value,
     composition_notices,
     find_skeletons,
     open_stage,
@@ -38,6 +40,7 @@ __all__ = [
     "RigTarget",
     "compose_check",
     "map_joints",
+    "missing_shapes",
     "open_target",
     "resolved_animation",
 ]
@@ -237,6 +240,8 @@ class JointMap:
             self._channel(motion.translations, self.rig.rest_translations),
             self._channel(motion.rotations, self.rig.rest_rotations),
             mapped,
+            motion.weights,
+            motion.controls,
         )
 
     def _channel(self, channel: Channel, rest: FloatArray) -> Channel:
@@ -302,6 +307,35 @@ def map_joints(take: Rig, target: RigTarget, strip_namespaces: int) -> JointMap:
     return JointMap(
         skeleton.rig, np.array(source, np.int64), skeleton.rest_scales, notices
     )
+
+
+def missing_shapes(target: RigTarget, shapes: Sequence[str]) -> list[Fault]:
+    """Return a warning that names the shapes which no mesh of a rig has.
+
+    A rig without meshes says nothing of the shapes that it will have.
+    """
+    path = Sdf.Path(target.paths.root).ReplacePrefix(
+        Sdf.Path(target.paths.model), Sdf.Path(target.stage_model)
+    )
+    root = target.stage.GetPrimAtPath(path)
+    meshes = [
+        prim
+        for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies())
+        if prim.IsA(UsdGeom.Mesh)
+        # Bones that only show the joints are no meshes of the character.
+        and UsdGeom.Imageable(prim).ComputePurpose() != UsdGeom.Tokens.guide
+    ]
+    known: set[str] = set()
+    for mesh in meshes:
+        known.update(array_value(UsdSkel.BindingAPI(mesh).GetBlendShapesAttr()))
+    missing = [name for name in shapes if name not in known]
+    if not meshes or not missing:
+        return []
+    message = f"{len(missing)} shapes of the take are on no mesh of the rig: "
+    message += listed(missing, MOST_NAMED)
+    hint = "their weights move nothing there"
+    where = str(target.path)
+    return [Fault("USD114", message, where, (), hint, Severity.WARNING)]
 
 
 def compose_check(target: RigTarget, layer: Any) -> Any:

@@ -71,6 +71,7 @@ class UsdJob:
         target: The rig of a layer.
         chosen: Joints to write ``(J,)``; None is all.
         bones: Add geometry that shows the joints.
+        shapes: Names of the rig's shapes, as the blocks have their weights.
     """
 
     form: Form
@@ -87,6 +88,7 @@ class UsdJob:
     target: RigTarget | None = None
     chosen: BoolArray | None = None
     bones: bool = False
+    shapes: tuple[str, ...] = ()
 
 
 @dataclass(slots=True)
@@ -143,7 +145,9 @@ def author(job: UsdJob, blocks: Iterator[WrittenBlock]) -> tuple[Authored, UsdRe
                 authored.bones = author_bones(
                     authored.rig, job.rig, job.paths, job.meters_per_unit
                 )
-        writer = AnimationWriter(animation, job.paths, job.joints, job.chosen)
+        writer = AnimationWriter(
+            animation, job.paths, job.joints, job.chosen, job.shapes
+        )
         if authored.rig is not animation:
             prim(animation, job.paths.root, over=True)
         author_binding(animation, job.paths, skeleton=job.form is not Form.LAYER)
