@@ -207,6 +207,9 @@ class TakeStream:
         notices: Warnings and notes about the source; complete once the blocks are
             read.
         details: What the source states beyond this, for reports.
+        curve: Where the source is a function of time, gives its motion at any times
+            ``(F,)`` [time codes of the source]; None where it has samples only.
+        count: Number of frames, where ``curve`` is given.
     """
 
     rig: Rig
@@ -216,6 +219,8 @@ class TakeStream:
     blocks: Iterator[Motion]
     notices: list[Fault] = field(default_factory=list)
     details: dict[str, object] = field(default_factory=dict)
+    curve: Callable[[FloatArray], Motion] | None = None
+    count: int = 0
 
     def collect(self) -> Take:
         """Return the whole take, static joints stored once."""

@@ -168,4 +168,5 @@ class _Slopes:
     def _slopes(self, name: str, rule: _Rule) -> FloatArray:
         if name not in self._made:
             self._made[name] = rule(self.channel.times, self.channel.values)
-        return self._made[name]
+        made: FloatArray = self._made[name]
+        return made

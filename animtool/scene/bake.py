@@ -185,6 +185,7 @@ def _job(
         target=plan.target,
         chosen=chosen,
         bones=options.bones,
+        shapes=tuple(shape.name for shape in rig.shapes),
     )
     return job, timed
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from fractions import Fraction
 
@@ -13,7 +13,7 @@ from animtool.edit.resample import FrameRange, SampleTimes, plan_samples, sample
 from animtool.errors import Fault, Severity
 from animtool.rig.skeleton import Rig
 from animtool.scene.plan import BakePlan
-from animtool.take import Motion, Take, TakeStream, time_codes
+from animtool.take import Clock, Motion, Take, TakeStream, time_codes
 
 __all__ = ["moving_joints", "timed_blocks"]
 
@@ -35,6 +35,8 @@ def timed_blocks(
     )
     if as_is:
         return _streamed(plan, stream), None, stream.rig
+    if stream.curve is not None and options.rest_frame is None:
+        return _sampled(plan, stream, stream.curve)
     take = stream.collect()
     times = plan_samples(
         take.clock,
@@ -49,6 +51,33 @@ def timed_blocks(
     if options.rest_frame is not None:
         rig = _with_rest(plan, take, options.rest_frame)
     return sample(take, times), (times.first, times.last), rig
+
+
+def _sampled(
+    plan: BakePlan, stream: TakeStream, curve: Callable[[FloatArray], Motion]
+) -> tuple[Iterator[tuple[FloatArray, Motion]], tuple[Fraction, Fraction] | None, Rig]:
+    """Evaluate a source that is a function of time at the output's own times."""
+    options = plan.options
+    first = Fraction(1) if stream.start is None else stream.start
+    clock = Clock(stream.fps, first, stream.step, stream.count)
+    times = plan_samples(
+        clock,
+        plan.fps,
+        plan.start,
+        frame_range=options.frame_range,
+        offsets=options.samples,
+        keep_samples=options.keep_samples,
+    )
+    plan.notices.extend(_cut_notice(plan, times))
+    # Exact on the source's frames; samples before its first or behind its last are
+    # not on its grid.
+    inside = times.frames + times.fractions
+    ratio = float(clock.rate / plan.fps)
+    beyond = (times.codes - float(plan.start)) * ratio
+    outside = (beyond < 0) | (beyond > clock.count - 1)
+    places = np.where(outside, beyond, inside)
+    motion = curve(float(first) + places * float(stream.step))
+    return iter([(times.codes, motion)]), (times.first, times.last), stream.rig
 
 
 def _streamed(

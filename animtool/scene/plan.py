@@ -84,12 +84,13 @@ def plan_bake(
     notices: list[Fault] = []
     reason = "a rig layer was named" if options.form is None else "asked for"
     if options.rig_layer is not None:
-        from animtool.usd.target import map_joints, open_target
+        from animtool.usd.target import map_joints, missing_shapes, open_target
 
         target = open_target(options.rig_layer, options.prim_path)
         stream = reorient(stream, target.skeleton.rig.up)
         mapping = map_joints(stream.rig, target, options.strip_namespace)
         notices += target.notices + mapping.notices
+        notices += missing_shapes(target, [s.name for s in stream.rig.shapes])
     else:
         if options.prim_path is not None:
             check_prim_path(options.prim_path)

@@ -26,6 +26,9 @@ READERS: dict[str, str] = {
     ".usda": "usd",
     ".usdc": "usd",
     ".usdz": "usd",
+    ".yaml": "clip",
+    ".yml": "clip",
+    ".json": "clip",
 }
 
 
@@ -38,12 +41,16 @@ class SourceOptions:
         up: Its up axis; None is what the file says, Y for BVH.
         fps: Its real frame rate; None is what the file says.
         prim_path: The character, where a stage has several.
+        rig: Rig of a clip, in place of the one that it names.
+        clamp: Bring a clip's controls into their ranges, and joints into limits.
     """
 
     unit: LengthUnit | None = None
     up: UpAxis | None = None
     fps: Fraction | None = None
     prim_path: str | None = None
+    rig: Path | None = None
+    clamp: bool = False
 
 
 def is_usd(path: Path) -> bool:
@@ -57,7 +64,7 @@ def open_source(
     *,
     progress: Callable[[float], None] | None = None,
 ) -> TakeStream:
-    """Open a BVH or USD file as a stream of blocks.
+    """Open a BVH, a USD file or a clip as a stream of blocks.
 
     Raises:
         FormatError: It cannot be read or is malformed; the blocks may raise it too.
@@ -74,6 +81,10 @@ def open_source(
         message = f"{kind} is no format that animtool reads"
         allowed = f"allowed: {', '.join(READERS)}"
         raise OptionError(Fault("IO002", message, str(path), (), allowed))
+    if kind != "clip" and (options.rig is not None or options.clamp):
+        name = "--rig" if options.rig is not None else "--clamp"
+        message = f"{name} is for clips, and this is no clip"
+        raise OptionError(Fault("CLI004", message, str(path)))
     if kind == "bvh":
         from animtool.formats.bvh import read_bvh
 
@@ -91,8 +102,12 @@ def open_source(
     for name, value in given.items():
         if value is not None:
             hint = "--to-units, --to-up and --fps convert"
-            message = f"{name} says what a file leaves open; a USD file states it"
+            message = f"{name} says what a BVH leaves open; this file states it"
             raise OptionError(Fault("CLI004", message, str(path), (), hint))
+    if kind == "clip":
+        from animtool.scene.clips import open_clip_source
+
+        return open_clip_source(path, options.rig, clamp=options.clamp)
     from animtool.usd.read import read_usd
 
     return read_usd(path, prim_path=options.prim_path)

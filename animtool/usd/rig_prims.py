@@ -28,6 +28,7 @@ __all__ = [
     "open_stage",
     "others_notice",
     "prim_below",
+    "read_rig",
     "rig_from_tokens",
     "skeleton_rig",
     "up_axis",
@@ -84,6 +85,20 @@ def _check_metadata(stage: Any, where: str) -> None:
     up = str(UsdGeom.GetStageUpAxis(stage))
     if up not in list(UpAxis):
         _fail("USD015", f"upAxis is {up!r}", where, "allowed: Y, Z")
+
+
+def read_rig(path: Path) -> Rig:
+    """Return the rig of a USD file's Skeleton, that of its default prim first.
+
+    Raises:
+        FormatError: It is no USD file or holds no sound Skeleton.
+    """
+    with usd_errors(path):
+        stage = open_stage(path)
+        skeletons = find_skeletons(stage, prim_below(stage, None))
+        if not skeletons:
+            _fail("USD008", "holds no Skeleton", str(path))
+        return skeleton_rig(skeletons[0], path).rig
 
 
 def find_skeletons(stage: Any, below: str = "/") -> list[Any]:
