@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from animtool.scene.bake import bake as bake
     from animtool.scene.convert import convert as convert
     from animtool.scene.options import BakeOptions as BakeOptions
+    from animtool.scene.rigs import open_rig as open_rig
     from animtool.scene.sources import SourceOptions as SourceOptions
     from animtool.scene.sources import open_source as open_source
     from animtool.take import Take as Take
@@ -35,6 +36,7 @@ _PUBLIC = {
     "compare": "animtool.report.compare",
     "convert": "animtool.scene.convert",
     "describe": "animtool.report.describe",
+    "open_rig": "animtool.scene.rigs",
     "open_source": "animtool.scene.sources",
     "read_bvh": "animtool.formats.bvh",
     "write_bvh": "animtool.formats.bvh",

@@ -34,6 +34,7 @@ def _parsed(name: str) -> Parsed:
 Examples:
   animtool bake walk.bvh -o walk.usdc
   animtool bake walk.bvh -o hero.usda --split
+  animtool bake wave.clip.yaml --rig hero.rig.yaml -o wave.usdc --fps 60
   animtool bake walk.bvh -o walk_layer.usdc --rig-layer hero.rig.usda
   animtool bake walk.bvh -o walk.usda --fps 24 --range 1001-1048 --start 1001"""
 )
@@ -82,6 +83,17 @@ Examples:
     type=_parsed("rest"),
     metavar="offsets|frame:N",
     help="Where the rest pose comes from.  [default: offsets]",
+)
+@click.option(
+    "--rig",
+    type=click.Path(path_type=Path, readable=False),
+    metavar="FILE",
+    help="Rig of a clip, in place of the one that it names.",
+)
+@click.option(
+    "--clamp",
+    is_flag=True,
+    help="Bring a clip's controls into their ranges and joints into their limits.",
 )
 @source_options
 @click.option(
@@ -140,7 +152,7 @@ Examples:
 @common_options
 @click.pass_obj
 def bake(console: Console, /, source: Path, output: Path | None, **given: Any) -> None:
-    """Bake SOURCE, a BVH or USD file, to a USD animation that plays.
+    """Bake SOURCE, a clip, BVH or USD file, to a USD animation that plays.
 
     The summary says what was written and the error made: the largest distance
     between a joint's position in float64 and in the float32 values of the file.
@@ -181,7 +193,12 @@ def _options(given: dict[str, Any]) -> Any:
     to_units, to_up = given["to_units"], given["to_up"]
     return BakeOptions(
         source=source_options_record(
-            given["units"], given["up"], given["source_fps"], given["source_prim"]
+            given["units"],
+            given["up"],
+            given["source_fps"],
+            given["source_prim"],
+            given["rig"],
+            clamp=given["clamp"],
         ),
         form="split" if given["split"] else given["form"],
         rig_layer=given["rig_layer"],

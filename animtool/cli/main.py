@@ -18,7 +18,10 @@ from animtool.errors import AnimtoolError, ExitCode, StrictError
 __all__ = ["COMMANDS", "cli", "main"]
 
 COMMANDS = {
-    "bake": ("animtool.cli.bake:bake", "Bake a BVH or USD file to a USD animation."),
+    "bake": (
+        "animtool.cli.bake:bake",
+        "Bake a clip, BVH or USD file to a USD animation.",
+    ),
     "completion": ("animtool.cli.completion:completion", "Print a completion script."),
     "convert": ("animtool.cli.convert:convert", "Convert a take to another format."),
     "diff": ("animtool.cli.diff:diff", "Compare two takes or layers."),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
 
 import click
@@ -131,7 +132,13 @@ def source_options(command: Command) -> Command:
 
 
 def source_options_record(
-    units: str | None, up: str | None, source_fps: Any, prim_path: str | None = None
+    units: str | None,
+    up: str | None,
+    source_fps: Any,
+    prim_path: str | None = None,
+    rig: Path | None = None,
+    *,
+    clamp: bool = False,
 ) -> Any:
     """Return the record of `source_options`."""
     from animtool.scene.sources import SourceOptions
@@ -142,4 +149,6 @@ def source_options_record(
         None if up is None else UpAxis(up.upper()),
         source_fps,
         prim_path,
+        rig,
+        clamp,
     )

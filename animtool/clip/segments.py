@@ -168,5 +168,4 @@ class _Slopes:
     def _slopes(self, name: str, rule: _Rule) -> FloatArray:
         if name not in self._made:
             self._made[name] = rule(self.channel.times, self.channel.values)
-        made: FloatArray = self._made[name]
-        return made
+        return self._made[name]

@@ -130,7 +130,7 @@ def run_bake(plan: BakePlan) -> BakeReport:
         plan.source,
         result,
         f"{plan.form} ({plan.reason})",
-        counter.frames,
+        stream.count or counter.frames,
         stream.fps / stream.step,
         plan.fps,
         len(stream.rig.joints),
@@ -185,7 +185,7 @@ def _job(
         target=plan.target,
         chosen=chosen,
         bones=options.bones,
-        shapes=tuple(shape.name for shape in rig.shapes),
+        shapes=tuple(shape.name for shape in plan.stream.rig.shapes),
     )
     return job, timed
 

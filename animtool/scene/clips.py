@@ -59,12 +59,13 @@ def open_clip_source(
         try:
             sampled = sample_clip(clip, rig, times, clamp=clamp)
         except FormatError as error:
-            raise FormatError([replace(f, path=str(path)) for f in error.faults]) from error
-        stream.notices += [replace(notice, path=str(path)) for notice in sampled.notices]
+            faults = [replace(fault, path=str(path)) for fault in error.faults]
+            raise FormatError(faults) from error
+        stream.notices += [replace(note, path=str(path)) for note in sampled.notices]
         return sampled.motion
 
     def blocks() -> Iterator[Motion]:
-        yield curve(float(clip.first) + np.arange(count))
+        yield curve(float(clip.first) + np.arange(count, dtype=np.float64))
 
     stream.blocks, stream.curve, stream.count = blocks(), curve, count
     return stream

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
@@ -16,6 +16,7 @@ from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError, Severity, excerpt
 from animtool.maths import so3
 from animtool.rates import rate_from_float
+from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Rig
 from animtool.take import Channel, Clock, Motion, Take, TakeStream
 from animtool.units import unit_name
@@ -280,12 +281,11 @@ def _read(
         _scales(scales),
         _weights(weights, codes, len(shapes), where) if shapes else None,
     )
+    rig = replace(rig, shapes=tuple(Shape(name) for name in shapes))
     stream = TakeStream.of(Take(rig, clock, motion))
     stream.notices.extend(notices)
     stream.details = _details(stage, skeleton)
     stream.details["animation"] = str(animation.GetPath())
-    if shapes:
-        stream.details["shapes"] = shapes
     return stream
 
 
