@@ -116,9 +116,7 @@ def auto_clamped(times: ArrayLike, values: ArrayLike) -> FloatArray:
     return np.where(monotone, np.sign(before) * np.clip(along, 0, limit), 0.0) + 0.0
 
 
-def catmull_rom_spatial(
-    points: ArrayLike, alpha: float, u: ArrayLike
-) -> FloatArray:
+def catmull_rom_spatial(points: ArrayLike, alpha: float, u: ArrayLike) -> FloatArray:
     """Return positions ``(N, D)`` between the second and third of four points.
 
     Args:
@@ -214,9 +212,7 @@ def _segments(
     return times, values, spans, np.diff(values, axis=0) / spans
 
 
-def _with_ends(
-    inner: FloatArray, slopes: FloatArray, values: FloatArray
-) -> FloatArray:
+def _with_ends(inner: FloatArray, slopes: FloatArray, values: FloatArray) -> FloatArray:
     if len(values) < 2:
         return np.zeros(values.shape)
     return np.concatenate([slopes[:1], inner, slopes[-1:]])
