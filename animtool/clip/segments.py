@@ -151,7 +151,7 @@ class _Slopes:
             Tangent.AUTO: rules.nonuniform,
             Tangent.AUTO_CLAMPED: rules.auto_clamped,
         }[tangent]
-        return self._slopes(rule.__name__, rule)[key]
+        return np.asarray(self._slopes(rule.__name__, rule)[key])
 
     def catmull_rom(self, k: int, third: float) -> tuple[FloatArray, FloatArray]:
         """Return the handles' values of a segment, behind and before its keys."""
