@@ -20,6 +20,7 @@ LAYERS = [
     {"rig.skeleton"},
     {"take"},
     {"rig"},
+    {"clip"},
     {"formats"},
     {"usd"},
     {"edit"},

@@ -1,0 +1,1 @@
+"""Clips: sampled motion as sparse keys, within a tolerance in the world."""
