@@ -74,3 +74,11 @@ def fit_cubics(values: Annotated[NDArray[numpy.float64], dict(shape=(None, None)
     values before and behind each key ``(K, D)``. One key where all samples are within
     their bounds of the first.
     """
+
+def point_errors(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], true_positions: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], true_linear: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C', device='cpu', writable=False)], positions: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], linear: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+    """
+    Largest distance ``(F, J)`` of the points of each joint from where they were.
+
+    Points ``(J, P, 3)`` are in the joints' frames; origins ``(F, J, 3)`` and linear
+    parts ``(F, J, 3, 3)`` are those of `forward_kinematics`.
+    """

@@ -89,10 +89,6 @@ class Budget:
         self.values = evaluate_keys(self.keys, np.arange(len(samples)))
         self.errors = np.linalg.norm(self.values - samples, axis=1)
 
-    def motion_of(self, arm: FloatArray) -> FloatArray:
-        """Return how far the errors move what is so far off the joint ``(N,)`` [m]."""
-        return self.unit_motion(arm) * self.errors
-
     def unit_motion(self, arm: FloatArray | float) -> FloatArray:
         """Return how far one unit of error moves what is so far off the joint."""
         lever = np.asarray(arm, np.float64)

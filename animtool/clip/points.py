@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from animtool import _kernels
 from animtool._types import FloatArray
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
@@ -49,17 +50,6 @@ def point_errors(
         truth: Where the joints were.
         found: Where they are.
     """
-    moved = found.positions - truth.positions
-    turned = found.linear - truth.linear
-    worst = np.einsum("fjc,fjc->fj", moved, moved)
-    for p in range(1, points.shape[1]):
-        joints = np.flatnonzero(points[:, p].any(axis=-1))
-        if not len(joints):
-            continue
-        every = slice(None) if len(joints) == len(points) else joints
-        off = moved[:, every] + np.einsum(
-            "fjrc,jc->fjr", turned[:, every], points[every, p]
-        )
-        distance = np.einsum("fjc,fjc->fj", off, off)
-        worst[:, every] = np.maximum(worst[:, every], distance)
-    return np.sqrt(worst)
+    return _kernels.point_errors(
+        points, truth.positions, truth.linear, found.positions, found.linear
+    )

@@ -27,7 +27,7 @@ ROUNDS = 40
 # From this round on no key moves, so that each adds keys and the errors go down.
 SPLITTING = 8
 # Frames that may be beyond the tolerance when calibrated [1].
-QUANTILE = 0.97
+QUANTILE = 0.95
 
 
 def reduce_motion(
@@ -58,7 +58,7 @@ def reduce_motion(
     Args:
         take: With at least one frame.
         tolerance: Largest error of any joint > 0 [m].
-        shell: How far off the joint's origin to measure as well, ≥ 0 [m].
+        shell: How far off the joint's origin to measure as well, > 0 [m].
         joint_tolerances: Other tolerances, by the names of joints > 0 [m].
         weight_tolerance: Largest error of a shape's weight > 0 [1].
         base: For a take of additive deltas what they are added to, frame by frame:
@@ -184,6 +184,8 @@ def _search(world: _World, budgets: list[Budget]) -> _Reached:
     ratio = float((errors / world.bounds).max())
     while ratio > 1 and rounds < ROUNDS:
         changed = _tighten(world, budgets, errors, spread=rounds < SPLITTING)
+        if not changed:
+            break
         errors = world.measure(changed)
         ratio = float((errors / world.bounds).max())
         rounds += 1
@@ -265,8 +267,8 @@ def _bounds(rig: Rig, tolerance: float, others: Mapping[str, float]) -> FloatArr
 def _check(take: Take, base: Take | None, shell: float) -> None:
     if not take.motion.frames or not take.rig.joints:
         raise ValueError("the take has no frame or no joint")
-    if not (np.isfinite(shell) and shell >= 0):
-        raise ValueError(f"shell must be at least 0 and finite, not {shell}")
+    if not (np.isfinite(shell) and shell > 0):
+        raise ValueError(f"shell must be above 0 and finite, not {shell}")
     if base is not None and (
         base.rig.names != take.rig.names or base.motion.frames != take.motion.frames
     ):

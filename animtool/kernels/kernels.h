@@ -44,4 +44,8 @@ RoundingReport measure_rounding(In<std::int64_t, 1> parents, In<double, 3> trans
 FittedCubics fit_cubics(In<double, 2> values, In<double, 1> bounds,
                         In<std::int64_t, 1> anchors);
 
+Out<double, 2> point_errors(In<double, 3> points, In<double, 3> true_positions,
+                            In<double, 4> true_linear, In<double, 3> positions,
+                            In<double, 4> linear);
+
 }  // namespace animtool

@@ -63,4 +63,11 @@ thirds of a segment in time.
 Returns ``(frames, ins, outs)``: int64 ``(K,)``, and the offsets of the control
 values before and behind each key ``(K, D)``. One key where all samples are within
 their bounds of the first.)");
+
+  m.def("point_errors", &point_errors, "points"_a, "true_positions"_a, "true_linear"_a,
+        "positions"_a, "linear"_a,
+        R"(Largest distance ``(F, J)`` of the points of each joint from where they were.
+
+Points ``(J, P, 3)`` are in the joints' frames; origins ``(F, J, 3)`` and linear
+parts ``(F, J, 3, 3)`` are those of `forward_kinematics`.)");
 }
