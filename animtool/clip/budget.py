@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import ArrayLike, FloatArray
+from animtool._types import ArrayLike, FloatArray, IntArray
 from animtool.clip.reduction import ChannelKind
 from animtool.clip.tracks import Track
 from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
@@ -97,7 +97,7 @@ class Budget:
         return np.radians(lever) if self.track.kind is ChannelKind.ROTATION else lever
 
 
-def subtree_largest(parents: FloatArray, values: FloatArray) -> FloatArray:
+def subtree_largest(parents: IntArray, values: FloatArray) -> FloatArray:
     """Return the largest of each joint's values ``(F, J)`` and its descendants'."""
     found = np.ascontiguousarray(values.T)
     for joint in range(len(found) - 1, -1, -1):

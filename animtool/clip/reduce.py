@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.clip.budget import Budget, subtree_largest
 from animtool.clip.points import carried_points, point_errors, reach
 from animtool.clip.pose import Pose, pose_of
@@ -79,6 +79,8 @@ def reduce_motion(
     """
     rig, motion = take.rig, take.motion
     _check(take, base, shell)
+    if not (np.isfinite(weight_tolerance) and weight_tolerance > 0):
+        raise ValueError(f"weight_tolerance must be above 0, not {weight_tolerance}")
     rest = _rest(rig, motion, additive=base is not None)
     bounds = _bounds(rig, tolerance, joint_tolerances or {})
     tracks = tracks_of(rig, motion, rest)
@@ -90,7 +92,9 @@ def reduce_motion(
     budgets = [Budget.of(t, world.first_tolerance(t)) for t in moving]
     reached = _search(world, budgets)
 
-    found = {(t.kind, t.index): keys for t, keys in zip(moving, reached.keys)}
+    found = {
+        (t.kind, t.index): keys for t, keys in zip(moving, reached.keys, strict=True)
+    }
     channels, weight_error = [], 0.0
     for track in local + weights:
         keys = found.get((track.kind, track.index))
@@ -163,7 +167,7 @@ class _World:
             self.pose.set(budget.track, budget.values)
         return point_errors(self.points, self.truth, self.pose.world())
 
-    def arms(self, joint: int, frames: FloatArray, ends: FloatArray) -> FloatArray:
+    def arms(self, joint: int, frames: IntArray, ends: IntArray) -> FloatArray:
         """Return how far the points of joints ``ends`` are off a joint [m]."""
         positions = self.truth.positions
         apart = positions[frames, ends] - positions[frames, joint]
@@ -196,7 +200,7 @@ def _tighten(
     world: _World, budgets: list[Budget], errors: FloatArray, *, spread: bool
 ) -> list[Budget]:
     """Tighten what has the largest parts in each error that is too large."""
-    frames, ends = np.nonzero(errors > world.bounds)
+    frames, ends = np.argwhere(errors > world.bounds).T.astype(np.int64)
     excess = errors[frames, ends] / world.bounds[ends]
     parts = np.zeros((len(budgets), len(frames)))
     for i, budget in enumerate(budgets):
@@ -226,7 +230,7 @@ def _channel(rig: Rig, track: Track, keys: FittedKeys) -> ReducedChannel:
     return ReducedChannel(target, track.kind, track.index, joint, track.order, keys)
 
 
-def _descendants(rig: Rig) -> FloatArray:
+def _descendants(rig: Rig) -> BoolArray:
     """Return whether joint k is joint j or hangs below it ``(J, J)``, at [j, k]."""
     below = np.eye(len(rig.joints), dtype=np.bool_)
     for joint, parent in enumerate(rig.parents):
@@ -247,9 +251,7 @@ def _rest(rig: Rig, motion: Motion, *, additive: bool) -> Motion:
         still(np.zeros((joints, 3)) if additive else rig.rest_translations),
         still(np.tile(IDENTITY, (joints, 1)) if additive else rig.rest_rotations),
         None if motion.scales is None else still(np.ones((joints, 3))),
-        None
-        if motion.weights is None
-        else still(np.zeros_like(motion.weights.rest)),
+        None if motion.weights is None else still(np.zeros_like(motion.weights.rest)),
     )
 
 

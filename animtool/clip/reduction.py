@@ -114,7 +114,9 @@ def evaluate_reduction(reduction: Reduction, frames: ArrayLike | None = None) ->
 def channel_values(channel: ReducedChannel, frames: FloatArray) -> FloatArray:
     """Return the values ``(N, K)`` of a channel, rotations as quaternions."""
     values = evaluate_keys(channel.keys, frames)
-    return values if channel.order is None else euler.to_quaternion(values, channel.order)
+    return (
+        values if channel.order is None else euler.to_quaternion(values, channel.order)
+    )
 
 
 def _channel(

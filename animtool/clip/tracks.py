@@ -43,7 +43,7 @@ def euler_order(joint: Joint, rotations: FloatArray) -> str:
     gimbal lock, else the order whose middle angle stays farthest off it.
 
     >>> euler_order(Joint("a", -1), np.array([[0, 0.5**0.5, 0, 0.5**0.5]]))
-    'YXZ'
+    'XZY'
     """
     own = "".join(
         channel[0].upper()
