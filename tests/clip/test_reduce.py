@@ -247,5 +247,5 @@ def test_what_is_not_finite_is_refused(where: str, value: float) -> None:
 )
 def test_wrong_arguments_are_refused(options) -> None:
     take = take_of(arm(), swing(20))
-    with pytest.raises(ValueError, match="tolerance|shell|joint|base"):
+    with pytest.raises(ValueError, match=r"tolerance|shell|joint|base"):
         reduce_motion(take, **{"tolerance": 1e-3, **options})

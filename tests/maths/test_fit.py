@@ -171,5 +171,5 @@ def test_a_large_offset_costs_no_keys(offset: float) -> None:
     ],
 )
 def test_what_cannot_be_fitted_is_refused(values, tolerance, options) -> None:
-    with pytest.raises(ValueError, match="finite|above 0|shape|hold|anchors"):
+    with pytest.raises(ValueError, match=r"finite|above 0|shape|hold|anchors"):
         fit_keys(values, tolerance, **options)
