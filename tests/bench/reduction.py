@@ -26,6 +26,7 @@ from animtool.take import Take
 
 KEYS = "keys"
 SAMPLES_PER_KEY = "samples a key [1]"
+BUSY = "samples a key where it takes several [1]"
 SPEED = "speed [samples/s]"
 DEGREES = "largest error [deg]"
 METRES = "largest error [m]"
@@ -62,6 +63,12 @@ def douglas_peucker(values: FloatArray, tolerance: float) -> FloatArray:
             kept.add(middle)
             stack += [(a, middle), (middle, b)]
     return np.array(sorted(kept))
+
+
+def busy_share(counts: list[int], frames: int) -> float:
+    """Return samples a key of the channels that need more than one key."""
+    busy = [count for count in counts if count > 1]
+    return frames * len(busy) / max(1, sum(busy))
 
 
 def timed(work: Callable[[], object], runs: int) -> tuple[object, list[float]]:
@@ -118,6 +125,8 @@ class Bench:
         dense = self.options.dense in section
         wanted = (Wanted(True, 15),) if dense else ()
         report("animtool", keys, error, taken, *wanted, *(Wanted(True, 1e5),) * dense)
+        counts = [len(k.frames) for k in fitted]
+        self.add(section, "animtool", BUSY, busy_share(counts, len(frames)))
         inner = np.concatenate([k.smooth[1:-1] for k in fitted])
         self.add(section, "animtool", SMOOTH, inner.mean() if len(inner) else 1.0)
 
@@ -160,6 +169,8 @@ class Bench:
             add = self.add
             add(section, "animtool", KEYS, found.keys)
             add(section, "animtool", SAMPLES_PER_KEY, found.samples_per_key)
+            counts = [len(c.keys.frames) for c in found.channels]
+            add(section, "animtool", BUSY, busy_share(counts, take.motion.frames))
             add(
                 section,
                 "animtool",
