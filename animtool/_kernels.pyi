@@ -71,3 +71,24 @@ def measure_rounding(parents: Annotated[NDArray[numpy.int64], dict(shape=(None,)
     Returns ``(extents, error, frame, joint)``: the largest distance between a joint's
     world position in float64 and in the values written, and where it is.
     """
+
+def fit_cubics(values: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], bounds: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], anchors: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]:
+    """
+    Keys of cubic segments through samples ``(F, D)``, as few as a greedy search finds.
+
+    The Euclidean error at sample i is at most ``bounds[i]``. There is a key on each
+    of the frames ``anchors``, ascending, first and last excluded. Handles lie at
+    thirds of a segment in time.
+
+    Returns ``(frames, ins, outs)``: int64 ``(K,)``, and the offsets of the control
+    values before and behind each key ``(K, D)``. One key where all samples are within
+    their bounds of the first.
+    """
+
+def point_errors(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], true_positions: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], true_linear: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C', device='cpu', writable=False)], positions: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], linear: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+    """
+    Largest distance ``(F, J)`` of the points of each joint from where they were.
+
+    Points ``(J, P, 3)`` are in the joints' frames; origins ``(F, J, 3)`` and linear
+    parts ``(F, J, 3, 3)`` are those of `forward_kinematics`.
+    """

@@ -19,6 +19,8 @@ using BvhRows = std::tuple<Out<double, 2>, Out<std::int64_t, 1>, std::size_t, st
 using WorldTransforms = std::tuple<Out<double, 3>, Out<double, 4>>;
 // extents, error, frame, joint
 using RoundingReport = std::tuple<Out<double, 3>, double, std::size_t, std::size_t>;
+// frames, ins, outs
+using FittedCubics = std::tuple<Out<std::int64_t, 1>, Out<double, 2>, Out<double, 2>>;
 
 BvhRows parse_bvh_rows(nb::bytes text, std::size_t columns, std::size_t limit, bool final);
 
@@ -42,5 +44,12 @@ RoundingReport measure_rounding(In<std::int64_t, 1> parents, In<double, 3> trans
                                 In<float, 3> written_translations,
                                 In<float, 3> written_rotations,
                                 std::optional<In<float, 3>> written_scales);
+
+FittedCubics fit_cubics(In<double, 2> values, In<double, 1> bounds,
+                        In<std::int64_t, 1> anchors);
+
+Out<double, 2> point_errors(In<double, 3> points, In<double, 3> true_positions,
+                            In<double, 4> true_linear, In<double, 3> positions,
+                            In<double, 4> linear);
 
 }  // namespace animtool

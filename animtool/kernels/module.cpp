@@ -61,4 +61,22 @@ takes the one nearest to the frame before; the first, the one nearest to zero.)"
 
 Returns ``(extents, error, frame, joint)``: the largest distance between a joint's
 world position in float64 and in the values written, and where it is.)");
+
+  m.def("fit_cubics", &fit_cubics, "values"_a, "bounds"_a, "anchors"_a,
+        R"(Keys of cubic segments through samples ``(F, D)``, as few as a greedy search finds.
+
+The Euclidean error at sample i is at most ``bounds[i]``. There is a key on each
+of the frames ``anchors``, ascending, first and last excluded. Handles lie at
+thirds of a segment in time.
+
+Returns ``(frames, ins, outs)``: int64 ``(K,)``, and the offsets of the control
+values before and behind each key ``(K, D)``. One key where all samples are within
+their bounds of the first.)");
+
+  m.def("point_errors", &point_errors, "points"_a, "true_positions"_a, "true_linear"_a,
+        "positions"_a, "linear"_a,
+        R"(Largest distance ``(F, J)`` of the points of each joint from where they were.
+
+Points ``(J, P, 3)`` are in the joints' frames; origins ``(F, J, 3)`` and linear
+parts ``(F, J, 3, 3)`` are those of `forward_kinematics`.)");
 }

@@ -1,0 +1,84 @@
+"""The local transforms of a rig while its channels change one by one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.clip.reduction import ChannelKind
+from animtool.clip.tracks import Track
+from animtool.maths import euler, so3
+from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.skeleton import Rig
+from animtool.take import Motion
+
+__all__ = ["Pose", "pose_of"]
+
+
+@dataclass(slots=True)
+class Pose:
+    """What a rig does in every frame, on top of a base if there is one.
+
+    Attributes:
+        rig: J joints.
+        translations: ``(F, J, 3)`` [m].
+        rotations: ``(F, J, 4)``.
+        scales: ``(F, J, 3)`` [1]; None where nothing is scaled.
+        base: What the channels add to; None where they stand alone.
+    """
+
+    rig: Rig
+    translations: FloatArray
+    rotations: FloatArray
+    scales: FloatArray | None
+    base: Pose | None = None
+
+    def set(self, track: Track, values: FloatArray) -> None:
+        """Put the values ``(F, D)`` of a track in place."""
+        j, base = track.index, self.base
+        if track.order is not None:
+            turn = euler.to_quaternion(values, track.order)
+            self.rotations[:, j] = (
+                turn if base is None else so3.multiply(base.rotations[:, j], turn)
+            )
+        elif track.kind is ChannelKind.TRANSLATION:
+            self.translations[:, j] = (
+                values if base is None else base.translations[:, j] + values
+            )
+        elif track.kind is ChannelKind.SCALE and self.scales is not None:
+            below = 1.0 if base is None or base.scales is None else base.scales[:, j]
+            self.scales[:, j] = below * values
+
+    def world(self) -> WorldTransforms:
+        """Return where every joint is."""
+        return forward(self.rig, self.translations, self.rotations, self.scales)
+
+    def copy(self) -> Pose:
+        """Return one whose channels can change on their own."""
+        scales = None if self.scales is None else self.scales.copy()
+        return Pose(
+            self.rig,
+            self.translations.copy(),
+            self.rotations.copy(),
+            scales,
+            self.base,
+        )
+
+
+def pose_of(rig: Rig, motion: Motion, base: Motion | None) -> Pose:
+    """Return the pose of a motion: translations added, rotations behind the base's."""
+    if base is None:
+        return Pose(rig, *motion.dense())
+    below = pose_of(rig, base, None)
+    translations, rotations, scales = motion.dense()
+    if below.scales is not None:
+        scales = below.scales if scales is None else below.scales * scales
+    return Pose(
+        rig,
+        below.translations + translations,
+        so3.multiply(below.rotations, rotations),
+        None if scales is None else np.ascontiguousarray(scales),
+        below,
+    )

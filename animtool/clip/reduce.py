@@ -1,0 +1,286 @@
+"""Key reduction: a sampled take as sparse keys, within a tolerance in the world."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.clip.budget import Budget, subtree_largest
+from animtool.clip.points import carried_points, point_errors, reach
+from animtool.clip.pose import Pose, pose_of
+from animtool.clip.reduction import ChannelKind, ReducedChannel, Reduction
+from animtool.clip.tracks import Track, tracks_of
+from animtool.maths.fit import FittedKeys, fit_keys
+from animtool.maths.so3 import IDENTITY
+from animtool.rig.skeleton import Rig
+from animtool.take import Channel, Motion, Take
+
+__all__ = ["reduce_motion"]
+
+# Levers are only a first guess: the first rounds scale each channel's tolerance by
+# what came of it in the world, the others tighten where that was too much.
+CALIBRATING = 3
+ROUNDS = 40
+# From this round on no key moves, so that each adds keys and the errors go down.
+SPLITTING = 8
+# Frames that may be beyond the tolerance when calibrated [1].
+QUANTILE = 0.95
+
+
+def reduce_motion(
+    take: Take,
+    tolerance: float,
+    *,
+    shell: float = 0.03,
+    joint_tolerances: Mapping[str, float] | None = None,
+    weight_tolerance: float = 1e-3,
+    base: Take | None = None,
+) -> Reduction:
+    """Return sparse keys of a take whose world error is within a tolerance.
+
+    The error of a joint is the largest distance, at any frame of the take, of its
+    origin, of points off it along its three axes and of its bone's tips from where
+    they were. So it sees a twist that leaves all origins in place, as the measure
+    of ACL does. Inherited scale grows the shell too.
+
+    Each channel is fitted by `animtool.maths.fit.fit_keys` with a tolerance of its
+    own. These start from levers, are scaled by what comes of them in the world, and
+    where a joint is then off by too much, the channels of its chain that have the
+    largest part in it are tightened around that frame. Same take, same bytes.
+
+    Limits: between frames nothing is measured. A tolerance near rounding
+    (1e-12 of the rig's size) may not be reached; ``held`` says so. Controls are left
+    out, as joints and weights hold what they drive.
+
+    Args:
+        take: With at least one frame.
+        tolerance: Largest error of any joint > 0 [m].
+        shell: How far off the joint's origin to measure as well, > 0 [m].
+        joint_tolerances: Other tolerances, by the names of joints > 0 [m].
+        weight_tolerance: Largest error of a shape's weight > 0 [1].
+        base: For a take of additive deltas what they are added to, frame by frame:
+            translations are summed, rotations stand behind the base's, scales are
+            multiplied. Rest is then no delta. None is a take that stands alone.
+
+    Returns:
+        Keys and what they reached; `animtool.clip.reduction.evaluate_reduction`
+        gives the motion back.
+
+    Raises:
+        ValueError: A value is not finite, a tolerance is not above 0, a joint is
+            unknown, the take has no frame, or the base's joints or frames differ.
+
+    References:
+        N. Frechette, Animation Compression Library, 2017: error on a shell around
+        each joint, in world space.
+    """
+    rig, motion = take.rig, take.motion
+    _check(take, base, shell)
+    if not (np.isfinite(weight_tolerance) and weight_tolerance > 0):
+        raise ValueError(f"weight_tolerance must be above 0, not {weight_tolerance}")
+    rest = _rest(rig, motion, additive=base is not None)
+    bounds = _bounds(rig, tolerance, joint_tolerances or {})
+    tracks = tracks_of(rig, motion, rest)
+    weights = [t for t in tracks if t.kind is ChannelKind.WEIGHT]
+    local = [t for t in tracks if t.kind is not ChannelKind.WEIGHT]
+
+    world = _World(rig, motion, None if base is None else base.motion, shell, bounds)
+    moving = [t for t in local if len(t.samples) > 1]
+    budgets = [Budget.of(t, world.first_tolerance(t)) for t in moving]
+    reached = _search(world, budgets)
+
+    found = {
+        (t.kind, t.index): keys for t, keys in zip(moving, reached.keys, strict=True)
+    }
+    channels, weight_error = [], 0.0
+    for track in local + weights:
+        keys = found.get((track.kind, track.index))
+        if keys is None:
+            keys = fit_keys(track.samples, weight_tolerance)
+            if len(track.samples) > 1:
+                fitted = Budget.of(track, weight_tolerance)
+                weight_error = max(weight_error, float(fitted.errors.max()))
+        channels.append(_channel(rig, track, keys))
+    frame, joint = divmod(int(np.argmax(reached.errors)), len(rig.joints))
+    return Reduction(
+        clock=take.clock,
+        rest=rest,
+        channels=tuple(channels),
+        samples=motion.frames * sum(len(t.samples) > 1 for t in tracks),
+        error=float(reached.errors[frame, joint]),
+        joint=rig.joints[joint].name,
+        frame=frame,
+        held=reached.ratio <= 1,
+        weight_error=weight_error,
+        rounds=reached.rounds,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Reached:
+    keys: list[FittedKeys]
+    errors: FloatArray
+    ratio: float
+    rounds: int
+
+
+class _World:
+    """Where the points of a rig should be, and where keys put them."""
+
+    def __init__(
+        self,
+        rig: Rig,
+        motion: Motion,
+        base: Motion | None,
+        shell: float,
+        bounds: FloatArray,
+    ) -> None:
+        self.rig, self.bounds = rig, bounds
+        self.pose: Pose = pose_of(rig, motion, base)
+        self.truth = self.pose.world()
+        self.points = carried_points(rig, shell)
+        self.reach = reach(self.points)
+        self.below = _descendants(rig)
+        self.pose = self.pose.copy()
+
+    def first_tolerance(self, track: Track) -> float:
+        """Return a channel's tolerance by the levers of what hangs below it."""
+        own = np.flatnonzero(self.below[track.index])
+        frames = np.linspace(0, len(self.truth.positions) - 1, 8).astype(np.int64)
+        positions = self.truth.positions[frames]
+        arms = np.linalg.norm(
+            positions[:, own] - positions[:, track.index, None], axis=-1
+        )
+        lever = arms.max(axis=0) + self.reach[own]
+        if track.kind is ChannelKind.TRANSLATION:
+            return float(self.bounds[own].min() / 2)
+        tolerance = float((self.bounds[own] / (2 * lever.clip(min=1e-9))).min())
+        rotates = track.kind is ChannelKind.ROTATION
+        return float(np.degrees(tolerance)) if rotates else tolerance
+
+    def measure(self, budgets: list[Budget]) -> FloatArray:
+        """Return the error of every joint ``(F, J)`` [m] once these are in place."""
+        for budget in budgets:
+            self.pose.set(budget.track, budget.values)
+        return point_errors(self.points, self.truth, self.pose.world())
+
+    def arms(self, joint: int, frames: IntArray, ends: IntArray) -> FloatArray:
+        """Return how far the points of joints ``ends`` are off a joint [m]."""
+        positions = self.truth.positions
+        apart = positions[frames, ends] - positions[frames, joint]
+        return np.asarray(np.linalg.norm(apart, axis=-1) + self.reach[ends])
+
+
+def _search(world: _World, budgets: list[Budget]) -> _Reached:
+    """Return the keys after calibrating and tightening."""
+    errors = world.measure(budgets)
+    rounds = 1
+    for _ in range(CALIBRATING if budgets else 0):
+        used = subtree_largest(world.rig.parents, errors / world.bounds)
+        for budget in budgets:
+            typical = float(np.quantile(used[:, budget.track.index], QUANTILE))
+            budget.scale(float(np.clip(0.9 / max(typical, 1e-9), 0.25, 4.0)))
+        errors = world.measure(budgets)
+        rounds += 1
+    ratio = float((errors / world.bounds).max())
+    while ratio > 1 and rounds < ROUNDS:
+        changed = _tighten(world, budgets, errors, spread=rounds < SPLITTING)
+        if not changed:
+            break
+        errors = world.measure(changed)
+        ratio = float((errors / world.bounds).max())
+        rounds += 1
+    return _Reached([b.keys for b in budgets], errors, ratio, rounds)
+
+
+def _tighten(
+    world: _World, budgets: list[Budget], errors: FloatArray, *, spread: bool
+) -> list[Budget]:
+    """Tighten what has the largest parts in each error that is too large."""
+    frames, ends = np.argwhere(errors > world.bounds).T.astype(np.int64)
+    excess = errors[frames, ends] / world.bounds[ends]
+    parts = np.zeros((len(budgets), len(frames)))
+    for i, budget in enumerate(budgets):
+        joint = budget.track.index
+        hit = np.flatnonzero(world.below[joint, ends])
+        arms = world.arms(joint, frames[hit], ends[hit])
+        parts[i, hit] = budget.unit_motion(arms) * budget.errors[frames[hit]]
+    blamed = (parts >= 0.5 * parts.max(axis=0, initial=0.0)) & (parts > 0)
+    changed = []
+    for i, budget in enumerate(budgets):
+        hit = np.flatnonzero(blamed[i])
+        if len(hit):
+            at, place = np.unique(frames[hit], return_inverse=True)
+            worst = np.zeros(len(at))
+            np.maximum.at(worst, place, excess[hit])
+            budget.tighten(at, budget.errors[at] * 0.9 / worst, spread=spread)
+            changed.append(budget)
+    return changed
+
+
+def _channel(rig: Rig, track: Track, keys: FittedKeys) -> ReducedChannel:
+    if track.kind is ChannelKind.WEIGHT:
+        target, joint = f"weight[{track.index}]", None
+    else:
+        joint = rig.joints[track.index].name
+        target = f"{joint}.{track.kind}"
+    return ReducedChannel(target, track.kind, track.index, joint, track.order, keys)
+
+
+def _descendants(rig: Rig) -> BoolArray:
+    """Return whether joint k is joint j or hangs below it ``(J, J)``, at [j, k]."""
+    below = np.eye(len(rig.joints), dtype=np.bool_)
+    for joint, parent in enumerate(rig.parents):
+        if parent >= 0:
+            below[:, joint] |= below[:, parent]
+    return below
+
+
+def _rest(rig: Rig, motion: Motion, *, additive: bool) -> Motion:
+    """Return one frame of what needs no key."""
+    joints = len(rig.joints)
+
+    def still(values: FloatArray) -> Channel:
+        nothing = np.zeros((1, 0, values.shape[1]))
+        return Channel(values, np.zeros(0, np.int64), nothing)
+
+    return Motion(
+        still(np.zeros((joints, 3)) if additive else rig.rest_translations),
+        still(np.tile(IDENTITY, (joints, 1)) if additive else rig.rest_rotations),
+        None if motion.scales is None else still(np.ones((joints, 3))),
+        None if motion.weights is None else still(np.zeros_like(motion.weights.rest)),
+    )
+
+
+def _bounds(rig: Rig, tolerance: float, others: Mapping[str, float]) -> FloatArray:
+    bounds = np.full(len(rig.joints), float(tolerance))
+    for name, value in others.items():
+        if name not in rig.names:
+            raise ValueError(f"joint_tolerances: {rig.name!r} has no joint {name!r}")
+        bounds[rig.index(name)] = value
+    if not ((bounds > 0) & np.isfinite(bounds)).all():
+        raise ValueError("a tolerance must be above 0 and finite")
+    return bounds
+
+
+def _check(take: Take, base: Take | None, shell: float) -> None:
+    if not take.motion.frames or not take.rig.joints:
+        raise ValueError("the take has no frame or no joint")
+    if not (np.isfinite(shell) and shell > 0):
+        raise ValueError(f"shell must be above 0 and finite, not {shell}")
+    if base is not None and (
+        base.rig.names != take.rig.names or base.motion.frames != take.motion.frames
+    ):
+        raise ValueError("the base has other joints or another number of frames")
+    for motion in [take.motion] if base is None else [take.motion, base.motion]:
+        for name in ("translations", "rotations", "scales", "weights"):
+            channel = getattr(motion, name)
+            if channel is None:
+                continue
+            if not (
+                np.isfinite(channel.values).all() and np.isfinite(channel.rest).all()
+            ):
+                raise ValueError(f"the {name} hold a value that is not finite")

@@ -1,0 +1,135 @@
+"""What a key reduction holds, and the motion that it gives back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from animtool._types import ArrayLike, FloatArray
+from animtool.maths import euler
+from animtool.maths.fit import FittedKeys, evaluate_keys
+from animtool.take import Channel, Clock, Motion
+
+__all__ = ["ChannelKind", "ReducedChannel", "Reduction", "evaluate_reduction"]
+
+
+class ChannelKind(StrEnum):
+    """What a reduced channel drives."""
+
+    TRANSLATION = "translation"
+    ROTATION = "rotation"
+    SCALE = "scale"
+    WEIGHT = "weight"
+
+
+@dataclass(frozen=True, slots=True)
+class ReducedChannel:
+    """The keys of one joint's translation, rotation or scale, or of one weight.
+
+    Attributes:
+        target: ``joint.kind``, or ``weight[i]``.
+        kind: What it drives.
+        index: Of the joint in its rig, or of the weight.
+        joint: Name of the joint; None for a weight.
+        order: Of the Euler angles, left to right; None for all but rotations.
+        keys: Frames from 0, not time codes. Translations are in [m], rotations in
+            [deg], continuous over turns; the rest in [1]. Handles lie at thirds of
+            the segments beside a key.
+    """
+
+    target: str
+    kind: ChannelKind
+    index: int
+    joint: str | None
+    order: str | None
+    keys: FittedKeys
+
+
+@dataclass(frozen=True, slots=True)
+class Reduction:
+    """Sparse keys of a take, and how far they are from it.
+
+    Attributes:
+        clock: Of the take, F frames.
+        rest: One frame of what holds where there is no channel.
+        channels: In the order translation, rotation, scale of each joint, then the
+            weights. What stays at rest has none, what only stays has one key.
+        samples: F times the channels that move.
+        error: Largest distance of a point from where it was [m].
+        joint: Name of the joint that the point belongs to.
+        frame: Where that is [frame].
+        held: Whether every joint keeps its own tolerance.
+        weight_error: Largest error of a weight [1].
+        rounds: How many times the world error was measured.
+    """
+
+    clock: Clock
+    rest: Motion
+    channels: tuple[ReducedChannel, ...]
+    samples: int
+    error: float
+    joint: str
+    frame: int
+    held: bool
+    weight_error: float
+    rounds: int
+
+    @property
+    def keys(self) -> int:
+        """Keys of all channels; the components of a channel share theirs."""
+        return sum(len(channel.keys.frames) for channel in self.channels)
+
+    @property
+    def samples_per_key(self) -> float:
+        """Samples that a key stands for [1]."""
+        return self.samples / max(1, self.keys)
+
+
+def evaluate_reduction(reduction: Reduction, frames: ArrayLike | None = None) -> Motion:
+    """Return the motion that the keys give.
+
+    Args:
+        reduction: From `animtool.clip.reduce.reduce_motion`.
+        frames: Where, counted from 0, fractions allowed ``(N,)`` [frame]; None is
+            every frame of the take. Outside, the first and last keys hold.
+    """
+    at = np.asarray(
+        np.arange(reduction.clock.count) if frames is None else frames, np.float64
+    )
+    return Motion(
+        _channel(reduction, ChannelKind.TRANSLATION, reduction.rest.translations, at),
+        _channel(reduction, ChannelKind.ROTATION, reduction.rest.rotations, at),
+        *(
+            None if rest is None else _channel(reduction, kind, rest, at)
+            for kind, rest in (
+                (ChannelKind.SCALE, reduction.rest.scales),
+                (ChannelKind.WEIGHT, reduction.rest.weights),
+            )
+        ),
+    )
+
+
+def channel_values(channel: ReducedChannel, frames: FloatArray) -> FloatArray:
+    """Return the values ``(N, K)`` of a channel, rotations as quaternions."""
+    values = evaluate_keys(channel.keys, frames)
+    return (
+        values if channel.order is None else euler.to_quaternion(values, channel.order)
+    )
+
+
+def _channel(
+    reduction: Reduction, kind: ChannelKind, rest: Channel, at: FloatArray
+) -> Channel:
+    own = [channel for channel in reduction.channels if channel.kind is kind]
+    still, moves = rest.rest.copy(), []
+    for channel in own:
+        if len(channel.keys.frames) > 1:
+            moves.append(channel)
+        else:
+            still[channel.index] = channel_values(channel, at[:1])[0]
+    values = np.zeros((len(at), len(moves), rest.rest.shape[1]))
+    for i, channel in enumerate(moves):
+        values[:, i] = channel_values(channel, at)
+    return Channel(still, np.array([c.index for c in moves], np.int64), values)

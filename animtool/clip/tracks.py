@@ -1,0 +1,115 @@
+"""The local channels of a take, as samples that keys can be fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.clip.reduction import ChannelKind
+from animtool.maths import euler
+from animtool.rig.skeleton import Joint, Rig
+from animtool.take import Channel, Motion
+
+__all__ = ["Track", "euler_order", "tracks_of"]
+
+# Of the middle angle's cosine: some 80 degrees.
+NEAR_LOCK = 0.17
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """Samples of one channel.
+
+    Attributes:
+        kind: What it drives.
+        index: Of the joint in its rig, or of the weight.
+        order: Of the Euler angles; None for all but rotations.
+        samples: ``(F, D)``, or ``(1, D)`` for a channel that does not move.
+    """
+
+    kind: ChannelKind
+    index: int
+    order: str | None
+    samples: FloatArray
+
+
+def euler_order(joint: Joint, rotations: FloatArray) -> str:
+    """Return the order in which a joint's rotations ``(F, 4)`` are best keyed.
+
+    That of the joint's own BVH channels where its middle angle stays 10° off
+    gimbal lock, else the order whose middle angle stays farthest off it.
+
+    >>> euler_order(Joint("a", -1), np.array([[0, 0.5**0.5, 0, 0.5**0.5]]))
+    'XZY'
+    """
+    own = "".join(
+        channel[0].upper()
+        for channel in joint.channels or ()
+        if channel.lower().endswith("rotation")
+    )
+    if own in euler.ORDERS and _off_lock(rotations, own) >= NEAR_LOCK:
+        return own
+    off = {order: _off_lock(rotations, order) for order in euler.ORDERS}
+    # Rounded, so that a tie does not hang on the last digit.
+    return max(euler.ORDERS, key=lambda order: round(off[order], 6))
+
+
+def tracks_of(rig: Rig, motion: Motion, rest: Motion) -> list[Track]:
+    """Return a track for whatever moves or is not at rest.
+
+    Args:
+        rig: J joints.
+        motion: Theirs.
+        rest: One frame that needs no track.
+    """
+    found = list(_tracks(rig, motion, rest))
+    kinds = list(ChannelKind)
+    return sorted(
+        found,
+        key=lambda t: (
+            t.kind is ChannelKind.WEIGHT,
+            t.index,
+            kinds.index(t.kind),
+        ),
+    )
+
+
+def _tracks(rig: Rig, motion: Motion, rest: Motion) -> Iterator[Track]:
+    for kind, channel, still in (
+        (ChannelKind.TRANSLATION, motion.translations, rest.translations),
+        (ChannelKind.ROTATION, motion.rotations, rest.rotations),
+        (ChannelKind.SCALE, motion.scales, rest.scales),
+        (ChannelKind.WEIGHT, motion.weights, rest.weights),
+    ):
+        if channel is None or still is None:
+            continue
+        for index, values in _moving_or_placed(channel.compact(), still):
+            if kind is ChannelKind.ROTATION:
+                order = euler_order(rig.joints[index], values)
+                yield Track(kind, index, order, euler.from_quaternion(values, order))
+            else:
+                yield Track(kind, index, None, np.ascontiguousarray(values))
+
+
+def _moving_or_placed(
+    channel: Channel, rest: Channel
+) -> Iterator[tuple[int, FloatArray]]:
+    moves = set(channel.animated.tolist())
+    for i, index in enumerate(channel.animated):
+        yield int(index), channel.values[:, i]
+    for index, (value, still) in enumerate(zip(channel.rest, rest.rest, strict=True)):
+        if index not in moves and (value != still).any():
+            yield index, value[None]
+
+
+def _off_lock(rotations: FloatArray, order: str) -> float:
+    """Return the least cosine of the middle angle, by the matrix entry that has it."""
+    first, middle, last = euler.axes_of(order)
+    product = rotations[:, first] * rotations[:, last]
+    twist = rotations[:, middle] * rotations[:, 3]
+    sign = 1.0 if (middle - first) % 3 == 1 else -1.0
+    sine = np.abs(2.0 * (product + sign * twist)).max().clip(max=1.0)
+    return float(np.sqrt(1.0 - sine * sine))

@@ -1,0 +1,134 @@
+"""Sparse cubic keys through dense samples, within a tolerance at every sample."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool import _kernels
+from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_floats
+
+__all__ = ["FittedKeys", "evaluate_keys", "fit_keys"]
+
+
+@dataclass(frozen=True, slots=True)
+class FittedKeys:
+    """K keys that D components share, with cubic segments between them.
+
+    A segment's handles lie at thirds of it in time, so that time is linear in the
+    curve's parameter: as a Bézier curve and as a cubic over time it is the same.
+
+    Attributes:
+        frames: Of the keys, ascending ``(K,)`` [frame].
+        values: The samples there ``(K, D)``.
+        ins: Handle before each key, as offset in value ``(K, D)``; 0 at the first.
+        outs: Handle behind each key, as offset in value ``(K, D)``; 0 at the last.
+    """
+
+    frames: IntArray
+    values: FloatArray
+    ins: FloatArray
+    outs: FloatArray
+
+    @property
+    def smooth(self) -> BoolArray:
+        """Whether each key has one slope on both sides ``(K,)``; the ends have."""
+        found = np.ones(len(self.frames), np.bool_)
+        lengths = np.diff(self.frames)[:, None]
+        before, behind = self.ins[1:-1] / -lengths[:-1], self.outs[1:-1] / lengths[1:]
+        size = np.abs(before) + np.abs(behind)
+        found[1:-1] = (np.abs(before - behind) <= 1e-9 * size + 1e-300).all(axis=1)
+        return found
+
+
+def fit_keys(
+    values: ArrayLike,
+    tolerance: ArrayLike,
+    *,
+    share: ArrayLike | None = None,
+    anchors: ArrayLike = (),
+) -> FittedKeys:
+    """Return few keys whose cubic segments stay within a tolerance of samples.
+
+    From each key, galloping and bisection look for the longest segment that fits,
+    in O(F log F) for all. A segment begins and ends on samples; its two inner
+    control values are those of least squares, reweighted towards the least largest
+    error where that nearly fits. Then the two slopes at each key become one where
+    the tolerance allows.
+
+    Limits: the search is greedy, so a few keys fewer may do. The bound holds at the
+    samples: two control values pass through any two samples, so of pure noise
+    every third sample stays a key, and between samples the curve may swing out. A
+    tolerance below 1e-13 of the values is less than their rounding.
+
+    Args:
+        values: Even samples ``(F, D)``, F > 0, D > 0.
+        tolerance: Largest error > 0, in the unit of the values: a number, for the
+            Euclidean norm over D; or one for each component ``(D,)``, for the norm of
+            the errors over their tolerances.
+        share: How much of the tolerance each frame has ``(F,)`` [1], > 0; None is 1.
+        anchors: Frames inside that are keys in any case, ascending [frame]. The keys
+            between two anchors depend on nothing outside, their slopes apart.
+
+    Returns:
+        One key where all samples are within the tolerance of the first.
+
+    Raises:
+        ValueError: A shape does not fit, a value is not finite, a tolerance or share
+            is not above 0, or anchors do not ascend.
+
+    References:
+        C. L. Lawson, Contributions to the theory of linear least maximum
+        approximation, 1961, for the weights.
+
+    >>> t = np.arange(101.0)[:, None]
+    >>> keys = fit_keys((t / 50 - 1) ** 3, 1e-6)
+    >>> keys.frames.tolist(), keys.outs.round(6).tolist()
+    ([0, 100], [[2.0], [0.0]])
+    """
+    samples = as_floats(values, ("F", "D"), "values")
+    if not samples.size:
+        raise ValueError("values must hold a sample")
+    limits = np.asarray(tolerance, np.float64)
+    if limits.shape not in ((), samples.shape[1:]):
+        raise ValueError(
+            f"tolerance must be a number or have shape {samples.shape[1:]}, "
+            f"not {limits.shape}"
+        )
+    frames = len(samples)
+    shares = np.ones(frames) if share is None else as_floats(share, (frames,), "share")
+    for name, array in (("tolerance", limits), ("share", shares)):
+        if not ((array > 0) & np.isfinite(array)).all():
+            raise ValueError(f"{name} must be above 0 and finite")
+    if not np.isfinite(samples).all():
+        frame = int(np.argmin(np.isfinite(samples).all(axis=1)))
+        raise ValueError(f"values are not finite at frame {frame}")
+    at, ins, outs = _kernels.fit_cubics(
+        samples / limits, shares, np.ascontiguousarray(anchors, np.int64)
+    )
+    return FittedKeys(at, samples[at], ins * limits, outs * limits)
+
+
+def evaluate_keys(keys: FittedKeys, frames: ArrayLike) -> FloatArray:
+    """Return the values ``(F, D)`` of fitted keys at frames ``(F,)``.
+
+    Before the first key and behind the last, their values hold.
+
+    >>> keys = fit_keys([[0.0], [1.0], [4.0], [9.0]], 0.01)
+    >>> evaluate_keys(keys, [1.5]).round(9).tolist()
+    [[2.25]]
+    """
+    at = np.asarray(frames, np.float64)
+    if len(keys.frames) == 1:
+        return np.repeat(keys.values, len(at), axis=0)
+    k = np.searchsorted(keys.frames, at, side="right").clip(1, len(keys.frames) - 1) - 1
+    length = keys.frames[k + 1] - keys.frames[k]
+    u = ((at - keys.frames[k]) / length).clip(0.0, 1.0)[:, None]
+    v = 1.0 - u
+    start, end = keys.values[k], keys.values[k + 1]
+    # Offsets from the nearer end, so that a large value costs no digits of a small
+    # change, and keys are met exactly.
+    rise = np.where(u < 0.5, (3 - 2 * u) * u * u, (2 * v - 3) * v * v)
+    handles = 3 * u * v * (v * keys.outs[k] + u * keys.ins[k + 1])
+    return np.asarray(np.where(u < 0.5, start, end) + rise * (end - start) + handles)

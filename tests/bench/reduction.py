@@ -1,0 +1,225 @@
+"""How few keys animtool makes of motion, and how fast, beside plainer ways.
+
+Every tool gets the same Euler angles of a real take; see README.md beside this file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from bvh_to_usd import HERE, Row, Wanted, machine, run, table, verdicts, write_csv
+
+from animtool._types import FloatArray
+from animtool.clip.reduce import reduce_motion
+from animtool.clip.tracks import euler_order
+from animtool.formats.bvh import read_bvh
+from animtool.maths import euler
+from animtool.maths.fit import evaluate_keys, fit_keys
+from animtool.take import Take
+
+KEYS = "keys"
+SAMPLES_PER_KEY = "samples a key [1]"
+BUSY = "samples a key where it takes several [1]"
+SPEED = "speed [samples/s]"
+DEGREES = "largest error [deg]"
+METRES = "largest error [m]"
+SECONDS = "time [s]"
+ROUNDS = "rounds"
+SMOOTH = "inner keys of one slope [1]"
+WORLD_TOLERANCES = (5e-4, 1e-3, 5e-3)
+
+
+def rotation_samples(take: Take) -> list[FloatArray]:
+    """Return the Euler angles ``(F, 3)`` [deg] of every joint that turns."""
+    moving = take.motion.rotations
+    found = []
+    for i, joint in enumerate(moving.animated):
+        values = moving.values[:, i]
+        order = euler_order(take.rig.joints[joint], values)
+        found.append(euler.from_quaternion(values, order))
+    return found
+
+
+def douglas_peucker(values: FloatArray, tolerance: float) -> FloatArray:
+    """Return the samples that straight lines between them need ``(K,)`` [frame]."""
+    kept, stack = {0, len(values) - 1}, [(0, len(values) - 1)]
+    while stack:
+        a, b = stack.pop()
+        if b - a < 2:
+            continue
+        u = np.arange(1, b - a)[:, None] / (b - a)
+        line = values[a] + u * (values[b] - values[a])
+        off = np.linalg.norm(values[a + 1 : b] - line, axis=1)
+        worst = int(off.argmax())
+        if off[worst] > tolerance:
+            middle = a + 1 + worst
+            kept.add(middle)
+            stack += [(a, middle), (middle, b)]
+    return np.array(sorted(kept))
+
+
+def busy_share(counts: list[int], frames: int) -> float:
+    """Return samples a key of the channels that need more than one key."""
+    busy = [count for count in counts if count > 1]
+    return frames * len(busy) / max(1, sum(busy))
+
+
+def timed(work: Callable[[], object], runs: int) -> tuple[object, list[float]]:
+    """Return what some work gives and the seconds of each run."""
+    taken = []
+    for _ in range(runs):
+        began = time.perf_counter()
+        result = work()
+        taken.append(time.perf_counter() - began)
+    return result, taken
+
+
+class Bench:
+    """Runs the sections and gathers rows."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        self.options = options
+        self.rows: list[Row] = []
+
+    def add(
+        self, section: str, tool: str, measure: str, values: object, *wanted: Wanted
+    ) -> None:
+        """Add one figure."""
+        listed = values if isinstance(values, list) else [float(values)]  # type: ignore[arg-type]
+        self.rows.append(Row(section, tool, measure, listed, *wanted))
+
+    def file(self, path: Path) -> None:
+        """Measure one take."""
+        take = read_bvh(path).collect()
+        self.curves(f"{path.stem}, {self.options.degrees:g} deg", take)
+        self.world(path.stem, take)
+
+    def curves(self, section: str, take: Take) -> None:
+        """Reduce the rotations alone, each channel within an angle."""
+        channels, limit = rotation_samples(take), self.options.degrees
+        samples = sum(len(values) for values in channels)
+        frames = np.arange(take.motion.frames)
+        runs = self.options.runs
+
+        def report(
+            tool: str, keys: int, error: float, taken: list[float], *wanted: Wanted
+        ) -> None:
+            self.add(section, tool, KEYS, keys)
+            self.add(section, tool, SAMPLES_PER_KEY, samples / keys, *wanted[:1])
+            self.add(section, tool, DEGREES, error)
+            self.add(section, tool, SPEED, [samples / t for t in taken], *wanted[1:])
+
+        fitted, taken = timed(lambda: [fit_keys(v, limit) for v in channels], runs)
+        error = max(
+            np.linalg.norm(evaluate_keys(k, frames) - v, axis=1).max()
+            for k, v in zip(fitted, channels, strict=True)
+        )
+        keys = sum(len(k.frames) for k in fitted)
+        dense = self.options.dense in section
+        wanted = (Wanted(True, 15),) if dense else ()
+        report("animtool", keys, error, taken, *wanted, *(Wanted(True, 1e5),) * dense)
+        counts = [len(k.frames) for k in fitted]
+        self.add(section, "animtool", BUSY, busy_share(counts, len(frames)))
+        inner = np.concatenate([k.smooth[1:-1] for k in fitted])
+        self.add(section, "animtool", SMOOTH, inner.mean() if len(inner) else 1.0)
+
+        lines, taken = timed(
+            lambda: [douglas_peucker(v, limit) for v in channels], runs
+        )
+        error = max(
+            np.linalg.norm(
+                np.stack([np.interp(frames, k, v[k, d]) for d in range(3)], 1) - v,
+                axis=1,
+            ).max()
+            for k, v in zip(lines, channels, strict=True)
+        )
+        report("Douglas-Peucker", sum(map(len, lines)), error, taken)
+        if self.options.bpy_python:
+            self.blender(section, channels, samples)
+
+    def blender(self, section: str, channels: list[FloatArray], samples: int) -> None:
+        """Decimate each component as an F-curve of its own."""
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "samples.npy"
+            np.save(path, np.concatenate(channels, axis=1))
+            script = HERE / "peers" / "blender_decimate.py"
+            command = [self.options.bpy_python, str(script), str(path)]
+            found = run([*command, str(self.options.degrees)]).report
+        tool, keys = "Blender decimate", found["keys"]
+        self.add(section, tool, "keys, one component each", keys)
+        self.add(section, tool, "samples a key, one component [1]", 3 * samples / keys)
+        self.add(section, tool, "largest error of a component [deg]", found["error"])
+        self.add(section, tool, SPEED, samples / found["seconds"])
+
+    def world(self, name: str, take: Take) -> None:
+        """Reduce the whole take within a distance in the world."""
+        for tolerance in WORLD_TOLERANCES:
+            section = f"{name}, {tolerance * 1e3:g} mm"
+            found, taken = timed(
+                lambda tolerance=tolerance: reduce_motion(take, tolerance),
+                self.options.runs,
+            )
+            add = self.add
+            add(section, "animtool", KEYS, found.keys)
+            add(section, "animtool", SAMPLES_PER_KEY, found.samples_per_key)
+            counts = [len(c.keys.frames) for c in found.channels]
+            add(section, "animtool", BUSY, busy_share(counts, take.motion.frames))
+            add(
+                section,
+                "animtool",
+                METRES,
+                found.error,
+                Wanted(False, tolerance),
+            )
+            add(section, "animtool", ROUNDS, found.rounds)
+            add(section, "animtool", SECONDS, taken)
+            wanted = (Wanted(True, 1e5),) * (self.options.dense in section)
+            speed = [found.samples / t for t in taken]
+            add(section, "animtool", SPEED, speed, *wanted)
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the options."""
+    data = Path(os.environ.get("ANIMTOOL_DATA", "data")) / "bvh"
+    made = argparse.ArgumentParser(
+        description=__doc__.splitlines()[0] if __doc__ else None,
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    add = made.add_argument
+    names = ("ad_jesse_dance", "pybvh_cmu_12_01", "assimp_cmu_01_03")
+    files = [data / f"{name}.bvh" for name in names]
+    add("--files", type=Path, nargs="+", default=files)
+    add("--dense", default=names[0], help="the file that the bounds are for")
+    add("--degrees", type=float, default=0.5, help="tolerance of a rotation")
+    add("--runs", type=int, default=3, help="runs of each tool; the median counts")
+    add("--bpy-python", help="interpreter with bpy; without it Blender is skipped")
+    add("--csv", type=Path, default=HERE / "results" / "reduction.csv")
+    return made
+
+
+def main() -> None:
+    """Measure, print the tables, write the CSV."""
+    options = parser().parse_args()
+    options.python, options.pybvh_python = sys.executable, None
+    about = machine(options)
+    bench = Bench(options)
+    for path in options.files:
+        bench.file(path)
+    print("\n".join(about))
+    for section in dict.fromkeys(row.section for row in bench.rows):
+        print()
+        print("\n".join(table([r for r in bench.rows if r.section == section])))
+    print()
+    print("\n".join(verdicts(bench.rows)))
+    write_csv(options.csv, about, bench.rows)
+
+
+if __name__ == "__main__":
+    main()

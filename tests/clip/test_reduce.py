@@ -1,0 +1,251 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import data_folder
+
+from animtool._types import FloatArray
+from animtool.clip.points import carried_points, point_errors
+from animtool.clip.pose import pose_of
+from animtool.clip.reduce import reduce_motion
+from animtool.clip.reduction import ChannelKind, Reduction, evaluate_reduction
+from animtool.clip.tracks import euler_order
+from animtool.formats.bvh.read import read_bvh
+from animtool.maths import euler, so3
+from animtool.rig.skeleton import Joint, Rig
+from animtool.take import Channel, Clock, Motion, Take
+
+ROOM = 1 + 1e-9
+
+
+def arm(joints: int = 3) -> Rig:
+    """Bones of 30 cm in a row, the last with a tip."""
+    row = [Joint("j0", -1)]
+    row += [Joint(f"j{i}", i - 1, translation=(0, 0.3, 0)) for i in range(1, joints)]
+    row[-1] = replace(row[-1], tips=((0.0, 0.3, 0.0),))
+    return Rig("arm", tuple(row))
+
+
+def take_of(rig: Rig, rotations: FloatArray, **others: Channel) -> Take:
+    """A take of rotations ``(F, J, 4)`` at rest translations."""
+    frames = len(rotations)
+    still = np.repeat(rig.rest_translations[None], frames, axis=0)
+    motion = Motion(Channel.from_dense(still), Channel.from_dense(rotations), **others)
+    return Take(rig, Clock(Fraction(30), Fraction(1), Fraction(1), frames), motion)
+
+
+def swing(frames: int = 200, joints: int = 3, size: float = 1.0) -> FloatArray:
+    """Smooth turns about all axes."""
+    t = np.arange(frames)[:, None, None] / 30
+    rates = 1 + 0.3 * np.arange(joints * 3).reshape(joints, 3)
+    return so3.exp(0.5 * size * np.sin(t * rates))
+
+
+def world_errors(take: Take, found: Motion, base: Take | None = None) -> FloatArray:
+    """Measure the error anew."""
+    below = None if base is None else base.motion
+    return point_errors(
+        carried_points(take.rig, 0.03),
+        pose_of(take.rig, take.motion, below).world(),
+        pose_of(take.rig, found, below).world(),
+    )
+
+
+def check(take: Take, reduction: Reduction, tolerance: float) -> FloatArray:
+    """The reduction keeps its tolerance, and says what it reached."""
+    off = world_errors(take, evaluate_reduction(reduction))
+    assert reduction.held
+    assert off.max() <= tolerance * ROOM
+    frame, joint = reduction.frame, take.rig.index(reduction.joint)
+    assert off.max() == pytest.approx(reduction.error, abs=1e-12)
+    assert off[frame, joint] == pytest.approx(reduction.error, abs=1e-12)
+    return off
+
+
+def as_bytes(reduction: Reduction) -> list[bytes]:
+    return [
+        getattr(c.keys, name).tobytes()
+        for c in reduction.channels
+        for name in ("frames", "values", "ins", "outs")
+    ]
+
+
+@pytest.fixture(scope="module")
+def walking(walk: Path) -> Take:
+    return read_bvh(walk).collect()
+
+
+@pytest.mark.parametrize("tolerance", [5e-4, 1e-3, 5e-3])
+def test_the_walk_stays_within_its_tolerance(walking: Take, tolerance: float) -> None:
+    reduction = reduce_motion(walking, tolerance)
+    check(walking, reduction, tolerance)
+    assert reduction.samples_per_key > 2
+
+
+def test_the_same_take_gives_the_same_bytes(walking: Take) -> None:
+    one, other = reduce_motion(walking, 1e-3), reduce_motion(walking, 1e-3)
+    assert as_bytes(one) == as_bytes(other)
+    assert [c.target for c in one.channels] == [c.target for c in other.channels]
+
+
+def test_a_named_joint_is_held_tighter(walking: Take) -> None:
+    name = walking.rig.joints[-1].name
+    plain = reduce_motion(walking, 5e-3)
+    tight = reduce_motion(walking, 5e-3, joint_tolerances={name: 2e-4})
+    off = check(walking, tight, 5e-3)
+    assert off[:, -1].max() <= 2e-4 * ROOM
+    assert tight.keys > plain.keys
+
+
+@pytest.mark.skipif(data_folder("bvh") is None, reason="ANIMTOOL_DATA is not set")
+@pytest.mark.parametrize(
+    "name", ["ad_jesse_dance", "pybvh_cmu_12_01", "ad_zombie", "mh_walk1", "mh_dance1"]
+)
+def test_real_takes_stay_within_their_tolerance(name: str) -> None:
+    folder = data_folder("bvh")
+    assert folder is not None
+    take = read_bvh(folder / f"{name}.bvh").collect()
+    check(take, reduce_motion(take, 1e-3), 1e-3)
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3])
+def test_short_takes(frames: int) -> None:
+    take = take_of(arm(), swing(frames + 5)[5:])
+    reduction = reduce_motion(take, 1e-4)
+    check(take, reduction, 1e-4)
+    assert all(len(c.keys.frames) <= frames for c in reduction.channels)
+
+
+def test_what_stays_has_one_key_and_rest_has_none() -> None:
+    rotations = swing()
+    rotations[:, 1] = so3.IDENTITY
+    rotations[:, 2] = so3.from_axis_angle([0, 0, 1], 0.5)
+    reduction = reduce_motion(take_of(arm(), rotations), 1e-3)
+    counts = {c.target: len(c.keys.frames) for c in reduction.channels}
+    assert counts.keys() == {"j0.rotation", "j2.rotation"}
+    assert counts["j2.rotation"] == 1
+    assert counts["j0.rotation"] > 1
+    assert reduction.samples == len(rotations)
+
+
+def test_many_turns_are_a_straight_line() -> None:
+    turns = np.zeros((500, 1, 4))
+    turns[:, 0] = euler.to_quaternion(np.linspace(0, [[3600, 0, 0]], 500)[:, 0], "XYZ")
+    take = take_of(arm(1), turns)
+    reduction = reduce_motion(take, 1e-3)
+    check(take, reduction, 1e-3)
+    (channel,) = reduction.channels
+    assert channel.keys.frames.tolist() == [0, 499]
+    assert np.ptp(channel.keys.values) == pytest.approx(3600)
+
+
+@pytest.mark.parametrize("own", [None, ("Zrotation", "Xrotation", "Yrotation")])
+def test_passing_gimbal_lock(own: tuple[str, ...] | None) -> None:
+    angles = np.zeros((300, 3))
+    angles[:, 0] = 20 * np.sin(np.arange(300) / 40)
+    angles[:, 1] = np.linspace(-120, 120, 300)
+    rotations = euler.to_quaternion(angles, "ZXY")[:, None]
+    rig = Rig("one", (replace(arm(1).joints[0], channels=own),))
+    take = take_of(rig, rotations)
+    reduction = reduce_motion(take, 1e-3)
+    check(take, reduction, 1e-3)
+    assert reduction.channels[0].order != "ZXY"
+
+
+def test_the_own_order_is_kept_away_from_lock() -> None:
+    joint = Joint("a", -1, channels=("Yrotation", "Zrotation", "Xrotation"))
+    assert euler_order(joint, swing(50, 1, 0.3)[:, 0]) == "YZX"
+
+
+def test_scales_weights_and_translations() -> None:
+    frames = 200
+    t = np.arange(frames)[:, None, None] / 30
+    rig = arm()
+    scales = 1 + 0.2 * np.sin(t * [[1.0, 1.5, 2.0]]) * np.ones((1, 3, 1))
+    weights = 0.5 + 0.5 * np.sin(t * [[1.0], [2.0]])
+    take = take_of(
+        rig,
+        swing(frames),
+        scales=Channel.from_dense(scales),
+        weights=Channel.from_dense(weights),
+    )
+    moved = rig.rest_translations + 0.1 * np.sin(t)
+    motion = replace(take.motion, translations=Channel.from_dense(moved))
+    take = replace(take, motion=motion)
+    reduction = reduce_motion(take, 1e-3, weight_tolerance=0.01)
+    check(take, reduction, 1e-3)
+    found = evaluate_reduction(reduction)
+    assert found.weights is not None
+    off = np.abs(found.weights.dense() - weights).max()
+    assert off == pytest.approx(reduction.weight_error)
+    assert 0 < off <= 0.01
+    assert {c.kind for c in reduction.channels} == set(ChannelKind)
+    assert reduction.channels[-1].target == "weight[1]"
+    assert reduction.keys * 5 < reduction.samples
+
+
+def test_additive_deltas_are_measured_on_their_base() -> None:
+    rig = arm()
+    base = take_of(rig, swing())
+    deltas = take_of(rig, swing(size=0.2)[:, ::-1].copy())
+    nothing = Channel.from_dense(np.zeros((200, 3, 3)))
+    deltas = replace(deltas, motion=replace(deltas.motion, translations=nothing))
+    reduction = reduce_motion(deltas, 1e-3, base=base)
+    off = world_errors(deltas, evaluate_reduction(reduction), base)
+    assert reduction.held
+    assert off.max() <= 1e-3 * ROOM
+    assert off.max() == pytest.approx(reduction.error, abs=1e-12)
+    assert {c.kind for c in reduction.channels} == {ChannelKind.ROTATION}
+
+
+def test_keys_between_frames_and_outside() -> None:
+    take = take_of(arm(), swing())
+    reduction = reduce_motion(take, 1e-3)
+    found = evaluate_reduction(reduction, [-5.0, 0.0, 10.5, 199.0, 300.0])
+    assert found.frames == 5
+    turns = found.rotations.dense()
+    np.testing.assert_array_equal(turns[0], turns[1])
+    # Signs follow the frames asked for.
+    assert so3.angle_between(turns[3], turns[4]).max() == 0
+    middle = so3.slerp(swing()[10], swing()[11], 0.5)
+    assert so3.angle_between(turns[2], middle).max() < 0.02
+
+
+def test_an_unreachable_tolerance_is_said() -> None:
+    reduction = reduce_motion(take_of(arm(), swing(30)), 1e-18)
+    assert not reduction.held
+    assert 0 < reduction.error < 1e-12
+
+
+@pytest.mark.parametrize("where", ["rotations", "translations"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_what_is_not_finite_is_refused(where: str, value: float) -> None:
+    take = take_of(arm(), swing(20))
+    channel = getattr(take.motion, where).dense()
+    channel[7, 1, 0] = value
+    motion = replace(take.motion, **{where: Channel.from_dense(channel)})
+    with pytest.raises(ValueError, match=where):
+        reduce_motion(replace(take, motion=motion), 1e-3)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"tolerance": 0.0},
+        {"tolerance": np.nan},
+        {"shell": 0.0},
+        {"joint_tolerances": {"j9": 1e-3}},
+        {"joint_tolerances": {"j0": -1.0}},
+        {"weight_tolerance": 0.0},
+        {"base": take_of(arm(), swing(19))},
+        {"base": take_of(arm(4), swing(20, 4))},
+    ],
+)
+def test_wrong_arguments_are_refused(options) -> None:
+    take = take_of(arm(), swing(20))
+    with pytest.raises(ValueError, match=r"tolerance|shell|joint|base"):
+        reduce_motion(take, **{"tolerance": 1e-3, **options})
