@@ -86,6 +86,7 @@ def array_header(path: Path, key: str) -> ArrayHeader:
                     else npy.read_array_header_2_0
                 )
                 shape, _, dtype = read(file)
+                stored -= file.tell()
     except _UNREADABLE as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise ValueError(f"{path.name} cannot be read: {reason}") from error
