@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from animtool.config import Config, find_config
+from animtool.config import Config, find_config, project_roots
 from animtool.errors import OptionError
 
 
@@ -21,12 +21,12 @@ def test_the_nearest_settings(tmp_path: Path, name: str, text: str) -> None:
     folder = tmp_path / "a/b"
     folder.mkdir(parents=True)
     (folder.parent / "pyproject.toml").write_text("[project]\nname = 'other'")
-    assert find_config(folder / "take.bvh") == Config(Fraction(1001))
+    assert find_config(folder / "take.bvh") == Config(Fraction(1001), (tmp_path,))
 
 
 def test_no_settings(tmp_path: Path) -> None:
     (tmp_path / "animtool.toml").write_text("")
-    assert find_config(tmp_path / "take.bvh") == Config()
+    assert find_config(tmp_path / "take.bvh") == Config(None, (tmp_path,))
 
 
 @pytest.mark.parametrize(
@@ -36,6 +36,8 @@ def test_no_settings(tmp_path: Path) -> None:
         ("begin = 1", "CFG002"),
         ("start = 'x'", "CFG003"),
         ("start = true", "CFG003"),
+        ("roots = '../library'", "CFG003"),
+        ("roots = [1]", "CFG003"),
     ],
 )
 def test_malformed_settings(tmp_path: Path, text: str, code: str) -> None:
@@ -52,3 +54,22 @@ def test_settings_that_are_no_table(tmp_path: Path) -> None:
     project.write_text("[tool]\nanimtool = 5")
     with pytest.raises(OptionError):
         find_config(tmp_path / "take.bvh")
+
+
+def test_roots_are_the_project_and_what_it_names(tmp_path: Path) -> None:
+    (tmp_path / "animtool.toml").write_text("roots = ['../library', '/srv/rigs']")
+    (tmp_path / "a").mkdir()
+    found = [root.resolve() for root in project_roots(tmp_path / "a/x.rig.yaml")]
+    library = tmp_path.parent / "library"
+    assert found == [tmp_path, library, Path("/srv/rigs").resolve()]
+
+
+def test_the_root_without_a_project(tmp_path: Path) -> None:
+    # An empty project: none further up can be the nearest.
+    (tmp_path / "animtool.toml").write_text("")
+    assert project_roots(tmp_path / "x.rig.yaml") == (tmp_path,)
+
+
+def test_the_root_without_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("animtool.config.find_config", lambda _: Config())
+    assert project_roots(Path("/a/b/x.rig.yaml")) == (Path("/a/b").resolve(),)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+import tokenize
 import zipfile
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +17,17 @@ from numpy.lib import format as npy
 from animtool._types import FloatArray
 
 __all__ = ["ArrayHeader", "array_header", "load_array", "reference", "split_reference"]
+
+# What damaged archives, encrypted ones and damaged headers raise.
+_UNREADABLE = (
+    OSError,
+    zipfile.BadZipFile,
+    zlib.error,
+    EOFError,
+    MemoryError,
+    RuntimeError,
+    tokenize.TokenError,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +54,10 @@ def reference(folder: Path, roots: Sequence[Path], name: str) -> Path:
     Raises:
         ValueError: It leads out of the roots.
     """
-    path = (folder / name).resolve()
+    try:
+        path = (folder / name).resolve()
+    except (OSError, RuntimeError) as error:
+        raise ValueError(f"{name!r} leads nowhere: {error}") from error
     if not any(path.is_relative_to(root.resolve()) for root in roots):
         shown = ", ".join(str(root) for root in roots)
         raise ValueError(f"{name!r} leads out of {shown}")
@@ -55,10 +72,12 @@ def array_header(path: Path, key: str) -> ArrayHeader:
     """
     try:
         with zipfile.ZipFile(path) as archive:
-            names = [name.removesuffix(".npy") for name in archive.namelist()]
+            files = [n for n in archive.namelist() if n.endswith(".npy")]
+            names = [name.removesuffix(".npy") for name in files]
             if key not in names:
                 shown = ", ".join(names[:12]) or "nothing"
                 raise ValueError(f"{path.name} has no array {key!r}; it holds {shown}")
+            stored = archive.getinfo(f"{key}.npy").file_size
             with archive.open(f"{key}.npy") as file:
                 version = npy.read_magic(file)
                 read = (
@@ -67,13 +86,16 @@ def array_header(path: Path, key: str) -> ArrayHeader:
                     else npy.read_array_header_2_0
                 )
                 shape, _, dtype = read(file)
-    except (OSError, zipfile.BadZipFile, EOFError, NotImplementedError) as error:
+                stored -= file.tell()
+    except _UNREADABLE as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise ValueError(f"{path.name} cannot be read: {reason}") from error
     if dtype.hasobject:
         raise ValueError(f"{path.name}#{key} holds pickled Python objects")
     if dtype.kind not in "fiub":
         raise ValueError(f"{path.name}#{key} holds {dtype}, not numbers")
+    if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > stored:
+        raise ValueError(f"{path.name}#{key} is shorter than its shape {shape}")
     return ArrayHeader(tuple(shape), dtype.kind)
 
 
@@ -85,8 +107,11 @@ def load_array(path: Path, key: str) -> FloatArray:
             value is not finite.
     """
     array_header(path, key)
-    with np.load(path, allow_pickle=False) as archive:
-        values: Any = np.asarray(archive[key], np.float64)
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            values: Any = np.asarray(archive[key], np.float64)
+    except _UNREADABLE as error:
+        raise ValueError(f"{path.name}#{key} cannot be read: {error}") from error
     if not np.isfinite(values).all():
         raise ValueError(f"{path.name}#{key} holds a value that is not finite")
     return np.asarray(values)

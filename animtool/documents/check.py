@@ -72,10 +72,11 @@ def validated(document: Document, model: type[Model]) -> Model:
 
 
 def _report(document: Document, model: type[BaseModel], error: ValidationError) -> None:
-    merged: dict[tuple[str | int, ...], list[Any]] = {}
+    merged: dict[tuple[tuple[str | int, ...], str], list[Any]] = {}
     for fault in error.errors(include_url=False):
-        merged.setdefault(_within(document, fault), []).append(fault)
-    for location, faults in merged.items():
+        missing = str(fault["loc"][-1]) if fault["type"] == "missing" else ""
+        merged.setdefault((_within(document, fault), missing), []).append(fault)
+    for (location, _), faults in merged.items():
         kind = faults[0]["type"]
         if kind == "extra_forbidden":
             names = _field_names(model, document, location[:-1])
@@ -151,13 +152,15 @@ def _field_names(
     for step in location:
         node = node[step]
         if isinstance(step, str):
-            candidates = [
+            inside = [
                 inner
                 for candidate in candidates
                 for name, info in candidate.model_fields.items()
                 if (info.alias or name) == step
                 for inner in _models(info.annotation)
             ]
+            # A step that is no field is a key of a mapping of models.
+            candidates = inside or candidates
     named = [c for c in candidates if _tagged(c, node)] or candidates
     return sorted(
         {info.alias or name for c in named for name, info in c.model_fields.items()}

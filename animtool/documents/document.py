@@ -43,6 +43,10 @@ _NAMED = {
     **dict.fromkeys(("-.inf", "-.Inf", "-.INF"), float("-inf")),
     **dict.fromkeys((".nan", ".NaN", ".NAN"), float("nan")),
 }
+# A surrogate pair, or any other escape, so that "\\\\ud83d" stays a backslash.
+_PAIRS = re.compile(
+    r"\\(?:u([dD][89abAB][0-9a-fA-F]{2})\\u([dD][c-fC-F][0-9a-fA-F]{2})|.)", re.DOTALL
+)
 
 
 @dataclass(slots=True)
@@ -61,24 +65,34 @@ class Document:
     value: dict[str, Any]
     places: list[tuple[int, int]] = field(repr=False)
     faults: list[Fault] = field(default_factory=list)
+    _starts: dict[tuple[int, str | int], int] = field(
+        default_factory=dict, init=False, repr=False
+    )
 
     def place(self, location: Location) -> tuple[int, int]:
         """Return line and column of a value, or of the nearest one around it."""
+        if not self._starts:
+            self._number(self.value, 0)
         node: Any = self.value
         index = 0
         for step in location:
-            if isinstance(node, dict) and step in node:
-                index += 1
-                for key, value in node.items():
-                    if key == step:
-                        break
-                    index += 1 + _nodes(value)
-                index += 1
-                node = node[step]
-            elif isinstance(node, list) and isinstance(step, int) and step < len(node):
-                index += 1 + sum(_nodes(item) for item in node[:step])
-                node = node[step]
+            found = self._starts.get((id(node), step))
+            if found is not None:
+                node, index = node[step], found
         return self.places[index]
+
+    def _number(self, node: Any, index: int) -> int:
+        """Note where the values in a node stand in `places`; return what follows."""
+        index += 1
+        if isinstance(node, dict):
+            for key, value in node.items():
+                self._starts[id(node), key] = index + 1
+                index = self._number(value, index + 1)
+        elif isinstance(node, list):
+            for i, value in enumerate(node):
+                self._starts[id(node), i] = index
+                index = self._number(value, index)
+        return index
 
     def at(self, location: Location) -> Any:
         """Return the value at a location."""
@@ -131,6 +145,8 @@ def read_document(path: Path) -> Document:
             key that stands twice, or is no mapping.
     """
     text = _text(path)
+    if path.suffix == ".json":
+        text = _PAIRS.sub(_joined, text)
     reader = _Reader(path)
     try:
         value = reader.read(text)
@@ -174,21 +190,22 @@ def _text(path: Path) -> str:
         raise FormatError(Fault("DOC008", message, str(path), (line,))) from error
 
 
+def _joined(escape: re.Match[str]) -> str:
+    """Return an escape of JSON as YAML spells it: one number for a surrogate pair."""
+    high, low = escape.groups()
+    if high is None:
+        return escape[0]
+    return (
+        f"\\U{0x10000 + ((int(high, 16) - 0xD800) << 10) + int(low, 16) - 0xDC00:08X}"
+    )
+
+
 def _cut(faults: list[Fault]) -> list[Fault]:
     """Return the first faults, and a last one that counts the rest."""
     if len(faults) <= MOST_FAULTS:
         return faults
     rest = f"{len(faults) - MOST_FAULTS} more faults are not shown"
     return [*faults[:MOST_FAULTS], Fault("DOC011", rest, faults[0].path)]
-
-
-def _nodes(value: Any) -> int:
-    """Return how many nodes a value is made of, keys included."""
-    if isinstance(value, dict):
-        return 1 + sum(1 + _nodes(item) for item in value.values())
-    if isinstance(value, list):
-        return 1 + sum(_nodes(item) for item in value)
-    return 1
 
 
 class _Reader:

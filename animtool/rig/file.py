@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from animtool.errors import AnimtoolError
 from animtool.rig.joint_entries import FileUnits, joints_of, quaternion
 from animtool.rig.part_entries import PartReader
 from animtool.rig.schema import RigModel
-from animtool.rig.skeleton import Joint, Pose, Rig
+from animtool.rig.skeleton import Joint, Mimic, Pose, Rig
 from animtool.units import LengthUnit, UpAxis
 
 __all__ = ["load_rig", "rig_of_document"]
@@ -65,7 +65,7 @@ def rig_of_document(document: Document, reader: RigReader | None = None) -> Rig:
         joints,
         LengthUnit(model.units.length).meters if base is None else base.meters_per_unit,
         UpAxis(model.up) if base is None else base.up,
-        _bind(document, model, by_name, units),
+        _bind(document, model, by_name, units, {} if base is None else base.bind),
         meshes or (base.meshes if base is not None else ()),
         (*inherited, *shapes),
         parts.controls(shape.name for shape in (*inherited, *shapes)),
@@ -108,10 +108,12 @@ def _overlaid(
     names = {joint.source_name or joint.name: joint.name for joint in base.joints}
     names |= {joint.name: joint.name for joint in base.joints}
     for i, entry in enumerate(model.joints):
-        if entry.name not in names:
-            message = f"{entry.name!r} is no joint of {model.source}"
-            hint = nearest(entry.name, list(names))
-            document.add("RIG008", ("joints", i, "name"), message, hint)
+        for key in ("name", "mirror"):
+            name = getattr(entry, key)
+            if name is not None and name not in names:
+                message = f"{name!r} is no joint of {model.source}"
+                hint = nearest(name, list(names))
+                document.add("RIG008", ("joints", i, key), message, hint)
         for key in ("parent", "translate", "rotate", "tips", "channels"):
             if key in entry.model_fields_set:
                 message = f"{key} comes from {model.source}"
@@ -120,14 +122,14 @@ def _overlaid(
     # Alone, as roots: what they add does not depend on the tree.
     alone = [entry.model_copy(update={"mirror": None}) for entry in model.joints]
     added = {names[joint.name]: joint for joint in joints_of(document, alone, units)}
-    mirrors = {names[e.name]: e.mirror or "" for e in model.joints}
+    mirrors = {names[e.name]: names.get(e.mirror or "", "") for e in model.joints}
     return tuple(
         replace(
             joint,
             type=added[joint.name].type,
             axis=added[joint.name].axis,
             limits=added[joint.name].limits,
-            mimic=added[joint.name].mimic,
+            mimic=_renamed(added[joint.name].mimic, names),
             mirror=mirrors[joint.name],
         )
         if joint.name in added
@@ -136,10 +138,18 @@ def _overlaid(
     )
 
 
+def _renamed(mimic: Mimic | None, names: dict[str, str]) -> Mimic | None:
+    return None if mimic is None else replace(mimic, joint=names[mimic.joint])
+
+
 def _bind(
-    document: Document, model: RigModel, joints: dict[str, Joint], units: FileUnits
+    document: Document,
+    model: RigModel,
+    joints: dict[str, Joint],
+    units: FileUnits,
+    inherited: Mapping[str, Pose],
 ) -> dict[str, Pose]:
-    bind: dict[str, Pose] = {}
+    bind = dict(inherited)
     for name, pose in model.bind.items():
         if name not in joints:
             message = f"{name!r} is no joint"
@@ -152,6 +162,7 @@ def _bind(
             translation = (x, y, z)
         if pose.rotate is not None:
             rotation = quaternion(document, ("bind", name, "rotate"), pose.rotate)
+        bind.pop(name, None)
         if (translation, rotation) != (rest.translation, rest.rotation):
             bind[name] = Pose(translation, rotation)
     return bind

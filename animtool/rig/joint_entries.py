@@ -93,6 +93,7 @@ def joints_of(
 def _entries(document: Document, models: list[JointModel]) -> dict[str, _Entry]:
     entries: dict[str, _Entry] = {}
     mirrors = {m.name: m.mirror for m in models if m.mirror is not None}
+    mirrors |= {mirror: name for name, mirror in mirrors.items()}
     for i, model in enumerate(models):
         if model.name in entries:
             message = f"joint {model.name!r} stands twice"
@@ -102,7 +103,7 @@ def _entries(document: Document, models: list[JointModel]) -> dict[str, _Entry]:
             continue
         entries[model.name] = _Entry(i, model.name, model.parent)
     for i, model in enumerate(models):
-        if model.mirror is None:
+        if model.mirror is None or entries[model.name].index != i:
             continue
         if model.mirror in entries:
             message = f"mirror {model.mirror!r} is a joint already"

@@ -55,7 +55,10 @@ class BallLimit:
         """
         swing, twist = swing_twist(rotations, self.twist_axis)
         if self.twist is not None:
-            twist = np.clip(twist, *self.twist)
+            # The turn nearest to the middle: a range may reach past half a turn.
+            middle = (self.twist[0] + self.twist[1]) / 2
+            whole = 2 * np.pi * np.round((twist - middle) / (2 * np.pi))
+            twist = np.clip(twist - whole, *self.twist)
         if self.swing is not None:
             across = so3.log(swing)
             parts = across @ _across(self.twist_axis).T

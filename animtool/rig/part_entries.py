@@ -207,7 +207,8 @@ class PartReader:
         self, at: Location, text: str, key: str, shape: tuple[int | None, ...]
     ) -> ArrayRef:
         """Return a reference, and note what is wrong with where it leads."""
-        name, key = split_reference(text, key)
+        role = key
+        name, key = split_reference(text, role)
         folder = self.document.path.resolve().parent
         try:
             path = reference(folder, self.roots, name)
@@ -229,7 +230,7 @@ class PartReader:
             wanted = ", ".join("any" if n is None else str(n) for n in shape)
             message = f"{text!r} has shape {header.shape}, not ({wanted})"
             self.document.add("RIG019", at, message)
-        if key in {"faces", "indices"} and header.kind == "f":
+        if role in {"faces", "indices"} and header.kind == "f":
             self.document.add("RIG019", at, f"{text!r} holds floats, not whole numbers")
         return ArrayRef(text, path, key)
 

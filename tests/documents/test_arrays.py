@@ -1,0 +1,162 @@
+from __future__ import annotations
+
+import io
+import struct
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from animtool.documents.arrays import array_header, load_array, reference
+
+
+def saved(folder: Path) -> Path:
+    path = folder / "face.npz"
+    np.savez(path, points=np.ones((4, 3), np.float32), faces=np.zeros((2, 3), int))
+    return path
+
+
+def archive(folder: Path, header: str, name: str = "x.npy", data: bytes = b"") -> Path:
+    text = header.encode().ljust(117) + b"\n"
+    npy = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text + data
+    path = folder / "made.npz"
+    with zipfile.ZipFile(path, "w") as made:
+        made.writestr(name, npy)
+    return path
+
+
+def header(shape: str, descr: str = "<f8") -> str:
+    return f"{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}"
+
+
+def test_header_and_values(tmp_path: Path) -> None:
+    path = saved(tmp_path)
+    assert array_header(path, "points").shape == (4, 3)
+    assert array_header(path, "points").kind == "f"
+    assert array_header(path, "faces").kind == "i"
+    values = load_array(path, "points")
+    assert values.dtype == np.float64
+    assert_array_equal(values, np.ones((4, 3)))
+
+
+def test_references_stay_in_the_roots(tmp_path: Path) -> None:
+    folder, library = tmp_path / "a", tmp_path / "library"
+    folder.mkdir()
+    assert reference(folder, [tmp_path], "../x.npz") == tmp_path / "x.npz"
+    assert reference(folder, [folder, library], "../library/x") == library / "x"
+    (folder / "way").symlink_to(tmp_path)
+    for name in ("../x.npz", "/etc/passwd", "b/../../x", "way/x.npz", "../ab/x"):
+        with pytest.raises(ValueError, match="leads out"):
+            reference(folder, [folder], name)
+
+
+def test_references_that_lead_nowhere(tmp_path: Path) -> None:
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    for name in ("loop/x.npz", "a\0b"):
+        with pytest.raises(ValueError, match=r"."):
+            array_header(reference(tmp_path, [tmp_path], name), "x")
+
+
+def test_what_is_not_there(tmp_path: Path) -> None:
+    path = saved(tmp_path)
+    with pytest.raises(ValueError, match="holds points, faces"):
+        array_header(path, "normals")
+    for none in (tmp_path / "none.npz", tmp_path):
+        with pytest.raises(ValueError, match="cannot be read"):
+            array_header(none, "x")
+
+
+def test_no_archive(tmp_path: Path) -> None:
+    path = tmp_path / "x.npy"
+    np.save(path, np.ones(3))
+    with pytest.raises(ValueError, match="cannot be read"):
+        array_header(path, "x")
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.99])
+def test_a_truncated_archive(tmp_path: Path, share: float) -> None:
+    path = saved(tmp_path)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * share)])
+    with pytest.raises(ValueError, match="cannot be read"):
+        load_array(path, "points")
+
+
+def test_damaged_bytes(tmp_path: Path) -> None:
+    path = tmp_path / "c.npz"
+    np.savez_compressed(path, x=np.arange(1000.0))
+    data = bytearray(path.read_bytes())
+    refused = 0
+    for i in range(0, len(data), 7):
+        damaged = bytearray(data)
+        damaged[i] ^= 0xFF
+        path.write_bytes(damaged)
+        try:
+            load_array(path, "x")
+        except ValueError:
+            refused += 1
+    assert refused > len(data) // 20
+
+
+def test_pickled_objects(tmp_path: Path) -> None:
+    path = tmp_path / "o.npz"
+    np.savez(path, x=np.array([{}, []], object))
+    for look in (array_header, load_array):
+        with pytest.raises(ValueError, match="pickled"):
+            look(path, "x")
+
+
+@pytest.mark.parametrize("descr", ["<U5", "|S3", "<c16", "<M8[s]"])
+def test_no_numbers(tmp_path: Path, descr: str) -> None:
+    with pytest.raises(ValueError, match="not numbers"):
+        array_header(archive(tmp_path, header("(1,)", descr)), "x")
+
+
+@pytest.mark.parametrize(
+    "shape", ["(1000000000000,)", "(10**12,)", "(4, 3)", "(-1, 3)", "('a',)", "5"]
+)
+def test_a_header_that_lies_allocates_nothing(tmp_path: Path, shape: str) -> None:
+    path = archive(tmp_path, header(shape))
+    for look in (array_header, load_array):
+        with pytest.raises(ValueError, match=r"."):
+            look(path, "x")
+
+
+@pytest.mark.parametrize("text", ["{'descr': (", "__import__('os')", "{", "\0"])
+def test_headers_that_are_none(tmp_path: Path, text: str) -> None:
+    with pytest.raises(ValueError, match=r"."):
+        array_header(archive(tmp_path, text), "x")
+
+
+def test_a_member_that_is_no_array(tmp_path: Path) -> None:
+    path = archive(tmp_path, header("()"), name="x")
+    with pytest.raises(ValueError, match="no array 'x'"):
+        array_header(path, "x")
+
+
+def test_an_encrypted_member(tmp_path: Path) -> None:
+    path = saved(tmp_path)
+    data = bytearray(path.read_bytes())
+    spot = data.find(b"PK\x01\x02")
+    data[spot + 8] |= 1
+    data[6] |= 1
+    path.write_bytes(data)
+    with pytest.raises(ValueError, match="cannot be read"):
+        array_header(path, "points")
+
+
+def test_not_finite(tmp_path: Path) -> None:
+    path = tmp_path / "n.npz"
+    np.savez(path, x=np.array([1.0, np.nan]))
+    with pytest.raises(ValueError, match="not finite"):
+        load_array(path, "x")
+
+
+def test_a_scalar(tmp_path: Path) -> None:
+    buffer = io.BytesIO()
+    np.savez(buffer, x=np.float64(2))
+    path = tmp_path / "s.npz"
+    path.write_bytes(buffer.getvalue())
+    assert load_array(path, "x") == 2

@@ -1,0 +1,454 @@
+from __future__ import annotations
+
+import contextlib
+import copy
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from animtool.documents.document import Document, read_document
+from animtool.errors import Fault, FormatError
+from animtool.maths import so3
+from animtool.rig.file import load_rig, rig_of_document
+from animtool.rig.joints import coordinate_slices, local_from_coordinates
+from animtool.rig.kinematics import forward
+from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.mirror import reflect_rotation
+from animtool.rig.parts import Mesh, Shape
+from animtool.rig.skeleton import Joint, JointType, Mimic, Pose, Rig
+
+CRANE = """\
+rig: animtool/1
+name: crane
+units: {length: cm, angle: deg}
+up: Z
+joints:
+- {name: claw_l, parent: arm_l, type: pin, axis: [0, 0, 2], limits: [-10, 90], mirror: claw_r}
+- {name: base, type: free, translate: [0, 0, 50]}
+- {name: mast, parent: base, type: ball, rotate: [2, 0, 0, 0], limits: {swing: [30, 60], twist: locked, twist_axis: [0, 0, 1]}}
+- {name: arm_l, parent: mast, type: prismatic, axis: [1, 0, 0], translate: [10, 0, 40], limits: [0, 25], mirror: arm_r}
+- {name: pump, parent: base, type: prismatic, axis: [0, 0, 1], mimic: {joint: claw_l, gain: 2, offset: 3}}
+- {name: hook, parent: claw_l, type: fixed, translate: [5, 0, 0]}
+bind: {base: {translate: [0, 0, 60]}}
+meshes:
+- {name: hull, points: hull.npz, faces: hull.npz, normals: hull.npz, skin: {joints: [base, mast], indices: hull.npz, weights: hull.npz}}
+shapes:
+- {name: dent, mesh: hull, deltas: hull.npz#dent, inbetweens: [{at: 0.5, deltas: hull.npz#dent}]}
+- {name: bulge, mesh: hull, deltas: hull.npz#dent}
+- {name: both, mesh: hull, deltas: hull.npz#dent, combine: [dent, bulge]}
+controls:
+- {name: grip, range: [0, 1], drives: [{joint: claw_l.angle, curve: [[0, 0], [1, 80]]}, {control: wear, expr: "grip * 0.5"}]}
+- {name: wear, default: 0.25, drives: [{shape: dent, expr: "clamp(wear, 0, 1)"}]}
+ik: [{name: reach, root: mast, tip: hook, goal: position, pole_dir: [0, 3, 0]}]
+attach: [{name: cable, kind: spring_chain, joints: [hook]}]
+colliders: [{joint: base, capsule: {radius: 20, length: 100}}]
+"""  # noqa: E501
+
+
+@pytest.fixture(scope="module")
+def yard(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with the arrays of the crane, and some that do not fit."""
+    folder = tmp_path_factory.mktemp("yard")
+    np.savez(
+        folder / "hull.npz",
+        points=np.zeros((4, 3)),
+        normals=np.zeros((4, 3)),
+        faces=np.array([[0, 1, 2, 3]]),
+        indices=np.zeros((4, 2), int),
+        weights=np.full((4, 2), 0.5),
+        dent=np.zeros((4, 3)),
+        short=np.zeros((3, 3)),
+        objects=np.array([{}], object),
+        text=np.array(["a"]),
+        halves=np.zeros((4, 2)),
+    )
+    (folder / "animtool.toml").write_text("")
+    return folder
+
+
+def load(folder: Path, text: str) -> Rig:
+    path = folder / "crane.rig.yaml"
+    path.write_text(text)
+    return load_rig(path)
+
+
+def faults(folder: Path, text: str) -> list[Fault]:
+    with pytest.raises(FormatError) as caught:
+        load(folder, text)
+    return list(caught.value.faults)
+
+
+def test_the_crane(yard: Path) -> None:
+    rig = load(yard, CRANE)
+    assert (rig.name, rig.meters_per_unit, str(rig.up)) == ("crane", 0.01, "Z")
+    joints = {joint.name: joint for joint in rig.joints}
+    assert set(joints) == {
+        *("base", "mast", "arm_l", "arm_r", "claw_l", "claw_r", "pump", "hook")
+    }
+    assert joints["base"].translation == (0, 0, 0.5)
+    assert joints["claw_l"].axis == (0, 0, 1)
+    assert joints["claw_l"].limits == RangeLimit(math.radians(-10), math.radians(90))
+    assert joints["arm_l"].limits == RangeLimit(0, 0.25)
+    cone = joints["mast"].limits
+    assert isinstance(cone, BallLimit)
+    assert cone.twist == (0, 0)
+    assert_allclose(cone.swing or (), np.radians([30, 60]))
+    assert joints["mast"].rotation == (0, 0, 0, 1)
+    assert joints["pump"].mimic == Mimic(
+        "claw_l", pytest.approx(2 * 0.01 / math.radians(1)), pytest.approx(0.03)
+    )
+    assert rig.bind == {"base": Pose((0, 0, 0.6), (0, 0, 0, 1))}
+    assert rig.meshes[0].skin is not None
+    assert rig.meshes[0].skin.weights.path == yard / "hull.npz"
+    assert [shape.combine for shape in rig.shapes] == [(), (), ("dent", "bulge")]
+    assert rig.controls[0].drives[0].unit == math.radians(1)
+    assert rig.controls[1].default == 0.25
+    assert rig.ik[0].pole_dir == (0, 1, 0)
+    assert rig.attach[0].joints == ("hook",)
+    assert rig.colliders[0].capsule.radius == pytest.approx(0.2)
+
+
+def test_mirrors_of_the_crane(yard: Path) -> None:
+    joints = {joint.name: joint for joint in load(yard, CRANE).joints}
+    names = load(yard, CRANE).names
+    arm, claw = joints["arm_r"], joints["claw_r"]
+    assert arm.translation == (-0.1, 0, 0.4)
+    assert arm.axis == (-1, 0, 0)
+    assert arm.limits == joints["arm_l"].limits
+    assert names[claw.parent] == "arm_r"
+    assert claw.axis == (0, 0, -1) or claw.axis == (0, 0, 1)
+    assert claw.limits == joints["claw_l"].limits
+
+
+@given(st.permutations(range(6)))
+@settings(deadline=None, max_examples=30)
+def test_joints_in_any_order(yard: Path, order: list[int]) -> None:
+    lines = CRANE.split("\n")
+    shuffled = [*lines[:5], *(lines[5 + i] for i in order), *lines[11:]]
+    rig, wanted = load(yard, "\n".join(shuffled)), load(yard, CRANE)
+    parents = {j.name: j.parent < 0 or rig.joints[j.parent].name for j in rig.joints}
+    assert parents == {
+        j.name: j.parent < 0 or wanted.joints[j.parent].name for j in wanted.joints
+    }
+    one, other = (
+        {j.name: replace(j, parent=-1) for j in r.joints} for r in (rig, wanted)
+    )
+    assert one == other
+
+
+# Text to find, text to put there, code, line.
+FAULTS = [
+    ("name: crane", "name: &n crane", "DOC002", 2),
+    ("name: crane", "name: *n", "DOC002", 2),
+    ("name: crane", "name: !!str crane", "DOC003", 2),
+    ("up: Z", "up: Z\nup: Y", "DOC004", 5),
+    ("up: Z", "up: " + "[" * 60 + "]" * 60, "DOC005", 4),
+    ("up: Z", "up: Z\n--- ", "DOC007", 5),
+    ("up: Z", "1: Z", "DOC010", 4),
+    ("up: Z", "up: [Z", "DOC001", 5),
+    ("up: Z", "up: \tZ\n\tb: 1", "DOC001", 5),
+    ("rig: animtool/1", "clip: animtool/1", "DOC009", 1),
+    ("rig: animtool/1", "rig: 1", "DOC009", 1),
+    ("rig: animtool/1", "rig: animtool/2", "DOC012", 1),
+    ("up: Z", "upp: Z", "DOC020", 4),
+    ("up: Z", "<<: {up: Z}", "DOC020", 4),
+    ("length: cm", "lenght: cm", "DOC020", 3),
+    ("base: {translate", "base: {translat", "DOC020", 12),
+    ("axis: [0, 0, 2], ", "axes: [0, 0, 2], ", "DOC020", 6),
+    ("type: free", "type: free, limits: [0, 1]", "DOC020", 7),
+    ("name: crane\n", "", "DOC021", 1),
+    ("axis: [0, 0, 2], ", "", "DOC021", 6),
+    ("type: free, ", "", "DOC022", 7),
+    ("mesh: hull, deltas: hull.npz#dent, combine", "combine: 3, mesh", "DOC022", 18),
+    ("length: cm", "length: km", "DOC022", 3),
+    ("up: Z", "up: X", "DOC022", 4),
+    ("type: free", "type: loose", "DOC022", 7),
+    ("type: free", "type: [free]", "DOC022", 7),
+    ("[0, 0, 50]", "[0, 0]", "DOC022", 7),
+    ("[0, 0, 50]", "[0, 0, x]", "DOC022", 7),
+    ("[0, 0, 50]", "[0, 0, true]", "DOC022", 7),
+    ("[0, 0, 50]", "[0, 0, .nan]", "DOC022", 7),
+    ("[0, 0, 50]", "[0, 0, 1e999]", "DOC022", 7),
+    ("[0, 0, 50]", "[0, 0, " + "9" * 350 + "]", "DOC022", 7),
+    ("[0, 0, 50]", "5", "DOC022", 7),
+    ("limits: [0, 25]", "limits: [0]", "DOC022", 9),
+    ("twist: locked", "twist: lockd", "DOC022", 8),
+    ("radius: 20", "radius: 0", "DOC022", 24),
+    ("radius: 20", "radius: wide", "DOC022", 24),
+    ("joints: [hook]", "joints: []", "DOC022", 23),
+    ("goal: position", "goal: place", "DOC022", 22),
+    ("curve: [[0, 0], [1, 80]]", "curve: []", "DOC022", 20),
+    ("name: hook", "name: pump", "RIG001", 11),
+    ("parent: base, type: ball", "parent: bse, type: ball", "RIG002", 8),
+    ("name: base, type", "name: base, parent: mast, type", "RIG003", 7),
+    ("[0, 0, 2]", "[0, 0, 0]", "RIG005", 6),
+    ("[0, 3, 0]", "[0, 0, 0]", "RIG005", 22),
+    ("length: 100", "axis: [0, 0, 0]", "RIG005", 24),
+    ("twist_axis: [0, 0, 1]", "twist_axis: [0, 0, 0]", "RIG005", 8),
+    ("[2, 0, 0, 0]", "[0, 0, 0, 0]", "RIG006", 8),
+    ("[-10, 90]", "[90, -10]", "RIG007", 6),
+    ("swing: [30, 60]", "swing: 200", "RIG007", 8),
+    ("swing: [30, 60]", "swing: [-1, 60]", "RIG007", 8),
+    ("twist: locked", "twist: [1, -1]", "RIG007", 8),
+    ("bind: {base", "bind: {bose", "RIG008", 12),
+    ("joint: claw_l, gain", "joint: clw_l, gain", "RIG008", 10),
+    ("joints: [base, mast]", "joints: [base, most]", "RIG008", 14),
+    ("root: mast", "root: most", "RIG008", 22),
+    ("joints: [hook]", "joints: [hok]", "RIG008", 23),
+    ("joint: base, capsule", "joint: bse, capsule", "RIG008", 24),
+    ("joint: claw_l.angle", "joint: clw.angle", "RIG008", 20),
+    ("joint: claw_l, gain", "joint: mast, gain", "RIG009", 10),
+    ("joint: claw_l, gain", "joint: pump, gain", "RIG009", 10),
+    ("mirror: claw_r", "mirror: hook", "RIG010", 6),
+    ("mirror: claw_r", "mirror: claw_l", "RIG010", 6),
+    ("name: bulge", "name: dent", "RIG011", 17),
+    ("name: wear", "name: grip", "RIG011", 21),
+    ("mesh: hull, deltas: hull.npz#dent, in", "mesh: hul, in", "RIG012", 16),
+    ("combine: [dent, bulge]", "combine: [dent, bulg]", "RIG012", 18),
+    ("shape: dent, expr", "shape: dnt, expr", "RIG012", 21),
+    ("control: wear", "control: wer", "RIG012", 20),
+    ("grip * 0.5", "grp * 0.5", "RIG012", 20),
+    ("grip * 0.5", "grip ** 2", "RIG013", 20),
+    ("grip * 0.5", "grip.real", "RIG013", 20),
+    ("grip * 0.5", "grip + wear", "RIG014", 21),
+    ("claw_l.angle", "claw_l", "RIG015", 20),
+    ("claw_l.angle", "claw_l.slide", "RIG015", 20),
+    ("{control: wear, ", "{control: wear, shape: dent, ", "RIG015", 20),
+    ("{control: wear, expr", "{expr", "RIG015", 20),
+    (', expr: "grip * 0.5"', "", "RIG015", 20),
+    ("[[0, 0], [1, 80]]", "[[0, 0], [0, 80]]", "RIG016", 20),
+    ("range: [0, 1]", "range: [1, 0]", "RIG017", 20),
+    ("range: [0, 1]", "range: [1, 2]", "RIG017", 20),
+    ("points: hull.npz", "points: hul.npz", "RIG018", 14),
+    ("points: hull.npz", "points: hull.npz#pts", "RIG018", 14),
+    ("points: hull.npz", "points: hull.npz#text", "RIG018", 14),
+    ("normals: hull.npz", "normals: hull.npz#short", "RIG019", 14),
+    ("faces: hull.npz", "faces: hull.npz#halves", "RIG019", 14),
+    ("normals: hull.npz", "normals: hull.npz#objects", "RIG020", 14),
+    ("normals: hull.npz", "normals: ../hull.npz", "RIG021", 14),
+    ("normals: hull.npz", "normals: /etc/passwd", "RIG021", 14),
+    ("tip: hook", "tip: base", "RIG022", 22),
+    ("up: Z", "from: hero.usda", "RIG023", 4),
+    ("up: Z", "from: ../../hero.usda", "RIG021", 4),
+    ("at: 0.5", "at: 1", "RIG024", 16),
+    ("name: wear", "name: we-ar", "RIG025", 21),
+    ("name: wear", "name: lambda", "RIG025", 21),
+    ("name: wear", "name: clamp", "RIG025", 21),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "code", "line"), FAULTS)
+def test_a_fault(yard: Path, old: str, new: str, code: str, line: int) -> None:
+    assert old in CRANE
+    found = faults(yard, CRANE.replace(old, new, 1))
+    assert (code, line) in [(fault.code, fault.lines[0]) for fault in found]
+    assert len(found) <= 3
+
+
+def test_no_joints(yard: Path) -> None:
+    found = faults(yard, "rig: animtool/1\nname: none\n")
+    assert [fault.code for fault in found] == ["RIG004"]
+
+
+def test_two_keys_missing_in_one_place(yard: Path) -> None:
+    text = "rig: animtool/1\nname: x\njoints:\n- {type: pin}\n"
+    assert [fault.code for fault in faults(yard, text)] == ["DOC021", "DOC021"]
+
+
+def test_a_hint_for_keys_of_a_mapping(yard: Path) -> None:
+    [fault] = faults(yard, CRANE.replace("base: {translate", "base: {translat"))
+    assert fault.hint == "did you mean 'translate'?"
+
+
+def test_ten_faults_at_once(yard: Path) -> None:
+    chosen = ["RIG002", "RIG005", "RIG006", "RIG007", "RIG012", "RIG013", "RIG016"]
+    chosen += ["RIG019", "RIG022", "RIG024"]
+    text = CRANE
+    for code in chosen:
+        old, new = next((old, new) for old, new, c, _ in FAULTS if c == code)
+        assert old in text
+        text = text.replace(old, new, 1)
+    found = faults(yard, text)
+    lines = [fault.lines[0] for fault in found]
+    assert lines == sorted(lines)
+    assert set(chosen) <= {fault.code for fault in found}
+    assert len(found) == 10
+
+
+NOISE: st.SearchStrategy[Any] = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats()
+    | st.text(max_size=3)
+    | st.sampled_from(["base", "hook", "pin", "hull.npz", "grip", "a\0b"]),
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(st.sampled_from(["name", "type", "x"]), inner, max_size=2)
+    ),
+    max_leaves=4,
+)
+
+
+@given(st.data())
+@settings(deadline=None, max_examples=300)
+def test_any_edit_gives_a_rig_or_faults(yard: Path, data: st.DataObject) -> None:
+    path = yard / "edited.rig.yaml"
+    path.write_text(CRANE)
+    document = read_document(path)
+    node: Any = copy.deepcopy(document.value)
+    root = node
+    while True:
+        steps = list(node) if isinstance(node, dict) else list(range(len(node)))
+        step = data.draw(st.sampled_from(steps))
+        if (
+            isinstance(node[step], dict | list)
+            and node[step]
+            and data.draw(st.integers(0, 4))
+        ):
+            node = node[step]
+            continue
+        node[step] = data.draw(NOISE)
+        break
+    edited = Document(path, root, document.places * 2)
+    with contextlib.suppress(FormatError):
+        rig_of_document(edited)
+
+
+SIDES = """\
+rig: animtool/1
+name: sides
+joints:
+- {{name: root, type: free}}
+- {{name: spine, parent: root, type: fixed, translate: [0, 1, 0.2], rotate: {0}}}
+- {{name: a_l, parent: spine, type: ball, translate: [1, 0.5, 0], rotate: {1}, mirror: a_r, limits: {{swing: [20, 50], twist: [-10, 70], twist_axis: {5}}}}}
+- {{name: b_l, parent: a_l, type: pin, axis: {4}, translate: [1, -0.5, 0.3], rotate: {2}, limits: [-20, 100], mirror: b_r}}
+- {{name: c_l, parent: b_l, type: prismatic, axis: {5}, translate: [1, 2, 0], rotate: {3}, mirror: c_r, mimic: {{joint: b_l, gain: 0.5}}}}
+- {{name: d_r, parent: c_r, type: free, translate: [-1, 0, 0], rotate: {4}0, mirror: d_l}}
+"""  # noqa: E501
+
+
+@given(st.integers(0, 10_000))
+@settings(deadline=None, max_examples=40)
+def test_equal_coordinates_are_mirror_images(yard: Path, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    spine = [1.0, float(rng.normal()), 0.0, 0.0]
+    turns = [rng.normal(size=4).round(3).tolist() for _ in range(3)]
+    axes = [(rng.normal(size=3) + 0.001).round(4).tolist() for _ in range(2)]
+    text = SIDES.format(spine, *turns, *axes).replace(
+        f"{axes[0]}0, mirror: d_l", f"{rng.normal(size=4).tolist()}, mirror: d_l"
+    )
+    rig = load(yard, text)
+    joints = {joint.name: joint for joint in rig.joints}
+    places = dict(zip(rig.names, coordinate_slices(rig), strict=True))
+    q = rng.normal(size=(3, coordinate_slices(rig)[-1].stop))
+    q[:, places["root"]] = [0, 1, 2, 0, 0, 0, 1]
+    for name, joint in joints.items():
+        if not name.endswith("_l"):
+            continue
+        own, other = q[:, places[name]], q[:, places[joint.mirror]]
+        other[:] = own
+        if joint.type in {JointType.BALL, JointType.FREE}:
+            other[:, -4:] = reflect_rotation(own[:, -4:])
+        if joint.type is JointType.FREE:
+            other[:, :3] = own[:, :3] * [-1, 1, 1]
+    local = local_from_coordinates(rig, q)
+    world = forward(rig, local.translations, local.rotations)
+    flip = np.diag([-1.0, 1.0, 1.0])
+    for name, joint in joints.items():
+        if joint.mirror:
+            i, k = rig.index(name), rig.index(joint.mirror)
+            positions, linear = world.positions, world.linear
+            assert_allclose(positions[:, k], positions[:, i] @ flip, atol=1e-11)
+            assert_allclose(linear[:, k], flip @ linear[:, i] @ flip, atol=1e-11)
+    assert joints["b_r"].limits == joints["b_l"].limits
+    assert joints["c_r"].mimic == replace(joints["c_l"].mimic or Mimic(""), joint="b_r")
+    left, right = joints["a_l"].limits, joints["a_r"].limits
+    assert isinstance(left, BallLimit)
+    assert isinstance(right, BallLimit)
+    turned = so3.normalize(rng.normal(size=(5, 4)))
+    assert_allclose(
+        so3.angle_between(
+            right.clamped(reflect_rotation(turned)),
+            reflect_rotation(left.clamped(turned)),
+        ),
+        0,
+        atol=1e-7,
+    )
+
+
+BASE = Rig(
+    "hero",
+    (
+        Joint("hip", -1, translation=(0, 1, 0)),
+        Joint("knee_l", 0, source_name="knee.l"),
+        Joint("knee_r", 0, source_name="knee.r"),
+    ),
+    0.01,
+    bind={"knee_l": Pose((1, 2, 3), (0, 0, 0, 1))},
+    shapes=(Shape("smile"),),
+)
+SIDECAR = """\
+rig: animtool/1
+name: hero
+from: hero.usda
+joints:
+- {name: knee.l, type: pin, axis: [0, 0, 1], limits: [0, 90], mirror: knee.r}
+- {name: knee_r, type: pin, axis: [0, 0, 1], mimic: {joint: knee.l}}
+bind: {hip: {translate: [0, 2, 0]}}
+controls: [{name: grin, drives: [{shape: smile, expr: grin}]}]
+"""
+
+
+def sidecar(folder: Path, text: str) -> Rig:
+    path = folder / "hero.rig.yaml"
+    path.write_text(text)
+    return load_rig(path, lambda named: replace(BASE, name=named.name))
+
+
+def test_a_sidecar_adds_to_a_base(yard: Path) -> None:
+    rig = sidecar(yard, SIDECAR)
+    hip, left, right = rig.joints
+    assert hip == BASE.joints[0]
+    assert (left.type, left.mirror) == (JointType.PIN, "knee_r")
+    assert left.limits == RangeLimit(0, math.pi / 2)
+    assert right.mimic == Mimic("knee_l")
+    assert rig.meters_per_unit == 0.01
+    assert rig.bind == {**BASE.bind, "hip": Pose((0, 2, 0), (0, 0, 0, 1))}
+    assert rig.shapes == BASE.shapes
+    assert not any(isinstance(mesh, Mesh) for mesh in rig.meshes)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "code", "line"),
+    [
+        ("name: knee_r", "name: kne_r", "RIG008", 6),
+        ("mirror: knee.r", "mirror: kne.r", "RIG008", 5),
+        ("type: pin", "translate: [0, 0, 1], type: pin", "RIG023", 5),
+        ("type: pin", "parent: hip, type: pin", "RIG023", 5),
+    ],
+)
+def test_a_fault_of_a_sidecar(
+    yard: Path, old: str, new: str, code: str, line: int
+) -> None:
+    with pytest.raises(FormatError) as caught:
+        sidecar(yard, SIDECAR.replace(old, new, 1))
+    assert [(f.code, f.lines[0]) for f in caught.value.faults] == [(code, line)]
+
+
+def test_a_base_that_cannot_be_read(yard: Path) -> None:
+    def refuse(path: Path) -> Rig:
+        raise FormatError([Fault("USD001", "broken", str(path))])
+
+    path = yard / "hero.rig.yaml"
+    path.write_text(SIDECAR)
+    with pytest.raises(FormatError, match="USD001") as caught:
+        load_rig(path, refuse)
+    assert caught.value.code == "RIG023"
