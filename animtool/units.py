@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
 from enum import StrEnum
 
-__all__ = ["LengthUnit", "UpAxis", "unit_name", "up_from_up"]
+__all__ = ["parse_length", "LengthUnit", "UpAxis", "unit_name", "up_from_up"]
 
 
 class LengthUnit(StrEnum):
@@ -40,6 +41,28 @@ def unit_name(meters: float) -> str:
         if math.isclose(unit.meters, meters, rel_tol=1e-6):
             return unit.value
     return f"{meters:g} m"
+
+
+_LENGTH = re.compile(r"([0-9.eE+-]+)\s*(m|cm|mm|in)?")
+
+
+def parse_length(text: str) -> float:
+    """Return a positive length [m] such as ``0.5mm``; metres where it says no unit.
+
+    Raises:
+        ValueError: It is none.
+
+    >>> parse_length("0.5mm")
+    0.0005
+    """
+    match = _LENGTH.fullmatch(text.strip())
+    try:
+        value = float(match[1]) if match else math.nan
+    except ValueError:
+        value = math.nan
+    if match is None or not 0 < value < math.inf:
+        raise ValueError(f"{text!r} is no length such as 0.5mm")
+    return value * LengthUnit(match[2] or "m").meters
 
 
 def up_from_up(

@@ -9,6 +9,7 @@ import click
 
 from animtool.cli.console import Console
 from animtool.cli.options import (
+    Parsed,
     common_options,
     format_option,
     source_options,
@@ -18,10 +19,17 @@ from animtool.cli.options import (
 __all__ = ["convert"]
 
 
+def _length(text: str) -> float:
+    from animtool.units import parse_length
+
+    return parse_length(text)
+
+
 @click.command(
     epilog="""\b
 Examples:
   animtool convert walk.usdc walk.bvh
+  animtool convert walk.bvh walk.clip.yaml --reduce 0.5mm
   animtool convert shot.usda hero.bvh --prim-path /World/hero"""
 )
 @click.argument("source", type=click.Path(path_type=Path, readable=False))
@@ -29,6 +37,12 @@ Examples:
 @source_options
 @click.option(
     "--prim-path", metavar="PATH", help="The character, where a stage has several."
+)
+@click.option(
+    "--reduce",
+    type=Parsed("length", _length),
+    metavar="LENGTH",
+    help="For a clip: how far keys may move a joint, such as 0.5mm.  [default: 0.5mm]",
 )
 @click.option(
     "--strict", is_flag=True, help="Take warnings for errors and write nothing."
@@ -41,9 +55,10 @@ Examples:
 @common_options
 @click.pass_obj
 def convert(console: Console, /, source: Path, output: Path, **given: Any) -> None:
-    """Convert SOURCE to OUTPUT: BVH to USD, USD to BVH.
+    """Convert SOURCE to OUTPUT: BVH, USD and clips to BVH, USD or a clip.
 
-    Joints that came from a BVH get their channel order and names back.
+    A clip (.clip.yaml) gets sparse keys that can be edited, and its rig file beside
+    it. Joints that came from a BVH get their channel order and names back.
     """
     if given["skip_existing"] and output.exists():
         console.say(f"{output} exists: skipped")
@@ -62,6 +77,7 @@ def convert(console: Console, /, source: Path, output: Path, **given: Any) -> No
             options,
             overwrite=given["overwrite"],
             strict=given["strict"],
+            reduce=given["reduce"],
             progress=progress,
         )
     console.faults(report.notices)
@@ -72,8 +88,33 @@ def convert(console: Console, /, source: Path, output: Path, **given: Any) -> No
                 "output": str(report.output),
                 "frames": report.frames,
                 "joints": report.joints,
+                **_reduction_json(report.reduction),
                 "notices": [notice.as_dict() for notice in report.notices],
             }
         )
         return
     console.say(f"{report.output}: {report.frames} frames, {report.joints} joints")
+    if report.reduction is not None:
+        found = report.reduction
+        console.say(
+            f"  {found.samples} samples became {found.keys} keys, "
+            f"{found.samples_per_key:.3g} each"
+        )
+        console.say(
+            f"  largest error: {found.error * 1000:.3g} mm (joint {found.joint!r}, "
+            f"frame {found.frame + 1} of {report.frames})"
+        )
+
+
+def _reduction_json(reduction: Any) -> dict[str, object]:
+    """Return what a reduction came to, nothing where there was none."""
+    if reduction is None:
+        return {}
+    return {
+        "reduction": {
+            "samples": reduction.samples,
+            "keys": reduction.keys,
+            "error": {"meters": reduction.error, "joint": reduction.joint},
+            "held": reduction.held,
+        }
+    }

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from animtool.errors import Fault, OptionError, refuse_warnings
 from animtool.output import check_outputs, output_error, replacing
+from animtool.rig.skeleton import JointType, Rig
 from animtool.scene.sources import SourceOptions, is_usd, open_source
+from animtool.take import Take
+
+if TYPE_CHECKING:
+    from animtool.clip.reduction import Reduction
 
 __all__ = ["ConvertReport", "convert"]
 
-_WRITES = ".bvh, .usd, .usda, .usdc"
+_WRITES = ".bvh, .clip.yaml, .usd, .usda, .usdc"
+# Of keys written for samples [m]: under what anyone sees on a person.
+REDUCTION = 0.0005
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,12 +32,14 @@ class ConvertReport:
         frames: Frames written.
         joints: Joints written.
         notices: Warnings and notes.
+        reduction: What became of the samples, where keys were written.
     """
 
     output: Path
     frames: int
     joints: int
     notices: list[Fault]
+    reduction: Reduction | None = None
 
 
 def convert(
@@ -39,9 +49,22 @@ def convert(
     *,
     overwrite: bool = False,
     strict: bool = False,
+    reduce: float | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> ConvertReport:
-    """Convert a BVH or USD file to a BVH, or to a USD stage as a bake would.
+    """Convert a take to a BVH, to sparse keys, or to a USD stage as a bake would.
+
+    Keys go to a clip file, with the rig file that it is for beside it.
+
+    Args:
+        source: BVH, USD or clip.
+        output: ``.bvh``, ``.clip.yaml`` or a USD file.
+        options: What the source is.
+        overwrite: Replace outputs that exist.
+        strict: Take warnings for errors.
+        reduce: Largest distance that keys may move a joint, or a point 3 cm off it
+            [m]; None is half a millimetre. For clips.
+        progress: Called with the share done, 0 to 1.
 
     Raises:
         FormatError: The source is malformed.
@@ -52,6 +75,8 @@ def convert(
     source, output = Path(source), Path(output)
     if is_usd(output):
         return _to_usd(source, output, options, overwrite, strict, progress)
+    if output.suffix.lower() in {".yaml", ".yml"}:
+        return _to_clip(source, output, options, reduce, overwrite, strict, progress)
     if output.suffix.lower() != ".bvh":
         kind = f"suffix {output.suffix!r}" if output.suffix else "a name without suffix"
         message = f"{kind} is no format that animtool writes"
@@ -69,14 +94,65 @@ def convert(
     text = write_bvh(take)
     notices = stream.notices + text.notices
     refuse_warnings(notices, strict=strict)
+    _write(output, text.parts)
+    return ConvertReport(output, take.clock.count, len(take.rig.joints), notices)
+
+
+def _write(output: Path, parts: Iterable[bytes]) -> None:
     with replacing(output) as temporary:
         try:
             with temporary.open("wb") as file:
-                for part in text.parts:
+                for part in parts:
                     file.write(part)
         except OSError as error:
             raise output_error(output, error) from error
-    return ConvertReport(output, take.clock.count, len(take.rig.joints), notices)
+
+
+def _to_clip(
+    source: Path,
+    output: Path,
+    options: SourceOptions | None,
+    reduce: float | None,
+    overwrite: bool,
+    strict: bool,
+    progress: Callable[[float], None] | None,
+) -> ConvertReport:
+    from animtool.clip.reduce import reduce_motion
+    from animtool.clip.write import clip_text
+    from animtool.rig.write import rig_text
+
+    stem = output.name.removesuffix(output.suffix).removesuffix(".clip")
+    rig_path = output.with_name(f"{stem}.rig.yaml")
+    check_outputs([rig_path, output], [source], overwrite=overwrite)
+    stream = open_source(source, options, progress=progress)
+    take = stream.collect()
+    refuse_warnings(stream.notices, strict=strict)
+    rig = typed_by_motion(take)
+    reduction = reduce_motion(take, REDUCTION if reduce is None else reduce)
+    _write(rig_path, [rig_text(rig).encode()])
+    text = clip_text(reduction, rig, rig_path.name, stem)
+    _write(output, [text.encode()])
+    return ConvertReport(
+        output, take.clock.count, len(rig.joints), stream.notices, reduction
+    )
+
+
+def typed_by_motion(take: Take) -> Rig:
+    """Return the rig of a take with joints that can do what the take does.
+
+    A joint whose translation moves, or is not that of rest, is free; the others are
+    balls. What a rig says of pins and slides stays where it says so.
+    """
+    channel = take.motion.translations
+    moved = (channel.rest != take.rig.rest_translations).any(axis=1)
+    moved[channel.animated] = True
+    joints = tuple(
+        replace(joint, type=JointType.FREE if moves else JointType.BALL)
+        if joint.type is JointType.FREE
+        else joint
+        for joint, moves in zip(take.rig.joints, moved.tolist(), strict=True)
+    )
+    return replace(take.rig, joints=joints)
 
 
 def _to_usd(

@@ -125,7 +125,7 @@ def test_weights_come_back(tmp_path: Path) -> None:
     write(job(tmp_path / "o.usdc"), motion(moving()))
     stream = read_usd(tmp_path / "o.usdc")
     take = stream.collect()
-    assert stream.details["shapes"] == ["blink", "jaw"]
+    assert [shape.name for shape in stream.rig.shapes] == ["blink", "jaw"]
     assert take.clock.count == 7
     assert take.motion.weights is not None
     assert take.motion.weights.animated.tolist() == [0]

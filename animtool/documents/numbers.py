@@ -1,0 +1,67 @@
+"""Numbers for files that people read: short, and back to the very same float."""
+
+from __future__ import annotations
+
+import math
+
+__all__ = ["flow", "number", "scaled", "text"]
+
+# Digits that a float64 needs at most, and those that most need.
+MOST_DIGITS, USUAL_DIGITS = 17, 15
+
+
+def number(value: float) -> str:
+    """Return the shortest decimal that reads back as a float.
+
+    >>> number(0.1), number(2.0), number(1e-20)
+    ('0.1', '2', '1e-20')
+    """
+    return f"{value:.0f}" if value == int(value) and abs(value) < 1e15 else repr(value)
+
+
+def scaled(value: float, unit: float) -> str:
+    """Return the shortest decimal that, times a unit, is a float again.
+
+    Where none is, as a product skips some floats, the nearest is taken.
+
+    >>> scaled(0.0254, 0.0254), scaled(math.radians(35), math.radians(1))
+    ('1', '35')
+    """
+    if unit == 1.0:
+        return number(value + 0.0)
+    quotient = value / unit
+    for digits in range(USUAL_DIGITS, MOST_DIGITS + 1):
+        near = float(f"{quotient:.{digits}g}")
+        for candidate in (
+            near,
+            math.nextafter(near, math.inf),
+            math.nextafter(near, 0),
+        ):
+            if candidate * unit == value:
+                return number(candidate + 0.0)
+    return number(quotient)
+
+
+def text(value: str) -> str:
+    """Return text as YAML reads it back as text.
+
+    >>> text("hips"), text("no: 1"), text("12")
+    ('hips', '"no: 1"', '"12"')
+    """
+    plain = value.replace("_", "").replace(".", "").replace("-", "")
+    named = {"null", "true", "false", "nan", "inf"}
+    safe = plain.isascii() and plain.isalnum() and value[0].isalpha()
+    if safe and value.lower() not in named:
+        return value
+    escaped = value.replace("\\", "\\\\").replace('"', '\\"')
+    escaped = "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in escaped)
+    return f'"{escaped}"'
+
+
+def flow(items: list[str]) -> str:
+    """Return a list on one line.
+
+    >>> flow(["1", "2"])
+    '[1, 2]'
+    """
+    return f"[{', '.join(items)}]"

@@ -1,0 +1,277 @@
+"""Writing a rig as a rig file, from which it comes back equal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+from animtool.documents.numbers import flow, number, scaled, text
+from animtool.rig.controls import Control, Drive
+from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.parts import Mesh, Shape
+from animtool.rig.skeleton import Joint, JointType, Rig
+from animtool.units import unit_name
+
+__all__ = ["rig_text"]
+
+Pairs = Iterable[tuple[str, str | None]]
+
+
+def rig_text(rig: Rig) -> str:
+    """Return a rig as the text of a rig file, in its own units.
+
+    A joint that is the mirror image of one before it is left to that one's
+    ``mirror``. References to arrays are as the rig's own file spelled them.
+
+    >>> rig_text(Rig("post", (Joint("top", -1, translation=(0, 2, 0)),))).split()[-1]
+    '2,0]}'
+    """
+    units = _Units(rig)
+    lines = [
+        "rig: animtool/1",
+        f"name: {text(rig.name)}",
+        f"units: {{length: {units.name}, angle: {units.angle_name}}}",
+        f"up: {rig.up}",
+        "joints:",
+    ]
+    written: set[str] = set()
+    for joint in rig.joints:
+        if joint.mirror not in written:
+            parent = rig.joints[joint.parent].name if joint.parent >= 0 else None
+            lines.append(f"- {units.joint(joint, parent, rig)}")
+            written.add(joint.name)
+    if rig.bind:
+        lines.append("bind:")
+        for name, pose in rig.bind.items():
+            entry = _mapping(
+                [
+                    ("translate", units.lengths(pose.translation)),
+                    ("rotate", _quaternion(pose.rotation)),
+                ]
+            )
+            lines.append(f"  {text(name)}: {entry}")
+    sections: list[tuple[str, list[str]]] = [
+        ("meshes", [_mesh(mesh) for mesh in rig.meshes]),
+        ("shapes", [_shape(shape) for shape in rig.shapes]),
+        ("controls", [_control(control) for control in rig.controls]),
+        (
+            "ik",
+            [
+                _mapping(
+                    [
+                        ("name", text(chain.name)),
+                        ("root", text(chain.root)),
+                        ("tip", text(chain.tip)),
+                        ("goal", chain.goal),
+                        ("pole_dir", _numbers(chain.pole_dir)),
+                        ("stretch", number(chain.stretch) if chain.stretch else None),
+                    ]
+                )
+                for chain in rig.ik
+            ],
+        ),
+        (
+            "attach",
+            [
+                _mapping(
+                    [
+                        ("name", text(entry.name)),
+                        ("kind", text(entry.kind)),
+                        ("joints", flow([text(name) for name in entry.joints])),
+                    ]
+                )
+                for entry in rig.attach
+            ],
+        ),
+        (
+            "colliders",
+            [
+                _mapping(
+                    [
+                        ("joint", text(entry.joint)),
+                        (
+                            "capsule",
+                            _mapping(
+                                [
+                                    ("radius", units.length(entry.capsule.radius)),
+                                    ("length", units.length(entry.capsule.length)),
+                                    ("axis", _numbers(entry.capsule.axis)),
+                                ]
+                            ),
+                        ),
+                    ]
+                )
+                for entry in rig.colliders
+            ],
+        ),
+    ]
+    for name, entries in sections:
+        if entries:
+            lines += [f"{name}:", *(f"- {entry}" for entry in entries)]
+    return "\n".join(lines) + "\n"
+
+
+class _Units:
+    """Numbers in the unit of the rig."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.name = unit_name(rig.meters_per_unit)
+        self.meters = rig.meters_per_unit
+        if " " in self.name:
+            # A unit that the format has no name for.
+            self.name, self.meters = "m", 1.0
+        self.radians = 1.0 if rig.radians_per_unit == 1.0 else math.radians(1.0)
+        self.angle_name = "rad" if self.radians == 1.0 else "deg"
+
+    def length(self, value: float) -> str:
+        return scaled(value, self.meters)
+
+    def lengths(self, values: Sequence[float]) -> str:
+        return flow([self.length(value) for value in values])
+
+    def range(self, pair: tuple[float, float] | None, unit: float) -> str | None:
+        return None if pair is None else flow([scaled(value, unit) for value in pair])
+
+    def joint(self, joint: Joint, parent: str | None, rig: Rig) -> str:
+        scalar = joint.type in {JointType.PIN, JointType.PRISMATIC}
+        turned = joint.rotation != (0.0, 0.0, 0.0, 1.0)
+        channels = joint.channels
+        return _mapping(
+            [
+                ("name", text(joint.name)),
+                ("parent", None if parent is None else text(parent)),
+                ("type", joint.type.value),
+                ("translate", self.lengths(joint.translation)),
+                ("rotate", _quaternion(joint.rotation) if turned else None),
+                ("axis", _numbers(joint.axis) if scalar else None),
+                ("limits", self.limits(joint)),
+                ("mimic", self.mimic(joint, rig)),
+                ("mirror", text(joint.mirror) if joint.mirror else None),
+                ("tips", flow([self.lengths(t) for t in joint.tips]) or None)
+                if joint.tips
+                else ("tips", None),
+                ("channels", None if channels is None else flow(list(channels))),
+            ]
+        )
+
+    def limits(self, joint: Joint) -> str | None:
+        limits = joint.limits
+        if isinstance(limits, RangeLimit):
+            slides = joint.type is JointType.PRISMATIC
+            unit = self.meters if slides else self.radians
+            return self.range((limits.low, limits.high), unit)
+        if not isinstance(limits, BallLimit):
+            return None
+        swing = self.range(limits.swing, self.radians)
+        if limits.swing is not None and limits.swing[0] == limits.swing[1]:
+            swing = scaled(limits.swing[0], self.radians)
+        twist = self.range(limits.twist, self.radians)
+        twist = "locked" if limits.twist == (0.0, 0.0) else twist
+        axis = _numbers(limits.twist_axis)
+        return _mapping([("swing", swing), ("twist", twist), ("twist_axis", axis)])
+
+    def mimic(self, joint: Joint, rig: Rig) -> str | None:
+        if joint.mimic is None:
+            return None
+        leader = rig.joints[rig.index(joint.mimic.joint)]
+        units = [
+            self.meters if one.type is JointType.PRISMATIC else self.radians
+            for one in (joint, leader)
+        ]
+        gain = joint.mimic.gain * units[1] / units[0]
+        return _mapping(
+            [
+                ("joint", text(leader.name)),
+                ("gain", number(gain)),
+                ("offset", scaled(joint.mimic.offset, units[0])),
+            ]
+        )
+
+
+def _mesh(mesh: Mesh) -> str:
+    skin = None
+    if mesh.skin is not None:
+        skin = _mapping(
+            [
+                ("method", mesh.skin.method),
+                ("joints", flow([text(name) for name in mesh.skin.joints])),
+                ("indices", text(mesh.skin.indices.text)),
+                ("weights", text(mesh.skin.weights.text)),
+            ]
+        )
+    return _mapping(
+        [
+            ("name", text(mesh.name)),
+            ("points", text(mesh.points.text)),
+            ("faces", text(mesh.faces.text)),
+            ("normals", None if mesh.normals is None else text(mesh.normals.text)),
+            ("geom_bind", _numbers(mesh.geom_bind)),
+            ("skin", skin),
+        ]
+    )
+
+
+def _shape(shape: Shape) -> str:
+    between = [
+        _mapping([("at", number(step.at)), ("deltas", text(step.deltas.text))])
+        for step in shape.inbetweens
+    ]
+    return _mapping(
+        [
+            ("name", text(shape.name)),
+            ("mesh", text(shape.mesh) if shape.mesh else None),
+            ("deltas", None if shape.deltas is None else text(shape.deltas.text)),
+            ("normals", None if shape.normals is None else text(shape.normals.text)),
+            ("inbetweens", flow(between) if between else None),
+            ("combine", flow([text(n) for n in shape.combine]) or None)
+            if shape.combine
+            else ("combine", None),
+        ]
+    )
+
+
+def _control(control: Control) -> str:
+    limits = None
+    if control.low is not None and control.high is not None:
+        limits = _numbers((control.low, control.high))
+    drives = [_drive(drive) for drive in control.drives]
+    return _mapping(
+        [
+            ("name", text(control.name)),
+            ("range", limits),
+            ("default", number(control.default) if control.default else None),
+            ("drives", flow(drives) if drives else None),
+        ]
+    )
+
+
+def _drive(drive: Drive) -> str:
+    kind, _, name = drive.target.partition("/")
+    curve = flow([str(_numbers(point)) for point in drive.curve])
+    expression = drive.expression
+    return _mapping(
+        [
+            (kind, text(name)),
+            ("expr", None if expression is None else _quoted(expression.text)),
+            ("curve", curve if drive.curve else None),
+        ]
+    )
+
+
+def _quoted(value: str) -> str:
+    escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+    return f'"{escaped}"'
+
+
+def _mapping(pairs: Pairs) -> str:
+    shown = ", ".join(f"{key}: {value}" for key, value in pairs if value is not None)
+    return f"{{{shown}}}"
+
+
+def _numbers(values: Sequence[float] | None) -> str | None:
+    return None if values is None else flow([number(value + 0.0) for value in values])
+
+
+def _quaternion(rotation: tuple[float, float, float, float]) -> str:
+    x, y, z, w = rotation
+    return str(_numbers((w, x, y, z)))
