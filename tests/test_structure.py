@@ -20,6 +20,7 @@ LAYERS = [
     {"rig.skeleton"},
     {"take"},
     {"rig"},
+    {"passes"},
     {"formats"},
     {"usd"},
     {"edit"},
