@@ -42,7 +42,7 @@ def small(count: int = 12) -> Take:
     return Take(rig, Clock(Fraction(30), Fraction(1), Fraction(1), count), motion)
 
 
-def run(name: str, take: Take, blocks: int = 1, **options: Any) -> Take:
+def run(name: str, take: Take, /, blocks: int = 1, **options: Any) -> Take:
     """Return a take with a pass of the table applied, the other being itself."""
     context = PassContext(lambda _: take, Path())
     found = find_pass(name)
@@ -94,7 +94,7 @@ def test_a_single_frame(name: str) -> None:
     assert run(name, small(1), **options).clock.count >= 1
 
 
-@pytest.mark.parametrize("name", [n for n in PASSES if n not in {"mirror"}])
+@pytest.mark.parametrize("name", [n for n in PASSES if n != "mirror"])
 def test_what_is_static_stays_static(name: str) -> None:
     assert 2 not in run(name, small()).motion.rotations.animated
 
