@@ -36,6 +36,7 @@ PASSES: dict[str, str] = {
     "blend": "animtool.edit.blend:PASS",
     "difference": "animtool.edit.difference:PASS",
     "layer": "animtool.edit.layer:PASS",
+    "loop": "animtool.edit.loop:PASS",
     "mirror": "animtool.edit.mirror:PASS",
     "resample": "animtool.edit.resample:PASS",
     "time_scale": "animtool.edit.time_scale:PASS",
