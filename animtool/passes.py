@@ -39,6 +39,7 @@ PASSES: dict[str, str] = {
     "loop": "animtool.edit.loop:PASS",
     "mirror": "animtool.edit.mirror:PASS",
     "resample": "animtool.edit.resample:PASS",
+    "root_motion": "animtool.edit.root_motion:PASS",
     "time_scale": "animtool.edit.time_scale:PASS",
     "time_warp": "animtool.edit.time_warp:PASS",
     "trim": "animtool.edit.trim:PASS",
