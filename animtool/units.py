@@ -6,7 +6,7 @@ import math
 import re
 from enum import StrEnum
 
-__all__ = ["parse_length", "LengthUnit", "UpAxis", "unit_name", "up_from_up"]
+__all__ = ["LengthUnit", "UpAxis", "parse_length", "unit_name", "up_from_up"]
 
 
 class LengthUnit(StrEnum):

@@ -20,6 +20,7 @@ LAYERS = [
     {"documents"},
     {"rig"},
     {"take"},
+    {"passes"},
     {"clip"},
     {"formats"},
     {"usd"},

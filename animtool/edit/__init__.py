@@ -1,1 +1,1 @@
-"""Changes to a whole take: when it is sampled, and which way is up."""
+"""Changes to a whole take: passes over its time, its joints and its layers."""

@@ -9,11 +9,21 @@ from fractions import Fraction
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
+from animtool.edit.places import Places, even_places
 from animtool.errors import Fault, OptionError
-from animtool.maths import so3
-from animtool.take import Channel, Clock, Motion, Take, time_codes
+from animtool.passes import Pass, PassContext, Scope
+from animtool.rates import parse_rate
+from animtool.take import Clock, Motion, Take, time_codes
 
-__all__ = ["FrameRange", "SampleTimes", "plan_samples", "resampled", "sample"]
+__all__ = [
+    "PASS",
+    "FrameRange",
+    "ResampleOptions",
+    "SampleTimes",
+    "plan_samples",
+    "resampled",
+    "sample",
+]
 
 BLOCK_FRAMES = 512
 # Days of animation: rather a rate that is mistyped.
@@ -85,11 +95,13 @@ def plan_samples(
         raise _refusal(f"at {float(fps):g} fps the take has {whole + 1} frames")
     first, last = start + wanted[0], start + wanted[-1]
     index = np.arange(wanted[0], wanted[-1] + 1, wanted.step)
-    each = [_positions(index, offset, ratio, clock.count) for offset in offsets or (0,)]
+    each = [
+        even_places(index, offset, ratio, clock.count) for offset in offsets or (0,)
+    ]
     codes = np.stack([_codes(start + wanted[0] + o, wanted) for o in offsets or (0,)])
     order = np.argsort(codes.T.ravel(), kind="stable")
-    frames = np.stack([frames for frames, _ in each]).T.ravel()[order]
-    fractions = np.stack([fraction for _, fraction in each]).T.ravel()[order]
+    frames = np.stack([places.frames for places in each]).T.ravel()[order]
+    fractions = np.stack([places.fractions for places in each]).T.ravel()[order]
     return SampleTimes(first, last, codes.T.ravel()[order], frames, fractions)
 
 
@@ -118,26 +130,6 @@ def _within(frame_range: FrameRange, start: Fraction, whole: int) -> range:
     return wanted
 
 
-def _positions(
-    index: IntArray, offset: Fraction | int, ratio: Fraction, count: int
-) -> tuple[IntArray, FloatArray]:
-    """Return where samples lie in the source, held at its ends."""
-    shift = Fraction(offset)
-    scale = ratio.denominator * shift.denominator
-    step = ratio.numerator * shift.denominator
-    ahead = ratio.numerator * shift.numerator
-    if max(scale, step * (int(index[-1]) + 1) + abs(ahead)) < 2**62:
-        exact = index.astype(np.int64) * step + ahead
-        frames, left = np.divmod(exact, scale)
-        fractions = left / float(scale)
-    else:
-        pairs = [divmod((int(i) + shift) * ratio, 1) for i in index]
-        frames = np.array([whole for whole, _ in pairs], np.int64)
-        fractions = np.array([float(left) for _, left in pairs])
-    held = (frames < 0) | (frames >= count - 1)
-    return np.clip(frames, 0, count - 1), np.where(held, 0.0, fractions)
-
-
 def _kept_samples(
     clock: Clock, start: Fraction, step: Fraction, frame_range: FrameRange | None
 ) -> SampleTimes:
@@ -160,26 +152,6 @@ def _kept_samples(
     return SampleTimes(first, last, codes, frames, np.zeros(len(frames)))
 
 
-@dataclass(frozen=True, slots=True)
-class _Places:
-    """Where samples lie: at or between two frames."""
-
-    frames: IntArray
-    fractions: FloatArray
-
-    def blend(self, channel: Channel) -> Channel:
-        values = channel.values[self.frames]
-        between = self.fractions > 0
-        weight = self.fractions[between, None]
-        if weight.size and values.size:
-            low, high = values[between], channel.values[self.frames[between] + 1]
-            if values.shape[-1] == 4:
-                values[between] = so3.slerp(low, high, weight)
-            else:
-                values[between] = low + (high - low) * weight[..., None]
-        return Channel(channel.rest, channel.animated, values)
-
-
 def sample(take: Take, times: SampleTimes) -> Iterator[tuple[FloatArray, Motion]]:
     """Yield time codes and motion at sample times, block by block.
 
@@ -190,7 +162,7 @@ def sample(take: Take, times: SampleTimes) -> Iterator[tuple[FloatArray, Motion]
     motion = take.motion
     for begin in range(0, len(times.codes), BLOCK_FRAMES):
         part = slice(begin, begin + BLOCK_FRAMES)
-        at = _Places(times.frames[part], times.fractions[part])
+        at = Places(times.frames[part], times.fractions[part])
         yield times.codes[part], motion.map(at.blend)
 
 
@@ -204,3 +176,28 @@ def resampled(take: Take, fps: Fraction) -> Take:
     motion = Motion.concatenate([block for _, block in sample(take, times)])
     clock = Clock(fps, take.clock.start, Fraction(1), motion.frames)
     return Take(take.rig, clock, motion)
+
+
+@dataclass(frozen=True, slots=True)
+class ResampleOptions:
+    """The rate wanted.
+
+    Attributes:
+        fps: Frames a second, such as ``24``, ``23.976`` or ``24000/1001``; none
+            leaves the take as it is.
+    """
+
+    fps: str | float | None = None
+
+
+def _run(take: Take, options: ResampleOptions, _: PassContext) -> Take:
+    if options.fps is None:
+        return take
+    try:
+        fps = parse_rate(str(options.fps))
+    except ValueError as error:
+        raise OptionError(Fault("SCN022", f"fps: {error}")) from error
+    return resampled(take, fps)
+
+
+PASS = Pass("resample", "Sample at another rate", ResampleOptions, Scope.CLIP, _run)

@@ -1,0 +1,63 @@
+"""Frames that options name, in the time codes of a take."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+
+from animtool.errors import Fault, OptionError
+from animtool.take import Clock
+
+__all__ = ["MOST_FRAMES", "check_count", "exact", "frame_index", "frame_refusal"]
+
+# Days of animation: rather a number that is mistyped.
+MOST_FRAMES = 10_000_000
+
+
+def exact(number: float, name: str) -> Fraction:
+    """Return the fraction that a person meant by a decimal.
+
+    Raises:
+        OptionError: It is not finite (SCN013).
+
+    >>> exact(0.1, "pivot")
+    Fraction(1, 10)
+    """
+    if not math.isfinite(number):
+        raise frame_refusal(f"{name} is {number}, which is no frame")
+    return Fraction(repr(float(number)))
+
+
+def frame_refusal(message: str, hint: str | None = None) -> OptionError:
+    """Return the error of a frame that a take has not."""
+    return OptionError(Fault("SCN013", message, hint=hint))
+
+
+def frame_index(clock: Clock, frame: float, name: str) -> int:
+    """Return the index of the frame nearest to a time code.
+
+    Raises:
+        OptionError: It lies outside the take (SCN013).
+
+    >>> frame_index(Clock(Fraction(24), Fraction(1001), Fraction(1), 9), 1003, "first")
+    2
+    """
+    index = round((exact(frame, name) - clock.start) / clock.step)
+    if not 0 <= index < clock.count:
+        last = clock.start + (clock.count - 1) * clock.step
+        raise frame_refusal(
+            f"{name} is frame {frame:g}, and the take has "
+            f"{float(clock.start):g}-{float(last):g}"
+        )
+    return index
+
+
+def check_count(count: int) -> None:
+    """Refuse a result of more than 10 million frames.
+
+    Raises:
+        OptionError: There would be more (SCN021).
+    """
+    if count > MOST_FRAMES:
+        message = f"the take would have {count} frames, more than {MOST_FRAMES}"
+        raise OptionError(Fault("SCN021", message))

@@ -1,0 +1,133 @@
+"""Curves that options write as lists of pairs: weights and times by frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from enum import StrEnum
+from typing import TypeAlias
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.errors import Fault, OptionError
+
+__all__ = ["Interpolation", "Keys", "Weight", "key_arrays", "keyed", "weights_at"]
+
+Keys: TypeAlias = Sequence[Sequence[float]]
+Weight: TypeAlias = float | Keys
+
+
+class Interpolation(StrEnum):
+    """How a list of pairs is joined up.
+
+    ``smooth`` has a continuous slope that is flat where the values turn, so that
+    the curve never leaves the range of the two keys about it.
+    """
+
+    LINEAR = "linear"
+    SMOOTH = "smooth"
+
+
+def key_arrays(keys: Keys, name: str) -> tuple[FloatArray, FloatArray]:
+    """Return the times and values of pairs ``[time, value]``, each ``(K,)``.
+
+    Raises:
+        OptionError: There are none, they are no pairs of finite numbers, or the
+            times do not ascend (SCN015).
+    """
+    rows = list(keys)
+    if not rows or any(isinstance(r, (int, float)) or len(r) != 2 for r in rows):
+        message = f"{name} must be a list of pairs such as [[1, 0], [10, 1]]"
+        raise OptionError(Fault("SCN015", f"{message}, not {rows!r:.80}"))
+    table = np.array(rows, np.float64)
+    if not np.isfinite(table).all():
+        raise OptionError(Fault("SCN015", f"{name} holds a number that is not finite"))
+    falls = np.flatnonzero(np.diff(table[:, 0]) <= 0)
+    if len(falls):
+        a, b = table[falls[0], 0], table[falls[0] + 1, 0]
+        message = f"times of {name} must ascend, and {b:g} follows {a:g}"
+        raise OptionError(Fault("SCN015", message))
+    return table[:, 0], table[:, 1]
+
+
+def keyed(
+    times: FloatArray,
+    values: FloatArray,
+    at: FloatArray,
+    interpolation: Interpolation = Interpolation.LINEAR,
+) -> FloatArray:
+    """Return a curve at some times ``(F,)``, held outside its keys.
+
+    References:
+        F. N. Fritsch and J. Butland, A method for constructing local monotone
+        piecewise cubic interpolants, 1984: the slopes of ``smooth``.
+
+    >>> ramp = np.array([0.0, 2.0]), np.array([0.0, 1.0])
+    >>> keyed(*ramp, np.array([-1.0, 1.0])).tolist()
+    [0.0, 0.5]
+    """
+    if interpolation is Interpolation.LINEAR or len(times) < 2:
+        return np.asarray(np.interp(at, times, values))
+    lengths = np.diff(times)
+    secants = np.diff(values) / lengths
+    slopes = np.concatenate(
+        [secants[:1], _inner_slopes(lengths, secants), secants[-1:]]
+    )
+    at = np.clip(at, times[0], times[-1])
+    k = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(lengths) - 1)
+    s, length = (at - times[k]) / lengths[k], lengths[k]
+    rise = s * s * (3 - 2 * s)
+    leave, arrive = s * (1 - s) ** 2, s * s * (s - 1)
+    between = values[k] + (values[k + 1] - values[k]) * rise
+    return np.asarray(
+        between + length * (leave * slopes[k] + arrive * slopes[k + 1]), np.float64
+    )
+
+
+def _inner_slopes(lengths: FloatArray, secants: FloatArray) -> FloatArray:
+    """Return harmonic means of neighbouring secants, 0 where their signs differ."""
+    low, high = secants[:-1], secants[1:]
+    wide = 2 * lengths[1:] + lengths[:-1]
+    narrow = lengths[1:] + 2 * lengths[:-1]
+    same = low * high > 0
+    a, b = np.where(same, low, 1.0), np.where(same, high, 1.0)
+    return np.where(same, (wide + narrow) / (wide / a + narrow / b), 0.0)
+
+
+def weights_at(
+    weight: Weight,
+    at: FloatArray,
+    interpolation: Interpolation = Interpolation.LINEAR,
+    *,
+    bounded: bool = True,
+) -> FloatArray:
+    """Return a weight, one number or a curve, at some frames ``(F,)``.
+
+    Args:
+        weight: [1], or pairs ``[frame, weight]``.
+        at: Time codes of the frames ``(F,)``.
+        interpolation: How a curve runs from key to key.
+        bounded: Refuse what is outside 0 to 1.
+
+    Raises:
+        OptionError: A weight is not finite or out of bounds (SCN014), or a curve is
+            malformed (SCN015).
+
+    >>> weights_at(0.5, np.arange(2.0)).tolist()
+    [0.5, 0.5]
+    """
+    if isinstance(weight, (int, float)):
+        _check_weight(float(weight), bounded)
+        return np.full(len(at), float(weight))
+    times, values = key_arrays(weight, "weight")
+    for value in values.tolist():
+        _check_weight(value, bounded)
+    return keyed(times, values, at, interpolation)
+
+
+def _check_weight(weight: float, bounded: bool) -> None:
+    if not math.isfinite(weight):
+        raise OptionError(Fault("SCN014", f"a weight is {weight}, which is not finite"))
+    if bounded and not 0 <= weight <= 1:
+        raise OptionError(Fault("SCN014", f"a weight is {weight:g}, not from 0 to 1"))

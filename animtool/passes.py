@@ -1,0 +1,175 @@
+"""What a pass is, where passes are found, and how one is applied.
+
+A pass changes a take: a plain function, a record of its options and a `Pass` that
+names both. The table holds the passes by name; they are imported when used.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, TypeAlias, cast
+
+from animtool.errors import Fault, OptionError, excerpt
+from animtool.take import Take, TakeStream
+
+__all__ = [
+    "PASSES",
+    "PLUGIN_GROUP",
+    "ClipRun",
+    "Pass",
+    "PassContext",
+    "Scope",
+    "StreamRun",
+    "apply_pass",
+    "find_pass",
+]
+
+PLUGIN_GROUP = "animtool.passes"
+
+PASSES: dict[str, str] = {
+    "blend": "animtool.edit.blend:PASS",
+    "difference": "animtool.edit.difference:PASS",
+    "layer": "animtool.edit.layer:PASS",
+    "loop": "animtool.edit.loop:PASS",
+    "mirror": "animtool.edit.mirror:PASS",
+    "resample": "animtool.edit.resample:PASS",
+    "root_motion": "animtool.edit.root_motion:PASS",
+    "time_scale": "animtool.edit.time_scale:PASS",
+    "time_warp": "animtool.edit.time_warp:PASS",
+    "trim": "animtool.edit.trim:PASS",
+}
+
+
+class Scope(StrEnum):
+    """How much of a take a pass must see at once."""
+
+    FRAME = "frame"
+    WINDOW = "window"
+    CLIP = "clip"
+
+
+@dataclass(frozen=True, slots=True)
+class PassContext:
+    """What a pass may use beside its take and options.
+
+    Attributes:
+        open: Opens another take on the same rig.
+        folder: Where relative paths in options start.
+        notices: Gathers what a pass has to say about its work.
+    """
+
+    open: Callable[[Path], Take]
+    folder: Path
+    notices: list[Fault] = field(default_factory=list)
+
+    def take(self, path: Path | None, option: str = "take") -> Take:
+        """Return the take that an option names.
+
+        Raises:
+            OptionError: It names none (SCN024).
+        """
+        if path is None:
+            raise OptionError(
+                Fault("SCN024", f"{option} must name a file with another take")
+            )
+        return self.open(self.folder / path)
+
+
+# A pass fills its own options record, which the caller need not know.
+ClipRun: TypeAlias = Callable[[Take, Any, PassContext], Take]
+StreamRun: TypeAlias = Callable[[TakeStream, Any, PassContext], TakeStream]
+
+
+@dataclass(frozen=True, slots=True)
+class Pass:
+    """One entry of the table of passes.
+
+    Attributes:
+        name: As a scene writes it.
+        summary: What it does, one line.
+        options: Frozen dataclass of its options, each with a default.
+        scope: FRAME and WINDOW passes run on streams and carry their state from
+            block to block; CLIP passes run on whole takes.
+        run: Takes a `TakeStream` (FRAME, WINDOW) or a `Take` (CLIP), the options
+            and the context, and returns the same kind.
+    """
+
+    name: str
+    summary: str
+    options: type[Any]
+    scope: Scope
+    run: ClipRun | StreamRun
+
+
+def find_pass(name: str) -> Pass:
+    """Return a pass by its name, those of plug-ins included.
+
+    Raises:
+        OptionError: There is none of that name (SCN010), or the plug-in that has it
+            cannot be loaded (SCN011).
+
+    >>> find_pass("trim").scope
+    <Scope.FRAME: 'frame'>
+    """
+    place = PASSES.get(name)
+    if place is None:
+        return _plugin(name)
+    module, _, attribute = place.partition(":")
+    return cast(Pass, getattr(importlib.import_module(module), attribute))
+
+
+def _plugin(name: str) -> Pass:
+    # Reading entry points is slow, so it is left to names that the table lacks.
+    from importlib.metadata import entry_points
+
+    found = {point.name: point for point in entry_points(group=PLUGIN_GROUP)}
+    point = found.get(name)
+    if point is None:
+        allowed = sorted({*PASSES, *found})
+        near = difflib.get_close_matches(name, allowed, 1)
+        hint = f"did you mean {near[0]}?" if near else None
+        message = f"no pass is named {excerpt(name)}; there are {', '.join(allowed)}"
+        raise OptionError(Fault("SCN010", message, hint=hint))
+    try:
+        loaded = point.load()
+    except Exception as error:
+        raise _broken(point.name, point.value, str(error)) from error
+    if not isinstance(loaded, Pass):
+        raise _broken(point.name, point.value, f"a {type(loaded).__name__}, no Pass")
+    return loaded
+
+
+def _broken(name: str, value: str, why: str) -> OptionError:
+    message = f"the plug-in pass {excerpt(name)} ({value}) cannot be loaded: {why}"
+    return OptionError(Fault("SCN011", message, hint="mend or remove the plug-in"))
+
+
+def apply_pass(
+    stream: TakeStream, pass_: Pass, options: object, context: PassContext
+) -> TakeStream:
+    """Return a take with a pass applied; a CLIP pass reads the whole at once.
+
+    Notices and details of the source stay with the stream. A take whose source
+    states no first frame still states none, unless the pass moves the frame.
+
+    Raises:
+        OptionError: The options make no sense for the take; from FRAME and WINDOW
+            passes perhaps only while the blocks are read.
+    """
+    if pass_.scope is not Scope.CLIP:
+        return cast(StreamRun, pass_.run)(stream, options, context)
+    take = cast(ClipRun, pass_.run)(stream.collect(), options, context)
+    result = TakeStream.of(take)
+    unstated = stream.start is None and take.clock.start == Fraction(1)
+    return replace(
+        result,
+        start=None if unstated else result.start,
+        notices=stream.notices,
+        details=stream.details,
+    )

@@ -1,0 +1,157 @@
+"""What every pass of the table owes, whatever it does."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from animtool.errors import OptionError
+from animtool.formats.bvh import read_bvh
+from animtool.maths import so3
+from animtool.passes import PASSES, PassContext, apply_pass, find_pass
+from animtool.rig.skeleton import Joint, Rig
+from animtool.take import Channel, Clock, Motion, Take, TakeStream
+
+OPTIONS: dict[str, dict[str, Any]] = {
+    "trim": {"first": 1, "last": 9},
+    "time_scale": {"speed": 0.7},
+    "time_warp": {"curve": ((1, 1), (20, 1))},
+    "layer": {"take": Path("other"), "weight": ((1, 0), (9, 1))},
+    "blend": {"take": Path("other"), "weight": 0.3},
+    "resample": {"fps": 24},
+    "difference": {"base": Path("other")},
+}
+
+
+def small(count: int = 12) -> Take:
+    """Return three joints, of which the last never moves."""
+    rng = np.random.default_rng(3)
+    turns = so3.exp(np.cumsum(rng.normal(0, 0.1, (count, 3, 3)), axis=0))
+    turns[:, 2] = so3.IDENTITY
+    slides = np.cumsum(rng.normal(0, 0.1, (count, 3, 3)), axis=0)
+    slides[:, 1:] = [0.0, 0.5, 0.0]
+    rig = Rig("small", (Joint("hips", -1), Joint("arm_l", 0), Joint("arm_r", 0)))
+    motion = Motion(
+        Channel.from_dense(slides), Channel.from_dense(so3.align_signs(turns))
+    )
+    return Take(rig, Clock(Fraction(30), Fraction(1), Fraction(1), count), motion)
+
+
+def run(name: str, take: Take, /, blocks: int = 1, **options: Any) -> Take:
+    """Return a take with a pass of the table applied, the other being itself."""
+    context = PassContext(lambda _: take, Path())
+    found = find_pass(name)
+    stream = TakeStream.of(take)
+    parts = np.array_split(np.arange(take.clock.count), blocks)
+    stream.blocks = iter([take.motion.select(part) for part in parts if len(part)])
+    settings = found.options(**(OPTIONS.get(name, {}) | options))
+    return apply_pass(stream, found, settings, context).collect()
+
+
+def content(take: Take) -> bytes:
+    return b"".join(
+        part.tobytes()
+        for channel in (take.motion.translations, take.motion.rotations)
+        for part in (channel.rest, channel.animated, channel.values)
+    )
+
+
+@pytest.fixture(params=["small", "walk"])
+def take(request: pytest.FixtureRequest, walk: Path) -> Take:
+    return small() if request.param == "small" else read_bvh(walk).collect()
+
+
+@pytest.mark.parametrize("name", PASSES)
+def test_every_pass(name: str, take: Take) -> None:
+    before = content(take)
+    found = run(name, take)
+    assert content(take) == before
+    assert content(found) == content(run(name, take))
+    assert found.clock.count == found.motion.frames
+    translations, rotations, _ = found.motion.dense()
+    assert np.isfinite(translations).all()
+    np.testing.assert_allclose(np.linalg.norm(rotations, axis=-1), 1, atol=1e-12)
+    assert (np.sum(rotations[1:] * rotations[:-1], axis=-1) >= 0).all()
+
+
+@pytest.mark.parametrize("name", PASSES)
+def test_blocks_do_not_show(name: str) -> None:
+    one, three = run(name, small()), run(name, small(), blocks=3)
+    assert_array_equal(one.motion.rotations.dense(), three.motion.rotations.dense())
+    assert_array_equal(
+        one.motion.translations.dense(), three.motion.translations.dense()
+    )
+
+
+@pytest.mark.parametrize("name", PASSES)
+def test_a_single_frame(name: str) -> None:
+    options = {"curve": ((1, 1), (3, 1))} if name == "time_warp" else {}
+    assert run(name, small(1), **options).clock.count >= 1
+
+
+@pytest.mark.parametrize("name", [n for n in PASSES if n != "mirror"])
+def test_what_is_static_stays_static(name: str) -> None:
+    found = run(name, small())
+    assert found.rig.index("arm_r") not in found.motion.rotations.animated
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "code"),
+    [
+        ("trim", {"first": 50, "last": None}, "SCN013"),
+        ("trim", {"first": 5, "last": 4}, "SCN013"),
+        ("time_scale", {"speed": 0.0}, "SCN016"),
+        ("time_warp", {"curve": ((3, 1), (2, 1))}, "SCN015"),
+        ("time_warp", {"curve": ((1, 1), (2, 99))}, "SCN013"),
+        ("layer", {"weight": float("nan")}, "SCN014"),
+        ("layer", {"weight": 1.5}, "SCN014"),
+        ("layer", {"joints": ("leg*",)}, "SCN012"),
+        ("layer", {"take": None}, "SCN024"),
+        ("blend", {"weight": ((1, 0), (1, 1))}, "SCN015"),
+        ("resample", {"fps": "fast"}, "SCN022"),
+        ("time_scale", {"speed": 1e-9}, "SCN021"),
+    ],
+)
+def test_faults(name: str, options: dict[str, Any], code: str) -> None:
+    with pytest.raises(OptionError) as error:
+        run(name, small(), **options)
+    assert error.value.code == code
+
+
+def test_a_name_that_is_nearly_right() -> None:
+    with pytest.raises(OptionError, match="time_warp") as error:
+        find_pass("time_wrap")
+    assert error.value.code == "SCN010"
+
+
+def test_a_difference_added_to_its_base_is_the_source() -> None:
+    from animtool.edit.difference import difference
+    from animtool.edit.layer import LayerMode, layer
+    from animtool.edit.time_scale import time_scale
+
+    source = small()
+    base = time_scale(source, -1.0, 6.5)
+    delta = difference(source, base)
+    back = layer(base, delta, mode=LayerMode.ADDITIVE)
+    angle = so3.angle_between(
+        back.motion.rotations.dense(), source.motion.rotations.dense()
+    )
+    assert angle.max() < 1e-12
+    np.testing.assert_allclose(
+        back.motion.translations.dense(),
+        source.motion.translations.dense(),
+        atol=1e-12,
+    )
+
+
+def test_twice_as_fast_is_every_other_frame() -> None:
+    from animtool.edit.time_scale import time_scale
+
+    found = time_scale(small(), 2.0)
+    source = small().motion.rotations.dense()[::2]
+    assert_array_equal(found.motion.rotations.dense(), source)
