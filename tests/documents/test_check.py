@@ -27,8 +27,10 @@ class Square(FileModel):
 
 class Box(FileModel):
     rig: str
-    items: list[Annotated[Square | Round, Field(discriminator="type")]] = []
-    named: dict[str, Square] = {}
+    items: list[Annotated[Square | Round, Field(discriminator="type")]] = Field(
+        default=[]
+    )
+    named: dict[str, Square] = Field(default={})
     source: str | None = Field(default=None, alias="from")
 
 

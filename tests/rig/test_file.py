@@ -426,6 +426,12 @@ def test_a_sidecar_adds_to_a_base(yard: Path) -> None:
     assert not any(isinstance(mesh, Mesh) for mesh in rig.meshes)
 
 
+def test_a_shape_of_a_sidecar_combines_those_of_the_base(yard: Path) -> None:
+    more = "shapes: [{name: grimace, combine: [smile]}]\n"
+    rig = sidecar(yard, SIDECAR + more)
+    assert [shape.name for shape in rig.shapes] == ["smile", "grimace"]
+
+
 @pytest.mark.parametrize(
     ("old", "new", "code", "line"),
     [
