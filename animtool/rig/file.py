@@ -57,16 +57,18 @@ def rig_of_document(document: Document, reader: RigReader | None = None) -> Rig:
         document.add("RIG004", (), "the rig has no joints")
     by_name = {joint.name: joint for joint in joints}
     parts = PartReader(document, model, units, by_name, roots)
-    meshes = parts.meshes()
-    shapes = parts.shapes()
+    meshes = parts.meshes() or (base.meshes if base is not None else ())
     inherited = base.shapes if base is not None else ()
+    shapes = parts.shapes(
+        [mesh.name for mesh in meshes], [shape.name for shape in inherited]
+    )
     rig = Rig(
         model.name,
         joints,
         LengthUnit(model.units.length).meters if base is None else base.meters_per_unit,
         UpAxis(model.up) if base is None else base.up,
         _bind(document, model, by_name, units, {} if base is None else base.bind),
-        meshes or (base.meshes if base is not None else ()),
+        meshes,
         (*inherited, *shapes),
         parts.controls(shape.name for shape in (*inherited, *shapes)),
         parts.ik(),

@@ -64,11 +64,18 @@ class PartReader:
             self._mesh(("meshes", i), mesh) for i, mesh in enumerate(self.model.meshes)
         )
 
-    def shapes(self) -> tuple[Shape, ...]:
-        """Return the blend shapes, their arrays looked at."""
+    def shapes(
+        self, meshes: Iterable[str], inherited: Iterable[str] = ()
+    ) -> tuple[Shape, ...]:
+        """Return the blend shapes, their arrays looked at.
+
+        Args:
+            meshes: Names of the rig's meshes.
+            inherited: Names of the shapes that the rig has already.
+        """
         self._distinct("shapes", "shape")
-        names = [shape.name for shape in self.model.shapes]
-        meshes = [mesh.name for mesh in self.model.meshes]
+        names = [*inherited, *(shape.name for shape in self.model.shapes)]
+        meshes = list(meshes)
         made = []
         for i, shape in enumerate(self.model.shapes):
             at = ("shapes", i)

@@ -37,7 +37,7 @@ CHAIN = [
 ]
 
 
-@pytest.mark.parametrize("order", itertools.permutations(range(3)))
+@pytest.mark.parametrize("order", list(itertools.permutations(range(3))))
 def test_order_by_dependency(order: tuple[int, ...]) -> None:
     controls = [CHAIN[i] for i in order]
     assert evaluation_order(controls) == ["a", "b", "c"]

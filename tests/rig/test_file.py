@@ -123,7 +123,7 @@ def test_mirrors_of_the_crane(yard: Path) -> None:
     assert arm.axis == (-1, 0, 0)
     assert arm.limits == joints["arm_l"].limits
     assert names[claw.parent] == "arm_r"
-    assert claw.axis == (0, 0, -1) or claw.axis == (0, 0, 1)
+    assert claw.axis == (0, 0, -1)
     assert claw.limits == joints["claw_l"].limits
 
 
@@ -424,6 +424,12 @@ def test_a_sidecar_adds_to_a_base(yard: Path) -> None:
     assert rig.bind == {**BASE.bind, "hip": Pose((0, 2, 0), (0, 0, 0, 1))}
     assert rig.shapes == BASE.shapes
     assert not any(isinstance(mesh, Mesh) for mesh in rig.meshes)
+
+
+def test_a_shape_of_a_sidecar_combines_those_of_the_base(yard: Path) -> None:
+    more = "shapes: [{name: grimace, combine: [smile]}]\n"
+    rig = sidecar(yard, SIDECAR + more)
+    assert [shape.name for shape in rig.shapes] == ["smile", "grimace"]
 
 
 @pytest.mark.parametrize(

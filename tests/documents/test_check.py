@@ -1,0 +1,115 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import pytest
+from annotated_types import Len
+from pydantic import Field
+
+from animtool.documents.check import FileModel, check_version, nearest, validated
+from animtool.documents.document import Document, read_document
+from animtool.errors import Fault, FormatError
+
+
+class Round(FileModel):
+    kind: Literal["round"]
+    type: Literal["round"]
+    radius: Annotated[float, Field(gt=0)]
+
+
+class Square(FileModel):
+    type: Literal["square"]
+    side: float | Annotated[list[float], Len(2, 2)]
+    count: int = 1
+    shown: bool = True
+
+
+class Box(FileModel):
+    rig: str
+    items: list[Annotated[Square | Round, Field(discriminator="type")]] = Field(
+        default=[]
+    )
+    named: dict[str, Square] = Field(default={})
+    source: str | None = Field(default=None, alias="from")
+
+
+def document(folder: Path, text: str) -> Document:
+    path = folder / "a.yaml"
+    path.write_text(text)
+    return read_document(path)
+
+
+def faults(folder: Path, text: str) -> list[Fault]:
+    with pytest.raises(FormatError) as caught:
+        validated(document(folder, "rig: x\n" + text), Box)
+    return list(caught.value.faults)
+
+
+def test_a_sound_document(tmp_path: Path) -> None:
+    text = "rig: x\nfrom: y\nitems:\n- {type: square, side: 1}\n"
+    box = validated(document(tmp_path, text), Box)
+    assert (box.source, box.items[0].type) == ("y", "square")
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "line", "words"),
+    [
+        ("form: y", "DOC020", 2, "did you mean 'from'?"),
+        ("source: y", "DOC020", 2, "unknown key 'source'"),
+        ("items: 5", "DOC022", 2, "5 is not a list"),
+        ("named: [1]", "DOC022", 2, "is not a mapping of keys"),
+        ("items:\n- 5", "DOC022", 3, "5"),
+        ("items:\n- {side: 1}", "DOC022", 3, "type"),
+        ("items:\n- {type: squar, side: 1}", "DOC022", 3, "squar"),
+        ("items:\n- {type: square, side: x}", "DOC022", 3, "'x' is not a number"),
+        ("items:\n- {type: square, side: '1'}", "DOC022", 3, "not a number"),
+        ("items:\n- {type: square, side: [1]}", "DOC022", 3, "1 items where 2"),
+        ("items:\n- {type: square}", "DOC021", 3, "'side' is missing"),
+        ("items:\n- {type: square, sid: 1, side: 1}", "DOC020", 3, "'side'"),
+        ("items:\n- {type: square, side: 1, count: 1.5}", "DOC022", 3, "1.5"),
+        ("items:\n- {type: square, side: 1, shown: 1}", "DOC022", 3, "true or false"),
+        ("items:\n- {type: square, side: 1, shown: no}", "DOC022", 3, "true or false"),
+        ("named:\n  a: {type: square, sde: 1, side: 2}", "DOC020", 3, "'side'"),
+    ],
+)
+def test_a_fault(tmp_path: Path, text: str, code: str, line: int, words: str) -> None:
+    [fault] = faults(tmp_path, text)
+    assert (fault.code, fault.lines[0]) == (code, line)
+    assert words in str(fault)
+
+
+def test_a_kind_of_its_own_has_keys_of_its_own(tmp_path: Path) -> None:
+    [fault] = faults(tmp_path, "items:\n- {type: square, side: 1, radius: 2}")
+    assert "radius" not in (fault.hint or "")
+
+
+def test_all_that_is_missing(tmp_path: Path) -> None:
+    found = faults(tmp_path, "items:\n- {type: round}\n- {type: square}")
+    assert [(f.code, f.lines[0]) for f in found] == [
+        ("DOC021", 3),
+        ("DOC021", 3),
+        ("DOC021", 4),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "words"),
+    [
+        ("clip: animtool/1", "DOC009", "looks like a clip file"),
+        ("name: x", "DOC009", "the first line"),
+        ("rig: 1", "DOC009", "allowed: animtool/1"),
+        ("rig: [animtool/1]", "DOC009", "allowed: animtool/1"),
+        ("rig: animtool/2", "DOC012", "newer"),
+    ],
+)
+def test_versions(tmp_path: Path, text: str, code: str, words: str) -> None:
+    with pytest.raises(FormatError) as caught:
+        check_version(document(tmp_path, text), "rig")
+    assert caught.value.code == code
+    assert words in str(caught.value)
+
+
+def test_nearest() -> None:
+    assert nearest("x", []) == "there is none"
+    assert nearest("zzz", [f"n{i}" for i in range(20)]).endswith("n11 …")
