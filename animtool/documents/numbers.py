@@ -48,7 +48,9 @@ def text(value: str) -> str:
     >>> text("hips"), text("no: 1"), text("12")
     ('hips', '"no: 1"', '"12"')
     """
-    plain = value.replace("_", "").replace(".", "").replace("-", "")
+    plain = value
+    for mark in "_.-/":
+        plain = plain.replace(mark, "")
     named = {"null", "true", "false", "nan", "inf"}
     safe = plain.isascii() and plain.isalnum() and value[0].isalpha()
     if safe and value.lower() not in named:

@@ -24,7 +24,7 @@ def rig_text(rig: Rig) -> str:
     ``mirror``. References to arrays are as the rig's own file spelled them.
 
     >>> rig_text(Rig("post", (Joint("top", -1, translation=(0, 2, 0)),))).split()[-1]
-    '2,0]}'
+    '0]}'
     """
     units = _Units(rig)
     lines = [

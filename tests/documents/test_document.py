@@ -332,6 +332,15 @@ class NoAliases(yaml.SafeDumper):
         return True
 
 
+def quoted_text(dumper: NoAliases, value: str) -> yaml.ScalarNode:
+    # YAML 1.1, which the dumper writes, takes 0E0 for text.
+    style = '"' if value[:1] in "+-.0123456789" else None
+    return dumper.represent_scalar("tag:yaml.org,2002:str", value, style=style)
+
+
+NoAliases.add_representer(str, quoted_text)
+
+
 @given(VALUES, st.sampled_from([None, 1]), st.booleans())
 def test_json_reads_back(
     values: dict[str, Any], indent: int | None, ascii_only: bool
