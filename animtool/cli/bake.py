@@ -35,6 +35,7 @@ Examples:
   animtool bake walk.bvh -o walk.usdc
   animtool bake walk.bvh -o hero.usda --split
   animtool bake wave.clip.yaml --rig hero.rig.yaml -o wave.usdc --fps 60
+  animtool bake shot.scene.yaml
   animtool bake walk.bvh -o walk_layer.usdc --rig-layer hero.rig.usda
   animtool bake walk.bvh -o walk.usda --fps 24 --range 1001-1048 --start 1001"""
 )
@@ -152,7 +153,7 @@ Examples:
 @common_options
 @click.pass_obj
 def bake(console: Console, /, source: Path, output: Path | None, **given: Any) -> None:
-    """Bake SOURCE, a clip, BVH or USD file, to a USD animation that plays.
+    """Bake SOURCE, a scene, clip, BVH or USD file, to a USD animation that plays.
 
     The summary says what was written and the error made: the largest distance
     between a joint's position in float64 and in the float32 values of the file.
@@ -163,7 +164,7 @@ def bake(console: Console, /, source: Path, output: Path | None, **given: Any) -
         raise click.UsageError("-o - and --format json both want stdout.")
     if given["split"] and given["form"] == "layer":
         raise click.UsageError("--split is a stage in three files, not --as layer.")
-    path = None if to_stdout else output or source.with_suffix(".usdc")
+    path = None if to_stdout else output or _output_beside(source)
     if given["skip_existing"] and path is not None and path.exists():
         console.say(f"{path} exists: skipped")
         if as_json:
@@ -184,6 +185,20 @@ def bake(console: Console, /, source: Path, output: Path | None, **given: Any) -
         console.say(line)
     for line in bake_details(report):
         console.detail(line)
+
+
+def _output_beside(source: Path) -> Path:
+    """Return the file that a scene names, else the source's own name as usdc."""
+    from animtool.scene.plan import SCENE_SUFFIXES
+
+    if source.name.lower().endswith(SCENE_SUFFIXES):
+        from animtool.scene.file import load_scene
+
+        named = load_scene(source).output
+        if named is not None:
+            return named
+    stem = source.stem.removesuffix(".clip").removesuffix(".scene")
+    return source.with_name(f"{stem}.usdc")
 
 
 def _options(given: dict[str, Any]) -> Any:

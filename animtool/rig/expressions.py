@@ -10,7 +10,7 @@ from __future__ import annotations
 import ast
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -80,7 +80,7 @@ class Expression:
 
     text: str
     names: tuple[str, ...]
-    _tree: ast.expr
+    _tree: ast.expr = field(repr=False, compare=False)
 
     def evaluate(self, values: Mapping[str, FloatArray]) -> FloatArray:
         """Return the expression over arrays that broadcast; not finite where undefined.

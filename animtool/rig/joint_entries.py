@@ -27,6 +27,8 @@ __all__ = ["FileUnits", "joints_of", "quaternion", "unit_vector"]
 
 # Shorter, an axis or quaternion is a slip and not a direction.
 SHORTEST = 1e-9
+# Within rounding of unit length: kept as written, so that it is written as read.
+UNIT_LENGTH = 1e-15
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,6 +280,8 @@ def quaternion(
     w, x, y, z = values
     if not np.linalg.norm(values) > SHORTEST:
         document.add("RIG006", location, f"quaternion {values} has no length")
+    if abs(float(np.linalg.norm(values)) - 1.0) <= UNIT_LENGTH:
+        return (x, y, z, w)
     a, b, c, d = so3.normalize([x, y, z, w]).tolist()
     return (a, b, c, d)
 
@@ -285,6 +289,8 @@ def quaternion(
 def unit_vector(document: Document, location: Location, values: list[float]) -> Vector:
     """Return a direction at unit length."""
     length = float(np.linalg.norm(values))
+    if abs(length - 1.0) <= UNIT_LENGTH:
+        length = 1.0
     if not SHORTEST < length < 1 / SHORTEST:
         document.add("RIG005", location, f"axis {values} gives no direction")
         return (0.0, 0.0, 1.0)

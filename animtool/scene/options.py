@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from animtool.units import LengthUnit, UpAxis
 __all__ = [
     "BakeOptions",
     "check_options",
+    "merged",
     "parse_frame",
     "parse_frame_range",
     "parse_offsets",
@@ -68,6 +69,17 @@ class BakeOptions:
     sparse: bool = False
     strict: bool = False
     overwrite: bool = False
+
+
+def merged(options: BakeOptions, others: BakeOptions) -> BakeOptions:
+    """Return options, and where they are the usual ones, those of others."""
+    usual = BakeOptions()
+    taken = {
+        field.name: getattr(others, field.name)
+        for field in fields(BakeOptions)
+        if getattr(options, field.name) == getattr(usual, field.name)
+    }
+    return replace(options, **taken)
 
 
 LARGEST_FRAME = 10**9

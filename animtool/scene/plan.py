@@ -13,7 +13,7 @@ from animtool.edit.reorient import reorient
 from animtool.errors import Fault, Severity
 from animtool.output import check_outputs
 from animtool.rates import rate_label
-from animtool.scene.options import BakeOptions, check_options
+from animtool.scene.options import BakeOptions, check_options, merged
 from animtool.scene.sources import open_source
 from animtool.take import TakeStream
 from animtool.usd.layers import check_prim_path, check_suffix
@@ -22,7 +22,9 @@ from animtool.usd.write import Form, output_paths
 if TYPE_CHECKING:
     from animtool.usd.target import JointMap, RigTarget
 
-__all__ = ["BakePlan", "plan_bake"]
+__all__ = ["SCENE_SUFFIXES", "BakePlan", "plan_bake"]
+
+SCENE_SUFFIXES = (".scene.yaml", ".scene.yml", ".scene.json")
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,13 +75,22 @@ def plan_bake(
     options = options or BakeOptions()
     source = Path(source)
     path = None if output is None else Path(output)
+    scene = None
+    if source.name.lower().endswith(SCENE_SUFFIXES):
+        from animtool.scene.file import load_scene
+
+        scene = load_scene(source)
+        options = merged(options, scene.bake)
     check_options(options, to_stdout=path is None)
     form = Form(options.form or (Form.LAYER if options.rig_layer else Form.STAGE))
     if path is not None:
         check_suffix(path)
         inputs = [source] + ([options.rig_layer] if options.rig_layer else [])
         check_outputs(output_paths(path, form), inputs, overwrite=options.overwrite)
-    stream = open_source(source, options.source, progress=progress)
+    if scene is not None:
+        stream = scene.open()
+    else:
+        stream = open_source(source, options.source, progress=progress)
     target = mapping = None
     notices: list[Fault] = []
     reason = "a rig layer was named" if options.form is None else "asked for"

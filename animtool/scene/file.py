@@ -1,0 +1,174 @@
+"""Reading a scene file, ``*.scene.yaml``: a source, passes, an output."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from animtool.config import project_roots
+from animtool.documents.arrays import reference
+from animtool.documents.check import check_version, nearest, validated
+from animtool.documents.document import Document, Location, read_document
+from animtool.edit.resample import FrameRange
+from animtool.errors import AnimtoolError
+from animtool.passes import Pass, PassContext, apply_pass, find_pass
+from animtool.rates import parse_rate
+from animtool.scene.options import BakeOptions
+from animtool.scene.schema import SceneModel
+from animtool.scene.sources import SourceOptions, open_source
+from animtool.take import Take, TakeStream
+from animtool.units import LengthUnit, UpAxis
+
+__all__ = ["Scene", "load_scene"]
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What a scene file says.
+
+    Attributes:
+        path: The file.
+        source: The source's file.
+        options: How to open it.
+        passes: What to do to it, each with its options, in order.
+        output: The file to write; None where it names none.
+        bake: Options of the bake that it sets.
+    """
+
+    path: Path
+    source: Path
+    options: SourceOptions
+    passes: tuple[tuple[Pass, Any], ...]
+    output: Path | None
+    bake: BakeOptions
+
+    def open(self) -> TakeStream:
+        """Return the source with every pass applied."""
+        stream = open_source(self.source, self.options)
+        context = PassContext(self._take, self.path.resolve().parent)
+        for pass_, options in self.passes:
+            notices, details = stream.notices, stream.details
+            stream = apply_pass(stream, pass_, options, context)
+            stream = replace(stream, notices=notices, details=details)
+        stream.notices += context.notices
+        return stream
+
+    def _take(self, path: Path) -> Take:
+        options = SourceOptions(rig=self.options.rig) if _is_clip(path) else None
+        return open_source(path, options).collect()
+
+
+def _is_clip(path: Path) -> bool:
+    return path.suffix.lower() in {".yaml", ".yml", ".json"}
+
+
+def load_scene(path: Path | str) -> Scene:
+    """Return the scene of a scene file.
+
+    Raises:
+        FormatError: With every fault of the file, each with line and column.
+    """
+    document = read_document(Path(path))
+    check_version(document, "scene")
+    model = validated(document, SceneModel)
+    reader = _SceneReader(document, model)
+    scene = reader.scene()
+    document.check()
+    return scene
+
+
+class _SceneReader:
+    def __init__(self, document: Document, model: SceneModel) -> None:
+        self.document, self.model = document, model
+        self.folder = document.path.resolve().parent
+        self.roots = project_roots(document.path)
+
+    def scene(self) -> Scene:
+        model, output = self.model, self.model.output
+        source = self._file(("source", "file"), model.source.file)
+        rig = None if model.rig is None else self._file(("rig",), model.rig)
+        fps = self._rate(("fps",), model.fps)
+        options = SourceOptions(
+            None if model.source.units is None else LengthUnit(model.source.units),
+            None if model.source.up is None else UpAxis(model.source.up),
+            self._rate(("source", "fps"), model.source.fps),
+            model.source.prim,
+            rig if _is_clip(source) else None,
+            model.source.clamp,
+        )
+        frames = None
+        if model.range is not None:
+            first, last = model.range
+            if first > last:
+                message = f"the range from {first} to {last} is reversed"
+                hint = f"write [{last}, {first}]"
+                self.document.add("SCN003", ("range",), message, hint)
+            frames = FrameRange(first, last)
+        layer = output.rig_layer
+        bake = BakeOptions(
+            form=output.form,
+            rig_layer=None
+            if layer is None
+            else self._file(("output", "rig_layer"), layer),
+            prim_path=output.prim_path,
+            fps=fps,
+            frame_range=frames,
+            start=None if output.start is None else Fraction(output.start),
+            sparse=output.sparse,
+            bones=output.bones,
+        )
+        passes = [
+            made
+            for i, entry in enumerate(model.passes)
+            for name, given in entry.items()
+            if (made := self._pass(("passes", i, name), name, given or {})) is not None
+        ]
+        target = None
+        if output.file is not None:
+            target = self._file(("output", "file"), output.file)
+        return Scene(self.document.path, source, options, tuple(passes), target, bake)
+
+    def _file(self, at: Location, name: str) -> Path:
+        try:
+            return reference(self.folder, self.roots, name)
+        except ValueError as error:
+            hint = "roots in animtool.toml allows more folders"
+            self.document.add("SCN004", at, str(error), hint)
+            return self.folder / name
+
+    def _rate(self, at: Location, given: float | str | None) -> Fraction | None:
+        if given is None:
+            return None
+        try:
+            return parse_rate(given if isinstance(given, str) else f"{given:.12g}")
+        except ValueError as error:
+            self.document.add("SCN003", at, str(error))
+            return None
+
+    def _pass(
+        self, at: Location, name: str, given: dict[str, Any]
+    ) -> tuple[Pass, Any] | None:
+        try:
+            found = find_pass(name)
+        except AnimtoolError as error:
+            fault = error.faults[0]
+            self.document.add(fault.code, at, fault.message, fault.hint)
+            return None
+        names = [field.name for field in fields(found.options)]
+        unknown = [key for key in given if key not in names]
+        for key in unknown:
+            message = f"unknown option {key!r} of {name}"
+            self.document.add("SCN001", (*at, key), message, nearest(key, names))
+        known = {key: value for key, value in given.items() if key in names}
+        try:
+            options = TypeAdapter(found.options).validate_python(known)
+        except ValidationError as error:
+            for wrong in error.errors(include_url=False):
+                message = f"{wrong['msg'][0].lower()}{wrong['msg'][1:]}"
+                self.document.add("SCN002", (*at, *wrong["loc"]), message)
+            return None
+        return None if unknown else (found, options)

@@ -1,0 +1,96 @@
+"""Scene files: a source, passes in order, an output."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.cli import animtool
+
+from animtool import open_source
+from animtool.edit.mirror import mirror
+from animtool.edit.trim import trim
+from animtool.errors import FormatError
+from animtool.scene.file import load_scene
+
+GOOD = """scene: animtool/1
+source: {file: walk.bvh, units: cm}
+passes:
+- mirror:
+- trim: {first: 5, last: 20}
+output: {file: shot.usda, start: 1001}
+"""
+
+
+@pytest.fixture
+def shot(walk: Path, tmp_path: Path) -> Path:
+    shutil.copy(walk, tmp_path / "walk.bvh")
+    path = tmp_path / "shot.scene.yaml"
+    path.write_text(GOOD, "utf-8")
+    return path
+
+
+def test_passes_run_in_order(shot: Path) -> None:
+    take = load_scene(shot).open().collect()
+    source = open_source(shot.parent / "walk.bvh").collect()
+    expected = trim(mirror(source), 5, 20)
+    assert take.clock == expected.clock
+    for ours, theirs in zip(take.motion.dense(), expected.motion.dense(), strict=True):
+        if ours is not None:
+            np.testing.assert_array_equal(ours, theirs)
+
+
+def test_a_scene_bakes_to_the_file_it_names(shot: Path) -> None:
+    done = animtool("bake", shot)
+    assert done.code == 0, done.stderr
+    text = (shot.parent / "shot.usda").read_text("utf-8")
+    assert "startTimeCode = 1001\n" in text
+    assert "endTimeCode = 1016\n" in text
+
+
+def test_the_command_line_comes_first(shot: Path, tmp_path: Path) -> None:
+    done = animtool("bake", shot, "-o", tmp_path / "mine.usda", "--start", "1")
+    assert done.code == 0, done.stderr
+    assert "startTimeCode = 1\n" in (tmp_path / "mine.usda").read_text("utf-8")
+
+
+FAULTS = {
+    "SCN010": ("mirror:", "miror:", 4),
+    "SCN001": ("first: 5", "frist: 5", 5),
+    "SCN002": ("last: 20", "last: [x]", 5),
+    "SCN004": ("file: walk.bvh", "file: ../../walk.bvh", 2),
+    "DOC020": ("output:", "outptu:", 6),
+    "DOC022": ("units: cm", "units: miles", 2),
+    "DOC012": ("animtool/1", "animtool/2", 1),
+}
+
+
+@pytest.mark.parametrize("code", FAULTS)
+def test_each_fault_has_its_line(shot: Path, code: str) -> None:
+    old, new, line = FAULTS[code]
+    shot.write_text(GOOD.replace(old, new, 1), "utf-8")
+    with pytest.raises(FormatError) as caught:
+        load_scene(shot)
+    assert (code, line) in [(f.code, f.lines[0]) for f in caught.value.faults]
+
+
+@pytest.mark.parametrize(
+    ("line", "code"),
+    [("range: [9, 1]", "SCN003"), ("fps: fast", "SCN003")],
+)
+def test_time_that_makes_no_sense(shot: Path, line: str, code: str) -> None:
+    shot.write_text(GOOD + line + "\n", "utf-8")
+    with pytest.raises(FormatError) as caught:
+        load_scene(shot)
+    assert caught.value.code == code
+
+
+def test_two_faults_are_said_at_once(shot: Path) -> None:
+    text = GOOD.replace("mirror:", "miror:").replace("first: 5", "frist: 5")
+    shot.write_text(text, "utf-8")
+    done = animtool("bake", shot)
+    assert done.code == 3
+    assert done.stderr.count("shot.scene.yaml:") == 2
+    assert not (shot.parent / "shot.usda").exists()
