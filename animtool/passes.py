@@ -22,12 +22,14 @@ __all__ = [
     "PASSES",
     "PLUGIN_GROUP",
     "ClipRun",
+    "ListedPass",
     "Pass",
     "PassContext",
     "Scope",
     "StreamRun",
     "apply_pass",
     "find_pass",
+    "listed_passes",
 ]
 
 PLUGIN_GROUP = "animtool.passes"
@@ -143,6 +145,43 @@ def _plugin(name: str) -> Pass:
     if not isinstance(loaded, Pass):
         raise _broken(point.name, point.value, f"a {type(loaded).__name__}, no Pass")
     return loaded
+
+
+@dataclass(frozen=True, slots=True)
+class ListedPass:
+    """A pass as `animtool plugins` lists it.
+
+    Attributes:
+        name: As a scene writes it.
+        source: ``animtool``, or the object that an entry point names.
+        scope: None where it cannot be loaded.
+        about: What it does, or why it cannot be loaded.
+    """
+
+    name: str
+    source: str
+    scope: Scope | None
+    about: str
+
+
+def listed_passes() -> list[ListedPass]:
+    """Return every pass, animtool's own first, each loaded to see whether it can be.
+
+    >>> listed_passes()[0].name
+    'blend'
+    """
+    from importlib.metadata import entry_points
+
+    own = {name: "animtool" for name in sorted(PASSES)}
+    others = {p.name: p.value for p in entry_points(group=PLUGIN_GROUP)}
+    found = []
+    for name, source in [*own.items(), *sorted(others.items() - own.items())]:
+        try:
+            loaded = find_pass(name)
+            found.append(ListedPass(name, source, loaded.scope, loaded.summary))
+        except OptionError as error:
+            found.append(ListedPass(name, source, None, error.faults[0].message))
+    return found
 
 
 def _broken(name: str, value: str, why: str) -> OptionError:

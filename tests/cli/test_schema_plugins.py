@@ -1,0 +1,44 @@
+"""``schema`` and ``plugins``: what files may say, and which passes there are."""
+
+from __future__ import annotations
+
+import json
+from importlib.metadata import EntryPoint, EntryPoints
+
+import pytest
+from support.cli import animtool
+
+from animtool.cli.schema import MODELS
+from animtool.passes import PASSES
+
+
+@pytest.mark.parametrize("kind", sorted(MODELS))
+def test_a_schema_describes_its_file(kind: str) -> None:
+    done = animtool("schema", kind)
+    assert done.code == 0
+    described = json.loads(done.stdout)
+    assert kind in described["properties"]
+    assert kind in described["required"]
+    assert described["additionalProperties"] is False
+
+
+def test_every_pass_is_listed() -> None:
+    done = animtool("plugins", "--format", "json")
+    rows = {row["pass"]: row for row in json.loads(done.stdout)["passes"]}
+    assert set(rows) == set(PASSES)
+    assert all(row["scope"] for row in rows.values())
+
+
+def test_a_broken_plugin_is_named_and_ends_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    broken = EntryPoint("shatter", "no_such_module:PASS", "animtool.passes")
+    monkeypatch.setattr(
+        "importlib.metadata.entry_points",
+        lambda group: EntryPoints([broken] if group == "animtool.passes" else []),
+    )
+    done = animtool("plugins")
+    assert done.code == 0
+    line = next(row for row in done.stdout.splitlines() if row.startswith("shatter"))
+    assert "broken" in line
+    assert "no_such_module" in line
