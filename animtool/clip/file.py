@@ -33,6 +33,13 @@ __all__ = ["ClipFile", "load_clip", "open_clip"]
 
 _ROTATING = frozenset({Interp.STEP, Interp.SLERP, Interp.SQUAD, Interp.SPLINE})
 _SCALAR = frozenset(Interp) - {Interp.SLERP, Interp.SQUAD, Interp.SPLINE}
+# Motion, and what takes its place: one of them may hold a joint.
+_REPLACED = {
+    "translation": "local_translation",
+    "slide": "local_translation",
+    "rotation": "local_rotation",
+    "angle": "local_rotation",
+}
 # Beyond, frames are no longer exact in float64 with fractions of a thousandth.
 FARTHEST_FRAME = 1e9
 # Shorter, a quaternion is a slip and not a rotation.
@@ -138,8 +145,8 @@ class _ClipReader:
 
     def _once(self, at: Location, target: str, seen: dict[str, int], i: int) -> None:
         """Refuse a target twice, or motion and its replacement on one joint."""
-        claim = target.replace(".local_translation", ".translation")
-        claim = claim.replace(".local_rotation", ".rotation")
+        name, part = split_part(target, _REPLACED)
+        claim = f"{name}.{_REPLACED[part]}" if part else target
         if claim in seen:
             other = self.model.channels[seen[claim]].target
             line = self.document.place(("channels", seen[claim]))[0]
@@ -163,10 +170,10 @@ class _ClipReader:
         times = np.array([key.t for key in model.keys])
         self._check_times(at, times)
         values = self._values(at, model, width)
-        if values is None:
-            return None
         handles = [self._handle((*at, "keys", k), key, model, width, unit)
                    for k, key in enumerate(model.keys)]  # fmt: skip
+        if values is None:
+            return None
         return ClipChannel(
             model.target,
             times,
@@ -274,8 +281,10 @@ class _ClipReader:
                 place = (*at, "keys", k, "v")
                 message = f"{len(row)} numbers where {width} are wanted"
                 self.document.add("CLIP007", place, message)
-                return None
+                continue
             rows.append(row)
+        if len(rows) < len(model.keys):
+            return None
         return np.array(rows, np.float64)
 
     def _handle(

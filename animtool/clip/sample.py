@@ -73,9 +73,9 @@ def sample_clip(
         controls = _into_range(rig, controls)
     driven = evaluate_controls(rig.controls, controls)
     _refuse_undefined(driven, times)
-    notices += _range_notices(rig, driven, times)
+    notices += _range_notices(rig, driven, times, None if clamp else _CLAMP)
     parts = _parts_by_joint(keyed, driven)
-    _follow(rig, parts)
+    _follow(rig, parts, clamp=clamp)
     made = _Joints(rig, times, clamp, notices)
     for name, part in parts.items():
         made.add(rig.index(name), part)
@@ -151,7 +151,9 @@ def _refuse_undefined(driven: DrivenValues, times: FloatArray) -> None:
             raise FormatError(Fault("CLIP015", message, None, (), hint))
 
 
-def _range_notices(rig: Rig, driven: DrivenValues, times: FloatArray) -> list[Fault]:
+def _range_notices(
+    rig: Rig, driven: DrivenValues, times: FloatArray, hint: str | None
+) -> list[Fault]:
     notices = []
     for control in rig.controls:
         if control.low is None or control.high is None:
@@ -166,7 +168,7 @@ def _range_notices(rig: Rig, driven: DrivenValues, times: FloatArray) -> list[Fa
                 f"outside {control.low:g} to {control.high:g}"
             )
             notices.append(
-                Fault("CLIP101", message, severity=Severity.WARNING, hint=_CLAMP)
+                Fault("CLIP101", message, severity=Severity.WARNING, hint=hint)
             )
     return notices
 
@@ -190,7 +192,7 @@ def _parts_by_joint(
     return parts
 
 
-def _follow(rig: Rig, parts: dict[str, Parts]) -> None:
+def _follow(rig: Rig, parts: dict[str, Parts], *, clamp: bool) -> None:
     """Give joints that follow another the coordinate that comes of it."""
     for joint in rig.joints:
         if joint.mimic is None:
@@ -202,6 +204,9 @@ def _follow(rig: Rig, parts: dict[str, Parts]) -> None:
                 coordinate = coordinate + leader[part][:, 0]
             if f"+{part}" in leader:
                 coordinate = coordinate + leader[f"+{part}"]
+        limits = rig.joints[rig.index(joint.mimic.joint)].limits
+        if clamp and isinstance(limits, RangeLimit):
+            coordinate = limits.clamped(coordinate)
         own = joint.mimic.gain * coordinate + joint.mimic.offset
         if own.any():
             part = "angle" if joint.type is JointType.PIN else "slide"

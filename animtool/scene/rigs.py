@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from animtool.errors import Fault, OptionError
+from animtool.errors import Fault, FormatError, OptionError
 from animtool.rig.skeleton import Rig
 from animtool.scene.sources import READERS
 
@@ -34,6 +34,9 @@ def open_rig(path: Path | str) -> Rig:
         from animtool.formats.bvh import read_bvh
 
         return read_bvh(path).rig
+    if not path.is_file():
+        reason = "is a folder" if path.is_dir() else "does not exist"
+        raise FormatError(Fault("IO001", f"cannot be read: {reason}", str(path)))
     allowed = f"allowed: {', '.join(READERS)}"
     message = f"suffix {path.suffix!r} is no format that animtool reads"
     raise OptionError(Fault("IO002", message, str(path), (), allowed))

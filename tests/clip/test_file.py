@@ -1,0 +1,222 @@
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.clips import RIG, hero, loaded, write_clip, write_rig
+
+from animtool.clip.clip import Interp, Parametrization, Tangent
+from animtool.clip.file import load_clip, open_clip
+from animtool.errors import FormatError
+from animtool.maths.extrapolation import Extrapolation
+from animtool.rig.file import load_rig
+
+GOOD = """\
+- target: joint/hips.translation
+  interp: linear
+  pre: linear
+  post: cycle_offset
+  keys:
+  - {t: 1, v: [1, 2, 3]}
+  - {t: 2.5, v: [4, 5, 6], interp: step}
+- target: joint/elbow_l.angle
+  tangents: flat
+  keys:
+  - {t: 0, v: 0, out: [2, 30]}
+  - {t: 8, v: 90, in: [-1, -9], out: auto}
+- target: joint/shoulder_l.rotation
+  keys:
+  - {t: 0, v: [2, 0, 0, 0]}
+  - {t: 4, v: [-0.6, 0, -0.8, 0], interp: slerp}
+- target: joint/chest.rotation
+  euler: ZXY
+  interp: catmull_rom
+  parametrization: centripetal
+  keys:
+  - {t: 0, v: [0, 0, 0]}
+  - {t: 4, v: [720, 10, 20]}
+- target: joint/piston.scale
+  interp: tcb
+  keys: [{t: 3, v: 2, tcb: [0.1, 0.2, 0.3]}]
+"""
+
+
+def test_a_good_clip(tmp_path: Path) -> None:
+    clip, _ = loaded(tmp_path, GOOD)
+    assert (clip.name, clip.fps, clip.first, clip.last) == ("shot", 24, 0, 8)
+    hips, elbow, shoulder, chest, piston = clip.channels
+    np.testing.assert_allclose(hips.values, [[0.01, 0.02, 0.03], [0.04, 0.05, 0.06]])
+    assert hips.times.tolist() == [1.0, 2.5]
+    assert hips.interps == (Interp.LINEAR, Interp.STEP)
+    assert (hips.pre, hips.post) == (Extrapolation.LINEAR, Extrapolation.CYCLE_OFFSET)
+    np.testing.assert_allclose(elbow.values, [[0.0], [np.pi / 2]])
+    np.testing.assert_allclose(elbow.outs[0], [2, np.pi / 6])
+    np.testing.assert_allclose(elbow.ins[1], [-1, -np.pi / 20])
+    assert elbow.tangents == (
+        (Tangent.FLAT, Tangent.FREE),
+        (Tangent.FREE, Tangent.AUTO),
+    )
+    assert elbow.interps == (Interp.BEZIER, Interp.BEZIER)
+    np.testing.assert_allclose(shoulder.values, [[0, 0, 0, 1], [0, 0.8, 0, 0.6]])
+    assert shoulder.interps == (Interp.SPLINE, Interp.SLERP)
+    assert (chest.euler, chest.parametrization) == ("ZXY", Parametrization.CENTRIPETAL)
+    np.testing.assert_allclose(chest.values[1], np.radians([720, 10, 20]))
+    assert piston.values.tolist() == [[2, 2, 2]]
+    assert piston.tcb.tolist() == [[0.1, 0.2, 0.3]]
+
+
+def test_units_of_the_clip_outrank_the_rigs(tmp_path: Path) -> None:
+    head = "fps: 24\nunits: {length: m, angle: rad}"
+    clip, _ = loaded(tmp_path, GOOD, head)
+    assert clip.channels[0].values[0].tolist() == [1, 2, 3]
+    assert clip.channels[1].values[1].tolist() == [90]
+    assert clip.channels[3].values[1].tolist() == [720, 10, 20]
+
+
+def test_units_of_the_rig(tmp_path: Path) -> None:
+    text = RIG.replace("angle: deg", "angle: rad").replace("swing: 40", "swing: 1")
+    rig = load_rig(write_rig(tmp_path, text.replace("[-45, 45]", "[-1, 1]")))
+    clip = load_clip(open_clip(write_clip(tmp_path, GOOD)), rig)
+    assert clip.channels[1].values[1].tolist() == [90]
+
+
+@pytest.mark.parametrize(
+    ("fps", "exact"),
+    [
+        ("24", Fraction(24)),
+        ("23.976", Fraction(24000, 1001)),
+        ("'24000/1001'", Fraction(24000, 1001)),
+        ("29.97", Fraction(30000, 1001)),
+        ("12.5", Fraction(25, 2)),
+    ],
+)
+def test_rates(tmp_path: Path, fps: str, exact: Fraction) -> None:
+    clip, _ = loaded(tmp_path, GOOD, f"fps: {fps}")
+    assert clip.fps == exact
+
+
+def test_the_range(tmp_path: Path) -> None:
+    clip, _ = loaded(tmp_path, GOOD, "fps: 24\nrange: [-2, 100.5]")
+    assert (clip.first, clip.last) == (-2, Fraction(201, 2))
+
+
+def faults(tmp_path: Path, channels: str, head: str) -> list[tuple[str, int, str]]:
+    rig = hero(tmp_path)
+    with pytest.raises(FormatError) as caught:
+        load_clip(open_clip(write_clip(tmp_path, channels, head)), rig)
+    return [(f.code, f.lines[0], str(f)) for f in caught.value.faults]
+
+
+PIN = "- target: joint/elbow_l.angle\n  keys:\n"
+# Channels from line 5 on: what is planted, its code, its line, words that it says.
+PLANTED = [
+    ("- {target: elbow_l.angle, keys: [{t: 0, v: 0}]}", "CLIP001", 5, "joint/NAME"),
+    ("- {target: joint/elbow_l, keys: [{t: 0, v: 0}]}", "CLIP001", 5, "slide"),
+    ("- {target: joint/elbw_l.angle, keys: [{t: 0, v: 0}]}", "CLIP002", 5, "'elbow_l'"),
+    ("- {target: control/grim, keys: [{t: 0, v: 0}]}", "CLIP002", 5, "'grin'"),
+    ("- {target: shape/smile, keys: [{t: 0, v: 0}]}", "CLIP002", 5, "there is none"),
+    ("- {target: joint/hips.angle, keys: [{t: 0, v: 0}]}", "CLIP003", 5, "translation"),
+    ("- {target: joint/chest.translation, keys: [{t: 0, v: [0, 0, 0]}]}",
+     "CLIP003", 5, "a ball joint"),
+    ("- {target: joint/rod.slide, keys: [{t: 0, v: 0}]}", "CLIP003", 5, "'elbow_l'"),
+    (PIN + "  - {t: 2, v: 0}\n  - {t: 1, v: 0}", "CLIP004", 8, "behind 2"),
+    (PIN + "  - {t: 2, v: 0}\n  - {t: 2, v: 0}", "CLIP004", 8, "twice"),
+    (PIN + "  - {t: 2.0e9, v: 0}", "CLIP004", 7, "beyond"),
+    (PIN + "  - {t: 0, v: 0}\n  - {t: 9, v: 0, in: [1, 0]}", "CLIP005", 8, "'in'"),
+    (PIN + "  - {t: 0, v: 0, out: [-1, 0]}", "CLIP005", 7, "'out'"),
+    (PIN + "  - {t: 0, v: [1, 2]}", "CLIP007", 7, "2 numbers where 1"),
+    ("- target: joint/hips.rotation\n  keys:\n  - {t: 0, v: [1, 2, 3]}",
+     "CLIP007", 7, "4 are wanted"),
+    (PIN + "  - {t: 0, v: 0, out: [1, [2, 3]]}", "CLIP007", 7, "1 values"),
+    (PIN + "  - {t: 0, v: 0, interp: slerp}", "CLIP009", 7, "slerp does not fit"),
+    ("- target: joint/hips.rotation\n  interp: bezier\n"
+     "  keys: [{t: 0, v: [1, 0, 0, 0]}]", "CLIP009", 6, "squad"),
+    ("- target: joint/elbow_l.angle\n  euler: XYZ\n  keys: [{t: 0, v: 0}]",
+     "CLIP009", 6, "no rotation"),
+    ("- {target: control/grin, keys: [{t: 0, v: 0}]}\n"
+     "- {target: control/grin, keys: [{t: 0, v: 0}]}", "CLIP010", 6, "line 5"),
+    ("- {target: joint/hips.rotation, keys: [{t: 0, v: [1, 0, 0, 0]}]}\n"
+     "- {target: joint/hips.local_rotation, keys: [{t: 0, v: [1, 0, 0, 0]}]}",
+     "CLIP010", 6, "line 5"),
+    ("- {target: joint/elbow_l.local_rotation, keys: [{t: 0, v: [1, 0, 0, 0]}]}\n"
+     "- {target: joint/elbow_l.angle, keys: [{t: 0, v: 0}]}",
+     "CLIP010", 6, "line 5"),
+    ("- {target: joint/piston.slide, keys: [{t: 0, v: 0}]}\n"
+     "- {target: joint/piston.local_translation, keys: [{t: 0, v: [1, 0, 0]}]}",
+     "CLIP010", 6, "line 5"),
+    ("- target: joint/hips.rotation\n  keys:\n  - {t: 0, v: [0, 0, 0, 0]}",
+     "CLIP014", 7, "no length"),
+    (PIN + "  - {t: 0, v: .nan}", "DOC022", 7, "finite"),
+    (PIN + "  - {t: .inf, v: 0}", "DOC022", 7, "finite"),
+    (PIN + "  - {t: 0, v: 0, interp: besier}", "DOC022", 7, "bezier"),
+    (PIN + "  - {t: 0, v: 0, ease: 1}", "DOC020", 7, "ease"),
+    ("- {target: control/grin, keys: []}", "DOC022", 5, "0 items"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("channels", "code", "line", "words"), PLANTED)
+def test_a_planted_fault(
+    tmp_path: Path, channels: str, code: str, line: int, words: str
+) -> None:
+    found = faults(tmp_path, channels, "fps: 24")
+    assert [(c, n) for c, n, _ in found] == [(code, line)], found
+    assert words in found[0][2]
+
+
+@pytest.mark.parametrize(
+    ("head", "code"),
+    [
+        ("fps: 24\nrange: [9, 1]", "CLIP006"),
+        ("fps: 24\nrange: [0, 2.0e9]", "CLIP006"),
+        ("\nfps: fast", "CLIP008"),
+        ("\nfps: 0", "CLIP008"),
+        ("\nfps: -24", "CLIP008"),
+        ("\nfps: 1/0", "CLIP008"),
+        ("\nfps: .nan", "DOC022"),
+    ],
+)
+def test_a_fault_of_the_head(tmp_path: Path, head: str, code: str) -> None:
+    good = "- {target: control/grin, keys: [{t: 0, v: 0}]}"
+    found = faults(tmp_path, good, head)
+    assert [(c, n) for c, n, _ in found] == [(code, 4)], found
+
+
+def test_no_channels(tmp_path: Path) -> None:
+    assert [f[0] for f in faults(tmp_path, "  []\n", "fps: 24")] == ["CLIP013"]
+
+
+def test_a_rig_outside_the_project(tmp_path: Path) -> None:
+    path = write_clip(tmp_path, GOOD)
+    path.write_text(path.read_text().replace("hero.rig", "../hero.rig"))
+    with pytest.raises(FormatError) as caught:
+        open_clip(path)
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.lines) == ("CLIP012", (2,))
+
+
+def test_all_faults_in_one_go(tmp_path: Path) -> None:
+    chosen = [
+        fault
+        for fault in PLANTED
+        if fault[1].startswith("CLIP") and fault[1] not in {"CLIP010"}
+    ]
+    text, expected, line = "", [("CLIP006", 3), ("CLIP008", 4)], 6
+    for channels, code, at, _ in chosen:
+        text += channels + "\n"
+        expected.append((code, line + at - 5))
+        line += channels.count("\n") + 1
+    found = faults(tmp_path, text, "range: [2, 1]\nfps: 0")
+    said = [(code, at) for code, at, _ in found if code != "CLIP010"]
+    assert said == expected
+
+
+def test_every_value_of_a_wrong_width_is_named(tmp_path: Path) -> None:
+    keys = "  - {t: 0, v: [1, 2]}\n  - {t: 1, v: [1, 2], in: [1, 0]}"
+    found = faults(tmp_path, PIN + keys, "fps: 24")
+    assert [(c, n) for c, n, _ in found] == [
+        ("CLIP007", 7),
+        ("CLIP007", 8),
+        ("CLIP005", 8),
+    ]

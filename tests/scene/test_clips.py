@@ -1,0 +1,82 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.clips import hero, write_clip
+
+from animtool.clip.file import load_clip, open_clip
+from animtool.clip.sample import sample_clip
+from animtool.errors import AnimtoolError
+from animtool.scene.clips import open_clip_source
+from animtool.scene.rigs import open_rig
+
+CURL = """\
+- {target: control/curl, keys: [{t: 1, v: 0}, {t: 9, v: 2}]}
+"""
+
+
+def test_blocks_and_curve_agree(tmp_path: Path) -> None:
+    rig = hero(tmp_path)
+    path = write_clip(tmp_path, CURL)
+    stream = open_clip_source(path)
+    assert (stream.start, stream.step, stream.count) == (1, 1, 9)
+    (block,) = list(stream.blocks)
+    assert stream.curve is not None
+    times = np.arange(1.0, 10.0)
+    clip = load_clip(open_clip(path), rig)
+    for motion in (block, stream.curve(times)):
+        expected = sample_clip(clip, rig, times).motion.rotations
+        np.testing.assert_array_equal(motion.rotations.values, expected.values)
+    assert {note.path for note in stream.notices} == {str(path)}
+
+
+def test_a_clip_without_a_rig(tmp_path: Path) -> None:
+    hero(tmp_path)
+    path = write_clip(tmp_path, CURL)
+    path.write_text(path.read_text().replace("rig: hero.rig.yaml\n", ""))
+    with pytest.raises(AnimtoolError) as caught:
+        open_clip_source(path)
+    assert caught.value.code == "CLIP011"
+    assert open_clip_source(path, tmp_path / "hero.rig.yaml").count == 9
+
+
+def test_a_range_of_days_is_refused_before_the_work(tmp_path: Path) -> None:
+    hero(tmp_path)
+    path = write_clip(tmp_path, CURL, "fps: 24\nrange: [0, 9.0e8]")
+    with pytest.raises(AnimtoolError) as caught:
+        open_clip_source(path)
+    assert caught.value.code == "CLIP006"
+
+
+def test_an_expression_without_a_value_names_the_clip(tmp_path: Path) -> None:
+    hero(tmp_path)
+    rig = tmp_path / "hero.rig.yaml"
+    rig.write_text(rig.read_text().replace("curl * 90", "90 / (curl - 1)"))
+    path = write_clip(tmp_path, CURL.replace("keys", "interp: linear, keys"))
+    with pytest.raises(AnimtoolError) as caught:
+        list(open_clip_source(path).blocks)
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.path) == ("CLIP015", str(path))
+    assert "frame 5" in fault.message
+
+
+@pytest.mark.parametrize(
+    ("name", "code"),
+    [
+        ("none.rig.yaml", "IO001"),
+        ("none", "IO001"),
+        ("none.txt", "IO001"),
+        ("folder.bvh", "IO001"),
+        ("rig.txt", "IO002"),
+        ("shot.clip.yaml", "DOC009"),
+    ],
+)
+def test_what_is_no_rig(tmp_path: Path, name: str, code: str) -> None:
+    write_clip(tmp_path, CURL)
+    (tmp_path / "rig.txt").write_text("")
+    (tmp_path / "folder.bvh").mkdir()
+    with pytest.raises(AnimtoolError) as caught:
+        open_rig(tmp_path / name)
+    assert caught.value.code == code
