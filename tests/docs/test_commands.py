@@ -10,7 +10,13 @@ from pathlib import Path
 import pytest
 from support.cli import animtool
 
-DOCUMENTS = ["README.md", "animtool/docs/guide.md", "samples/walk/README.md"]
+DOCUMENTS = [
+    "README.md",
+    "animtool/docs/guide.md",
+    "samples/bounce/README.md",
+    "samples/press/README.md",
+    "samples/walk/README.md",
+]
 
 
 def fenced(text: str, language: str) -> list[str]:
@@ -19,8 +25,10 @@ def fenced(text: str, language: str) -> list[str]:
 
 @pytest.fixture
 def workplace(root: Path, tmp_path: Path) -> Path:
-    """Return a folder with the samples."""
-    shutil.copytree(root / "samples", tmp_path / "samples")
+    """Return a project with the samples and the rigs that they name."""
+    for name in ("samples", "rigs"):
+        shutil.copytree(root / name, tmp_path / name)
+    (tmp_path / "animtool.toml").touch()
     return tmp_path
 
 

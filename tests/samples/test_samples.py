@@ -1,0 +1,125 @@
+"""The sample clips: they bake without a warning and do what their READMEs say."""
+
+from __future__ import annotations
+
+import runpy
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.cli import animtool
+
+from animtool.clip.clip import Clip
+from animtool.clip.file import load_clip, open_clip
+from animtool.clip.sample import sample_clip
+from animtool.rig.file import load_rig
+from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.skeleton import Rig
+from animtool.take import Channel
+
+ROOT = Path(__file__).parents[2]
+CLIPS = sorted(path.parent.name for path in ROOT.glob("samples/*/*.clip.yaml"))
+GRAVITY = 9.81 / 24**2
+
+
+def load(name: str) -> tuple[Clip, Rig]:
+    file = open_clip(ROOT / f"samples/{name}/{name}.clip.yaml")
+    assert file.rig is not None
+    rig = load_rig(file.rig)
+    return load_clip(file, rig), rig
+
+
+def dense(channel: Channel, count: int) -> np.ndarray:
+    values = np.repeat(channel.rest[None], count, 0)
+    values[:, channel.animated] = channel.values
+    return values
+
+
+def world(clip: Clip, rig: Rig, times: np.ndarray) -> WorldTransforms:
+    sampled = sample_clip(clip, rig, times)
+    assert not sampled.notices
+    motion = sampled.motion
+    scales = None if motion.scales is None else dense(motion.scales, len(times))
+    return forward(
+        rig,
+        dense(motion.translations, len(times)),
+        dense(motion.rotations, len(times)),
+        scales,
+    )
+
+
+@pytest.mark.parametrize("name", CLIPS)
+def test_it_bakes_without_a_warning(name: str, tmp_path: Path) -> None:
+    clip = ROOT / f"samples/{name}/{name}.clip.yaml"
+    done = animtool("bake", clip, "-o", tmp_path / "out.usda", "--strict")
+    assert done.code == 0, done.stderr
+    assert "warning" not in done.stderr.lower()
+
+
+@pytest.mark.parametrize("name", ["bounce"])
+def test_the_script_makes_the_clip(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script, made = ROOT / f"samples/{name}/make_{name}.py", tmp_path / "made.yaml"
+    monkeypatch.setattr(sys, "argv", [script.name, str(made)])
+    runpy.run_path(str(script), run_name="__main__")
+    kept = ROOT / f"samples/{name}/{name}.clip.yaml"
+    assert made.read_bytes() == kept.read_bytes()
+
+
+def test_the_bounce_follows_gravity() -> None:
+    clip, rig = load("bounce")
+    times = np.arange(1, 133, 0.05)
+    placed = world(clip, rig, times)
+    height = placed.positions[:, rig.index("contact"), 1]
+    land = 17.0
+    fall = times <= land
+    expected = GRAVITY / 2 * (16**2 - (times[fall] - 1) ** 2)
+    assert np.abs(height[fall] - expected).max() < 1e-9
+    for frames in (24, 18, 14, 10, 8, 6):
+        touch = (times >= land) & (times <= land + 2)
+        assert np.abs(height[touch]).max() < 1e-9
+        since = times - land - 2
+        air = (since >= 0) & (since <= frames)
+        expected = GRAVITY / 2 * since[air] * (frames - since[air])
+        assert np.abs(height[air] - expected).max() < 1e-9
+        land += 2 + frames
+    assert np.abs(height[times >= land]).max() < 1e-9
+
+    # The lowest point of an ellipsoid with axes A: the centre less |row Y of A|.
+    spin = rig.index("spin")
+    reach = 0.11 * np.linalg.norm(placed.linear[:, spin, 1], axis=-1)
+    lowest = placed.positions[:, spin, 1] - reach
+    assert lowest.min() > -1e-6
+
+
+def test_the_bounce_keeps_its_volume() -> None:
+    clip, rig = load("bounce")
+    ball = rig.index("ball")
+    on_keys = world(clip, rig, np.arange(1, 133.1, 0.25)).linear[:, ball]
+    assert np.abs(np.linalg.det(on_keys) - 1).max() < 1e-9
+    between = world(clip, rig, np.arange(1, 133, 0.05)).linear[:, ball]
+    assert np.abs(np.linalg.det(between) - 1).max() < 0.005
+    assert between[:, 1, 1].min() < 0.65
+
+
+def test_the_bounce_rolls_as_far_as_it_turns() -> None:
+    clip, rig = load("bounce")
+    channels = {channel.target: channel for channel in clip.channels}
+    turned = -channels["joint/spin.rotation"].values[-1, 2]
+    assert np.degrees(turned) == pytest.approx(1200)
+    place = world(clip, rig, np.array([1.0, 133.0])).positions[:, 0, 0]
+    assert place[1] - place[0] == pytest.approx(0.11 * turned, abs=1e-9)
+
+
+def test_the_press_closes() -> None:
+    clip, rig = load("press")
+    placed = world(clip, rig, np.arange(1, 97, 0.1))  # two strokes
+    piston = placed.positions[:, rig.index("piston")]
+    apart = placed.positions[:, rig.index("rod_end")] - piston
+    assert np.abs(apart).max() < 1e-12
+    assert np.ptp(piston[:, 1]) == pytest.approx(0.24, abs=1e-9)
+    crank = rig.index("crank")
+    ends = world(clip, rig, np.array([1.0, 49.0, 97.0])).linear[:, crank]
+    assert np.abs(ends - ends[0]).max() < 1e-12
