@@ -42,6 +42,8 @@ _REPLACED = {
 }
 # Beyond, frames are no longer exact in float64 with fractions of a thousandth.
 FARTHEST_FRAME = 1e9
+# Beyond, differences of values and their slopes leave float64.
+LARGEST_VALUE = 1e100
 # Shorter, a quaternion is a slip and not a rotation.
 SHORTEST = 1e-9
 
@@ -282,6 +284,9 @@ class _ClipReader:
                 message = f"{len(row)} numbers where {width} are wanted"
                 self.document.add("CLIP007", place, message)
                 continue
+            if max(map(abs, row)) > LARGEST_VALUE:
+                message = f"a value is beyond {LARGEST_VALUE:.0e}"
+                self.document.add("CLIP007", (*at, "keys", k, "v"), message)
             rows.append(row)
         if len(rows) < len(model.keys):
             return None
@@ -299,6 +304,9 @@ class _ClipReader:
                 continue
             dt, dv = given
             values = dv if isinstance(dv, list) else [dv]
+            if max(map(abs, [0.0, *values])) > LARGEST_VALUE:
+                message = f"a value is beyond {LARGEST_VALUE:.0e}"
+                self.document.add("CLIP007", (*at, name), message)
             if width == 3 and len(values) == 1 and model.target.endswith(".scale"):
                 values = values * 3
             if isinstance(dt, list) or len(values) != width:

@@ -26,7 +26,13 @@ def reorient(stream: TakeStream, up: UpAxis) -> TakeStream:
         return stream
     rotation = np.array(turn)
     rig = _turned_rig(stream.rig, rotation, up)
-    return replace(stream, rig=rig, blocks=_turned(stream.blocks, stream.rig, rotation))
+    source, curve = stream.rig, stream.curve
+    turned = replace(stream, rig=rig, blocks=_turned(stream.blocks, source, rotation))
+    if curve is not None:
+        turned.curve = lambda times: next(
+            _turned(iter([curve(times)]), source, rotation)
+        )
+    return turned
 
 
 def _turned_rig(rig: Rig, turn: FloatArray, up: UpAxis) -> Rig:

@@ -11,6 +11,7 @@ unless given.
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 from pathlib import Path
 
@@ -46,7 +47,7 @@ def log_height(t: float) -> float:
         fallen = next(b - a for a, b, _ in flights if b == land)
         speed = fallen if land == flights[0][1] else fallen / 2
         x = t - land - TOUCH / 2
-        for (a, *one), (b, *two) in zip(NEAR, NEAR[1:], strict=False):
+        for (a, *one), (b, *two) in itertools.pairwise(NEAR):
             if a <= x < b:
                 s = (1 - math.cos(math.pi * (x - a) / (b - a))) / 2
                 squash, stretch = (

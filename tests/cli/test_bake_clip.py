@@ -11,6 +11,7 @@ from support.cli import animtool
 from support.clips import hero, write_clip
 from support.usd import joint_positions, open_stage, skeleton_query, validation_errors
 
+from animtool import compare
 from animtool.clip.file import load_clip, open_clip
 from animtool.clip.sample import sample_clip
 from animtool.rig.kinematics import forward, rest_size
@@ -191,8 +192,32 @@ def test_a_rig_that_is_missing(shot: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["rig", "scene"])
 def test_a_file_of_another_kind(tmp_path: Path, kind: str) -> None:
-    path = tmp_path / f"x.{kind}.yaml"
+    path = tmp_path / f"x.yaml"
     path.write_text(f"{kind}: animtool/1\nname: x\n")
     done = animtool("bake", path, "-o", tmp_path / "o.usda")
     assert done.code == 3
     assert f"it looks like a {kind} file" in done.stderr
+
+
+@pytest.mark.parametrize("rate", [(), ("--fps", "48"), ("--samples", "0,.5")])
+def test_another_up_axis_turns_the_curve(
+    shot: Path, tmp_path: Path, rate: tuple[str, ...]
+) -> None:
+    upright, turned = tmp_path / "y.usda", tmp_path / "z.usda"
+    assert animtool("bake", shot, "-o", upright, *rate).code == 0
+    assert animtool("bake", shot, "-o", turned, "--to-up", "Z", *rate).code == 0
+    back = tmp_path / "back.usda"
+    assert animtool("bake", turned, "-o", back, "--to-up", "Y").code == 0
+    assert compare(upright, back).within(meters=1e-6, degrees=1e-3)
+
+
+@pytest.mark.parametrize("value", ["1.0e+308", "1.0e+101"])
+def test_a_value_beyond_reason_is_refused(tmp_path: Path, rig: Rig, value: str) -> None:
+    clip = write_clip(
+        tmp_path,
+        f"- {{target: control/grin, keys: [{{t: 1, v: {value}}}, {{t: 9, v: 0}}]}}\n",
+    )
+    done = animtool("bake", clip, "-o", tmp_path / "o.usda")
+    assert done.code == 3
+    assert "CLIP007" in done.stderr
+    assert rig.controls
