@@ -192,7 +192,7 @@ def test_a_rig_that_is_missing(shot: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["rig", "scene"])
 def test_a_file_of_another_kind(tmp_path: Path, kind: str) -> None:
-    path = tmp_path / f"x.yaml"
+    path = tmp_path / "x.yaml"
     path.write_text(f"{kind}: animtool/1\nname: x\n")
     done = animtool("bake", path, "-o", tmp_path / "o.usda")
     assert done.code == 3
