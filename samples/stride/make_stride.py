@@ -7,8 +7,8 @@ the hips. Every frame gets a key with the exact velocity of the pose, so that th
 between the keys leave the floor by far less than the eye sees.
 
 Lengths are metres, angles radians unless a name says degrees, time is phase: cycles
-since the left heel struck. Y is up, the walk goes towards +Z, left is +X. Positive pitch
-brings the toes up.
+since the left heel struck. Y is up, the walk goes towards +Z, left is +X. Positive
+pitch brings the toes up.
 
 Usage: ``python make_stride.py [OUT]``; ``OUT`` is ``stride.clip.yaml`` beside this file
 unless given.

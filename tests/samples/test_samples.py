@@ -57,7 +57,7 @@ def test_it_bakes_without_a_warning(name: str, tmp_path: Path) -> None:
     assert "warning" not in done.stderr.lower()
 
 
-@pytest.mark.parametrize("name", ["bounce"])
+@pytest.mark.parametrize("name", ["bounce", "stride"])
 def test_the_script_makes_the_clip(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -123,3 +123,31 @@ def test_the_press_closes() -> None:
     crank = rig.index("crank")
     ends = world(clip, rig, np.array([1.0, 49.0, 97.0])).linear[:, crank]
     assert np.abs(ends - ends[0]).max() < 1e-12
+
+
+@pytest.mark.parametrize(("side", "late"), [("l", 0.0), ("r", 12.0)])
+def test_the_stride_slides_less_than_two_millimetres(side: str, late: float) -> None:
+    clip, rig = load("stride")
+    times = np.linspace(1, 49, 481)
+    found = world(clip, rig, times)
+    ankle, toe = rig.index(f"ankle_{side}"), rig.index(f"toe_{side}")
+    heel = found.positions[:, ankle] + found.linear[:, ankle] @ [0, -0.08, -0.05]
+    for points, first, last in (
+        (heel, 1, 4),
+        (found.positions[:, ankle], 4, 10),
+        (found.positions[:, toe], 4, 16),
+    ):
+        during = (times >= late + first - 1e-9) & (times <= late + last + 1e-9)
+        assert during.sum() >= 30
+        slide = np.ptp(points[during][:, [0, 2]], axis=0)
+        assert np.linalg.norm(slide) < 0.002
+
+
+def test_the_stride_goes_on_where_it_began() -> None:
+    clip, rig = load("stride")
+    found = world(clip, rig, np.array([1.0, 25.0]))
+    travel = found.positions[1] - found.positions[0]
+    np.testing.assert_allclose(
+        travel, np.broadcast_to([0, 0, 1.3], travel.shape), atol=1e-9
+    )
+    np.testing.assert_allclose(found.linear[1], found.linear[0], atol=1e-9)
