@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from animtool.documents.numbers import flow, number, scaled, text
 from animtool.rig.controls import Control, Drive
 from animtool.rig.limits import BallLimit, RangeLimit
-from animtool.rig.parts import Mesh, Shape
+from animtool.rig.parts import Attachment, Collider, IkChain, Mesh, Shape
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.units import unit_name
 
@@ -50,64 +50,17 @@ def rig_text(rig: Rig) -> str:
                 ]
             )
             lines.append(f"  {text(name)}: {entry}")
-    sections: list[tuple[str, list[str]]] = [
-        ("meshes", [_mesh(mesh) for mesh in rig.meshes]),
-        ("shapes", [_shape(shape) for shape in rig.shapes]),
-        ("controls", [_control(control) for control in rig.controls]),
-        (
-            "ik",
-            [
-                _mapping(
-                    [
-                        ("name", text(chain.name)),
-                        ("root", text(chain.root)),
-                        ("tip", text(chain.tip)),
-                        ("goal", chain.goal),
-                        ("pole_dir", _numbers(chain.pole_dir)),
-                        ("stretch", number(chain.stretch) if chain.stretch else None),
-                    ]
-                )
-                for chain in rig.ik
-            ],
-        ),
-        (
-            "attach",
-            [
-                _mapping(
-                    [
-                        ("name", text(entry.name)),
-                        ("kind", text(entry.kind)),
-                        ("joints", flow([text(name) for name in entry.joints])),
-                    ]
-                )
-                for entry in rig.attach
-            ],
-        ),
-        (
-            "colliders",
-            [
-                _mapping(
-                    [
-                        ("joint", text(entry.joint)),
-                        (
-                            "capsule",
-                            _mapping(
-                                [
-                                    ("radius", units.length(entry.capsule.radius)),
-                                    ("length", units.length(entry.capsule.length)),
-                                    ("axis", _numbers(entry.capsule.axis)),
-                                ]
-                            ),
-                        ),
-                    ]
-                )
-                for entry in rig.colliders
-            ],
-        ),
-    ]
-    for name, entries in sections:
-        if entries:
-            lines += [f"{name}:", *(f"- {entry}" for entry in entries)]
+    sections = {
+        "meshes": map(_mesh, rig.meshes),
+        "shapes": map(_shape, rig.shapes),
+        "controls": map(_control, rig.controls),
+        "ik": map(_chain, rig.ik),
+        "attach": map(_attachment, rig.attach),
+        "colliders": map(units.collider, rig.colliders),
+    }
+    for name, made in sections.items():
+        entries = [f"- {entry}" for entry in made]
+        lines += [f"{name}:", *entries] if entries else []
     return "\n".join(lines) + "\n"
 
 
@@ -136,6 +89,7 @@ class _Units:
         scalar = joint.type in {JointType.PIN, JointType.PRISMATIC}
         turned = joint.rotation != (0.0, 0.0, 0.0, 1.0)
         channels = joint.channels
+        tips = [self.lengths(tip) for tip in joint.tips]
         return _mapping(
             [
                 ("name", text(joint.name)),
@@ -147,11 +101,19 @@ class _Units:
                 ("limits", self.limits(joint)),
                 ("mimic", self.mimic(joint, rig)),
                 ("mirror", text(joint.mirror) if joint.mirror else None),
-                ("tips", flow([self.lengths(t) for t in joint.tips]) or None)
-                if joint.tips
-                else ("tips", None),
+                ("tips", flow(tips) if tips else None),
                 ("channels", None if channels is None else flow(list(channels))),
             ]
+        )
+
+    def collider(self, collider: Collider) -> str:
+        capsule = [
+            ("radius", self.length(collider.capsule.radius)),
+            ("length", self.length(collider.capsule.length)),
+            ("axis", _numbers(collider.capsule.axis)),
+        ]
+        return _mapping(
+            [("joint", text(collider.joint)), ("capsule", _mapping(capsule))]
         )
 
     def limits(self, joint: Joint) -> str | None:
@@ -188,13 +150,36 @@ class _Units:
         )
 
 
+def _chain(chain: IkChain) -> str:
+    return _mapping(
+        [
+            ("name", text(chain.name)),
+            ("root", text(chain.root)),
+            ("tip", text(chain.tip)),
+            ("goal", chain.goal),
+            ("pole_dir", _numbers(chain.pole_dir)),
+            ("stretch", number(chain.stretch) if chain.stretch else None),
+        ]
+    )
+
+
+def _attachment(entry: Attachment) -> str:
+    return _mapping(
+        [
+            ("name", text(entry.name)),
+            ("kind", text(entry.kind)),
+            ("joints", _names(entry.joints)),
+        ]
+    )
+
+
 def _mesh(mesh: Mesh) -> str:
     skin = None
     if mesh.skin is not None:
         skin = _mapping(
             [
                 ("method", mesh.skin.method),
-                ("joints", flow([text(name) for name in mesh.skin.joints])),
+                ("joints", _names(mesh.skin.joints)),
                 ("indices", text(mesh.skin.indices.text)),
                 ("weights", text(mesh.skin.weights.text)),
             ]
@@ -223,9 +208,7 @@ def _shape(shape: Shape) -> str:
             ("deltas", None if shape.deltas is None else text(shape.deltas.text)),
             ("normals", None if shape.normals is None else text(shape.normals.text)),
             ("inbetweens", flow(between) if between else None),
-            ("combine", flow([text(n) for n in shape.combine]) or None)
-            if shape.combine
-            else ("combine", None),
+            ("combine", _names(shape.combine) if shape.combine else None),
         ]
     )
 
@@ -266,6 +249,10 @@ def _quoted(value: str) -> str:
 def _mapping(pairs: Pairs) -> str:
     shown = ", ".join(f"{key}: {value}" for key, value in pairs if value is not None)
     return f"{{{shown}}}"
+
+
+def _names(names: Sequence[str]) -> str:
+    return flow([text(name) for name in names])
 
 
 def _numbers(values: Sequence[float] | None) -> str | None:
