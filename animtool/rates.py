@@ -155,7 +155,7 @@ _BROADCAST = {
 }
 
 
-def parse_rate(text: str) -> Fraction:
+def parse_rate(text: str | float) -> Fraction:
     """Return the rate that a person wrote: ``24``, ``23.976`` or ``24000/1001``.
 
     Raises:
@@ -164,7 +164,7 @@ def parse_rate(text: str) -> Fraction:
     >>> parse_rate("29.97")
     Fraction(30000, 1001)
     """
-    text = text.strip()
+    text = text.strip() if isinstance(text, str) else f"{text:.12g}"
     if text in _BROADCAST:
         return _BROADCAST[text]
     try:

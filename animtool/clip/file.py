@@ -19,7 +19,7 @@ from animtool.clip.clip import (
 )
 from animtool.clip.schema import ChannelModel, ClipModel, KeyModel
 from animtool.config import project_roots
-from animtool.documents.arrays import reference
+from animtool.documents.arrays import referred
 from animtool.documents.check import check_version, nearest, validated
 from animtool.documents.document import Document, Location, read_document
 from animtool.maths import so3
@@ -74,13 +74,9 @@ def open_clip(path: Path | str) -> ClipFile:
     model = validated(document, ClipModel)
     rig = None
     if model.rig is not None:
-        folder = document.path.resolve().parent
-        try:
-            rig = reference(folder, project_roots(document.path), model.rig)
-        except ValueError as error:
-            hint = "roots in animtool.toml allows more folders"
-            document.add("CLIP012", ("rig",), str(error), hint)
-            document.check()
+        roots = project_roots(document.path)
+        rig = referred(document, ("rig",), model.rig, roots, "CLIP012")
+        document.check()
     return ClipFile(document, model, rig)
 
 
@@ -125,8 +121,7 @@ class _ClipReader:
 
     def _fps(self) -> Fraction:
         try:
-            given = self.model.fps
-            return parse_rate(given if isinstance(given, str) else f"{given:.12g}")
+            return parse_rate(self.model.fps)
         except ValueError as error:
             self.document.add("CLIP008", ("fps",), str(error))
             return Fraction(24)

@@ -15,8 +15,16 @@ import numpy as np
 from numpy.lib import format as npy
 
 from animtool._types import FloatArray
+from animtool.documents.document import Document, Location
 
-__all__ = ["ArrayHeader", "array_header", "load_array", "reference", "split_reference"]
+__all__ = [
+    "ArrayHeader",
+    "array_header",
+    "load_array",
+    "reference",
+    "referred",
+    "split_reference",
+]
 
 # What damaged archives, encrypted ones and damaged headers raise.
 _UNREADABLE = (
@@ -62,6 +70,30 @@ def reference(folder: Path, roots: Sequence[Path], name: str) -> Path:
         shown = ", ".join(str(root) for root in roots)
         raise ValueError(f"{name!r} leads out of {shown}")
     return path
+
+
+def referred(
+    document: Document,
+    location: Location,
+    name: str,
+    roots: Sequence[Path],
+    code: str,
+) -> Path | None:
+    """Return the file that a document refers to; None, and a fault, where it may not.
+
+    Args:
+        document: Whose folder names start from.
+        location: Where the name stands in it.
+        name: As written.
+        roots: Folders that references may lead into.
+        code: Of the fault.
+    """
+    try:
+        return reference(document.path.resolve().parent, roots, name)
+    except ValueError as error:
+        hint = "roots in animtool.toml allows more folders"
+        document.add(code, location, str(error), hint)
+        return None
 
 
 def array_header(path: Path, key: str) -> ArrayHeader:

@@ -11,6 +11,8 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError
+from animtool.maths.curves import cubic_curves, evaluate
+from animtool.maths.tangents import auto_clamped
 
 __all__ = ["Interpolation", "Keys", "Weight", "key_arrays", "keyed", "weights_at"]
 
@@ -59,9 +61,7 @@ def keyed(
 ) -> FloatArray:
     """Return a curve at some times ``(F,)``, held outside its keys.
 
-    References:
-        F. N. Fritsch and J. Butland, A method for constructing local monotone
-        piecewise cubic interpolants, 1984: the slopes of ``smooth``.
+    The slopes of ``smooth`` are those of `animtool.maths.tangents.auto_clamped`.
 
     >>> ramp = np.array([0.0, 2.0]), np.array([0.0, 1.0])
     >>> keyed(*ramp, np.array([-1.0, 1.0])).tolist()
@@ -69,30 +69,13 @@ def keyed(
     """
     if interpolation is Interpolation.LINEAR or len(times) < 2:
         return np.asarray(np.interp(at, times, values))
-    lengths = np.diff(times)
-    secants = np.diff(values) / lengths
-    slopes = np.concatenate(
-        [secants[:1], _inner_slopes(lengths, secants), secants[-1:]]
-    )
-    at = np.clip(at, times[0], times[-1])
-    k = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(lengths) - 1)
-    s, length = (at - times[k]) / lengths[k], lengths[k]
-    rise = s * s * (3 - 2 * s)
-    leave, arrive = s * (1 - s) ** 2, s * s * (s - 1)
-    between = values[k] + (values[k + 1] - values[k]) * rise
-    return np.asarray(
-        between + length * (leave * slopes[k] + arrive * slopes[k + 1]), np.float64
-    )
-
-
-def _inner_slopes(lengths: FloatArray, secants: FloatArray) -> FloatArray:
-    """Return harmonic means of neighbouring secants, 0 where their signs differ."""
-    low, high = secants[:-1], secants[1:]
-    wide = 2 * lengths[1:] + lengths[:-1]
-    narrow = lengths[1:] + 2 * lengths[:-1]
-    same = low * high > 0
-    a, b = np.where(same, low, 1.0), np.where(same, high, 1.0)
-    return np.where(same, (wide + narrow) / (wide / a + narrow / b), 0.0)
+    # Handles lie at thirds of the segments beside a key.
+    slopes = auto_clamped(times, values[:, None])
+    thirds = np.diff(times)[:, None] / 3
+    ins, outs = np.zeros(slopes.shape), np.zeros(slopes.shape)
+    ins[1:], outs[:-1] = -slopes[1:] * thirds, slopes[:-1] * thirds
+    curve = cubic_curves(times, values[:, None], ins, outs)
+    return np.asarray(evaluate(curve, at)[0])
 
 
 def weights_at(

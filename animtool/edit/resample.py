@@ -9,6 +9,7 @@ from fractions import Fraction
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
+from animtool.edit.frames import MOST_FRAMES
 from animtool.edit.places import Places, even_places
 from animtool.errors import Fault, OptionError
 from animtool.passes import Pass, PassContext, Scope
@@ -26,8 +27,6 @@ __all__ = [
 ]
 
 BLOCK_FRAMES = 512
-# Days of animation: rather a rate that is mistyped.
-MOST_SAMPLES = 10_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +90,7 @@ def plan_samples(
     wanted = range(whole + 1)
     if frame_range is not None:
         wanted = _within(frame_range, start, whole)
-    if len(wanted) * max(1, len(offsets)) > MOST_SAMPLES:
+    if len(wanted) * max(1, len(offsets)) > MOST_FRAMES:
         raise _refusal(f"at {float(fps):g} fps the take has {whole + 1} frames")
     first, last = start + wanted[0], start + wanted[-1]
     index = np.arange(wanted[0], wanted[-1] + 1, wanted.step)

@@ -11,7 +11,7 @@ from animtool import _kernels
 from animtool._types import ArrayLike, FloatArray, IntArray, as_floats
 from animtool.maths.extrapolation import Extrapolation, fold
 
-__all__ = ["Curves", "SegmentKind", "end_slopes", "evaluate"]
+__all__ = ["Curves", "SegmentKind", "cubic_curves", "end_slopes", "evaluate"]
 
 
 class SegmentKind(IntEnum):
@@ -52,6 +52,39 @@ class Curves:
     outs: FloatArray
     pre: tuple[Extrapolation, ...]
     post: tuple[Extrapolation, ...]
+
+
+def cubic_curves(
+    times: FloatArray, values: FloatArray, ins: FloatArray, outs: FloatArray
+) -> Curves:
+    """Return D curves of CUBIC segments that share K key times, held at their ends.
+
+    Args:
+        times: Strictly ascending ``(K,)``.
+        values: ``(K, D)``.
+        ins: Value offsets of the handles before the keys ``(K, D)``.
+        outs: Value offsets of the handles behind the keys ``(K, D)``.
+
+    >>> zero = np.zeros((2, 1))
+    >>> ease = cubic_curves(np.array([0.0, 2.0]), np.array([[0.0], [1.0]]), zero, zero)
+    >>> evaluate(ease, [1.0]).tolist()
+    [[0.5]]
+    """
+    keys, width = values.shape
+
+    def handles(offsets: FloatArray) -> FloatArray:
+        return np.stack([np.zeros(keys * width), offsets.T.ravel()], axis=-1)
+
+    return Curves(
+        np.arange(width + 1) * keys,
+        np.tile(np.asarray(times, np.float64), width),
+        np.ascontiguousarray(values.T.ravel()),
+        np.full(keys * width, int(SegmentKind.CUBIC), np.int64),
+        handles(ins),
+        handles(outs),
+        (Extrapolation.HOLD,) * width,
+        (Extrapolation.HOLD,) * width,
+    )
 
 
 def evaluate(curves: Curves, times: ArrayLike) -> FloatArray:

@@ -8,6 +8,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_floats
+from animtool.maths.curves import cubic_curves, evaluate
 
 __all__ = ["FittedKeys", "evaluate_keys", "fit_keys"]
 
@@ -119,16 +120,7 @@ def evaluate_keys(keys: FittedKeys, frames: ArrayLike) -> FloatArray:
     >>> evaluate_keys(keys, [1.5]).round(9).tolist()
     [[2.25]]
     """
-    at = np.asarray(frames, np.float64)
-    if len(keys.frames) == 1:
-        return np.repeat(keys.values, len(at), axis=0)
-    k = np.searchsorted(keys.frames, at, side="right").clip(1, len(keys.frames) - 1) - 1
-    length = keys.frames[k + 1] - keys.frames[k]
-    u = ((at - keys.frames[k]) / length).clip(0.0, 1.0)[:, None]
-    v = 1.0 - u
-    start, end = keys.values[k], keys.values[k + 1]
-    # Offsets from the nearer end, so that a large value costs no digits of a small
-    # change, and keys are met exactly.
-    rise = np.where(u < 0.5, (3 - 2 * u) * u * u, (2 * v - 3) * v * v)
-    handles = 3 * u * v * (v * keys.outs[k] + u * keys.ins[k + 1])
-    return np.asarray(np.where(u < 0.5, start, end) + rise * (end - start) + handles)
+    curves = cubic_curves(
+        keys.frames.astype(np.float64), keys.values, keys.ins, keys.outs
+    )
+    return np.ascontiguousarray(evaluate(curves, frames).T)

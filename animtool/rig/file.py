@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from animtool.config import project_roots
-from animtool.documents.arrays import reference
+from animtool.documents.arrays import referred
 from animtool.documents.check import check_version, nearest, validated
 from animtool.documents.document import Document, read_document
 from animtool.errors import AnimtoolError
@@ -84,12 +84,8 @@ def _base(
     document: Document, name: str, roots: tuple[Path, ...], reader: RigReader | None
 ) -> Rig | None:
     """Return the rig that a sidecar adds to."""
-    folder = document.path.resolve().parent
-    try:
-        path = reference(folder, roots, name)
-    except ValueError as error:
-        hint = "roots in animtool.toml allows more folders"
-        document.add("RIG021", ("from",), str(error), hint)
+    path = referred(document, ("from",), name, roots, "RIG021")
+    if path is None:
         return None
     if reader is None:
         message = f"{name!r} is not read here"

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from animtool.documents.arrays import array_header, reference, split_reference
+from animtool.documents.arrays import array_header, referred, split_reference
 from animtool.documents.check import nearest
 from animtool.documents.document import Document, Location
 from animtool.rig.controls import (
@@ -216,13 +216,9 @@ class PartReader:
         """Return a reference, and note what is wrong with where it leads."""
         role = key
         name, key = split_reference(text, role)
-        folder = self.document.path.resolve().parent
-        try:
-            path = reference(folder, self.roots, name)
-        except ValueError as error:
-            hint = "roots in animtool.toml allows more folders"
-            self.document.add("RIG021", at, str(error), hint)
-            return ArrayRef(text, folder, key)
+        path = referred(self.document, at, name, self.roots, "RIG021")
+        if path is None:
+            return ArrayRef(text, Path(name), key)
         try:
             header = array_header(path, key)
         except ValueError as error:

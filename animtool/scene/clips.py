@@ -12,14 +12,13 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.clip.file import load_clip, open_clip
 from animtool.clip.sample import sample_clip
+from animtool.edit.frames import MOST_FRAMES
 from animtool.errors import Fault, FormatError, OptionError
 from animtool.scene.rigs import open_rig
 from animtool.take import Motion, TakeStream
 from animtool.units import unit_name
 
 __all__ = ["open_clip_source"]
-
-MOST_FRAMES = 10_000_000
 
 
 def open_clip_source(

@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from animtool.config import project_roots
-from animtool.documents.arrays import reference
+from animtool.documents.arrays import referred
 from animtool.documents.check import check_version, nearest, validated
 from animtool.documents.document import Document, Location, read_document
 from animtool.edit.resample import FrameRange
@@ -84,7 +84,6 @@ def load_scene(path: Path | str) -> Scene:
 class _SceneReader:
     def __init__(self, document: Document, model: SceneModel) -> None:
         self.document, self.model = document, model
-        self.folder = document.path.resolve().parent
         self.roots = project_roots(document.path)
 
     def scene(self) -> Scene:
@@ -133,18 +132,14 @@ class _SceneReader:
         return Scene(self.document.path, source, options, tuple(passes), target, bake)
 
     def _file(self, at: Location, name: str) -> Path:
-        try:
-            return reference(self.folder, self.roots, name)
-        except ValueError as error:
-            hint = "roots in animtool.toml allows more folders"
-            self.document.add("SCN004", at, str(error), hint)
-            return self.folder / name
+        found = referred(self.document, at, name, self.roots, "SCN004")
+        return Path(name) if found is None else found
 
     def _rate(self, at: Location, given: float | str | None) -> Fraction | None:
         if given is None:
             return None
         try:
-            return parse_rate(given if isinstance(given, str) else f"{given:.12g}")
+            return parse_rate(given)
         except ValueError as error:
             self.document.add("SCN003", at, str(error))
             return None

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import tempfile
@@ -359,5 +358,11 @@ def test_json_reads_back(
 
 @given(st.text(max_size=60))
 def test_any_text_is_read_or_refused(text: str) -> None:
-    with contextlib.suppress(FormatError):
-        read_text(text.encode("utf-8", "replace").decode(), "a.yaml")
+    codes: list[str] = []
+    value: Any = {}
+    try:
+        value = read_text(text.encode("utf-8", "replace").decode(), "a.yaml").value
+    except FormatError as error:
+        codes = [fault.code for fault in error.faults]
+    assert isinstance(value, dict)
+    assert all(code.startswith("DOC") for code in codes)
