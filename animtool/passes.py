@@ -194,7 +194,8 @@ def apply_pass(
 ) -> TakeStream:
     """Return a take with a pass applied; a CLIP pass reads the whole at once.
 
-    Notices and details of the source stay with the stream. A take whose source
+    Notices and details of the source stay with the stream, and the curves of the
+    controls whose frames and values a CLIP pass leaves alone. A take whose source
     states no first frame still states none, unless the pass moves the frame.
 
     Raises:
@@ -202,8 +203,11 @@ def apply_pass(
             passes perhaps only while the blocks are read.
     """
     if pass_.scope is not Scope.CLIP:
-        return cast(StreamRun, pass_.run)(stream, options, context)
-    take = cast(ClipRun, pass_.run)(stream.collect(), options, context)
+        done = cast(StreamRun, pass_.run)(stream, options, context)
+        return replace(done, control_curves={})
+    before = stream.collect()
+    take = cast(ClipRun, pass_.run)(before, options, context)
+    kept = _untouched(before, take) if stream.control_curves else set()
     result = TakeStream.of(take)
     unstated = stream.start is None and take.clock.start == Fraction(1)
     return replace(
@@ -211,4 +215,15 @@ def apply_pass(
         start=None if unstated else result.start,
         notices=stream.notices,
         details=stream.details,
+        control_curves={k: c for k, c in stream.control_curves.items() if k in kept},
     )
+
+
+def _untouched(before: Take, after: Take) -> set[str]:
+    """Return the controls that are in every frame what they were."""
+    old, new = before.motion.controls, after.motion.controls
+    same = before.clock == after.clock and before.rig.controls == after.rig.controls
+    if not same or old is None or new is None:
+        return set()
+    alike = (old.dense() == new.dense()).all(axis=(0, 2))
+    return {before.rig.controls[i].name for i in alike.nonzero()[0].tolist()}

@@ -14,6 +14,7 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault
+from animtool.maths.curves import Curves
 from animtool.rig.skeleton import Rig
 
 __all__ = ["Channel", "Clock", "Motion", "Take", "TakeStream", "time_codes"]
@@ -210,6 +211,8 @@ class TakeStream:
         curve: Where the source is a function of time, gives its motion at any times
             ``(F,)`` [time codes of the source]; None where it has samples only.
         count: Number of frames, where ``curve`` is given.
+        control_curves: The curves that controls were keyed with, by name, one each,
+            over time codes of the source; those that still hold.
     """
 
     rig: Rig
@@ -221,6 +224,7 @@ class TakeStream:
     details: dict[str, object] = field(default_factory=dict)
     curve: Callable[[FloatArray], Motion] | None = None
     count: int = 0
+    control_curves: dict[str, Curves] = field(default_factory=dict)
 
     def collect(self) -> Take:
         """Return the whole take, static joints stored once."""

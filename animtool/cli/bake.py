@@ -9,10 +9,12 @@ import click
 
 from animtool.cli.console import Console
 from animtool.cli.options import (
+    LENGTH,
     RATE,
     Parsed,
     common_options,
     format_option,
+    reduce_at_option,
     source_options,
     source_options_record,
 )
@@ -37,7 +39,9 @@ Examples:
   animtool bake wave.clip.yaml --rig hero.rig.yaml -o wave.usdc --fps 60
   animtool bake shot.scene.yaml
   animtool bake walk.bvh -o walk_layer.usdc --rig-layer hero.rig.usda
-  animtool bake walk.bvh -o walk.usda --fps 24 --range 1001-1048 --start 1001"""
+  animtool bake walk.bvh -o walk.usda --fps 24 --range 1001-1048 --start 1001
+  animtool bake wave.clip.yaml -o wave.usda --keep-curves --reduce 0.5mm
+  animtool bake wave.clip.yaml --table"""
 )
 @click.argument("source", type=click.Path(path_type=Path, readable=False))
 @click.option(
@@ -143,6 +147,24 @@ Examples:
     "--sparse", is_flag=True, help="Write only the joints that leave their rest."
 )
 @click.option(
+    "--keep-curves",
+    is_flag=True,
+    help="Write the curves of a clip's controls too, as splines that stay editable.",
+)
+@click.option(
+    "--reduce",
+    type=LENGTH,
+    metavar="LENGTH",
+    help="Leave out samples that the others give back within so much, such as 0.5mm.",
+)
+@reduce_at_option
+@click.option(
+    "--table",
+    is_flag=True,
+    help="Write nothing; measure time and size against error, over sample rates and "
+    "tolerances.",
+)
+@click.option(
     "--strict", is_flag=True, help="Take warnings for errors and write nothing."
 )
 @click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
@@ -164,6 +186,9 @@ def bake(console: Console, /, source: Path, output: Path | None, **given: Any) -
         raise click.UsageError("-o - and --format json both want stdout.")
     if given["split"] and given["form"] == "layer":
         raise click.UsageError("--split is a stage in three files, not --as layer.")
+    if given["table"]:
+        _table(console, source, output, _options(given), as_json=as_json)
+        return
     path = None if to_stdout else output or _output_beside(source)
     if given["skip_existing"] and path is not None and path.exists():
         console.say(f"{path} exists: skipped")
@@ -185,6 +210,23 @@ def bake(console: Console, /, source: Path, output: Path | None, **given: Any) -
         console.say(line)
     for line in bake_details(report):
         console.detail(line)
+
+
+def _table(
+    console: Console, source: Path, output: Path | None, options: Any, *, as_json: bool
+) -> None:
+    """Measure time and size against error, and print it."""
+    if output is not None:
+        raise click.UsageError("--table writes no file: no -o.")
+    from animtool.cli.summary import table_json, table_text
+    from animtool.scene.table import bake_table
+
+    with console.progress(f"measure {source.name}") as progress:
+        table = bake_table(source, options, progress=progress)
+    if as_json:
+        console.result_json(table_json(table))
+        return
+    console.result("\n".join(table_text(table)))
 
 
 def _output_beside(source: Path) -> Path:
@@ -230,6 +272,9 @@ def _options(given: dict[str, Any]) -> Any:
         to_up=None if to_up is None else UpAxis(to_up.upper()),
         root_motion=given["root_motion"] == "skelroot",
         sparse=given["sparse"],
+        keep_curves=given["keep_curves"],
+        reduce=given["reduce"],
+        reduce_at=given["reduce_at"],
         strict=given["strict"],
         overwrite=given["overwrite"],
     )

@@ -9,20 +9,15 @@ import click
 
 from animtool.cli.console import Console
 from animtool.cli.options import (
-    Parsed,
+    LENGTH,
     common_options,
     format_option,
+    reduce_at_option,
     source_options,
     source_options_record,
 )
 
 __all__ = ["convert"]
-
-
-def _length(text: str) -> float:
-    from animtool.units import parse_length
-
-    return parse_length(text)
 
 
 @click.command(
@@ -40,10 +35,11 @@ Examples:
 )
 @click.option(
     "--reduce",
-    type=Parsed("length", _length),
+    type=LENGTH,
     metavar="LENGTH",
     help="For a clip: how far keys may move a joint, such as 0.5mm.  [default: 0.5mm]",
 )
+@reduce_at_option
 @click.option(
     "--strict", is_flag=True, help="Take warnings for errors and write nothing."
 )
@@ -78,6 +74,7 @@ def convert(console: Console, /, source: Path, output: Path, **given: Any) -> No
             overwrite=given["overwrite"],
             strict=given["strict"],
             reduce=given["reduce"],
+            reduce_at=given["reduce_at"],
             progress=progress,
         )
     console.faults(report.notices)

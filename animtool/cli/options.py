@@ -10,7 +10,16 @@ import click
 
 from animtool.cli.console import Console
 
-__all__ = ["Parsed", "common_options", "format_option", "source_options"]
+__all__ = [
+    "LENGTH",
+    "RATE",
+    "Parsed",
+    "common_options",
+    "format_option",
+    "reduce_at_option",
+    "source_options",
+    "source_options_record",
+]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -40,7 +49,21 @@ def _rate(text: str) -> Any:
     return parse_rate(text)
 
 
+def _length(text: str) -> float:
+    from animtool.units import parse_length
+
+    return parse_length(text)
+
+
+def _joint_length(text: str) -> tuple[str, float]:
+    name, equals, length = text.rpartition("=")
+    if not equals or not name:
+        raise ValueError(f"{text!r} is not a joint and a length, such as hand_l=0.1mm")
+    return name, _length(length)
+
+
 RATE = Parsed("rate", _rate)
+LENGTH = Parsed("length", _length)
 
 
 def _set(name: str, value: Any) -> Callable[..., None]:
@@ -93,6 +116,18 @@ def common_options(command: Command) -> Command:
     ):
         command = decorator(command)
     return command
+
+
+def reduce_at_option(command: Command) -> Command:
+    """Add ``--reduce-at``."""
+    return click.option(
+        "--reduce-at",
+        type=Parsed("joint_length", _joint_length),
+        metavar="JOINT=LENGTH",
+        multiple=True,
+        help="Another tolerance of --reduce for a joint, or for those that fit a "
+        "pattern, such as 'hand_*=0.1mm'; can be given several times.",
+    )(command)
 
 
 def format_option(command: Command) -> Command:

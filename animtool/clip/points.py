@@ -2,14 +2,59 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+from difflib import get_close_matches
+from fnmatch import fnmatchcase
+
 import numpy as np
 
 from animtool import _kernels
 from animtool._types import FloatArray
+from animtool.errors import Fault, OptionError, excerpt
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 
-__all__ = ["carried_points", "point_errors", "reach"]
+__all__ = ["SHELL", "carried_points", "joint_bounds", "point_errors", "reach"]
+
+# How far off a joint skin and props are that turn with it, as ACL assumes [m].
+SHELL = 0.03
+
+
+def joint_bounds(rig: Rig, tolerance: float, others: Mapping[str, float]) -> FloatArray:
+    """Return the tolerance of every joint ``(J,)`` [m].
+
+    Args:
+        rig: J joints.
+        tolerance: Of most joints [m].
+        others: By the names of joints, or by patterns such as ``hand_*``; of those
+            that fit a joint the last one counts [m].
+
+    Raises:
+        OptionError: A name fits no joint, or a tolerance is not above 0 (CLIP020).
+
+    >>> from animtool.rig.skeleton import Joint
+    >>> arm = Rig("arm", (Joint("upper", -1), Joint("hand", 0)))
+    >>> joint_bounds(arm, 0.001, {"ha*": 0.0001}).tolist()
+    [0.001, 0.0001]
+    """
+    faults = [
+        Fault("CLIP020", f"a tolerance must be above 0 and finite, not {value:g} m")
+        for value in (tolerance, *others.values())
+        if not (math.isfinite(value) and value > 0)
+    ]
+    bounds = np.full(len(rig.joints), float(tolerance))
+    for pattern, value in others.items():
+        found = [j for j, name in enumerate(rig.names) if fnmatchcase(name, pattern)]
+        bounds[found] = value
+        if not found:
+            near = get_close_matches(pattern, rig.names, 1)
+            hint = f"did you mean {near[0]!r}?" if near else None
+            message = f"{rig.name!r} has no joint {excerpt(pattern)}"
+            faults.append(Fault("CLIP020", message, hint=hint))
+    if faults:
+        raise OptionError(faults)
+    return bounds
 
 
 def carried_points(rig: Rig, shell: float) -> FloatArray:

@@ -9,7 +9,13 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.clip.budget import Budget, subtree_largest
-from animtool.clip.points import carried_points, point_errors, reach
+from animtool.clip.points import (
+    SHELL,
+    carried_points,
+    joint_bounds,
+    point_errors,
+    reach,
+)
 from animtool.clip.pose import Pose, pose_of
 from animtool.clip.reduction import ChannelKind, ReducedChannel, Reduction
 from animtool.clip.tracks import Track, tracks_of
@@ -34,7 +40,7 @@ def reduce_motion(
     take: Take,
     tolerance: float,
     *,
-    shell: float = 0.03,
+    shell: float = SHELL,
     joint_tolerances: Mapping[str, float] | None = None,
     weight_tolerance: float = 1e-3,
     base: Take | None = None,
@@ -59,7 +65,8 @@ def reduce_motion(
         take: With at least one frame.
         tolerance: Largest error of any joint > 0 [m].
         shell: How far off the joint's origin to measure as well, > 0 [m].
-        joint_tolerances: Other tolerances, by the names of joints > 0 [m].
+        joint_tolerances: Other tolerances, by the names of joints or patterns of
+            them such as ``hand_*`` > 0 [m].
         weight_tolerance: Largest error of a shape's weight > 0 [1].
         base: For a take of additive deltas what they are added to, frame by frame:
             translations are summed, rotations stand behind the base's, scales are
@@ -70,8 +77,9 @@ def reduce_motion(
         gives the motion back.
 
     Raises:
-        ValueError: A value is not finite, a tolerance is not above 0, a joint is
-            unknown, the take has no frame, or the base's joints or frames differ.
+        OptionError: A joint is unknown or a tolerance not above 0 (CLIP020).
+        ValueError: A value is not finite, the take has no frame, or the base's
+            joints or frames differ.
 
     References:
         N. Frechette, Animation Compression Library, 2017: error on a shell around
@@ -82,7 +90,7 @@ def reduce_motion(
     if not (np.isfinite(weight_tolerance) and weight_tolerance > 0):
         raise ValueError(f"weight_tolerance must be above 0, not {weight_tolerance}")
     rest = _rest(rig, motion, additive=base is not None)
-    bounds = _bounds(rig, tolerance, joint_tolerances or {})
+    bounds = joint_bounds(rig, tolerance, joint_tolerances or {})
     tracks = tracks_of(rig, motion, rest)
     weights = [t for t in tracks if t.kind is ChannelKind.WEIGHT]
     local = [t for t in tracks if t.kind is not ChannelKind.WEIGHT]
@@ -253,17 +261,6 @@ def _rest(rig: Rig, motion: Motion, *, additive: bool) -> Motion:
         None if motion.scales is None else still(np.ones((joints, 3))),
         None if motion.weights is None else still(np.zeros_like(motion.weights.rest)),
     )
-
-
-def _bounds(rig: Rig, tolerance: float, others: Mapping[str, float]) -> FloatArray:
-    bounds = np.full(len(rig.joints), float(tolerance))
-    for name, value in others.items():
-        if name not in rig.names:
-            raise ValueError(f"joint_tolerances: {rig.name!r} has no joint {name!r}")
-        bounds[rig.index(name)] = value
-    if not ((bounds > 0) & np.isfinite(bounds)).all():
-        raise ValueError("a tolerance must be above 0 and finite")
-    return bounds
 
 
 def _check(take: Take, base: Take | None, shell: float) -> None:

@@ -11,7 +11,7 @@ from animtool._types import ArrayLike, FloatArray, IntArray
 from animtool.maths import so3
 from animtool.take import Channel
 
-__all__ = ["Places", "even_places", "nearby_places"]
+__all__ = ["Places", "even_places", "nearby_places", "places_between"]
 
 # A place this near to a frame [frame] is meant to be the frame: what rounding
 # leaves of a time code in the millions is less.
@@ -87,6 +87,21 @@ def nearby_places(positions: ArrayLike, count: int) -> Places:
     held = np.where(np.abs(held - nearest) <= ON_FRAME, nearest, held)
     frames = np.floor(held).astype(np.int64)
     return _held(frames, held - frames, count)
+
+
+def places_between(codes: FloatArray, at: ArrayLike) -> Places:
+    """Return the places of times ``(N,)`` among the times of samples ``(F,)``.
+
+    The ends are held.
+
+    >>> places_between(np.array([1.0, 2.0, 4.0]), [1.0, 3.0, 9.0]).fractions.tolist()
+    [0.0, 0.5, 0.0]
+    """
+    times = np.clip(np.asarray(at, np.float64), codes[0], codes[-1])
+    frames = np.searchsorted(codes, times, side="right") - 1
+    following = np.minimum(frames + 1, len(codes) - 1)
+    spans = np.where(following > frames, codes[following] - codes[frames], 1.0)
+    return _held(frames, (times - codes[frames]) / spans, len(codes))
 
 
 def _held(frames: IntArray, fractions: FloatArray, count: int) -> Places:

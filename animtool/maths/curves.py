@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -52,6 +52,21 @@ class Curves:
     outs: FloatArray
     pre: tuple[Extrapolation, ...]
     post: tuple[Extrapolation, ...]
+
+    def retimed(self, start: float, ratio: float, first: float) -> Curves:
+        """Return the curves with time t at ``first + (t - start) · ratio``, ratio > 0.
+
+        >>> zero = np.zeros((2, 1))
+        >>> cubic_curves(np.array([0.0, 2.0]), zero, zero, zero).retimed(
+        ...     0.0, 0.5, 1001.0
+        ... ).times.tolist()
+        [1001.0, 1002.0]
+        """
+        stretch = np.array([ratio, 1.0])
+        times = first + (self.times - start) * ratio
+        return replace(
+            self, times=times, ins=self.ins * stretch, outs=self.outs * stretch
+        )
 
 
 def cubic_curves(

@@ -7,9 +7,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, refuse_warnings
+from animtool.errors import Fault, Severity, refuse_warnings
+from animtool.maths.curves import Curves
 from animtool.prefetch import prefetch
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
@@ -21,6 +25,9 @@ from animtool.usd.animation import WrittenBlock, round_blocks
 from animtool.usd.names import UsdNames, joint_names, legal_name
 from animtool.usd.skeleton import RigPaths
 from animtool.usd.write import UsdJob, UsdResult, author, write_usd
+
+if TYPE_CHECKING:
+    from animtool.edit.thin import Thinned
 
 __all__ = ["BakeReport", "bake", "run_bake"]
 
@@ -48,6 +55,8 @@ class BakeReport:
         seconds: Wall time by stage; ``read`` runs beside ``author``.
         source_bytes: Size of the source.
         details: What the source states of itself.
+        thinned: Which samples were left out, where that was asked for.
+        thinned_joint: Name of the joint that this moved most.
     """
 
     source: Path
@@ -66,6 +75,8 @@ class BakeReport:
     seconds: dict[str, float] = field(default_factory=dict)
     source_bytes: int = 0
     details: dict[str, object] = field(default_factory=dict)
+    thinned: Thinned | None = None
+    thinned_joint: str = ""
 
 
 def bake(
@@ -108,7 +119,7 @@ def run_bake(plan: BakePlan) -> BakeReport:
     counter = _Counter()
     counted = replace(stream, blocks=counter.count(stream.blocks))
     timed, frames, rest = timed_blocks(plan, counted)
-    job, timed = _job(plan, timed, frames, rest)
+    job, timed, thinned = _job(plan, timed, frames, rest)
     rounded = prefetch(
         counter.time(
             round_blocks(
@@ -143,6 +154,8 @@ def run_bake(plan: BakePlan) -> BakeReport:
         seconds,
         plan.source.stat().st_size,
         stream.details,
+        thinned,
+        "" if thinned is None else job.rig.names[thinned.joint],
     )
 
 
@@ -151,8 +164,8 @@ def _job(
     timed: TimedBlocks,
     frames: tuple[Fraction, Fraction] | None,
     rig: Rig,
-) -> tuple[UsdJob, TimedBlocks]:
-    """Return what the writer is to do, and the blocks as it wants them."""
+) -> tuple[UsdJob, TimedBlocks, Thinned | None]:
+    """Return what the writer is to do, the blocks for it, and what was left out."""
     options, mapping = plan.options, plan.mapping
     meters = rig.meters_per_unit
     chosen = None
@@ -169,6 +182,9 @@ def _job(
         moving = moving_joints(plan, rig, [motion for _, motion in held])
         kept = moving if chosen is None else moving & chosen
         chosen, timed = kept if kept.any() else chosen, iter(held)
+    thinned = None
+    if options.reduce is not None:
+        timed, thinned, frames = _thinned(plan, timed, frames, rig, options.reduce)
     names, joints, paths = _usd_places(plan, rig)
     job = UsdJob(
         form=plan.form,
@@ -186,8 +202,49 @@ def _job(
         chosen=chosen,
         bones=options.bones,
         shapes=tuple(shape.name for shape in plan.stream.rig.shapes),
+        curves=_kept_curves(plan) if options.keep_curves else {},
     )
-    return job, timed
+    return job, timed, thinned
+
+
+def _thinned(
+    plan: BakePlan,
+    timed: TimedBlocks,
+    frames: tuple[Fraction, Fraction] | None,
+    rig: Rig,
+    tolerance: float,
+) -> tuple[TimedBlocks, Thinned, tuple[Fraction, Fraction]]:
+    """Return the samples that are needed, what that does, first and last frame."""
+    from animtool.edit.thin import thin_samples
+
+    held = list(timed)
+    codes = np.concatenate([codes for codes, _ in held])
+    motion = Motion.concatenate([motion for _, motion in held])
+    found = thin_samples(
+        rig, codes, motion, tolerance, joint_tolerances=dict(plan.options.reduce_at)
+    )
+    if frames is None:
+        step = plan.stream.step * plan.fps / plan.stream.fps
+        frames = plan.start, plan.start + step * (len(codes) - 1)
+    kept = iter([(codes[found.kept], motion.select(found.kept))])
+    return kept, found, frames
+
+
+def _kept_curves(plan: BakePlan) -> dict[str, Curves]:
+    """Return the curves of controls over the output's time codes."""
+    stream = plan.stream
+    if not stream.control_curves:
+        message = "there is no control whose curve could be kept"
+        hint = "clips have such curves; a pass that changes a control drops its curve"
+        plan.notices.append(
+            Fault("CLI102", message, str(plan.source), (), hint, Severity.WARNING)
+        )
+    start = float(Fraction(1) if stream.start is None else stream.start)
+    ratio = float(plan.fps / stream.fps)
+    return {
+        name: curves.retimed(start, ratio, float(plan.start))
+        for name, curves in stream.control_curves.items()
+    }
 
 
 class _Counter:

@@ -12,6 +12,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.clip.file import load_clip, open_clip
 from animtool.clip.sample import sample_clip
+from animtool.clip.segments import curves_of
 from animtool.edit.frames import MOST_FRAMES
 from animtool.errors import Fault, FormatError, OptionError
 from animtool.scene.rigs import open_rig
@@ -67,4 +68,9 @@ def open_clip_source(
         yield curve(float(clip.first) + np.arange(count, dtype=np.float64))
 
     stream.blocks, stream.curve, stream.count = blocks(), curve, count
+    stream.control_curves = {
+        channel.target.removeprefix("control/"): curves_of([channel])
+        for channel in clip.channels
+        if channel.target.startswith("control/")
+    }
     return stream

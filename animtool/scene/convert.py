@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -50,6 +50,7 @@ def convert(
     overwrite: bool = False,
     strict: bool = False,
     reduce: float | None = None,
+    reduce_at: tuple[tuple[str, float], ...] = (),
     progress: Callable[[float], None] | None = None,
 ) -> ConvertReport:
     """Convert a take to a BVH, to sparse keys, or to a USD stage as a bake would.
@@ -64,6 +65,7 @@ def convert(
         strict: Take warnings for errors.
         reduce: Largest distance that keys may move a joint, or a point 3 cm off it
             [m]; None is half a millimetre. For clips.
+        reduce_at: Other tolerances for some joints: names or patterns, and [m].
         progress: Called with the share done, 0 to 1.
 
     Raises:
@@ -76,7 +78,8 @@ def convert(
     if is_usd(output):
         return _to_usd(source, output, options, overwrite, strict, progress)
     if output.suffix.lower() in {".yaml", ".yml"}:
-        return _to_clip(source, output, options, reduce, overwrite, strict, progress)
+        bounds = (REDUCTION if reduce is None else reduce, dict(reduce_at))
+        return _to_clip(source, output, options, bounds, overwrite, strict, progress)
     if output.suffix.lower() != ".bvh":
         kind = f"suffix {output.suffix!r}" if output.suffix else "a name without suffix"
         message = f"{kind} is no format that animtool writes"
@@ -112,7 +115,7 @@ def _to_clip(
     source: Path,
     output: Path,
     options: SourceOptions | None,
-    reduce: float | None,
+    bounds: tuple[float, Mapping[str, float]],
     overwrite: bool,
     strict: bool,
     progress: Callable[[float], None] | None,
@@ -128,7 +131,7 @@ def _to_clip(
     take = stream.collect()
     refuse_warnings(stream.notices, strict=strict)
     rig = typed_by_motion(take)
-    reduction = reduce_motion(take, REDUCTION if reduce is None else reduce)
+    reduction = reduce_motion(take, bounds[0], joint_tolerances=bounds[1])
     _write(rig_path, [rig_text(rig).encode()])
     text = clip_text(reduction, rig, rig_path.name, stem)
     _write(output, [text.encode()])

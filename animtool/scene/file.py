@@ -21,7 +21,7 @@ from animtool.scene.options import BakeOptions
 from animtool.scene.schema import SceneModel
 from animtool.scene.sources import SourceOptions, open_source
 from animtool.take import Take, TakeStream
-from animtool.units import LengthUnit, UpAxis
+from animtool.units import LengthUnit, UpAxis, parse_length
 
 __all__ = ["Scene", "load_scene"]
 
@@ -119,6 +119,13 @@ class _SceneReader:
             start=None if output.start is None else Fraction(output.start),
             sparse=output.sparse,
             bones=output.bones,
+            keep_curves=output.keep_curves,
+            reduce=self._length(("output", "reduce"), output.reduce),
+            reduce_at=tuple(
+                (name, length)
+                for name, text in output.reduce_at.items()
+                if (length := self._length(("output", "reduce_at", name), text))
+            ),
         )
         passes = [
             made
@@ -140,6 +147,15 @@ class _SceneReader:
             return None
         try:
             return parse_rate(given)
+        except ValueError as error:
+            self.document.add("SCN003", at, str(error))
+            return None
+
+    def _length(self, at: Location, given: str | None) -> float | None:
+        if given is None:
+            return None
+        try:
+            return parse_length(given)
         except ValueError as error:
             self.document.add("SCN003", at, str(error))
             return None

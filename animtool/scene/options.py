@@ -47,6 +47,10 @@ class BakeOptions:
         to_up: Up axis of the output; likewise.
         root_motion: Let the SkelRoot carry the first root joint's motion.
         sparse: Write only the joints that are not at rest throughout.
+        keep_curves: Write the curves of controls beside the samples that they made.
+        reduce: Leave out samples that the others give back within so much [m]; None
+            keeps all.
+        reduce_at: Other tolerances for some joints: names or patterns, and [m].
         strict: Take warnings for errors.
         overwrite: Replace outputs that exist.
     """
@@ -67,6 +71,9 @@ class BakeOptions:
     to_up: UpAxis | None = None
     root_motion: bool = False
     sparse: bool = False
+    keep_curves: bool = False
+    reduce: float | None = None
+    reduce_at: tuple[tuple[str, float], ...] = ()
     strict: bool = False
     overwrite: bool = False
 
@@ -187,6 +194,18 @@ def check_options(options: BakeOptions, *, to_stdout: bool) -> None:
         (
             options.keep_samples and bool(options.samples),
             "--keep-samples and --samples exclude each other",
+        ),
+        (
+            options.reduce is not None and bool(options.samples),
+            "--reduce and --samples exclude each other",
+        ),
+        (
+            options.reduce is not None and options.root_motion,
+            "--reduce measures joints: no --root-motion skelroot",
+        ),
+        (
+            options.reduce is None and bool(options.reduce_at),
+            "--reduce-at goes with --reduce",
         ),
     ]
     faults = [Fault("CLI002", message) for wrong, message in clashes if wrong]

@@ -33,6 +33,9 @@ class OutputModel(FileModel):
     start: float | None = None
     sparse: bool = False
     bones: bool = False
+    keep_curves: bool = False
+    reduce: str | None = None
+    reduce_at: dict[str, str] = {}
 
 
 class SceneModel(FileModel):

@@ -33,19 +33,23 @@ segment long, the spline is a line, off by the order of 1e-5 dv, which no sample
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from pxr import Sdf, Ts
 
 from animtool._types import FloatArray
-from animtool.maths.curves import Curves, SegmentKind
+from animtool.maths.curves import Curves, SegmentKind, evaluate
 from animtool.maths.extrapolation import Extrapolation
 from animtool.usd.layers import attribute
+from animtool.usd.names import distinct_names
 
-__all__ = ["CurveReport", "author_curve", "read_curve"]
+__all__ = ["CONTROL", "CurveReport", "author_controls", "author_curve", "read_curve"]
+
+# What the attributes of controls begin with.
+CONTROL = "animtool:control:"
 
 # Of a segment's length. Less would be lost where a shot shifts or stretches time:
 # time codes of 1e6 are 1e-10 apart.
@@ -90,6 +94,35 @@ class CurveReport:
     split: int
     difference: float
     seam: float
+
+
+def author_controls(
+    layer: Any, prim_path: str, controls: Mapping[str, Curves]
+) -> list[CurveReport]:
+    """Write the curves of controls, and return what became of each, by control.
+
+    The attribute of a control whose name USD forbids has the name as its display
+    name.
+
+    Args:
+        layer: Where to.
+        prim_path: A prim that the layer has.
+        controls: One curve each, over time codes of the layer.
+    """
+    names = distinct_names(*[list(controls)] * 3)
+    reports = []
+    for name, (control, curves) in zip(names.names, controls.items(), strict=True):
+
+        def values(times: FloatArray, curves: Curves = curves) -> FloatArray:
+            found: FloatArray = evaluate(curves, times)[0]
+            return found
+
+        report = author_curve(layer, prim_path, CONTROL + name, curves, values)
+        if name != control:
+            path = f"{prim_path}.{CONTROL}{name}"
+            layer.GetAttributeAtPath(path).displayName = control
+        reports.append(replace(report, name=control))
+    return reports
 
 
 def author_curve(

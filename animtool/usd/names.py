@@ -10,7 +10,7 @@ from pxr import Sdf
 from animtool.errors import Fault, Severity, excerpt
 from animtool.rig.skeleton import Joint
 
-__all__ = ["UsdNames", "joint_names", "legal_name"]
+__all__ = ["UsdNames", "distinct_names", "joint_names", "legal_name"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,16 +42,34 @@ def legal_name(name: str) -> str:
 
 def joint_names(joints: Sequence[Joint], strip_namespaces: int = 0) -> UsdNames:
     """Return names for joints, without their first namespaces (``ns:``) if asked."""
+    stripped = []
+    for joint in joints:
+        parts = joint.name.split(":")
+        stripped.append(":".join(parts[min(strip_namespaces, len(parts) - 1) :]))
+    return distinct_names(
+        [joint.name for joint in joints],
+        stripped,
+        # A name that was made unique keeps its number, which is no collision.
+        [joint.source_name or joint.name for joint in joints],
+    )
+
+
+def distinct_names(
+    named: Sequence[str], wanted: Sequence[str], sources: Sequence[str]
+) -> UsdNames:
+    """Return legal and distinct names.
+
+    Args:
+        named: What they name, for messages.
+        wanted: What they would be.
+        sources: What their source calls them.
+    """
     names: list[str] = []
     originals: dict[str, str] = {}
     first: dict[str, str] = {}
     notices: list[Fault] = []
-    for joint in joints:
-        source = joint.source_name or joint.name
-        # A name that was made unique keeps its number, which is no collision.
-        stripped = joint.name.split(":")
-        stripped = stripped[min(strip_namespaces, len(stripped) - 1) :]
-        legal = legal_name(":".join(stripped))
+    for name, text, source in zip(named, wanted, sources, strict=True):
+        legal = legal_name(text)
         unique, number = legal, 2
         while unique in first:
             unique, number = f"{legal}_{number}", number + 1
@@ -59,12 +77,12 @@ def joint_names(joints: Sequence[Joint], strip_namespaces: int = 0) -> UsdNames:
             notices.append(
                 Fault(
                     "USD101",
-                    f"{excerpt(first[legal])} and {excerpt(joint.name)} both become "
+                    f"{excerpt(first[legal])} and {excerpt(name)} both become "
                     f"{excerpt(legal)} in USD; the second is written as {unique!r}",
                     severity=Severity.WARNING,
                 )
             )
-        first[unique] = joint.name
+        first[unique] = name
         names.append(unique)
         if unique != source:
             originals[unique] = source

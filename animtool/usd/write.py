@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from enum import StrEnum
 from fractions import Fraction
@@ -14,6 +15,7 @@ from pxr import Sdf
 
 from animtool._types import BoolArray, Float32Array
 from animtool.errors import Fault, OutputError
+from animtool.maths.curves import Curves
 from animtool.rig.skeleton import Rig
 from animtool.usd.animation import AnimationWriter, Rounding, WrittenBlock
 from animtool.usd.layers import (
@@ -25,8 +27,10 @@ from animtool.usd.layers import (
 )
 from animtool.usd.names import UsdNames
 from animtool.usd.skeleton import RigPaths, author_binding, author_rig
+from animtool.usd.stderr import without_spline_warnings
 
 if TYPE_CHECKING:
+    from animtool.usd.curves import CurveReport
     from animtool.usd.target import RigTarget
 
 __all__ = [
@@ -72,6 +76,7 @@ class UsdJob:
         chosen: Joints to write ``(J,)``; None is all.
         bones: Add geometry that shows the joints.
         shapes: Names of the rig's shapes, as the blocks have their weights.
+        curves: Curves of controls, by their names, over time codes of the layer.
     """
 
     form: Form
@@ -89,6 +94,7 @@ class UsdJob:
     chosen: BoolArray | None = None
     bones: bool = False
     shapes: tuple[str, ...] = ()
+    curves: Mapping[str, Curves] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -104,6 +110,7 @@ class UsdResult:
         sampled: Attributes of the SkelAnimation that change.
         joints: Joints in the SkelAnimation.
         rounding: What rounding to float32 moved.
+        curves: What became of the curves of controls.
     """
 
     outputs: list[Path] = field(default_factory=list)
@@ -114,6 +121,7 @@ class UsdResult:
     sampled: list[str] = field(default_factory=list)
     joints: int = 0
     rounding: Rounding = field(default_factory=Rounding)
+    curves: list[CurveReport] = field(default_factory=list)
 
 
 def output_paths(output: Path, form: Form) -> list[Path]:
@@ -163,6 +171,10 @@ def author(job: UsdJob, blocks: Iterator[WrittenBlock]) -> tuple[Authored, UsdRe
             job.start + job.step * (result.samples - 1),
         )
         _author_metadata(job, authored, result)
+    if job.curves:
+        from animtool.usd.curves import author_controls
+
+        result.curves = author_controls(animation, job.paths.animation, job.curves)
     _author_extents(job, authored, writer)
     result.sampled = writer.sampled
     result.joints = len(job.joints) if job.chosen is None else int(job.chosen.sum())
@@ -192,7 +204,8 @@ def write_usd(job: UsdJob, authored: Authored, result: UsdResult) -> None:
         OutputError: One cannot be written.
     """
     if job.output is None:
-        result.bytes = save_layer(authored.animation, None)
+        with _quietly(job):
+            result.bytes = save_layer(authored.animation, None)
         return
     result.outputs = output_paths(job.output, job.form)
     layers = [authored.animation]
@@ -201,8 +214,13 @@ def write_usd(job: UsdJob, authored: Authored, result: UsdResult) -> None:
         root.subLayerPaths = [f"./{path.name}" for path in result.outputs[1::-1]]
         author_metadata(root, _metadata(job, result))
         layers = [authored.rig, authored.animation, root]
-    for layer, path in zip(layers, result.outputs, strict=True):
-        result.bytes += save_layer(layer, path)
+    with _quietly(job):
+        for layer, path in zip(layers, result.outputs, strict=True):
+            result.bytes += save_layer(layer, path)
+
+
+def _quietly(job: UsdJob) -> AbstractContextManager[None]:
+    return without_spline_warnings() if job.curves else nullcontext()
 
 
 def _metadata(job: UsdJob, result: UsdResult) -> StageMetadata:

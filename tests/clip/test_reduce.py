@@ -14,6 +14,7 @@ from animtool.clip.pose import pose_of
 from animtool.clip.reduce import reduce_motion
 from animtool.clip.reduction import ChannelKind, Reduction, evaluate_reduction
 from animtool.clip.tracks import euler_order
+from animtool.errors import OptionError
 from animtool.formats.bvh.read import read_bvh
 from animtool.maths import euler, so3
 from animtool.rig.skeleton import Joint, Rig
@@ -235,11 +236,7 @@ def test_what_is_not_finite_is_refused(where: str, value: float) -> None:
 @pytest.mark.parametrize(
     "options",
     [
-        {"tolerance": 0.0},
-        {"tolerance": np.nan},
         {"shell": 0.0},
-        {"joint_tolerances": {"j9": 1e-3}},
-        {"joint_tolerances": {"j0": -1.0}},
         {"weight_tolerance": 0.0},
         {"base": take_of(arm(), swing(19))},
         {"base": take_of(arm(4), swing(20, 4))},
@@ -247,5 +244,20 @@ def test_what_is_not_finite_is_refused(where: str, value: float) -> None:
 )
 def test_wrong_arguments_are_refused(options) -> None:
     take = take_of(arm(), swing(20))
-    with pytest.raises(ValueError, match=r"tolerance|shell|joint|base"):
-        reduce_motion(take, **{"tolerance": 1e-3, **options})
+    with pytest.raises(ValueError, match=r"tolerance|shell|base"):
+        reduce_motion(take, 1e-3, **options)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"tolerance": 0.0},
+        {"tolerance": np.nan},
+        {"joint_tolerances": {"x9": 1e-3}},
+        {"joint_tolerances": {"j0": -1.0}},
+    ],
+)
+def test_wrong_tolerances_have_a_code(options) -> None:
+    with pytest.raises(OptionError) as caught:
+        reduce_motion(take_of(arm(), swing(20)), **{"tolerance": 1e-3, **options})
+    assert [fault.code for fault in caught.value.faults] == ["CLIP020"]

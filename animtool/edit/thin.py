@@ -1,0 +1,169 @@
+"""Leaving out the samples that the others give back, for files that stay small."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.clip.points import SHELL, carried_points, joint_bounds, point_errors
+from animtool.edit.places import places_between
+from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.skeleton import Rig
+from animtool.take import Motion
+
+__all__ = ["Thinned", "thin_samples"]
+
+# A split this share of a stretch from its ends at least, so that stretches halve.
+SPLIT_MARGIN = 0.125
+# Each pass may leave out every second sample that is left; few find any to leave out.
+JOINING = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Thinned:
+    """Which samples stay, and what leaving out the others does.
+
+    Attributes:
+        samples: Number of samples before.
+        kept: Indices of those that stay, ascending ``(N,)``.
+        error: Largest distance of a point from where it was [m].
+        joint: Index of the joint that carries it.
+        code: Time code of that.
+        weight_error: Largest error of a shape's weight [1].
+    """
+
+    samples: int
+    kept: IntArray
+    error: float
+    joint: int
+    code: float
+    weight_error: float
+
+
+def thin_samples(
+    rig: Rig,
+    codes: FloatArray,
+    motion: Motion,
+    tolerance: float,
+    *,
+    joint_tolerances: Mapping[str, float] | None = None,
+    weight_tolerance: float = 1e-3,
+) -> Thinned:
+    """Return which samples are needed to play a motion within a tolerance.
+
+    Between two samples USD moves translations, scales and weights in straight lines
+    and rotations along the shortest arc. A stretch whose samples are beyond the
+    tolerance is split at the worst of them (Douglas and Peucker, 1973); then samples
+    that turn out not to be needed are left out again. The measure is that of
+    `animtool.clip.reduce.reduce_motion`: points that each joint carries, in the world,
+    at every sample. The first and last sample stay.
+
+    Args:
+        rig: J joints.
+        codes: Times of the samples, ascending ``(F,)``.
+        motion: What they hold.
+        tolerance: Largest error of any joint > 0 [m].
+        joint_tolerances: Other tolerances, by the names of joints or patterns of
+            them such as ``hand_*`` > 0 [m].
+        weight_tolerance: Largest error of a shape's weight > 0 [1].
+
+    Raises:
+        OptionError: A joint is unknown or a tolerance not above 0 (CLIP020).
+    """
+    bounds = joint_bounds(rig, tolerance, joint_tolerances or {})
+    measure = _Measure(rig, codes, motion, bounds, weight_tolerance)
+    kept = _split(measure, np.unique([0, len(codes) - 1]))
+    for turn in range(JOINING):
+        kept = _joined(measure, kept, turn % 2)
+    return measure.report(kept)
+
+
+def _split(measure: _Measure, kept: IntArray) -> IntArray:
+    """Add samples until every stretch between two of them is within the tolerance."""
+    frames = np.setdiff1d(np.arange(len(measure.codes)), kept)
+    while len(frames):
+        ratios = measure.ratios(kept, frames)
+        stretch = np.searchsorted(kept, frames) - 1
+        starts = np.flatnonzero(np.diff(stretch, prepend=-1))
+        worst = np.maximum.reduceat(ratios, starts)
+        beyond = worst > 1
+        if not beyond.any():
+            break
+        of_frame = np.repeat(np.arange(len(starts)), np.diff([*starts, len(frames)]))
+        peaks = np.flatnonzero(ratios == worst[of_frame])
+        _, first = np.unique(of_frame[peaks], return_index=True)
+        chosen = frames[peaks[first]][beyond]
+        low, high = kept[stretch[starts[beyond]]], kept[stretch[starts[beyond]] + 1]
+        margin = ((high - low) * SPLIT_MARGIN).astype(np.int64)
+        chosen = np.clip(chosen, low + margin, high - margin)
+        frames = np.setdiff1d(frames[beyond[of_frame]], chosen)
+        kept = np.union1d(kept, chosen)
+    return kept
+
+
+def _joined(measure: _Measure, kept: IntArray, skip: int) -> IntArray:
+    """Return the samples without those of every second that are not needed."""
+    trial = np.arange(1 + skip, len(kept) - 1, 2)
+    if not len(trial):
+        return kept
+    fewer = np.delete(kept, trial)
+    frames = np.setdiff1d(np.arange(kept[trial[0] - 1], kept[trial[-1] + 1]), fewer)
+    ratios = measure.ratios(fewer, frames)
+    # Every stretch of the trial has a frame: the sample that it leaves out.
+    stretch = np.searchsorted(kept[trial - 1], frames, side="right") - 1
+    worst = np.zeros(len(trial))
+    np.maximum.at(worst, stretch, ratios)
+    return np.delete(kept, trial[worst <= 1])
+
+
+class _Measure:
+    """How far the samples that stay put everything else from where it was."""
+
+    def __init__(
+        self,
+        rig: Rig,
+        codes: FloatArray,
+        motion: Motion,
+        bounds: FloatArray,
+        weight_tolerance: float,
+    ) -> None:
+        self.rig, self.codes, self.motion = rig, codes, motion
+        self.bounds, self.weight_tolerance = bounds, weight_tolerance
+        self.points = carried_points(rig, SHELL)
+        self.truth = forward(rig, *motion.dense())
+
+    def errors(self, kept: IntArray, frames: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return errors of the joints ``(N, J)`` and of the weights ``(N,)``."""
+        at = places_between(self.codes[kept], self.codes[frames])
+        found = self.motion.select(kept).map(at.blend)
+        truth = WorldTransforms(self.truth.positions[frames], self.truth.linear[frames])
+        world = forward(self.rig, *found.dense())
+        weights = np.zeros(len(frames))
+        if found.weights is not None and self.motion.weights is not None:
+            true = self.motion.weights.values[frames]
+            off = np.abs(found.weights.values - true)
+            weights = off.max(axis=(1, 2), initial=0.0)
+        return point_errors(self.points, truth, world), weights
+
+    def ratios(self, kept: IntArray, frames: IntArray) -> FloatArray:
+        """Return the largest error at each frame, over its tolerance ``(N,)``."""
+        joints, weights = self.errors(kept, frames)
+        largest = (joints / self.bounds).max(axis=1)
+        return np.asarray(np.maximum(largest, weights / self.weight_tolerance))
+
+    def report(self, kept: IntArray) -> Thinned:
+        """Return what came of it."""
+        count = len(self.codes)
+        joints, weights = self.errors(kept, np.arange(count))
+        frame, joint = divmod(int(np.argmax(joints)), joints.shape[1])
+        return Thinned(
+            count,
+            kept,
+            float(joints[frame, joint]),
+            joint,
+            float(self.codes[frame]),
+            float(weights.max()),
+        )

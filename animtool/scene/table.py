@@ -1,0 +1,215 @@
+"""Time and size against error, over sample rates and tolerances, for one source."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.clip.points import SHELL, carried_points, point_errors
+from animtool.clip.reduce import reduce_motion
+from animtool.rates import rate_label
+from animtool.rig.kinematics import WorldTransforms, forward, rest_size
+from animtool.rig.skeleton import Rig
+from animtool.scene.bake import run_bake
+from animtool.scene.options import BakeOptions
+from animtool.scene.plan import plan_bake
+from animtool.take import Take
+from animtool.usd.play import played_world
+
+__all__ = ["BakeTable", "RowKind", "TableRow", "bake_table"]
+
+# Sample rates over the source's own. A source of samples is exact at its own.
+CURVE_RATES = (Fraction(1, 4), Fraction(1, 2), Fraction(1), Fraction(2), Fraction(4))
+SAMPLE_RATES = (Fraction(1, 8), Fraction(1, 4), Fraction(1, 2), Fraction(1))
+# Tolerances over the size of the skeleton, rounded down to a power of ten.
+TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5)
+# Instants between two frames of a curve; samples at the highest rate have one between.
+FINE = 8
+# UsdSkel plays so many instants in about a second.
+MOST_INSTANTS = 4000
+
+
+class RowKind(StrEnum):
+    """What a row tries: a rate, fewer samples of USD, or keys of a clip."""
+
+    RATE = "rate"
+    SAMPLES = "samples"
+    KEYS = "keys"
+
+
+@dataclass(frozen=True, slots=True)
+class TableRow:
+    """One setting and what it gives.
+
+    Attributes:
+        kind: What is tried.
+        setting: Rate or tolerance, in words.
+        count: Samples or keys written.
+        seconds: Wall time, of the whole bake or of the fit.
+        bytes: Size of the USD file; 0 where keys are fitted only.
+        error: Largest distance from the source, in the world, of a joint or of a
+            point 3 cm off it [m].
+        joint: Which joint's.
+        time: Where that is [s from the first frame].
+    """
+
+    kind: RowKind
+    setting: str
+    count: int
+    seconds: float
+    bytes: int
+    error: float
+    joint: str
+    time: float
+
+
+@dataclass(frozen=True, slots=True)
+class BakeTable:
+    """The rows for a source.
+
+    Attributes:
+        source: The file.
+        instants: At how many times samples were compared.
+        rows: In the order tried.
+    """
+
+    source: Path
+    instants: int
+    rows: list[TableRow]
+
+
+def bake_table(
+    source: Path | str,
+    options: BakeOptions | None = None,
+    *,
+    progress: Callable[[float], None] | None = None,
+) -> BakeTable:
+    """Bake a source in several ways, and measure what USD plays of each.
+
+    Stages are written into a temporary folder and evaluated by UsdSkel, rounding and
+    interpolation included. A clip is compared with its curves between the frames, a
+    source of samples with these.
+
+    Args:
+        source: As for `animtool.bake`.
+        options: What the source is; what to write is the table's own.
+        progress: Called with the share done, 0 to 1.
+
+    Raises:
+        FormatError: The source is malformed.
+        OptionError: An option makes no sense.
+    """
+    options = options or BakeOptions()
+    plain = BakeOptions(source=options.source, to_up=options.to_up)
+    truth, take = _truth(Path(source), plain)
+    rates = CURVE_RATES if truth.curved else SAMPLE_RATES
+    size = rest_size(take.rig) or 1.0
+    scale = 10.0 ** math.floor(math.log10(size))
+    tolerances = [tolerance * scale for tolerance in TOLERANCES]
+    trials = [
+        (RowKind.RATE, rate_label(rate), replace(plain, fps=rate))
+        for rate in (take.clock.rate * ratio for ratio in rates)
+    ]
+    thinning = replace(plain, reduce_at=options.reduce_at)
+    trials += [
+        (RowKind.SAMPLES, _millimetres(t), replace(thinning, reduce=t))
+        for t in tolerances
+    ]
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        for kind, setting, made in trials:
+            rows.append(_baked(Path(source), Path(folder), made, kind, setting, truth))
+            if progress is not None:
+                progress(len(rows) / (len(trials) + len(tolerances)))
+    for tolerance in tolerances:
+        rows.append(_keyed(take, tolerance, dict(options.reduce_at)))
+        if progress is not None:
+            progress(len(rows) / (len(trials) + len(tolerances)))
+    return BakeTable(Path(source), len(truth.seconds), rows)
+
+
+def _millimetres(meters: float) -> str:
+    return f"{meters * 1000:g} mm"
+
+
+@dataclass(frozen=True, slots=True)
+class _Truth:
+    """Where the joints of a source are at some instants [s]."""
+
+    rig: Rig
+    seconds: FloatArray
+    world: WorldTransforms
+    curved: bool
+
+
+def _truth(source: Path, options: BakeOptions) -> tuple[_Truth, Take]:
+    stream = plan_bake(source, None, options).stream
+    take = stream.collect()
+    clock = take.clock
+    per_frame = FINE if stream.curve is not None else 1
+    count = (clock.count - 1) * per_frame + 1
+    picked = np.unique(
+        np.linspace(0, count - 1, min(count, MOST_INSTANTS)).astype(np.int64)
+    )
+    frames = picked / per_frame
+    if stream.curve is None:
+        motion = take.motion.select(picked)
+    else:
+        motion = stream.curve(float(clock.start) + frames * float(clock.step))
+    world = forward(take.rig, *motion.dense())
+    seconds = frames / float(clock.rate)
+    return _Truth(take.rig, seconds, world, stream.curve is not None), take
+
+
+def _baked(
+    source: Path,
+    folder: Path,
+    options: BakeOptions,
+    kind: RowKind,
+    setting: str,
+    truth: _Truth,
+) -> TableRow:
+    output = folder / f"{kind}.usdc"
+    began = time.perf_counter()
+    plan = plan_bake(source, output, replace(options, overwrite=True))
+    result = run_bake(plan).result
+    seconds = time.perf_counter() - began
+    codes = float(plan.start) + truth.seconds * float(plan.fps)
+    found = played_world(output, codes)
+    errors = point_errors(carried_points(truth.rig, SHELL), truth.world, found)
+    at, joint = divmod(int(np.argmax(errors)), errors.shape[1])
+    return TableRow(
+        kind,
+        setting,
+        result.samples,
+        seconds,
+        result.bytes,
+        float(errors[at, joint]),
+        truth.rig.names[joint],
+        float(truth.seconds[at]),
+    )
+
+
+def _keyed(take: Take, tolerance: float, others: dict[str, float]) -> TableRow:
+    began = time.perf_counter()
+    found = reduce_motion(take, tolerance, joint_tolerances=others)
+    seconds = time.perf_counter() - began
+    return TableRow(
+        RowKind.KEYS,
+        _millimetres(tolerance),
+        found.keys,
+        seconds,
+        0,
+        found.error,
+        found.joint,
+        found.frame / float(take.clock.rate),
+    )
