@@ -22,9 +22,9 @@ from animtool.scene.options import BakeOptions
 from animtool.scene.plan import BakePlan, plan_bake
 from animtool.take import Motion
 from animtool.usd.animation import WrittenBlock, round_blocks
+from animtool.usd.author import UsdJob, UsdResult, author, write_usd
 from animtool.usd.names import UsdNames, joint_names, legal_name
 from animtool.usd.skeleton import RigPaths
-from animtool.usd.write import UsdJob, UsdResult, author, write_usd
 
 if TYPE_CHECKING:
     from animtool.edit.thin import Thinned

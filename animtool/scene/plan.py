@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from animtool.config import find_config
-from animtool.edit.reorient import reorient
 from animtool.errors import Fault, Severity
 from animtool.output import check_outputs
 from animtool.rates import rate_label
+from animtool.reorient import reorient
 from animtool.scene.options import BakeOptions, check_options, merged
 from animtool.scene.sources import open_source
 from animtool.take import TakeStream
+from animtool.usd.author import Form, output_paths
 from animtool.usd.layers import check_prim_path, check_suffix
-from animtool.usd.write import Form, output_paths
 
 if TYPE_CHECKING:
     from animtool.usd.target import JointMap, RigTarget

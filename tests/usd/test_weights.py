@@ -18,11 +18,11 @@ from animtool.errors import FormatError
 from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Channel, Motion
 from animtool.usd.animation import FLOAT32_MAX, round_blocks
+from animtool.usd.author import Form, UsdJob, UsdResult, author, write_usd
 from animtool.usd.names import joint_names
 from animtool.usd.read import read_usd
 from animtool.usd.skeleton import RigPaths
 from animtool.usd.target import map_joints, missing_shapes, open_target
-from animtool.usd.write import Form, UsdJob, UsdResult, author, write_usd
 
 SHAPES = ("smile", "blink", "frown", "jaw")
 RIG = Rig("hero", (Joint("Hips", -1), Joint("Spine", 0, translation=(0, 1, 0))))

@@ -7,8 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 from support.bvh import random_rows, small_bvh
 
-from animtool.edit.reorient import reorient
 from animtool.formats.bvh import read_bvh
+from animtool.reorient import reorient
 from animtool.rig.kinematics import forward, rest_world
 from animtool.take import Take
 from animtool.units import UpAxis

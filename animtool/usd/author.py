@@ -111,6 +111,7 @@ class UsdResult:
         joints: Joints in the SkelAnimation.
         rounding: What rounding to float32 moved.
         curves: What became of the curves of controls.
+        notices: Warnings and notes of `animtool.usd.write`.
     """
 
     outputs: list[Path] = field(default_factory=list)
@@ -122,6 +123,7 @@ class UsdResult:
     joints: int = 0
     rounding: Rounding = field(default_factory=Rounding)
     curves: list[CurveReport] = field(default_factory=list)
+    notices: list[Fault] = field(default_factory=list)
 
 
 def output_paths(output: Path, form: Form) -> list[Path]:
