@@ -6,6 +6,8 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from animtool import usd as usd
+    from animtool.clip.clip import Clip as Clip
     from animtool.errors import AnimtoolError as AnimtoolError
     from animtool.errors import Fault as Fault
     from animtool.formats.bvh import read_bvh as read_bvh
@@ -17,7 +19,6 @@ if TYPE_CHECKING:
     from animtool.scene.bake import bake as bake
     from animtool.scene.convert import convert as convert
     from animtool.scene.options import BakeOptions as BakeOptions
-    from animtool.scene.rigs import open_rig as open_rig
     from animtool.scene.sources import SourceOptions as SourceOptions
     from animtool.scene.sources import open_source as open_source
     from animtool.take import Take as Take
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 _PUBLIC = {
     "AnimtoolError": "animtool.errors",
     "BakeOptions": "animtool.scene.options",
+    "Clip": "animtool.clip.clip",
     "Fault": "animtool.errors",
     "Joint": "animtool.rig.skeleton",
     "Rig": "animtool.rig.skeleton",
@@ -36,9 +38,9 @@ _PUBLIC = {
     "compare": "animtool.report.compare",
     "convert": "animtool.scene.convert",
     "describe": "animtool.report.describe",
-    "open_rig": "animtool.scene.rigs",
     "open_source": "animtool.scene.sources",
     "read_bvh": "animtool.formats.bvh",
+    "usd": "animtool.usd",
     "write_bvh": "animtool.formats.bvh",
 }
 
@@ -49,7 +51,9 @@ def __getattr__(name: str) -> object:
     """Import a public name when it is first used."""
     if name not in _PUBLIC:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value: object = getattr(importlib.import_module(_PUBLIC[name]), name)
+    module = importlib.import_module(_PUBLIC[name])
+    is_module = _PUBLIC[name] == f"{__name__}.{name}"
+    value: object = module if is_module else getattr(module, name)
     globals()[name] = value
     return value
 

@@ -16,6 +16,7 @@ __all__ = [
     "OutputError",
     "Severity",
     "StrictError",
+    "counted",
     "excerpt",
     "listed",
     "refuse_warnings",
@@ -148,6 +149,15 @@ def listed(items: Sequence[object], most: int = 5) -> str:
     ('a, b', '0, 1 …')
     """
     return ", ".join(map(str, items[:most])) + (" …" if len(items) > most else "")
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a number of things.
+
+    >>> counted(1, "joint"), counted(3, "joint")
+    ('1 joint', '3 joints')
+    """
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def refuse_warnings(notices: Sequence[Fault], *, strict: bool) -> None:

@@ -7,7 +7,6 @@ names both. The table holds the passes by name; they are imported when used.
 from __future__ import annotations
 
 import difflib
-import importlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import Any, TypeAlias, cast
 
 from animtool.errors import Fault, OptionError, excerpt
+from animtool.plugins import load_object, load_plugin, plugin_points
 from animtool.take import Take, TakeStream
 
 __all__ = [
@@ -119,32 +119,16 @@ def find_pass(name: str) -> Pass:
     >>> find_pass("trim").scope
     <Scope.FRAME: 'frame'>
     """
-    place = PASSES.get(name)
-    if place is None:
-        return _plugin(name)
-    module, _, attribute = place.partition(":")
-    return cast(Pass, getattr(importlib.import_module(module), attribute))
-
-
-def _plugin(name: str) -> Pass:
-    # Reading entry points is slow, so it is left to names that the table lacks.
-    from importlib.metadata import entry_points
-
-    found = {point.name: point for point in entry_points(group=PLUGIN_GROUP)}
-    point = found.get(name)
-    if point is None:
-        allowed = sorted({*PASSES, *found})
-        near = difflib.get_close_matches(name, allowed, 1)
-        hint = f"did you mean {near[0]}?" if near else None
-        message = f"no pass is named {excerpt(name)}; there are {', '.join(allowed)}"
-        raise OptionError(Fault("SCN010", message, hint=hint))
-    try:
-        loaded = point.load()
-    except Exception as error:
-        raise _broken(point.name, point.value, str(error)) from error
-    if not isinstance(loaded, Pass):
-        raise _broken(point.name, point.value, f"a {type(loaded).__name__}, no Pass")
-    return loaded
+    if name in PASSES:
+        return cast(Pass, load_object(PASSES[name]))
+    found = plugin_points(PLUGIN_GROUP)
+    if name in found:
+        return load_plugin(found[name], Pass, "SCN011")
+    allowed = sorted({*PASSES, *found})
+    near = difflib.get_close_matches(name, allowed, 1)
+    hint = f"did you mean {near[0]}?" if near else None
+    message = f"no pass is named {excerpt(name)}; there are {', '.join(allowed)}"
+    raise OptionError(Fault("SCN010", message, hint=hint))
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,23 +154,17 @@ def listed_passes() -> list[ListedPass]:
     >>> listed_passes()[0].name
     'blend'
     """
-    from importlib.metadata import entry_points
-
-    own = {name: "animtool" for name in sorted(PASSES)}
-    others = {p.name: p.value for p in entry_points(group=PLUGIN_GROUP)}
+    sources = {name: "animtool" for name in sorted(PASSES)}
+    for name, point in sorted(plugin_points(PLUGIN_GROUP).items()):
+        sources.setdefault(name, point.value)
     found = []
-    for name, source in [*own.items(), *sorted(others.items() - own.items())]:
+    for name, source in sources.items():
         try:
             loaded = find_pass(name)
             found.append(ListedPass(name, source, loaded.scope, loaded.summary))
         except OptionError as error:
             found.append(ListedPass(name, source, None, error.faults[0].message))
     return found
-
-
-def _broken(name: str, value: str, why: str) -> OptionError:
-    message = f"the plug-in pass {excerpt(name)} ({value}) cannot be loaded: {why}"
-    return OptionError(Fault("SCN011", message, hint="mend or remove the plug-in"))
 
 
 def apply_pass(

@@ -155,8 +155,10 @@ _BROADCAST = {
 }
 
 
-def parse_rate(text: str | float) -> Fraction:
+def parse_rate(text: str | float | Fraction) -> Fraction:
     """Return the rate that a person wrote: ``24``, ``23.976`` or ``24000/1001``.
+
+    A fraction is taken as it is.
 
     Raises:
         ValueError: It is not a positive number.
@@ -164,7 +166,9 @@ def parse_rate(text: str | float) -> Fraction:
     >>> parse_rate("29.97")
     Fraction(30000, 1001)
     """
-    text = text.strip() if isinstance(text, str) else f"{text:.12g}"
+    if not isinstance(text, str):
+        text = str(text) if isinstance(text, Fraction) else f"{text:.12g}"
+    text = text.strip()
     if text in _BROADCAST:
         return _BROADCAST[text]
     try:

@@ -9,15 +9,29 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from itertools import pairwise
 
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault
+from animtool.errors import Fault, OptionError, counted
 from animtool.maths.curves import Curves
+from animtool.rates import rate_label
+from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 
-__all__ = ["Channel", "Clock", "Motion", "Take", "TakeStream", "time_codes"]
+__all__ = [
+    "MOST_FRAMES",
+    "Channel",
+    "Clock",
+    "Motion",
+    "Take",
+    "TakeStream",
+    "time_codes",
+]
+
+# Days of animation: rather a number that is mistyped.
+MOST_FRAMES = 10_000_000
 
 
 def time_codes(start: Fraction, step: Fraction, count: int) -> FloatArray:
@@ -81,6 +95,16 @@ class Channel:
     animated: IntArray
     values: FloatArray
 
+    def __repr__(self) -> str:
+        """Return how much there is of what.
+
+        >>> Channel.from_dense(np.zeros((5, 2, 3)))
+        <Channel: 5 frames, 0 of 2 move, 3 components>
+        """
+        frames, _, width = self.values.shape
+        moving = f"{len(self.animated)} of {len(self.rest)} move"
+        return f"<Channel: {frames} frames, {moving}, {width} components>"
+
     def dense(self) -> FloatArray:
         """Return the value of every joint in every frame ``(F, J, K)``."""
         whole = np.repeat(self.rest[None], len(self.values), axis=0)
@@ -104,7 +128,11 @@ class Channel:
 
     @staticmethod
     def from_dense(values: FloatArray) -> Channel:
-        """Return the channel of values ``(F, J, K)``, static joints stored once."""
+        """Return the channel of values ``(F, J, K)``, static joints stored once.
+
+        >>> Channel.from_dense(np.arange(12.0).reshape(2, 2, 3)).animated.tolist()
+        [0, 1]
+        """
         return Channel(values[0].copy(), np.arange(values.shape[1]), values).compact()
 
     @staticmethod
@@ -138,6 +166,15 @@ class Motion:
     def frames(self) -> int:
         """Number of frames."""
         return len(self.rotations.values)
+
+    def __repr__(self) -> str:
+        """Return how much there is of what."""
+        parts = [f"{self.frames} frames", f"{len(self.rotations.rest)} joints"]
+        for name in ("weights", "controls"):
+            channel: Channel | None = getattr(self, name)
+            if channel is not None:
+                parts.append(f"{len(channel.rest)} {name}")
+        return f"<Motion: {', '.join(parts)}>"
 
     def dense(self) -> tuple[FloatArray, FloatArray, FloatArray | None]:
         """Return translations, rotations and scales of every joint in every frame."""
@@ -187,11 +224,81 @@ class Take:
         rig: J joints.
         clock: When its F frames are.
         motion: What they hold.
+        notices: Warnings and notes about where it comes from.
+
+    Raises:
+        OptionError: The motion's arrays are not of the rig's joints, shapes and
+            controls, or not of the clock's frames (TAKE001), or a channel's joints
+            do not ascend (TAKE002), with every such fault.
     """
 
     rig: Rig
     clock: Clock
     motion: Motion
+    notices: tuple[Fault, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check that rig, clock and motion fit together."""
+        faults = _misfits(self)
+        if faults:
+            raise OptionError(faults)
+
+    def world(self) -> WorldTransforms:
+        """Return where every joint is in every frame, world space.
+
+        >>> from animtool.rig.skeleton import Joint
+        >>> rig = Rig("arm", (Joint("a", -1), Joint("b", 0, translation=(0, 2, 0))))
+        >>> still = Motion(
+        ...     Channel.from_dense(rig.rest_translations[None]),
+        ...     Channel.from_dense(rig.rest_rotations[None]),
+        ... )
+        >>> clock = Clock(Fraction(24), Fraction(1), Fraction(1), 1)
+        >>> Take(rig, clock, still).world().positions[0].tolist()
+        [[0.0, 0.0, 0.0], [0.0, 2.0, 0.0]]
+        """
+        return forward(self.rig, *self.motion.dense())
+
+    def __repr__(self) -> str:
+        """Return the rig's name, the frames and the joints."""
+        clock, joints = self.clock, counted(len(self.rig.joints), "joint")
+        last = clock.start + clock.step * (clock.count - 1)
+        every = "" if clock.step == 1 else f" every {float(clock.step):g}"
+        frames = counted(clock.count, "frame")
+        return (
+            f"<Take of {self.rig.name!r}: {frames} from "
+            f"{float(clock.start):g} to {float(last):g}{every} "
+            f"at {rate_label(clock.fps)}, {joints}>"
+        )
+
+
+def _misfits(take: Take) -> list[Fault]:
+    """Return what of a take is not of the same frames, joints, shapes and controls."""
+    rig, motion, frames = take.rig, take.motion, take.clock.count
+    expected = [
+        ("translations", motion.translations, len(rig.joints), 3),
+        ("rotations", motion.rotations, len(rig.joints), 4),
+        ("scales", motion.scales, len(rig.joints), 3),
+        ("weights", motion.weights, len(rig.shapes), 1),
+        ("controls", motion.controls, len(rig.controls), 1),
+    ]
+    faults = []
+    for name, channel, many, width in expected:
+        if channel is None:
+            continue
+        moving = len(channel.animated)
+        for part, wanted, found in (
+            ("rest", (many, width), channel.rest.shape),
+            ("animated", (moving,), channel.animated.shape),
+            ("values", (frames, moving, width), channel.values.shape),
+        ):
+            if wanted != found:
+                message = f"{name}.{part} must have shape {wanted}, not {found}"
+                faults.append(Fault("TAKE001", message))
+        order = [-1, *channel.animated.ravel().tolist(), many]
+        if not all(a < b for a, b in pairwise(order)):
+            message = f"{name}.animated must ascend from 0 to below {many}"
+            faults.append(Fault("TAKE002", message))
+    return faults
 
 
 @dataclass(slots=True)
@@ -230,12 +337,18 @@ class TakeStream:
         """Return the whole take, static joints stored once."""
         motion = Motion.concatenate(list(self.blocks)).map(Channel.compact)
         start = Fraction(1) if self.start is None else self.start
-        return Take(self.rig, Clock(self.fps, start, self.step, motion.frames), motion)
+        clock = Clock(self.fps, start, self.step, motion.frames)
+        return Take(self.rig, clock, motion, tuple(self.notices))
 
     @staticmethod
     def of(take: Take) -> TakeStream:
         """Return a stream of one block."""
         clock = take.clock
         return TakeStream(
-            take.rig, clock.fps, clock.start, clock.step, iter([take.motion])
+            take.rig,
+            clock.fps,
+            clock.start,
+            clock.step,
+            iter([take.motion]),
+            list(take.notices),
         )

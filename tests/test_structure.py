@@ -16,11 +16,13 @@ PACKAGE = Path(animtool.__file__).parent
 # A package imports from those above it only.
 LAYERS = [
     {"errors", "units", "rates", "output", "config", "prefetch", "_types", "_kernels"},
+    {"plugins"},
+    {"readers"},
     {"maths"},
     {"documents"},
     {"rig"},
     {"take"},
-    {"passes"},
+    {"passes", "reorient"},
     {"clip"},
     {"formats"},
     {"usd"},

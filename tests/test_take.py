@@ -1,14 +1,23 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
-from animtool.take import Channel, Clock, time_codes
+from animtool._types import FloatArray
+from animtool.errors import AnimtoolError, Fault
+from animtool.formats.bvh import read_bvh
+from animtool.maths import so3
+from animtool.rig.kinematics import forward
+from animtool.rig.skeleton import Joint, Rig
+from animtool.take import Channel, Clock, Motion, Take, TakeStream, time_codes
 
 
 @given(
@@ -61,3 +70,83 @@ def test_concatenate_undoes_select() -> None:
     channel = Channel.from_dense(values)
     parts = [channel.select(slice(0, 2)), channel.select(slice(2, 6))]
     assert_array_equal(Channel.concatenate(parts).dense(), values)
+
+
+ARM = Rig("arm", (Joint("a", -1), Joint("b", 0, translation=(0.0, 2.0, 0.0))))
+
+
+def dense_motion(frames: int = 5, **others: FloatArray) -> Motion:
+    rng = np.random.default_rng(1)
+    values = {
+        "translations": rng.normal(size=(frames, 2, 3)),
+        "rotations": so3.align_signs(so3.normalize(rng.normal(size=(frames, 2, 4)))),
+        **others,
+    }
+    return Motion(**{name: Channel.from_dense(v) for name, v in values.items()})
+
+
+def take_of(motion: Motion, count: int = 5, rig: Rig = ARM) -> Take:
+    return Take(rig, Clock(Fraction(24), Fraction(1), Fraction(1), count), motion)
+
+
+def test_the_world_of_a_take() -> None:
+    take = take_of(dense_motion())
+    world = take.world()
+    translations, rotations, _ = take.motion.dense()
+    assert_array_equal(world.positions, forward(ARM, *take.motion.dense()).positions)
+    whole = so3.multiply(rotations[:, 0], rotations[:, 1])
+    assert_allclose(so3.angle_between(world.rotations[:, 1], whole), 0, atol=1e-7)
+    assert (np.sum(world.rotations[1:] * world.rotations[:-1], axis=-1) >= 0).all()
+    assert_allclose(world.scales, 1.0)
+    expected = translations[:, 0] + so3.rotate(rotations[:, 0], translations[:, 1])
+    assert_allclose(world.positions[:, 1], expected, atol=1e-12)
+
+
+def test_scales_of_the_world() -> None:
+    scales = np.ones((5, 2, 3))
+    scales[:, 0] = 2.0
+    scales[:, 1] = [1.0, 3.0, 0.5]
+    world = take_of(dense_motion(scales=scales)).world()
+    assert_allclose(world.scales[:, 1], np.tile([2.0, 6.0, 1.0], (5, 1)))
+    plain = take_of(dense_motion()).world()
+    assert_allclose(so3.angle_between(world.rotations, plain.rotations), 0, atol=1e-7)
+
+
+def wrong(**parts: Any) -> Motion:
+    motion = dense_motion()
+    return replace(motion, rotations=replace(motion.rotations, **parts))
+
+
+@pytest.mark.parametrize(
+    ("motion", "count", "codes"),
+    [
+        (dense_motion(), 6, ["TAKE001"] * 2),
+        (dense_motion(rotations=np.ones((5, 3, 4))), 5, ["TAKE001"]),
+        (dense_motion(rotations=np.ones((5, 2, 3))), 5, ["TAKE001"] * 2),
+        (dense_motion(translations=np.ones((4, 2, 3))), 5, ["TAKE001"]),
+        (dense_motion(weights=np.ones((5, 1, 1))), 5, ["TAKE001"]),
+        (wrong(values=np.ones((5, 1, 4))), 5, ["TAKE001"]),
+        (wrong(animated=np.array([1, 0])), 5, ["TAKE002"]),
+        (wrong(animated=np.array([0, 2])), 5, ["TAKE002"]),
+        (wrong(animated=np.array([-1, 0])), 5, ["TAKE002"]),
+    ],
+)
+def test_a_take_that_does_not_fit(motion: Motion, count: int, codes: list[str]) -> None:
+    with pytest.raises(AnimtoolError) as caught:
+        take_of(motion, count)
+    assert [fault.code for fault in caught.value.faults] == codes
+
+
+def test_notices_stay_with_a_take() -> None:
+    note = Fault("BVH109", "small")
+    take = replace(take_of(dense_motion()), notices=(note,))
+    assert TakeStream.of(take).collect().notices == (note,)
+
+
+def test_what_is_long_has_a_short_repr(walk: Path) -> None:
+    take = read_bvh(walk).collect()
+    world = take.world()
+    for thing in (take, take.rig, take.motion, take.motion.rotations, world):
+        assert "\n" not in repr(thing)
+        assert len(repr(thing)) < 120
+    assert repr(take) == "<Take of 'walk': 64 frames from 1 to 64 at 30 fps, 21 joints>"

@@ -18,15 +18,17 @@ from animtool.clip.clip import (
     Tangent,
 )
 from animtool.clip.schema import ChannelModel, ClipModel, KeyModel
+from animtool.clip.targets import target_kind
 from animtool.config import project_roots
 from animtool.documents.arrays import referred
-from animtool.documents.check import check_version, nearest, validated
+from animtool.documents.check import check_version, validated
 from animtool.documents.document import Document, Location, read_document
+from animtool.errors import Fault, OptionError
 from animtool.maths import so3
 from animtool.maths.extrapolation import Extrapolation
 from animtool.rates import parse_rate
 from animtool.rig.skeleton import Rig
-from animtool.rig.targets import KEYED_PARTS, split_part
+from animtool.rig.targets import split_part
 from animtool.units import LengthUnit
 
 __all__ = ["ClipFile", "load_clip", "open_clip"]
@@ -61,6 +63,18 @@ class ClipFile:
     document: Document
     model: ClipModel
     rig: Path | None
+
+    def needed_rig(self) -> Path:
+        """Return the rig that the clip names.
+
+        Raises:
+            OptionError: It names none (CLIP011).
+        """
+        if self.rig is None:
+            path = str(self.document.path)
+            hint = "write 'rig: hero.rig.yaml' into it, or give a rig (--rig)"
+            raise OptionError(Fault("CLIP011", "names no rig", path, (), hint))
+        return self.rig
 
 
 def open_clip(path: Path | str) -> ClipFile:
@@ -187,49 +201,11 @@ class _ClipReader:
         )
 
     def _kind(self, at: Location, target: str) -> str | None:
-        """Return what a target is: control, shape, angle, slide, vector, rotation."""
-        group, _, name = target.partition("/")
-        if group in {"control", "shape"} and name:
-            things = self.rig.controls if group == "control" else self.rig.shapes
-            names = [thing.name for thing in things]
-            if name not in names:
-                hint = nearest(name, names)
-                self.document.add("CLIP002", at, f"{name!r} is no {group}", hint)
-                return None
-            return group
-        if group != "joint" or not name:
-            message = f"{target!r} is no target"
-            hint = "control/NAME, shape/NAME or joint/NAME.PART"
-            self.document.add("CLIP001", at, message, hint)
+        found = target_kind(target, self.rig)
+        if isinstance(found, Fault):
+            self.document.add(found.code, at, found.message, found.hint)
             return None
-        return self._joint_kind(at, name)
-
-    def _joint_kind(self, at: Location, name: str) -> str | None:
-        joint, part = split_part(name, KEYED_PARTS)
-        names = self.rig.names
-        if not part:
-            message = f"{name!r} names no part of a joint"
-            hint = f"a joint's name and one of .{', .'.join(KEYED_PARTS)}"
-            self.document.add("CLIP001", at, message, hint)
-            return None
-        if joint not in names:
-            hint = nearest(joint, names)
-            self.document.add("CLIP002", at, f"{joint!r} is no joint", hint)
-            return None
-        found = self.rig.joints[self.rig.index(joint)]
-        if found.type not in KEYED_PARTS[part]:
-            fitting = [p for p, types in KEYED_PARTS.items() if found.type in types]
-            message = f"a {found.type} joint has no {part}"
-            hint = f"it has {', '.join(fitting)}"
-            self.document.add("CLIP003", at, message, hint)
-            return None
-        if found.mimic is not None and part in {"angle", "slide"}:
-            message = f"{joint!r} follows {found.mimic.joint!r}"
-            self.document.add("CLIP003", at, message, "key that joint")
-            return None
-        return {"angle": "angle", "slide": "slide", "scale": "scale"}.get(
-            part, "rotation" if part.endswith("rotation") else "translation"
-        )
+        return found
 
     def _shape(self, kind: str, model: ChannelModel) -> tuple[int, float]:
         """Return the number of components and what 1 means."""

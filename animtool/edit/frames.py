@@ -6,12 +6,9 @@ import math
 from fractions import Fraction
 
 from animtool.errors import Fault, OptionError
-from animtool.take import Clock
+from animtool.take import MOST_FRAMES, Clock
 
-__all__ = ["MOST_FRAMES", "check_count", "exact", "frame_index", "frame_refusal"]
-
-# Days of animation: rather a number that is mistyped.
-MOST_FRAMES = 10_000_000
+__all__ = ["check_count", "exact", "frame_index", "frame_refusal"]
 
 
 def exact(number: float, name: str) -> Fraction:

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
-from animtool.edit.frames import MOST_FRAMES
 from animtool.edit.places import Places, even_places
 from animtool.errors import Fault, OptionError
 from animtool.passes import Pass, PassContext, Scope
 from animtool.rates import parse_rate
-from animtool.take import Clock, Motion, Take, time_codes
+from animtool.take import MOST_FRAMES, Clock, Motion, Take, time_codes
 
 __all__ = [
     "PASS",
@@ -174,7 +173,7 @@ def resampled(take: Take, fps: Fraction) -> Take:
     times = plan_samples(take.clock, fps, take.clock.start)
     motion = Motion.concatenate([block for _, block in sample(take, times)])
     clock = Clock(fps, take.clock.start, Fraction(1), motion.frames)
-    return Take(take.rig, clock, motion)
+    return replace(take, clock=clock, motion=motion)
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,6 +23,7 @@ __all__ = [
     "normalize",
     "rotate",
     "slerp",
+    "split_scale",
     "to_matrix",
 ]
 
@@ -243,3 +244,24 @@ def from_matrix(matrix: ArrayLike) -> FloatArray:
     table = np.stack(rows, axis=-2)
     q = normalize(np.take_along_axis(table, pivot[..., None, None], axis=-2)[..., 0, :])
     return np.where(q[..., 3:] < 0, -q, q) + 0.0
+
+
+def split_scale(linear: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Split linear maps ``(..., 3, 3)`` into rotations and scales, ``L = R·S``.
+
+    A mirror becomes a negative scale on all three axes. Shear is left out.
+
+    Returns:
+        Unit quaternions ``(..., 4)``, and scales ``(..., 3)``: the lengths of the
+        columns.
+
+    >>> rotation, scale = split_scale(np.diag([2.0, 1.0, -1.0]))
+    >>> rotation.tolist(), scale.tolist()
+    ([0.0, 0.0, 1.0, 0.0], [-2.0, -1.0, -1.0])
+    """
+    linear = np.asarray(linear, np.float64)
+    scales = np.linalg.norm(linear, axis=-2)
+    mirrored = np.linalg.det(linear) < 0
+    scales = np.where(mirrored[..., None], -scales, scales)
+    divisor = np.where(scales == 0, 1.0, scales)[..., None, :]
+    return from_matrix(linear / divisor), scales

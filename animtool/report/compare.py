@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.edit.reorient import reorient
 from animtool.edit.resample import resampled
 from animtool.errors import listed
 from animtool.maths import so3
+from animtool.reorient import reorient
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Rig
-from animtool.scene.sources import SourceOptions, open_source
+from animtool.scene.sources import SourceOptions, open_source, takes_option
 from animtool.take import Take
 
 # USD holds scales as 16-bit floats, which are 5e-4 apart near one.
@@ -84,8 +84,8 @@ def compare(
     """
     streams = []
     for path in (first, second):
-        is_bvh = Path(path).suffix.lower() == ".bvh"
-        streams.append(open_source(path, options if is_bvh else None))
+        leaves_open = takes_option(Path(path), "unit")
+        streams.append(open_source(path, options if leaves_open else None))
     one, two = streams
     found = compare_takes(one.collect(), reorient(two, one.rig.up).collect())
     if None not in {one.start, two.start} and one.start != two.start:

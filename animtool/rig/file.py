@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from animtool.documents.arrays import referred
 from animtool.documents.check import check_version, nearest, validated
 from animtool.documents.document import Document, read_document
 from animtool.errors import AnimtoolError
+from animtool.readers import DOCUMENT, find_reader
 from animtool.rig.joint_entries import FileUnits, joints_of, quaternion
 from animtool.rig.part_entries import PartReader
 from animtool.rig.schema import RigModel
@@ -20,24 +21,25 @@ from animtool.units import LengthUnit, UpAxis
 
 __all__ = ["load_rig", "rig_of_document"]
 
-RigReader = Callable[[Path], Rig]
+# A sidecar of a sidecar is odd; this many of them are no studio's rig.
+MOST_SIDECARS = 8
 
 
-def load_rig(path: Path | str, reader: RigReader | None = None) -> Rig:
-    """Return the rig of a rig file.
+def load_rig(path: Path | str, above: tuple[Path, ...] = ()) -> Rig:
+    """Return the rig of a rig file, and of what its ``from`` leads to.
 
     Args:
         path: The file.
-        reader: Opens the file that a sidecar's ``from`` names; None opens none.
+        above: The files whose ``from`` led here, the outermost first.
 
     Raises:
         FormatError: With every fault of the file, each with line and column.
         OptionError: The project's settings are malformed.
     """
-    return rig_of_document(read_document(Path(path)), reader)
+    return rig_of_document(read_document(Path(path)), above)
 
 
-def rig_of_document(document: Document, reader: RigReader | None = None) -> Rig:
+def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
     """Return the rig of a document; see `load_rig`."""
     check_version(document, "rig")
     model = validated(document, RigModel)
@@ -48,7 +50,7 @@ def rig_of_document(document: Document, reader: RigReader | None = None) -> Rig:
     )
     base = None
     if model.source is not None:
-        base = _base(document, model.source, roots, reader)
+        base = _base(document, model.source, roots, above)
         document.check()
     joints = joints_of(document, model.joints, units) if base is None else ()
     if base is not None:
@@ -81,18 +83,24 @@ def rig_of_document(document: Document, reader: RigReader | None = None) -> Rig:
 
 
 def _base(
-    document: Document, name: str, roots: tuple[Path, ...], reader: RigReader | None
+    document: Document, name: str, roots: tuple[Path, ...], above: tuple[Path, ...]
 ) -> Rig | None:
     """Return the rig that a sidecar adds to."""
     path = referred(document, ("from",), name, roots, "RIG021")
     if path is None:
         return None
-    if reader is None:
-        message = f"{name!r} is not read here"
-        document.add("RIG023", ("from",), message, "animtool.open_rig reads it")
+    above = (*above, document.path.resolve())
+    if path in above:
+        document.add("RIG026", ("from",), f"{name!r} leads back to where it came from")
+        return None
+    if len(above) >= MOST_SIDECARS:
+        message = f"more than {MOST_SIDECARS} files lead on to another"
+        document.add("RIG026", ("from",), message)
         return None
     try:
-        return reader(path)
+        if find_reader(path) is DOCUMENT:
+            return load_rig(path, above)
+        return Rig.load(path)
     except AnimtoolError as error:
         for fault in error.faults:
             document.add("RIG023", ("from",), str(fault))

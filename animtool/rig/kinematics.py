@@ -8,6 +8,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import ArrayLike, FloatArray, as_floats
+from animtool.maths import so3
 from animtool.rig.skeleton import Rig
 
 __all__ = ["WorldTransforms", "forward", "rest_size", "rest_world"]
@@ -25,6 +26,25 @@ class WorldTransforms:
 
     positions: FloatArray
     linear: FloatArray
+
+    @property
+    def rotations(self) -> FloatArray:
+        """Unit quaternions ``(F, J, 4)``, signs continuous along time.
+
+        Where a scaled joint carries a turned one, there is shear, which no rotation
+        and scale can hold: it is left out.
+        """
+        return so3.align_signs(so3.split_scale(self.linear)[0])
+
+    @property
+    def scales(self) -> FloatArray:
+        """Lengths of the joints' axes ``(F, J, 3)`` [1], negative in a mirror."""
+        return so3.split_scale(self.linear)[1]
+
+    def __repr__(self) -> str:
+        """Return the numbers of frames and joints."""
+        frames, joints, _ = self.positions.shape
+        return f"<WorldTransforms: {frames} frames, {joints} joints>"
 
 
 def forward(

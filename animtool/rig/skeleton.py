@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
+from pathlib import Path
+from typing import cast
 
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault, OptionError, counted, excerpt
+from animtool.readers import find_reader
 from animtool.rig.controls import Control
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import (
@@ -21,7 +26,7 @@ from animtool.rig.parts import (
     Shape,
     Vector,
 )
-from animtool.units import UpAxis
+from animtool.units import UpAxis, unit_name
 
 __all__ = ["Joint", "JointType", "Mimic", "Pose", "Rig"]
 
@@ -115,7 +120,8 @@ class Rig:
         radians_per_unit: Angle unit of the source [rad]; inside they are radians.
 
     Raises:
-        ValueError: A name stands twice, or a parent does not precede its child.
+        OptionError: A name stands twice (RIG001), or a parent does not precede its
+            child (RIG003), with every such fault.
     """
 
     name: str
@@ -135,20 +141,59 @@ class Rig:
     def __post_init__(self) -> None:
         """Check the tree and index it by name."""
         index: dict[str, int] = {}
+        faults = []
         for i, joint in enumerate(self.joints):
             if joint.name in index:
-                raise ValueError(f"two joints are named {joint.name!r}")
+                faults.append(Fault("RIG001", f"two joints are named {joint.name!r}"))
             if not -1 <= joint.parent < i:
-                raise ValueError(f"the parent of {joint.name!r} must precede it")
+                message = f"the parent of {joint.name!r} must precede it"
+                faults.append(Fault("RIG003", message))
             index[joint.name] = i
+        if faults:
+            raise OptionError(faults)
         object.__setattr__(self, "_index", index)
+
+    @classmethod
+    def load(cls, path: Path | str) -> Rig:
+        """Return the rig of a rig file, of a USD file's Skeleton, or of a BVH.
+
+        A rig file that says ``from`` takes its joints from the file named there.
+
+        Raises:
+            FormatError: The file cannot be read or is malformed, with every fault.
+            OptionError: Its suffix is none that animtool reads.
+        """
+        path = Path(path)
+        return cast(Rig, find_reader(path).rig_opener(path)(path))
+
+    def __repr__(self) -> str:
+        """Return the name, and how much there is of what.
+
+        >>> Rig("arm", (Joint("upper", -1), Joint("lower", 0)))
+        <Rig 'arm': 2 joints, in m, Y up>
+        """
+        parts = [counted(len(self.joints), "joint")]
+        for name in ("meshes", "shapes", "controls"):
+            count = len(getattr(self, name))
+            if count:
+                parts.append(f"{count} {name}")
+        unit = unit_name(self.meters_per_unit)
+        return f"<Rig {self.name!r}: {', '.join(parts)}, in {unit}, {self.up} up>"
 
     def index(self, name: str) -> int:
         """Return the index of a joint.
 
         Raises:
-            KeyError: There is none of that name.
+            OptionError: There is none of that name (RIG008).
+
+        >>> Rig("arm", (Joint("upper", -1), Joint("lower", 0))).index("lower")
+        1
         """
+        if name not in self._index:
+            near = difflib.get_close_matches(name, self._index, 1)
+            hint = f"did you mean {near[0]}?" if near else None
+            message = f"no joint of {self.name!r} is {excerpt(name)}"
+            raise OptionError(Fault("RIG008", message, hint=hint))
         return self._index[name]
 
     @property

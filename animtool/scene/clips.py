@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -13,9 +14,8 @@ from animtool._types import FloatArray
 from animtool.clip.file import load_clip, open_clip
 from animtool.clip.sample import sample_clip
 from animtool.clip.segments import curves_of
-from animtool.edit.frames import MOST_FRAMES
-from animtool.errors import Fault, FormatError, OptionError
-from animtool.scene.rigs import open_rig
+from animtool.errors import FormatError
+from animtool.rig.skeleton import Rig
 from animtool.take import Motion, TakeStream
 from animtool.units import unit_name
 
@@ -23,13 +23,13 @@ __all__ = ["open_clip_source"]
 
 
 def open_clip_source(
-    path: Path, rig_path: Path | None = None, *, clamp: bool = False
+    path: Path, *, rig: Path | None = None, clamp: bool = False
 ) -> TakeStream:
     """Open a clip as a source that can be sampled at any time.
 
     Args:
         path: The clip.
-        rig_path: Its rig; None is the one that the clip names.
+        rig: Its rig file; None is the one that the clip names.
         clamp: Bring controls into their ranges, and joints into their limits.
 
     Raises:
@@ -37,30 +37,22 @@ def open_clip_source(
         OptionError: No rig is named.
     """
     file = open_clip(path)
-    named = rig_path or file.rig
-    if named is None:
-        hint = "write 'rig: hero.rig.yaml' into it, or give --rig"
-        raise OptionError(Fault("CLIP011", "names no rig", str(path), (), hint))
-    rig = open_rig(named)
-    clip = load_clip(file, rig)
-    count = int(clip.last - clip.first) + 1
-    if count > MOST_FRAMES:
-        message = f"the range has {count} frames"
-        raise FormatError(Fault("CLIP006", message, str(path)))
-    stream = TakeStream(rig, clip.fps, clip.first, Fraction(1), iter(()))
+    named = rig or file.needed_rig()
+    loaded = Rig.load(named)
+    clip = load_clip(file, loaded)
+    with _named(path):
+        count = clip.frame_count()
+    stream = TakeStream(loaded, clip.fps, clip.first, Fraction(1), iter(()))
     stream.details = {
         "format": "clip",
         "rig": str(named),
         "channels": len(clip.channels),
-        "units": unit_name(rig.meters_per_unit),
+        "units": unit_name(loaded.meters_per_unit),
     }
 
     def curve(times: FloatArray) -> Motion:
-        try:
-            sampled = sample_clip(clip, rig, times, clamp=clamp)
-        except FormatError as error:
-            faults = [replace(fault, path=str(path)) for fault in error.faults]
-            raise FormatError(faults) from error
+        with _named(path):
+            sampled = sample_clip(clip, loaded, times, clamp=clamp)
         stream.notices += [replace(note, path=str(path)) for note in sampled.notices]
         return sampled.motion
 
@@ -74,3 +66,13 @@ def open_clip_source(
         if channel.target.startswith("control/")
     }
     return stream
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Give the faults of a clip the name of its file."""
+    try:
+        yield
+    except FormatError as error:
+        faults = [replace(fault, path=str(path)) for fault in error.faults]
+        raise FormatError(faults) from error

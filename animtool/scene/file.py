@@ -19,7 +19,7 @@ from animtool.passes import Pass, PassContext, apply_pass, find_pass
 from animtool.rates import parse_rate
 from animtool.scene.options import BakeOptions
 from animtool.scene.schema import SceneModel
-from animtool.scene.sources import SourceOptions, open_source
+from animtool.scene.sources import SourceOptions, open_source, takes_option
 from animtool.take import Take, TakeStream
 from animtool.units import LengthUnit, UpAxis, parse_length
 
@@ -58,12 +58,10 @@ class Scene:
         return stream
 
     def _take(self, path: Path) -> Take:
-        options = SourceOptions(rig=self.options.rig) if _is_clip(path) else None
+        options = (
+            SourceOptions(rig=self.options.rig) if takes_option(path, "rig") else None
+        )
         return open_source(path, options).collect()
-
-
-def _is_clip(path: Path) -> bool:
-    return path.suffix.lower() in {".yaml", ".yml", ".json"}
 
 
 def load_scene(path: Path | str) -> Scene:
@@ -96,7 +94,7 @@ class _SceneReader:
             None if model.source.up is None else UpAxis(model.source.up),
             self._rate(("source", "fps"), model.source.fps),
             model.source.prim,
-            rig if _is_clip(source) else None,
+            rig if takes_option(source, "rig") else None,
             model.source.clamp,
         )
         frames = None

@@ -3,32 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from fractions import Fraction
 from pathlib import Path
+from typing import cast
 
-from animtool.errors import Fault, FormatError, OptionError, Severity
-from animtool.rig.skeleton import Rig
+from animtool.errors import AnimtoolError, Fault, OptionError
+from animtool.readers import READERS, USD, find_reader
 from animtool.take import TakeStream
 from animtool.units import LengthUnit, UpAxis
 
-__all__ = ["READERS", "SourceOptions", "is_usd", "open_source"]
+__all__ = ["SourceOptions", "is_usd", "open_source", "takes_option"]
 
-# A character spans between these at rest; the skeleton of a person between those.
-LIKELY_METERS = (0.3, 6.0)
-PERSON_METERS = (1.0, 2.6)
-# Fewer joints are a prop as likely as a character.
-FEWEST_JOINTS = 8
-
-READERS: dict[str, str] = {
-    ".bvh": "bvh",
-    ".usd": "usd",
-    ".usda": "usd",
-    ".usdc": "usd",
-    ".usdz": "usd",
-    ".yaml": "clip",
-    ".yml": "clip",
-    ".json": "clip",
+# As the command line calls an option, and why a file may not take it.
+_REFUSALS = {
+    "rig": ("--rig", "is for clips, and this is no clip"),
+    "clamp": ("--clamp", "is for clips, and this is no clip"),
+    "prim_path": ("--source-prim", "is for USD files, and this is none"),
+    "unit": ("--units", "says what a BVH leaves open; this file states it"),
+    "up": ("--up", "says what a BVH leaves open; this file states it"),
+    "fps": ("--source-fps", "says what a BVH leaves open; this file states it"),
 }
 
 
@@ -55,7 +49,19 @@ class SourceOptions:
 
 def is_usd(path: Path) -> bool:
     """Return whether a path is that of a USD file."""
-    return READERS.get(path.suffix.lower()) == "usd"
+    return READERS.get(path.suffix.lower()) is USD
+
+
+def takes_option(path: Path, name: str) -> bool:
+    """Return whether files of a path's suffix take an option of `SourceOptions`.
+
+    >>> takes_option(Path("walk.bvh"), "unit"), takes_option(Path("walk.bvh"), "rig")
+    (True, False)
+    """
+    try:
+        return name in find_reader(path).options
+    except AnimtoolError:
+        return False
 
 
 def open_source(
@@ -72,60 +78,24 @@ def open_source(
             apply to it.
     """
     path, options = Path(path), options or SourceOptions()
-    kind = READERS.get(path.suffix.lower())
-    if kind is None:
-        if not path.exists() or path.is_dir():
-            reason = "is a folder" if path.is_dir() else "does not exist"
-            raise FormatError(Fault("IO001", f"cannot be read: {reason}", str(path)))
-        kind = f"suffix {path.suffix!r}" if path.suffix else "a name without suffix"
-        message = f"{kind} is no format that animtool reads"
-        allowed = f"allowed: {', '.join(READERS)}"
-        raise OptionError(Fault("IO002", message, str(path), (), allowed))
-    if kind != "clip" and (options.rig is not None or options.clamp):
-        name = "--rig" if options.rig is not None else "--clamp"
-        message = f"{name} is for clips, and this is no clip"
-        raise OptionError(Fault("CLI004", message, str(path)))
-    if kind == "bvh":
-        from animtool.formats.bvh import read_bvh
-
-        stream = read_bvh(
-            path,
-            unit=options.unit or LengthUnit.CM,
-            up=options.up or UpAxis.Y,
-            fps=options.fps,
-            progress=progress,
-        )
-        if options.unit is None:
-            stream.notices += _size_notice(stream.rig, str(path))
-        return stream
-    given = {"--units": options.unit, "--up": options.up, "--source-fps": options.fps}
-    for name, value in given.items():
-        if value is not None:
-            hint = "--to-units, --to-up and --fps convert"
-            message = f"{name} says what a BVH leaves open; this file states it"
-            raise OptionError(Fault("CLI004", message, str(path), (), hint))
-    if kind == "clip":
-        from animtool.scene.clips import open_clip_source
-
-        return open_clip_source(path, options.rig, clamp=options.clamp)
-    from animtool.usd.read import read_usd
-
-    return read_usd(path, prim_path=options.prim_path)
+    reader = find_reader(path)
+    usual = SourceOptions()
+    given = {
+        field.name: value
+        for field in fields(SourceOptions)
+        if (value := getattr(options, field.name)) != getattr(usual, field.name)
+    }
+    refused = [name for name in given if name not in reader.options]
+    if refused:
+        raise OptionError([_refusal(name, path) for name in refused])
+    if "progress" in reader.options:
+        given["progress"] = progress
+    return cast(TakeStream, reader.source_opener(path)(path, **given))
 
 
-def _size_notice(rig: Rig, path: str) -> list[Fault]:
-    """Point out a skeleton of a size that fits another unit better."""
-    from animtool.rig.kinematics import rest_size
-
-    size = rest_size(rig)
-    low, high = LIKELY_METERS
-    if len(rig.joints) < FEWEST_JOINTS or low <= size <= high:
-        return []
-    numbers = size / rig.meters_per_unit
-    low, high = PERSON_METERS
-    fitting = [unit for unit in LengthUnit if low <= numbers * unit.meters <= high]
-    message = f"the skeleton spans {numbers:.4g}, which in centimetres is no character"
-    hint = "--units says what it is in"
-    if fitting:
-        hint = f"--units {fitting[0]} would make it {numbers * fitting[0].meters:.2g} m"
-    return [Fault("BVH109", message, path, (), hint, Severity.NOTE)]
+def _refusal(name: str, path: Path) -> Fault:
+    flag, reason = _REFUSALS[name]
+    hint = None
+    if name in {"unit", "up", "fps"}:
+        hint = "--to-units, --to-up and --fps convert"
+    return Fault("CLI004", f"{flag} {reason}", str(path), (), hint)

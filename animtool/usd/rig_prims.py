@@ -115,12 +115,7 @@ def decompose(matrices: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]
 
     A mirror becomes a negative scale on all three axes. Shear is left out.
     """
-    rows = matrices[..., :3, :3]
-    scales = np.linalg.norm(rows, axis=-1)
-    mirrored = np.linalg.det(rows) < 0
-    scales = np.where(mirrored[..., None], -scales, scales)
-    divisor = np.where(scales == 0, 1.0, scales)[..., None]
-    rotations = so3.from_matrix((rows / divisor).swapaxes(-1, -2))
+    rotations, scales = so3.split_scale(matrices[..., :3, :3].swapaxes(-1, -2))
     return matrices[..., 3, :3], rotations, scales
 
 

@@ -10,6 +10,7 @@ from support.cli import animtool
 
 from animtool.cli.schema import MODELS
 from animtool.passes import PASSES
+from animtool.readers import READERS
 
 
 @pytest.mark.parametrize("kind", sorted(MODELS))
@@ -27,6 +28,13 @@ def test_every_pass_is_listed() -> None:
     rows = {row["pass"]: row for row in json.loads(done.stdout)["passes"]}
     assert set(rows) == set(PASSES)
     assert all(row["scope"] for row in rows.values())
+
+
+def test_every_reader_is_listed() -> None:
+    done = animtool("plugins", "--format", "json")
+    rows = {row["suffix"]: row for row in json.loads(done.stdout)["readers"]}
+    assert set(rows) == set(READERS)
+    assert all(row["opens"] == ["rig", "source"] for row in rows.values())
 
 
 def test_a_broken_plugin_is_named_and_ends_nothing(

@@ -17,6 +17,7 @@ from animtool.clip.tracks import euler_order
 from animtool.errors import OptionError
 from animtool.formats.bvh.read import read_bvh
 from animtool.maths import euler, so3
+from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Channel, Clock, Motion, Take
 
@@ -165,7 +166,7 @@ def test_the_own_order_is_kept_away_from_lock() -> None:
 def test_scales_weights_and_translations() -> None:
     frames = 200
     t = np.arange(frames)[:, None, None] / 30
-    rig = arm()
+    rig = replace(arm(), shapes=(Shape("smile"), Shape("jaw")))
     scales = 1 + 0.2 * np.sin(t * [[1.0, 1.5, 2.0]]) * np.ones((1, 3, 1))
     weights = 0.5 + 0.5 * np.sin(t * [[1.0], [2.0]])
     take = take_of(

@@ -127,3 +127,12 @@ def test_normalize_over_the_float_range(scale: float) -> None:
     q = so3.normalize(np.array([1.0, 2.0, 3.0, 4.0]) * scale)
     assert_allclose(q, np.array([1, 2, 3, 4]) / np.sqrt(30), rtol=4e-16)
     assert_allclose(so3.normalize([0.0] * 4), so3.IDENTITY, atol=0)
+
+
+@given(quaternions, hnp.arrays(np.float64, 3, elements=st.floats(1e-3, 1e3)))
+def test_rotation_and_scale_are_found_again(q: FloatArray, scale: FloatArray) -> None:
+    for sign in (1.0, -1.0):
+        linear = so3.to_matrix(q) * (sign * scale)
+        rotation, found = so3.split_scale(linear)
+        assert_allclose(found, sign * scale, rtol=1e-12)
+        assert so3.angle_between(rotation, q) < 1e-7

@@ -3,6 +3,7 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -412,12 +413,21 @@ controls: [{name: grin, drives: [{shape: smile, expr: grin}]}]
 """
 
 
+@pytest.fixture
+def base(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let every USD file be the base."""
+    monkeypatch.setattr(
+        "animtool.usd.rig_prims.read_rig", lambda path: replace(BASE, name=path.name)
+    )
+
+
 def sidecar(folder: Path, text: str) -> Rig:
     path = folder / "hero.rig.yaml"
     path.write_text(text)
-    return load_rig(path, lambda named: replace(BASE, name=named.name))
+    return load_rig(path)
 
 
+@pytest.mark.usefixtures("base")
 def test_a_sidecar_adds_to_a_base(yard: Path) -> None:
     rig = sidecar(yard, SIDECAR)
     hip, left, right = rig.joints
@@ -431,12 +441,14 @@ def test_a_sidecar_adds_to_a_base(yard: Path) -> None:
     assert not any(isinstance(mesh, Mesh) for mesh in rig.meshes)
 
 
+@pytest.mark.usefixtures("base")
 def test_a_shape_of_a_sidecar_combines_those_of_the_base(yard: Path) -> None:
     more = "shapes: [{name: grimace, combine: [smile]}]\n"
     rig = sidecar(yard, SIDECAR + more)
     assert [shape.name for shape in rig.shapes] == ["smile", "grimace"]
 
 
+@pytest.mark.usefixtures("base")
 @pytest.mark.parametrize(
     ("old", "new", "code", "line"),
     [
@@ -455,11 +467,37 @@ def test_a_fault_of_a_sidecar(
 
 
 def test_a_base_that_cannot_be_read(yard: Path) -> None:
-    def refuse(path: Path) -> Rig:
-        raise FormatError([Fault("USD001", "broken", str(path))])
-
-    path = yard / "hero.rig.yaml"
-    path.write_text(SIDECAR)
+    (yard / "hero.usda").write_text("nothing")
     with pytest.raises(FormatError, match="USD001") as caught:
-        load_rig(path, refuse)
+        sidecar(yard, SIDECAR)
     assert caught.value.code == "RIG023"
+
+
+def chain(folder: Path, *names: str) -> Path:
+    """Write sidecars, each of the next one."""
+    for name, source in pairwise(names):
+        text = f"rig: animtool/1\nname: hero\nfrom: {source}.rig.yaml\n"
+        (folder / f"{name}.rig.yaml").write_text(text)
+    return folder / f"{names[0]}.rig.yaml"
+
+
+@pytest.mark.parametrize("names", ["aa", "aba", "abcb"])
+def test_sidecars_in_a_circle(tmp_path: Path, names: str) -> None:
+    path = chain(tmp_path, *names)
+    with pytest.raises(FormatError, match=r"RIG026 from: .* leads back") as caught:
+        Rig.load(path)
+    assert caught.value.faults[0].lines == (3,)
+
+
+def test_a_sidecar_of_a_sidecar(tmp_path: Path) -> None:
+    path = chain(tmp_path, *"abc")
+    (tmp_path / "c.rig.yaml").write_text(
+        "rig: animtool/1\nname: base\njoints: [{name: hips, type: free}]\n"
+    )
+    assert Rig.load(path).names == ["hips"]
+
+
+def test_too_many_sidecars(tmp_path: Path) -> None:
+    path = chain(tmp_path, *"abcdefghijklmnopqrstuvwxyz")
+    with pytest.raises(FormatError, match="RIG026"):
+        Rig.load(path)

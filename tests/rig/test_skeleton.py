@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import pytest
 
+from animtool.errors import OptionError
+from animtool.rig.controls import Control
 from animtool.rig.skeleton import Joint, Rig
 
 
@@ -15,11 +17,25 @@ def test_paths_and_roots() -> None:
 
 
 def test_a_name_stands_once() -> None:
-    with pytest.raises(ValueError, match="'a'"):
-        Rig("twice", (Joint("a", -1), Joint("a", 0)))
+    with pytest.raises(OptionError) as caught:
+        Rig("twice", (Joint("a", -1), Joint("a", 0), Joint("b", 5)))
+    assert [fault.code for fault in caught.value.faults] == ["RIG001", "RIG003"]
 
 
 @pytest.mark.parametrize("parent", [1, 2, -2])
 def test_parents_come_first(parent: int) -> None:
-    with pytest.raises(ValueError, match="precede"):
+    with pytest.raises(OptionError, match="precede"):
         Rig("late", (Joint("a", -1), Joint("b", parent)))
+
+
+def test_a_name_that_is_none_finds_the_nearest() -> None:
+    with pytest.raises(OptionError) as caught:
+        Rig("hero", (Joint("hand_l", -1),)).index("hnad_l")
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.hint) == ("RIG008", "did you mean hand_l?")
+
+
+def test_a_short_repr() -> None:
+    joints = tuple(Joint(f"j{i}", i - 1) for i in range(1000))
+    rig = Rig("rope", joints, 0.01, controls=(Control("bend"), Control("sway")))
+    assert repr(rig) == "<Rig 'rope': 1000 joints, 2 controls, in cm, Y up>"

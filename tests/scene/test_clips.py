@@ -9,8 +9,8 @@ from support.clips import hero, write_clip
 from animtool.clip.file import load_clip, open_clip
 from animtool.clip.sample import sample_clip
 from animtool.errors import AnimtoolError
+from animtool.rig.skeleton import Rig
 from animtool.scene.clips import open_clip_source
-from animtool.scene.rigs import open_rig
 
 CURL = """\
 - {target: control/curl, keys: [{t: 1, v: 0}, {t: 9, v: 2}]}
@@ -39,7 +39,7 @@ def test_a_clip_without_a_rig(tmp_path: Path) -> None:
     with pytest.raises(AnimtoolError) as caught:
         open_clip_source(path)
     assert caught.value.code == "CLIP011"
-    assert open_clip_source(path, tmp_path / "hero.rig.yaml").count == 9
+    assert open_clip_source(path, rig=tmp_path / "hero.rig.yaml").count == 9
 
 
 def test_a_range_of_days_is_refused_before_the_work(tmp_path: Path) -> None:
@@ -78,5 +78,5 @@ def test_what_is_no_rig(tmp_path: Path, name: str, code: str) -> None:
     (tmp_path / "rig.txt").write_text("")
     (tmp_path / "folder.bvh").mkdir()
     with pytest.raises(AnimtoolError) as caught:
-        open_rig(tmp_path / name)
+        Rig.load(tmp_path / name)
     assert caught.value.code == code

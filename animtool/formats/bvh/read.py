@@ -11,22 +11,29 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import FloatArray
-from animtool.errors import Fault, FormatError
+from animtool.errors import Fault, FormatError, Severity
 from animtool.formats.bvh.hierarchy import BvhHeader, BvhJoint, read_header
 from animtool.formats.bvh.lines import HeaderLines
 from animtool.formats.bvh.rows import RowReader, RowSource
 from animtool.maths.so3 import IDENTITY
+from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.take import Channel, Motion, TakeStream
 from animtool.units import LengthUnit, UpAxis
 
-__all__ = ["read_bvh"]
+__all__ = ["read_bvh", "read_bvh_rig"]
+
+# A character spans between these at rest; the skeleton of a person between those.
+LIKELY_METERS = (0.3, 6.0)
+PERSON_METERS = (1.0, 2.6)
+# Fewer joints are a prop as likely as a character.
+FEWEST_JOINTS = 8
 
 
 def read_bvh(
     path: Path | str,
     *,
-    unit: LengthUnit = LengthUnit.CM,
+    unit: LengthUnit | None = None,
     up: UpAxis = UpAxis.Y,
     fps: Fraction | None = None,
     progress: Callable[[float], None] | None = None,
@@ -41,7 +48,8 @@ def read_bvh(
 
     Args:
         path: The file.
-        unit: What its numbers are in.
+        unit: What its numbers are in; None is centimetres, with a note where the
+            skeleton's size fits another unit better.
         up: Which of its axes points up.
         fps: The real frame rate, where ``Frame Time`` is wrong.
         progress: Called with the share of the file read, 0 to 1.
@@ -58,7 +66,9 @@ def read_bvh(
             rows_start = file.tell() - len(lines.rest)
     except OSError as error:
         raise _unreadable(path, error) from error
-    rig = _rig(header, path.stem, unit, up)
+    rig = _rig(header, path.stem, unit or LengthUnit.CM, up)
+    if unit is None:
+        notices += _size_notice(rig, str(path))
     assert header.rate is not None
     stream = TakeStream(
         rig,
@@ -95,12 +105,37 @@ def read_bvh(
     return stream
 
 
+def read_bvh_rig(path: Path) -> Rig:
+    """Return the skeleton of a BVH file, in centimetres; its rows are not read.
+
+    Raises:
+        FormatError: The file cannot be read, or its header is malformed.
+    """
+    return read_bvh(path).rig
+
+
 _RATE_CODES = {"BVH105", "BVH106", "BVH107"}
 
 
 def _unreadable(path: Path, error: OSError) -> FormatError:
     reason = error.strerror or str(error)
     return FormatError(Fault("IO001", f"cannot be read: {reason}", str(path)))
+
+
+def _size_notice(rig: Rig, path: str) -> list[Fault]:
+    """Point out a skeleton of a size that fits another unit better."""
+    size = rest_size(rig)
+    low, high = LIKELY_METERS
+    if len(rig.joints) < FEWEST_JOINTS or low <= size <= high:
+        return []
+    numbers = size / rig.meters_per_unit
+    low, high = PERSON_METERS
+    fitting = [unit for unit in LengthUnit if low <= numbers * unit.meters <= high]
+    message = f"the skeleton spans {numbers:.4g}, which in centimetres is no character"
+    hint = "--units says what it is in"
+    if fitting:
+        hint = f"--units {fitting[0]} would make it {numbers * fitting[0].meters:.2g} m"
+    return [Fault("BVH109", message, path, (), hint, Severity.NOTE)]
 
 
 def _rig(header: BvhHeader, name: str, unit: LengthUnit, up: UpAxis) -> Rig:

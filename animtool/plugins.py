@@ -1,0 +1,63 @@
+"""Objects by name: those of animtool's own tables, and those of plug-ins."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, TypeVar
+
+from animtool.errors import Fault, OptionError, excerpt
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+__all__ = ["load_object", "load_plugin", "plugin_points"]
+
+Kind = TypeVar("Kind")
+
+
+def load_object(place: str) -> object:
+    """Return the object that ``module:object`` names, its module imported now.
+
+    >>> load_object("fractions:Fraction")
+    <class 'fractions.Fraction'>
+    """
+    module, _, attribute = place.partition(":")
+    value: object = getattr(importlib.import_module(module), attribute)
+    return value
+
+
+def plugin_points(group: str) -> dict[str, EntryPoint]:
+    """Return the entry points of a group by name.
+
+    Reading them takes tens of milliseconds, so it is left to what a table lacks.
+    """
+    from importlib.metadata import entry_points
+
+    return {point.name: point for point in entry_points(group=group)}
+
+
+def load_plugin(point: EntryPoint, kind: type[Kind], code: str) -> Kind:
+    """Return what an entry point names.
+
+    Args:
+        point: The entry point.
+        kind: What it must be.
+        code: Of the fault.
+
+    Raises:
+        OptionError: It cannot be loaded, or is something else.
+    """
+    try:
+        loaded: object = point.load()
+    except Exception as error:
+        raise _broken(point, kind, code, str(error)) from error
+    if not isinstance(loaded, kind):
+        why = f"a {type(loaded).__name__}, no {kind.__name__}"
+        raise _broken(point, kind, code, why)
+    return loaded
+
+
+def _broken(point: EntryPoint, kind: type[object], code: str, why: str) -> OptionError:
+    what = f"plug-in {kind.__name__.lower()} {excerpt(point.name)} ({point.value})"
+    message = f"the {what} cannot be loaded: {why}"
+    return OptionError(Fault(code, message, hint="mend or remove the plug-in"))

@@ -1,0 +1,175 @@
+"""What opens a file, by its suffix: as a rig, and as a source of motion.
+
+The table holds the readers; what they open a file with is imported when used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+from animtool.errors import Fault, FormatError, OptionError
+from animtool.plugins import load_object, load_plugin, plugin_points
+
+__all__ = [
+    "DOCUMENT",
+    "PLUGIN_GROUP",
+    "READERS",
+    "USD",
+    "ListedReader",
+    "Reader",
+    "find_reader",
+    "listed_readers",
+]
+
+PLUGIN_GROUP = "animtool.readers"
+
+
+@dataclass(frozen=True, slots=True)
+class Reader:
+    """One entry of the table of readers.
+
+    Attributes:
+        about: What such files are, one line.
+        rig: ``module:object`` of a function from a path to a rig; empty where such
+            files hold none.
+        source: ``module:object`` of a function from a path, and options by keyword,
+            to a stream of motion; empty where they hold none.
+        options: Names of the source options that it takes; ``progress`` where it
+            reports the share read.
+    """
+
+    about: str
+    rig: str = ""
+    source: str = ""
+    options: tuple[str, ...] = ()
+
+    def rig_opener(self, path: Path) -> Callable[[Path], Any]:
+        """Return what opens a file as a rig; see `source_opener`."""
+        return _opener(self.rig, "rig", path)
+
+    def source_opener(self, path: Path) -> Callable[..., Any]:
+        """Return what opens a file as a source.
+
+        Raises:
+            OptionError: Such files hold none (IO002), or the function that opens
+                them cannot be loaded (IO003).
+        """
+        return _opener(self.source, "motion", path)
+
+
+BVH = Reader(
+    "Biovision Hierarchy",
+    "animtool.formats.bvh.read:read_bvh_rig",
+    "animtool.formats.bvh.read:read_bvh",
+    ("unit", "up", "fps", "progress"),
+)
+USD = Reader(
+    "USD",
+    "animtool.usd.rig_prims:read_rig",
+    "animtool.usd.read:read_usd",
+    ("prim_path",),
+)
+DOCUMENT = Reader(
+    "rig and clip files",
+    "animtool.rig.file:load_rig",
+    "animtool.scene.clips:open_clip_source",
+    ("rig", "clamp"),
+)
+
+READERS: dict[str, Reader] = {
+    ".bvh": BVH,
+    ".usd": USD,
+    ".usda": USD,
+    ".usdc": USD,
+    ".usdz": USD,
+    ".yaml": DOCUMENT,
+    ".yml": DOCUMENT,
+    ".json": DOCUMENT,
+}
+
+
+def find_reader(path: Path) -> Reader:
+    """Return the reader of a file by its suffix, those of plug-ins included.
+
+    Raises:
+        FormatError: None has its suffix, and there is no such file (IO001).
+        OptionError: None has its suffix (IO002), or the plug-in that has it cannot
+            be loaded (IO003).
+
+    >>> find_reader(Path("walk.BVH")).about
+    'Biovision Hierarchy'
+    """
+    suffix = path.suffix.lower()
+    if suffix in READERS:
+        return READERS[suffix]
+    found = plugin_points(PLUGIN_GROUP)
+    point = found.get(suffix.removeprefix("."))
+    if point is not None:
+        return load_plugin(point, Reader, "IO003")
+    if not path.is_file():
+        reason = "is a folder" if path.is_dir() else "does not exist"
+        raise FormatError(Fault("IO001", f"cannot be read: {reason}", str(path)))
+    kind = f"suffix {path.suffix!r}" if suffix else "a name without suffix"
+    message = f"{kind} is no format that animtool reads"
+    allowed = ", ".join([*READERS, *(f".{name}" for name in sorted(found))])
+    raise OptionError(Fault("IO002", message, str(path), (), f"allowed: {allowed}"))
+
+
+def _opener(place: str, what: str, path: Path) -> Callable[..., Any]:
+    if not place:
+        message = f"no {what} is read from {path.suffix} files"
+        raise OptionError(Fault("IO002", message, str(path)))
+    try:
+        return cast(Callable[..., Any], load_object(place))
+    except (ImportError, AttributeError) as error:
+        message = f"the reader {place} cannot be loaded: {error}"
+        hint = "mend or remove the plug-in"
+        raise OptionError(Fault("IO003", message, str(path), (), hint)) from error
+
+
+@dataclass(frozen=True, slots=True)
+class ListedReader:
+    """A reader as `animtool plugins` lists it.
+
+    Attributes:
+        suffix: Of the files.
+        source: ``animtool``, or the object that an entry point names.
+        opens: What such files are opened as; empty where it cannot be loaded.
+        about: What they are, or why it cannot be loaded.
+    """
+
+    suffix: str
+    source: str
+    opens: tuple[str, ...]
+    about: str
+
+
+def listed_readers() -> list[ListedReader]:
+    """Return every reader, animtool's own first, those of plug-ins loaded.
+
+    >>> listed_readers()[0].suffix
+    '.bvh'
+    """
+    found = [
+        ListedReader(suffix, "animtool", _opens(reader), reader.about)
+        for suffix, reader in READERS.items()
+    ]
+    for name, point in sorted(plugin_points(PLUGIN_GROUP).items()):
+        if f".{name}" in READERS:
+            continue
+        opens: tuple[str, ...] = ()
+        try:
+            reader = load_plugin(point, Reader, "IO003")
+            opens, about = _opens(reader), reader.about
+        except OptionError as error:
+            about = error.faults[0].message
+        found.append(ListedReader(f".{name}", point.value, opens, about))
+    return found
+
+
+def _opens(reader: Reader) -> tuple[str, ...]:
+    named = {"rig": reader.rig, "source": reader.source}
+    return tuple(name for name, place in named.items() if place)
