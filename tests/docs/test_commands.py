@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shlex
-import shutil
 from pathlib import Path
 
 import pytest
@@ -24,15 +23,6 @@ def fenced(text: str, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", text, re.M | re.S)
 
 
-@pytest.fixture
-def workplace(root: Path, tmp_path: Path) -> Path:
-    """Return a project with the samples and the rigs that they name."""
-    for name in ("samples", "rigs"):
-        shutil.copytree(root / name, tmp_path / name)
-    (tmp_path / "animtool.toml").touch()
-    return tmp_path
-
-
 @pytest.mark.parametrize("name", DOCUMENTS)
 def test_printed_commands(root: Path, workplace: Path, name: str) -> None:
     text = (root / name).read_text("utf-8")
@@ -41,16 +31,6 @@ def test_printed_commands(root: Path, workplace: Path, name: str) -> None:
     for command in commands:
         done = animtool(*shlex.split(command)[1:], cwd=workplace)
         assert done.code == 0, f"{command}\n{done.stderr}"
-
-
-def test_printed_python(
-    root: Path, workplace: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    blocks = fenced((root / "animtool/docs/guide.md").read_text("utf-8"), "python")
-    assert blocks
-    monkeypatch.chdir(workplace)
-    for block in blocks:
-        exec(compile(block, "guide.md", "exec"), {})
 
 
 def test_the_sample_is_what_its_script_makes(root: Path, tmp_path: Path) -> None:
