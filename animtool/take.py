@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from itertools import pairwise
+from numbers import Rational
 
 import numpy as np
 
@@ -58,12 +59,34 @@ class Clock:
         start: Time code of the first frame.
         step: Time codes from one frame to the next.
         count: Number of frames.
+
+    Raises:
+        OptionError: One is a float, or fps or step are not positive (TAKE003).
+
+    >>> Clock(Fraction(30000, 1001), Fraction(1), Fraction(1), 5).rate
+    Fraction(30000, 1001)
     """
 
     fps: Fraction
     start: Fraction
     step: Fraction
     count: int
+
+    def __post_init__(self) -> None:
+        """Check that times are exact; whole numbers become fractions."""
+        faults = []
+        for name in ("fps", "start", "step"):
+            value = getattr(self, name)
+            if not isinstance(value, Rational):
+                message = f"{name} is {value!r}, which is not exact"
+                faults.append(Fault("TAKE003", message, hint="write a Fraction"))
+                continue
+            object.__setattr__(self, name, Fraction(value))
+            if value <= 0 and name != "start":
+                message = f"{name} is {value}; it must be positive"
+                faults.append(Fault("TAKE003", message))
+        if faults:
+            raise OptionError(faults)
 
     @property
     def times(self) -> FloatArray:
@@ -106,7 +129,11 @@ class Channel:
         return f"<Channel: {frames} frames, {moving}, {width} components>"
 
     def dense(self) -> FloatArray:
-        """Return the value of every joint in every frame ``(F, J, K)``."""
+        """Return the value of every joint in every frame ``(F, J, K)``.
+
+        >>> Channel.from_dense(np.ones((2, 1, 3))).dense().tolist()
+        [[[1.0, 1.0, 1.0]], [[1.0, 1.0, 1.0]]]
+        """
         whole = np.repeat(self.rest[None], len(self.values), axis=0)
         whole[:, self.animated] = self.values
         return whole
@@ -130,9 +157,15 @@ class Channel:
     def from_dense(values: FloatArray) -> Channel:
         """Return the channel of values ``(F, J, K)``, static joints stored once.
 
+        Raises:
+            OptionError: They have another shape, or no frame (TAKE001).
+
         >>> Channel.from_dense(np.arange(12.0).reshape(2, 2, 3)).animated.tolist()
         [0, 1]
         """
+        if values.ndim != 3 or not len(values):
+            message = f"values must have shape (F, J, K), not {values.shape}"
+            raise OptionError(Fault("TAKE001", message))
         return Channel(values[0].copy(), np.arange(values.shape[1]), values).compact()
 
     @staticmethod

@@ -150,3 +150,25 @@ def test_what_is_long_has_a_short_repr(walk: Path) -> None:
         assert "\n" not in repr(thing)
         assert len(repr(thing)) < 120
     assert repr(take) == "<Take of 'walk': 64 frames from 1 to 64 at 30 fps, 21 joints>"
+
+
+@pytest.mark.parametrize(
+    ("fps", "step", "faults"),
+    [(29.97, 1, 1), (0, 1, 1), (24, -1, 1), (24.0, 0, 2)],
+)
+def test_a_clock_that_is_none(fps: Any, step: Any, faults: int) -> None:
+    with pytest.raises(AnimtoolError) as caught:
+        Clock(fps, Fraction(1), step, 5)
+    assert [fault.code for fault in caught.value.faults] == ["TAKE003"] * faults
+
+
+def test_whole_numbers_are_exact() -> None:
+    clock = Clock(30000, 1, 1001, 5)  # type: ignore[arg-type]
+    assert clock.rate == Fraction(30000, 1001)
+
+
+@pytest.mark.parametrize("shape", [(3,), (2, 3), (0, 2, 3)])
+def test_what_is_no_channel(shape: tuple[int, ...]) -> None:
+    with pytest.raises(AnimtoolError) as caught:
+        Channel.from_dense(np.zeros(shape))
+    assert caught.value.code == "TAKE001"

@@ -222,7 +222,11 @@ class Rig:
         return [i for i, joint in enumerate(self.joints) if joint.parent < 0]
 
     def paths(self, names: Sequence[str] | None = None) -> list[str]:
-        """Return ``root/…/joint`` for every joint, with other names if given."""
+        """Return ``root/…/joint`` for every joint, with other names if given.
+
+        >>> Rig("arm", (Joint("upper", -1), Joint("lower", 0))).paths()
+        ['upper', 'upper/lower']
+        """
         names = self.names if names is None else names
         paths: list[str] = []
         for joint, name in zip(self.joints, names, strict=True):
