@@ -91,11 +91,11 @@ def _base(
         return None
     above = (*above, document.path.resolve())
     if path in above:
-        document.add("RIG026", ("from",), f"{name!r} leads back to where it came from")
+        document.add("RIG030", ("from",), f"{name!r} leads back to where it came from")
         return None
     if len(above) >= MOST_SIDECARS:
         message = f"more than {MOST_SIDECARS} files lead on to another"
-        document.add("RIG026", ("from",), message)
+        document.add("RIG030", ("from",), message)
         return None
     try:
         if find_reader(path) is DOCUMENT:

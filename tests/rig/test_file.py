@@ -484,7 +484,7 @@ def chain(folder: Path, *names: str) -> Path:
 @pytest.mark.parametrize("names", ["aa", "aba", "abcb"])
 def test_sidecars_in_a_circle(tmp_path: Path, names: str) -> None:
     path = chain(tmp_path, *names)
-    with pytest.raises(FormatError, match=r"RIG026 from: .* leads back") as caught:
+    with pytest.raises(FormatError, match=r"RIG030 from: .* leads back") as caught:
         Rig.load(path)
     assert caught.value.faults[0].lines == (3,)
 
@@ -499,5 +499,5 @@ def test_a_sidecar_of_a_sidecar(tmp_path: Path) -> None:
 
 def test_too_many_sidecars(tmp_path: Path) -> None:
     path = chain(tmp_path, *"abcdefghijklmnopqrstuvwxyz")
-    with pytest.raises(FormatError, match="RIG026"):
+    with pytest.raises(FormatError, match="RIG030"):
         Rig.load(path)
