@@ -29,6 +29,11 @@ class UpAxis(StrEnum):
     Y = "Y"
     Z = "Z"
 
+    @property
+    def vector(self) -> tuple[float, float, float]:
+        """Unit vector away from the ground."""
+        return (0.0, 0.0, 1.0) if self is UpAxis.Z else (0.0, 1.0, 0.0)
+
 
 def unit_name(meters: float) -> str:
     """Return what a unit of this length is called.

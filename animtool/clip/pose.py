@@ -9,7 +9,8 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.clip.reduction import ChannelKind
 from animtool.clip.tracks import Track
-from animtool.maths import euler, so3
+from animtool.maths import euler
+from animtool.maths.additive import scaled, shifted, turned
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 from animtool.take import Motion
@@ -41,15 +42,15 @@ class Pose:
         if track.order is not None:
             turn = euler.to_quaternion(values, track.order)
             self.rotations[:, j] = (
-                turn if base is None else so3.multiply(base.rotations[:, j], turn)
+                turn if base is None else turned(base.rotations[:, j], turn)
             )
         elif track.kind is ChannelKind.TRANSLATION:
             self.translations[:, j] = (
-                values if base is None else base.translations[:, j] + values
+                values if base is None else shifted(base.translations[:, j], values)
             )
         elif track.kind is ChannelKind.SCALE and self.scales is not None:
-            below = 1.0 if base is None or base.scales is None else base.scales[:, j]
-            self.scales[:, j] = below * values
+            below = None if base is None else base.scales
+            self.scales[:, j] = values if below is None else scaled(below[:, j], values)
 
     def world(self) -> WorldTransforms:
         """Return where every joint is."""
@@ -68,17 +69,17 @@ class Pose:
 
 
 def pose_of(rig: Rig, motion: Motion, base: Motion | None) -> Pose:
-    """Return the pose of a motion: translations added, rotations behind the base's."""
+    """Return the pose of a motion, added to its base by the additive convention."""
     if base is None:
         return Pose(rig, *motion.dense())
     below = pose_of(rig, base, None)
     translations, rotations, scales = motion.dense()
     if below.scales is not None:
-        scales = below.scales if scales is None else below.scales * scales
+        scales = below.scales if scales is None else scaled(below.scales, scales)
     return Pose(
         rig,
-        below.translations + translations,
-        so3.multiply(below.rotations, rotations),
+        shifted(below.translations, translations),
+        turned(below.rotations, rotations),
         None if scales is None else np.ascontiguousarray(scales),
         below,
     )

@@ -1,14 +1,6 @@
-"""The convention of additive motion: what it means to add one motion to another.
+"""Adding one motion to another, and taking it away again.
 
-============ =====================================
-rotations    ``base · delta``: about the joint's axes
-translations ``base + delta``, parent space
-scales       ``base * delta``
-weights      ``base + delta``, controls likewise
-============ =====================================
-
-A delta that changes nothing has rotation identity, translation and weight 0 and
-scale 1. `add` undoes `subtract`.
+What addition means for each kind of channel is said in `animtool.maths.additive`.
 """
 
 from __future__ import annotations
@@ -16,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.edit.combine import Operations, Strength, combine
-from animtool.maths import so3
+from animtool.edit.combine import Operation, Operations, Strength, combine
+from animtool.maths import additive
 from animtool.take import Motion
 
 __all__ = ["add", "subtract"]
@@ -26,8 +18,7 @@ __all__ = ["add", "subtract"]
 def add(base: Motion, delta: Motion, strength: Strength) -> Motion:
     """Return a motion with a weighted delta on top.
 
-    Rotations are weighted along the arc from identity, the rest in proportion; a
-    weight may be beyond 1 or negative. Signs of rotations may jump.
+    A weight may be beyond 1 or negative. Signs of rotations may jump.
 
     >>> from animtool.take import Channel
     >>> one = Channel.from_dense(np.ones((1, 1, 3)))
@@ -40,7 +31,7 @@ def add(base: Motion, delta: Motion, strength: Strength) -> Motion:
 
 
 def subtract(source: Motion, base: Motion) -> Motion:
-    """Return the delta that makes ``source`` of ``base``.
+    """Return the delta that makes ``source`` of ``base``; `add` undoes it.
 
     Scales of the base must not be 0. Signs of rotations may jump.
 
@@ -53,31 +44,17 @@ def subtract(source: Motion, base: Motion) -> Motion:
     return combine(source, base, _SUBTRACT, Strength(np.ones(source.frames)))
 
 
-def _turned(base: FloatArray, delta: FloatArray, weight: FloatArray) -> FloatArray:
-    part = so3.slerp(so3.IDENTITY, delta, weight[..., 0])
-    return so3.multiply(base, np.where(weight == 1, delta, part))
+def _whole(operation: additive.Difference) -> Operation:
+    def apply(source: FloatArray, base: FloatArray, _: FloatArray) -> FloatArray:
+        return operation(source, base)
+
+    return apply
 
 
-def _shifted(base: FloatArray, delta: FloatArray, weight: FloatArray) -> FloatArray:
-    return base + weight * delta
-
-
-def _scaled(base: FloatArray, delta: FloatArray, weight: FloatArray) -> FloatArray:
-    # In proportion, not by powers: scales may be negative.
-    return base * (1 + weight * (delta - 1))
-
-
-def _without_turn(source: FloatArray, base: FloatArray, _: FloatArray) -> FloatArray:
-    return so3.multiply(so3.conjugate(base), source) + 0.0
-
-
-def _without_shift(source: FloatArray, base: FloatArray, _: FloatArray) -> FloatArray:
-    return source - base
-
-
-def _without_scale(source: FloatArray, base: FloatArray, _: FloatArray) -> FloatArray:
-    return source / base
-
-
-_ADD = Operations(_shifted, _turned, _scaled, _shifted)
-_SUBTRACT = Operations(_without_shift, _without_turn, _without_scale, _without_shift)
+_ADD = Operations(additive.shifted, additive.turned, additive.scaled, additive.shifted)
+_SUBTRACT = Operations(
+    _whole(additive.unshifted),
+    _whole(additive.unturned),
+    _whole(additive.unscaled),
+    _whole(additive.unshifted),
+)

@@ -41,7 +41,7 @@ def difference(
 ) -> Take:
     """Return the additive take that makes ``take`` when it is put on ``base``.
 
-    The layer pass puts it back, with the convention of `animtool.edit.additive`.
+    The layer pass puts it back, with the convention of `animtool.maths.additive`.
 
     Args:
         take: F frames.

@@ -6,17 +6,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
+from animtool._types import FloatArray
+from animtool.edit.cycle import Cycle, find_cycle, measure_cycle
 from animtool.edit.frames import check_count, frame_index
+from animtool.edit.seam import SeamBlend, closed_lines, closed_turns
 from animtool.edit.signs import continuous
-from animtool.errors import Fault, OptionError
+from animtool.edit.travel import Travel, travel_of
+from animtool.errors import Fault, OptionError, Severity
 from animtool.maths import so3
 from animtool.passes import Pass, PassContext, Scope
-from animtool.rig.skeleton import Rig
-from animtool.take import Channel, Take
-from animtool.units import UpAxis
+from animtool.take import Channel, Motion, Take
 
 __all__ = ["PASS", "LoopOptions", "loop"]
+
+# Ends that differ by more than this share of what the cycle moves are seen to slide.
+POOR_SEAM = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,12 +31,18 @@ class LoopOptions:
         first: Time code of the cycle's first frame; None is the take's.
         last: Time code of the frame that shows the first pose again; None is the
             take's last.
+        find: Look for the best cycle between ``first`` and ``last``.
+        shortest: Least length of a cycle that is looked for [s].
+        longest: Most [s].
         repeats: How often the cycle is shown.
         blend: Frames before the seam over which the poses are brought together.
     """
 
     first: float | None = None
     last: float | None = None
+    find: bool = False
+    shortest: float = 0.25
+    longest: float = 10.0
     repeats: int = 1
     blend: int = 10
 
@@ -45,19 +55,18 @@ def loop(
     repeats: int = 1,
     blend: int = 10,
 ) -> Take:
-    """Return a cycle of the take, repeated.
+    """Return a cycle of the take, repeated; `find_cycle` looks for one.
 
     The frame ``last`` is the first of the next cycle and is not shown itself. Over
-    the ``blend`` frames before it, what it lacks of the first pose is added with a
-    smoothstep weight. Roots keep their travel: each cycle goes on, over the ground
-    and about the up axis, from where the one before it ended. A take of one frame
-    stays as it is.
-
-    Limits: poses are matched, speeds only as far as the cycle's ends agree in them.
+    the ``blend`` frames before it, what the cycle lacks of the first pose and of
+    the speed there is added, so that neither jumps. What carries the character
+    keeps its travel: each cycle goes on, over the ground and about the up axis,
+    from where the one before it ended. That is a root, or the topmost joint that
+    travels below a root that stands still. A take of one frame stays as it is.
 
     Raises:
-        OptionError: A frame is outside the take (SCN013), or there is no cycle or
-            repeat (SCN018).
+        OptionError: A frame is outside the take (SCN013), there is no cycle or
+            repeat (SCN018), or there would be too many frames (SCN021).
     """
     clock = take.clock
     if clock.count == 1:
@@ -69,84 +78,89 @@ def loop(
         raise OptionError(Fault("SCN018", f"no cycle can be made of {message}"))
     length = j - i
     check_count(length * repeats)
-    s = np.clip((np.arange(length) - (length - blend)) / max(blend, 1), 0, 1)
-    weight = (s * s * (3 - 2 * s))[:, None, None]
     motion = take.motion.select(slice(i, j + 1))
-    turns, slides, bring = _travel(take.rig, motion.translations, motion.rotations)
-
-    def line(channel: Channel) -> Channel:
-        values = channel.values
-        lacks = values[0] - values[-1]
-        cycle = values[:-1] + weight * lacks
-        return replace(channel, values=np.concatenate([cycle] * repeats))
-
-    def goes(channel: Channel, turning: bool) -> Channel:
-        values, joints = channel.values, channel.animated
-        turn, slide = turns[joints], slides[joints]
-        if turning:
-            target = so3.multiply(turn, values[0])
-            lacks = so3.multiply(so3.conjugate(values[-1]), target)
-            part = so3.slerp(so3.IDENTITY, lacks, weight[..., 0])
-            cycle = so3.multiply(values[:-1], part)
-        else:
-            target = bring(values[0], joints)
-            cycle = values[:-1] + weight * (target - values[-1])
-        parts = [cycle]
-        # One step a repeat: each is the travel of the one before it.
-        for _ in range(repeats - 1):
-            before = parts[-1]
-            after = so3.multiply(turn, before) if turning else so3.rotate(turn, before)
-            parts.append(after if turning else after + slide)
-        return replace(channel, values=np.concatenate(parts))
-
-    whole = replace(
-        motion.map(line),
-        translations=goes(motion.translations, False),
-        rotations=goes(motion.rotations, True),
+    cycle = _Cycling(
+        travel_of(take.rig, motion), SeamBlend.over(length, blend), repeats
     )
     start = clock.start + i * clock.step
     return replace(
         take,
         clock=replace(clock, start=start, count=length * repeats),
-        motion=continuous(whole).map(Channel.compact),
+        motion=continuous(cycle.motion(motion)).map(Channel.compact),
     )
 
 
 @dataclass(frozen=True, slots=True)
-class _Bring:
-    turns: FloatArray
-    slides: FloatArray
+class _Cycling:
+    travel: Travel
+    blend: SeamBlend
+    repeats: int
 
-    def __call__(self, values: FloatArray, joints: IntArray) -> FloatArray:
-        return so3.rotate(self.turns[joints], values) + self.slides[joints]
+    def motion(self, motion: Motion) -> Motion:
+        return replace(
+            motion.map(self.numbers),
+            translations=self.translations(motion.translations),
+            rotations=self.rotations(motion.rotations),
+        )
+
+    def numbers(self, channel: Channel) -> Channel:
+        values = channel.values
+        cycle = closed_lines(values, values[:3], self.blend)
+        return replace(channel, values=np.concatenate([cycle] * self.repeats))
+
+    def translations(self, channel: Channel) -> Channel:
+        linear = self.travel.linear[channel.animated]
+        shifts = self.travel.shifts[channel.animated]
+
+        def onward(values: FloatArray) -> FloatArray:
+            return np.asarray(np.einsum("aij,faj->fai", linear, values) + shifts)
+
+        values = channel.values
+        parts = [closed_lines(values, onward(values[:3]), self.blend)]
+        # One step a repeat: each is the travel of the one before it.
+        for _ in range(self.repeats - 1):
+            parts.append(onward(parts[-1]))
+        return replace(channel, values=np.concatenate(parts))
+
+    def rotations(self, channel: Channel) -> Channel:
+        turns, values = self.travel.turns[channel.animated], channel.values
+        after = so3.multiply(turns, values[:3])
+        parts = [closed_turns(values, after, self.blend)]
+        for _ in range(self.repeats - 1):
+            parts.append(so3.multiply(turns, parts[-1]))
+        return replace(channel, values=np.concatenate(parts))
 
 
-def _travel(
-    rig: Rig, translations: Channel, rotations: Channel
-) -> tuple[FloatArray, FloatArray, _Bring]:
-    """Return turn ``(J, 4)`` and slide ``(J, 3)`` of a cycle; roots only have some."""
-    up = np.array([0.0, 0.0, 1.0] if rig.up is UpAxis.Z else [0.0, 1.0, 0.0])
-    places, poses = (
-        c.select(np.array([0, -1])).dense() for c in (translations, rotations)
+def _run(take: Take, options: LoopOptions, context: PassContext) -> Take:
+    first, last = options.first, options.last
+    if options.find:
+        lengths = {"shortest": options.shortest, "longest": options.longest}
+        cycle = find_cycle(take, first, last, **lengths)
+        first, last = cycle.first, cycle.last
+    elif take.clock.count > 1:
+        cycle = measure_cycle(take, first, last)
+    else:
+        return take
+    result = loop(take, first, last, repeats=options.repeats, blend=options.blend)
+    context.notices.extend(_said(cycle, found=options.find))
+    return result
+
+
+def _said(cycle: Cycle, *, found: bool) -> list[Fault]:
+    """Return what is worth saying of a cycle."""
+    ends = (
+        f"frames {cycle.first:g} and {cycle.last:g} differ by "
+        f"{1000 * cycle.apart:.3g} mm, {100 * cycle.share:.0f}% of what moves between"
     )
-    whole = so3.multiply(poses[1], so3.conjugate(poses[0]))
-    along = (whole[:, :3] @ up)[:, None] * up
-    turns = so3.normalize(np.concatenate([along, whole[:, 3:]], axis=-1))
-    roots = (rig.parents < 0)[:, None]
-    turns = np.where(roots, turns, so3.IDENTITY)
-    slides = places[1] - so3.rotate(turns, places[0])
-    slides = np.where(roots, slides - (slides @ up)[:, None] * up, 0.0)
-    return turns, slides, _Bring(turns, slides)
-
-
-def _run(take: Take, options: LoopOptions, _: PassContext) -> Take:
-    return loop(
-        take,
-        options.first,
-        options.last,
-        repeats=options.repeats,
-        blend=options.blend,
-    )
+    said = []
+    if found:
+        message = f"the best cycle: {ends}"
+        said.append(Fault("SCN102", message, severity=Severity.NOTE))
+    if cycle.share > POOR_SEAM:
+        hint = "choose other frames, or blend over more"
+        message = f"a poor seam of the loop: {ends}"
+        said.append(Fault("SCN101", message, hint=hint, severity=Severity.WARNING))
+    return said
 
 
 PASS = Pass("loop", "Make and repeat a cycle", LoopOptions, Scope.CLIP, _run)

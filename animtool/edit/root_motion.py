@@ -7,13 +7,22 @@ from enum import StrEnum
 
 import numpy as np
 
+from animtool.edit.chain import (
+    above,
+    ancestors,
+    local_values,
+    place_of,
+    rest_rotation,
+    twist,
+)
+from animtool.edit.joint_names import joint_index
 from animtool.edit.signs import continuous
+from animtool.edit.travel import traveller
+from animtool.edit.tree import Placing, inserted, removed, set_joint
 from animtool.errors import Fault, OptionError
 from animtool.maths import so3
 from animtool.passes import Pass, PassContext, Scope
-from animtool.rig.skeleton import Joint
-from animtool.take import Channel, Motion, Take
-from animtool.units import UpAxis
+from animtool.take import Channel, Take
 
 __all__ = ["PASS", "RootMode", "RootMotionOptions", "extract_root", "recompose_root"]
 
@@ -30,99 +39,125 @@ class RootMotionOptions:
     """What the root joint carries.
 
     Attributes:
-        mode: ``extract`` adds the root joint, ``recompose`` folds it back.
-        root: Name of the root joint.
+        mode: ``extract`` gives the travel to the root joint, ``recompose`` folds it
+            back.
+        root: Name of the root joint; ``extract`` adds it where the rig has none.
+        hips: Joint whose travel is carried; none is the topmost that travels (below
+            ``root``, where the rig has that), else the first.
         axes: World axes of the position that it carries, such as ``xz``; none is
             the ground.
         yaw: It carries the turn about the up axis too.
+        keep: ``recompose`` leaves the root joint in the rig, at rest.
     """
 
     mode: RootMode = RootMode.EXTRACT
     root: str = "root"
+    hips: str = ""
     axes: str = ""
     yaw: bool = True
+    keep: bool = False
 
 
 def extract_root(
-    take: Take, root: str = "root", axes: str = "", *, yaw: bool = True
+    take: Take, root: str = "root", axes: str = "", *, yaw: bool = True, hips: str = ""
 ) -> Take:
-    """Return the take with a new root joint above its first root, the hips.
+    """Return the take with the travel of the hips given to a root joint above them.
 
-    World transforms stay as they are. The yaw is undefined where the hips are
-    upside down.
+    A joint of the rig named ``root`` takes it in place of what it did; else one is
+    added right above the hips. What is below keeps its world transforms. The yaw is
+    undefined where the hips are upside down.
 
     Raises:
-        OptionError: The name is taken, or an axis is none (SCN020).
+        OptionError: No joint is named so (SCN012); an axis is none, the root joint
+            is not above the hips, or its scale does not allow it (SCN020).
+    """
+    if not set(axes.lower()) <= set("xyz"):
+        raise _refusal(f"axes {axes!r} are not of x, y and z", "write xz, for one")
+    rig = take.rig
+    hip = _hips(take, root, hips)
+    if root not in rig.names:
+        take = inserted(take, root, hip)
+        hip += 1
+    joint = take.rig.index(root)
+    if joint not in ancestors(take.rig, hip):
+        name = take.rig.names[hip]
+        raise _refusal(f"{root!r} is not above {name!r}", "choose other hips")
+    place = _carried(take, joint, hip, axes.lower(), yaw)
+    return _compact(set_joint(take, joint, place))
+
+
+def recompose_root(take: Take, root: str = "root", *, keep: bool = False) -> Take:
+    """Return the take without a root joint, whose motion its children take over.
+
+    What is below keeps its world transforms.
+
+    Args:
+        take: F frames.
+        root: Name of the joint.
+        keep: Leave the joint in the rig, at rest: the inverse of an extraction into
+            a joint that the rig had.
+
+    Raises:
+        OptionError: No joint is named so (SCN012); it has no joint below, its scale
+            does not allow it, or the rig still refers to it (SCN020).
     """
     rig = take.rig
-    up = 2 if rig.up is UpAxis.Z else 1
-    letters = axes.lower() or "xyz".replace("xyz"[up], "")
-    if root in rig.names or not set(letters) <= set("xyz"):
-        message = f"no root {root!r} with axes {axes!r} can be added"
-        raise OptionError(Fault("SCN020", message, hint="the name must be new"))
-    places, turns, scales = take.motion.dense()
-    carried = np.array([axis in letters for axis in "xyz"])
-    slide = np.where(carried, places[:, :1], 0.0)
-    turn = np.tile(so3.IDENTITY, (len(turns), 1, 1))
+    joint = joint_index(rig, root, "root")
+    if joint not in rig.parents:
+        raise _refusal(f"{root!r} has no joint below it", "name one above the hips")
+    entry = rig.joints[joint]
+    still = Placing(np.zeros((1, 3)), so3.IDENTITY[None])
+    if keep:
+        still = Placing(np.array([entry.translation]), np.array([entry.rotation]))
+    done = set_joint(take, joint, still)
+    return _compact(done if keep else removed(done, joint))
+
+
+def _refusal(message: str, hint: str) -> OptionError:
+    return OptionError(Fault("SCN020", message, hint=hint))
+
+
+def _hips(take: Take, root: str, hips: str) -> int:
+    rig = take.rig
+    if hips:
+        return joint_index(rig, hips, "hips")
+    there = root in rig.names
+    top = rig.index(root) if there else rig.roots[0]
+    found = traveller(rig, take.motion, top, below=there)
+    if found is None and there:
+        found = next((j for j, one in enumerate(rig.joints) if one.parent == top), top)
+    return top if found is None else found
+
+
+def _carried(take: Take, root: int, hip: int, axes: str, yaw: bool) -> Placing:
+    """Return the local transform by which the root joint carries the hips' travel."""
+    rig, motion = take.rig, take.motion
+    up = np.array(rig.up.vector)
+    chosen = np.array([axis in axes for axis in "xyz"]) if axes else up == 0
+    hips, own = place_of(rig, motion, hip), place_of(rig, motion, root)
+    frame = above(rig, motion, root)
+    position = np.where(chosen, hips.position, own.position)
+    offset = (position - frame.position)[..., None]
+    places = np.asarray(np.linalg.solve(frame.linear, offset)[..., 0], np.float64)
+    turns = local_values(motion.rotations, root)
     if yaw:
-        whole = so3.multiply(turns[:, :1], so3.conjugate(rig.rest_rotations[0]))
-        turn = so3.normalize(whole * np.where(np.isin(np.arange(4), [up, 3]), 1, 0))
-    undo = so3.conjugate(turn)
-    places[:, :1] = so3.rotate(undo, places[:, :1] - slide)
-    turns[:, :1] = so3.multiply(undo, turns[:, :1])
-    joints = tuple(
-        replace(j, parent=j.parent + 1 if j.parent >= 0 else (0 if i == 0 else -1))
-        for i, j in enumerate(rig.joints)
-    )
-    whole_scales = None
-    if scales is not None:
-        ones = np.ones((len(scales), 1, 3))
-        whole_scales = Channel.from_dense(np.concatenate([ones, scales], axis=1))
-    motion = replace(
-        take.motion,
-        translations=Channel.from_dense(np.concatenate([slide, places], axis=1)),
-        rotations=Channel.from_dense(np.concatenate([turn, turns], axis=1)),
-        scales=whole_scales,
-    )
-    return _finished(take, (Joint(root, -1), *joints), motion)
+        rest = so3.conjugate(rest_rotation(rig, hip))
+        turn = twist(so3.multiply(hips.rotation, rest), up)
+        whole = so3.multiply(turn, rest_rotation(rig, root))
+        turns = so3.multiply(so3.conjugate(frame.rotation), whole)
+    return Placing(places, turns)
 
 
-def recompose_root(take: Take, root: str = "root") -> Take:
-    """Return the take without its first joint, whose motion its children take over.
-
-    Raises:
-        OptionError: The first joint has another name, or is scaled (SCN020).
-    """
-    rig = take.rig
-    places, turns, scales = take.motion.dense()
-    scaled = scales is not None and bool((scales[:, 0] != 1).any())
-    if rig.names[0] != root or len(rig.joints) < 2 or scaled:
-        message = f"{root!r} is not the first joint, unscaled and with joints below"
-        raise OptionError(Fault("SCN020", message))
-    below = rig.parents == 0
-    slide, turn = places[:, :1], turns[:, :1]
-    places[:, below] = slide + so3.rotate(turn, places[:, below])
-    turns[:, below] = so3.multiply(turn, turns[:, below])
-    joints = tuple(replace(j, parent=max(-1, j.parent - 1)) for j in rig.joints[1:])
-    motion = replace(
-        take.motion,
-        translations=Channel.from_dense(places[:, 1:]),
-        rotations=Channel.from_dense(turns[:, 1:]),
-        scales=None if scales is None else Channel.from_dense(scales[:, 1:]),
-    )
-    return _finished(take, joints, motion)
-
-
-def _finished(take: Take, joints: tuple[Joint, ...], motion: Motion) -> Take:
-    return replace(
-        take, rig=replace(take.rig, joints=joints), motion=continuous(motion)
-    )
+def _compact(take: Take) -> Take:
+    return replace(take, motion=continuous(take.motion).map(Channel.compact))
 
 
 def _run(take: Take, options: RootMotionOptions, _: PassContext) -> Take:
     if options.mode is RootMode.RECOMPOSE:
-        return recompose_root(take, options.root)
-    return extract_root(take, options.root, options.axes, yaw=options.yaw)
+        return recompose_root(take, options.root, keep=options.keep)
+    return extract_root(
+        take, options.root, options.axes, yaw=options.yaw, hips=options.hips
+    )
 
 
 PASS = Pass(

@@ -1,22 +1,162 @@
+"""Root motion: the world stays, and the way back is exact."""
+
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from support.takes import assert_same_motion, assert_same_world, takes, world_of
 
 from animtool.edit.root_motion import extract_root, recompose_root
+from animtool.edit.tree import inserted
+from animtool.errors import OptionError
 from animtool.formats.bvh import read_bvh
-from animtool.rig.kinematics import forward
+from animtool.maths import so3
+from animtool.rig.parts import IkChain
+from animtool.rig.skeleton import Joint, Pose, Rig
+from animtool.take import Channel, Take
+from animtool.units import UpAxis
+
+AXES = st.sampled_from(["", "x", "xz", "xyz", "zy"])
+WITHIN = 1e-9  # [m], a thousandth of what is promised
 
 
-def test_the_world_stays_and_it_can_be_undone(walk: Path) -> None:
-    take = read_bvh(walk).collect()
-    found = extract_root(take)
-    before = forward(take.rig, *take.motion.dense())
-    after = forward(found.rig, *found.motion.dense())
-    assert np.abs(after.positions[:, 1:] - before.positions).max() < 1e-12
-    assert np.abs(after.linear[:, 1:] - before.linear).max() < 1e-12
+def static_root(take: Take) -> Take:
+    """Return a take below a root joint that is somewhere and never moves."""
+    whole = inserted(take, "root", 0)
+    root = Joint("root", -1, translation=(0.5, 0.25, -1), rotation=(0, 0.6, 0, 0.8))
+    rig = replace(whole.rig, joints=(root, *whole.rig.joints[1:]))
+    motion = whole.motion
+    for name, values in (
+        ("translations", rig.rest_translations),
+        ("rotations", rig.rest_rotations),
+    ):
+        channel = getattr(motion, name)
+        rest = channel.rest.copy()
+        rest[0] = values[0]
+        motion = replace(motion, **{name: replace(channel, rest=rest)})
+    return replace(whole, rig=rig, motion=motion)
+
+
+@given(takes(), AXES, st.booleans())
+def test_a_new_root_leaves_the_world_and_comes_off_again(
+    take: Take, axes: str, yaw: bool
+) -> None:
+    found = extract_root(take, axes=axes, yaw=yaw)
+    assert_same_world(found, take, WITHIN)
     back = recompose_root(found)
     assert back.rig == take.rig
-    again = forward(back.rig, *back.motion.dense())
-    assert np.abs(again.positions - before.positions).max() < 1e-12
+    assert_same_motion(back, take, WITHIN)
+
+
+@given(takes(), AXES, st.booleans())
+def test_a_root_of_the_rig_leaves_the_world_and_comes_to_rest(
+    take: Take, axes: str, yaw: bool
+) -> None:
+    source = static_root(take)
+    found = extract_root(source, axes=axes, yaw=yaw)
+    assert found.rig == source.rig
+    world, before = world_of(found), world_of(source)
+    assert np.abs(world.positions - before.positions)[:, 1:].max() < WITHIN
+    assert np.abs(world.linear - before.linear)[:, 1:].max() < WITHIN
+    back = recompose_root(found, keep=True)
+    assert back.rig == source.rig
+    assert_same_world(back, source, WITHIN)
+
+
+@given(takes(uniform=True), st.booleans(), st.data())
+def test_any_joint_can_be_the_root(take: Take, yaw: bool, data: st.DataObject) -> None:
+    inner = sorted(set(take.rig.parents.tolist()) - {-1})
+    assume(inner)
+    root = take.rig.names[data.draw(st.sampled_from(inner))]
+    found = extract_root(take, root, "xyz", yaw=yaw)
+    below = [j for j in range(len(take.rig.joints)) if take.rig.names[j] != root]
+    world, before = world_of(found), world_of(take)
+    assert np.abs(world.positions - before.positions)[:, below].max() < WITHIN
+    gone = recompose_root(found, root)
+    assert root not in gone.rig.names
+    assert_same_world(gone, _without(take, root), WITHIN)
+
+
+def _without(take: Take, root: str) -> Take:
+    return recompose_root(take, root)
+
+
+def test_the_root_goes_over_the_ground_with_the_hips(walk: Path) -> None:
+    take = read_bvh(walk).collect()
+    found = world_of(extract_root(take)).positions
+    hips = world_of(take).positions[:, 0]
+    np.testing.assert_allclose(found[:, 0, [0, 2]], hips[:, [0, 2]], atol=1e-12)
+    assert np.abs(found[:, 0, 1]).max() < 1e-12
+
+
+def test_the_root_that_is_there_goes_with_the_joint_that_travels(walk: Path) -> None:
+    take = static_root(read_bvh(walk).collect())
+    found = extract_root(take, yaw=False)
+    positions = world_of(found).positions
+    hips = world_of(take).positions[:, 1]
+    np.testing.assert_allclose(positions[:, 0, [0, 2]], hips[:, [0, 2]], atol=1e-12)
+    np.testing.assert_allclose(positions[:, 0, 1], 0.25, atol=1e-12)
+
+
+def test_a_root_turns_about_the_up_axis_only() -> None:
+    take = upright(UpAxis.Z)
+    turn = extract_root(take).motion.rotations.dense()[:, 0]
+    np.testing.assert_allclose(turn[:, :2], 0, atol=1e-12)
+    assert so3.angle_between(turn[0], turn[-1]) > 0.5
+
+
+def upright(up: UpAxis, frames: int = 9) -> Take:
+    """Return hips that turn about the up axis while they lean."""
+    from fractions import Fraction
+
+    from animtool.take import Clock, Motion
+
+    rig = Rig("one", (Joint("hips", -1), Joint("chest", 0)), up=up)
+    yaw = np.linspace(0, 1, frames)[:, None, None] * np.array(up.vector)
+    lean = so3.exp(np.full((frames, 1, 3), [0.2, 0, 0]))
+    turns = so3.multiply(so3.exp(yaw), lean)
+    turns = np.concatenate([turns, np.tile(so3.IDENTITY, (frames, 1, 1))], axis=1)
+    motion = Motion(
+        Channel.from_dense(np.zeros((frames, 2, 3))), Channel.from_dense(turns)
+    )
+    return Take(rig, Clock(Fraction(24), Fraction(1), Fraction(1), frames), motion)
+
+
+def sheared() -> Take:
+    """Return a take whose hips are scaled by axis."""
+    take = upright(UpAxis.Y)
+    scales = np.ones((take.clock.count, 2, 3))
+    scales[:, 0] = [1, 2, 3]
+    return replace(take, motion=replace(take.motion, scales=Channel.from_dense(scales)))
+
+
+def test_what_cannot_be_a_root() -> None:
+    take = upright(UpAxis.Y)
+    chain = replace(take.rig, ik=(IkChain("leg", "hips", "chest"),))
+    cases = [
+        (lambda: extract_root(take, axes="w"), "SCN020"),
+        (lambda: extract_root(take, hips="knee"), "SCN012"),
+        (lambda: extract_root(take, "chest", hips="hips"), "SCN020"),
+        (lambda: extract_root(take, "chest"), "SCN020"),
+        (lambda: recompose_root(take), "SCN012"),
+        (lambda: recompose_root(take, "chest"), "SCN020"),
+        (lambda: recompose_root(replace(take, rig=chain), "hips"), "SCN020"),
+        (lambda: recompose_root(sheared(), "hips"), "SCN020"),
+    ]
+    for run, code in cases:
+        with pytest.raises(OptionError) as error:
+            run()
+        assert error.value.code == code
+
+
+def test_bind_poses_follow_a_joint_that_goes() -> None:
+    take = upright(UpAxis.Y)
+    still = (0.0, 0.0, 0.0, 1.0)
+    bind = {"hips": Pose((0, 1, 0), still), "chest": Pose((0, 2, 0), still)}
+    back = recompose_root(replace(take, rig=replace(take.rig, bind=bind)), "hips")
+    assert back.rig.bind == {"chest": Pose((0.0, 3.0, 0.0), still)}

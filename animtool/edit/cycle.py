@@ -1,0 +1,303 @@
+"""Where a take comes back to what it was: the search for a cycle, and its seam.
+
+Two frames are compared by where the joints are and how fast they go, seen from
+the joint that carries the character: from the ground below it, along its heading.
+Joints count by the length of the bones that they move, and speeds by how far they
+lead in a tenth of a second. The difference is a root mean square [m].
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.edit.chain import place_of, rest_rotation, twist
+from animtool.edit.frames import frame_index
+from animtool.edit.travel import traveller
+from animtool.errors import Fault, OptionError
+from animtool.maths import so3
+from animtool.rig.kinematics import forward, rest_size
+from animtool.rig.skeleton import Rig
+from animtool.take import Clock, Take
+
+__all__ = ["Cycle", "find_cycle", "measure_cycle"]
+
+# What a difference of speed leads to in this time [s] counts as one of place.
+SPEED_TIME = 0.1
+# Frames a second at which pairs are compared; the best is then looked at closer.
+SEARCH_RATE = Fraction(30)
+# A cycle must lead this far away, as a share of what the take varies by.
+LEAST_MOVED = 0.25
+# What differs by less than this share of the rig's size does not move.
+STILL = 1e-4
+# Of cycles nearly as good as the best the shortest is meant, not several of it:
+# by how much worse, as a factor and a share, and how much longer the best near it.
+NEARLY, NEARLY_SHARE, NEAR = 1.5, 0.01, 1.25
+BLOCK_FRAMES = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class Cycle:
+    """A part of a take that ends as it began.
+
+    Attributes:
+        first: Time code of its first frame.
+        last: Time code of the frame that shows the first pose again.
+        apart: How different the two are [m], see `animtool.edit.cycle`.
+        moved: How different from the first the frames between become [m], and no
+            less than a ten thousandth of the rig's size.
+    """
+
+    first: float
+    last: float
+    apart: float
+    moved: float
+
+    @property
+    def share(self) -> float:
+        """What the ends differ by, of what the cycle moves [1]."""
+        return self.apart / self.moved
+
+
+def find_cycle(
+    take: Take,
+    first: float | None = None,
+    last: float | None = None,
+    *,
+    shortest: float = 0.25,
+    longest: float = 10.0,
+) -> Cycle:
+    """Return the cycle of a take whose ends agree best, for how far it moves.
+
+    Of cycles that are nearly as good the shortest is taken, then the earliest. The
+    time needed grows with the frames and with ``longest``, the memory with the
+    frames alone.
+
+    Limits: shape weights and controls are not looked at.
+
+    Args:
+        take: F frames.
+        first: Time code where the search begins; None is the take's first frame.
+        last: Time code where it ends; None is the take's last.
+        shortest: Least length of a cycle [s].
+        longest: Most [s].
+
+    Raises:
+        OptionError: A frame is outside the take (SCN013), or there is no cycle of
+            such a length (SCN018).
+    """
+    clock = take.clock
+    low, high = _ends(clock, first, last)
+    stride = max(1, int(clock.rate // SEARCH_RATE))
+    frames = np.arange(low, high + 1, stride)
+    rate = float(clock.rate) / stride
+    least = max(2, math.ceil(_length(shortest, "shortest") * rate))
+    most = min(len(frames) - 1, math.floor(_length(longest, "longest") * rate))
+    if least > most:
+        raise _none(f"of {shortest:g} to {longest:g} s in {high - low + 1} frames")
+    eye = _Eye.of(take)
+    found = _best(eye.see(frames), least, most, eye.still)
+    if found is None:
+        raise _none("where nothing moves")
+    start, lag, moved = found
+    pairs = _nearby(frames[start], frames[start + lag], stride, (low, high))
+    length = pairs[1] - pairs[0]
+    within = (length >= least * stride) & (length <= most * stride)
+    i, j, apart = _closest(eye, pairs[:, within])
+    return _cycle(clock, i, j, apart, max(apart, moved))
+
+
+def measure_cycle(
+    take: Take, first: float | None = None, last: float | None = None
+) -> Cycle:
+    """Return how well the two ends of a cycle agree.
+
+    Raises:
+        OptionError: A frame is outside the take (SCN013), or the cycle has no frame
+            (SCN018).
+    """
+    low, high = _ends(take.clock, first, last)
+    if low >= high:
+        raise _none(f"from frame {first} to {last}")
+    eye = _Eye.of(take)
+    stride = max(1, int(take.clock.rate // SEARCH_RATE))
+    begin = eye.see(np.array([low]))
+    apart = float(_apart(begin, eye.see(np.array([high])))[0])
+    moved = _apart(begin, eye.see(np.arange(low, high + 1, stride)))
+    far = max(apart, float(moved.max()), eye.still)
+    return _cycle(take.clock, low, high, apart, far)
+
+
+def _ends(clock: Clock, first: float | None, last: float | None) -> tuple[int, int]:
+    low = 0 if first is None else frame_index(clock, first, "first")
+    high = clock.count - 1 if last is None else frame_index(clock, last, "last")
+    return low, high
+
+
+def _length(seconds: float, option: str) -> float:
+    if not 0 < seconds < math.inf:
+        raise _none(f"with {option} {seconds:g} s")
+    return seconds
+
+
+def _none(message: str) -> OptionError:
+    return OptionError(Fault("SCN018", f"no cycle can be found {message}"))
+
+
+def _cycle(clock: Clock, i: int, j: int, apart: float, moved: float) -> Cycle:
+    first, last = (float(clock.start + k * clock.step) for k in (i, j))
+    return Cycle(first, last, apart, moved)
+
+
+@dataclass(frozen=True, slots=True)
+class _Eye:
+    """Sees frames of a take as columns of numbers [m] that can be subtracted."""
+
+    take: Take
+    chief: int
+    leaves: IntArray
+    reach: FloatArray  # how far the points beside a leaf are from it (N,) [m]
+    weights: FloatArray  # of joints, then of the points beside leaves (P,)
+    still: float  # what counts as no motion [m]
+
+    @staticmethod
+    def of(take: Take) -> _Eye:
+        rig = take.rig
+        leaves = np.setdiff1d(np.arange(len(rig.joints)), rig.parents)
+        bones = np.linalg.norm(rig.rest_translations, axis=-1)
+        bones = np.where(rig.parents < 0, 0.0, bones)
+        weights = bones / 2
+        below = rig.parents >= 0
+        np.add.at(weights, rig.parents[below], bones[below] / 2)
+        if not weights.any():
+            weights = np.ones(len(bones))
+        size = rest_size(rig) or 1.0
+        reach = np.where(bones[leaves] > 0, bones[leaves], size)
+        # A leaf is seen by its origin and by a point along two of its axes.
+        weights[leaves] /= 3
+        weights = np.concatenate([weights, np.tile(weights[leaves], 2)])
+        found = [traveller(rig, take.motion, root) for root in rig.roots]
+        chief = next((j for j in found if j is not None), rig.roots[0])
+        weights /= weights.sum()
+        return _Eye(take, chief, leaves, reach, weights, STILL * size)
+
+    def see(self, frames: IntArray) -> FloatArray:
+        """Return frames as columns ``(6 · P, N)``, block by block."""
+        parts = [
+            self._seen(frames[begin : begin + BLOCK_FRAMES])
+            for begin in range(0, len(frames), BLOCK_FRAMES)
+        ]
+        return np.concatenate(parts, axis=1)
+
+    def _seen(self, frames: IntArray) -> FloatArray:
+        count = self.take.clock.count
+        # At the ends of the take, speed follows from the three frames there.
+        middle = np.clip(frames, 1, max(1, count - 2))
+        around = [np.clip(middle + k, 0, count - 1) for k in (-1, 0, 1)]
+        before, here, after = (self._points(each) for each in around)
+        beyond = (frames - middle)[:, None, None]
+        speed = (after - before) / 2 + beyond * (after - 2 * here + before)
+        points = np.where(beyond < 0, before, np.where(beyond > 0, after, here))
+        ground, heading = self._standing(frames)
+        back = so3.conjugate(heading)[:, None]
+        led = speed * (SPEED_TIME * float(self.take.clock.rate))
+        seen = [so3.rotate(back, points - ground[:, None]), so3.rotate(back, led)]
+        table = np.stack(seen, axis=1) * np.sqrt(self.weights)[:, None]
+        return np.ascontiguousarray(table.reshape(len(frames), -1).T)
+
+    def _points(self, frames: IntArray) -> FloatArray:
+        """Return joints and points beside leaves in the world ``(N, P, 3)``."""
+        world = forward(self.take.rig, *self.take.motion.select(frames).dense())
+        origins, axes = world.positions, world.linear[:, self.leaves]
+        beside = [
+            origins[:, self.leaves] + axes[..., k] * self.reach[:, None] for k in (0, 1)
+        ]
+        return np.concatenate([origins, *beside], axis=1)
+
+    def _standing(self, frames: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return where the character stands ``(N, 3)`` and its heading ``(N, 4)``."""
+        rig: Rig = self.take.rig
+        up = np.array(rig.up.vector)
+        place = place_of(rig, self.take.motion.select(frames), self.chief)
+        rest = so3.conjugate(rest_rotation(rig, self.chief))
+        heading = twist(so3.multiply(place.rotation, rest), up)
+        return np.where(up == 0, place.position, 0.0), heading
+
+
+def _apart(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return how far columns ``(D, N)`` differ ``(N,)`` [m]."""
+    # Sums over rows, one after the other, round alike on every machine.
+    away = a - b
+    np.multiply(away, away, out=away)
+    return np.asarray(np.sqrt(away.sum(axis=0)))
+
+
+def _best(
+    table: FloatArray, least: int, most: int, still: float
+) -> tuple[int, int, float] | None:
+    """Return start, length and distance moved of the best cycle, in columns."""
+    count = table.shape[1]
+    variety = _apart(table, table.mean(axis=1, keepdims=True))
+    enough = max(still, LEAST_MOVED * math.sqrt(float(np.mean(variety**2))))
+    moved = np.zeros(count)
+    scores = np.full(most + 1, np.inf)
+    starts = np.zeros(most + 1, np.int64)
+    reached = np.zeros(most + 1)
+    # One step a length: all pairs of that length at once.
+    for lag in range(1, most + 1):
+        apart = _apart_by(table, lag)
+        moved = np.maximum(moved[: count - lag], apart)
+        if lag >= least:
+            far = moved > enough
+            shares = np.where(far, apart / np.where(far, moved, 1), np.inf)
+            scores[lag], k = _least(shares)
+            starts[lag], reached[lag] = k, moved[k]
+    if not np.isfinite(scores).any():
+        return None
+    lag = _shortest(scores)
+    return int(starts[lag]), lag, float(reached[lag])
+
+
+def _apart_by(table: FloatArray, lag: int) -> FloatArray:
+    """Return how far each column is from the one ``lag`` on, in blocks for a cache."""
+    count = table.shape[1] - lag
+    begins = range(0, count, BLOCK_FRAMES)
+    ranges = [(begin, min(begin + BLOCK_FRAMES, count)) for begin in begins]
+    return np.concatenate(
+        [_apart(table[:, a + lag : b + lag], table[:, a:b]) for a, b in ranges]
+    )
+
+
+def _least(values: FloatArray) -> tuple[float, int]:
+    """Return the least value, to a thousandth, and the first place that has it."""
+    # Else rounding, which is not the same on every machine, would choose.
+    coarse = np.round(values, 3)
+    place = int(np.argmin(coarse))
+    return float(coarse[place]), place
+
+
+def _shortest(scores: FloatArray) -> int:
+    """Return the length of the shortest cycle that is nearly as good as the best."""
+    short = int(np.argmax(scores <= NEARLY * scores.min() + NEARLY_SHARE))
+    near = scores[short : math.floor(short * NEAR) + 1]
+    return short + int(np.argmin(near))
+
+
+def _nearby(i: int, j: int, stride: int, ends: tuple[int, int]) -> IntArray:
+    """Return the pairs of frames between those compared about one ``(2, N)``."""
+    around = np.arange(1 - stride, stride)
+    sides = (np.unique(np.clip(frame + around, *ends)) for frame in (i, j))
+    return np.stack([grid.ravel() for grid in np.meshgrid(*sides, indexing="ij")])
+
+
+def _closest(eye: _Eye, pairs: IntArray) -> tuple[int, int, float]:
+    """Return the pair of frames that agree best, and how far apart they are [m]."""
+    frames, at = np.unique(pairs, return_inverse=True)
+    table, (starts, ends) = eye.see(frames), at.reshape(pairs.shape)
+    apart = _apart(table[:, starts], table[:, ends])
+    _, best = _least(apart / eye.still)
+    return int(pairs[0, best]), int(pairs[1, best]), float(apart[best])

@@ -1,0 +1,151 @@
+"""Which joints carry a character over the ground, and how far a cycle takes them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.edit.chain import above, local_values, place_of, twist
+from animtool.maths import so3
+from animtool.rig.kinematics import rest_size
+from animtool.rig.skeleton import JointType, Rig
+from animtool.take import Motion
+
+__all__ = ["Travel", "travel_of", "traveller"]
+
+# A joint that moves by less than this share of the rig's size, or turns by less
+# than this many radians, stands still: files round, and captures tremble.
+STILL = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Travel:
+    """How each joint's local transform goes on from one cycle to the next.
+
+    ``translation`` becomes ``linear · translation + shift``, and ``rotation``
+    becomes ``turn · rotation``. Joints that do not travel have identities.
+
+    Attributes:
+        turns: ``(J, 4)``.
+        linear: ``(J, 3, 3)``.
+        shifts: ``(J, 3)`` [m].
+    """
+
+    turns: FloatArray
+    linear: FloatArray
+    shifts: FloatArray
+
+
+def traveller(
+    rig: Rig, motion: Motion, root: int, *, below: bool = False
+) -> int | None:
+    """Return the joint whose motion is that of the whole character, from a root down.
+
+    It is the root where that moves. Else it is a free joint whose translation moves
+    and which has joints above that stand still only: of several, the one with most
+    joints below it, then the first. None where nothing travels.
+
+    Args:
+        rig: J joints.
+        motion: F frames.
+        root: Where to start.
+        below: Look below the root even where that moves.
+    """
+    if not below and (_slides(rig, motion, root) or _turns(motion, root)):
+        return root
+    found = _travellers(rig, motion, root)
+    return max(found, key=lambda j: (_weight(rig, j), -j), default=None)
+
+
+def travel_of(rig: Rig, motion: Motion) -> Travel:
+    """Return how a cycle goes on, from its first frame to its last.
+
+    What a character does over the ground and about the up axis goes on; what it
+    does in height, and in leaning, comes back. Each root goes its own way, and what
+    hangs from one that stands still goes with the joint that `traveller` finds.
+    """
+    count = len(rig.joints)
+    travel = Travel(
+        np.tile(so3.IDENTITY, (count, 1)),
+        np.tile(np.eye(3), (count, 1, 1)),
+        np.zeros((count, 3)),
+    )
+    ends = motion.select(np.array([0, -1]))
+    for root in rig.roots:
+        chief = traveller(rig, motion, root)
+        if chief is None:
+            continue
+        joints = [root] if chief == root else _travellers(rig, motion, root)
+        turn, slide = _ground_step(rig, ends, chief)
+        for joint in joints:
+            _carry(travel, joint, rig, ends, turn, slide)
+    return travel
+
+
+def _ground_step(rig: Rig, ends: Motion, joint: int) -> tuple[FloatArray, FloatArray]:
+    """Return the world's turn ``(4,)`` and slide ``(3,)`` from first frame to last."""
+    up = np.array(rig.up.vector)
+    place = place_of(rig, ends, joint)
+    whole = so3.multiply(place.rotation[1], so3.conjugate(place.rotation[0]))
+    turn = twist(whole, up)
+    slide = place.position[1] - so3.rotate(turn, place.position[0])
+    return turn, slide - (slide @ up) * up
+
+
+def _carry(
+    travel: Travel,
+    joint: int,
+    rig: Rig,
+    ends: Motion,
+    turn: FloatArray,
+    slide: FloatArray,
+) -> None:
+    """Write the world's step as one in the frame of a joint's parent."""
+    if rig.joints[joint].parent < 0:
+        travel.turns[joint], travel.shifts[joint] = turn, slide
+        travel.linear[joint] = so3.to_matrix(turn)
+        return
+    frame = above(rig, ends, joint)
+    position, rotation, linear = (
+        part[0] for part in (frame.position, frame.rotation, frame.linear)
+    )
+    travel.turns[joint] = so3.multiply(
+        so3.multiply(so3.conjugate(rotation), turn), rotation
+    )
+    moved = so3.rotate(turn, position) + slide - position
+    travel.linear[joint] = np.linalg.solve(linear, so3.to_matrix(turn) @ linear)
+    travel.shifts[joint] = np.linalg.solve(linear, moved)
+
+
+def _travellers(rig: Rig, motion: Motion, root: int) -> list[int]:
+    """Return the free joints below a root that move first on the way down."""
+    found: list[int] = []
+    still = {root}
+    for j, joint in enumerate(rig.joints):
+        if joint.parent not in still:
+            continue
+        if joint.type is JointType.FREE and _slides(rig, motion, j):
+            found.append(j)
+        elif not _turns(motion, j):
+            still.add(j)
+    return found
+
+
+def _slides(rig: Rig, motion: Motion, joint: int) -> bool:
+    reach = np.ptp(local_values(motion.translations, joint), axis=0)
+    return bool(np.linalg.norm(reach) > STILL * rest_size(rig))
+
+
+def _turns(motion: Motion, joint: int) -> bool:
+    values = local_values(motion.rotations, joint)
+    return bool(so3.angle_between(values, values[:1]).max() > STILL)
+
+
+def _weight(rig: Rig, joint: int) -> int:
+    inside = {joint}
+    for j, one in enumerate(rig.joints):
+        if one.parent in inside:
+            inside.add(j)
+    return len(inside)

@@ -1,0 +1,215 @@
+"""Joints put elsewhere, added and taken out, while what is below them stays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray
+from animtool.edit.chain import local_values
+from animtool.errors import Fault, OptionError
+from animtool.maths import so3
+from animtool.rig.skeleton import Joint, Pose, Rig
+from animtool.take import Channel, Take
+
+__all__ = ["Placing", "inserted", "removed", "set_joint"]
+
+# Scales, and angles [rad], that differ by less are the same: they come from files
+# in float32 at best, half at worst, and what is moved by 1e-9 is seen by none.
+ALIKE = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Placing:
+    """The local transform of one joint: ``(F, 3)`` [m] and ``(F, 4)``, or one frame."""
+
+    translations: FloatArray
+    rotations: FloatArray
+
+
+def set_joint(take: Take, joint: int, place: Placing) -> Take:
+    """Return the take with a joint moved, its children left where they are.
+
+    Raises:
+        OptionError: The joint's scale is 0, or differs by axis where the joint is
+            turned, so that a child would be sheared (SCN020).
+    """
+    motion = take.motion
+    children = np.flatnonzero(take.rig.parents == joint)
+    old = Placing(
+        local_values(motion.translations, joint), local_values(motion.rotations, joint)
+    )
+    back = so3.conjugate(place.rotations)
+    turn = so3.multiply(back, old.rotations)
+    turns = so3.angle_between(place.rotations, old.rotations) > ALIKE
+    scale = _scale(take, joint, turns)[:, None]
+    shift = so3.rotate(back, old.translations - place.translations)[:, None]
+    places, rotations = motion.translations.dense(), motion.rotations.dense()
+    below = so3.rotate(turn[:, None], scale * places[:, children])
+    places[:, children] = (below + shift) / scale
+    rotations[:, children] = so3.multiply(turn[:, None], rotations[:, children])
+    places[:, joint], rotations[:, joint] = place.translations, place.rotations
+    return replace(
+        take,
+        motion=replace(
+            motion,
+            translations=Channel.from_dense(places),
+            rotations=Channel.from_dense(rotations),
+        ),
+    )
+
+
+def _scale(take: Take, joint: int, turned: BoolArray) -> FloatArray:
+    """Return the scale of a joint ``(F, 3)``, one number where it is turned."""
+    scales = take.motion.scales
+    if scales is None:
+        return np.ones((1, 3))
+    found = local_values(scales, joint)
+    spread = np.ptp(found, axis=-1) > ALIKE * np.abs(found).max(axis=-1)
+    if (found == 0).any() or (spread & turned).any():
+        name = take.rig.names[joint]
+        raise OptionError(
+            Fault(
+                "SCN020",
+                f"{name!r} has a scale that is 0 or differs by axis, and what is "
+                "below it would be sheared",
+                hint="scale its children in its place",
+            )
+        )
+    return found
+
+
+def inserted(take: Take, name: str, above: int) -> Take:
+    """Return the take with a new joint that does nothing right above another.
+
+    The new joint takes the other's index, and the other the one behind it.
+    """
+    joints = [
+        replace(j, parent=j.parent + (j.parent >= above)) for j in take.rig.joints
+    ]
+    parent = joints[above].parent
+    joints[above] = replace(joints[above], parent=above)
+    joints.insert(above, Joint(name, parent))
+
+    def grown(channel: Channel, neutral: FloatArray) -> Channel:
+        return Channel(
+            np.insert(channel.rest, above, neutral, axis=0),
+            channel.animated + (channel.animated >= above),
+            channel.values,
+        )
+
+    return _on(take, replace(take.rig, joints=tuple(joints)), grown)
+
+
+def removed(take: Take, joint: int) -> Take:
+    """Return the take without a joint that is at the origin of its parent, unturned.
+
+    Its children hang from its parent and take over its scale and its rest pose.
+
+    Raises:
+        OptionError: Its scale differs by axis, or the rig refers to it (SCN020).
+    """
+    take = _unscaled(take, joint)
+    rig = take.rig
+    name, parent = rig.names[joint], rig.joints[joint].parent
+    if name in _referred(rig):
+        message = f"the rig's skins, chains or controls refer to {name!r}"
+        raise OptionError(Fault("SCN020", message, hint="keep the joint"))
+    joints = []
+    for i, one in enumerate(rig.joints):
+        if one.parent == joint:
+            pose = _below(_rest(rig.joints[joint]), _rest(one))
+            one = replace(  # noqa: PLW2901
+                one,
+                parent=parent,
+                translation=pose.translation,
+                rotation=pose.rotation,
+            )
+        elif one.parent > joint:
+            one = replace(one, parent=one.parent - 1)  # noqa: PLW2901
+        if i != joint:
+            joints.append(one)
+
+    def shrunk(channel: Channel, _: FloatArray) -> Channel:
+        kept = channel.animated != joint
+        animated = channel.animated[kept]
+        return Channel(
+            np.delete(channel.rest, joint, axis=0),
+            animated - (animated > joint),
+            channel.values[:, kept],
+        )
+
+    smaller = replace(rig, joints=tuple(joints), bind=_bind(rig, joint))
+    return _on(take, smaller, shrunk)
+
+
+def _unscaled(take: Take, joint: int) -> Take:
+    """Return the take with a joint's scale given to its children."""
+    scales = take.motion.scales
+    if scales is None:
+        return take
+    own = _scale(take, joint, np.ones(1, np.bool_))[:, None]
+    children = np.flatnonzero(take.rig.parents == joint)
+    whole, places = scales.dense(), take.motion.translations.dense()
+    whole[:, children] *= own
+    places[:, children] *= own
+    whole[:, joint] = 1.0
+    motion = replace(
+        take.motion,
+        scales=Channel.from_dense(whole),
+        translations=Channel.from_dense(places),
+    )
+    return replace(take, motion=motion)
+
+
+def _on(take: Take, rig: Rig, change: Callable[[Channel, FloatArray], Channel]) -> Take:
+    motion = take.motion
+    return replace(
+        take,
+        rig=rig,
+        motion=replace(
+            motion,
+            translations=change(motion.translations, np.zeros(3)),
+            rotations=change(motion.rotations, so3.IDENTITY),
+            scales=None if motion.scales is None else change(motion.scales, np.ones(3)),
+        ),
+    )
+
+
+def _rest(joint: Joint) -> Pose:
+    return Pose(joint.translation, joint.rotation)
+
+
+def _below(above: Pose, pose: Pose) -> Pose:
+    """Return a pose below another as one in the frame of that other's parent."""
+    place = so3.rotate(above.rotation, pose.translation) + above.translation
+    x, y, z = place.tolist()
+    a, b, c, w = so3.multiply(above.rotation, pose.rotation).tolist()
+    return Pose((x, y, z), (a, b, c, w))
+
+
+def _bind(rig: Rig, joint: int) -> dict[str, Pose]:
+    """Return the bind poses of a rig whose joint is taken out."""
+    gone = rig.joints[joint]
+    bind = {name: pose for name, pose in rig.bind.items() if name != gone.name}
+    for one in rig.joints:
+        if one.parent == joint and {one.name, gone.name} & set(rig.bind):
+            above = rig.bind.get(gone.name, _rest(gone))
+            bind[one.name] = _below(above, rig.bind.get(one.name, _rest(one)))
+    return bind
+
+
+def _referred(rig: Rig) -> set[str]:
+    """Return the names of joints that the rest of a rig speaks of."""
+    skins = [mesh.skin.joints for mesh in rig.meshes if mesh.skin is not None]
+    chains = [(chain.root, chain.tip) for chain in rig.ik]
+    groups = [*skins, *chains, *(one.joints for one in rig.attach)]
+    drives = [drive.target for control in rig.controls for drive in control.drives]
+    driven = [
+        t.removeprefix("joint/").split(".")[0] for t in drives if t[:6] == "joint/"
+    ]
+    mimics = [joint.mimic.joint for joint in rig.joints if joint.mimic is not None]
+    colliders = [collider.joint for collider in rig.colliders]
+    return {name for group in groups for name in group}.union(driven, mimics, colliders)

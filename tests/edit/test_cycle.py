@@ -1,0 +1,148 @@
+"""The search for a cycle, and how well a given one closes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from animtool._types import FloatArray
+from animtool.edit.cycle import find_cycle, measure_cycle
+from animtool.errors import OptionError
+from animtool.formats.bvh import read_bvh
+from animtool.maths import so3
+from animtool.rig.skeleton import Joint, Rig
+from animtool.take import Channel, Clock, Motion, Take
+from animtool.units import UpAxis
+
+LEG = (
+    Joint("hips", -1, translation=(0, 1, 0)),
+    Joint("knee", 0, translation=(0, -0.5, 0)),
+    Joint("foot", 1, translation=(0, -0.5, 0)),
+)
+
+
+def swinging(
+    angle: FloatArray, fps: int = 30, yaw: float = 0.0, up: UpAxis = UpAxis.Y
+) -> Take:
+    """Return a leg that swings by angles ``(F, 2)`` while it goes on and turns."""
+    count = len(angle)
+    time = np.arange(count) / fps
+    turns = np.tile(so3.IDENTITY, (count, 3, 1))
+    heading = so3.exp(yaw * time[:, None] * np.array(up.vector))
+    turns[:, 0] = heading
+    turns[:, 1] = so3.exp(angle[:, :1] * [1, 0, 0])
+    turns[:, 2] = so3.exp(angle[:, 1:] * [1, 0, 0])
+    places = np.tile([j.translation for j in LEG], (count, 1, 1)).astype(float)
+    places[:, 0] += np.cumsum(so3.rotate(heading, [0.04, 0, 0]), axis=0)
+    motion = Motion(Channel.from_dense(places), Channel.from_dense(turns))
+    clock = Clock(Fraction(fps), Fraction(101), Fraction(1), count)
+    return Take(Rig("leg", LEG, up=up), clock, motion)
+
+
+def gait(count: int, period: float, phase: float = 0.0) -> FloatArray:
+    """Return two angles that repeat after ``period`` frames."""
+    turn = 2 * np.pi * (np.arange(count) + phase) / period
+    return np.stack(
+        [0.6 * np.sin(turn), 0.4 * np.cos(turn) + 0.2 * np.sin(2 * turn)], axis=1
+    )
+
+
+@given(st.integers(12, 40), st.floats(0, 6), st.floats(-2, 2), st.sampled_from(UpAxis))
+def test_a_gait_is_found_wherever_it_goes(
+    period: int, phase: float, yaw: float, up: UpAxis
+) -> None:
+    take = swinging(gait(3 * period + 5, period, phase), yaw=yaw, up=up)
+    cycle = find_cycle(take)
+    assert cycle.last - cycle.first == period
+    assert cycle.share < 0.01
+
+
+def test_the_cycle_in_a_capture_of_other_things() -> None:
+    rng = np.random.default_rng(5)
+    wander = np.cumsum(rng.normal(0, 0.06, (200, 2)), axis=0)
+    steps = gait(80, 33.0) + rng.normal(0, 0.002, (80, 2))
+    still = np.tile(wander[-1:], (90, 1))
+    take = swinging(np.concatenate([wander, still, steps + wander[-1]]))
+    cycle = find_cycle(take)
+    assert cycle.last - cycle.first == pytest.approx(33, abs=1)
+    assert cycle.first >= 101 + 280
+    assert find_cycle(take) == cycle
+
+
+def test_frames_between_those_compared_are_looked_at() -> None:
+    take = swinging(gait(400, 141.0), fps=120)
+    cycle = find_cycle(take)
+    assert cycle.last - cycle.first == 141
+
+
+def test_the_search_stays_where_it_is_asked_to() -> None:
+    take = swinging(gait(200, 30.0))
+    cycle = find_cycle(take, 150, 220, shortest=1.5)
+    assert (cycle.first >= 150, cycle.last <= 220) == (True, True)
+    assert cycle.last - cycle.first == 60
+
+
+@pytest.mark.parametrize(
+    ("options", "code"),
+    [
+        ({"first": 99}, "SCN013"),
+        ({"last": 999}, "SCN013"),
+        ({"first": 110, "last": 104}, "SCN018"),
+        ({"first": 110, "last": 112}, "SCN018"),
+        ({"shortest": 60.0}, "SCN018"),
+        ({"shortest": -1.0}, "SCN018"),
+        ({"longest": float("nan")}, "SCN018"),
+        ({"shortest": 2.0, "longest": 1.0}, "SCN018"),
+    ],
+)
+def test_no_such_cycle(options: dict[str, float], code: str) -> None:
+    with pytest.raises(OptionError) as error:
+        find_cycle(swinging(gait(200, 30.0)), **options)
+    assert error.value.code == code
+
+
+def test_nothing_moves() -> None:
+    with pytest.raises(OptionError) as error:
+        find_cycle(swinging(np.zeros((60, 2))))
+    assert error.value.code == "SCN018"
+    assert measure_cycle(swinging(np.zeros((60, 2)))).share < 1e-6
+
+
+def test_a_joint_alone_is_seen_to_turn() -> None:
+    turn = so3.exp(np.sin(np.arange(70) / 30 * 2 * np.pi)[:, None, None] * [1, 0, 0])
+    rig = Rig("ball", (Joint("ball", -1),))
+    motion = Motion(Channel.from_dense(np.zeros((70, 1, 3))), Channel.from_dense(turn))
+    take = Take(rig, Clock(Fraction(30), Fraction(1), Fraction(1), 70), motion)
+    cycle = find_cycle(take)
+    assert cycle.last - cycle.first == 30
+
+
+def test_the_walk_has_the_cycle_that_it_was_made_with(walk: Path) -> None:
+    cycle = find_cycle(read_bvh(walk).collect())
+    assert cycle.last - cycle.first == 32
+    assert cycle.apart < 1e-4
+
+
+def test_ends_are_measured() -> None:
+    take = swinging(gait(61, 30.0))
+    good, poor = measure_cycle(take, 101, 161), measure_cycle(take, 101, 146)
+    assert good.share < 0.02
+    assert poor.share > 0.9
+    with pytest.raises(OptionError) as error:
+        measure_cycle(take, 120, 120)
+    assert error.value.code == "SCN018"
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_a_few_frames(count: int) -> None:
+    take = swinging(gait(count, 30.0))
+    assert measure_cycle(take).apart > 0
+    shorter = replace(take, clock=replace(take.clock, fps=Fraction(2)))
+    if count == 3:
+        assert find_cycle(shorter).last == 103
