@@ -56,8 +56,8 @@ def mirror(
     framed differently works, and what is static stays so. The plane goes through
     the rest position of each root. Twice is the source again.
 
-    Limits: scales keep their meaning only where partners' axes are parallel or at
-    right angles in the mirror.
+    Limits: scales that differ by axis keep their meaning, and come back, only where
+    partners' axes are parallel or at right angles in the mirror.
 
     Raises:
         OptionError: A pair names no joint (SCN012), or partners do not hang from

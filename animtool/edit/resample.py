@@ -9,6 +9,7 @@ from fractions import Fraction
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
+from animtool.edit.frames import check_count
 from animtool.edit.places import Places, even_places
 from animtool.errors import Fault, OptionError
 from animtool.passes import Pass, PassContext, Scope
@@ -168,8 +169,9 @@ def resampled(take: Take, fps: Fraction) -> Take:
     """Return the take with a sample on every time code at another rate.
 
     Raises:
-        OptionError: There would be more than 10 million.
+        OptionError: There would be more than 10 million (SCN021).
     """
+    check_count(1 + int((take.clock.count - 1) * fps / take.clock.rate))
     times = plan_samples(take.clock, fps, take.clock.start)
     motion = Motion.concatenate([block for _, block in sample(take, times)])
     clock = Clock(fps, take.clock.start, Fraction(1), motion.frames)
