@@ -150,7 +150,7 @@ def _said(cycle: Cycle, *, found: bool) -> list[Fault]:
     """Return what is worth saying of a cycle."""
     ends = (
         f"frames {cycle.first:g} and {cycle.last:g} differ by "
-        f"{1000 * cycle.apart:.3g} mm, {100 * cycle.share:.0f}% of what moves between"
+        f"{1000 * cycle.apart:.2f} mm, {100 * cycle.share:.0f}% of what moves between"
     )
     said = []
     if found:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import re
 import shlex
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 from support.cli import animtool
+
+from animtool.passes import PASSES, find_pass
 
 DOCUMENTS = [
     "README.md",
@@ -67,3 +70,17 @@ def test_every_code_is_in_the_guide(root: Path) -> None:
         used |= set(re.findall(r"\"([A-Z]{2,4}\d{3})\"", path.read_text("utf-8")))
     assert used <= listed, used - listed
     assert listed <= used, listed - used
+
+
+def test_every_pass_and_option_is_in_the_guide(root: Path) -> None:
+    guide = (root / "animtool/docs/guide.md").read_text("utf-8")
+    table = guide.split("| pass | options | |")[1].split("\n\n")[0]
+    rows = [line.split("|")[1:3] for line in table.splitlines()[2:]]
+    listed = {
+        name.strip(" `"): re.findall(r"`(\w+)`", options) for name, options in rows
+    }
+    assert listed == {
+        name: [field.name for field in fields(find_pass(name).options)]
+        for name in listed
+    }
+    assert set(listed) == set(PASSES)

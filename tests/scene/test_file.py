@@ -94,3 +94,15 @@ def test_two_faults_are_said_at_once(shot: Path) -> None:
     assert done.code == 3
     assert done.stderr.count("shot.scene.yaml:") == 2
     assert not (shot.parent / "shot.usda").exists()
+
+
+def test_what_a_pass_says_is_reported(shot: Path) -> None:
+    shot.write_text(GOOD.replace("mirror:", "loop: {find: true}"), "utf-8")
+    done = animtool("bake", shot)
+    assert done.code == 0
+    assert "note: SCN102 the best cycle: frames" in done.stderr
+    poor = GOOD.replace("mirror:", "loop: {first: 1, last: 17, repeats: 2}")
+    shot.write_text(poor, "utf-8")
+    done = animtool("bake", shot, "--strict", "--overwrite")
+    assert done.code == 1
+    assert "SCN101" in done.stderr
