@@ -138,6 +138,21 @@ class Channel:
         whole[:, self.animated] = self.values
         return whole
 
+    def gather(self, joints: IntArray) -> FloatArray:
+        """Return the values of some joints, moving or not ``(F, len(joints), K)``."""
+        values = np.repeat(self.rest[joints][None], len(self.values), axis=0)
+        _, into, source = np.intersect1d(joints, self.animated, return_indices=True)
+        if len(into):
+            values[:, into] = self.values[:, source]
+        return values
+
+    def put(self, joints: IntArray, values: FloatArray) -> Channel:
+        """Return the channel with other values of some joints, ascending."""
+        animated = np.union1d(self.animated, joints)
+        whole = self.gather(animated)
+        whole[:, np.searchsorted(animated, joints)] = values
+        return Channel(self.rest, animated, whole)
+
     def compact(self) -> Channel:
         """Return the channel with the joints that never move made static."""
         if not len(self.values):

@@ -9,13 +9,12 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.maths import so3
 from animtool.rig.skeleton import Rig
-from animtool.take import Channel, Motion
+from animtool.take import Motion
 
 __all__ = [
     "Place",
     "above",
     "ancestors",
-    "local_values",
     "place_of",
     "rest_rotation",
     "twist",
@@ -53,14 +52,6 @@ def ancestors(rig: Rig, joint: int) -> list[int]:
     return found[::-1]
 
 
-def local_values(channel: Channel, joint: int) -> FloatArray:
-    """Return what a channel holds of one joint, in every frame ``(F, K)``."""
-    at = np.flatnonzero(channel.animated == joint)
-    if len(at):
-        return channel.values[:, int(at[0])]
-    return np.repeat(channel.rest[joint][None], len(channel.values), axis=0)
-
-
 def above(rig: Rig, motion: Motion, joint: int) -> Place:
     """Return the frame that a joint's own transform is in: its parent, or the world."""
     return _followed(motion, ancestors(rig, joint))
@@ -84,13 +75,15 @@ def _followed(motion: Motion, joints: list[int]) -> Place:
     rotation = np.tile(so3.IDENTITY, (motion.frames, 1))
     linear = np.tile(np.eye(3), (motion.frames, 1, 1))
     for joint in joints:
-        step = local_values(motion.translations, joint)
-        turn = local_values(motion.rotations, joint)
+        step, turn = (
+            channel.gather(np.array([joint]))[:, 0]
+            for channel in (motion.translations, motion.rotations)
+        )
         position = position + np.einsum("fij,fj->fi", linear, step)
         rotation = so3.multiply(rotation, turn)
         linear = linear @ so3.to_matrix(turn)
         if motion.scales is not None:
-            linear = linear * local_values(motion.scales, joint)[:, None]
+            linear = linear * motion.scales.gather(np.array([joint]))
     return Place(position, rotation, linear)
 
 

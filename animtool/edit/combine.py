@@ -6,12 +6,12 @@ What moves in neither stays stored once, unless the weight changes over time.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
+from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError
 from animtool.rig.skeleton import Rig
 from animtool.take import Channel, Motion
@@ -144,19 +144,8 @@ def _joined(
         rest[still] = operation(a.rest[still][None], b.rest[still][None], weights[:1])[
             0
         ]
-    animated = np.union1d(a.animated, moving)
-    values = _gathered(a, animated)
+    result = replace(a, rest=rest)
     if len(moving):
-        places = np.searchsorted(animated, moving)
-        both = _gathered(a, moving), _gathered(b, moving)
-        values[:, places] = operation(*both, weights)
-    return Channel(rest, animated, values)
-
-
-def _gathered(channel: Channel, joints: IntArray) -> FloatArray:
-    """Return the values of some joints, moving or not ``(F, len(joints), K)``."""
-    values = np.repeat(channel.rest[joints][None], len(channel.values), axis=0)
-    common, into, source = np.intersect1d(joints, channel.animated, return_indices=True)
-    if len(common):
-        values[:, into] = channel.values[:, source]
-    return values
+        both = a.gather(moving), b.gather(moving)
+        result = result.put(moving, operation(*both, weights))
+    return result

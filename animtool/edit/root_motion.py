@@ -10,7 +10,6 @@ import numpy as np
 from animtool.edit.chain import (
     above,
     ancestors,
-    local_values,
     place_of,
     rest_rotation,
     twist,
@@ -136,10 +135,13 @@ def _carried(take: Take, root: int, hip: int, axes: str, yaw: bool) -> Placing:
     chosen = np.array([axis in axes for axis in "xyz"]) if axes else up == 0
     hips, own = place_of(rig, motion, hip), place_of(rig, motion, root)
     frame = above(rig, motion, root)
+    if (np.linalg.det(frame.linear) == 0).any():
+        name = rig.names[root]
+        raise _refusal(f"what is above {name!r} has a scale of 0", "scale it up")
     position = np.where(chosen, hips.position, own.position)
     offset = (position - frame.position)[..., None]
     places = np.asarray(np.linalg.solve(frame.linear, offset)[..., 0], np.float64)
-    turns = local_values(motion.rotations, root)
+    turns = motion.rotations.gather(np.array([root]))[:, 0]
     if yaw:
         rest = so3.conjugate(rest_rotation(rig, hip))
         turn = twist(so3.multiply(hips.rotation, rest), up)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.edit.chain import above, local_values, place_of, twist
+from animtool.edit.chain import above, place_of, twist
 from animtool.maths import so3
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import JointType, Rig
@@ -111,6 +111,8 @@ def _carry(
     position, rotation, linear = (
         part[0] for part in (frame.position, frame.rotation, frame.linear)
     )
+    if np.linalg.det(linear) == 0:
+        return
     travel.turns[joint] = so3.multiply(
         so3.multiply(so3.conjugate(rotation), turn), rotation
     )
@@ -134,12 +136,12 @@ def _travellers(rig: Rig, motion: Motion, root: int) -> list[int]:
 
 
 def _slides(rig: Rig, motion: Motion, joint: int) -> bool:
-    reach = np.ptp(local_values(motion.translations, joint), axis=0)
+    reach = np.ptp(motion.translations.gather(np.array([joint])), axis=0)
     return bool(np.linalg.norm(reach) > STILL * rest_size(rig))
 
 
 def _turns(motion: Motion, joint: int) -> bool:
-    values = local_values(motion.rotations, joint)
+    values = motion.rotations.gather(np.array([joint]))
     return bool(so3.angle_between(values, values[:1]).max() > STILL)
 
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray
-from animtool.edit.chain import local_values
 from animtool.errors import Fault, OptionError
 from animtool.maths import so3
 from animtool.rig.skeleton import Joint, Pose, Rig
@@ -38,25 +37,23 @@ def set_joint(take: Take, joint: int, place: Placing) -> Take:
     """
     motion = take.motion
     children = np.flatnonzero(take.rig.parents == joint)
-    old = Placing(
-        local_values(motion.translations, joint), local_values(motion.rotations, joint)
-    )
+    family = np.concatenate([[joint], children])
+    places = motion.translations.gather(family)
+    rotations = motion.rotations.gather(family)
     back = so3.conjugate(place.rotations)
-    turn = so3.multiply(back, old.rotations)
-    turns = so3.angle_between(place.rotations, old.rotations) > ALIKE
+    turn = so3.multiply(back, rotations[:, 0])[:, None]
+    turns = so3.angle_between(place.rotations, rotations[:, 0]) > ALIKE
     scale = _scale(take, joint, turns)[:, None]
-    shift = so3.rotate(back, old.translations - place.translations)[:, None]
-    places, rotations = motion.translations.dense(), motion.rotations.dense()
-    below = so3.rotate(turn[:, None], scale * places[:, children])
-    places[:, children] = (below + shift) / scale
-    rotations[:, children] = so3.multiply(turn[:, None], rotations[:, children])
-    places[:, joint], rotations[:, joint] = place.translations, place.rotations
+    shift = so3.rotate(back, places[:, 0] - place.translations)[:, None]
+    places[:, 1:] = (so3.rotate(turn, scale * places[:, 1:]) + shift) / scale
+    rotations[:, 1:] = so3.multiply(turn, rotations[:, 1:])
+    places[:, 0], rotations[:, 0] = place.translations, place.rotations
     return replace(
         take,
         motion=replace(
             motion,
-            translations=Channel.from_dense(places),
-            rotations=Channel.from_dense(rotations),
+            translations=motion.translations.put(family, places),
+            rotations=motion.rotations.put(family, rotations),
         ),
     )
 
@@ -66,7 +63,7 @@ def _scale(take: Take, joint: int, turned: BoolArray) -> FloatArray:
     scales = take.motion.scales
     if scales is None:
         return np.ones((1, 3))
-    found = local_values(scales, joint)
+    found = scales.gather(np.array([joint]))[:, 0]
     spread = np.ptp(found, axis=-1) > ALIKE * np.abs(found).max(axis=-1)
     if (found == 0).any() or (spread & turned).any():
         name = take.rig.names[joint]
@@ -152,14 +149,14 @@ def _unscaled(take: Take, joint: int) -> Take:
         return take
     own = _scale(take, joint, np.ones(1, np.bool_))[:, None]
     children = np.flatnonzero(take.rig.parents == joint)
-    whole, places = scales.dense(), take.motion.translations.dense()
-    whole[:, children] *= own
-    places[:, children] *= own
-    whole[:, joint] = 1.0
+    places = take.motion.translations
+    family = np.concatenate([[joint], children])
+    sizes = scales.gather(family) * own
+    sizes[:, 0] = 1.0
     motion = replace(
         take.motion,
-        scales=Channel.from_dense(whole),
-        translations=Channel.from_dense(places),
+        scales=scales.put(family, sizes),
+        translations=places.put(children, places.gather(children) * own),
     )
     return replace(take, motion=motion)
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.gaits import gait, swinging
 
-from animtool._types import FloatArray
 from animtool.edit.cycle import find_cycle, measure_cycle
 from animtool.errors import OptionError
 from animtool.formats.bvh import read_bvh
@@ -19,38 +19,6 @@ from animtool.maths import so3
 from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Channel, Clock, Motion, Take
 from animtool.units import UpAxis
-
-LEG = (
-    Joint("hips", -1, translation=(0, 1, 0)),
-    Joint("knee", 0, translation=(0, -0.5, 0)),
-    Joint("foot", 1, translation=(0, -0.5, 0)),
-)
-
-
-def swinging(
-    angle: FloatArray, fps: int = 30, yaw: float = 0.0, up: UpAxis = UpAxis.Y
-) -> Take:
-    """Return a leg that swings by angles ``(F, 2)`` while it goes on and turns."""
-    count = len(angle)
-    time = np.arange(count) / fps
-    turns = np.tile(so3.IDENTITY, (count, 3, 1))
-    heading = so3.exp(yaw * time[:, None] * np.array(up.vector))
-    turns[:, 0] = heading
-    turns[:, 1] = so3.exp(angle[:, :1] * [1, 0, 0])
-    turns[:, 2] = so3.exp(angle[:, 1:] * [1, 0, 0])
-    places = np.tile([j.translation for j in LEG], (count, 1, 1)).astype(float)
-    places[:, 0] += np.cumsum(so3.rotate(heading, [0.04, 0, 0]), axis=0)
-    motion = Motion(Channel.from_dense(places), Channel.from_dense(turns))
-    clock = Clock(Fraction(fps), Fraction(101), Fraction(1), count)
-    return Take(Rig("leg", LEG, up=up), clock, motion)
-
-
-def gait(count: int, period: float, phase: float = 0.0) -> FloatArray:
-    """Return two angles that repeat after ``period`` frames."""
-    turn = 2 * np.pi * (np.arange(count) + phase) / period
-    return np.stack(
-        [0.6 * np.sin(turn), 0.4 * np.cos(turn) + 0.2 * np.sin(2 * turn)], axis=1
-    )
 
 
 @given(st.integers(12, 40), st.floats(0, 6), st.floats(-2, 2), st.sampled_from(UpAxis))

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from edit.test_cycle import gait, swinging
 from hypothesis import given
 from hypothesis import strategies as st
+from support.gaits import gait, swinging
 from support.takes import assert_same_motion, rigs, world_of
 
 from animtool._types import FloatArray
@@ -143,6 +143,11 @@ def test_travel_below_a_root_that_stands_still(scale: float) -> None:
     found = world_of(loop(rooted, repeats=4)).positions[:, 1:]
     expected = so3.rotate(upright[0], scale * plain) + np.array([1.0, 2.0, 3.0])
     np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+def test_below_a_root_of_no_size_nothing_travels() -> None:
+    found = loop(below(swinging(gait(31, 30.0)), "reference", 0.0), repeats=2)
+    assert np.isfinite(found.motion.translations.dense()).all()
 
 
 def test_what_slides_by_its_nature_does_not_travel() -> None:

@@ -127,12 +127,17 @@ def upright(up: UpAxis, frames: int = 9) -> Take:
     return Take(rig, Clock(Fraction(24), Fraction(1), Fraction(1), frames), motion)
 
 
-def sheared() -> Take:
+def sheared(scale: tuple[float, float, float] = (1, 2, 3)) -> Take:
     """Return a take whose hips are scaled by axis."""
     take = upright(UpAxis.Y)
     scales = np.ones((take.clock.count, 2, 3))
-    scales[:, 0] = [1, 2, 3]
+    scales[:, 0] = scale
     return replace(take, motion=replace(take.motion, scales=Channel.from_dense(scales)))
+
+
+def sunken() -> Take:
+    """Return a take whose hips have no size."""
+    return sheared((0, 0, 0))
 
 
 def test_what_cannot_be_a_root() -> None:
@@ -143,6 +148,7 @@ def test_what_cannot_be_a_root() -> None:
         (lambda: extract_root(take, hips="knee"), "SCN012"),
         (lambda: extract_root(take, "chest", hips="hips"), "SCN020"),
         (lambda: extract_root(take, "chest"), "SCN020"),
+        (lambda: extract_root(sunken(), "root", hips="chest"), "SCN020"),
         (lambda: recompose_root(take), "SCN012"),
         (lambda: recompose_root(take, "chest"), "SCN020"),
         (lambda: recompose_root(replace(take, rig=chain), "hips"), "SCN020"),
