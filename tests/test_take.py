@@ -72,6 +72,18 @@ def test_concatenate_undoes_select() -> None:
     assert_array_equal(Channel.concatenate(parts).dense(), values)
 
 
+def test_gather_and_put() -> None:
+    values = np.random.default_rng(0).normal(size=(5, 4, 3))
+    values[:, 1] = values[0, 1]
+    channel = Channel.from_dense(values)
+    joints = np.array([1, 3])
+    assert_array_equal(channel.gather(joints), values[:, joints])
+    found = channel.put(joints, -values[:, joints])
+    values[:, joints] *= -1
+    assert_array_equal(found.dense(), values)
+    assert found.animated.tolist() == [0, 1, 2, 3]
+
+
 ARM = Rig("arm", (Joint("a", -1), Joint("b", 0, translation=(0.0, 2.0, 0.0))))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.edit.cycle import Cycle, find_cycle, measure_cycle
 from animtool.edit.frames import check_count, frame_index
-from animtool.edit.seam import SeamBlend, closed_lines, closed_turns
+from animtool.edit.seam import Onward, SeamBlend, closed_lines, closed_turns
 from animtool.edit.signs import continuous
 from animtool.edit.travel import Travel, travel_of
 from animtool.errors import Fault, OptionError, Severity
@@ -59,7 +59,8 @@ def loop(
 
     The frame ``last`` is the first of the next cycle and is not shown itself. Over
     the ``blend`` frames before it, what the cycle lacks of the first pose and of
-    the speed there is added, so that neither jumps. What carries the character
+    the speed there is added, so that neither jumps; speeds are known best where the
+    take has frames on either side of the cycle. What carries the character
     keeps its travel: each cycle goes on, over the ground and about the up axis,
     from where the one before it ended. That is a root, or the topmost joint that
     travels below a root that stands still. A take of one frame stays as it is.
@@ -78,15 +79,18 @@ def loop(
         raise OptionError(Fault("SCN018", f"no cycle can be made of {message}"))
     length = j - i
     check_count(length * repeats)
-    motion = take.motion.select(slice(i, j + 1))
+    before, behind = int(i > 0), int(j < clock.count - 1)
     cycle = _Cycling(
-        travel_of(take.rig, motion), SeamBlend.over(length, blend), repeats
+        travel_of(take.rig, take.motion.select(slice(i, j + 1))),
+        SeamBlend.over(length, blend, before, behind),
+        repeats,
     )
+    motion = cycle.motion(take.motion.select(slice(i - before, j + behind + 1)))
     start = clock.start + i * clock.step
     return replace(
         take,
         clock=replace(clock, start=start, count=length * repeats),
-        motion=continuous(cycle.motion(motion)).map(Channel.compact),
+        motion=continuous(motion).map(Channel.compact),
     )
 
 
@@ -104,8 +108,7 @@ class _Cycling:
         )
 
     def numbers(self, channel: Channel) -> Channel:
-        values = channel.values
-        cycle = closed_lines(values, values[:3], self.blend)
+        cycle = closed_lines(channel.values, self.blend, lambda values: values)
         return replace(channel, values=np.concatenate([cycle] * self.repeats))
 
     def translations(self, channel: Channel) -> Channel:
@@ -115,20 +118,24 @@ class _Cycling:
         def onward(values: FloatArray) -> FloatArray:
             return np.asarray(np.einsum("aij,faj->fai", linear, values) + shifts)
 
-        values = channel.values
-        parts = [closed_lines(values, onward(values[:3]), self.blend)]
+        cycle = closed_lines(channel.values, self.blend, onward)
+        return replace(channel, values=self.repeated(cycle, onward))
+
+    def rotations(self, channel: Channel) -> Channel:
+        turns = self.travel.turns[channel.animated]
+
+        def onward(values: FloatArray) -> FloatArray:
+            return so3.multiply(turns, values)
+
+        cycle = closed_turns(channel.values, self.blend, onward)
+        return replace(channel, values=self.repeated(cycle, onward))
+
+    def repeated(self, cycle: FloatArray, onward: Onward) -> FloatArray:
+        parts = [cycle]
         # One step a repeat: each is the travel of the one before it.
         for _ in range(self.repeats - 1):
             parts.append(onward(parts[-1]))
-        return replace(channel, values=np.concatenate(parts))
-
-    def rotations(self, channel: Channel) -> Channel:
-        turns, values = self.travel.turns[channel.animated], channel.values
-        after = so3.multiply(turns, values[:3])
-        parts = [closed_turns(values, after, self.blend)]
-        for _ in range(self.repeats - 1):
-            parts.append(so3.multiply(turns, parts[-1]))
-        return replace(channel, values=np.concatenate(parts))
+        return np.concatenate(parts)
 
 
 def _run(take: Take, options: LoopOptions, context: PassContext) -> Take:
