@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from support.takes import assert_same_motion, assert_same_world, takes, world_of
+from support.takes import assert_same_motion, assert_same_world, takes
 
 from animtool.edit.root_motion import extract_root, recompose_root
 from animtool.edit.tree import inserted
@@ -60,7 +60,7 @@ def test_a_root_of_the_rig_leaves_the_world_and_comes_to_rest(
     source = static_root(take)
     found = extract_root(source, axes=axes, yaw=yaw)
     assert found.rig == source.rig
-    world, before = world_of(found), world_of(source)
+    world, before = found.world(), source.world()
     assert np.abs(world.positions - before.positions)[:, 1:].max() < WITHIN
     assert np.abs(world.linear - before.linear)[:, 1:].max() < WITHIN
     back = recompose_root(found, keep=True)
@@ -75,7 +75,7 @@ def test_any_joint_can_be_the_root(take: Take, yaw: bool, data: st.DataObject) -
     root = take.rig.names[data.draw(st.sampled_from(inner))]
     found = extract_root(take, root, "xyz", yaw=yaw)
     below = [j for j in range(len(take.rig.joints)) if take.rig.names[j] != root]
-    world, before = world_of(found), world_of(take)
+    world, before = found.world(), take.world()
     assert np.abs(world.positions - before.positions)[:, below].max() < WITHIN
     gone = recompose_root(found, root)
     assert root not in gone.rig.names
@@ -88,8 +88,8 @@ def _without(take: Take, root: str) -> Take:
 
 def test_the_root_goes_over_the_ground_with_the_hips(walk: Path) -> None:
     take = read_bvh(walk).collect()
-    found = world_of(extract_root(take)).positions
-    hips = world_of(take).positions[:, 0]
+    found = extract_root(take).world().positions
+    hips = take.world().positions[:, 0]
     np.testing.assert_allclose(found[:, 0, [0, 2]], hips[:, [0, 2]], atol=1e-12)
     assert np.abs(found[:, 0, 1]).max() < 1e-12
 
@@ -97,8 +97,8 @@ def test_the_root_goes_over_the_ground_with_the_hips(walk: Path) -> None:
 def test_the_root_that_is_there_goes_with_the_joint_that_travels(walk: Path) -> None:
     take = static_root(read_bvh(walk).collect())
     found = extract_root(take, yaw=False)
-    positions = world_of(found).positions
-    hips = world_of(take).positions[:, 1]
+    positions = found.world().positions
+    hips = take.world().positions[:, 1]
     np.testing.assert_allclose(positions[:, 0, [0, 2]], hips[:, [0, 2]], atol=1e-12)
     np.testing.assert_allclose(positions[:, 0, 1], 0.25, atol=1e-12)
 

@@ -18,6 +18,7 @@ from animtool.edit.root_motion import RootMode
 from animtool.errors import AnimtoolError
 from animtool.maths import so3
 from animtool.passes import PassContext, apply_pass, find_pass
+from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
 from animtool.scene.file import load_scene
 from animtool.take import Channel, Clock, Motion, Take, TakeStream
@@ -39,7 +40,8 @@ def swaying(count: int = 12, shapes: int = 1, names: str = "") -> Take:
         weights=Channel.from_dense(np.zeros((count, shapes, 1))),
     )
     clock = Clock(Fraction(30), Fraction(1), Fraction(1), count)
-    return Take(Rig("swaying", joints), clock, motion)
+    parts = tuple(Shape(f"shape{i}") for i in range(shapes))
+    return Take(Rig("swaying", joints, shapes=parts), clock, motion)
 
 
 def crouched(scale: tuple[float, float, float]) -> Take:

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from animtool._types import FloatArray
 from animtool.maths import so3
 from animtool.rig.controls import Control
-from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Channel, Clock, Motion, Take
@@ -83,16 +82,11 @@ def motion_of(
     )
 
 
-def world_of(take: Take) -> WorldTransforms:
-    """Return where every joint of a take is."""
-    return forward(take.rig, *take.motion.dense())
-
-
 def assert_same_world(found: Take, expected: Take, tolerance: float) -> None:
     """Compare the joints that two takes share, by name, and their clocks."""
     assert found.clock == expected.clock
     ours = [found.rig.index(name) for name in expected.rig.names]
-    a, b = world_of(found), world_of(expected)
+    a, b = found.world(), expected.world()
     assert np.abs(a.positions[:, ours] - b.positions).max() <= tolerance
     assert np.abs(a.linear[:, ours] - b.linear).max() <= tolerance
 
