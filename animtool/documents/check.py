@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import copy
+from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from animtool.documents.document import Document
+from animtool.documents.document import Document, Location
+from animtool.documents.mend import (
+    UNKNOWN,
+    annotation_at,
+    fields_at,
+    fields_of,
+    models_of,
+    replaced,
+    stand_in,
+)
 from animtool.errors import excerpt
 
 __all__ = ["FileModel", "check_version", "nearest", "validated"]
@@ -27,6 +38,7 @@ def nearest(name: str, names: list[str]) -> str:
     >>> nearest("ebow", ["elbow", "hand"])
     "did you mean 'elbow'?"
     """
+    names = [known for known in names if known != UNKNOWN]
     near = get_close_matches(name, names, 1)
     if near:
         return f"did you mean {near[0]!r}?"
@@ -47,61 +59,138 @@ def check_version(document: Document, kind: str) -> None:
         hint = f"the first line of such a file is '{kind}: animtool/1'"
         if known:
             hint = f"it looks like a {known[0]} file"
-        document.add("DOC009", [], f"is no {kind} file", hint)
+        document.add("DOC009", (), f"is no {kind} file", hint)
     elif isinstance(stated, str) and stated.startswith("animtool/"):
         message = f"{stated} is a version that this animtool does not know"
-        document.add("DOC012", [kind], message, "a newer animtool reads it")
+        document.add("DOC012", (kind,), message, "a newer animtool reads it")
     else:
         message = f"{kind} is {excerpt(str(stated))}"
-        document.add("DOC009", [kind], message, "allowed: animtool/1")
+        document.add("DOC009", (kind,), message, "allowed: animtool/1")
     document.check()
 
 
 def validated(document: Document, model: type[Model]) -> Model:
-    """Return a document as a model.
+    """Return a document as a model; faults of its keys, types and values are noted.
+
+    Something stands in for each faulty value, and `Document.add` notes no fault of it,
+    so that the rest can be checked before `Document.check` raises all at once. A key
+    that is nearly right is read as the one that was meant.
 
     Raises:
-        FormatError: With every fault of its keys, types and values.
+        FormatError: Nothing can stand in.
     """
-    try:
-        return model.model_validate(document.value)
-    except ValidationError as error:
-        _report(document, model, error)
-        document.check()
-        raise
-
-
-def _report(document: Document, model: type[BaseModel], error: ValidationError) -> None:
-    merged: dict[tuple[tuple[str | int, ...], str], list[Any]] = {}
-    for fault in error.errors(include_url=False):
-        missing = str(fault["loc"][-1]) if fault["type"] == "missing" else ""
-        merged.setdefault((_within(document, fault), missing), []).append(fault)
-    for (location, _), faults in merged.items():
-        kind = faults[0]["type"]
-        if kind == "extra_forbidden":
-            names = _field_names(model, document, location[:-1])
-            message = f"unknown key {excerpt(str(location[-1]))}"
-            hint = nearest(str(location[-1]), names)
-            document.add("DOC020", location, message, hint)
-        elif kind == "missing":
-            name = str(faults[0]["loc"][-1])
-            document.add("DOC021", location, f"key {name!r} is missing")
-        else:
-            texts = dict.fromkeys(_words(fault) for fault in faults)
-            document.add("DOC022", location, "; or ".join(texts))
-
-
-def _within(document: Document, fault: Any) -> tuple[str | int, ...]:
-    """Return where a fault is, without the names of variants that were tried."""
-    node: Any = document.value
-    found: list[str | int] = []
-    for step in fault["loc"]:
+    value: Any = document.value
+    while True:
         try:
+            return model.model_validate(value)
+        except ValidationError as error:
+            if value is document.value:
+                value = copy.deepcopy(value)
+            _Faults(document, model, value).mend(error)
+
+
+@dataclass(slots=True)
+class _Faults:
+    """The faults of a value: they are noted, and mended in the value.
+
+    Attributes:
+        document: Where they are noted.
+        model: What the value should be.
+        value: The document's value with what was mended before.
+    """
+
+    document: Document
+    model: type[BaseModel]
+    value: Any
+
+    def mend(self, error: ValidationError) -> None:
+        """Note what an attempt to read the value found, and mend it."""
+        merged: dict[tuple[Location, str], list[Any]] = {}
+        for fault in error.errors(include_url=False):
+            missing = str(fault["loc"][-1]) if fault["type"] == "missing" else ""
+            merged.setdefault((self._within(fault), missing), []).append(fault)
+        by_kind: dict[str, list[tuple[Location, str]]] = {}
+        for key, faults in merged.items():
+            by_kind.setdefault(faults[0]["type"], []).append(key)
+        # In this order: a misspelt key is not missing too.
+        for location, _ in by_kind.pop("extra_forbidden", ()):
+            self._unknown_key(location)
+        for location, missing in by_kind.pop("missing", ()):
+            self._missing_key(location, missing)
+        for key in [key for keys in by_kind.values() for key in keys]:
+            # Of a type that may be several, the one that comes farthest was meant.
+            if not any(_is_below(other, key[0]) for other, _ in merged):
+                self._wrong_value(key[0], merged[key])
+
+    def _within(self, fault: Any) -> Location:
+        """Return where a fault is, without the names of variants that were tried."""
+        node: Any = self.value
+        found: list[str | int] = []
+        for step in fault["loc"]:
+            try:
+                node = node[step]
+            except (KeyError, IndexError, TypeError):
+                continue
+            found.append(step)
+        return tuple(found)
+
+    def _unknown_key(self, location: Location) -> None:
+        *outer, key = location
+        around = tuple(outer)
+        names = fields_at(self.model, self.value, around)
+        node = self.value
+        for step in around:
             node = node[step]
-        except (KeyError, IndexError, TypeError):
-            continue
-        found.append(step)
-    return tuple(found)
+        left = node.pop(key)
+        if self._of_another_kind(location):
+            return
+        message = f"unknown key {excerpt(str(key))}"
+        self.document.add("DOC020", location, message, nearest(str(key), names))
+        meant = get_close_matches(str(key), names, 1)
+        if meant and meant[0] not in node:
+            node[meant[0]] = left
+            self.document.spellings[*around, meant[0]] = str(key)
+
+    def _missing_key(self, around: Location, key: str) -> None:
+        place = (*around, key)
+        if place in self.document.spellings:
+            return
+        if not self._of_another_kind(place):
+            self.document.add("DOC021", around, f"key {key!r} is missing")
+        self._stand_in(place)
+
+    def _wrong_value(self, location: Location, faults: list[Any]) -> None:
+        texts = dict.fromkeys(_words(fault) for fault in faults)
+        if faults[0]["type"].startswith("union_tag"):
+            location = (*location, faults[0]["ctx"]["discriminator"].strip("'"))
+        if not self._of_another_kind(location):
+            self.document.add("DOC022", location, "; or ".join(texts))
+        self._stand_in(location)
+
+    def _of_another_kind(self, location: Location) -> bool:
+        """Return whether a key is one of some kinds only, and the kind is not known."""
+        for depth, key in enumerate(location):
+            around = location[:depth]
+            if (*around, "type") in self.document.doubts and key != "type":
+                kinds = models_of(annotation_at(self.model, self.value, around))
+                having = [kind for kind in kinds if key in fields_of(kind)]
+                if having and len(having) < len(kinds):
+                    return True
+        return False
+
+    def _stand_in(self, location: Location) -> None:
+        """Mend a value, or where that was done in vain, the one around it."""
+        while location in self.document.doubts:
+            location = location[:-1]
+        if not location:
+            self.document.check()
+        annotation = annotation_at(self.model, self.value, location)
+        self.document.doubts.add(location)
+        replaced(self.value, location, stand_in(annotation))
+
+
+def _is_below(location: Location, other: Location) -> bool:
+    return len(location) > len(other) and location[: len(other)] == other
 
 
 def _words(fault: Any) -> str:
@@ -141,39 +230,3 @@ def _shown(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return excerpt(str(value)).strip("'")
-
-
-def _field_names(
-    model: Any, document: Document, location: tuple[str | int, ...]
-) -> list[str]:
-    """Return the keys that a mapping at a location may have."""
-    candidates = [model]
-    node: Any = document.value
-    for step in location:
-        node = node[step]
-        if isinstance(step, str):
-            inside = [
-                inner
-                for candidate in candidates
-                for name, info in candidate.model_fields.items()
-                if (info.alias or name) == step
-                for inner in _models(info.annotation)
-            ]
-            # A step that is no field is a key of a mapping of models.
-            candidates = inside or candidates
-    named = [c for c in candidates if _tagged(c, node)] or candidates
-    return sorted(
-        {info.alias or name for c in named for name, info in c.model_fields.items()}
-    )
-
-
-def _tagged(model: Any, node: Any) -> bool:
-    info = model.model_fields.get("type")
-    return info is not None and node.get("type") in get_args(info.annotation)
-
-
-def _models(annotation: Any) -> list[Any]:
-    """Return the models that an annotation is made of."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    return [m for inner in get_args(annotation) for m in _models(inner)]

@@ -8,7 +8,7 @@ are refused. JSON is nearly a part of YAML and is read the same way.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn, cast
@@ -19,7 +19,7 @@ from animtool.errors import Fault, FormatError, excerpt
 
 __all__ = ["Document", "Location", "read_document"]
 
-Location = Sequence[str | int]
+Location = tuple[str | int, ...]
 
 # A rig of thousands of joints has a few; more is data, which belongs into npz.
 MOST_BYTES = 32_000_000
@@ -59,12 +59,17 @@ class Document:
         places: 1-based line and column of every node, keys included, in the order
             of the file.
         faults: What is wrong with its content, as `add` found.
+        doubts: Where a value is faulty and something else stands in for it, so that
+            the rest can be checked.
+        spellings: The key as written, of a value that is read under another key.
     """
 
     path: Path
     value: dict[str, Any]
     places: list[tuple[int, int]] = field(repr=False)
     faults: list[Fault] = field(default_factory=list)
+    doubts: set[Location] = field(default_factory=set)
+    spellings: dict[Location, str] = field(default_factory=dict)
     _starts: dict[tuple[int, str | int], int] = field(
         default_factory=dict, init=False, repr=False
     )
@@ -75,7 +80,7 @@ class Document:
             self._number(self.value, 0)
         node: Any = self.value
         index = 0
-        for step in location:
+        for step in self._as_written(location):
             found = self._starts.get((id(node), step))
             if found is not None:
                 node, index = node[step], found
@@ -94,17 +99,55 @@ class Document:
                 index = self._number(value, index)
         return index
 
-    def at(self, location: Location) -> Any:
-        """Return the value at a location."""
-        node: Any = self.value
-        for step in location:
-            node = node[step]
-        return node
+    def _as_written(self, location: Location) -> Iterator[str | int]:
+        for depth, step in enumerate(location, 1):
+            yield self.spellings.get(location[:depth], step)
+
+    def doubtful(self, location: Location) -> bool:
+        """Return whether something stands in for a value, or for one around it."""
+        return bool(self.doubts) and any(
+            location[:depth] in self.doubts for depth in range(1, len(location) + 1)
+        )
+
+    def unnamed(self, key: str, *parts: str) -> bool:
+        """Return whether a list holds an entry whose name is not known.
+
+        What refers to it by name cannot be told from what refers to nothing.
+
+        Args:
+            key: Of the list.
+            parts: Keys of an entry's names; none is ``name``.
+        """
+        names = parts or ("name",)
+        return any(
+            doubt[0] == key and (len(doubt) < 3 or doubt[2] in names)
+            for doubt in self.doubts
+        )
+
+    def descents(
+        self, location: Location, values: Sequence[float], key: str | int
+    ) -> Iterator[tuple[int, int]]:
+        """Yield the entries of a list that should ascend and do not, with the one before.
+
+        Args:
+            location: Of the list.
+            values: Of its entries.
+            key: Under which an entry has its value; doubtful ones are left out.
+        """
+        last: int | None = None
+        for i, value in enumerate(values):
+            if self.doubtful((*location, i, key)):
+                continue
+            if last is not None and not value > values[last]:
+                yield i, last
+            last = i
 
     def add(
         self, code: str, location: Location, message: str, hint: str | None = None
     ) -> None:
-        """Note a fault at a location."""
+        """Note a fault at a location, unless something stands in for what is there."""
+        if self.doubtful(location):
+            return
         line, column = self.place(location)
         self.faults.append(
             Fault(
@@ -114,7 +157,7 @@ class Document:
                 (line,),
                 hint,
                 column=column,
-                where=spelled(location),
+                where=spelled(tuple(self._as_written(location))),
             )
         )
 
@@ -128,7 +171,7 @@ class Document:
 def spelled(location: Location) -> str:
     """Return a location as a person reads it.
 
-    >>> spelled(["joints", 3, "axis"])
+    >>> spelled(("joints", 3, "axis"))
     'joints[3].axis'
     """
     text = ""

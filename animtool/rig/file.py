@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,10 +12,11 @@ from animtool.documents.check import check_version, nearest, validated
 from animtool.documents.document import Document, read_document
 from animtool.errors import AnimtoolError
 from animtool.readers import DOCUMENT, find_reader
-from animtool.rig.joint_entries import FileUnits, joints_of, quaternion
+from animtool.rig.bind_entries import bind_of
+from animtool.rig.joint_entries import FileJoints, FileUnits, joints_of
 from animtool.rig.part_entries import PartReader
 from animtool.rig.schema import RigModel
-from animtool.rig.skeleton import Joint, Mimic, Pose, Rig
+from animtool.rig.skeleton import Mimic, Rig
 from animtool.units import LengthUnit, UpAxis
 
 __all__ = ["load_rig", "rig_of_document"]
@@ -51,35 +51,41 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
     base = None
     if model.source is not None:
         base = _base(document, model.source, roots, above)
-        document.check()
-    joints = joints_of(document, model.joints, units) if base is None else ()
-    if base is not None:
-        joints = _overlaid(document, model, base, units)
-    if not joints:
-        document.add("RIG004", (), "the rig has no joints")
-    by_name = {joint.name: joint for joint in joints}
-    parts = PartReader(document, model, units, by_name, roots)
+        if base is None:
+            # Whatever a name means may be in the file that could not be read.
+            document.check()
+    joints = (
+        joints_of(document, model.joints, units)
+        if base is None
+        else _overlaid(document, model, base, units)
+    )
+    if not joints.joints:
+        document.add("RIG004", ("joints",), "the rig has no joints")
+    parts = PartReader(document, model, units, joints, roots)
     meshes = parts.meshes() or (base.meshes if base is not None else ())
     inherited = base.shapes if base is not None else ()
     shapes = parts.shapes(
         [mesh.name for mesh in meshes], [shape.name for shape in inherited]
     )
-    rig = Rig(
+    inherited_bind = {} if base is None else base.bind
+    bind = bind_of(document, model.bind, joints, units, inherited_bind)
+    controls = parts.controls(shape.name for shape in (*inherited, *shapes))
+    chains, attached, colliders = parts.ik(), parts.attach(), parts.colliders()
+    document.check()
+    return Rig(
         model.name,
-        joints,
+        joints.joints,
         LengthUnit(model.units.length).meters if base is None else base.meters_per_unit,
         UpAxis(model.up) if base is None else base.up,
-        _bind(document, model, by_name, units, {} if base is None else base.bind),
+        bind,
         meshes,
         (*inherited, *shapes),
-        parts.controls(shape.name for shape in (*inherited, *shapes)),
-        parts.ik(),
-        parts.attach(),
-        parts.colliders(),
+        controls,
+        chains,
+        attached,
+        colliders,
         units.angle,
     )
-    document.check()
-    return rig
 
 
 def _base(
@@ -109,7 +115,7 @@ def _base(
 
 def _overlaid(
     document: Document, model: RigModel, base: Rig, units: FileUnits
-) -> tuple[Joint, ...]:
+) -> FileJoints:
     """Return the joints of a base with the types and limits that a sidecar adds."""
     names = {joint.source_name or joint.name: joint.name for joint in base.joints}
     names |= {joint.name: joint.name for joint in base.joints}
@@ -124,12 +130,15 @@ def _overlaid(
             if key in entry.model_fields_set:
                 message = f"{key} comes from {model.source}"
                 document.add("RIG023", ("joints", i, key), message, "leave it out")
-    document.check()
     # Alone, as roots: what they add does not depend on the tree.
-    alone = [entry.model_copy(update={"mirror": None}) for entry in model.joints]
-    added = {names[joint.name]: joint for joint in joints_of(document, alone, units)}
-    mirrors = {names[e.name]: names.get(e.mirror or "", "") for e in model.joints}
-    return tuple(
+    given = {"mirror": None, "parent": None}
+    alone = [entry.model_copy(update=given) for entry in model.joints]
+    found = joints_of(document, alone, units)
+    added = {names.get(joint.name, joint.name): joint for joint in found.joints}
+    mirrors = {
+        names.get(e.name, e.name): names.get(e.mirror or "", "") for e in model.joints
+    }
+    joints = tuple(
         replace(
             joint,
             type=added[joint.name].type,
@@ -142,33 +151,9 @@ def _overlaid(
         else joint
         for joint in base.joints
     )
+    untyped = frozenset(names.get(name, name) for name in found.untyped)
+    return FileJoints(joints, untyped=untyped, unnamed=found.unnamed)
 
 
 def _renamed(mimic: Mimic | None, names: dict[str, str]) -> Mimic | None:
-    return None if mimic is None else replace(mimic, joint=names[mimic.joint])
-
-
-def _bind(
-    document: Document,
-    model: RigModel,
-    joints: dict[str, Joint],
-    units: FileUnits,
-    inherited: Mapping[str, Pose],
-) -> dict[str, Pose]:
-    bind = dict(inherited)
-    for name, pose in model.bind.items():
-        if name not in joints:
-            message = f"{name!r} is no joint"
-            document.add("RIG008", ("bind", name), message, nearest(name, list(joints)))
-            continue
-        rest = joints[name]
-        translation, rotation = rest.translation, rest.rotation
-        if pose.translate is not None:
-            x, y, z = (value * units.length for value in pose.translate)
-            translation = (x, y, z)
-        if pose.rotate is not None:
-            rotation = quaternion(document, ("bind", name, "rotate"), pose.rotate)
-        bind.pop(name, None)
-        if (translation, rotation) != (rest.translation, rest.rotation):
-            bind[name] = Pose(translation, rotation)
-    return bind
+    return None if mimic is None else replace(mimic, joint=names.get(mimic.joint, mimic.joint))

@@ -7,12 +7,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from animtool._types import FloatArray
 from animtool.documents.check import nearest
 from animtool.documents.document import Document, Location
 from animtool.maths import so3
 from animtool.rig.limits import BallLimit, RangeLimit
-from animtool.rig.mirror import mirrored_joint
+from animtool.rig.mirror import ORIGIN, Transform, mirrored_joint, placed
 from animtool.rig.parts import Vector
 from animtool.rig.schema import (
     BallJointModel,
@@ -21,9 +20,9 @@ from animtool.rig.schema import (
     PinJointModel,
     PrismaticJointModel,
 )
-from animtool.rig.skeleton import Joint, JointType, Mimic
+from animtool.rig.skeleton import Joint, JointType, Mimic, Pose
 
-__all__ = ["FileUnits", "joints_of", "quaternion", "unit_vector"]
+__all__ = ["FileJoints", "FileUnits", "joints_of", "quaternion", "unit_vector"]
 
 # Shorter, an axis or quaternion is a slip and not a direction.
 SHORTEST = 1e-9
@@ -43,6 +42,25 @@ class FileUnits:
         return self.length if joint_type is JointType.PRISMATIC else self.angle
 
 
+@dataclass(frozen=True, slots=True)
+class FileJoints:
+    """The joints of a file, and what its faults leave open about them.
+
+    Attributes:
+        joints: Parents before children.
+        adrift: Names of those whose parent is not known.
+        mirrored: Names of those that another's ``mirror`` wrote.
+        untyped: Names of those whose type is not known.
+        unnamed: Whether there are more, of names that are not known.
+    """
+
+    joints: tuple[Joint, ...]
+    adrift: frozenset[str] = frozenset()
+    mirrored: frozenset[str] = frozenset()
+    untyped: frozenset[str] = frozenset()
+    unnamed: bool = False
+
+
 @dataclass(slots=True)
 class _Entry:
     """A joint to make: one that stands in the file, or the mirror image of one."""
@@ -51,6 +69,7 @@ class _Entry:
     source: str
     parent: str | None
     mirrored: bool = False
+    adrift: bool = False
 
 
 @dataclass(slots=True)
@@ -59,20 +78,20 @@ class _Tree:
 
     made: list[Joint] = field(default_factory=list)
     places: dict[str, int] = field(default_factory=dict)
-    world: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)
+    world: list[Transform] = field(default_factory=list)
 
 
 def joints_of(
     document: Document, models: list[JointModel], units: FileUnits
-) -> tuple[Joint, ...]:
+) -> FileJoints:
     """Return the joints of a file, parents before children; faults are noted."""
-    entries = _entries(document, models)
+    unnamed = document.unnamed("joints", "name", "mirror")
+    entries = _entries(document, models, unnamed=unnamed)
     tree = _Tree()
     for name in _parents_first(document, entries):
         entry = entries[name]
         parent = -1 if entry.parent is None else tree.places.get(entry.parent, -1)
-        origin = (np.zeros(3), so3.IDENTITY)
-        parent_world = tree.world[parent] if parent >= 0 else origin
+        parent_world = tree.world[parent] if parent >= 0 else ORIGIN
         if entry.mirrored:
             source = tree.places[entry.source]
             joint = mirrored_joint(
@@ -82,17 +101,26 @@ def joints_of(
             joint = _joint(document, entry.index, models[entry.index], units, parent)
         tree.places[name] = len(tree.made)
         tree.made.append(joint)
-        position, rotation = parent_world
         tree.world.append(
-            (
-                position + so3.rotate(rotation, joint.translation),
-                so3.multiply(rotation, joint.rotation),
-            )
+            placed(parent_world, Pose(joint.translation, joint.rotation))
         )
-    return _with_mimics(document, models, entries, tree.made, units)
+    found = FileJoints(
+        tuple(tree.made),
+        frozenset(name for name, entry in entries.items() if entry.adrift),
+        frozenset(name for name, entry in entries.items() if entry.mirrored),
+        frozenset(
+            name
+            for name, entry in entries.items()
+            if document.doubtful(("joints", entry.index, "type"))
+        ),
+        unnamed,
+    )
+    return _with_mimics(document, models, entries, found, units)
 
 
-def _entries(document: Document, models: list[JointModel]) -> dict[str, _Entry]:
+def _entries(
+    document: Document, models: list[JointModel], *, unnamed: bool
+) -> dict[str, _Entry]:
     entries: dict[str, _Entry] = {}
     mirrors = {m.name: m.mirror for m in models if m.mirror is not None}
     mirrors |= {mirror: name for name, mirror in mirrors.items()}
@@ -119,10 +147,10 @@ def _entries(document: Document, models: list[JointModel]) -> dict[str, _Entry]:
         if entry.parent is not None and entry.parent not in entries:
             message = f"parent {entry.parent!r} is no joint"
             location = ("joints", entry.index, "parent")
-            if not entry.mirrored:
+            if not entry.mirrored and not unnamed:
                 hint = nearest(entry.parent, list(entries))
                 document.add("RIG002", location, message, hint)
-            entry.parent = None
+            entry.parent, entry.adrift = None, True
     return entries
 
 
@@ -150,7 +178,7 @@ def _parents_first(document: Document, entries: dict[str, _Entry]) -> Iterator[s
                 shown = " → ".join(reversed(trail))
                 message = f"joints are each other's parents: {shown}"
                 document.add("RIG003", ("joints", entry.index), message)
-                entry.parent = None
+                entry.parent, entry.adrift = None, True
                 if entry.mirrored and missing == entry.source:
                     pending.pop()
                     done.add(name)
@@ -226,10 +254,11 @@ def _with_mimics(
     document: Document,
     models: list[JointModel],
     entries: dict[str, _Entry],
-    joints: list[Joint],
+    found: FileJoints,
     units: FileUnits,
-) -> tuple[Joint, ...]:
+) -> FileJoints:
     """Return the joints with those that follow others, which must exist by now."""
+    joints = list(found.joints)
     by_name = {joint.name: i for i, joint in enumerate(joints)}
     scalar = (JointType.PIN, JointType.PRISMATIC)
     for name, entry in entries.items():
@@ -242,7 +271,10 @@ def _with_mimics(
         leader = by_name.get(mimic.joint)
         if leader is None:
             message = f"{mimic.joint!r} is no joint"
-            document.add("RIG008", at, message, nearest(mimic.joint, list(by_name)))
+            if not found.unnamed:
+                document.add("RIG008", at, message, nearest(mimic.joint, list(by_name)))
+            continue
+        if mimic.joint in found.untyped:
             continue
         if joints[leader].type not in scalar:
             message = f"{mimic.joint!r} is a {joints[leader].type} joint"
@@ -255,7 +287,7 @@ def _with_mimics(
         followed = Mimic(target, mimic.gain * own / other, mimic.offset * own)
         joints[by_name[name]] = replace(joints[by_name[name]], mimic=followed)
     _refuse_chains(document, entries, joints)
-    return tuple(joints)
+    return replace(found, joints=tuple(joints))
 
 
 def _refuse_chains(

@@ -10,9 +10,21 @@ from animtool._types import FloatArray
 from animtool.maths import so3
 from animtool.rig.limits import BallLimit
 from animtool.rig.parts import Vector
-from animtool.rig.skeleton import Joint
+from animtool.rig.skeleton import Joint, Pose
 
-__all__ = ["mirrored_joint", "reflect_rotation", "reflect_vector"]
+__all__ = [
+    "ORIGIN",
+    "Transform",
+    "mirrored_joint",
+    "mirrored_pose",
+    "placed",
+    "reflect_rotation",
+    "reflect_vector",
+]
+
+# Translation and rotation, world space.
+Transform = tuple[FloatArray, FloatArray]
+ORIGIN: Transform = (np.zeros(3), so3.IDENTITY)
 
 # The plane x = 0: left and right are along X, whichever axis is up.
 _ACROSS = np.array([-1.0, 1.0, 1.0])
@@ -35,11 +47,40 @@ def reflect_rotation(rotation: FloatArray) -> FloatArray:
     return np.asarray(rotation * np.array([1.0, -1.0, -1.0, 1.0]))
 
 
+def placed(parent_world: Transform, pose: Pose) -> Transform:
+    """Return the world transform of a local one below a parent."""
+    position, rotation = parent_world
+    return (
+        position + so3.rotate(rotation, pose.translation),
+        so3.multiply(rotation, pose.rotation),
+    )
+
+
+def mirrored_pose(pose: Pose, world: Transform, parent_world: Transform) -> Pose:
+    """Return the local transform of the other side's joint, a reflection in the world.
+
+    Args:
+        pose: Of the joint that the file describes.
+        world: That joint's translation and rotation, world space.
+        parent_world: Translation and rotation of the other joint's parent.
+    """
+    local = reflect_vector(np.array(pose.translation)) + 0.0
+    turn = reflect_rotation(np.array(pose.rotation)) + 0.0
+    position, rotation = reflect_vector(world[0]), reflect_rotation(world[1])
+    back = so3.conjugate(parent_world[1])
+    place, facing = position - parent_world[0], so3.multiply(back, rotation)
+    if (
+        np.abs(so3.rotate(back, place) - local).max() > SAME_PLACE
+        or so3.angle_between(facing, turn) > SAME_PLACE
+    ):
+        # Parents that are no mirror images of each other themselves.
+        local, turn = so3.rotate(back, place) + 0.0, facing + 0.0
+    a, b, c, d = turn.tolist()
+    return Pose(_vector(local), (a, b, c, d))
+
+
 def mirrored_joint(
-    joint: Joint,
-    world: tuple[FloatArray, FloatArray],
-    parent: int,
-    parent_world: tuple[FloatArray, FloatArray],
+    joint: Joint, world: Transform, parent: int, parent_world: Transform
 ) -> Joint:
     """Return the joint named ``joint.mirror``, a joint's reflection at rest.
 
@@ -52,17 +93,9 @@ def mirrored_joint(
         parent: Index of the new joint's parent.
         parent_world: That one's translation and rotation.
     """
-    local = reflect_vector(np.array(joint.translation)) + 0.0
-    turn = reflect_rotation(np.array(joint.rotation)) + 0.0
-    position, rotation = reflect_vector(world[0]), reflect_rotation(world[1])
-    back = so3.conjugate(parent_world[1])
-    place, facing = position - parent_world[0], so3.multiply(back, rotation)
-    if (
-        np.abs(so3.rotate(back, place) - local).max() > SAME_PLACE
-        or so3.angle_between(facing, turn) > SAME_PLACE
-    ):
-        # Parents that are no mirror images of each other themselves.
-        local, turn = so3.rotate(back, place) + 0.0, facing + 0.0
+    pose = mirrored_pose(
+        Pose(joint.translation, joint.rotation), world, parent_world
+    )
     limits = joint.limits
     if isinstance(limits, BallLimit):
         limits = replace(limits, twist_axis=_turned(limits.twist_axis))
@@ -72,8 +105,8 @@ def mirrored_joint(
         name=joint.mirror,
         mirror=joint.name,
         parent=parent,
-        translation=tuple(local.tolist()),
-        rotation=tuple(turn.tolist()),
+        translation=pose.translation,
+        rotation=pose.rotation,
         axis=_vector(reflect_vector(np.array(joint.axis)))
         if slides
         else _turned(joint.axis),

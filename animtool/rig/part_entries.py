@@ -18,7 +18,7 @@ from animtool.rig.controls import (
     evaluation_order,
 )
 from animtool.rig.expressions import FUNCTIONS, Expression, parse_expression
-from animtool.rig.joint_entries import FileUnits, unit_vector
+from animtool.rig.joint_entries import FileJoints, FileUnits, unit_vector
 from animtool.rig.parts import (
     ArrayRef,
     Attachment,
@@ -36,6 +36,8 @@ from animtool.rig.targets import DRIVEN_PARTS, split_part
 
 __all__ = ["PartReader"]
 
+_LISTS = {"joint": "joints", "mesh": "meshes", "shape": "shapes", "control": "controls"}
+
 
 @dataclass(slots=True)
 class PartReader:
@@ -45,17 +47,23 @@ class PartReader:
         document: The file.
         model: Its content.
         units: What its numbers count.
-        joints: The rig's joints, by name.
+        found: The rig's joints.
         roots: Folders that references may lead into.
         vertices: Number of points of each mesh, as far as known.
+        joints: The rig's joints, by name.
     """
 
     document: Document
     model: RigModel
     units: FileUnits
-    joints: dict[str, Joint]
+    found: FileJoints
     roots: Sequence[Path]
     vertices: dict[str, int] = field(default_factory=dict)
+    joints: dict[str, Joint] = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Index the joints."""
+        self.joints = {joint.name: joint for joint in self.found.joints}
 
     def meshes(self) -> tuple[Mesh, ...]:
         """Return the meshes, their arrays looked at."""
@@ -85,9 +93,11 @@ class PartReader:
             for k, name in enumerate(shape.combine):
                 self._known((*at, "combine", k), name, names, "shape")
             between: list[Inbetween] = []
+            weights = [step.at for step in shape.inbetweens]
+            late = dict(self.document.descents((*at, "inbetweens"), weights, "at"))
             for k, step in enumerate(shape.inbetweens):
                 spot = (*at, "inbetweens", k)
-                if not 0 < step.at < 1 or (between and step.at <= between[-1].at):
+                if not 0 < step.at < 1 or k in late:
                     message = f"inbetween weight {step.at:g} is out of place"
                     hint = "weights ascend between 0 and 1"
                     self.document.add("RIG024", (*spot, "at"), message, hint)
@@ -245,7 +255,8 @@ class PartReader:
             hint = "letters, digits and underscores, no word of Python, no function"
             self.document.add("RIG025", (*at, "name"), message, hint)
         low, high = model.range or (None, None)
-        if low is not None and high is not None:
+        sure = not self.document.doubtful((*at, "range"))
+        if low is not None and high is not None and sure:
             if low > high:
                 message = f"the range from {low:g} to {high:g} is reversed"
                 hint = f"write [{high:g}, {low:g}]"
@@ -280,11 +291,11 @@ class PartReader:
             expression = self._expression((*at, "expr"), model.expr)
             return Drive(target, expression, (), unit) if expression else None
         points = tuple((x, y) for x, y in model.curve or ())
-        for k in range(1, len(points)):
-            if points[k][0] <= points[k - 1][0]:
-                message = f"{points[k][0]:g} does not follow {points[k - 1][0]:g}"
-                hint = "control values ascend"
-                self.document.add("RIG016", (*at, "curve", k), message, hint)
+        values = [x for x, _ in points]
+        for k, before in self.document.descents((*at, "curve"), values, 0):
+            message = f"{values[k]:g} does not follow {values[before]:g}"
+            hint = "control values ascend"
+            self.document.add("RIG016", (*at, "curve", k), message, hint)
         return Drive(target, None, points, unit)
 
     def _expression(self, at: Location, text: str) -> Expression | None:
@@ -313,7 +324,8 @@ class PartReader:
             self.document.add("RIG015", at, message, hint)
         elif self._known(at, joint, self.joints, "joint"):
             types = DRIVEN_PARTS[part]
-            if self.joints[joint].type not in types:
+            known = joint not in self.found.untyped
+            if known and self.joints[joint].type not in types:
                 fitting = [
                     p for p, t in DRIVEN_PARTS.items() if self.joints[joint].type in t
                 ]
@@ -338,14 +350,18 @@ class PartReader:
         names = list(names)
         if name in names:
             return True
-        code = "RIG008" if kind == "joint" else "RIG012"
-        self.document.add(code, at, f"{name!r} is no {kind}", nearest(name, names))
+        unnamed = self.document.unnamed(_LISTS[kind])
+        if not (self.found.unnamed if kind == "joint" else unnamed):
+            code = "RIG008" if kind == "joint" else "RIG012"
+            self.document.add(code, at, f"{name!r} is no {kind}", nearest(name, names))
         return False
 
     def _below(self, root: str, tip: str) -> bool:
-        """Return whether a joint is below another, or is it."""
-        joints = list(self.joints.values())
+        """Return whether a joint is below another, or is it, or may be."""
+        joints = self.found.joints
         place = next(i for i, joint in enumerate(joints) if joint.name == tip)
         while place >= 0 and joints[place].name != root:
+            if joints[place].name in self.found.adrift:
+                return True
             place = joints[place].parent
         return place >= 0

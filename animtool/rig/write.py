@@ -9,7 +9,7 @@ from animtool.documents.numbers import flow, number, scaled, text
 from animtool.rig.controls import Control, Drive
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import Attachment, Collider, IkChain, Mesh, Shape
-from animtool.rig.skeleton import Joint, JointType, Rig
+from animtool.rig.skeleton import Joint, JointType, Pose, Rig
 from animtool.units import unit_name
 
 __all__ = ["rig_text"]
@@ -40,9 +40,10 @@ def rig_text(rig: Rig) -> str:
             parent = rig.joints[joint.parent].name if joint.parent >= 0 else None
             lines.append(f"- {units.joint(joint, parent, rig)}")
             written.add(joint.name)
-    if rig.bind:
+    bind = {**_unbound(rig), **rig.bind}
+    if bind:
         lines.append("bind:")
-        for name, pose in rig.bind.items():
+        for name, pose in bind.items():
             entry = _mapping(
                 [
                     ("translate", units.lengths(pose.translation)),
@@ -148,6 +149,15 @@ class _Units:
                 ("offset", scaled(joint.mimic.offset, units[0])),
             ]
         )
+
+
+def _unbound(rig: Rig) -> dict[str, Pose]:
+    """Return the rest pose of joints whose mirror image alone has a bind pose."""
+    return {
+        joint.name: Pose(joint.translation, joint.rotation)
+        for joint in rig.joints
+        if joint.mirror in rig.bind and joint.name not in rig.bind
+    }
 
 
 def _chain(chain: IkChain) -> str:

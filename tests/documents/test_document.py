@@ -197,13 +197,13 @@ def test_many_faults_are_counted(tmp_path: Path) -> None:
 def test_byte_order_mark(tmp_path: Path) -> None:
     document = read_document(written(tmp_path, b"\xef\xbb\xbfa: 1"))
     assert document.value == {"a": 1}
-    assert document.place(["a"]) == (1, 4)
+    assert document.place(("a",)) == (1, 4)
 
 
 def test_line_ends(tmp_path: Path) -> None:
     document = read_document(written(tmp_path, b"a: 1\r\nb:\r\n- 2\r\n"))
     assert document.value == {"a": 1, "b": [2]}
-    assert document.place(["b", 0]) == (3, 3)
+    assert document.place(("b", 0)) == (3, 3)
 
 
 JSON = {
@@ -231,19 +231,19 @@ def test_json_without_blanks(tmp_path: Path) -> None:
 def test_places(tmp_path: Path) -> None:
     text = "a: 1\nlist:\n  - {x: 1, y: [5, 6]}\n  - 7\nend: {}\n"
     document = read_document(written(tmp_path, text))
-    assert document.place([]) == (1, 1)
-    assert document.place(["list"]) == (3, 3)
-    assert document.place(["list", 0, "y"]) == (3, 15)
-    assert document.place(["list", 0, "y", 1]) == (3, 19)
-    assert document.place(["list", 1]) == (4, 5)
-    assert document.place(["end"]) == (5, 6)
+    assert document.place(()) == (1, 1)
+    assert document.place(("list",)) == (3, 3)
+    assert document.place(("list", 0, "y")) == (3, 15)
+    assert document.place(("list", 0, "y", 1)) == (3, 19)
+    assert document.place(("list", 1)) == (4, 5)
+    assert document.place(("end",)) == (5, 6)
 
 
 def test_places_of_what_is_not_there(tmp_path: Path) -> None:
     document = read_document(written(tmp_path, "a: 1\nb:\n  c: [1]\n"))
-    assert document.place(["b", "d"]) == (3, 3)
-    assert document.place(["b", "c", 5]) == (3, 6)
-    assert document.place(["z"]) == (1, 1)
+    assert document.place(("b", "d")) == (3, 3)
+    assert document.place(("b", "c", 5)) == (3, 6)
+    assert document.place(("z",)) == (1, 1)
 
 
 def test_many_faults_are_placed_in_little_time(tmp_path: Path) -> None:
@@ -251,7 +251,7 @@ def test_many_faults_are_placed_in_little_time(tmp_path: Path) -> None:
     document = read_document(written(tmp_path, text))
     begun = time.perf_counter()
     for i in range(20_000):
-        document.add("DOC022", ["a", i, "n"], "x")
+        document.add("DOC022", ("a", i, "n"), "x")
     assert time.perf_counter() - begun < 2
     assert document.faults[19_999].lines == (20_001,)
 

@@ -1,0 +1,145 @@
+"""What stands in for a faulty value, so that the rest of a document can be checked."""
+
+from __future__ import annotations
+
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from animtool.documents.document import Location
+
+__all__ = [
+    "UNKNOWN",
+    "annotation_at",
+    "annotation_of",
+    "fields_at",
+    "fields_of",
+    "models_of",
+    "replaced",
+    "stand_in",
+]
+
+# The text that stands in for a name.
+UNKNOWN = "?"
+
+
+def annotation_of(field: FieldInfo) -> Any:
+    """Return the type of a field, with what narrows it."""
+    if not field.metadata:
+        return field.annotation
+    return Annotated[(field.annotation, *field.metadata)]
+
+
+def annotation_at(model: type[BaseModel], value: Any, location: Location) -> Any:
+    """Return the type that a value at a location should have; None where none is."""
+    found: Any = model
+    node = value
+    for step in location:
+        found = _inside(found, node, step)
+        try:
+            node = node[step]
+        except (KeyError, IndexError, TypeError):
+            node = None
+    return found
+
+
+def fields_at(model: type[BaseModel], value: Any, location: Location) -> list[str]:
+    """Return the keys that a mapping at a location may have."""
+    node = value
+    for step in location:
+        node = node[step]
+    kinds = models_of(annotation_at(model, value, location), node)
+    return sorted({key for kind in kinds for key in fields_of(kind)})
+
+
+def models_of(annotation: Any, node: Any = None) -> list[type[BaseModel]]:
+    """Return the models that a type allows; of several that which a mapping names."""
+    found = [
+        one
+        for one in _alternatives(annotation)
+        if isinstance(one, type) and issubclass(one, BaseModel)
+    ]
+    return [one for one in found if _named(one, node)] or found
+
+
+def stand_in(annotation: Any) -> Any:
+    """Return the plainest value of a type.
+
+    >>> stand_in(float | None), stand_in(list[int]), stand_in(Literal["m", "cm"])
+    (1.0, [], 'm')
+    """
+    shortest = 0
+    if get_origin(annotation) is Annotated:
+        annotation, *notes = get_args(annotation)
+        shortest = max([getattr(note, "min_length", None) or 0 for note in notes])
+    models = models_of(annotation)
+    if models:
+        return _empty(min(models, key=lambda model: len(model.model_fields)))
+    plain = _alternatives(annotation)[0]
+    if get_origin(plain) is Annotated:
+        return stand_in(plain)
+    if get_origin(plain) is Literal:
+        return get_args(plain)[0]
+    if get_origin(plain) is list:
+        return [stand_in(get_args(plain)[0])] * shortest
+    if get_origin(plain) is dict:
+        return {UNKNOWN: stand_in(get_args(plain)[1])} if shortest else {}
+    return {str: UNKNOWN, float: 1.0, int: 1, bool: False}.get(plain)
+
+
+def replaced(value: Any, location: Location, new: Any) -> None:
+    """Put a value at a location."""
+    *outer, last = location
+    for step in outer:
+        value = value[step]
+    value[last] = new
+
+
+def _empty(model: type[BaseModel]) -> dict[str, Any]:
+    return {
+        key: stand_in(annotation_of(field))
+        for key, field in fields_of(model).items()
+        if field.is_required()
+    }
+
+
+def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:
+    """Return the fields of a model by the keys that a file has for them."""
+    return {info.alias or name: info for name, info in model.model_fields.items()}
+
+
+def _named(model: type[BaseModel], node: Any) -> bool:
+    """Return whether a mapping names a model by the key that tells it from others."""
+    kinds = model.model_fields.get("type")
+    if kinds is None or not isinstance(node, dict):
+        return False
+    return node.get("type") in get_args(kinds.annotation)
+
+
+def _inside(annotation: Any, node: Any, step: str | int) -> Any:
+    """Return the type one step into a type."""
+    for model in models_of(annotation, node):
+        field = fields_of(model).get(str(step))
+        if field is not None:
+            return annotation_of(field)
+    for one in _alternatives(annotation):
+        if get_origin(one) is Annotated:
+            one = get_args(one)[0]  # noqa: PLW2901
+        if get_origin(one) is list and isinstance(step, int):
+            return get_args(one)[0]
+        if get_origin(one) is dict and isinstance(step, str):
+            return get_args(one)[1]
+    return None
+
+
+def _alternatives(annotation: Any) -> list[Any]:
+    """Return the types that a union allows, and of another type itself."""
+    inner = annotation
+    if get_origin(inner) is Annotated:
+        inner = get_args(inner)[0]
+    if get_origin(inner) in {Union, UnionType}:
+        found = [one for part in get_args(inner) for one in _alternatives(part)]
+        return [one for one in found if one is not NoneType]
+    return [annotation]
