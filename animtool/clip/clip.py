@@ -119,10 +119,10 @@ class Clip:
             FormatError: The clip or its rig is malformed, with every fault.
             OptionError: No rig is named (CLIP011).
         """
-        from animtool.clip.file import load_clip, open_clip
+        from animtool.clip.file import load_clip, load_rig_of, open_clip
 
         file = open_clip(path)
-        return load_clip(file, Rig.load(file.needed_rig()) if rig is None else rig)
+        return load_clip(file, load_rig_of(file) if rig is None else rig)
 
     def frame_count(
         self, fps: Fraction | None = None, step: Fraction = Fraction(1)

@@ -23,7 +23,7 @@ from animtool.config import project_roots
 from animtool.documents.arrays import referred
 from animtool.documents.check import check_version, validated
 from animtool.documents.document import Document, Location, read_document
-from animtool.errors import Fault, OptionError
+from animtool.errors import Fault, FormatError, OptionError
 from animtool.maths import so3
 from animtool.maths.extrapolation import Extrapolation
 from animtool.rates import parse_rate
@@ -31,7 +31,7 @@ from animtool.rig.skeleton import Rig
 from animtool.rig.targets import split_part
 from animtool.units import LengthUnit
 
-__all__ = ["ClipFile", "load_clip", "open_clip"]
+__all__ = ["ClipFile", "check_clip", "load_clip", "load_rig_of", "open_clip"]
 
 _ROTATING = frozenset({Interp.STEP, Interp.SLERP, Interp.SQUAD, Interp.SPLINE})
 _SCALAR = frozenset(Interp) - {Interp.SLERP, Interp.SQUAD, Interp.SPLINE}
@@ -52,10 +52,10 @@ SHORTEST = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class ClipFile:
-    """A clip file, checked as far as it can be without its rig.
+    """A clip file, not checked yet.
 
     Attributes:
-        document: Its text, with places.
+        document: Its text, with places and with the faults of its keys and types.
         model: Its content.
         rig: The rig file that it names, resolved; None where it names none.
     """
@@ -68,9 +68,11 @@ class ClipFile:
         """Return the rig that the clip names.
 
         Raises:
+            FormatError: It names none, and has other faults.
             OptionError: It names none (CLIP011).
         """
         if self.rig is None:
+            check_clip(self)
             path = str(self.document.path)
             hint = "write 'rig: hero.rig.yaml' into it, or give a rig (--rig)"
             raise OptionError(Fault("CLIP011", "names no rig", path, (), hint))
@@ -78,10 +80,10 @@ class ClipFile:
 
 
 def open_clip(path: Path | str) -> ClipFile:
-    """Read a clip file; `load_clip` puts it on its rig.
+    """Read a clip file; `load_clip` checks it and puts it on its rig.
 
     Raises:
-        FormatError: With every fault of its keys, types and values.
+        FormatError: It is no clip file of a version that is known.
     """
     document = read_document(Path(path))
     check_version(document, "clip")
@@ -90,8 +92,30 @@ def open_clip(path: Path | str) -> ClipFile:
     if model.rig is not None:
         roots = project_roots(document.path)
         rig = referred(document, ("rig",), model.rig, roots, "CLIP012")
-        document.check()
     return ClipFile(document, model, rig)
+
+
+def load_rig_of(file: ClipFile, path: Path | None = None) -> Rig:
+    """Return the rig of a clip file.
+
+    Args:
+        file: The clip.
+        path: The rig's file; None is the one that the clip names.
+
+    Raises:
+        FormatError: With every fault of the rig, and those of the clip that can be
+            told without it.
+        OptionError: No rig is named (CLIP011).
+    """
+    named = file.needed_rig() if path is None else path
+    try:
+        return Rig.load(named)
+    except FormatError as error:
+        try:
+            check_clip(file)
+        except FormatError as other:
+            raise FormatError([*other.faults, *error.faults]) from error
+        raise
 
 
 def load_clip(file: ClipFile, rig: Rig) -> Clip:
@@ -102,19 +126,32 @@ def load_clip(file: ClipFile, rig: Rig) -> Clip:
         rig: Whose controls, shapes and joints its targets are.
 
     Raises:
-        FormatError: With every fault: unknown targets, keys out of order, handles
-            that point backwards, values of the wrong width.
+        FormatError: With every fault: unknown keys, values of the wrong type or width,
+            unknown targets, key times out of order, handles that point backwards.
     """
     return _ClipReader(file.document, file.model, rig).clip()
 
 
+def check_clip(file: ClipFile) -> None:
+    """Check a clip file without its rig: its targets may be anything.
+
+    Raises:
+        FormatError: With every fault but those that need the rig.
+    """
+    _ClipReader(file.document, file.model, None).clip()
+
+
 class _ClipReader:
-    def __init__(self, document: Document, model: ClipModel, rig: Rig) -> None:
+    def __init__(self, document: Document, model: ClipModel, rig: Rig | None) -> None:
         self.document, self.model, self.rig = document, model, rig
-        length = model.units.length
-        self.length = LengthUnit(length).meters if length else rig.meters_per_unit
-        angles = {"rad": 1.0, "deg": math.radians(1.0), None: rig.radians_per_unit}
-        self.angle = angles[model.units.angle]
+        length, angle = model.units.length, model.units.angle
+        self.length = self.angle = 1.0
+        if rig is not None:
+            self.length, self.angle = rig.meters_per_unit, rig.radians_per_unit
+        if length is not None:
+            self.length = LengthUnit(length).meters
+        if angle is not None:
+            self.angle = math.radians(1.0) if angle == "deg" else 1.0
 
     def clip(self) -> Clip:
         fps = self._fps()
@@ -127,7 +164,7 @@ class _ClipReader:
             if made is not None:
                 channels.append(made)
         if not self.model.channels:
-            self.document.add("CLIP013", (), "the clip has no channels")
+            self.document.add("CLIP013", ("channels",), "the clip has no channels")
         first, last = self._range(channels)
         self.document.check()
         name = self.model.name or self.document.path.name.partition(".")[0]
@@ -167,8 +204,11 @@ class _ClipReader:
         seen.setdefault(claim, i)
 
     def _channel(self, at: Location, model: ChannelModel) -> ClipChannel | None:
+        times = np.array([key.t for key in model.keys])
+        self._check_times(at, times)
+        self._check_handles(at, model)
         kind = self._kind((*at, "target"), model.target)
-        if kind is None:
+        if kind is None or self.document.doubtful((*at, "target")):
             return None
         width, unit = self._shape(kind, model)
         turning = kind == "rotation" and model.euler is None
@@ -177,9 +217,9 @@ class _ClipReader:
             self.document.add("CLIP009", (*at, "euler"), message, "leave euler out")
         usual = Interp.SPLINE if turning else Interp.BEZIER
         interps = tuple(Interp(k.interp or model.interp or usual) for k in model.keys)
-        self._check_interps(at, model, _ROTATING if turning else _SCALAR)
-        times = np.array([key.t for key in model.keys])
-        self._check_times(at, times)
+        fits = self._check_interps(at, model, _ROTATING if turning else _SCALAR)
+        if turning and fits:
+            self._refuse_slopes(at, model)
         values = self._values(at, model, width)
         handles = [self._handle((*at, "keys", k), key, model, width, unit)
                    for k, key in enumerate(model.keys)]  # fmt: skip
@@ -220,27 +260,60 @@ class _ClipReader:
 
     def _check_interps(
         self, at: Location, model: ChannelModel, allowed: frozenset[Interp]
-    ) -> None:
+    ) -> bool:
         places: list[tuple[Location, str | None]] = [((*at, "interp"), model.interp)]
         places += [
             ((*at, "keys", k, "interp"), key.interp) for k, key in enumerate(model.keys)
         ]
-        for place, name in places:
-            if name is not None and Interp(name) not in allowed:
-                hint = f"allowed: {', '.join(sorted(allowed))}"
-                message = f"{name} does not fit {model.target!r}"
-                self.document.add("CLIP009", place, message, hint)
+        wrong = [
+            (place, name)
+            for place, name in places
+            if name is not None and Interp(name) not in allowed
+        ]
+        for place, name in wrong:
+            hint = f"allowed: {', '.join(sorted(allowed))}"
+            message = f"{name} does not fit {model.target!r}"
+            self.document.add("CLIP009", place, message, hint)
+        return not wrong
 
     def _check_times(self, at: Location, times: FloatArray) -> None:
         for k in np.flatnonzero(np.abs(times) > FARTHEST_FRAME).tolist():
             message = f"frame {times[k]:g} is beyond {FARTHEST_FRAME:.0e}"
             self.document.add("CLIP004", (*at, "keys", k, "t"), message)
-        for k in (np.flatnonzero(np.diff(times) <= 0) + 1).tolist():
-            same = times[k] == times[k - 1]
-            what = "stands twice" if same else f"stands behind {times[k - 1]:g}"
+        for k, before in self.document.descents((*at, "keys"), times.tolist(), "t"):
+            same = times[k] == times[before]
+            what = "stands twice" if same else f"stands behind {times[before]:g}"
             place = (*at, "keys", k, "t")
             hint = "key times ascend"
             self.document.add("CLIP004", place, f"frame {times[k]:g} {what}", hint)
+
+    def _check_handles(self, at: Location, model: ChannelModel) -> None:
+        """Refuse handles on the wrong side of their keys."""
+        for k, key in enumerate(model.keys):
+            for name, given, sign in (("in", key.in_, -1), ("out", key.out, 1)):
+                if not isinstance(given, list) or isinstance(given[0], list):
+                    continue
+                if given[0] * sign < 0:
+                    where = "before" if sign < 0 else "behind"
+                    message = f"the handle's time {given[0]:g} points backwards"
+                    hint = f"'{name}' lies {where} its key"
+                    place = (*at, "keys", k, name)
+                    self.document.add("CLIP005", place, message, hint)
+
+    def _refuse_slopes(self, at: Location, model: ChannelModel) -> None:
+        """Refuse what shapes the curves of numbers, on quaternions."""
+        hint = "euler: XYZ makes it three angles, which have them"
+        spots = [(at, model, ("tangents", "parametrization"))]
+        spots += [
+            ((*at, "keys", k), key, ("in_", "out", "tcb"))
+            for k, key in enumerate(model.keys)
+        ]
+        for spot, entry, names in spots:
+            for name in names:
+                if name in entry.model_fields_set:
+                    key = name.rstrip("_")
+                    message = f"quaternions have no {key}"
+                    self.document.add("CLIP009", (*spot, key), message, hint)
 
     def _values(
         self, at: Location, model: ChannelModel, width: int
@@ -267,8 +340,11 @@ class _ClipReader:
         self, at: Location, key: KeyModel, model: ChannelModel, width: int, unit: float
     ) -> tuple[Tangent, list[float], Tangent, list[float]]:
         """Return tangent and handle before a key, and behind it."""
+        if width == 4:
+            usual, none = Tangent(model.tangents), [0.0] * (1 + width)
+            return usual, none, usual, none
         found: list[tuple[Tangent, list[float]]] = []
-        for name, given, sign in (("in", key.in_, -1), ("out", key.out, 1)):
+        for name, given in (("in", key.in_), ("out", key.out)):
             none = [0.0] * (1 + width)
             if given is None or isinstance(given, str):
                 found.append((Tangent(given or model.tangents), none))
@@ -285,11 +361,6 @@ class _ClipReader:
                 self.document.add("CLIP007", (*at, name), message)
                 found.append((Tangent.FREE, none))
                 continue
-            if dt * sign < 0:
-                where = "before" if sign < 0 else "behind"
-                message = f"the handle's time {dt:g} points backwards"
-                hint = f"'{name}' lies {where} its key"
-                self.document.add("CLIP005", (*at, name), message, hint)
             found.append((Tangent.FREE, [dt, *(value * unit for value in values)]))
         (before, first), (behind, second) = found
         return before, first, behind, second

@@ -16,6 +16,7 @@ from animtool.maths.curves import evaluate
 from animtool.maths.rotation_curves import evaluate_rotations
 from animtool.rig.controls import DrivenValues, evaluate_controls
 from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.shapes import combination_order
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.rig.targets import DRIVEN_PARTS, KEYED_PARTS, split_part
 from animtool.take import Channel, Motion
@@ -69,11 +70,9 @@ def sample_clip(
         for name, value in keyed.items()
         if name.startswith("control/")
     }
-    if clamp:
-        controls = _into_range(rig, controls)
-    driven = evaluate_controls(rig.controls, controls)
+    driven = evaluate_controls(rig.controls, controls, clamp=clamp)
     _refuse_undefined(driven, times)
-    notices += _range_notices(rig, driven, times, None if clamp else _CLAMP)
+    notices += _range_notices(rig, driven, times, clamp=clamp)
     parts = _parts_by_joint(keyed, driven)
     _follow(rig, parts, clamp=clamp)
     made = _Joints(rig, times, clamp, notices)
@@ -133,16 +132,8 @@ def _turned(channel: ClipChannel, values: FloatArray) -> FloatArray:
     return euler.to_quaternion(np.degrees(values), channel.euler)
 
 
-def _into_range(rig: Rig, values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    ranges = {control.name: (control.low, control.high) for control in rig.controls}
-    return {
-        name: value if ranges[name][0] is None else np.clip(value, *ranges[name])
-        for name, value in values.items()
-    }
-
-
 def _refuse_undefined(driven: DrivenValues, times: FloatArray) -> None:
-    for name, values in [*driven.controls.items(), *driven.targets.items()]:
+    for name, values in [*driven.reached.items(), *driven.targets.items()]:
         wrong = np.flatnonzero(~np.isfinite(values))
         if wrong.size:
             frame = times[wrong[0]] if len(values) > 1 else times[0]
@@ -152,21 +143,24 @@ def _refuse_undefined(driven: DrivenValues, times: FloatArray) -> None:
 
 
 def _range_notices(
-    rig: Rig, driven: DrivenValues, times: FloatArray, hint: str | None
+    rig: Rig, driven: DrivenValues, times: FloatArray, *, clamp: bool
 ) -> list[Fault]:
     notices = []
     for control in rig.controls:
         if control.low is None or control.high is None:
             continue
-        values = driven.controls[control.name]
+        values = driven.reached[control.name]
         excess = values - np.clip(values, control.low, control.high)
         worst = int(np.argmax(np.abs(excess)))
         if abs(excess[worst]) > LIMIT_TOLERANCE:
             frame = times[worst]
+            done = "would be" if clamp else "is"
             message = (
-                f"control {control.name!r} is {values[worst]:.6g} at frame {frame:g}, "
-                f"outside {control.low:g} to {control.high:g}"
+                f"control {control.name!r} {done} {values[worst]:.6g} at frame "
+                f"{frame:g}, outside {control.low:g} to {control.high:g}"
             )
+            message += ": clamped" if clamp else ""
+            hint = None if clamp else _CLAMP
             notices.append(
                 Fault("CLIP101", message, severity=Severity.WARNING, hint=hint)
             )
@@ -348,7 +342,7 @@ def _weights(
         if target in driven.targets:
             value = value + driven.targets[target]
         found[shape.name] = value
-    for shape in rig.shapes:
+    for shape in combination_order(rig.shapes):
         if shape.combine:
             product = np.ones(1)
             for name in shape.combine:

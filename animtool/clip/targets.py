@@ -7,15 +7,16 @@ from collections.abc import Iterable
 from animtool.documents.check import nearest
 from animtool.errors import Fault, OptionError
 from animtool.rig.skeleton import Rig
-from animtool.rig.targets import KEYED_PARTS, split_part
+from animtool.rig.targets import KEYED_PARTS, nearest_part, split_part
 
 __all__ = ["check_targets", "target_kind"]
 
 
-def target_kind(target: str, rig: Rig) -> str | Fault:
+def target_kind(target: str, rig: Rig | None) -> str | Fault:
     """Return what a target of a rig is, or what is wrong with it.
 
-    One of control, shape, angle, slide, translation, rotation, scale.
+    One of control, shape, angle, slide, translation, rotation, scale. Where the rig is
+    not known, all names are right.
 
     >>> from animtool.rig.skeleton import Joint, JointType
     >>> arm = Rig("arm", (Joint("elbow", -1, JointType.PIN),))
@@ -27,6 +28,8 @@ local_rotation, scale
     """
     group, _, name = target.partition("/")
     if group in {"control", "shape"} and name:
+        if rig is None:
+            return group
         things = rig.controls if group == "control" else rig.shapes
         names = [thing.name for thing in things]
         if name not in names:
@@ -40,11 +43,17 @@ local_rotation, scale
     return _joint_kind(name, rig)
 
 
-def _joint_kind(name: str, rig: Rig) -> str | Fault:
+def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
     joint, part = split_part(name, KEYED_PARTS)
     if not part:
         hint = f"a joint's name and one of .{', .'.join(KEYED_PARTS)}"
+        hint = nearest_part(name, KEYED_PARTS) or hint
         return Fault("CLIP001", f"{name!r} names no part of a joint", hint=hint)
+    kind = {"angle": "angle", "slide": "slide", "scale": "scale"}.get(
+        part, "rotation" if part.endswith("rotation") else "translation"
+    )
+    if rig is None:
+        return kind
     if joint not in rig.names:
         hint = nearest(joint, rig.names)
         return Fault("CLIP002", f"{joint!r} is no joint", hint=hint)
@@ -56,9 +65,7 @@ def _joint_kind(name: str, rig: Rig) -> str | Fault:
     if found.mimic is not None and part in {"angle", "slide"}:
         message = f"{joint!r} follows {found.mimic.joint!r}"
         return Fault("CLIP003", message, hint="key that joint")
-    return {"angle": "angle", "slide": "slide", "scale": "scale"}.get(
-        part, "rotation" if part.endswith("rotation") else "translation"
-    )
+    return kind
 
 
 def check_targets(targets: Iterable[str], rig: Rig) -> None:

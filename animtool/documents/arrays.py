@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from numpy.lib import format as npy
 
 from animtool._types import FloatArray
@@ -24,6 +25,7 @@ __all__ = [
     "reference",
     "referred",
     "split_reference",
+    "stored_array",
 ]
 
 # What damaged archives, encrypted ones and damaged headers raise.
@@ -131,6 +133,20 @@ def array_header(path: Path, key: str) -> ArrayHeader:
     return ArrayHeader(tuple(shape), dtype.kind)
 
 
+def stored_array(path: Path, key: str) -> npt.NDArray[Any]:
+    """Return an array of numbers as it is stored.
+
+    Raises:
+        ValueError: There is no such file or array, or it holds Python objects.
+    """
+    array_header(path, key)
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return np.asarray(archive[key])
+    except _UNREADABLE as error:
+        raise ValueError(f"{path.name}#{key} cannot be read: {error}") from error
+
+
 def load_array(path: Path, key: str) -> FloatArray:
     """Return an array as float64.
 
@@ -138,12 +154,7 @@ def load_array(path: Path, key: str) -> FloatArray:
         ValueError: There is no such file or array, it holds Python objects, or a
             value is not finite.
     """
-    array_header(path, key)
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            values: Any = np.asarray(archive[key], np.float64)
-    except _UNREADABLE as error:
-        raise ValueError(f"{path.name}#{key} cannot be read: {error}") from error
+    values = np.asarray(stored_array(path, key), np.float64)
     if not np.isfinite(values).all():
         raise ValueError(f"{path.name}#{key} holds a value that is not finite")
-    return np.asarray(values)
+    return values

@@ -199,7 +199,7 @@ def _words(fault: Any) -> str:
     shown = excerpt(given) if isinstance(given, str) else _shown(given)
     if kind in {"too_short", "too_long"}:
         wanted = context.get("min_length", context.get("max_length"))
-        return f"{context['actual_length']} items where {wanted} are wanted"
+        return f"{len(given)} items where {wanted} are wanted"
     if kind == "union_tag_not_found":
         return f"key {context['discriminator']} is missing"
     if kind in {"literal_error", "enum", "union_tag_invalid"}:

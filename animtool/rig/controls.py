@@ -110,24 +110,30 @@ class DrivenValues:
     Attributes:
         controls: Value of every control, ``(F,)`` or ``(1,)`` where it never moves.
         targets: What is added to each joint part or shape, by target.
+        reached: What each control came to before it was brought into its range.
     """
 
     controls: dict[str, FloatArray]
     targets: dict[str, FloatArray]
+    reached: dict[str, FloatArray]
 
 
 def evaluate_controls(
-    controls: Sequence[Control], keyed: Mapping[str, FloatArray]
+    controls: Sequence[Control],
+    keyed: Mapping[str, FloatArray],
+    *,
+    clamp: bool = False,
 ) -> DrivenValues:
     """Return the values of controls and what they add to joints and shapes.
 
     A control is its keyed value, else its default, and what others add to it. What
-    several add to one target is summed, in the rig's order. Values out of range are
-    left as they are, and so are those that are not finite: the caller looks.
+    several add to one target is summed, in the rig's order. Values that are not finite
+    are left as they are: the caller looks.
 
     Args:
         controls: The rig's.
         keyed: Values ``(F,)`` of those that a clip animates.
+        clamp: Bring each into its range, whatever set it, before it drives others.
     """
     values = {
         control.name: np.asarray(keyed.get(control.name, [control.default]), np.float64)
@@ -138,13 +144,18 @@ def evaluate_controls(
     for control in controls:
         for drive in control.drives:
             into.setdefault(drive.target, []).append((control.name, drive))
+    reached: dict[str, FloatArray] = {}
     for name in evaluation_order(controls):
         for driver, drive in into.pop(f"control/{name}", ()):
             values[name] = values[name] + drive.evaluate(driver, values)
+        reached[name] = values[name]
+        low, high = by_name[name].low, by_name[name].high
+        if clamp and low is not None and high is not None:
+            values[name] = np.clip(values[name], low, high)
     targets: dict[str, FloatArray] = {}
     for target, drives in into.items():
         total = np.zeros(1)
         for driver, drive in drives:
             total = total + drive.evaluate(driver, values)
         targets[target] = total
-    return DrivenValues({name: values[name] for name in by_name}, targets)
+    return DrivenValues({name: values[name] for name in by_name}, targets, reached)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import sys
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -102,7 +103,9 @@ def parse_expression(text: str) -> Expression:
     if len(text) > LONGEST:
         raise ValueError(f"is {len(text)} characters long; {LONGEST} are allowed")
     try:
-        tree = ast.parse(text.strip(), mode="eval").body
+        # Python warns of what is refused below.
+        with warnings.catch_warnings(action="ignore"):
+            tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         reason = getattr(error, "msg", None) or "too deep"
         raise ValueError(f"is no expression: {reason}") from error

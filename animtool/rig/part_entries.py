@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from animtool.documents.arrays import array_header, referred, split_reference
 from animtool.documents.check import nearest
 from animtool.documents.document import Document, Location
+from animtool.rig.array_entries import ArrayReader
 from animtool.rig.controls import (
     Control,
     ControlCycleError,
@@ -30,9 +30,16 @@ from animtool.rig.parts import (
     Shape,
     Skin,
 )
-from animtool.rig.schema import ControlModel, DriveModel, MeshModel, RigModel
+from animtool.rig.schema import (
+    ControlModel,
+    DriveModel,
+    MeshModel,
+    RigModel,
+    SkinModel,
+)
+from animtool.rig.shapes import ShapeCycleError, combination_order
 from animtool.rig.skeleton import Joint
-from animtool.rig.targets import DRIVEN_PARTS, split_part
+from animtool.rig.targets import DRIVEN_PARTS, nearest_part, split_part
 
 __all__ = ["PartReader"]
 
@@ -50,6 +57,7 @@ class PartReader:
         found: The rig's joints.
         roots: Folders that references may lead into.
         vertices: Number of points of each mesh, as far as known.
+        arrays: Looks at the arrays that the file refers to.
         joints: The rig's joints, by name.
     """
 
@@ -59,10 +67,12 @@ class PartReader:
     found: FileJoints
     roots: Sequence[Path]
     vertices: dict[str, int] = field(default_factory=dict)
+    arrays: ArrayReader = field(init=False)
     joints: dict[str, Joint] = field(init=False)
 
     def __post_init__(self) -> None:
         """Index the joints."""
+        self.arrays = ArrayReader(self.document, self.roots)
         self.joints = {joint.name: joint for joint in self.found.joints}
 
     def meshes(self) -> tuple[Mesh, ...]:
@@ -101,7 +111,9 @@ class PartReader:
                     message = f"inbetween weight {step.at:g} is out of place"
                     hint = "weights ascend between 0 and 1"
                     self.document.add("RIG024", (*spot, "at"), message, hint)
-                ref = self._array((*spot, "deltas"), step.deltas, "deltas", rows)
+                ref = self.arrays.array(
+                    (*spot, "deltas"), step.deltas, "deltas", rows
+                )
                 between.append(Inbetween(step.at, ref))
             made.append(
                 Shape(
@@ -113,6 +125,12 @@ class PartReader:
                     tuple(shape.combine),
                 )
             )
+        try:
+            combination_order(made)
+        except ShapeCycleError as error:
+            place = [shape.name for shape in made].index(error.cycle[0])
+            message = f"shapes combine each other in a circle: {error}"
+            self.document.add("RIG026", ("shapes", place, "combine"), message)
         return tuple(made)
 
     def controls(self, shapes: Iterable[str]) -> tuple[Control, ...]:
@@ -175,77 +193,56 @@ class PartReader:
                 self.document, (*at, "capsule", "axis"), entry.capsule.axis
             )
             length = self.units.length
+            x, y, z = (value * length for value in entry.capsule.offset)
             capsule = Capsule(
-                entry.capsule.radius * length, entry.capsule.length * length, axis
+                entry.capsule.radius * length,
+                entry.capsule.length * length,
+                axis,
+                (x, y, z),
             )
             made.append(Collider(entry.joint, capsule))
         return tuple(made)
 
     def _mesh(self, at: Location, mesh: MeshModel) -> Mesh:
-        points = self._array((*at, "points"), mesh.points, "points", (None, 3))
+        points = self.arrays.array((*at, "points"), mesh.points, "points", (None, 3))
         count = self.vertices.get(mesh.name)
-        count = self._rows(points) if count is None else count
+        count = self.arrays.rows(points) if count is None else count
         if count is not None:
             self.vertices[mesh.name] = count
-        skin = None
-        if mesh.skin is not None:
-            spot = (*at, "skin")
-            for k, name in enumerate(mesh.skin.joints):
-                self._known((*spot, "joints", k), name, self.joints, "joint")
-            rows = (count, None)
-            skin = Skin(
-                mesh.skin.method,
-                tuple(mesh.skin.joints),
-                self._array((*spot, "indices"), mesh.skin.indices, "indices", rows),
-                self._array((*spot, "weights"), mesh.skin.weights, "weights", rows),
-            )
+        faces = self.arrays.array(
+            (*at, "faces"), mesh.faces, "faces", (None, None), count
+        )
         return Mesh(
             mesh.name,
             points,
-            self._array((*at, "faces"), mesh.faces, "faces", (None, None)),
+            faces,
             self._maybe((*at, "normals"), mesh.normals, "normals", (count, 3)),
             None if mesh.geom_bind is None else tuple(mesh.geom_bind),
-            skin,
+            None
+            if mesh.skin is None
+            else self._skin((*at, "skin"), mesh.skin, count),
         )
 
-    def _rows(self, ref: ArrayRef) -> int | None:
-        try:
-            shape = array_header(ref.path, ref.key).shape
-        except ValueError:
-            return None
-        return shape[0] if shape else None
+    def _skin(self, at: Location, skin: SkinModel, vertices: int | None) -> Skin:
+        for k, name in enumerate(skin.joints):
+            self._known((*at, "joints", k), name, self.joints, "joint")
+        joints = None
+        if not self.document.doubtful((*at, "joints")):
+            joints = len(skin.joints)
+        indices = self.arrays.array(
+            (*at, "indices"), skin.indices, "indices", (vertices, None), joints
+        )
+        shape = self.arrays.shape(indices) or ()
+        width = shape[1] if len(shape) == 2 else None
+        weights = self.arrays.array(
+            (*at, "weights"), skin.weights, "weights", (vertices, width)
+        )
+        return Skin(skin.method, tuple(skin.joints), indices, weights)
 
     def _maybe(
         self, at: Location, text: str | None, key: str, shape: tuple[int | None, ...]
     ) -> ArrayRef | None:
-        return None if text is None else self._array(at, text, key, shape)
-
-    def _array(
-        self, at: Location, text: str, key: str, shape: tuple[int | None, ...]
-    ) -> ArrayRef:
-        """Return a reference, and note what is wrong with where it leads."""
-        role = key
-        name, key = split_reference(text, role)
-        path = referred(self.document, at, name, self.roots, "RIG021")
-        if path is None:
-            return ArrayRef(text, Path(name), key)
-        try:
-            header = array_header(path, key)
-        except ValueError as error:
-            code = "RIG020" if "pickled" in str(error) else "RIG018"
-            self.document.add(code, at, str(error))
-            return ArrayRef(text, path, key)
-        fits = len(header.shape) == len(shape) and all(
-            want is None or want == got
-            for want, got in zip(shape, header.shape, strict=True)
-        )
-        if not fits:
-            wanted = ", ".join("any" if n is None else str(n) for n in shape)
-            message = f"{text!r} has shape {header.shape}, not ({wanted})"
-            self.document.add("RIG019", at, message)
-        if role in {"faces", "indices"} and header.kind == "f":
-            self.document.add("RIG019", at, f"{text!r} holds floats, not whole numbers")
-        return ArrayRef(text, path, key)
+        return None if text is None else self.arrays.array(at, text, key, shape)
 
     def _control(self, at: Location, model: ControlModel, shapes: list[str]) -> Control:
         name = model.name
@@ -321,6 +318,7 @@ class PartReader:
         if not part:
             message = f"{name!r} names no part of a joint"
             hint = f"a joint's name and one of .{', .'.join(DRIVEN_PARTS)}"
+            hint = nearest_part(name, DRIVEN_PARTS) or hint
             self.document.add("RIG015", at, message, hint)
         elif self._known(at, joint, self.joints, "joint"):
             types = DRIVEN_PARTS[part]

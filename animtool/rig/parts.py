@@ -137,11 +137,19 @@ class Attachment:
 
 @dataclass(frozen=True, slots=True)
 class Capsule:
-    """A cylinder with round ends: radius and length of its axis [m], unit axis."""
+    """A cylinder with round ends, in the frame of a joint.
+
+    Attributes:
+        radius: Of the cylinder and its ends [m].
+        length: Of the cylinder, between the centres of its ends [m]; 0 is a ball.
+        axis: Unit direction of the cylinder.
+        offset: Centre of the cylinder, from the joint's origin [m].
+    """
 
     radius: float
     length: float
     axis: Vector = (0.0, 1.0, 0.0)
+    offset: Vector = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)

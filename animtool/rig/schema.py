@@ -182,11 +182,24 @@ class AttachModel(FileModel):
 
 
 class CapsuleModel(FileModel):
-    """A cylinder with round ends."""
+    """A cylinder with round ends, in the frame of its joint."""
 
-    radius: Annotated[float, Field(gt=0)]
-    length: Annotated[float, Field(ge=0)] = 0.0
-    axis: Vector3 = [0.0, 1.0, 0.0]
+    radius: Annotated[
+        float, Field(gt=0, description="Of the cylinder and its round ends.")
+    ]
+    length: Annotated[
+        float,
+        Field(
+            ge=0, description="Between the centres of the round ends; 0 makes a ball."
+        ),
+    ] = 0.0
+    axis: Annotated[
+        Vector3, Field(description="Direction of the cylinder; of any length.")
+    ] = [0.0, 1.0, 0.0]
+    offset: Annotated[
+        Vector3,
+        Field(description="Centre of the cylinder, from the joint's origin."),
+    ] = [0.0, 0.0, 0.0]
 
 
 class ColliderModel(FileModel):

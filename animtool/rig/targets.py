@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from difflib import get_close_matches
 
 from animtool.rig.skeleton import JointType
 
-__all__ = ["DRIVEN_PARTS", "KEYED_PARTS", "split_part"]
+__all__ = ["DRIVEN_PARTS", "KEYED_PARTS", "nearest_part", "split_part"]
 
 _TURNS = (JointType.FREE, JointType.BALL)
 _EVERY = tuple(JointType)
@@ -28,6 +29,19 @@ KEYED_PARTS: dict[str, tuple[JointType, ...]] = {
     "local_rotation": _EVERY,
     "scale": _EVERY,
 }
+
+
+def nearest_part(text: str, parts: Iterable[str]) -> str | None:
+    """Return a hint that names the part that a joint's misspelt part is nearest to.
+
+    >>> nearest_part("elbow_l.angel", KEYED_PARTS)
+    "did you mean '.angle'?"
+    """
+    words = text.split(".")
+    tails = [".".join(words[i:]) for i in range(1, len(words))]
+    names = list(parts)
+    near = [name for tail in tails for name in get_close_matches(tail, names, 1)]
+    return f"did you mean '.{near[0]}'?" if near else None
 
 
 def split_part(text: str, parts: Iterable[str]) -> tuple[str, str]:

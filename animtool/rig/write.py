@@ -112,6 +112,12 @@ class _Units:
             ("radius", self.length(collider.capsule.radius)),
             ("length", self.length(collider.capsule.length)),
             ("axis", _numbers(collider.capsule.axis)),
+            (
+                "offset",
+                self.lengths(collider.capsule.offset)
+                if any(collider.capsule.offset)
+                else None,
+            ),
         ]
         return _mapping(
             [("joint", text(collider.joint)), ("capsule", _mapping(capsule))]

@@ -11,11 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.clip.file import load_clip, open_clip
+from animtool.clip.file import load_clip, load_rig_of, open_clip
 from animtool.clip.sample import sample_clip
 from animtool.clip.segments import curves_of
 from animtool.errors import FormatError
-from animtool.rig.skeleton import Rig
 from animtool.take import Motion, TakeStream
 from animtool.units import unit_name
 
@@ -38,7 +37,7 @@ def open_clip_source(
     """
     file = open_clip(path)
     named = rig or file.needed_rig()
-    loaded = Rig.load(named)
+    loaded = load_rig_of(file, named)
     clip = load_clip(file, loaded)
     with _named(path):
         count = clip.frame_count()

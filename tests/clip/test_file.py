@@ -8,7 +8,7 @@ import pytest
 from support.clips import RIG, hero, loaded, write_clip, write_rig
 
 from animtool.clip.clip import Interp, Parametrization, Tangent
-from animtool.clip.file import load_clip, open_clip
+from animtool.clip.file import check_clip, load_clip, open_clip
 from animtool.errors import FormatError
 from animtool.maths.extrapolation import Extrapolation
 from animtool.rig.file import load_rig
@@ -191,7 +191,7 @@ def test_a_rig_outside_the_project(tmp_path: Path) -> None:
     path = write_clip(tmp_path, GOOD)
     path.write_text(path.read_text().replace("hero.rig", "../hero.rig"))
     with pytest.raises(FormatError) as caught:
-        open_clip(path)
+        check_clip(open_clip(path))
     (fault,) = caught.value.faults
     assert (fault.code, fault.lines) == ("CLIP012", (2,))
 

@@ -253,7 +253,8 @@ def test_a_control_driven_out_of_its_range_is_said_when_clamped(
         for n in sample_clip(clip, rig, FRAMES, clamp=True).notices
         if n.code == "CLIP101"
     )
-    assert "is 2 at frame 4" in note.message
+    assert "would be 2 at frame 4" in note.message
+    assert note.message.endswith("clamped")
     assert note.hint is None
 
 

@@ -3,7 +3,6 @@ from __future__ import annotations
 import json
 import math
 import tempfile
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -156,13 +155,11 @@ def test_fifty_levels_are_read(tmp_path: Path) -> None:
     assert refused(tmp_path, "a: " + "[" * 50 + "]" * 50) == [("DOC005", 1)]
 
 
-def test_a_billion_laughs_take_no_time(tmp_path: Path) -> None:
+def test_a_billion_laughs_are_not_laughed(tmp_path: Path) -> None:
     lines = ["a0: &a0 [lol, lol]"]
     lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 30)]
-    begun = time.perf_counter()
     codes = {code for code, _ in refused(tmp_path, "\n".join(lines))}
     assert codes == {"DOC002", "DOC011"}
-    assert time.perf_counter() - begun < 1
 
 
 def test_a_large_file_is_not_read_whole(tmp_path: Path) -> None:
@@ -246,13 +243,22 @@ def test_places_of_what_is_not_there(tmp_path: Path) -> None:
     assert document.place(("z",)) == (1, 1)
 
 
-def test_many_faults_are_placed_in_little_time(tmp_path: Path) -> None:
+def test_a_file_is_numbered_once_for_many_faults(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     text = "a:\n" + "".join(f"- {{n: {i}}}\n" for i in range(20_000))
     document = read_document(written(tmp_path, text))
-    begun = time.perf_counter()
+    calls: list[int] = []
+    number = Document._number
+
+    def counted(self: Document, node: Any, index: int) -> int:
+        calls.append(index)
+        return number(self, node, index)
+
+    monkeypatch.setattr(Document, "_number", counted)
     for i in range(20_000):
         document.add("DOC022", ("a", i, "n"), "x")
-    assert time.perf_counter() - begun < 2
+    assert len(calls) == 2 + 2 * 20_000
     assert document.faults[19_999].lines == (20_001,)
 
 

@@ -1,0 +1,133 @@
+"""The arrays that a rig file refers to: where they lead, their shapes and values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from animtool.documents.arrays import (
+    array_header,
+    referred,
+    split_reference,
+    stored_array,
+)
+from animtool.documents.document import Document, Location
+from animtool.rig.parts import ArrayRef
+
+__all__ = ["ArrayReader"]
+
+Shape = tuple[int | None, ...]
+
+# Roles of arrays that count something, and hold whole numbers.
+_COUNTING = frozenset({"faces", "indices"})
+# What fills a triangle among quadrangles.
+NO_CORNER = -1
+
+
+@dataclass(frozen=True, slots=True)
+class ArrayReader:
+    """Looks at arrays one at a time; what is wrong is noted in the document.
+
+    Attributes:
+        document: The file.
+        roots: Folders that references may lead into.
+    """
+
+    document: Document
+    roots: Sequence[Path]
+
+    def array(
+        self, at: Location, text: str, role: str, shape: Shape, count: int | None = None
+    ) -> ArrayRef:
+        """Return a reference, and note what is wrong with where it leads.
+
+        Args:
+            at: Where the reference stands.
+            text: As written, ``face.npz#smile``.
+            role: What the array is: ``points``, ``faces``, ``normals``, ``deltas``,
+                ``indices`` or ``weights``; its name where the text has none.
+            shape: That it must have, None for any length.
+            count: Of what its indices count; None where that is not known.
+        """
+        name, key = split_reference(text, role)
+        path = referred(self.document, at, name, self.roots, "RIG021")
+        if path is None:
+            return ArrayRef(text, Path(name), key)
+        ref = ArrayRef(text, path, key)
+        try:
+            if self._fits(at, ref, role, shape):
+                message = _value_fault(role, stored_array(path, key), count)
+                if message is not None:
+                    self.document.add("RIG027", at, f"{text!r} {message}")
+        except ValueError as error:
+            code = "RIG020" if "pickled" in str(error) else "RIG018"
+            self.document.add(code, at, str(error))
+        return ref
+
+    def rows(self, ref: ArrayRef) -> int | None:
+        """Return the length of an array; None where it cannot be read."""
+        shape = self.shape(ref)
+        return shape[0] if shape else None
+
+    def shape(self, ref: ArrayRef) -> tuple[int, ...] | None:
+        """Return the shape of an array; None where it cannot be read."""
+        try:
+            return array_header(ref.path, ref.key).shape
+        except ValueError:
+            return None
+
+    def _fits(self, at: Location, ref: ArrayRef, role: str, shape: Shape) -> bool:
+        header = array_header(ref.path, ref.key)
+        fits = len(header.shape) == len(shape) and all(
+            want is None or want == got
+            for want, got in zip(shape, header.shape, strict=True)
+        )
+        if not fits:
+            wanted = ", ".join("any" if n is None else str(n) for n in shape)
+            message = f"{ref.text!r} has shape {header.shape}, not ({wanted})"
+            self.document.add("RIG019", at, message)
+            return False
+        if role in _COUNTING and header.kind not in "iu":
+            message = f"{ref.text!r} holds floats, not whole numbers"
+            self.document.add("RIG019", at, message)
+            return False
+        if role == "faces" and header.shape[1] not in {3, 4}:
+            message = f"{ref.text!r} has faces of {header.shape[1]} corners, not 3 or 4"
+            self.document.add("RIG019", at, message)
+            return False
+        return True
+
+
+def _value_fault(role: str, values: npt.NDArray[Any], count: int | None) -> str | None:
+    """Return what is wrong with the values of an array, at the first place; or None."""
+    if role in _COUNTING:
+        free = np.zeros(values.shape, bool)
+        if role == "faces":
+            free[:, 3:] = values[:, 3:] == NO_CORNER
+        wrong = (values < 0) if count is None else (values < 0) | (values >= count)
+        spot = _first(wrong & ~free)
+        if spot is None:
+            return None
+        most = "" if count is None else f" to {count - 1}"
+        return f"holds {values[spot]} at {list(spot)}, not 0{most}"
+    spot = _first(~np.isfinite(values))
+    if spot is not None:
+        return f"holds {values[spot]} at {list(spot)}, not a finite number"
+    if role != "weights":
+        return None
+    spot = _first(values < 0)
+    if spot is not None:
+        return f"holds {values[spot]} at {list(spot)}, a negative weight"
+    spot = _first(~values.any(axis=1))
+    return None if spot is None else f"gives vertex {spot[0]} no weight"
+
+
+def _first(wrong: npt.NDArray[np.bool_]) -> tuple[int, ...] | None:
+    if not wrong.any():
+        return None
+    return tuple(map(int, np.unravel_index(int(wrong.argmax()), wrong.shape)))
