@@ -38,7 +38,7 @@ def nearest(name: str, names: list[str]) -> str:
     >>> nearest("ebow", ["elbow", "hand"])
     "did you mean 'elbow'?"
     """
-    names = [known for known in names if known != UNKNOWN]
+    names = [known for known in dict.fromkeys(names) if known != UNKNOWN]
     near = get_close_matches(name, names, 1)
     if near:
         return f"did you mean {near[0]!r}?"

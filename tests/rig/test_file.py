@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from support.cli import animtool
 
 from animtool.documents.document import Document, read_document
 from animtool.errors import Fault, FormatError
@@ -280,6 +281,100 @@ def test_ten_faults_at_once(yard: Path) -> None:
     assert lines == sorted(lines)
     assert set(chosen) <= {fault.code for fault in found}
     assert len(found) == 10
+
+
+# Faults of keys, types and values among those of meaning; each is one cause.
+MIXED = {
+    "in every part": [
+        ("up: Z", "upp: Z", "DOC020", 4),
+        ("axis: [0, 0, 2], ", "", "DOC021", 6),
+        ("[0, 0, 50]", "[0, 0, x]", "DOC022", 7),
+        ("twist: locked", "twist: lockd", "DOC022", 8),
+        ("limits: [0, 25]", "limits: [25, 0]", "RIG007", 9),
+        ("bind: {base", "bind: {bose", "RIG008", 12),
+        ("combine: [dent, bulge]", "combine: [dent, bulg]", "RIG012", 18),
+        ("grip * 0.5", "grip ** 2", "RIG013", 20),
+        ("tip: hook", "tip: base", "RIG022", 22),
+        ("radius: 20", "radius: -1", "DOC022", 24),
+    ],
+    "in what others refer to": [
+        ("type: pin, axis: [0, 0, 2]", "type: pni, axis: [0, 0, 2]", "DOC022", 6),
+        ("[0, 0, 50]", "[0, 0]", "DOC022", 7),
+        ("parent: base, type: ball", "parent: 5, type: ball", "DOC022", 8),
+        ("parent: mast, type", "parent: most, type", "RIG002", 9),
+        ("gain: 2", "gain: much", "DOC022", 10),
+        ("points: hull.npz", "points: 5", "DOC022", 14),
+        ("at: 0.5", "at: half", "DOC022", 16),
+        ("range: [0, 1]", "range: [0]", "DOC022", 20),
+        ("default: 0.25", "default: low", "DOC022", 21),
+        ("joints: [hook]", "joints: [hok]", "RIG008", 23),
+    ],
+    "in names": [
+        ("name: crane", "nmae: crane", "DOC020", 2),
+        ("name: claw_l", "nam: claw_l", "DOC020", 6),
+        ("translate: [0, 0, 50]", "translat: [0, 0]", "DOC020", 7),
+        ("translate: [0, 0, 50]", "translat: [0, 0]", "DOC022", 7),
+        ("twist_axis: [0, 0, 1]", "twist_axis: [0, 0, 0]", "RIG005", 8),
+        ("mirror: arm_r", "mirror: claw_l", "RIG010", 9),
+        ("method: linear", "method: liner", "DOC022", 14),
+        ("shape: dent, expr", "shape: dnt, expr", "RIG012", 21),
+        ("root: mast", "root: most", "RIG008", 22),
+        ("goal: position", "goal: place", "DOC022", 22),
+    ],
+    "of whole entries": [
+        ("name: base, type", "type", "DOC021", 7),
+        ("translate: [5, 0, 0]", "translate: [[5], 0, 0]", "DOC022", 11),
+        ("bind: {base: {translate: [0, 0, 60]}}", "bind: {base: 5}", "DOC022", 12),
+        ("skin: {joints", "skin: {method: [], joints", "DOC022", 14),
+        ("[{at: 0.5, deltas: hull.npz#dent}]", "[7]", "DOC022", 16),
+        ("combine: [dent, bulge]", "combine: [dent, 3]", "DOC022", 18),
+        ("{control: wear, expr", "{expr", "RIG015", 20),
+        ("drives: [{shape", "drives: [2, {shape", "DOC022", 21),
+        ("pole_dir: [0, 3, 0]", "pole_dir: [0, 0, 0]", "RIG005", 22),
+        ("attach: [{", "attach: [5, {", "DOC022", 23),
+    ],
+}
+
+
+def mixed(name: str) -> tuple[str, list[tuple[str, int]]]:
+    """Return the crane with ten faults, and what is to be said of them."""
+    text = CRANE.replace("skin: {joints", "skin: {method: linear, joints")
+    if name == "of whole entries":
+        text = CRANE
+    for old, new, _, _ in MIXED[name]:
+        assert old in text or new in text, old
+        text = text.replace(old, new, 1)
+    return text, [(code, line) for *_, code, line in MIXED[name]]
+
+
+@pytest.mark.parametrize("name", MIXED)
+def test_ten_mixed_faults_in_one_go(yard: Path, name: str) -> None:
+    text, expected = mixed(name)
+    found = faults(yard, text)
+    assert len(expected) == 10
+    said = [(fault.code, fault.lines[0]) for fault in found]
+    assert sorted(said, key=lambda f: f[1]) == said
+    assert sorted(said) == sorted(expected), "\n".join(map(str, found))
+
+
+def test_ten_mixed_faults_are_printed(yard: Path) -> None:
+    text, expected = mixed("in every part")
+    (yard / "crane.rig.yaml").write_text(text)
+    clip = yard / "swing.clip.yaml"
+    clip.write_text(
+        "clip: animtool/1\nrig: crane.rig.yaml\nfps: 24\n"
+        "channels: [{target: control/grip, keys: [{t: 0, v: 0}, {t: 0, v: x}]}]\n"
+    )
+    done = animtool("bake", clip, "-o", yard / "swing.usda")
+    assert done.code == 3
+    lines = done.stderr.splitlines()
+    own = [line for line in lines if line.startswith(str(clip))]
+    assert [line.split()[1] for line in own] == ["CLIP004", "DOC022"]
+    rest = [line for line in lines if line not in own]
+    assert [
+        (line.split()[1], int(line.split(":")[1])) for line in rest
+    ] == expected
+    assert not (yard / "swing.usda").exists()
 
 
 NOISE: st.SearchStrategy[Any] = st.recursive(
