@@ -303,6 +303,7 @@ class _ClipReader:
     def _refuse_slopes(self, at: Location, model: ChannelModel) -> None:
         """Refuse what shapes the curves of numbers, on quaternions."""
         hint = "euler: XYZ makes it three angles, which have them"
+        spots: list[tuple[Location, ChannelModel | KeyModel, tuple[str, ...]]]
         spots = [(at, model, ("tangents", "parametrization"))]
         spots += [
             ((*at, "keys", k), key, ("in_", "out", "tcb"))

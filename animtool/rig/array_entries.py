@@ -123,7 +123,7 @@ def _value_fault(role: str, values: npt.NDArray[Any], count: int | None) -> str 
     spot = _first(values < 0)
     if spot is not None:
         return f"holds {values[spot]} at {list(spot)}, a negative weight"
-    spot = _first(~values.any(axis=1))
+    spot = _first(np.asarray(~values.any(axis=1)))
     return None if spot is None else f"gives vertex {spot[0]} no weight"
 
 

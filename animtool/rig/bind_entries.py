@@ -47,7 +47,7 @@ def bind_of(
     return {
         name: pose
         for name, pose in bind.items()
-        if name in inherited and name not in models or pose != _rest(joints[name])
+        if (name in inherited and name not in models) or pose != _rest(joints[name])
     }
 
 

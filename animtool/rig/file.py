@@ -156,4 +156,8 @@ def _overlaid(
 
 
 def _renamed(mimic: Mimic | None, names: dict[str, str]) -> Mimic | None:
-    return None if mimic is None else replace(mimic, joint=names.get(mimic.joint, mimic.joint))
+    return (
+        None
+        if mimic is None
+        else replace(mimic, joint=names.get(mimic.joint, mimic.joint))
+    )

@@ -101,9 +101,7 @@ def joints_of(
             joint = _joint(document, entry.index, models[entry.index], units, parent)
         tree.places[name] = len(tree.made)
         tree.made.append(joint)
-        tree.world.append(
-            placed(parent_world, Pose(joint.translation, joint.rotation))
-        )
+        tree.world.append(placed(parent_world, Pose(joint.translation, joint.rotation)))
     found = FileJoints(
         tuple(tree.made),
         frozenset(name for name, entry in entries.items() if entry.adrift),

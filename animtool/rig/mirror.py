@@ -93,9 +93,7 @@ def mirrored_joint(
         parent: Index of the new joint's parent.
         parent_world: That one's translation and rotation.
     """
-    pose = mirrored_pose(
-        Pose(joint.translation, joint.rotation), world, parent_world
-    )
+    pose = mirrored_pose(Pose(joint.translation, joint.rotation), world, parent_world)
     limits = joint.limits
     if isinstance(limits, BallLimit):
         limits = replace(limits, twist_axis=_turned(limits.twist_axis))

@@ -111,9 +111,7 @@ class PartReader:
                     message = f"inbetween weight {step.at:g} is out of place"
                     hint = "weights ascend between 0 and 1"
                     self.document.add("RIG024", (*spot, "at"), message, hint)
-                ref = self.arrays.array(
-                    (*spot, "deltas"), step.deltas, "deltas", rows
-                )
+                ref = self.arrays.array((*spot, "deltas"), step.deltas, "deltas", rows)
                 between.append(Inbetween(step.at, ref))
             made.append(
                 Shape(
@@ -218,9 +216,7 @@ class PartReader:
             faces,
             self._maybe((*at, "normals"), mesh.normals, "normals", (count, 3)),
             None if mesh.geom_bind is None else tuple(mesh.geom_bind),
-            None
-            if mesh.skin is None
-            else self._skin((*at, "skin"), mesh.skin, count),
+            None if mesh.skin is None else self._skin((*at, "skin"), mesh.skin, count),
         )
 
     def _skin(self, at: Location, skin: SkinModel, vertices: int | None) -> Skin:

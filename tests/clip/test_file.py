@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.cli import animtool
 from support.clips import RIG, hero, loaded, write_clip, write_rig
 
 from animtool.clip.clip import Interp, Parametrization, Tangent
@@ -220,3 +221,95 @@ def test_every_value_of_a_wrong_width_is_named(tmp_path: Path) -> None:
         ("CLIP007", 8),
         ("CLIP005", 8),
     ]
+
+
+MIXED = """\
+clip: animtool/1
+rig: hero.rig.yaml
+fps: fast
+range: [9]
+channels:
+- target: joint/elbow_l.angel
+  keys: [{t: 0, v: 0}, {t: 0, v: 0}]
+- target: joint/hips.rotation
+  euler: XYX
+  keys: [{t: 0, v: [0, 0, 0]}, {t: 1, v: [0, 0, 0], in: [3, [0, 0, 0]]}]
+- target: joint/chest.rotation
+  keys:
+  - {t: 0, v: [1, 0, 0, 0], tcb: [0, 0, 0]}
+  - {t: soon, v: [1, 0, 0, 0]}
+  - {t: 2, vv: [1, 0, 0, 0]}
+- {target: control/grin, pre: hold, keys: [{t: 0, v: [x]}]}
+"""
+MIXED_FAULTS = [
+    ("CLIP008", 3),
+    ("DOC022", 4),
+    ("CLIP001", 6),
+    ("CLIP004", 7),
+    ("DOC022", 9),
+    ("CLIP005", 10),
+    ("CLIP009", 13),
+    ("DOC022", 14),
+    ("DOC020", 15),
+    ("DOC022", 16),
+]
+
+
+def test_ten_mixed_faults_in_one_go(tmp_path: Path) -> None:
+    path = write_clip(tmp_path, "")
+    path.write_text(MIXED)
+    with pytest.raises(FormatError) as caught:
+        load_clip(open_clip(path), hero(tmp_path))
+    found = caught.value.faults
+    assert [(f.code, f.lines[0]) for f in found] == MIXED_FAULTS, caught.value
+
+
+def test_ten_mixed_faults_are_printed(tmp_path: Path) -> None:
+    write_rig(tmp_path)
+    path = tmp_path / "shot.clip.yaml"
+    path.write_text(MIXED)
+    done = animtool("bake", path, "-o", tmp_path / "shot.usda")
+    assert done.code == 3
+    said = [line.removeprefix(f"{path}:").split() for line in done.stderr.splitlines()]
+    assert [(c, int(at.split(":")[0])) for at, c, *_ in said] == MIXED_FAULTS
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "hero.rig.yaml",
+        "shot.clip.yaml",
+    ]
+
+
+def test_faults_of_a_clip_and_its_rig_in_one_go(tmp_path: Path) -> None:
+    rig = write_rig(tmp_path, RIG.replace("axis: [1,", "axis: [x,"))
+    path = write_clip(tmp_path, PIN + "  - {t: 0, v: x}\n  - {t: 0, v: 1}\n")
+    done = animtool("bake", path, "-o", tmp_path / "shot.usda")
+    assert done.code == 3
+    said = [line.split()[:2] for line in done.stderr.splitlines()]
+    assert [(at.split(":")[0], code) for at, code in said] == [
+        (str(path), "DOC022"),
+        (str(path), "CLIP004"),
+        (str(rig), "DOC022"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("entry", "line"),
+    [
+        ("  tangents: flat\n  keys: [{t: 0, v: [1, 0, 0, 0]}]", 6),
+        ("  parametrization: chordal\n  keys: [{t: 0, v: [1, 0, 0, 0]}]", 6),
+        ("  keys:\n  - {t: 0, v: [1, 0, 0, 0], in: [-1, 0]}", 7),
+        ("  keys:\n  - {t: 0, v: [1, 0, 0, 0], out: flat}", 7),
+        ("  keys:\n  - {t: 0, v: [1, 0, 0, 0], tcb: [0, 0, 0]}", 7),
+    ],
+)
+def test_quaternions_have_no_slopes(tmp_path: Path, entry: str, line: int) -> None:
+    text = f"- target: joint/hips.rotation\n{entry}"
+    ((code, at, words),) = faults(tmp_path, text, "fps: 24")
+    assert (code, at) == ("CLIP009", line)
+    assert "euler" in words
+
+
+def test_a_misspelt_part_gives_the_nearest(tmp_path: Path) -> None:
+    text = "- {target: joint/elbow_l.angel, keys: [{t: 0, v: 0}]}"
+    ((code, _, words),) = faults(tmp_path, text, "fps: 24")
+    assert code == "CLIP001"
+    assert "did you mean '.angle'?" in words

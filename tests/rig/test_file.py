@@ -371,9 +371,7 @@ def test_ten_mixed_faults_are_printed(yard: Path) -> None:
     own = [line for line in lines if line.startswith(str(clip))]
     assert [line.split()[1] for line in own] == ["CLIP004", "DOC022"]
     rest = [line for line in lines if line not in own]
-    assert [
-        (line.split()[1], int(line.split(":")[1])) for line in rest
-    ] == expected
+    assert [(line.split()[1], int(line.split(":")[1])) for line in rest] == expected
     assert not (yard / "swing.usda").exists()
 
 
@@ -392,15 +390,10 @@ NOISE: st.SearchStrategy[Any] = st.recursive(
 )
 
 
-@given(st.data())
-@settings(deadline=None, max_examples=300)
-def test_any_edit_gives_a_rig_or_faults(yard: Path, data: st.DataObject) -> None:
-    path = yard / "edited.rig.yaml"
-    path.write_text(CRANE)
-    document = read_document(path)
-    node: Any = copy.deepcopy(document.value)
-    root = node
-    while True:
+def edit(root: Any, data: st.DataObject) -> None:
+    """Put something else in some place of a value, or under another key."""
+    node = root
+    while node:
         steps = list(node) if isinstance(node, dict) else list(range(len(node)))
         step = data.draw(st.sampled_from(steps))
         if (
@@ -410,13 +403,30 @@ def test_any_edit_gives_a_rig_or_faults(yard: Path, data: st.DataObject) -> None
         ):
             node = node[step]
             continue
-        node[step] = data.draw(NOISE)
+        if isinstance(node, dict) and data.draw(st.booleans()):
+            node[step + data.draw(st.sampled_from("ab"))] = node.pop(step)
+        else:
+            node[step] = data.draw(NOISE)
         break
-    edited = Document(path, root, document.places * 2)
+
+
+@given(st.data())
+@settings(deadline=None, max_examples=300)
+@pytest.mark.parametrize("kind", ["whole", "sidecar"])
+def test_any_edits_give_a_rig_or_faults(
+    yard: Path, kind: str, data: st.DataObject
+) -> None:
+    path = yard / "edited.rig.yaml"
+    path.write_text(CRANE if kind == "whole" else SIDECAR)
+    document = read_document(path)
+    root: Any = copy.deepcopy(document.value)
+    for _ in range(data.draw(st.integers(1, 4))):
+        edit(root, data)
+    edited = Document(path, root, document.places * 9)
     joints: list[Any] = []
     faults: list[Any] = []
     try:
-        joints = list(rig_of_document(edited).joints)
+        joints = list(rig_of_document(edited, lambda _: BASE).joints)
     except FormatError as error:
         faults = list(error.faults)
     assert joints or faults

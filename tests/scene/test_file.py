@@ -61,7 +61,10 @@ FAULTS = {
     "SCN001": ("first: 5", "frist: 5", 5),
     "SCN002": ("last: 20", "last: [x]", 5),
     "SCN004": ("file: walk.bvh", "file: ../../walk.bvh", 2),
+    "DOC004": ("output:", "passes:", 6),
+    "DOC009": ("scene:", "rig:", 1),
     "DOC020": ("output:", "outptu:", 6),
+    "DOC021": ("source:", "# source:", 1),
     "DOC022": ("units: cm", "units: miles", 2),
     "DOC012": ("animtool/1", "animtool/2", 1),
 }
@@ -73,7 +76,7 @@ def test_each_fault_has_its_line(shot: Path, code: str) -> None:
     shot.write_text(GOOD.replace(old, new, 1), "utf-8")
     with pytest.raises(FormatError) as caught:
         load_scene(shot)
-    assert (code, line) in [(f.code, f.lines[0]) for f in caught.value.faults]
+    assert [(f.code, f.lines[0]) for f in caught.value.faults] == [(code, line)]
 
 
 @pytest.mark.parametrize(
@@ -106,3 +109,50 @@ def test_what_a_pass_says_is_reported(shot: Path) -> None:
     done = animtool("bake", shot, "--strict", "--overwrite")
     assert done.code == 1
     assert "SCN101" in done.stderr
+
+
+MIXED = """\
+scene: animtool/1
+rigg: hero.rig.yaml
+fps: fast
+range: [9, 1]
+source: {file: ../../walk.bvh, units: miles}
+passes:
+- miror:
+- trim: {frist: 5, last: [x]}
+- loop: 7
+output: {file: shot.usda, start: now}
+"""
+MIXED_FAULTS = [
+    ("DOC020", 2),
+    ("SCN003", 3),
+    ("SCN003", 4),
+    ("SCN004", 5),
+    ("DOC022", 5),
+    ("SCN010", 7),
+    ("SCN001", 8),
+    ("SCN002", 8),
+    ("DOC022", 9),
+    ("DOC022", 10),
+]
+
+
+def test_ten_mixed_faults_in_one_go(shot: Path) -> None:
+    shot.write_text(MIXED, "utf-8")
+    done = animtool("bake", shot)
+    assert done.code == 3
+    said = [line.removeprefix(f"{shot}:").split() for line in done.stderr.splitlines()]
+    assert [(c, int(at.split(":")[0])) for at, c, *_ in said] == MIXED_FAULTS
+    assert sorted(p.name for p in shot.parent.iterdir()) == [
+        "shot.scene.yaml",
+        "walk.bvh",
+    ]
+
+
+def test_a_source_that_is_missing_hides_nothing(shot: Path) -> None:
+    text = GOOD.replace("source:", "#").replace("mirror:", "miror:")
+    shot.write_text(text, "utf-8")
+    with pytest.raises(FormatError) as caught:
+        load_scene(shot)
+    said = [(f.code, f.lines[0]) for f in caught.value.faults]
+    assert said == [("DOC021", 1), ("SCN010", 4)]

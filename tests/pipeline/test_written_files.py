@@ -1,0 +1,165 @@
+"""Every fault that a written file may have, planted in a clip and in a scene."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from support.cli import animtool
+from support.clips import write_rig
+
+from animtool.documents.document import MOST_BYTES, MOST_FAULTS
+
+CLIP = """\
+clip: animtool/1
+rig: hero.rig.yaml
+fps: 24
+range: [0, 8]
+channels:
+- target: joint/elbow_l.angle
+  interp: bezier
+  keys:
+  - {t: 0, v: 0, out: [1, 0]}
+  - {t: 8, v: 90}
+- {target: control/grin, keys: [{t: 0, v: 0}]}
+- {target: joint/hips.rotation, keys: [{t: 0, v: [1, 0, 0, 0]}]}
+"""
+SCENE = """\
+scene: animtool/1
+fps: 24
+range: [1001, 1007]
+source: {file: good.clip.yaml}
+passes:
+- trim: {first: 1, last: 8}
+- loop: {}
+output: {file: shot.usda, start: 1001}
+"""
+
+# Text to find, text to put there, code, line; of clips, then of scenes.
+CLIPS = [
+    ("range: [0, 8]", "range: [0, 8", "DOC001", 5),
+    ("range: [0, 8]", "range: [0, " + "8" * 500 + "]", "DOC001", 4),
+    ("range: [0, 8]", "range: &r [0, 8]", "DOC002", 4),
+    ("range: [0, 8]", "range: *r", "DOC002", 4),
+    ("range: [0, 8]", "range: !!seq [0, 8]", "DOC003", 4),
+    ("range: [0, 8]", "fps: 25", "DOC004", 4),
+    ("range: [0, 8]", "range: " + "[" * 60 + "]" * 60, "DOC005", 4),
+    ("range: [0, 8]", "range: [0, 8]\n---", "DOC007", 5),
+    ("range: [0, 8]", "name: \udce9", "DOC008", 4),
+    ("clip: animtool/1", "rig: animtool/1\nn: 1", "DOC004", 3),
+    ("clip: animtool/1", "scene: animtool/1", "DOC009", 1),
+    ("clip: animtool/1", "clip: 1", "DOC009", 1),
+    ("range: [0, 8]", "8: 9", "DOC010", 4),
+    ("clip: animtool/1", "clip: animtool/2", "DOC012", 1),
+    ("range: [0, 8]", "rnge: [0, 8]", "DOC020", 4),
+    ("fps: 24\n", "", "DOC021", 1),
+    ("range: [0, 8]", "range: [0, x]", "DOC022", 4),
+    ("joint/elbow_l.angle", "elbow_l.angle", "CLIP001", 6),
+    ("control/grin", "control/grim", "CLIP002", 11),
+    ("elbow_l.angle", "elbow_l.slide", "CLIP003", 6),
+    ("t: 8", "t: 0", "CLIP004", 10),
+    ("out: [1, 0]", "out: [-1, 0]", "CLIP005", 9),
+    ("range: [0, 8]", "range: [8, 0]", "CLIP006", 4),
+    ("v: 90", "v: [90, 1]", "CLIP007", 10),
+    ("fps: 24", "fps: fast", "CLIP008", 3),
+    ("interp: bezier", "interp: slerp", "CLIP009", 7),
+    ("control/grin", "joint/elbow_l.angle", "CLIP010", 11),
+    ("rig: hero.rig.yaml", "rig: ../hero.rig.yaml", "CLIP012", 2),
+    (CLIP[CLIP.index("- target") :], " []\n", "CLIP013", 6),
+    ("[1, 0, 0, 0]", "[0, 0, 0, 0]", "CLIP014", 12),
+]
+SCENES = [
+    ("range: [1001, 1007]", "range: [1, 9", "DOC001", 4),
+    ("range: [1001, 1007]", "range: &r [1, 9]", "DOC002", 3),
+    ("range: [1001, 1007]", "range: !!seq [1, 9]", "DOC003", 3),
+    ("range: [1001, 1007]", "fps: 25", "DOC004", 3),
+    ("range: [1001, 1007]", "range: " + "[" * 60 + "]" * 60, "DOC005", 3),
+    ("range: [1001, 1007]", "range: [1001, 1007]\n---", "DOC007", 4),
+    ("range: [1001, 1007]", "rig: \udce9", "DOC008", 3),
+    ("scene: animtool/1", "clip: animtool/1", "DOC009", 1),
+    ("range: [1001, 1007]", "9: 1", "DOC010", 3),
+    ("scene: animtool/1", "scene: animtool/9", "DOC012", 1),
+    ("range: [1001, 1007]", "rangee: [1, 9]", "DOC020", 3),
+    ("source: {file: good.clip.yaml}", "", "DOC021", 1),
+    ("range: [1001, 1007]", "range: [1, 9, 2]", "DOC022", 3),
+    ("range: [1001, 1007]", "range: [1.5, 9]", "DOC022", 3),
+    ("- loop: {}", "- loop: {}\n  trim: {}", "DOC022", 7),
+    ("last: 8", "lats: 8", "SCN001", 6),
+    ("last: 8", "last: soon", "SCN002", 6),
+    ("range: [1001, 1007]", "range: [9, 1]", "SCN003", 3),
+    ("fps: 24", "fps: 0", "SCN003", 2),
+    ("file: good.clip.yaml", "file: /good.clip.yaml", "SCN004", 4),
+    ("file: shot.usda", "file: ../shot.usda", "SCN004", 8),
+    ("loop:", "lop:", "SCN010", 7),
+]
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    """Return a folder with a rig and a sound clip and scene."""
+    write_rig(tmp_path)
+    (tmp_path / "animtool.toml").touch()
+    (tmp_path / "good.clip.yaml").write_text(CLIP)
+    (tmp_path / "good.scene.yaml").write_text(SCENE)
+    return tmp_path
+
+
+def said(project: Path, name: str, data: bytes) -> list[tuple[str, int]]:
+    """Return code and line of what is said of a file that cannot be baked."""
+    (project / name).write_bytes(data)
+    before = sorted(project.iterdir())
+    done = animtool("bake", name, "-o", "out.usda", cwd=project)
+    assert done.code == 3, done.stderr
+    assert sorted(project.iterdir()) == before
+    lines = done.stderr.splitlines()
+    assert all(line.startswith(f"{name}:") for line in lines)
+    found = [re.match(rf"{name}:(\d+)?.*?\b([A-Z]+\d+)\b", line) for line in lines]
+    return [(match[2], int(match[1] or 0)) for match in found if match]
+
+
+@pytest.mark.parametrize(("old", "new", "code", "line"), CLIPS)
+def test_a_fault_of_a_clip(
+    project: Path, old: str, new: str, code: str, line: int
+) -> None:
+    assert old in CLIP
+    data = CLIP.replace(old, new, 1).encode("utf-8", "surrogateescape")
+    assert said(project, "bad.clip.yaml", data) == [(code, line)]
+
+
+@pytest.mark.parametrize(("old", "new", "code", "line"), SCENES)
+def test_a_fault_of_a_scene(
+    project: Path, old: str, new: str, code: str, line: int
+) -> None:
+    assert old in SCENE
+    data = SCENE.replace(old, new, 1).encode("utf-8", "surrogateescape")
+    assert said(project, "bad.scene.yaml", data) == [(code, line)]
+
+
+@pytest.mark.parametrize("kind", ["clip", "scene"])
+def test_files_that_are_none(project: Path, kind: str) -> None:
+    name = f"bad.{kind}.yaml"
+    assert said(project, name, b"") == [("DOC007", 1)]
+    assert said(project, name, b" " * (MOST_BYTES + 1)) == [("DOC006", 0)]
+    many = f"{kind}: animtool/1\n" + "".join(
+        f"key_{i}: 1\n" for i in range(MOST_FAULTS + 9)
+    )
+    found = said(project, name, many.encode())
+    assert len(found) == MOST_FAULTS + 1
+    assert found[-1] == ("DOC011", 0)
+
+
+def test_sound_files_bake(project: Path) -> None:
+    for name in ("good.clip.yaml", "good.scene.yaml"):
+        done = animtool("bake", name, "-o", "out.usda", "--overwrite", cwd=project)
+        assert done.code == 0, done.stderr
+
+
+def test_no_code_of_reading_is_left_out(root: Path) -> None:
+    guide = (root / "animtool/docs/guide.md").read_text("utf-8")
+    planted = {code for _, _, code, _ in [*CLIPS, *SCENES]}
+    planted |= {"DOC006", "DOC011"}
+    # Said of options, of expressions while they are sampled, and of plug-ins.
+    elsewhere = {"CLIP011", "CLIP015", "SCN011"}
+    codes = set(re.findall(r"\b(?:DOC\d{3}|CLIP0\d{2}|SCN0(?:0\d|1[01]))\b", guide))
+    assert codes - elsewhere == planted
