@@ -25,6 +25,10 @@ COMMANDS = {
     "completion": ("animtool.cli.completion:completion", "Print a completion script."),
     "convert": ("animtool.cli.convert:convert", "Convert a take to another format."),
     "diff": ("animtool.cli.diff:diff", "Compare two takes or layers."),
+    "migrate": (
+        "animtool.cli.migrate:migrate",
+        "Rewrite files of older versions as the newest.",
+    ),
     "plugins": ("animtool.cli.plugins:plugins", "List the passes there are."),
     "schema": ("animtool.cli.schema:schema", "Print the JSON Schema of a file."),
     "info": ("animtool.cli.info:info", "Say what is in a file."),

@@ -19,6 +19,7 @@ from animtool.documents.mend import (
     replaced,
     stand_in,
 )
+from animtool.documents.versions import STEPS, newest, version_of
 from animtool.errors import excerpt
 
 __all__ = ["FileModel", "check_version", "nearest", "validated"]
@@ -48,25 +49,12 @@ def nearest(name: str, names: list[str]) -> str:
 
 
 def check_version(document: Document, kind: str) -> None:
-    """Raise `FormatError` where a document is not of a kind, or of a later version."""
-    stated = document.value.get(kind)
-    if stated == "animtool/1":
-        return
-    known = [
-        key for key in ("rig", "clip", "scene", "targets") if key in document.value
-    ]
-    if kind not in document.value:
-        hint = f"the first line of such a file is '{kind}: animtool/1'"
-        if known:
-            hint = f"it looks like a {known[0]} file"
-        document.add("DOC009", (), f"is no {kind} file", hint)
-    elif isinstance(stated, str) and stated.startswith("animtool/"):
-        message = f"{stated} is a version that this animtool does not know"
-        document.add("DOC012", (kind,), message, "a newer animtool reads it")
-    else:
-        message = f"{kind} is {excerpt(str(stated))}"
-        document.add("DOC009", (kind,), message, "allowed: animtool/1")
-    document.check()
+    """Raise `FormatError` where a document is not of a kind, in its newest version."""
+    _, version = version_of(document, STEPS, kind)
+    if version < newest(STEPS[kind]):
+        message = f"animtool/{version} is an older version"
+        document.add("DOC013", (kind,), message, "animtool migrate rewrites it")
+        document.check()
 
 
 def validated(document: Document, model: type[Model]) -> Model:

@@ -17,7 +17,7 @@ import yaml
 
 from animtool.errors import Fault, FormatError, excerpt
 
-__all__ = ["Document", "Location", "read_document"]
+__all__ = ["Document", "Location", "plain_scalar", "read_document", "read_text"]
 
 Location = tuple[str | int, ...]
 
@@ -127,7 +127,7 @@ class Document:
     def descents(
         self, location: Location, values: Sequence[float], key: str | int
     ) -> Iterator[tuple[int, int]]:
-        """Yield the entries of a list that should ascend and do not, with the one before.
+        """Yield the entries of a list that do not ascend, each with the one before.
 
         Args:
             location: Of the list.
@@ -187,7 +187,7 @@ def read_document(path: Path) -> Document:
         FormatError: It cannot be read, is no YAML, holds an anchor, alias or tag, a
             key that stands twice, or is no mapping.
     """
-    text = _text(path)
+    text = read_text(path)
     if path.suffix == ".json":
         text = _PAIRS.sub(_joined, text)
     reader = _Reader(path)
@@ -213,7 +213,12 @@ def read_document(path: Path) -> Document:
     return Document(path, value, reader.places)
 
 
-def _text(path: Path) -> str:
+def read_text(path: Path) -> str:
+    """Return the text of a file.
+
+    Raises:
+        FormatError: It cannot be read, is too large, or no UTF-8.
+    """
     try:
         with path.open("rb") as file:
             data = file.read(MOST_BYTES + 1)
@@ -249,6 +254,27 @@ def _cut(faults: list[Fault]) -> list[Fault]:
         return faults
     rest = f"{len(faults) - MOST_FAULTS} more faults are not shown"
     return [*faults[:MOST_FAULTS], Fault("DOC011", rest, faults[0].path)]
+
+
+def plain_scalar(text: str) -> Any:
+    """Return what a scalar without quotes means, by the core schema of YAML 1.2.
+
+    Raises:
+        OverflowError: It is a number of more digits than Python reads.
+
+    >>> plain_scalar("1e-3"), plain_scalar("no"), plain_scalar("~")
+    (0.001, 'no', None)
+    """
+    if text in _NAMED:
+        return _NAMED[text]
+    if not (text[0].isdigit() or text[0] in "+-."):
+        return text
+    for pattern, make in _NUMBERS:
+        if pattern.fullmatch(text):
+            if len(text) > MOST_DIGITS:
+                raise OverflowError
+            return make(text)
+    return text
 
 
 class _Reader:
@@ -325,17 +351,11 @@ class _Reader:
         text: str = event.value
         if not event.implicit[0]:
             return text
-        if text in _NAMED:
-            return _NAMED[text]
-        if not (text[0].isdigit() or text[0] in "+-."):
-            return text
-        for pattern, make in _NUMBERS:
-            if pattern.fullmatch(text):
-                if len(text) > MOST_DIGITS:
-                    self.fault("DOC001", f"a number of {len(text)} characters", place)
-                    return 0
-                return make(text)
-        return text
+        try:
+            return plain_scalar(text)
+        except OverflowError:
+            self.fault("DOC001", f"a number of {len(text)} characters", place)
+            return 0
 
 
 @dataclass(slots=True)

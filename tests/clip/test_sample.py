@@ -1,11 +1,12 @@
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support.clips import RIG, loaded, write_clip, write_rig
+from support.clips import RIG, hero, loaded, write_clip, write_rig
 
 from animtool._types import FloatArray
 from animtool.clip.file import load_clip, open_clip
@@ -326,3 +327,47 @@ def test_times_in_any_order(tmp_path: Path) -> None:
         _, back = locals_of(made, rig, name)
         _, there = locals_of(ascending, rig, name)
         assert_turns(back[::-1], there)
+
+
+def test_clamping_reaches_controls_that_others_drive(tmp_path: Path) -> None:
+    drives = 'drives: [{control: curl, expr: "grin * 3"}]}'
+    text = RIG.replace("default: 0.25}", f"default: 0.25, {drives}")
+    rig = load_rig(write_rig(tmp_path, text))
+    keys = ramp("control/grin", 0, 1)
+    clip = load_clip(open_clip(write_clip(tmp_path, keys)), rig)
+    made = sample_clip(clip, rig, FRAMES, clamp=True)
+    assert made.motion.controls is not None
+    curl = made.motion.controls.dense()[:, 1, 0]
+    np.testing.assert_allclose(curl, np.minimum(3 * FRAMES / 4, 1))
+    _, rotations = locals_of(made, rig, "elbow_l")
+    turn = so3.from_axis_angle(Z, np.radians(90 * np.minimum(3 * FRAMES / 4, 1)))
+    assert_turns(rotations, so3.multiply([0, 0, 0.8, 0.6], turn))
+    assert [note.message for note in made.notices] == [
+        "control 'curl' would be 3 at frame 4, outside 0 to 1: clamped"
+    ]
+
+
+def test_clamping_says_what_it_did_to_keys(tmp_path: Path) -> None:
+    made, _ = sampled(tmp_path, ramp("control/curl", 0, 2), clamp=True)
+    assert [note.message for note in made.notices] == [
+        "control 'curl' would be 2 at frame 4, outside 0 to 1: clamped"
+    ]
+
+
+@pytest.mark.parametrize("order", list(itertools.permutations(range(4))))
+def test_shapes_of_combined_shapes_in_any_order(
+    tmp_path: Path, order: tuple[int, ...]
+) -> None:
+    shapes = [
+        Shape("a"),
+        Shape("b"),
+        Shape("ab", combine=("a", "b")),
+        Shape("aab", combine=("a", "ab")),
+    ]
+    rig = replace(hero(tmp_path), shapes=tuple(shapes[i] for i in order))
+    keys = ramp("shape/a", 0.5, 0.5) + ramp("shape/b", 0, 1)
+    clip = load_clip(open_clip(write_clip(tmp_path, keys)), rig)
+    weights = sample_clip(clip, rig, FRAMES).motion.weights
+    assert weights is not None
+    found = weights.dense()[:, order.index(3), 0]
+    np.testing.assert_allclose(found, 0.25 * np.clip(FRAMES / 4, 0, 1))

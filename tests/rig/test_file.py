@@ -24,6 +24,7 @@ from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.mirror import reflect_rotation
 from animtool.rig.parts import Mesh, Shape
 from animtool.rig.skeleton import Joint, JointType, Mimic, Pose, Rig
+from animtool.rig.write import rig_text
 
 CRANE = """\
 rig: animtool/1
@@ -69,6 +70,18 @@ def yard(tmp_path_factory: pytest.TempPathFactory) -> Path:
         objects=np.array([{}], object),
         text=np.array(["a"]),
         halves=np.zeros((4, 2)),
+        far=np.array([[0, 2]] * 4),
+        negative=np.array([[0, -1]] * 4),
+        flags=np.zeros((4, 2), bool),
+        three=np.zeros((4, 3), int),
+        nan=np.full((4, 2), np.nan),
+        below=np.array([[0.5, -0.5]] * 4),
+        none=np.array([[1.0, 0.0]] * 3 + [[0.0, 0.0]]),
+        corners=np.array([[0, 1, 2, 4]]),
+        filled=np.array([[0, 1, 2, -1]]),
+        hole=np.array([[0, 1, -1, -1]]),
+        pairs=np.array([[0, 1]]),
+        infinite=np.full((4, 3), np.inf),
     )
     (folder / "animtool.toml").write_text("")
     return folder
@@ -239,6 +252,22 @@ FAULTS = [
     ("up: Z", "from: hero.usda", "RIG023", 4),
     ("up: Z", "from: ../../hero.usda", "RIG021", 4),
     ("at: 0.5", "at: 1", "RIG024", 16),
+    ("combine: [dent, bulge]", "combine: [dent, both]", "RIG026", 18),
+    ("indices: hull.npz", "indices: hull.npz#far", "RIG027", 14),
+    ("indices: hull.npz", "indices: hull.npz#negative", "RIG027", 14),
+    ("indices: hull.npz", "indices: hull.npz#halves", "RIG019", 14),
+    ("indices: hull.npz", "indices: hull.npz#flags", "RIG019", 14),
+    ("indices: hull.npz", "indices: hull.npz#three", "RIG019", 14),
+    ("weights: hull.npz", "weights: hull.npz#nan", "RIG027", 14),
+    ("weights: hull.npz", "weights: hull.npz#below", "RIG027", 14),
+    ("weights: hull.npz", "weights: hull.npz#none", "RIG027", 14),
+    ("weights: hull.npz", "weights: hull.npz#points", "RIG019", 14),
+    ("faces: hull.npz", "faces: hull.npz#corners", "RIG027", 14),
+    ("faces: hull.npz", "faces: hull.npz#hole", "RIG027", 14),
+    ("faces: hull.npz", "faces: hull.npz#pairs", "RIG019", 14),
+    ("points: hull.npz", "points: hull.npz#infinite", "RIG027", 14),
+    ("deltas: hull.npz#dent", "deltas: hull.npz#infinite", "RIG027", 16),
+    ("deltas: hull.npz#dent", "deltas: hull.npz#short", "RIG019", 16),
     ("name: wear", "name: we-ar", "RIG025", 21),
     ("name: wear", "name: lambda", "RIG025", 21),
     ("name: wear", "name: clamp", "RIG025", 21),
@@ -251,6 +280,83 @@ def test_a_fault(yard: Path, old: str, new: str, code: str, line: int) -> None:
     found = faults(yard, CRANE.replace(old, new, 1))
     assert (code, line) in [(fault.code, fault.lines[0]) for fault in found]
     assert len(found) <= 3
+
+
+def test_a_value_of_an_array_is_named_with_its_place(yard: Path) -> None:
+    [fault] = faults(yard, CRANE.replace("indices: hull.npz", "indices: hull.npz#far"))
+    assert fault.message == "'hull.npz#far' holds 2 at [0, 1], not 0 to 1"
+
+
+def test_triangles_among_quadrangles(yard: Path) -> None:
+    assert load(yard, CRANE.replace("faces: hull.npz", "faces: hull.npz#filled"))
+
+
+def test_a_circle_of_shapes_is_printed(yard: Path) -> None:
+    text = CRANE.replace(
+        "{name: bulge, mesh: hull, deltas: hull.npz#dent}",
+        "{name: bulge, mesh: hull, combine: [both]}",
+    )
+    [fault] = faults(yard, text)
+    assert fault.code == "RIG026"
+    assert "both → bulge → both" in fault.message or "bulge → both → bulge" in (
+        fault.message
+    )
+
+
+BOUND = """\
+rig: animtool/1
+name: bound
+joints:
+- {name: hips, type: free, translate: [0, 1, 0]}
+- {name: arm_l, parent: hips, type: ball, translate: [0.2, 0.5, 0], rotate: [1, 0.2, 0, 0], mirror: arm_r}
+- {name: hand_l, parent: arm_l, type: ball, translate: [0.3, 0, 0.1], mirror: hand_r}
+bind:
+  arm_l: {translate: [0.25, 0.4, 0.1], rotate: [1, 0, 0.3, 0.5]}
+"""  # noqa: E501
+
+
+def test_a_bind_pose_is_mirrored(yard: Path) -> None:
+    rig = load(yard, BOUND)
+    left, right = rig.bind["arm_l"], rig.bind["arm_r"]
+    assert_allclose(right.translation, [-0.25, 0.4, 0.1])
+    assert_allclose(right.rotation, reflect_rotation(np.array(left.rotation)))
+    again = load(yard, rig_text(rig))
+    assert again.bind == rig.bind
+
+
+def test_a_bind_pose_of_its_own_is_kept(yard: Path) -> None:
+    own = BOUND + "  arm_r: {translate: [-0.2, 0.1, 0]}\n"
+    assert load(yard, own).bind["arm_r"].translation == (-0.2, 0.1, 0)
+    one_sided = replace(
+        load(yard, BOUND), bind={"arm_l": load(yard, BOUND).bind["arm_l"]}
+    )
+    assert load(yard, rig_text(one_sided)).bind == one_sided.bind
+
+
+def test_a_mirrored_bind_pose_below_a_parent_that_turns_only_at_bind(
+    yard: Path,
+) -> None:
+    rig = load(yard, BOUND + "  hips: {rotate: [1, 0, 0, 0.4]}\n")
+    posed = [rig.bind.get(j.name, Pose(j.translation, j.rotation)) for j in rig.joints]
+    world = forward(
+        rig,
+        np.array([[pose.translation for pose in posed]]),
+        np.array([[pose.rotation for pose in posed]]),
+    )
+    flip = np.diag([-1.0, 1.0, 1.0])
+    left, right = rig.index("arm_l"), rig.index("arm_r")
+    assert_allclose(world.positions[:, right], world.positions[:, left] @ flip)
+    assert_allclose(
+        world.linear[:, right], flip @ world.linear[:, left] @ flip, atol=1e-12
+    )
+
+
+def test_a_collider_has_a_centre(yard: Path) -> None:
+    text = CRANE.replace("length: 100", "length: 100, offset: [0, 50, 0]")
+    rig = load(yard, text)
+    assert rig.colliders[0].capsule.offset == (0, 0.5, 0)
+    assert load(yard, CRANE).colliders[0].capsule.offset == (0, 0, 0)
+    assert load(yard, rig_text(rig)).colliders == rig.colliders
 
 
 def test_no_joints(yard: Path) -> None:

@@ -1,0 +1,87 @@
+"""``animtool migrate``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from animtool.cli.console import Console
+from animtool.cli.options import common_options, format_option
+
+if TYPE_CHECKING:
+    from animtool.documents.migrate import Migration
+
+__all__ = ["migrate"]
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  animtool migrate hero.rig.yaml walk.clip.yaml --check
+  animtool migrate hero.rig.yaml walk.clip.yaml --overwrite"""
+)
+@click.argument(
+    "files", nargs=-1, required=True, type=click.Path(path_type=Path, readable=False)
+)
+@click.option(
+    "--check",
+    is_flag=True,
+    help="Write nothing; say what would change, and end with 1 where something would.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace files of older versions.")
+@click.option(
+    "--strict", is_flag=True, help="Take warnings for errors and write nothing."
+)
+@format_option
+@common_options
+@click.pass_obj
+def migrate(console: Console, /, files: tuple[Path, ...], **given: Any) -> None:
+    """Rewrite rig, clip and scene FILES of older versions as the newest, in place.
+
+    Files of the newest version are left alone. Where more than the version's name
+    changes, a YAML file is written anew: its comments are not kept, and a warning says
+    in which lines they were. All files are checked before the first is written.
+    """
+    from animtool.documents.migrate import migrate as run_migrate
+    from animtool.errors import ExitCode
+
+    check = given["check"]
+    plans = run_migrate(
+        files, overwrite=given["overwrite"], check=check, strict=given["strict"]
+    )
+    for plan in plans:
+        console.faults(plan.notices)
+    if given["report_format"] == "json":
+        entries = [_entry(plan, written=plan.needed and not check) for plan in plans]
+        console.result_json({"migrate": "animtool/1", "files": entries})
+    else:
+        for plan in plans:
+            _say(console, plan, check=check)
+    if check and any(plan.needed for plan in plans):
+        click.get_current_context().exit(int(ExitCode.FINDINGS))
+
+
+def _say(console: Console, plan: Migration, *, check: bool) -> None:
+    if not plan.needed:
+        console.say(f"{plan.path}: {plan.kind}, animtool/{plan.version}, is the newest")
+        return
+    done = "would become" if check else "is now"
+    steps = f"from animtool/{plan.version} {done} animtool/{plan.newest}"
+    console.say(f"{plan.path}: {plan.kind}, {steps}")
+    if check:
+        console.result("\n".join(plan.difference()))
+
+
+def _entry(plan: Migration, *, written: bool) -> dict[str, Any]:
+    return {
+        "path": str(plan.path),
+        "kind": plan.kind,
+        "from": plan.version,
+        "to": plan.newest,
+        "needed": plan.needed,
+        "written": written,
+        "difference": plan.difference(),
+        "notices": [notice.as_dict() for notice in plan.notices],
+    }

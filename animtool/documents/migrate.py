@@ -1,0 +1,178 @@
+"""Files of an older version of their format, rewritten as the newest."""
+
+from __future__ import annotations
+
+import copy
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from animtool.documents.document import Document, read_document, read_text
+from animtool.documents.versions import STEPS, Steps, newest, version_of
+from animtool.documents.yaml_text import comments_in, json_text, yaml_text
+from animtool.errors import (
+    AnimtoolError,
+    Fault,
+    FormatError,
+    OptionError,
+    Severity,
+    refuse_warnings,
+)
+from animtool.output import check_outputs, output_error, replacing
+
+__all__ = ["Migration", "migrate", "plan_migration"]
+
+
+@dataclass(frozen=True, slots=True)
+class Migration:
+    """A file, and what it is in the newest version of its format.
+
+    Attributes:
+        path: The file.
+        kind: ``rig``, ``clip`` or ``scene``.
+        version: That it is written in.
+        newest: That it becomes.
+        before: Its text.
+        after: Its new text; the same where it is of the newest version.
+        notices: Comments that are not kept.
+    """
+
+    path: Path
+    kind: str
+    version: int
+    newest: int
+    before: str
+    after: str
+    notices: tuple[Fault, ...] = ()
+
+    @property
+    def needed(self) -> bool:
+        """Whether the file is of an older version."""
+        return self.version < self.newest
+
+    def difference(self) -> list[str]:
+        """Return the lines that change, as ``diff -u`` writes them."""
+        lines = difflib.unified_diff(
+            self.before.splitlines(),
+            self.after.splitlines(),
+            f"{self.path} (animtool/{self.version})",
+            f"{self.path} (animtool/{self.newest})",
+            lineterm="",
+        )
+        return list(lines)
+
+
+def plan_migration(path: Path | str, table: Mapping[str, Steps] = STEPS) -> Migration:
+    """Return what a file is in the newest version of its format; nothing is written.
+
+    Where only the version's name changes, so does one word of the text; else the file
+    is written anew, without its comments.
+
+    Args:
+        path: A rig, clip or scene.
+        table: Steps from each version to the next, by kind.
+
+    Raises:
+        FormatError: It cannot be read, is of no kind that is known, or of a version
+            that no step leads on from.
+    """
+    path = Path(path)
+    document, before = read_document(path), read_text(path)
+    kind, version = version_of(document, table)
+    last = newest(table[kind])
+    if version == last:
+        return Migration(path, kind, version, last, before, before)
+    old = document.value
+    new = copy.deepcopy(old)
+    for step in range(version, last):
+        new = table[kind][step](new)
+    new[kind] = f"animtool/{last}"
+    if {**new, kind: old[kind]} == old:
+        after = _renamed(document, before, kind, f"animtool/{last}")
+        return Migration(path, kind, version, last, before, after)
+    # The kind is the first word of a file, whatever the steps did.
+    ordered = {kind: new.pop(kind), **new}
+    if path.suffix == ".json":
+        return Migration(path, kind, version, last, before, json_text(ordered))
+    lost = comments_in(before)
+    notices = []
+    if lost:
+        count = "a comment is" if len(lost) == 1 else f"{len(lost)} comments are"
+        message = f"{count} not kept: the file is written anew"
+        hint = "copy what matters from the old file"
+        notices.append(
+            Fault("DOC101", message, str(path), tuple(lost), hint, Severity.WARNING)
+        )
+    after = yaml_text(ordered)
+    return Migration(path, kind, version, last, before, after, tuple(notices))
+
+
+def migrate(
+    paths: Sequence[Path | str],
+    *,
+    overwrite: bool = False,
+    check: bool = False,
+    strict: bool = False,
+    table: Mapping[str, Steps] = STEPS,
+) -> list[Migration]:
+    """Rewrite files of older versions, in place, each whole or not at all.
+
+    All are read and checked before the first is written.
+
+    Args:
+        paths: Rigs, clips and scenes.
+        overwrite: Replace them; without it none may need it.
+        check: Write nothing.
+        strict: Take warnings for errors, and write nothing.
+        table: Steps from each version to the next, by kind.
+
+    Raises:
+        FormatError: With the faults of every file.
+        OptionError: A file needs to be replaced, and ``overwrite`` is off.
+        OutputError: A file cannot be written.
+        StrictError: There were warnings, and ``strict`` is on.
+    """
+    plans = _plans(paths, table)
+    refuse_warnings([note for p in plans for note in p.notices], strict=strict)
+    needed = [plan for plan in plans if plan.needed]
+    if check or not needed:
+        return plans
+    if not overwrite:
+        hint = "--overwrite replaces it, --check says what would change"
+        message = "would be replaced"
+        raise OptionError(
+            [Fault("OUT001", message, str(plan.path), (), hint) for plan in needed]
+        )
+    check_outputs([plan.path for plan in needed], [], overwrite=True)
+    for plan in needed:
+        with replacing(plan.path) as temporary:
+            try:
+                temporary.write_text(plan.after, "utf-8", newline="")
+            except OSError as error:
+                raise output_error(plan.path, error) from error
+    return plans
+
+
+def _plans(paths: Sequence[Path | str], table: Mapping[str, Steps]) -> list[Migration]:
+    plans: list[Migration] = []
+    faults: list[Fault] = []
+    for path in dict.fromkeys(map(Path, paths)):
+        try:
+            plans.append(plan_migration(path, table))
+        except AnimtoolError as error:
+            faults += error.faults
+    if faults:
+        raise FormatError(faults)
+    return plans
+
+
+def _renamed(document: Document, text: str, kind: str, new: str) -> str:
+    """Return a text with another version, and nothing else changed."""
+    line, column = document.place((kind,))
+    lines = text.splitlines(keepends=True)
+    head, tail = lines[line - 1][: column - 1], lines[line - 1][column - 1 :]
+    old: Any = document.value[kind]
+    lines[line - 1] = head + tail.replace(old, new, 1)
+    return "".join(lines)

@@ -1,0 +1,69 @@
+"""Versions of the formats that people write, and the steps from each to the next."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from animtool.documents.document import Document
+from animtool.errors import excerpt
+
+__all__ = ["STEPS", "Step", "Steps", "newest", "version_of"]
+
+# A step takes the values of a whole file and returns those of the next version.
+Step = Callable[[dict[str, Any]], dict[str, Any]]
+Steps = Mapping[int, Step]
+
+# By kind and the version that a step leads on from.
+STEPS: dict[str, dict[int, Step]] = {"rig": {}, "clip": {}, "scene": {}}
+# What the first line of a file may name; all others may name their rig too.
+KINDS = ("clip", "scene", "targets", "rig")
+
+_VERSION = re.compile(r"animtool/(0|[1-9][0-9]{0,8})")
+
+
+def newest(steps: Steps) -> int:
+    """Return the newest version of a format.
+
+    >>> newest({}), newest({1: dict, 2: dict})
+    (1, 3)
+    """
+    return max(steps, default=0) + 1
+
+
+def version_of(
+    document: Document, table: Mapping[str, Steps] = STEPS, kind: str | None = None
+) -> tuple[str, int]:
+    """Return kind and version of a document.
+
+    Args:
+        document: A file.
+        table: Steps from each version to the next, by kind.
+        kind: That it should be; None is any that the table has.
+
+    Raises:
+        FormatError: It is of another kind (DOC009), or of a version of the future or
+            one that no step leads on from (DOC012).
+    """
+    named = [name for name in KINDS if name in document.value]
+    found = kind or next((name for name in named if name in table), "")
+    if found not in named:
+        hint = f"the first line of such a file is '{kind or 'rig'}: animtool/1'"
+        if named:
+            hint = f"it looks like a {named[0]} file"
+        document.add("DOC009", (), f"is no {kind or ' or '.join(table)} file", hint)
+        document.check()
+    last, stated = newest(table[found]), document.value[found]
+    number = _VERSION.fullmatch(stated) if isinstance(stated, str) else None
+    version = int(number[1]) if number else last + 1
+    if version <= last and all(n in table[found] for n in range(version, last)):
+        return found, version
+    if isinstance(stated, str) and stated.startswith("animtool/"):
+        message = f"{stated} is a version that this animtool does not know"
+        document.add("DOC012", (found,), message, "a newer animtool reads it")
+    else:
+        message = f"{found} is {excerpt(str(stated))}"
+        document.add("DOC009", (found,), message, f"allowed: animtool/{last}")
+    document.check()
+    raise AssertionError(stated)

@@ -1,0 +1,80 @@
+"""Plain values as the text of a file, and the comments that a text has."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import yaml
+
+from animtool.documents.document import plain_scalar
+
+__all__ = ["comments_in", "json_text", "yaml_text"]
+
+WIDTH = 88
+
+
+class _Dumper(yaml.SafeDumper):
+    """Quotes text that the core schema would read as something else."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        """Write values out wherever they stand: aliases are not read."""
+        del data
+        return True
+
+    def serialize(self, node: yaml.Node) -> None:
+        """Write the outermost mapping a key a line, whatever it holds."""
+        if isinstance(node, yaml.MappingNode):
+            node.flow_style = False
+        super().serialize(node)
+
+
+def _text_node(dumper: _Dumper, value: str) -> yaml.ScalarNode:
+    try:
+        plain = value != "" and isinstance(plain_scalar(value), str)
+    except OverflowError:
+        plain = False
+    style = None if plain else '"'
+    return dumper.represent_scalar("tag:yaml.org,2002:str", value, style=style)
+
+
+_Dumper.add_representer(str, _text_node)
+
+
+def yaml_text(value: dict[str, Any]) -> str:
+    """Return values as YAML that reads back as they are; innermost ones on one line.
+
+    >>> print(yaml_text({"rig": "animtool/1", "bind": {"a": [1, 2.5]}}), end="")
+    rig: animtool/1
+    bind:
+      a: [1, 2.5]
+    """
+    text: str = yaml.dump(
+        value,
+        Dumper=_Dumper,
+        default_flow_style=None,
+        allow_unicode=True,
+        sort_keys=False,
+        width=WIDTH,
+    )
+    return text
+
+
+def json_text(value: dict[str, Any]) -> str:
+    """Return values as JSON."""
+    return json.dumps(value, indent=2, ensure_ascii=False) + "\n"
+
+
+def comments_in(text: str) -> list[int]:
+    r"""Return the 1-based lines of a YAML text that have comments.
+
+    >>> comments_in("a: 1  # one\nb: '# none'\n# two\n")
+    [1, 3]
+    """
+    lines: list[int] = []
+    end, line = 0, 1
+    for token in yaml.scan(text, yaml.CSafeLoader):
+        gap = text[end : token.start_mark.index]
+        lines += [line + i for i, part in enumerate(gap.split("\n")) if "#" in part]
+        end, line = token.end_mark.index, token.end_mark.line + 1
+    return sorted(set(lines))

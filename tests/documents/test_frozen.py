@@ -1,0 +1,57 @@
+"""A file of every version of every format, which is read for ever."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from support.cli import animtool
+
+from animtool.clip.file import load_clip, open_clip
+from animtool.documents.migrate import plan_migration
+from animtool.documents.versions import STEPS, newest
+from animtool.rig.file import load_rig
+from animtool.scene.file import load_scene
+
+FROZEN = Path(__file__).parent / "frozen"
+
+
+@pytest.mark.parametrize("kind", sorted(STEPS))
+def test_there_is_a_file_of_every_version(kind: str) -> None:
+    first = min(STEPS[kind], default=newest(STEPS[kind]))
+    for version in range(first, newest(STEPS[kind]) + 1):
+        plan = plan_migration(FROZEN / f"{kind}-{version}.{kind}.yaml")
+        assert (plan.kind, plan.version) == (kind, version)
+
+
+def test_rig_1() -> None:
+    rig = load_rig(FROZEN / "rig-1.rig.yaml")
+    assert (rig.name, rig.meters_per_unit, str(rig.up)) == ("frozen", 0.01, "Z")
+    assert set(rig.names) == {
+        *("hips", "chest", "piston"),
+        *("arm_l", "elbow_l", "wrist_l", "arm_r", "elbow_r", "wrist_r"),
+    }
+    assert set(rig.bind) == {"arm_l", "arm_r"}
+    assert [len(part) for part in (rig.meshes, rig.shapes, rig.controls)] == [1, 3, 2]
+    assert [len(part) for part in (rig.ik, rig.attach, rig.colliders)] == [1, 1, 1]
+
+
+def test_clip_1() -> None:
+    file = open_clip(FROZEN / "clip-1.clip.yaml")
+    assert file.rig == (FROZEN / "rig-1.rig.yaml").resolve()
+    clip = load_clip(file, load_rig(file.rig))
+    assert [len(c.times) for c in clip.channels] == [2, 2, 5, 2, 3, 2, 1, 1, 1]
+    assert (clip.first, float(clip.last)) == (-1, 12.5)
+
+
+def test_scene_1(tmp_path: Path) -> None:
+    scene = load_scene(FROZEN / "scene-1.scene.yaml")
+    assert scene.source.name == "clip-1.clip.yaml"
+    assert [found.name for found, _ in scene.passes] == ["trim", "loop"]
+    layer = load_scene(FROZEN / "scene-1-bvh.scene.yaml")
+    assert (layer.options.prim_path, layer.bake.form) == ("/hero", "layer")
+    shutil.copytree(FROZEN, tmp_path / "frozen")
+    done = animtool("bake", tmp_path / "frozen/scene-1.scene.yaml")
+    assert done.code == 0, done.stderr
+    assert (tmp_path / "frozen/scene-1.usda").is_file()

@@ -1,0 +1,182 @@
+"""Files of versions that there never were, rewritten."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from animtool.documents.check import check_version
+from animtool.documents.document import read_document
+from animtool.documents.migrate import migrate, plan_migration
+from animtool.documents.versions import STEPS as TABLES
+from animtool.documents.versions import Steps, newest, version_of
+from animtool.errors import AnimtoolError, FormatError, OptionError, StrictError
+
+
+def with_joints(value: dict[str, Any]) -> dict[str, Any]:
+    """Version 2 calls bones joints."""
+    return {
+        ("joints" if key == "bones" else key): entry for key, entry in value.items()
+    }
+
+
+def in_metres(value: dict[str, Any]) -> dict[str, Any]:
+    """Version 3 states its unit."""
+    return {**value, "units": {"length": "m"}}
+
+
+TABLE: Mapping[str, Steps] = {
+    "rig": {1: with_joints, 2: in_metres},
+    "clip": {1: lambda value: value},
+    "scene": {},
+}
+OLD = """\
+# A rig of long ago.
+rig: animtool/1
+name: "1e3"
+bones:  # as they were called
+- {name: no, translate: [0, 1.5, -2.0e-05]}
+"""
+
+
+def written(folder: Path, text: str, name: str = "a.rig.yaml") -> Path:
+    path = folder / name
+    path.write_text(text, newline="")
+    return path
+
+
+def test_a_chain_of_steps(tmp_path: Path) -> None:
+    path = written(tmp_path, OLD)
+    plan = plan_migration(path, TABLE)
+    assert (plan.kind, plan.version, plan.newest, plan.needed) == ("rig", 1, 3, True)
+    assert path.read_text() == OLD
+    migrate([path], overwrite=True, table=TABLE)
+    assert path.read_text() == plan.after
+    assert read_document(path).value == {
+        "rig": "animtool/3",
+        "name": "1e3",
+        "joints": [{"name": "no", "translate": [0, 1.5, -2e-5]}],
+        "units": {"length": "m"},
+    }
+    assert plan.after.startswith("rig: animtool/3\n")
+
+
+def test_a_chain_that_begins_later(tmp_path: Path) -> None:
+    path = written(tmp_path, "rig: animtool/2\nbones: []\n")
+    migrate([path], overwrite=True, table=TABLE)
+    assert set(read_document(path).value) == {"rig", "bones", "units"}
+
+
+def test_comments_that_are_lost_are_said(tmp_path: Path) -> None:
+    path = written(tmp_path, OLD)
+    (note,) = plan_migration(path, TABLE).notices
+    assert (note.code, note.lines) == ("DOC101", (1, 4))
+    with pytest.raises(StrictError):
+        migrate([path], overwrite=True, strict=True, table=TABLE)
+    assert path.read_text() == OLD
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+@pytest.mark.parametrize("quote", ["", "'", '"'])
+def test_where_only_the_version_changes_so_does_a_word(
+    tmp_path: Path, end: str, quote: str
+) -> None:
+    head, tail = f"# Mine.{end}clip:  {quote}animtool/", f"{quote}  # old{end}fps: 24"
+    path = written(tmp_path, f"{head}1{tail}", "a.clip.yaml")
+    (plan,) = migrate([path], overwrite=True, table=TABLE)
+    assert path.read_bytes().decode() == f"{head}2{tail}"
+    assert not plan.notices
+    assert [line[0] for line in plan.difference()[2:]] == ["@", " ", "-", "+", " "]
+
+
+def test_json_stays_json(tmp_path: Path) -> None:
+    text = '{"rig": "animtool/1", "bones": [{"name": "é"}]}'
+    path = written(tmp_path, text, "a.rig.json")
+    migrate([path], overwrite=True, table=TABLE)
+    assert path.read_text().startswith('{\n  "rig": "animtool/3",\n')
+    assert read_document(path).value["joints"] == [{"name": "é"}]
+
+
+def test_the_newest_is_left_alone(tmp_path: Path) -> None:
+    path = written(tmp_path, "scene: animtool/1  # kept\nrig: a.rig.yaml\n")
+    before = path.stat()
+    (plan,) = migrate([path], table=TABLE)
+    assert (plan.kind, plan.needed, plan.difference()) == ("scene", False, [])
+    after = path.stat()
+    assert (before.st_mtime_ns, before.st_ino) == (after.st_mtime_ns, after.st_ino)
+
+
+def test_migrating_twice_changes_nothing_more(tmp_path: Path) -> None:
+    path = written(tmp_path, OLD)
+    migrate([path], overwrite=True, table=TABLE)
+    once = path.read_text()
+    (plan,) = migrate([path], overwrite=True, table=TABLE)
+    assert not plan.needed
+    assert path.read_text() == once
+
+
+def test_replacing_needs_saying(tmp_path: Path) -> None:
+    path = written(tmp_path, OLD)
+    with pytest.raises(OptionError) as caught:
+        migrate([path], table=TABLE)
+    assert caught.value.code == "OUT001"
+    (plan,) = migrate([path], check=True, table=TABLE)
+    assert plan.needed
+    assert path.read_text() == OLD
+
+
+def test_a_file_that_cannot_be_read_keeps_all_as_they_are(tmp_path: Path) -> None:
+    good = written(tmp_path, OLD)
+    future = written(tmp_path, "rig: animtool/4\n", "b.rig.yaml")
+    other = written(tmp_path, "name: x\n", "c.rig.yaml")
+    with pytest.raises(FormatError) as caught:
+        migrate([good, future, other, tmp_path / "d"], overwrite=True, table=TABLE)
+    codes = [fault.code for fault in caught.value.faults]
+    assert codes == ["DOC012", "DOC009", "IO001"]
+    assert good.read_text() == OLD
+
+
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        ("rig: animtool/0", "DOC012"),
+        ("rig: animtool/9", "DOC012"),
+        ("rig: animtool/x", "DOC012"),
+        ("rig: animtool/-1", "DOC012"),
+        ("rig: 1", "DOC009"),
+        ("rig: [animtool/1]", "DOC009"),
+        ("targets: animtool/1", "DOC009"),
+        ("name: x", "DOC009"),
+    ],
+)
+def test_versions_that_are_not_known(tmp_path: Path, text: str, code: str) -> None:
+    with pytest.raises(AnimtoolError) as caught:
+        version_of(read_document(written(tmp_path, text)), TABLE)
+    assert caught.value.code == code
+
+
+def test_a_kind_is_told_from_the_rig_that_it_names(tmp_path: Path) -> None:
+    path = written(tmp_path, "rig: a.rig.yaml\nclip: animtool/2\n")
+    assert version_of(read_document(path), TABLE) == ("clip", 2)
+
+
+def test_reading_an_older_version_names_the_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(TABLES["clip"], 0, lambda value: value)
+    document = read_document(written(tmp_path, "clip: animtool/0\nfps: 24\n"))
+    with pytest.raises(FormatError) as caught:
+        check_version(document, "clip")
+    assert caught.value.code == "DOC013"
+    assert "animtool migrate" in str(caught.value)
+
+
+def test_the_newest_follows_the_last_step() -> None:
+    assert {kind: newest(steps) for kind, steps in TABLE.items()} == {
+        "rig": 3,
+        "clip": 2,
+        "scene": 1,
+    }
