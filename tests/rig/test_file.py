@@ -6,6 +6,7 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -532,7 +533,8 @@ def test_any_edits_give_a_rig_or_faults(
     joints: list[Any] = []
     faults: list[Any] = []
     try:
-        joints = list(rig_of_document(edited, lambda _: BASE).joints)
+        with patch("animtool.usd.rig_prims.read_rig", lambda _: BASE):
+            joints = list(rig_of_document(edited).joints)
     except FormatError as error:
         faults = list(error.faults)
     assert joints or faults
