@@ -61,6 +61,8 @@ class Document:
         faults: What is wrong with its content, as `add` found.
         doubts: Where a value is faulty and something else stands in for it, so that
             the rest can be checked.
+        partial: Keys of lists that have more entries in another file, which cannot be
+            read.
         spellings: The key as written, of a value that is read under another key.
     """
 
@@ -69,6 +71,7 @@ class Document:
     places: list[tuple[int, int]] = field(repr=False)
     faults: list[Fault] = field(default_factory=list)
     doubts: set[Location] = field(default_factory=set)
+    partial: set[str] = field(default_factory=set)
     spellings: dict[Location, str] = field(default_factory=dict)
     _starts: dict[tuple[int, str | int], int] = field(
         default_factory=dict, init=False, repr=False
@@ -119,7 +122,7 @@ class Document:
             parts: Keys of an entry's names; none is ``name``.
         """
         names = parts or ("name",)
-        return any(
+        return key in self.partial or any(
             doubt[0] == key and (len(doubt) < 3 or doubt[2] in names)
             for doubt in self.doubts
         )

@@ -49,17 +49,16 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
         math.radians(1.0) if model.units.angle == "deg" else 1.0,
     )
     base = None
-    if model.source is not None:
+    if model.source is None:
+        joints = joints_of(document, model.joints, units)
+    else:
         base = _base(document, model.source, roots, above)
-        if base is None:
-            # Whatever a name means may be in the file that could not be read.
-            document.check()
-    joints = (
-        joints_of(document, model.joints, units)
-        if base is None
-        else _overlaid(document, model, base, units)
-    )
-    if not joints.joints:
+        joints = (
+            _alone(document, model, units)
+            if base is None
+            else _overlaid(document, model, base, units)
+        )
+    if not joints.joints and not joints.unnamed:
         document.add("RIG004", ("joints",), "the rig has no joints")
     parts = PartReader(document, model, units, joints, roots)
     meshes = parts.meshes() or (base.meshes if base is not None else ())
@@ -113,6 +112,20 @@ def _base(
         return None
 
 
+def _added(document: Document, model: RigModel, units: FileUnits) -> FileJoints:
+    """Return what a sidecar says of joints: as roots, for the tree does not matter."""
+    given = {"mirror": None, "parent": None}
+    alone = [entry.model_copy(update=given) for entry in model.joints]
+    return joints_of(document, alone, units)
+
+
+def _alone(document: Document, model: RigModel, units: FileUnits) -> FileJoints:
+    """Return the joints of a sidecar whose base cannot be read: there may be more."""
+    document.partial |= {"joints", "meshes", "shapes"}
+    found = _added(document, model, units)
+    return replace(found, adrift=frozenset(joint.name for joint in found.joints))
+
+
 def _overlaid(
     document: Document, model: RigModel, base: Rig, units: FileUnits
 ) -> FileJoints:
@@ -130,10 +143,7 @@ def _overlaid(
             if key in entry.model_fields_set:
                 message = f"{key} comes from {model.source}"
                 document.add("RIG023", ("joints", i, key), message, "leave it out")
-    # Alone, as roots: what they add does not depend on the tree.
-    given = {"mirror": None, "parent": None}
-    alone = [entry.model_copy(update=given) for entry in model.joints]
-    found = joints_of(document, alone, units)
+    found = _added(document, model, units)
     added = {names.get(joint.name, joint.name): joint for joint in found.joints}
     mirrors = {
         names.get(e.name, e.name): names.get(e.mirror or "", "") for e in model.joints

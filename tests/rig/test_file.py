@@ -654,6 +654,15 @@ def test_a_sidecar_adds_to_a_base(yard: Path) -> None:
     assert not any(isinstance(mesh, Mesh) for mesh in rig.meshes)
 
 
+def test_a_base_that_cannot_be_read_hides_no_other_fault(yard: Path) -> None:
+    text = SIDECAR.replace("axis: [0, 0, 1], limits", "axis: [0, 0, 0], limits")
+    text = text.replace("expr: grin}", "expr: grim}") + "ik: [{name: x, root: knee.l, "
+    with pytest.raises(FormatError) as caught:
+        sidecar(yard, text + "tip: foot}, {name: y, root: knee.l, tip: knee_r}]\n")
+    found = [(fault.code, fault.lines[0]) for fault in caught.value.faults]
+    assert found == [("RIG023", 3), ("RIG005", 5), ("RIG012", 8)]
+
+
 @pytest.mark.usefixtures("base")
 def test_a_shape_of_a_sidecar_combines_those_of_the_base(yard: Path) -> None:
     more = "shapes: [{name: grimace, combine: [smile]}]\n"
