@@ -115,3 +115,64 @@ def test_versions(tmp_path: Path, text: str, code: str, words: str) -> None:
 def test_nearest() -> None:
     assert nearest("x", []) == "there is none"
     assert nearest("zzz", [f"n{i}" for i in range(20)]).endswith("n11 …")
+
+
+def test_a_misspelt_key_is_not_missing_too(tmp_path: Path) -> None:
+    read = document(tmp_path, "rig: x\nitems:\n- {type: round, kind: round, radus: 2}")
+    (item,) = validated(read, Box).items
+    assert isinstance(item, Round)
+    assert item.radius == 2
+    assert [fault.code for fault in read.faults] == ["DOC020"]
+    assert read.place(("items", 0, "radius")) == (3, 37)
+    read.add("X", ("items", 0, "radius"), "is odd")
+    assert read.faults[-1].where == "items[0].radus"
+
+
+def test_a_value_of_a_misspelt_key_is_checked(tmp_path: Path) -> None:
+    found = faults(tmp_path, "items:\n- {type: square, sid: x}")
+    assert [(f.code, f.where) for f in found] == [
+        ("DOC020", "items[0].sid"),
+        ("DOC022", "items[0].sid"),
+    ]
+
+
+def test_of_an_unknown_kind_only_what_all_kinds_have_is_checked(tmp_path: Path) -> None:
+    text = "items:\n- {type: squar, side: x, radius: [], shwn: 1}"
+    found = faults(tmp_path, text)
+    assert [(f.code, f.where) for f in found] == [
+        ("DOC022", "items[0].type"),
+        ("DOC020", "items[0].shwn"),
+    ]
+
+
+def test_the_variant_that_comes_farthest_is_meant(tmp_path: Path) -> None:
+    (fault,) = faults(tmp_path, "items:\n- {type: square, side: [1, x]}")
+    assert (fault.code, fault.where) == ("DOC022", "items[0].side[1]")
+
+
+def test_no_fault_is_noted_of_a_stand_in(tmp_path: Path) -> None:
+    read = document(tmp_path, "rig: x\nitems:\n- {type: square, side: x}\n- 5")
+    box = validated(read, Box)
+    assert len(box.items) == 2
+    assert read.doubts == {("items", 0, "side"), ("items", 1)}
+    for place in (("items", 0, "side"), ("items", 1, "type"), ("items", 1)):
+        read.add("X", place, "is odd")
+    assert [fault.code for fault in read.faults] == ["DOC022", "DOC022"]
+    read.add("X", ("items", 0, "count"), "is odd")
+    assert read.faults[-1].code == "X"
+
+
+def test_entries_without_a_name_that_is_known(tmp_path: Path) -> None:
+    read = document(tmp_path, "rig: x\nitems:\n- {type: square, side: x}\nnamed: 7")
+    validated(read, Box)
+    assert not read.unnamed("items")
+    assert read.unnamed("items", "name", "side")
+    assert read.unnamed("named")
+    assert not read.unnamed("rig")
+
+
+def test_what_does_not_ascend(tmp_path: Path) -> None:
+    read = document(tmp_path, "rig: x")
+    read.doubts.add(("items", 1, "at"))
+    found = list(read.descents(("items",), [3, 9, 2, 4, 4], "at"))
+    assert found == [(2, 0), (4, 3)]

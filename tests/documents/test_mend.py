@@ -1,0 +1,89 @@
+"""Stand-ins: of every type one that fits it, in the place of what does not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal
+
+import pytest
+from annotated_types import Len
+from pydantic import BaseModel, Field, TypeAdapter
+
+from animtool.clip.schema import ClipModel
+from animtool.documents.check import FileModel
+from animtool.documents.mend import (
+    UNKNOWN,
+    annotation_at,
+    annotation_of,
+    fields_at,
+    fields_of,
+    models_of,
+    replaced,
+    stand_in,
+)
+from animtool.rig.schema import JointModel, RigModel
+from animtool.scene.schema import SceneModel
+
+
+def models(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
+    """Yield a model and those inside it."""
+    yield model
+    for field in model.model_fields.values():
+        pending = [annotation_of(field)]
+        while pending:
+            found = pending.pop()
+            for inner in models_of(found):
+                yield from models(inner)
+            pending += list(getattr(found, "__args__", ()))
+
+
+@pytest.mark.parametrize("model", [RigModel, ClipModel, SceneModel])
+def test_every_key_of_a_file_has_a_stand_in(model: type[BaseModel]) -> None:
+    seen = 0
+    for inner in models(model):
+        for field in fields_of(inner).values():
+            kind: Any = annotation_of(field)
+            TypeAdapter(kind).validate_python(stand_in(kind))
+            seen += 1
+        inner.model_validate(stand_in(inner))
+    assert seen > 10
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [
+        (str, UNKNOWN),
+        (float | list[float], 1.0),
+        (Annotated[list[float], Len(3, 3)], [1.0, 1.0, 1.0]),
+        (Annotated[list[float], Len(2, 2)] | Literal["locked"] | None, [1.0, 1.0]),
+        (dict[str, int], {}),
+        (Annotated[dict[str, int], Len(1, 1)], {UNKNOWN: 1}),
+        (JointModel, {"name": UNKNOWN, "type": "free"}),
+        (Any, None),
+    ],
+)
+def test_stand_ins(kind: Any, expected: object) -> None:
+    assert stand_in(kind) == expected
+
+
+class Part(FileModel):
+    size: Annotated[float, Field(gt=0)]
+
+
+class Whole(FileModel):
+    parts: list[Part] = Field(default=[])
+    named: dict[str, Part] = Field(default={})
+
+
+def test_the_type_of_a_place() -> None:
+    value = {"parts": [{"size": 1}], "named": {"a": {}}}
+    assert annotation_at(Whole, value, ("parts", 0)) is Part
+    assert annotation_at(Whole, value, ("named", "a")) is Part
+    assert annotation_at(Whole, value, ("none", "such")) is None
+    assert fields_at(Whole, value, ("parts", 0)) == ["size"]
+
+
+def test_replacing() -> None:
+    value = {"parts": [{"size": "x"}]}
+    replaced(value, ("parts", 0, "size"), 2)
+    assert value == {"parts": [{"size": 2}]}
