@@ -4,8 +4,13 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 ROOT = Path(__file__).parents[1]
+
+# How long an example takes is the machine's affair.
+settings.register_profile("animtool", deadline=None)
+settings.load_profile("animtool")
 
 
 def data_folder(name: str) -> Path | None:
