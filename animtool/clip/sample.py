@@ -36,7 +36,7 @@ class Sampled:
     Attributes:
         motion: Joints, shapes and controls; what does not move is stored once.
         notices: Controls out of range and limits exceeded, with frame and by how
-            much, the worst of each.
+            much, the worst of each; joints that keys keep from following another.
     """
 
     motion: Motion
@@ -74,7 +74,7 @@ def sample_clip(
     _refuse_undefined(driven, times)
     notices += _range_notices(rig, driven, times, clamp=clamp)
     parts = _parts_by_joint(keyed, driven)
-    _follow(rig, parts, clamp=clamp)
+    notices += _follow(rig, parts, clamp=clamp)
     made = _Joints(rig, times, clamp, notices)
     for name, part in parts.items():
         made.add(rig.index(name), part)
@@ -186,10 +186,21 @@ def _parts_by_joint(
     return parts
 
 
-def _follow(rig: Rig, parts: dict[str, Parts], *, clamp: bool) -> None:
-    """Give joints that follow another the coordinate that comes of it."""
+def _follow(rig: Rig, parts: dict[str, Parts], *, clamp: bool) -> list[Fault]:
+    """Give joints that follow another the coordinate that comes of it.
+
+    Keys of its own take the place of what a joint follows, and a note says so.
+    """
+    notices = []
     for joint in rig.joints:
         if joint.mimic is None:
+            continue
+        if parts.get(joint.name, {}).keys() & {"angle", "slide"}:
+            message = (
+                f"joint {joint.name!r} has keys, so it does not follow "
+                f"{joint.mimic.joint!r}"
+            )
+            notices.append(Fault("CLIP103", message, severity=Severity.NOTE))
             continue
         leader = parts.get(joint.mimic.joint, {})
         coordinate = np.zeros(1)
@@ -205,6 +216,7 @@ def _follow(rig: Rig, parts: dict[str, Parts], *, clamp: bool) -> None:
         if own.any():
             part = "angle" if joint.type is JointType.PIN else "slide"
             parts.setdefault(joint.name, {})[f"+{part}"] = own
+    return notices
 
 
 @dataclass(slots=True)

@@ -62,9 +62,6 @@ def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
         fitting = [p for p, types in KEYED_PARTS.items() if found.type in types]
         message = f"a {found.type} joint has no {part}"
         return Fault("CLIP003", message, hint=f"it has {', '.join(fitting)}")
-    if found.mimic is not None and part in {"angle", "slide"}:
-        message = f"{joint!r} follows {found.mimic.joint!r}"
-        return Fault("CLIP003", message, hint="key that joint")
     return kind
 
 

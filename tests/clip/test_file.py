@@ -121,7 +121,6 @@ PLANTED = [
     ("- {target: joint/hips.angle, keys: [{t: 0, v: 0}]}", "CLIP003", 5, "translation"),
     ("- {target: joint/chest.translation, keys: [{t: 0, v: [0, 0, 0]}]}",
      "CLIP003", 5, "a ball joint"),
-    ("- {target: joint/rod.slide, keys: [{t: 0, v: 0}]}", "CLIP003", 5, "'elbow_l'"),
     (PIN + "  - {t: 2, v: 0}\n  - {t: 1, v: 0}", "CLIP004", 8, "behind 2"),
     (PIN + "  - {t: 2, v: 0}\n  - {t: 2, v: 0}", "CLIP004", 8, "twice"),
     (PIN + "  - {t: 2.0e9, v: 0}", "CLIP004", 7, "beyond"),

@@ -11,7 +11,7 @@ from support.clips import RIG, hero, loaded, write_clip, write_rig
 from animtool._types import FloatArray
 from animtool.clip.file import load_clip, open_clip
 from animtool.clip.sample import Sampled, sample_clip
-from animtool.errors import FormatError
+from animtool.errors import FormatError, Severity
 from animtool.maths import so3
 from animtool.rig.file import load_rig
 from animtool.rig.parts import Shape
@@ -125,6 +125,15 @@ def test_a_mimic_follows_a_leader_that_is_clamped(tmp_path: Path) -> None:
     translations, _ = locals_of(made, rig, "rod")
     expected = 0.01 * (1 + 0.1 * np.minimum(50 * FRAMES, 150))
     np.testing.assert_allclose(translations[:, 0], expected, atol=1e-15)
+
+
+def test_keys_take_the_place_of_a_mimic(tmp_path: Path) -> None:
+    text = ramp("joint/elbow_l.angle", 0, 40) + ramp("joint/rod.slide", 0, 8)
+    made, rig = sampled(tmp_path, text)
+    translations, _ = locals_of(made, rig, "rod")
+    np.testing.assert_allclose(translations[:, 0], 0.02 * FRAMES, atol=1e-15)
+    (note,) = made.notices
+    assert (note.code, note.severity) == ("CLIP103", Severity.NOTE)
 
 
 def test_controls_add_to_each_other_and_to_a_channel(tmp_path: Path) -> None:
