@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from animtool.clip.clip import (
 )
 from animtool.clip.schema import ChannelModel, ClipModel, KeyModel
 from animtool.clip.targets import target_kind
+from animtool.clip.units import ClipUnits
 from animtool.config import project_roots
 from animtool.documents.arrays import referred
 from animtool.documents.check import check_version, validated
@@ -27,6 +28,7 @@ from animtool.errors import Fault, FormatError, OptionError
 from animtool.maths import so3
 from animtool.maths.extrapolation import Extrapolation
 from animtool.rates import parse_rate
+from animtool.rig.joint_entries import UNIT_LENGTH
 from animtool.rig.skeleton import Rig
 from animtool.rig.targets import split_part
 from animtool.units import LengthUnit
@@ -41,6 +43,11 @@ _REPLACED = {
     "slide": "local_translation",
     "rotation": "local_rotation",
     "angle": "local_rotation",
+}
+# Components of a value; of a rotation, those of Euler angles.
+_WIDTHS = {
+    **dict.fromkeys(("control", "shape", "angle", "slide"), 1),
+    **dict.fromkeys(("translation", "rotation", "scale"), 3),
 }
 # Beyond, frames are no longer exact in float64 with fractions of a thousandth.
 FARTHEST_FRAME = 1e9
@@ -145,13 +152,15 @@ class _ClipReader:
     def __init__(self, document: Document, model: ClipModel, rig: Rig | None) -> None:
         self.document, self.model, self.rig = document, model, rig
         length, angle = model.units.length, model.units.angle
-        self.length = self.angle = 1.0
+        units = ClipUnits(1.0, 1.0)
         if rig is not None:
-            self.length, self.angle = rig.meters_per_unit, rig.radians_per_unit
+            units = ClipUnits(rig.meters_per_unit, rig.radians_per_unit)
         if length is not None:
-            self.length = LengthUnit(length).meters
+            units = replace(units, length=LengthUnit(length).meters)
         if angle is not None:
-            self.angle = math.radians(1.0) if angle == "deg" else 1.0
+            radians = math.radians(1.0) if angle == "deg" else 1.0
+            units = replace(units, angle=radians)
+        self.units = units
 
     def clip(self) -> Clip:
         fps = self._fps()
@@ -163,8 +172,10 @@ class _ClipReader:
             made = self._channel(at, model)
             if made is not None:
                 channels.append(made)
-        if not self.model.channels:
-            self.document.add("CLIP013", ("channels",), "the clip has no channels")
+        if not self.model.channels and self.model.range is None:
+            hint = "with a range it holds its rig at rest"
+            message = "the clip has no channels"
+            self.document.add("CLIP013", ("channels",), message, hint)
         first, last = self._range(channels)
         self.document.check()
         name = self.model.name or self.document.path.name.partition(".")[0]
@@ -210,8 +221,9 @@ class _ClipReader:
         kind = self._kind((*at, "target"), model.target)
         if kind is None or self.document.doubtful((*at, "target")):
             return None
-        width, unit = self._shape(kind, model)
         turning = kind == "rotation" and model.euler is None
+        width = 4 if turning else _WIDTHS[kind]
+        unit = self.units.of(model.target, model.euler or "")
         if model.euler is not None and kind != "rotation":
             message = f"{model.target!r} is no rotation"
             self.document.add("CLIP009", (*at, "euler"), message, "leave euler out")
@@ -246,17 +258,6 @@ class _ClipReader:
             self.document.add(found.code, at, found.message, found.hint)
             return None
         return found
-
-    def _shape(self, kind: str, model: ChannelModel) -> tuple[int, float]:
-        """Return the number of components and what 1 means."""
-        if kind == "rotation":
-            return (4, 1.0) if model.euler is None else (3, self.angle)
-        return {
-            "angle": (1, self.angle),
-            "slide": (1, self.length),
-            "translation": (3, self.length),
-            "scale": (3, 1.0),
-        }.get(kind, (1, 1.0))
 
     def _check_interps(
         self, at: Location, model: ChannelModel, allowed: frozenset[Interp]
@@ -373,4 +374,7 @@ def _quaternions(document: Document, at: Location, values: FloatArray) -> FloatA
     for k in np.flatnonzero(~(lengths > SHORTEST)).tolist():
         message = f"quaternion {values[k].tolist()} has no length"
         document.add("CLIP014", (*at, "keys", k, "v"), message)
-    return so3.align_signs(so3.normalize(values[:, [1, 2, 3, 0]]))
+    rotations = values[:, [1, 2, 3, 0]]
+    close = np.abs(lengths - 1.0) <= UNIT_LENGTH
+    rotations[~close] = so3.normalize(rotations[~close])
+    return so3.align_signs(rotations)

@@ -11,11 +11,12 @@ MOST_DIGITS, USUAL_DIGITS = 17, 15
 
 
 def number(value: float) -> str:
-    """Return the shortest decimal that reads back as a float.
+    """Return the shortest decimal that reads back as a float; zero has no sign.
 
-    >>> number(0.1), number(2.0), number(1e-20)
-    ('0.1', '2', '1e-20')
+    >>> number(0.1), number(2.0), number(1e-20), number(-0.0)
+    ('0.1', '2', '1e-20', '0')
     """
+    value += 0.0
     return f"{value:.0f}" if value == int(value) and abs(value) < 1e15 else repr(value)
 
 
@@ -28,7 +29,7 @@ def scaled(value: float, unit: float) -> str:
     ('1', '35')
     """
     if unit == 1.0:
-        return number(value + 0.0)
+        return number(value)
     quotient = value / unit
     for digits in range(USUAL_DIGITS, MOST_DIGITS + 1):
         near = float(f"{quotient:.{digits}g}")
@@ -38,7 +39,7 @@ def scaled(value: float, unit: float) -> str:
             math.nextafter(near, 0),
         ):
             if candidate * unit == value:
-                return number(candidate + 0.0)
+                return number(candidate)
     return number(quotient)
 
 
@@ -56,7 +57,7 @@ def text(value: str) -> str:
     if safe and value.lower() not in named:
         return value
     escaped = value.replace("\\", "\\\\").replace('"', '\\"')
-    escaped = "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in escaped)
+    escaped = "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped)
     return f'"{escaped}"'
 
 

@@ -22,7 +22,14 @@ from animtool.rig.schema import (
 )
 from animtool.rig.skeleton import Joint, JointType, Mimic, Pose
 
-__all__ = ["FileJoints", "FileUnits", "joints_of", "quaternion", "unit_vector"]
+__all__ = [
+    "UNIT_LENGTH",
+    "FileJoints",
+    "FileUnits",
+    "joints_of",
+    "quaternion",
+    "unit_vector",
+]
 
 # Shorter, an axis or quaternion is a slip and not a direction.
 SHORTEST = 1e-9

@@ -272,7 +272,7 @@ def _names(names: Sequence[str]) -> str:
 
 
 def _numbers(values: Sequence[float] | None) -> str | None:
-    return None if values is None else flow([number(value + 0.0) for value in values])
+    return None if values is None else flow([number(value) for value in values])
 
 
 def _quaternion(rotation: tuple[float, float, float, float]) -> str:

@@ -121,6 +121,7 @@ def _to_clip(
     progress: Callable[[float], None] | None,
 ) -> ConvertReport:
     from animtool.clip.reduce import reduce_motion
+    from animtool.clip.reduced_clip import clip_of_reduction
     from animtool.clip.write import clip_text
     from animtool.rig.write import rig_text
 
@@ -133,7 +134,7 @@ def _to_clip(
     rig = typed_by_motion(take)
     reduction = reduce_motion(take, bounds[0], joint_tolerances=bounds[1])
     _write(rig_path, [rig_text(rig).encode()])
-    text = clip_text(reduction, rig, rig_path.name, stem)
+    text = clip_text(clip_of_reduction(reduction, rig, stem), rig, rig_path.name)
     _write(output, [text.encode()])
     return ConvertReport(
         output, take.clock.count, len(rig.joints), stream.notices, reduction

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from animtool.clip.file import load_clip, open_clip
 from animtool.rig.file import load_rig
 from animtool.rig.skeleton import Rig
 
+ARRAYS = {"times", "values", "ins", "outs", "tcb"}
 # Every joint type, in centimetres and degrees; rest frames are turned.
 RIG = """rig: animtool/1
 name: hero
@@ -63,6 +65,18 @@ def loaded(folder: Path, channels: str, head: str = "fps: 24") -> tuple[Clip, Ri
     """Return a clip and its rig, from files."""
     rig = hero(folder)
     return load_clip(open_clip(write_clip(folder, channels, head)), rig), rig
+
+
+def assert_same_clip(found: Clip, expected: Clip) -> None:
+    """Assert that two clips are equal to the last bit."""
+    assert (found.name, found.fps) == (expected.name, expected.fps)
+    assert (found.first, found.last) == (expected.first, expected.last)
+    assert len(found.channels) == len(expected.channels)
+    for ours, theirs in zip(found.channels, expected.channels, strict=True):
+        for field in fields(ClipChannel):
+            one, other = getattr(ours, field.name), getattr(theirs, field.name)
+            same = np.array_equal(one, other) if field.name in ARRAYS else one == other
+            assert same, f"{ours.target}, {field.name}: {one} and {other}"
 
 
 def channel_of(
