@@ -19,15 +19,23 @@ def skeleton_query(stage: Any) -> Any:
     return cache.GetSkelQuery(UsdSkel.Skeleton(prim))
 
 
-def joint_positions(stage: Any, codes: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """Return world positions ``(F, J, 3)`` of the joints, as UsdSkel computes them."""
+def joint_transforms(stage: Any, codes: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Return the joints' world transforms ``(F, J, 4, 4)`` as UsdSkel computes them.
+
+    Its matrices are for row vectors: a transform's place is its last row.
+    """
     query = skeleton_query(stage)
     assert query.GetAnimQuery(), "no animation is bound"
     frames = []
     for code in np.asarray(codes, float):
         cache = UsdGeom.XformCache(Usd.TimeCode(code))
-        frames.append(np.array(query.ComputeJointWorldTransforms(cache))[:, 3, :3])
+        frames.append(np.array(query.ComputeJointWorldTransforms(cache)))
     return np.stack(frames)
+
+
+def joint_positions(stage: Any, codes: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Return world positions ``(F, J, 3)`` of the joints, as UsdSkel computes them."""
+    return joint_transforms(stage, codes)[:, :, 3, :3]
 
 
 def validation_errors(stage: Any) -> list[str]:
