@@ -10,14 +10,28 @@ namespace animtool {
 
 namespace {
 
-struct Frame {
-  double linear[9];
-  double origin[3];
+// Where the joints of one frame are: linear parts (J, 3, 3) and origins (J, 3).
+struct World {
+  double* linear;
+  double* origins;
+};
+
+// Storage for one frame that is not kept.
+class Scratch {
+ public:
+  explicit Scratch(std::size_t joints) : joints_(joints), values_(12 * joints) {}
+
+  World world() { return {values_.data(), values_.data() + 9 * joints_}; }
+
+ private:
+  std::size_t joints_;
+  std::vector<double> values_;
 };
 
 // world = parent . T(t) . R(q) . S(s), with scale inherited as UsdSkel does.
 template <typename T>
-inline void step(const Frame* parent, const T* t, const T* q, const T* s, Frame& world) {
+inline void step(const World& world, std::int64_t parent, std::size_t joint, const T* t,
+                 const T* q, const T* s) {
   const double x = q[0], y = q[1], z = q[2], w = q[3];
   double r[9] = {1 - 2 * (y * y + z * z), 2 * (x * y - z * w),     2 * (x * z + y * w),
                  2 * (x * y + z * w),     1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
@@ -25,25 +39,27 @@ inline void step(const Frame* parent, const T* t, const T* q, const T* s, Frame&
   if (s)
     for (int i = 0; i < 3; ++i)
       for (int k = 0; k < 3; ++k) r[3 * i + k] *= static_cast<double>(s[k]);
-  if (!parent) {
-    for (int i = 0; i < 9; ++i) world.linear[i] = r[i];
-    for (int i = 0; i < 3; ++i) world.origin[i] = t[i];
+  double* linear = world.linear + 9 * joint;
+  double* origin = world.origins + 3 * joint;
+  if (parent < 0) {
+    for (int i = 0; i < 9; ++i) linear[i] = r[i];
+    for (int i = 0; i < 3; ++i) origin[i] = t[i];
     return;
   }
-  const double* p = parent->linear;
+  const double* p = world.linear + 9 * parent;
+  const double* o = world.origins + 3 * parent;
   for (int i = 0; i < 3; ++i) {
     const double a = p[3 * i], b = p[3 * i + 1], c = p[3 * i + 2];
-    for (int k = 0; k < 3; ++k) world.linear[3 * i + k] = a * r[k] + b * r[3 + k] + c * r[6 + k];
-    world.origin[i] = a * t[0] + b * t[1] + c * t[2] + parent->origin[i];
+    for (int k = 0; k < 3; ++k) linear[3 * i + k] = a * r[k] + b * r[3 + k] + c * r[6 + k];
+    origin[i] = a * t[0] + b * t[1] + c * t[2] + o[i];
   }
 }
 
 template <typename T>
 void forward_frame(const std::int64_t* parents, std::size_t joints, const T* t, const T* q,
-                   const T* s, Frame* world) {
+                   const T* s, const World& world) {
   for (std::size_t j = 0; j < joints; ++j)
-    step(parents[j] < 0 ? nullptr : world + parents[j], t + 3 * j, q + 4 * j,
-         s ? s + 3 * j : nullptr, world[j]);
+    step(world, parents[j], j, t + 3 * j, q + 4 * j, s ? s + 3 * j : nullptr);
 }
 
 void check_parents(In<std::int64_t, 1> parents) {
@@ -77,17 +93,11 @@ WorldTransforms forward_kinematics(In<std::int64_t, 1> parents, In<double, 3> tr
   Buffer<double> positions(frames * joints * 3), linear(frames * joints * 9);
   {
     nb::gil_scoped_release release;
-    std::vector<Frame> world(joints);
-    double* position = positions.get();
-    double* matrix = linear.get();
     for (std::size_t f = 0; f < frames; ++f) {
-      forward_frame(parents.data(), joints, translations.data() + f * joints * 3,
-                    rotations.data() + f * joints * 4,
-                    scales ? scales->data() + f * joints * 3 : nullptr, world.data());
-      for (std::size_t j = 0; j < joints; ++j) {
-        for (int i = 0; i < 3; ++i) *position++ = world[j].origin[i];
-        for (int i = 0; i < 9; ++i) *matrix++ = world[j].linear[i];
-      }
+      const std::size_t at = f * joints;
+      forward_frame(parents.data(), joints, translations.data() + 3 * at,
+                    rotations.data() + 4 * at, scales ? scales->data() + 3 * at : nullptr,
+                    {linear.get() + 9 * at, positions.get() + 3 * at});
     }
   }
   const std::size_t position_shape[3] = {frames, joints, 3};
@@ -112,14 +122,15 @@ RoundingReport measure_rounding(In<std::int64_t, 1> parents, In<double, 3> trans
   std::size_t at_frame = 0, at_joint = 0;
   {
     nb::gil_scoped_release release;
-    std::vector<Frame> exact(joints), written(joints);
+    Scratch exact_frame(joints), written_frame(joints);
+    const World exact = exact_frame.world(), written = written_frame.world();
     for (std::size_t f = 0; f < frames; ++f) {
       const std::size_t v = f * joints * 3, q = f * joints * 4;
       forward_frame(parents.data(), joints, translations.data() + v, rotations.data() + q,
-                    scales ? scales->data() + v : nullptr, exact.data());
+                    scales ? scales->data() + v : nullptr, exact);
       forward_frame(parents.data(), joints, written_translations.data() + v,
                     written_rotations.data() + q,
-                    written_scales ? written_scales->data() + v : nullptr, written.data());
+                    written_scales ? written_scales->data() + v : nullptr, written);
       double* low = extents.get() + f * 6;
       double* high = low + 3;
       for (int i = 0; i < 3; ++i) {
@@ -129,10 +140,10 @@ RoundingReport measure_rounding(In<std::int64_t, 1> parents, In<double, 3> trans
       for (std::size_t j = 0; j < joints; ++j) {
         double squared = 0;
         for (int i = 0; i < 3; ++i) {
-          const double p = written[j].origin[i];
+          const double p = written.origins[3 * j + i];
           if (p < low[i]) low[i] = p;
           if (p > high[i]) high[i] = p;
-          const double d = p - exact[j].origin[i];
+          const double d = p - exact.origins[3 * j + i];
           squared += d * d;
         }
         if (squared > largest) {
