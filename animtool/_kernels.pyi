@@ -57,9 +57,9 @@ def quaternion_to_euler(quaternions: Annotated[NDArray[numpy.float64], dict(shap
     takes the one nearest to the frame before; the first, the one nearest to zero.
     """
 
-def forward_kinematics(parents: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], translations: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], rotations: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], scales: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)] | None) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C')]]:
+def forward_kinematics(parents: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], translations: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], rotations: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], scales: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)] | None, positions: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu')], linear: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C', device='cpu')]) -> None:
     """
-    World origin ``(F, J, 3)`` and linear part ``(F, J, 3, 3)`` of every joint.
+    Fill in the world origin ``(F, J, 3)`` and linear part ``(F, J, 3, 3)`` of joints.
 
     ``parents[j] < j``, -1 for a root; local transforms are T R S, scale inherited.
     """

@@ -52,9 +52,10 @@ class Pose:
             below = None if base is None else base.scales
             self.scales[:, j] = values if below is None else scaled(below[:, j], values)
 
-    def world(self) -> WorldTransforms:
-        """Return where every joint is."""
-        return forward(self.rig, self.translations, self.rotations, self.scales)
+    def world(self, out: WorldTransforms | None = None) -> WorldTransforms:
+        """Return where every joint is, in ``out`` if it is given."""
+        t, r, s = self.translations, self.rotations, self.scales
+        return forward(self.rig, t, r, s, out=out)
 
     def copy(self) -> Pose:
         """Return one whose channels can change on their own."""

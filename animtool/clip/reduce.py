@@ -21,6 +21,7 @@ from animtool.clip.reduction import ChannelKind, ReducedChannel, Reduction
 from animtool.clip.tracks import Track, tracks_of
 from animtool.maths.fit import FittedKeys, fit_keys
 from animtool.maths.so3 import IDENTITY
+from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 from animtool.take import Channel, Motion, Take
 
@@ -149,6 +150,7 @@ class _World:
         self.rig, self.bounds = rig, bounds
         self.pose: Pose = pose_of(rig, motion, base)
         self.truth = self.pose.world()
+        self.found: WorldTransforms | None = None
         self.points = carried_points(rig, shell)
         self.reach = reach(self.points)
         self.below = _descendants(rig)
@@ -173,7 +175,8 @@ class _World:
         """Return the error of every joint ``(F, J)`` [m] once these are in place."""
         for budget in budgets:
             self.pose.set(budget.track, budget.values)
-        return point_errors(self.points, self.truth, self.pose.world())
+        self.found = self.pose.world(self.found)
+        return point_errors(self.points, self.truth, self.found)
 
     def arms(self, joint: int, frames: IntArray, ends: IntArray) -> FloatArray:
         """Return how far the points of joints ``ends`` are off a joint [m]."""

@@ -81,28 +81,31 @@ void check_scales(const A& t, const std::optional<B>& s) {
     throw std::invalid_argument("scales are (F, J, 3)");
 }
 
+void check_results(std::size_t frames, std::size_t joints, const Filled<double, 3>& positions,
+                   const Filled<double, 4>& linear) {
+  if (positions.shape(0) != frames || positions.shape(1) != joints ||
+      positions.shape(2) != 3 || linear.shape(0) != frames || linear.shape(1) != joints ||
+      linear.shape(2) != 3 || linear.shape(3) != 3)
+    throw std::invalid_argument("positions are (F, J, 3), linear parts are (F, J, 3, 3)");
+}
+
 }  // namespace
 
-WorldTransforms forward_kinematics(In<std::int64_t, 1> parents, In<double, 3> translations,
-                                   In<double, 3> rotations,
-                                   std::optional<In<double, 3>> scales) {
+void forward_kinematics(In<std::int64_t, 1> parents, In<double, 3> translations,
+                        In<double, 3> rotations, std::optional<In<double, 3>> scales,
+                        Filled<double, 3> positions, Filled<double, 4> linear) {
   const std::size_t joints = parents.shape(0), frames = translations.shape(0);
   check_parents(parents);
   check_shapes(joints, translations, rotations);
   check_scales(translations, scales);
-  Buffer<double> positions(frames * joints * 3), linear(frames * joints * 9);
-  {
-    nb::gil_scoped_release release;
-    for (std::size_t f = 0; f < frames; ++f) {
-      const std::size_t at = f * joints;
-      forward_frame(parents.data(), joints, translations.data() + 3 * at,
-                    rotations.data() + 4 * at, scales ? scales->data() + 3 * at : nullptr,
-                    {linear.get() + 9 * at, positions.get() + 3 * at});
-    }
+  check_results(frames, joints, positions, linear);
+  nb::gil_scoped_release release;
+  for (std::size_t f = 0; f < frames; ++f) {
+    const std::size_t at = f * joints;
+    forward_frame(parents.data(), joints, translations.data() + 3 * at,
+                  rotations.data() + 4 * at, scales ? scales->data() + 3 * at : nullptr,
+                  {linear.data() + 9 * at, positions.data() + 3 * at});
   }
-  const std::size_t position_shape[3] = {frames, joints, 3};
-  const std::size_t linear_shape[4] = {frames, joints, 3, 3};
-  return {positions.release(position_shape), linear.release(linear_shape)};
 }
 
 RoundingReport measure_rounding(In<std::int64_t, 1> parents, In<double, 3> translations,

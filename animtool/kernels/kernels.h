@@ -16,7 +16,6 @@ namespace animtool {
 // values, row_lines, consumed, lines, fault, found, token
 using BvhRows = std::tuple<Out<double, 2>, Out<std::int64_t, 1>, std::size_t, std::size_t, int,
                            std::size_t, nb::bytes>;
-using WorldTransforms = std::tuple<Out<double, 3>, Out<double, 4>>;
 // extents, error, frame, joint
 using RoundingReport = std::tuple<Out<double, 3>, double, std::size_t, std::size_t>;
 // frames, ins, outs
@@ -35,9 +34,9 @@ Out<double, 3> euler_to_quaternion(In<double, 2> values, In<std::int32_t, 2> col
 
 Out<double, 3> quaternion_to_euler(In<double, 3> quaternions, In<std::int32_t, 2> axes);
 
-WorldTransforms forward_kinematics(In<std::int64_t, 1> parents, In<double, 3> translations,
-                                   In<double, 3> rotations,
-                                   std::optional<In<double, 3>> scales);
+void forward_kinematics(In<std::int64_t, 1> parents, In<double, 3> translations,
+                        In<double, 3> rotations, std::optional<In<double, 3>> scales,
+                        Filled<double, 3> positions, Filled<double, 4> linear);
 
 RoundingReport measure_rounding(In<std::int64_t, 1> parents, In<double, 3> translations,
                                 In<double, 3> rotations, std::optional<In<double, 3>> scales,

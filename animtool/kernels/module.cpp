@@ -49,8 +49,8 @@ the frame before, the first frame's nearest to ``previous`` ``(R, 4)``.)");
 takes the one nearest to the frame before; the first, the one nearest to zero.)");
 
   m.def("forward_kinematics", &forward_kinematics, "parents"_a, "translations"_a, "rotations"_a,
-        "scales"_a.none(),
-        R"(World origin ``(F, J, 3)`` and linear part ``(F, J, 3, 3)`` of every joint.
+        "scales"_a.none(), "positions"_a.noconvert(), "linear"_a.noconvert(),
+        R"(Fill in the world origin ``(F, J, 3)`` and linear part ``(F, J, 3, 3)`` of joints.
 
 ``parents[j] < j``, -1 for a root; local transforms are T R S, scale inherited.)");
 

@@ -52,6 +52,8 @@ def forward(
     translations: ArrayLike,
     rotations: ArrayLike,
     scales: ArrayLike | None = None,
+    *,
+    out: WorldTransforms | None = None,
 ) -> WorldTransforms:
     """Return the world transforms of a motion.
 
@@ -63,6 +65,8 @@ def forward(
         translations: Local, parent space ``(F, J, 3)`` [m].
         rotations: Local unit quaternions ``(F, J, 4)``.
         scales: Local ``(F, J, 3)`` [1]; None is no scale.
+        out: Filled in and returned, in place of new arrays: of many frames, fresh
+            memory takes longer than the arithmetic. Not to overlap the inputs.
 
     Raises:
         ValueError: A shape does not fit the rig.
@@ -75,13 +79,16 @@ def forward(
     [-1.0, 0.0, 0.0]
     """
     joints = len(rig.joints)
-    positions, linear = _kernels.forward_kinematics(
-        rig.parents,
-        as_floats(translations, ("F", joints, 3), "translations"),
-        as_floats(rotations, ("F", joints, 4), "rotations"),
-        None if scales is None else as_floats(scales, ("F", joints, 3), "scales"),
-    )
-    return WorldTransforms(positions, linear)
+    t = as_floats(translations, ("F", joints, 3), "translations")
+    r = as_floats(rotations, (len(t), joints, 4), "rotations")
+    s = None if scales is None else as_floats(scales, (len(t), joints, 3), "scales")
+    if out is None:
+        shape = (len(t), joints, 3)
+        out = WorldTransforms(np.zeros(shape), np.zeros((*shape, 3)))
+    elif out.positions.shape != t.shape or out.linear.shape != (*t.shape, 3):
+        raise ValueError(f"out must be for {len(t)} frames of {joints} joints")
+    _kernels.forward_kinematics(rig.parents, t, r, s, out.positions, out.linear)
+    return out
 
 
 def rest_world(rig: Rig) -> WorldTransforms:

@@ -7,8 +7,6 @@ inside its process without making the curves; see README.md beside this file.
 from __future__ import annotations
 
 import argparse
-import os
-import platform
 import statistics
 import sys
 import tempfile
@@ -19,8 +17,7 @@ from pathlib import Path
 import mpmath
 import numpy as np
 import numpy.typing as npt
-from bvh_to_usd import HERE, Row, Wanted, _versions, processor, run, table, verdicts
-from bvh_to_usd import write_csv as write_rows
+from figures import HERE, Row, Wanted, machine, run, table, verdicts, write_csv
 from pxr import Ts
 
 from animtool.maths.curves import Curves, SegmentKind, evaluate
@@ -196,18 +193,16 @@ def parser() -> argparse.ArgumentParser:
 def main() -> None:
     """Measure, print the table, write the CSV."""
     options = parser().parse_args()
-    about = [
-        f"processor: {processor()}, {os.cpu_count()} cores",
-        f"system: {platform.system()} {platform.machine()}",
-        f"load before the run: {os.getloadavg()[0]:.2f}",
-        _versions(sys.executable, ["animtool", "usd-core", "numpy"]),
-        f"{options.channels} channels, {options.keys} keys, {options.frames} frames",
-    ]
-    if options.bpy_python:
-        about.insert(-1, _versions(options.bpy_python, ["bpy", "numpy"]))
+    about = machine(
+        (sys.executable, ["animtool", "usd-core", "numpy"]),
+        (options.bpy_python, ["bpy", "numpy"]),
+    )
+    about.append(
+        f"{options.channels} channels, {options.keys} keys, {options.frames} frames"
+    )
     rows = measure(options)
     print("\n".join([*about, "", *table(rows), "", *verdicts(rows)]))
-    write_rows(options.csv, about, rows)
+    write_csv(options.csv, about, rows)
 
 
 if __name__ == "__main__":

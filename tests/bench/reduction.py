@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from bvh_to_usd import HERE, Row, Wanted, machine, run, table, verdicts, write_csv
+from figures import HERE, Row, Wanted, machine, run, table, verdicts, write_csv
 
 from animtool._types import FloatArray
 from animtool.clip.reduce import reduce_motion
@@ -207,8 +207,10 @@ def parser() -> argparse.ArgumentParser:
 def main() -> None:
     """Measure, print the tables, write the CSV."""
     options = parser().parse_args()
-    options.python, options.pybvh_python = sys.executable, None
-    about = machine(options)
+    about = machine(
+        (sys.executable, ["animtool", "usd-core", "numpy"]),
+        (options.bpy_python, ["bpy", "numpy"]),
+    )
     bench = Bench(options)
     for path in options.files:
         bench.file(path)

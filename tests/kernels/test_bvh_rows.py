@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 
 from animtool import _kernels
 
@@ -134,33 +134,3 @@ def test_format_is_short() -> None:
 def test_bad_shapes_are_refused() -> None:
     with pytest.raises(ValueError, match="decimal"):
         _kernels.format_bvh_rows(np.zeros((1, 2)), np.zeros(1, np.int64))
-    with pytest.raises(ValueError, match="parent"):
-        _kernels.forward_kinematics(
-            np.array([0]), np.zeros((1, 1, 3)), np.zeros((1, 1, 4)), None
-        )
-    with pytest.raises(ValueError, match="translations"):
-        _kernels.forward_kinematics(
-            np.array([-1]), np.zeros((1, 2, 3)), np.zeros((1, 1, 4)), None
-        )
-
-
-def test_rounding_report_finds_the_joint() -> None:
-    parents = np.array([-1, 0, 1])
-    translations = np.zeros((2, 3, 3))
-    translations[:, 1:, 1] = 1.0
-    rotations = np.zeros((2, 3, 4))
-    rotations[..., 3] = 1.0
-    written = translations.astype(np.float32)
-    written[1, 2, 0] = 0.25
-    extents, error, frame, joint = _kernels.measure_rounding(
-        parents,
-        translations,
-        rotations,
-        None,
-        written,
-        rotations.astype(np.float32),
-        None,
-    )
-    assert (error, frame, joint) == (0.25, 1, 2)
-    assert_allclose(extents[0], [[0, 0, 0], [0, 2, 0]])
-    assert_allclose(extents[1], [[0, 0, 0], [0.25, 2, 0]])

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 from animtool._types import FloatArray
 from animtool.maths import so3
-from animtool.rig.kinematics import forward, rest_world
+from animtool.rig.kinematics import WorldTransforms, forward, rest_world
 from animtool.rig.skeleton import Joint, Rig
 
 
@@ -53,6 +53,18 @@ def test_against_matrices(scaled: bool) -> None:
     world, truth = forward(rig, t, r, s), by_matrices(rig, t, r, s)
     assert_allclose(world.positions, truth[..., :3, 3], rtol=1e-12, atol=1e-12)
     assert_allclose(world.linear, truth[..., :3, :3], rtol=1e-12, atol=1e-12)
+
+
+def test_results_into_given_arrays() -> None:
+    rig, rng = tree(9), np.random.default_rng(3)
+    t, r = rng.normal(size=(5, 9, 3)), so3.normalize(rng.normal(size=(5, 9, 4)))
+    fresh = forward(rig, t, r)
+    kept = WorldTransforms(np.full((5, 9, 3), np.nan), np.full((5, 9, 3, 3), np.nan))
+    assert forward(rig, t, r, out=kept) is kept
+    np.testing.assert_array_equal(kept.positions, fresh.positions)
+    np.testing.assert_array_equal(kept.linear, fresh.linear)
+    with pytest.raises(ValueError, match="5 frames"):
+        forward(rig, t, r, out=forward(rig, t[:3], r[:3]))
 
 
 def test_a_chain_of_a_thousand_joints() -> None:
