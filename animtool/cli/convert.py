@@ -41,6 +41,12 @@ Examples:
 )
 @reduce_at_option
 @click.option(
+    "--base",
+    type=click.Path(path_type=Path, readable=False),
+    metavar="FILE",
+    help="SOURCE is an additive take: measure its keys on top of this one.",
+)
+@click.option(
     "--strict", is_flag=True, help="Take warnings for errors and write nothing."
 )
 @click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
@@ -75,6 +81,7 @@ def convert(console: Console, /, source: Path, output: Path, **given: Any) -> No
             strict=given["strict"],
             reduce=given["reduce"],
             reduce_at=given["reduce_at"],
+            base=given["base"],
             progress=progress,
         )
     console.faults(report.notices)

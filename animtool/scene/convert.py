@@ -51,6 +51,7 @@ def convert(
     strict: bool = False,
     reduce: float | None = None,
     reduce_at: tuple[tuple[str, float], ...] = (),
+    base: Path | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> ConvertReport:
     """Convert a take to a BVH, to sparse keys, or to a USD stage as a bake would.
@@ -66,20 +67,30 @@ def convert(
         reduce: Largest distance that keys may move a joint, or a point 3 cm off it
             [m]; None is half a millimetre. For clips.
         reduce_at: Other tolerances for some joints: names or patterns, and [m].
+        base: For an additive take what it is put on: keys are fitted so that the
+            sum is within the tolerance. For clips.
         progress: Called with the share done, 0 to 1.
 
     Raises:
         FormatError: The source is malformed.
-        OptionError: The output's suffix is unknown, or it exists.
+        OptionError: The output's suffix is unknown, it exists, or an option is not
+            for it.
         OutputError: The output cannot be written.
         StrictError: There were warnings, and ``strict`` is on.
     """
     source, output = Path(source), Path(output)
+    given = {"--reduce": reduce, "--reduce-at": reduce_at, "--base": base}
+    to_clip = output.suffix.lower() in {".yaml", ".yml"}
+    for name, value in given.items():
+        if value and not to_clip:
+            message = f"{name} is for keys, and this output holds samples"
+            hint = "write a .clip.yaml, or bake with --reduce"
+            raise OptionError(Fault("CLI004", message, str(output), (), hint))
     if is_usd(output):
         return _to_usd(source, output, options, overwrite, strict, progress)
-    if output.suffix.lower() in {".yaml", ".yml"}:
-        bounds = (REDUCTION if reduce is None else reduce, dict(reduce_at))
-        return _to_clip(source, output, options, bounds, overwrite, strict, progress)
+    if to_clip:
+        keys = _Keys(REDUCTION if reduce is None else reduce, dict(reduce_at), base)
+        return _to_clip(source, output, options, keys, overwrite, strict, progress)
     if output.suffix.lower() != ".bvh":
         kind = f"suffix {output.suffix!r}" if output.suffix else "a name without suffix"
         message = f"{kind} is no format that animtool writes"
@@ -111,11 +122,20 @@ def _write(output: Path, parts: Iterable[bytes]) -> None:
             raise output_error(output, error) from error
 
 
+@dataclass(frozen=True, slots=True)
+class _Keys:
+    """How near keys are to be [m], near which joints nearer, and on which take."""
+
+    tolerance: float
+    tolerances: Mapping[str, float]
+    base: Path | None
+
+
 def _to_clip(
     source: Path,
     output: Path,
     options: SourceOptions | None,
-    bounds: tuple[float, Mapping[str, float]],
+    keys: _Keys,
     overwrite: bool,
     strict: bool,
     progress: Callable[[float], None] | None,
@@ -127,18 +147,50 @@ def _to_clip(
 
     stem = output.name.removesuffix(output.suffix).removesuffix(".clip")
     rig_path = output.with_name(f"{stem}.rig.yaml")
-    check_outputs([rig_path, output], [source], overwrite=overwrite)
+    inputs = [source] if keys.base is None else [source, keys.base]
+    check_outputs([rig_path, output], inputs, overwrite=overwrite)
     stream = open_source(source, options, progress=progress)
     take = stream.collect()
     refuse_warnings(stream.notices, strict=strict)
+    below = (
+        None
+        if keys.base is None
+        else _below(
+            take, keys.base, options if keys.base.suffix == source.suffix else None
+        )
+    )
+    if below is not None:
+        take = replace(take, rig=without_rest(take.rig))
     rig = typed_by_motion(take)
-    reduction = reduce_motion(take, bounds[0], joint_tolerances=bounds[1])
+    reduction = reduce_motion(
+        take, keys.tolerance, joint_tolerances=keys.tolerances, base=below
+    )
     _write(rig_path, [rig_text(rig).encode()])
     text = clip_text(clip_of_reduction(reduction, rig, stem), rig, rig_path.name)
     _write(output, [text.encode()])
     return ConvertReport(
         output, take.clock.count, len(rig.joints), stream.notices, reduction
     )
+
+
+def _below(take: Take, path: Path, options: SourceOptions | None) -> Take:
+    """Return what an additive take is put on, at its frames."""
+    from animtool.edit.combine import check_same_rig
+    from animtool.edit.other_take import other_frames
+
+    base = open_source(path, options).collect()
+    check_same_rig(take.rig, base.rig)
+    motion = other_frames(base, take.clock.rate, 0, take.clock.count)
+    return replace(take, motion=motion)
+
+
+def without_rest(rig: Rig) -> Rig:
+    """Return a rig whose rest pose, for an additive take, changes nothing."""
+    joints = tuple(
+        replace(joint, translation=(0.0, 0.0, 0.0), rotation=(0.0, 0.0, 0.0, 1.0))
+        for joint in rig.joints
+    )
+    return replace(rig, joints=joints, bind={})
 
 
 def typed_by_motion(take: Take) -> Rig:

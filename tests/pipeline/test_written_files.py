@@ -66,7 +66,7 @@ CLIPS = [
     ("interp: bezier", "interp: slerp", "CLIP009", 7),
     ("control/grin", "joint/elbow_l.angle", "CLIP010", 11),
     ("rig: hero.rig.yaml", "rig: ../hero.rig.yaml", "CLIP012", 2),
-    (CLIP[CLIP.index("- target") :], " []\n", "CLIP013", 6),
+    (CLIP[CLIP.index("range") :], "channels: []\n", "CLIP013", 4),
     ("[1, 0, 0, 0]", "[0, 0, 0, 0]", "CLIP014", 12),
 ]
 SCENES = [

@@ -1,0 +1,97 @@
+"""Takes as keys: of additive takes, measured on what they are put on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from animtool.clip.points import SHELL, carried_points, point_errors
+from animtool.errors import OptionError
+from animtool.scene.bake import bake
+from animtool.scene.convert import convert
+from animtool.scene.file import load_scene
+from animtool.scene.sources import open_source
+
+TOLERANCE = 2e-3
+
+
+@pytest.fixture
+def delta(walk: Path, tmp_path: Path) -> Path:
+    """What the walk has beyond its first frame, as USD."""
+    (tmp_path / "walk.bvh").write_bytes(walk.read_bytes())
+    scene = tmp_path / "delta.scene.yaml"
+    scene.write_text(
+        "scene: animtool/1\nsource: {file: walk.bvh}\n"
+        "passes: [{difference: {base: walk.bvh, frame: 1}}]\n"
+    )
+    bake(scene, tmp_path / "delta.usdc")
+    return tmp_path / "delta.usdc"
+
+
+def test_additive_keys_give_the_sum_within_the_tolerance(
+    walk: Path, delta: Path, tmp_path: Path
+) -> None:
+    scene = tmp_path / "still.scene.yaml"
+    scene.write_text(
+        "scene: animtool/1\nsource: {file: walk.bvh}\n"
+        "passes: [{time_warp: {curve: [[1, 1], [64, 1]]}}]\n"
+    )
+    bake(scene, tmp_path / "still.usdc")
+    report = convert(
+        delta,
+        tmp_path / "add.clip.yaml",
+        reduce=TOLERANCE,
+        base=tmp_path / "still.usdc",
+    )
+    assert report.reduction is not None
+    assert report.reduction.held
+    assert report.reduction.keys < report.reduction.samples / 2
+    scene.write_text(
+        "scene: animtool/1\nsource: {file: still.usdc}\n"
+        "passes: [{layer: {take: add.clip.yaml, mode: additive}}]\n"
+    )
+    summed = load_scene(scene).open().collect()
+    wanted = open_source(walk).collect()
+    points = carried_points(wanted.rig, SHELL)
+    errors = point_errors(points, wanted.world(), summed.world())
+    # Samples of USD are float32.
+    assert errors.max() <= TOLERANCE + 1e-5
+    assert errors.max() > TOLERANCE / 10
+
+
+def test_an_additive_take_rests_where_nothing_changes(
+    delta: Path, tmp_path: Path
+) -> None:
+    convert(delta, tmp_path / "add.clip.yaml", base=tmp_path / "walk.bvh")
+    take = open_source(tmp_path / "add.clip.yaml").collect()
+    assert not take.rig.rest_translations.any()
+    first = take.motion.select(slice(0, 1)).dense()[0]
+    np.testing.assert_allclose(first, 0, atol=2e-3)
+
+
+@pytest.mark.parametrize("suffix", ["bvh", "usdc"])
+@pytest.mark.parametrize(
+    "options", [{"reduce": 1e-3}, {"reduce_at": (("Hips", 1e-3),)}, {"base": Path("x")}]
+)
+def test_options_of_keys_are_for_clips(
+    walk: Path, tmp_path: Path, suffix: str, options
+) -> None:
+    with pytest.raises(OptionError) as caught:
+        convert(walk, tmp_path / f"o.{suffix}", **options)
+    assert [fault.code for fault in caught.value.faults] == ["CLI004"]
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_base_has_the_same_joints(walk: Path, tmp_path: Path) -> None:
+    rig = tmp_path / "post.rig.yaml"
+    rig.write_text("rig: animtool/1\nname: post\njoints: [{name: top, type: free}]\n")
+    clip = tmp_path / "post.clip.yaml"
+    clip.write_text(
+        "clip: animtool/1\nrig: post.rig.yaml\nfps: 24\nrange: [1, 4]\nchannels: []\n"
+    )
+    with pytest.raises(OptionError) as caught:
+        convert(walk, tmp_path / "add.clip.yaml", base=clip)
+    assert [fault.code for fault in caught.value.faults] == ["SCN017"]
+    assert not (tmp_path / "add.clip.yaml").exists()
