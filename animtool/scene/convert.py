@@ -152,14 +152,10 @@ def _to_clip(
     stream = open_source(source, options, progress=progress)
     take = stream.collect()
     refuse_warnings(stream.notices, strict=strict)
-    below = (
-        None
-        if keys.base is None
-        else _below(
-            take, keys.base, options if keys.base.suffix == source.suffix else None
-        )
-    )
-    if below is not None:
+    below = None
+    if keys.base is not None:
+        alike = keys.base.suffix.lower() == source.suffix.lower()
+        below = _below(take, keys.base, options if alike else None)
         take = replace(take, rig=without_rest(take.rig))
     rig = typed_by_motion(take)
     reduction = reduce_motion(
