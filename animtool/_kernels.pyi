@@ -92,3 +92,41 @@ def point_errors(points: Annotated[NDArray[numpy.float64], dict(shape=(None, Non
     Points ``(J, P, 3)`` are in the joints' frames; origins ``(F, J, 3)`` and linear
     parts ``(F, J, 3, 3)`` are those of `forward_kinematics`.
     """
+
+def skin_linear(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], first: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], joints: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], weights: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], transforms: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C', device='cpu', writable=False)], normalize: bool) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')]:
+    """
+    Points ``(F, V, 3)`` moved by the weighted sum of joints' transforms.
+
+    Points are ``(F, V, 3)``, or ``(1, V, 3)`` where they stand still. Vertex v follows
+    ``joints[first[v]:first[v + 1]]`` with the weights beside them. Transforms are
+    ``(F, U, 3, 4)``, for column vectors. ``normalize`` brings results to length 1.
+    """
+
+def skin_dual_quaternion(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], first: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], joints: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], weights: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], rotations: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], translations: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], stretches: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C', device='cpu', writable=False)] | None, normalize: bool) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')]:
+    """
+    Points ``(F, V, 3)`` moved by the weighted sum of joints' dual quaternions.
+
+    As `skin_linear`, with unit quaternions ``(F, U, 4)`` and translations ``(F, U, 3)``. The
+    first influence of a vertex decides the sign of the others. Symmetric ``stretches``
+    ``(F, U, 3, 3)`` are blended linearly and applied first.
+    """
+
+def split_stretch(linear: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C')]]:
+    """
+    Split linear parts ``(F, J, 3, 3)`` into a rotation after a symmetric stretch.
+
+    Returns quaternions ``(F, J, 4)`` and stretches ``(F, J, 3, 3)``, which are negative
+    where the linear part mirrors. A determinant below 1e-10 has quaternion zero and no
+    stretch.
+    """
+
+def add_sparse(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], weights: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], first: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], columns: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], offsets: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')]:
+    """
+    Points plus the weighted sum of sparse offsets, as ``(F, V, 3)``.
+
+    Points are ``(F or 1, V, 3)``, weights ``(F, C)``. Vertex v has the offsets
+    ``first[v]`` to ``first[v + 1]``, each ``(3,)`` of the column in ``columns``.
+    """
+
+def point_extents(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')]:
+    """Least and largest coordinates ``(F, 2, 3)`` of points ``(F, V, 3)``."""

@@ -24,6 +24,7 @@ LAYERS = [
     {"take"},
     {"passes", "reorient"},
     {"clip"},
+    {"skin"},
     {"formats"},
     {"usd"},
     {"edit"},

@@ -16,7 +16,7 @@ from animtool.maths.curves import evaluate
 from animtool.maths.rotation_curves import evaluate_rotations
 from animtool.rig.controls import DrivenValues, evaluate_controls
 from animtool.rig.limits import BallLimit, RangeLimit
-from animtool.rig.shapes import combination_order
+from animtool.rig.shapes import combined_weights
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.rig.targets import DRIVEN_PARTS, KEYED_PARTS, split_part
 from animtool.take import Channel, Motion
@@ -354,12 +354,7 @@ def _weights(
         if target in driven.targets:
             value = value + driven.targets[target]
         found[shape.name] = value
-    for shape in combination_order(rig.shapes):
-        if shape.combine:
-            product = np.ones(1)
-            for name in shape.combine:
-                product = product * found[name]
-            found[shape.name] = found[shape.name] + product
+    found = combined_weights(rig.shapes, found)
     if not any(value.any() for value in found.values()):
         return None
     return _column_channel([found[shape.name] for shape in rig.shapes], count)

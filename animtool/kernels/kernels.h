@@ -21,6 +21,9 @@ using RoundingReport = std::tuple<Out<double, 3>, double, std::size_t, std::size
 // frames, ins, outs
 using FittedCubics = std::tuple<Out<std::int64_t, 1>, Out<double, 2>, Out<double, 2>>;
 
+// rotations, stretches
+using Stretched = std::tuple<Out<double, 3>, Out<double, 4>>;
+
 BvhRows parse_bvh_rows(nb::bytes text, std::size_t columns, std::size_t limit, bool final);
 
 nb::bytes format_bvh_rows(In<double, 2> values, In<std::int64_t, 1> decimals);
@@ -50,5 +53,23 @@ FittedCubics fit_cubics(In<double, 2> values, In<double, 1> bounds,
 Out<double, 2> point_errors(In<double, 3> points, In<double, 3> true_positions,
                             In<double, 4> true_linear, In<double, 3> positions,
                             In<double, 4> linear);
+
+Out<double, 3> skin_linear(In<double, 3> points, In<std::int64_t, 1> first,
+                           In<std::int32_t, 1> joints, In<double, 1> weights,
+                           In<double, 4> transforms, bool normalize);
+
+Out<double, 3> skin_dual_quaternion(In<double, 3> points, In<std::int64_t, 1> first,
+                                    In<std::int32_t, 1> joints, In<double, 1> weights,
+                                    In<double, 3> rotations, In<double, 3> translations,
+                                    std::optional<In<double, 4>> stretches,
+                                    bool normalize);
+
+Stretched split_stretch(In<double, 4> linear);
+
+Out<double, 3> add_sparse(In<double, 3> points, In<double, 2> weights,
+                          In<std::int64_t, 1> first, In<std::int32_t, 1> columns,
+                          In<double, 2> offsets);
+
+Out<double, 3> point_extents(In<double, 3> points);
 
 }  // namespace animtool

@@ -1,13 +1,14 @@
-"""Combined shapes: the order in which their weights follow from others."""
+"""Combined shapes: correctives, whose weights follow from those of others."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from graphlib import CycleError, TopologicalSorter
 
+from animtool._types import FloatArray
 from animtool.rig.parts import Shape
 
-__all__ = ["ShapeCycleError", "combination_order"]
+__all__ = ["ShapeCycleError", "combination_order", "combined_weights"]
 
 
 class ShapeCycleError(ValueError):
@@ -43,3 +44,31 @@ def combination_order(shapes: Sequence[Shape]) -> list[Shape]:
         # The sorter names each before those that need it, the other way round.
         raise ShapeCycleError(list(reversed(error.args[1]))) from error
     return [by_name[name] for name in order]
+
+
+def combined_weights(
+    shapes: Sequence[Shape], own: Mapping[str, FloatArray]
+) -> dict[str, FloatArray]:
+    """Return the weight of every shape, products of the combined ones added.
+
+    Args:
+        shapes: In any order.
+        own: Their weights by name [1], ``(F,)``, or ``(1,)`` where one never moves.
+
+    Raises:
+        ShapeCycleError: They combine each other in a circle.
+
+    >>> import numpy as np
+    >>> shapes = [Shape("a"), Shape("b"), Shape("both", combine=("a", "b"))]
+    >>> own = {"a": np.array([0.5, 1.0]), "b": np.array([0.5]), "both": np.zeros(1)}
+    >>> combined_weights(shapes, own)["both"].tolist()
+    [0.25, 0.5]
+    """
+    found = {shape.name: own[shape.name] for shape in shapes}
+    for shape in combination_order(shapes):
+        if shape.combine:
+            product, *others = (found[name] for name in shape.combine)
+            for other in others:
+                product = product * other
+            found[shape.name] = found[shape.name] + product
+    return found

@@ -1,0 +1,96 @@
+// Sums of sparse blend shapes over frames, and the bounds of points.
+#include <algorithm>
+#include <limits>
+#include <stdexcept>
+#include <vector>
+
+#include "kernels.h"
+#include "pair.h"
+
+namespace animtool {
+
+namespace {
+
+// Frames worked on at once: what keeps the sums of a vertex in registers.
+constexpr std::size_t LANES = 4;
+
+void check_shapes(In<double, 3> points, In<double, 2> weights, In<std::int64_t, 1> first,
+                  In<std::int32_t, 1> columns, In<double, 2> offsets) {
+  const std::size_t rows = first.shape(0), count = columns.shape(0);
+  if (points.shape(2) != 3 || (points.shape(0) != 1 && points.shape(0) != weights.shape(0)))
+    throw std::invalid_argument("points are (F or 1, V, 3)");
+  if (rows != points.shape(1) + 1 || offsets.shape(0) != count || offsets.shape(1) != 3 ||
+      first.data()[0] != 0 || first.data()[rows - 1] != static_cast<std::int64_t>(count))
+    throw std::invalid_argument("first counts the columns and offsets from 0");
+  for (std::size_t v = 1; v < rows; ++v)
+    if (first.data()[v] < first.data()[v - 1]) throw std::invalid_argument("first ascends");
+  for (std::size_t k = 0; k < count; ++k)
+    if (columns.data()[k] < 0 ||
+        columns.data()[k] >= static_cast<std::int64_t>(weights.shape(1)))
+      throw std::invalid_argument("columns are those of the weights");
+}
+
+}  // namespace
+
+Out<double, 3> add_sparse(In<double, 3> points, In<double, 2> weights,
+                          In<std::int64_t, 1> first, In<std::int32_t, 1> columns,
+                          In<double, 2> offsets) {
+  check_shapes(points, weights, first, columns, offsets);
+  const std::size_t frames = weights.shape(0), shapes = weights.shape(1);
+  const std::size_t vertices = points.shape(1), row = vertices * 3;
+  Buffer<double> result(frames * row);
+  {
+    nb::gil_scoped_release release;
+    const std::size_t stride = points.shape(0) == 1 ? 0 : row;
+    std::vector<Pair> table(shapes * 2);
+    for (std::size_t f = 0; f < frames; f += LANES) {
+      std::size_t frame[LANES];
+      for (std::size_t l = 0; l < LANES; ++l) frame[l] = std::min(f + l, frames - 1);
+      for (std::size_t c = 0; c < shapes; ++c)
+        for (int h = 0; h < 2; ++h)
+          table[2 * c + h] = Pair{weights.data()[frame[2 * h] * shapes + c],
+                                  weights.data()[frame[2 * h + 1] * shapes + c]};
+      for (std::size_t v = 0; v < vertices; ++v) {
+        Pair sum[3][2] = {};
+        for (std::int64_t k = first.data()[v]; k < first.data()[v + 1]; ++k) {
+          const Pair* w = table.data() + 2 * columns.data()[k];
+          const double* d = offsets.data() + 3 * k;
+          for (int i = 0; i < 3; ++i)
+            for (int h = 0; h < 2; ++h) sum[i][h] += w[h] * both(d[i]);
+        }
+        for (std::size_t l = 0; l < LANES; ++l)
+          for (int i = 0; i < 3; ++i)
+            result.get()[frame[l] * row + 3 * v + i] =
+                points.data()[frame[l] * stride + 3 * v + i] + sum[i][l / 2][l % 2];
+      }
+    }
+  }
+  const std::size_t shape[3] = {frames, vertices, 3};
+  return result.release(shape);
+}
+
+Out<double, 3> point_extents(In<double, 3> points) {
+  const std::size_t frames = points.shape(0), vertices = points.shape(1);
+  if (points.shape(2) != 3) throw std::invalid_argument("points are (F, V, 3)");
+  Buffer<double> result(frames * 6);
+  {
+    nb::gil_scoped_release release;
+    const double* p = points.data();
+    for (std::size_t f = 0; f < frames; ++f) {
+      constexpr double infinity = std::numeric_limits<double>::infinity();
+      double low[3] = {infinity, infinity, infinity};
+      double high[3] = {-infinity, -infinity, -infinity};
+      for (std::size_t v = 0; v < vertices; ++v, p += 3)
+        for (int i = 0; i < 3; ++i) {
+          low[i] = p[i] < low[i] ? p[i] : low[i];
+          high[i] = p[i] > high[i] ? p[i] : high[i];
+        }
+      std::copy_n(low, 3, result.get() + 6 * f);
+      std::copy_n(high, 3, result.get() + 6 * f + 3);
+    }
+  }
+  const std::size_t shape[3] = {frames, 2, 3};
+  return result.release(shape);
+}
+
+}  // namespace animtool

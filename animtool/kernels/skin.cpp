@@ -1,0 +1,228 @@
+// Skinning: linear blend and dual quaternions, two frames at a time.
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+#include <vector>
+
+#include "kernels.h"
+#include "pair.h"
+
+namespace animtool {
+
+namespace {
+
+// Rows of influences: those of vertex v are first[v] to first[v + 1].
+struct Influences {
+  std::size_t vertices;
+  const std::int64_t* first;
+  const std::int32_t* joints;
+  const double* weights;
+};
+
+Influences influences_of(In<std::int64_t, 1> first, In<std::int32_t, 1> joints,
+                         In<double, 1> weights, std::size_t joint_count) {
+  const std::size_t rows = first.shape(0), count = joints.shape(0);
+  if (rows == 0 || weights.shape(0) != count || first.data()[0] != 0 ||
+      first.data()[rows - 1] != static_cast<std::int64_t>(count))
+    throw std::invalid_argument("first counts the joints and weights from 0");
+  for (std::size_t v = 1; v < rows; ++v)
+    if (first.data()[v] < first.data()[v - 1])
+      throw std::invalid_argument("first ascends");
+  for (std::size_t k = 0; k < count; ++k)
+    if (joints.data()[k] < 0 || joints.data()[k] >= static_cast<std::int64_t>(joint_count))
+      throw std::invalid_argument("joints are those that have a transform");
+  return {rows - 1, first.data(), joints.data(), weights.data()};
+}
+
+// Points that stand still, or points of each frame.
+class Points {
+ public:
+  Points(In<double, 3> points, std::size_t frames, std::size_t vertices)
+      : data_(points.data()), stride_(points.shape(0) == 1 ? 0 : vertices * 3) {
+    if ((points.shape(0) != 1 && points.shape(0) != frames) ||
+        points.shape(1) != vertices || points.shape(2) != 3)
+      throw std::invalid_argument("points are (F or 1, V, 3)");
+  }
+  const double* frame(std::size_t f) const { return data_ + f * stride_; }
+
+ private:
+  const double* data_;
+  std::size_t stride_;
+};
+
+struct Vector {
+  Pair x, y, z;
+};
+
+inline Vector cross(const Vector& a, const Vector& b) {
+  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+
+inline Vector load(const double* a, const double* b) {
+  return {Pair{a[0], b[0]}, Pair{a[1], b[1]}, Pair{a[2], b[2]}};
+}
+
+inline void unit(double* v) {
+  const double squared = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
+  if (!(squared > 0)) return;
+  const double length = std::sqrt(squared);
+  for (int i = 0; i < 3; ++i) v[i] /= length;
+}
+
+inline void store(const Vector& p, double* a, double* b, bool normalize) {
+  a[0] = p.x[0], a[1] = p.y[0], a[2] = p.z[0];
+  b[0] = p.x[1], b[1] = p.y[1], b[2] = p.z[1];
+  if (!normalize) return;
+  unit(a);
+  if (b != a) unit(b);
+}
+
+// Two frames of a table (F, rows, width), side by side.
+void interleave(const double* a, const double* b, std::size_t count, Pair* out) {
+  for (std::size_t i = 0; i < count; ++i) out[i] = Pair{a[i], b[i]};
+}
+
+void linear_frames(const Influences& in, const Pair* palette, const double* p0,
+                   const double* p1, double* out0, double* out1, bool normalize) {
+  for (std::size_t v = 0; v < in.vertices; ++v) {
+    Pair m[12] = {};
+    for (std::int64_t k = in.first[v]; k < in.first[v + 1]; ++k) {
+      const Pair w = both(in.weights[k]);
+      const Pair* a = palette + 12 * in.joints[k];
+      for (int i = 0; i < 12; ++i) m[i] += w * a[i];
+    }
+    const Vector p = load(p0 + 3 * v, p1 + 3 * v);
+    const Vector moved = {m[0] * p.x + m[1] * p.y + m[2] * p.z + m[3],
+                          m[4] * p.x + m[5] * p.y + m[6] * p.z + m[7],
+                          m[8] * p.x + m[9] * p.y + m[10] * p.z + m[11]};
+    store(moved, out0 + 3 * v, out1 + 3 * v, normalize);
+  }
+}
+
+// Rotation x y z w, then the dual part x y z w, of each joint.
+void dual_quaternions(const double* q, const double* t, std::size_t joints, double* out) {
+  for (std::size_t j = 0; j < joints; ++j, q += 4, t += 3, out += 8) {
+    std::copy_n(q, 4, out);
+    out[4] = 0.5 * (q[3] * t[0] + t[1] * q[2] - t[2] * q[1]);
+    out[5] = 0.5 * (q[3] * t[1] + t[2] * q[0] - t[0] * q[2]);
+    out[6] = 0.5 * (q[3] * t[2] + t[0] * q[1] - t[1] * q[0]);
+    out[7] = -0.5 * (t[0] * q[0] + t[1] * q[1] + t[2] * q[2]);
+  }
+}
+
+// A blend shorter than this turns nothing, as in UsdSkel.
+constexpr double SHORTEST = 1e-10;
+
+template <bool Stretched>
+void dual_frames(const Influences& in, const Pair* palette, const Pair* stretches,
+                 const double* p0, const double* p1, double* out0, double* out1,
+                 bool normalize) {
+  for (std::size_t v = 0; v < in.vertices; ++v) {
+    const std::int64_t begin = in.first[v], end = in.first[v + 1];
+    Pair d[8] = {}, s[6] = {};
+    for (std::int64_t k = begin; k < end; ++k) {
+      const Pair* a = palette + 8 * in.joints[k];
+      Pair w = both(in.weights[k]);
+      if constexpr (Stretched) {
+        const Pair* stretch = stretches + 9 * in.joints[k];
+        for (int i = 0, from[6] = {0, 1, 2, 4, 5, 8}; i < 6; ++i) s[i] += w * stretch[from[i]];
+      }
+      if (k > begin) {
+        const Pair* pivot = palette + 8 * in.joints[begin];
+        const Pair dot =
+            a[0] * pivot[0] + a[1] * pivot[1] + a[2] * pivot[2] + a[3] * pivot[3];
+        w = where_below(dot, both(0), -w, w);
+      }
+      for (int i = 0; i < 8; ++i) d[i] += w * a[i];
+    }
+    Vector p = load(p0 + 3 * v, p1 + 3 * v);
+    if constexpr (Stretched)
+      p = {s[0] * p.x + s[1] * p.y + s[2] * p.z, s[1] * p.x + s[3] * p.y + s[4] * p.z,
+           s[2] * p.x + s[4] * p.y + s[5] * p.z};
+    const Pair squared = d[0] * d[0] + d[1] * d[1] + d[2] * d[2] + d[3] * d[3];
+    const Pair f =
+        where_below(squared, both(SHORTEST * SHORTEST), both(0), both(2) / squared);
+    const Vector axis = {d[0], d[1], d[2]};
+    const Vector across = cross(axis, p);
+    const Vector turned = cross(
+        axis, {across.x + d[3] * p.x + d[4], across.y + d[3] * p.y + d[5],
+               across.z + d[3] * p.z + d[6]});
+    const Vector moved = {p.x + f * (turned.x + d[3] * d[4] - d[7] * d[0]),
+                          p.y + f * (turned.y + d[3] * d[5] - d[7] * d[1]),
+                          p.z + f * (turned.z + d[3] * d[6] - d[7] * d[2])};
+    store(moved, out0 + 3 * v, out1 + 3 * v, normalize);
+  }
+}
+
+}  // namespace
+
+Out<double, 3> skin_linear(In<double, 3> points, In<std::int64_t, 1> first,
+                           In<std::int32_t, 1> joints, In<double, 1> weights,
+                           In<double, 4> transforms, bool normalize) {
+  const std::size_t frames = transforms.shape(0), count = transforms.shape(1);
+  if (transforms.shape(2) != 3 || transforms.shape(3) != 4)
+    throw std::invalid_argument("transforms are (F, U, 3, 4)");
+  const Influences in = influences_of(first, joints, weights, count);
+  const Points source(points, frames, in.vertices);
+  const std::size_t row = in.vertices * 3, width = count * 12;
+  Buffer<double> result(frames * row);
+  {
+    nb::gil_scoped_release release;
+    std::vector<Pair> palette(width);
+    for (std::size_t f = 0; f < frames; f += 2) {
+      const std::size_t g = std::min(f + 1, frames - 1);
+      interleave(transforms.data() + f * width, transforms.data() + g * width, width,
+                 palette.data());
+      linear_frames(in, palette.data(), source.frame(f), source.frame(g),
+                    result.get() + f * row, result.get() + g * row, normalize);
+    }
+  }
+  const std::size_t shape[3] = {frames, in.vertices, 3};
+  return result.release(shape);
+}
+
+Out<double, 3> skin_dual_quaternion(In<double, 3> points, In<std::int64_t, 1> first,
+                                    In<std::int32_t, 1> joints, In<double, 1> weights,
+                                    In<double, 3> rotations, In<double, 3> translations,
+                                    std::optional<In<double, 4>> stretches,
+                                    bool normalize) {
+  const std::size_t frames = rotations.shape(0), count = rotations.shape(1);
+  if (rotations.shape(2) != 4 || translations.shape(0) != frames ||
+      translations.shape(1) != count || translations.shape(2) != 3)
+    throw std::invalid_argument("rotations are (F, U, 4), translations are (F, U, 3)");
+  if (stretches && (stretches->shape(0) != frames || stretches->shape(1) != count ||
+                    stretches->shape(2) != 3 || stretches->shape(3) != 3))
+    throw std::invalid_argument("stretches are (F, U, 3, 3)");
+  const Influences in = influences_of(first, joints, weights, count);
+  const Points source(points, frames, in.vertices);
+  const std::size_t row = in.vertices * 3, width = count * 8;
+  Buffer<double> result(frames * row);
+  {
+    nb::gil_scoped_release release;
+    std::vector<double> duals(2 * width);
+    std::vector<Pair> palette(width), scaling(stretches ? count * 9 : 0);
+    for (std::size_t f = 0; f < frames; f += 2) {
+      const std::size_t g = std::min(f + 1, frames - 1);
+      const std::size_t both_frames[2] = {f, g};
+      for (int i = 0; i < 2; ++i)
+        dual_quaternions(rotations.data() + both_frames[i] * count * 4,
+                         translations.data() + both_frames[i] * count * 3, count,
+                         duals.data() + i * width);
+      interleave(duals.data(), duals.data() + width, width, palette.data());
+      double *out0 = result.get() + f * row, *out1 = result.get() + g * row;
+      if (stretches) {
+        interleave(stretches->data() + f * count * 9, stretches->data() + g * count * 9,
+                   count * 9, scaling.data());
+        dual_frames<true>(in, palette.data(), scaling.data(), source.frame(f),
+                          source.frame(g), out0, out1, normalize);
+      } else {
+        dual_frames<false>(in, palette.data(), nullptr, source.frame(f), source.frame(g),
+                           out0, out1, normalize);
+      }
+    }
+  }
+  const std::size_t shape[3] = {frames, in.vertices, 3};
+  return result.release(shape);
+}
+
+}  // namespace animtool

@@ -1,0 +1,242 @@
+"""A mesh over frames: its shapes, then its skin, with extents and velocities."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool import _kernels
+from animtool._types import ArrayLike, FloatArray, IntArray, as_floats
+from animtool.errors import Fault, FormatError, listed
+from animtool.rig.kinematics import WorldTransforms
+from animtool.skin.shapes import PreparedShapes, blend_normals, blend_points
+from animtool.skin.skinning import PreparedSkin, skin_normals, skin_points
+
+__all__ = ["Deformed", "DeformedMesh", "deform", "deform_blocks", "extents"]
+
+# Points of a block of frames [bytes]: large enough that the products of matrices run
+# at full speed, small enough to stay a small part of memory.
+BLOCK_BYTES = 2**24
+
+
+@dataclass(frozen=True, slots=True)
+class DeformedMesh:
+    """A mesh and what deforms it.
+
+    Attributes:
+        points: ``(V, 3)`` at rest, in its own space.
+        shapes: Prepared on the same points (and normals); None for none.
+        skin: Prepared for as many vertices; None for none.
+        normals: ``(N, 3)`` at rest; None where it has none.
+        normal_vertices: The vertex of each normal ``(N,)``, for normals of face
+            corners; None is one a vertex. Shapes change normals of vertices only.
+
+    Raises:
+        FormatError: Shapes, skin or normals of another number of vertices (SKIN001),
+            or points that are not finite (SKIN003).
+    """
+
+    points: FloatArray
+    shapes: PreparedShapes | None = None
+    skin: PreparedSkin | None = None
+    normals: FloatArray | None = None
+    normal_vertices: IntArray | None = None
+
+    def __post_init__(self) -> None:
+        """Check that the parts fit."""
+        points = as_floats(self.points, ("V", 3), "points")
+        object.__setattr__(self, "points", points)
+        faults = [
+            Fault("SKIN001", f"{name} for {part.vertices} vertices, not {len(points)}")
+            for name, part in (("shapes", self.shapes), ("skin", self.skin))
+            if part is not None and part.vertices != len(points)
+        ]
+        wrong = np.flatnonzero(~np.isfinite(points).all(axis=1)).tolist()
+        if wrong:
+            faults.append(Fault("SKIN003", f"points not finite: {listed(wrong)}"))
+        faults += self._normal_faults()
+        if faults:
+            raise FormatError(faults)
+
+    def _normal_faults(self) -> list[Fault]:
+        if self.normals is None:
+            return []
+        at = self.normal_vertices
+        wanted = len(self.points) if at is None else len(at)
+        if np.shape(self.normals) != (wanted, 3):
+            message = f"normals are {np.shape(self.normals)}, and must be ({wanted}, 3)"
+            return [Fault("SKIN001", message)]
+        if (
+            at is not None
+            and at.size
+            and not 0 <= at.min() <= at.max() < len(self.points)
+        ):
+            message = f"normals of vertices outside 0…{len(self.points) - 1}"
+            return [Fault("SKIN002", message)]
+        return []
+
+
+@dataclass(frozen=True, slots=True)
+class Deformed:
+    """A mesh in F frames.
+
+    Attributes:
+        points: ``(F, V, 3)``; the skeleton's space under a skin, else the mesh's own.
+        extents: Least and largest coordinates ``(F, 2, 3)``.
+        normals: Unit, ``(F, N, 3)``; None where they were not asked for.
+        velocities: ``(F, V, 3)`` [unit of the points / s]; None likewise.
+    """
+
+    points: FloatArray
+    extents: FloatArray
+    normals: FloatArray | None = None
+    velocities: FloatArray | None = None
+
+
+def deform(
+    mesh: DeformedMesh,
+    weights: ArrayLike | None = None,
+    world: WorldTransforms | None = None,
+    *,
+    normals: bool = False,
+    rate: float | None = None,
+) -> Deformed:
+    """Return a mesh in every frame: shapes first, then the skin.
+
+    Args:
+        mesh: V vertices.
+        weights: Of its shapes ``(F, S)`` [1], products of combined shapes included;
+            None is all zero.
+        world: Of the skeleton's joints, in F frames; None is the bind pose.
+        normals: Deform the normals too.
+        rate: Frames a second; velocities are wanted, by central differences, from
+            one side at either end.
+
+    Raises:
+        ValueError: Neither weights nor joints, another number of frames in one than
+            in the other, or normals of a mesh that has none.
+
+    >>> mesh = DeformedMesh(np.eye(3))
+    >>> deform(mesh, np.zeros((2, 0))).extents[1].tolist()
+    [[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]
+    """
+    values = None if weights is None else as_floats(weights, ("F", "S"), "weights")
+    frames = _frames(values, world)
+    points = _points(mesh, values, world, frames)
+    return Deformed(
+        points,
+        extents(points),
+        _normals(mesh, values, world, frames) if normals else None,
+        None if rate is None else _velocities(points, rate),
+    )
+
+
+def deform_blocks(
+    mesh: DeformedMesh,
+    weights: ArrayLike | None = None,
+    world: WorldTransforms | None = None,
+    *,
+    normals: bool = False,
+    rate: float | None = None,
+    block: int | None = None,
+) -> Iterator[Deformed]:
+    """Yield a mesh in blocks of consecutive frames, as `deform` has them at once.
+
+    Args:
+        mesh: V vertices.
+        weights: As for `deform`.
+        world: As for `deform`.
+        normals: As for `deform`.
+        rate: As for `deform`.
+        block: Frames a block; None is as many as fit 16 MB.
+
+    Raises:
+        ValueError: As for `deform`.
+    """
+    values = None if weights is None else as_floats(weights, ("F", "S"), "weights")
+    frames = _frames(values, world)
+    size = block or max(2, BLOCK_BYTES // max(24 * len(mesh.points), 1) // 2 * 2)
+    # Central differences need the frame on either side.
+    margin = 0 if rate is None else 1
+    for begin in range(0, frames, size):
+        end = min(begin + size, frames)
+        low, high = max(begin - margin, 0), min(end + margin, frames)
+        made = deform(
+            mesh,
+            None if values is None else values[low:high],
+            None
+            if world is None
+            else WorldTransforms(world.positions[low:high], world.linear[low:high]),
+            normals=normals,
+            rate=rate,
+        )
+        own = slice(begin - low, end - low)
+        yield Deformed(
+            made.points[own],
+            made.extents[own],
+            None if made.normals is None else made.normals[own],
+            None if made.velocities is None else made.velocities[own],
+        )
+
+
+def extents(points: ArrayLike) -> FloatArray:
+    """Return the least and the largest coordinates ``(F, 2, 3)`` of ``(F, V, 3)``.
+
+    >>> extents([[[0, 5, 1], [2, 3, 4]]]).tolist()
+    [[[0.0, 3.0, 1.0], [2.0, 5.0, 4.0]]]
+    """
+    return _kernels.point_extents(as_floats(points, ("F", "V", 3), "points"))
+
+
+def _frames(weights: FloatArray | None, world: WorldTransforms | None) -> int:
+    counts = set()
+    if weights is not None:
+        counts.add(len(weights))
+    if world is not None:
+        counts.add(len(world.positions))
+    if len(counts) != 1:
+        raise ValueError("weights and joints need the same number of frames")
+    return counts.pop()
+
+
+def _points(
+    mesh: DeformedMesh,
+    weights: FloatArray | None,
+    world: WorldTransforms | None,
+    frames: int,
+) -> FloatArray:
+    points = mesh.points[None]
+    if mesh.shapes is not None and weights is not None and weights.any():
+        points = blend_points(mesh.shapes, weights)
+    if mesh.skin is not None and world is not None:
+        return skin_points(mesh.skin, points, world)
+    return np.ascontiguousarray(np.broadcast_to(points, (frames, *points.shape[1:])))
+
+
+def _normals(
+    mesh: DeformedMesh,
+    weights: FloatArray | None,
+    world: WorldTransforms | None,
+    frames: int,
+) -> FloatArray:
+    if mesh.normals is None:
+        raise ValueError("the mesh has no normals")
+    normals = np.asarray(mesh.normals, np.float64)[None]
+    shapes = mesh.shapes
+    shaped = shapes is not None and shapes.normals is not None
+    if shaped and weights is not None and weights.any():
+        assert shapes is not None
+        normals = blend_normals(shapes, weights)
+    if mesh.skin is not None and world is not None:
+        return skin_normals(mesh.skin, normals, world, vertices=mesh.normal_vertices)
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals = normals / np.where(length > 0, length, 1.0)
+    return np.ascontiguousarray(np.broadcast_to(normals, (frames, *normals.shape[1:])))
+
+
+def _velocities(points: FloatArray, rate: float) -> FloatArray:
+    if len(points) < 2:
+        return np.zeros_like(points)
+    return np.gradient(points, axis=0) * rate

@@ -1,0 +1,211 @@
+"""Which joints each vertex follows: checked, pruned, normalised."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray
+from animtool.errors import Fault, FormatError, listed
+
+__all__ = ["InfluenceReport", "Influences", "read_influences"]
+
+# Sums of float32 weights are off by as much without anybody having meant it.
+SUM_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Influences:
+    """The joints of every vertex, those of vertex v from ``first[v]``.
+
+    Attributes:
+        first: ``(V + 1,)``, ascending from 0.
+        joints: ``(K,)`` int32, the strongest of a vertex first, none twice.
+        weights: ``(K,)`` [1], not zero, each vertex's sum is 1.
+    """
+
+    first: IntArray
+    joints: npt.NDArray[np.int32]
+    weights: FloatArray
+
+    @property
+    def vertices(self) -> int:
+        """Number of vertices."""
+        return len(self.first) - 1
+
+    def rows(self, vertices: IntArray) -> Influences:
+        """Return the influences of some vertices, in the order given.
+
+        Args:
+            vertices: ``(N,)``; one may stand more than once.
+        """
+        counts = np.diff(self.first)[vertices]
+        first = np.concatenate([[0], np.cumsum(counts)])
+        entries = np.arange(first[-1]) + np.repeat(
+            self.first[vertices] - first[:-1], counts
+        )
+        return Influences(first, self.joints[entries], self.weights[entries])
+
+
+@dataclass(frozen=True, slots=True)
+class InfluenceReport:
+    """What was done to influences as they were read.
+
+    Attributes:
+        normalized: Vertices whose weights did not add up to 1, by more than 1e-6.
+        pruned: Vertices that lost weights to keep within the number asked for.
+        zeros: Influences without weight that were left out.
+        merged: Influences that named a joint of their vertex again.
+        sum_error: Largest difference of a vertex's sum from 1, as it was read.
+        sum_vertex: The vertex it is at.
+    """
+
+    normalized: int
+    pruned: int
+    zeros: int
+    merged: int
+    sum_error: float
+    sum_vertex: int
+
+
+def read_influences(
+    indices: ArrayLike,
+    weights: ArrayLike,
+    joints: int,
+    *,
+    vertices: int | None = None,
+    most: int | None = None,
+) -> tuple[Influences, InfluenceReport]:
+    """Return the influences of a mesh, and what was done to them.
+
+    Influences without weight are left out, a joint that a vertex names twice counts
+    once with both weights, and the weights of each vertex are brought to the sum 1.
+
+    Args:
+        indices: ``(V, I)`` numbers of joints, or ``(1, I)`` for all vertices.
+        weights: The same shape [1].
+        joints: How many joints there are to count.
+        vertices: How many vertices there should be; None is as many as rows.
+        most: Keep so many of the strongest influences of a vertex; None keeps all.
+
+    Raises:
+        FormatError: All that is wrong: arrays that do not fit each other or the
+            vertices (SKIN001), a number that is no joint (SKIN002), a weight that is
+            not finite (SKIN003), a vertex without weight (SKIN004).
+
+    >>> found, report = read_influences([[0, 1]], [[3.0, 1.0]], joints=2)
+    >>> found.weights.tolist(), report.normalized, report.sum_error
+    ([0.75, 0.25], 1, 3.0)
+    """
+    numbers, values = np.asarray(indices), np.asarray(weights, np.float64)
+    _check_shapes(numbers, values, vertices)
+    if vertices is not None and len(numbers) == 1:
+        numbers = np.broadcast_to(numbers, (vertices, numbers.shape[1]))
+        values = np.broadcast_to(values, numbers.shape)
+    _check_values(numbers, values, joints)
+    count = len(numbers)
+    rows, found, strengths = _merged(numbers.astype(np.int64), values, max(joints, 1))
+    sums = np.bincount(rows, strengths, count).astype(np.float64)
+    kept = _strongest(rows, count, most)
+    lost = np.bincount(rows[~kept], minlength=count) > 0
+    used, merged = int(np.count_nonzero(values)), len(rows)
+    rows, found, strengths = rows[kept], found[kept], strengths[kept]
+    totals = np.bincount(rows, strengths, count).astype(np.float64)
+    _check_sums(sums, totals)
+    errors = np.abs(sums - 1)
+    report = InfluenceReport(
+        normalized=int(np.count_nonzero(errors > SUM_TOLERANCE)),
+        pruned=int(np.count_nonzero(lost)),
+        zeros=values.size - used,
+        merged=used - merged,
+        sum_error=float(errors.max(initial=0.0)),
+        sum_vertex=int(np.argmax(errors)) if count else 0,
+    )
+    weighted = strengths / totals[rows]
+    return Influences(_firsts(rows, count), found.astype(np.int32), weighted), report
+
+
+def _merged(
+    numbers: IntArray, values: FloatArray, joints: int
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """Return vertex, joint and weight of every influence, each pair once.
+
+    By vertex, the strongest first; ties in the order read, as UsdSkel's pivot.
+    """
+    rows, position = np.nonzero(values)
+    strengths = values[rows, position]
+    order = np.lexsort((position, -strengths, rows))
+    pairs = rows[order] * joints + numbers[rows, position][order]
+    unique, at, inverse = np.unique(pairs, return_index=True, return_inverse=True)
+    sums = np.bincount(inverse, strengths[order], len(unique)).astype(np.float64)
+    order = np.argsort(at)
+    return unique[order] // joints, unique[order] % joints, sums[order]
+
+
+def _firsts(rows: IntArray, count: int) -> IntArray:
+    """Return where each row begins, and the end ``(count + 1,)``."""
+    counts = np.bincount(rows, minlength=count)
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+
+def _strongest(rows: IntArray, count: int, most: int | None) -> BoolArray:
+    """Return which entries are among the first of their row."""
+    if most is None:
+        return np.ones(len(rows), np.bool_)
+    places = np.arange(len(rows)) - _firsts(rows, count)[rows]
+    return np.asarray(places < most, np.bool_)
+
+
+def _check_shapes(
+    numbers: npt.NDArray[np.generic], values: FloatArray, vertices: int | None
+) -> None:
+    faults = []
+    if numbers.ndim != 2 or numbers.shape != values.shape:
+        message = (
+            f"joint indices {numbers.shape} and weights {values.shape} must both be "
+            "(vertices, influences)"
+        )
+        faults.append(Fault("SKIN001", message))
+    elif vertices is not None and len(numbers) not in {1, vertices}:
+        message = f"influences of {len(numbers)} vertices, and there are {vertices}"
+        faults.append(Fault("SKIN001", message))
+    elif not np.issubdtype(numbers.dtype, np.integer):
+        faults.append(Fault("SKIN002", f"joint indices are {numbers.dtype}, not whole"))
+    if faults:
+        raise FormatError(faults)
+
+
+def _check_values(
+    numbers: npt.NDArray[np.generic], values: FloatArray, joints: int
+) -> None:
+    whole = numbers.astype(np.int64)
+    outside = (whole < 0) | (whole >= joints)
+    infinite = ~np.isfinite(values)
+    faults = [
+        *_faults("SKIN002", _any(outside), f"a joint index outside 0…{joints - 1}"),
+        *_faults("SKIN003", _any(infinite), "a weight that is not finite"),
+    ]
+    if faults:
+        raise FormatError(faults)
+
+
+def _any(wrong: BoolArray) -> BoolArray:
+    return np.asarray(wrong.any(axis=1), np.bool_)
+
+
+def _check_sums(sums: FloatArray, kept: FloatArray) -> None:
+    empty = np.minimum(sums, kept) <= 0
+    faults = _faults("SKIN004", np.asarray(empty), "no weight on any joint")
+    if faults:
+        raise FormatError(faults)
+
+
+def _faults(code: str, wrong: BoolArray, what: str) -> list[Fault]:
+    """Return the fault that some vertices have, if any has."""
+    at = np.flatnonzero(wrong).tolist()
+    if not at:
+        return []
+    noun = "vertex" if len(at) == 1 else f"{len(at)} vertices"
+    return [Fault(code, f"{noun} with {what}: {listed(at)}")]

@@ -1,0 +1,370 @@
+"""Blend shapes over frames: built once, then points from weights.
+
+A shape is offsets at weight 1, and at any inbetween weights. Points are linear in the
+columns, one for each of these, so that frames are a product of column weights and
+offsets: a dense one for shapes that move most of the mesh, a sparse one for those that
+move a part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from animtool import _kernels
+from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_floats
+from animtool.errors import Fault, FormatError, listed
+
+__all__ = [
+    "InbetweenDeltas",
+    "PreparedShapes",
+    "ShapeDeltas",
+    "blend_normals",
+    "blend_points",
+    "column_weights",
+    "prepare_shapes",
+]
+
+# Inbetweens nearer than this to weight 0, 1 or another are refused: UsdSkel skips them.
+NEAREST_INBETWEEN = 1e-6
+
+# What the two products cost beside each other, in time a frame over 10 000 vertices and
+# one thread of OpenBLAS: a column of the dense product 1.8 us, however many offsets it
+# has; a full column in the sparse one 4.1 us, in proportion to its offsets; and 20 us
+# to go over the points once more where both are used. So a column is cheaper sparse
+# while less than 44 % of the vertices move (tests/bench/deform.py measures these).
+SPARSE_COST = 2.3
+PASS_COLUMNS = 11.0
+
+# Rows of the dense table are copied to leave out columns that do not show. A copy
+# costs as much as a column's product over so many frames.
+COPY_FRAMES = 16
+
+
+@dataclass(frozen=True, slots=True)
+class InbetweenDeltas:
+    """The offsets of a shape at a weight of its own.
+
+    Attributes:
+        at: Weight [1], any but 0 and 1.
+        offsets: ``(D, 3)`` at the vertices of the shape.
+        normal_offsets: ``(D, 3)``; None leaves normals.
+    """
+
+    at: float
+    offsets: ArrayLike
+    normal_offsets: ArrayLike | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeDeltas:
+    """A blend shape as files have it.
+
+    Attributes:
+        name: For messages.
+        offsets: ``(D, 3)`` added at weight 1, in the space and unit of the points.
+        indices: ``(D,)`` vertices they are added to; None is every vertex.
+        normal_offsets: ``(D, 3)`` added to normals; None leaves them.
+        inbetweens: Offsets at other weights, in any order.
+    """
+
+    name: str
+    offsets: ArrayLike
+    indices: ArrayLike | None = None
+    normal_offsets: ArrayLike | None = None
+    inbetweens: tuple[InbetweenDeltas, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class _Columns:
+    """Rest values and offsets of C columns, each dense or sparse.
+
+    Attributes:
+        rest: ``(1, V, 3)``.
+        dense: Which columns are dense ``(C,)``.
+        table: ``(1 + dense, 3·V)``: the rest values, then the dense columns.
+        first: ``(V + 1,)`` where the sparse offsets of each vertex begin.
+        columns: ``(K,)`` int32, the column of each sparse offset.
+        offsets: ``(K, 3)``.
+    """
+
+    rest: FloatArray
+    dense: BoolArray
+    table: FloatArray
+    first: IntArray
+    columns: npt.NDArray[np.int32]
+    offsets: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedShapes:
+    """The shapes of a mesh, ready to be evaluated.
+
+    Attributes:
+        names: Of the S shapes, in the order of the weights.
+        knots: For each shape, the weights at which it is given, 0 and 1 included,
+            ascending.
+        points: Columns of the points: for each shape its knots but 0.
+        normals: Columns of the normals; None where no normals were given.
+    """
+
+    names: tuple[str, ...]
+    knots: tuple[FloatArray, ...]
+    points: _Columns
+    normals: _Columns | None
+
+    @property
+    def vertices(self) -> int:
+        """Number of vertices."""
+        return int(self.points.rest.shape[1])
+
+
+def prepare_shapes(
+    shapes: Sequence[ShapeDeltas], points: ArrayLike, normals: ArrayLike | None = None
+) -> PreparedShapes:
+    """Return shapes ready to be evaluated on a mesh.
+
+    Args:
+        shapes: S shapes, in the order that weights will have.
+        points: ``(V, 3)`` without any shape.
+        normals: ``(V, 3)``; None where they are not wanted.
+
+    Raises:
+        FormatError: All that is wrong: offsets that do not fit their vertices
+            (SKIN001), a vertex that is not there (SKIN002), an offset that is not
+            finite (SKIN003), an inbetween at 0, 1 or at another's weight (SKIN006).
+        ValueError: Points or normals of another shape.
+
+    >>> smile = ShapeDeltas("smile", [[0.0, 2.0, 0.0]], indices=[1])
+    >>> made = prepare_shapes([smile], np.zeros((2, 3)))
+    >>> blend_points(made, [[0.5]])[0].tolist()
+    [[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+    """
+    rest = as_floats(points, ("V", 3), "points")
+    faults = [fault for shape in shapes for fault in _faults(shape, len(rest))]
+    if faults:
+        raise FormatError(faults)
+    sorted_shapes = [_parts(shape) for shape in shapes]
+    knots = tuple(np.array([part.at for part in parts]) for parts in sorted_shapes)
+    return PreparedShapes(
+        tuple(shape.name for shape in shapes),
+        tuple(np.sort(np.append(own, 0.0)) for own in knots),
+        _columns(shapes, [[p.offsets for p in parts] for parts in sorted_shapes], rest),
+        None
+        if normals is None
+        else _columns(
+            shapes,
+            [[p.normal_offsets for p in parts] for parts in sorted_shapes],
+            as_floats(normals, (len(rest), 3), "normals"),
+        ),
+    )
+
+
+def column_weights(shapes: PreparedShapes, weights: ArrayLike) -> FloatArray:
+    """Return what each column of offsets counts ``(F, C)``.
+
+    A shape is piecewise linear through nothing at 0, its offsets at 1 and its
+    inbetweens; the first and the last piece go on beyond, as in UsdSkel.
+
+    Args:
+        shapes: S shapes.
+        weights: ``(F, S)`` [1], products of combined shapes included.
+
+    Raises:
+        ValueError: As many weights as shapes are needed.
+    """
+    values = as_floats(weights, ("F", len(shapes.names)), "weights")
+    parts = [
+        values[:, i : i + 1] if len(knots) == 2 else _hats(knots, values[:, i])
+        for i, knots in enumerate(shapes.knots)
+    ]
+    return np.concatenate([np.zeros((len(values), 0)), *parts], axis=1)
+
+
+def blend_points(shapes: PreparedShapes, weights: ArrayLike) -> FloatArray:
+    """Return the points of a mesh under its shapes ``(F, V, 3)``.
+
+    Shapes that do not show in any of the frames cost nothing.
+
+    Args:
+        shapes: S shapes.
+        weights: ``(F, S)`` [1], products of combined shapes included.
+
+    Raises:
+        ValueError: As many weights as shapes are needed.
+    """
+    return _blend(shapes.points, column_weights(shapes, weights))
+
+
+def blend_normals(shapes: PreparedShapes, weights: ArrayLike) -> FloatArray:
+    """Return the normals of a mesh under its shapes ``(F, V, 3)``, not normalised.
+
+    Args:
+        shapes: S shapes, prepared with normals.
+        weights: ``(F, S)`` [1], products of combined shapes included.
+
+    Raises:
+        ValueError: The shapes were prepared without normals, or have another number
+            of weights.
+    """
+    if shapes.normals is None:
+        raise ValueError("the shapes were prepared without normals")
+    return _blend(shapes.normals, column_weights(shapes, weights))
+
+
+def _blend(columns: _Columns, weights: FloatArray) -> FloatArray:
+    shows = np.asarray(weights.any(axis=0), np.bool_)
+    dense = np.asarray(columns.dense & shows, np.bool_)
+    sparse = np.asarray(~columns.dense & shows, np.bool_)
+    points = columns.rest
+    if dense.any():
+        points = _product(columns, weights, shows).reshape(len(weights), -1, 3)
+    if sparse.any():
+        first, numbers, offsets = _showing(columns, sparse)
+        points = _kernels.add_sparse(points, weights, first, numbers, offsets)
+    still = not (dense.any() or sparse.any())
+    return np.repeat(points, len(weights), axis=0) if still else points
+
+
+def _product(columns: _Columns, weights: FloatArray, shows: BoolArray) -> FloatArray:
+    """Return the rest and the dense columns times their weights ``(F, 3·V)``."""
+    own, used = weights[:, columns.dense], shows[columns.dense]
+    table = columns.table
+    hidden = len(used) - int(used.sum())
+    if hidden * len(weights) > COPY_FRAMES * (len(used) - hidden + 1):
+        table, own = table[np.append(True, used)], own[:, used]
+    return np.concatenate([np.ones((len(own), 1)), own], axis=1) @ table
+
+
+def _showing(
+    columns: _Columns, shows: BoolArray
+) -> tuple[IntArray, npt.NDArray[np.int32], FloatArray]:
+    """Return the sparse offsets of the columns that show."""
+    kept = shows[columns.columns]
+    if kept.all():
+        return columns.first, columns.columns, columns.offsets
+    before = np.concatenate([[0], np.cumsum(kept)])
+    return before[columns.first], columns.columns[kept], columns.offsets[kept]
+
+
+def _hats(knots: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return how much of the offsets at each knot but 0 there is ``(F, knots - 1)``."""
+    last = len(knots) - 2
+    at = np.clip(np.searchsorted(knots, weights, "right") - 1, 0, last)
+    share = (weights - knots[at]) / (knots[at + 1] - knots[at])
+    found = np.zeros((len(weights), len(knots)))
+    frames = np.arange(len(weights))
+    found[frames, at] = 1.0 - share
+    found[frames, at + 1] = share
+    return found[:, knots != 0]
+
+
+def _parts(shape: ShapeDeltas) -> list[InbetweenDeltas]:
+    """Return the offsets of a shape, its full ones included, by weight."""
+    full = InbetweenDeltas(1.0, shape.offsets, shape.normal_offsets)
+    return sorted([*shape.inbetweens, full], key=lambda part: part.at)
+
+
+def _columns(
+    shapes: Sequence[ShapeDeltas],
+    offsets: Sequence[Sequence[ArrayLike | None]],
+    rest: FloatArray,
+) -> _Columns:
+    moved: list[tuple[IntArray, FloatArray]] = []
+    for shape, parts in zip(shapes, offsets, strict=True):
+        for values in parts:
+            moved.append(_moved(shape, values, len(rest)))
+    density = np.array([len(at) for at, _ in moved]) / max(len(rest), 1)
+    dense = _dense(density)
+    table = np.zeros((1 + int(dense.sum()), *rest.shape))
+    table[0] = rest
+    for row, i in enumerate(np.flatnonzero(dense), 1):
+        np.add.at(table[row], moved[i][0], moved[i][1])
+    sparse = np.flatnonzero(~dense)
+    vertices = np.concatenate([np.zeros(0, np.int64), *(moved[i][0] for i in sparse)])
+    values = np.concatenate([np.zeros((0, 3)), *(moved[i][1] for i in sparse)])
+    numbers = np.repeat(sparse, [len(moved[i][0]) for i in sparse]).astype(np.int32)
+    order = np.argsort(vertices, kind="stable")
+    counts = np.bincount(vertices, minlength=len(rest))
+    return _Columns(
+        rest[None],
+        dense,
+        table.reshape(len(table), -1),
+        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        numbers[order],
+        values[order],
+    )
+
+
+def _dense(density: FloatArray) -> BoolArray:
+    """Return which columns the dense product is quicker for."""
+    cost = density * SPARSE_COST
+    dense = np.asarray(cost >= 1.0)
+    saved = float((1.0 - cost[~dense]).sum())
+    if dense.any() and saved < PASS_COLUMNS:
+        return np.ones(len(density), np.bool_)
+    return dense
+
+
+def _moved(
+    shape: ShapeDeltas, values: ArrayLike | None, count: int
+) -> tuple[IntArray, FloatArray]:
+    """Return the vertices that offsets move, and by how much."""
+    if values is None:
+        return np.zeros(0, np.int64), np.zeros((0, 3))
+    offsets = np.asarray(values, np.float64)
+    at = np.arange(count) if shape.indices is None else np.asarray(shape.indices)
+    moves = offsets.any(axis=1)
+    return at[moves].astype(np.int64), offsets[moves]
+
+
+def _faults(shape: ShapeDeltas, count: int) -> list[Fault]:
+    where = f"shape {shape.name!r}"
+    faults = []
+    length = count
+    if shape.indices is not None:
+        at = np.asarray(shape.indices)
+        if at.ndim != 1 or not (at.size == 0 or np.issubdtype(at.dtype, np.integer)):
+            message = (
+                f"{where}: vertex indices are {at.dtype} {at.shape}, not whole (D,)"
+            )
+            return [Fault("SKIN001", message)]
+        length = len(at)
+        outside = at[(at < 0) | (at >= count)].tolist()
+        if outside:
+            message = f"{where} moves vertices outside 0…{count - 1}: {listed(outside)}"
+            faults.append(Fault("SKIN002", message))
+    for part in _parts(shape):
+        for what, values in (
+            ("offsets", part.offsets),
+            ("normal offsets", part.normal_offsets),
+        ):
+            if values is not None:
+                name = f"{where}: {what} at {part.at:g}"
+                faults += _offset_faults(name, values, length)
+    return faults + _knot_faults(where, shape)
+
+
+def _offset_faults(name: str, values: ArrayLike, length: int) -> list[Fault]:
+    array = np.asarray(values, np.float64)
+    if array.shape != (length, 3):
+        message = f"{name} are {array.shape}, and must be ({length}, 3)"
+        return [Fault("SKIN001", message)]
+    wrong = np.flatnonzero(~np.isfinite(array).all(axis=1)).tolist()
+    if wrong:
+        message = f"{name} are not finite in rows {listed(wrong)}"
+        return [Fault("SKIN003", message)]
+    return []
+
+
+def _knot_faults(where: str, shape: ShapeDeltas) -> list[Fault]:
+    knots = np.sort([0.0, 1.0, *(part.at for part in shape.inbetweens)])
+    if (np.diff(knots) > NEAREST_INBETWEEN).all():
+        return []
+    weights = listed([f"{part.at:g}" for part in shape.inbetweens])
+    message = f"{where} has inbetweens at {weights}"
+    hint = "each needs a weight of its own, other than 0 and 1"
+    return [Fault("SKIN006", message, hint=hint)]

@@ -1,0 +1,313 @@
+"""Skinning over frames: linear blend and dual quaternions, as UsdSkel does them.
+
+Everything is for column vectors, in the space of the skeleton: the rig's world.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from animtool import _kernels
+from animtool._types import ArrayLike, FloatArray, IntArray, as_floats
+from animtool.errors import Fault, FormatError, listed
+from animtool.rig.kinematics import WorldTransforms
+from animtool.skin.influences import InfluenceReport, Influences, read_influences
+
+__all__ = [
+    "Binding",
+    "PreparedSkin",
+    "SkinMethod",
+    "prepare_skin",
+    "skin_normals",
+    "skin_points",
+]
+
+# A bind matrix whose linear part has a smaller determinant, as a share of the cube of
+# its largest number, has no inverse worth the name.
+SINGULAR = 1e-12
+
+# Stretches within this of none are rounding, and left out, as in UsdSkel.
+STRETCH_TOLERANCE = 1e-6
+
+
+class SkinMethod(StrEnum):
+    """How the transforms of several joints make one."""
+
+    LINEAR = "linear"
+    DUAL_QUATERNION = "dual_quaternion"
+
+
+@dataclass(frozen=True, slots=True)
+class Binding:
+    """How a mesh is bound to joints, as files have it.
+
+    Attributes:
+        indices: ``(V, I)`` numbers of joints, or ``(1, I)`` for all vertices alike.
+        weights: The same shape [1].
+        bind: World transforms of the skeleton's J joints at bind time ``(J, 4, 4)``.
+        joints: ``(U,)``, the skeleton's joint that each number means; None where
+            numbers count the skeleton's own.
+        geom_bind: World transform of the points at bind time ``(4, 4)``; None is
+            identity.
+        method: Linear blend or dual quaternions.
+    """
+
+    indices: ArrayLike
+    weights: ArrayLike
+    bind: ArrayLike
+    joints: ArrayLike | None = None
+    geom_bind: ArrayLike | None = None
+    method: SkinMethod = SkinMethod.LINEAR
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedSkin:
+    """A binding ready to be evaluated.
+
+    Attributes:
+        method: Linear blend or dual quaternions.
+        influences: Of every vertex; numbers count ``joints``.
+        report: What was done to the influences.
+        joints: ``(U,)``, the skeleton's joints that the mesh follows.
+        joint_from_world: Inverse bind transforms of these ``(U, 4, 4)``.
+        world_from_points: The points at bind time ``(4, 4)``.
+    """
+
+    method: SkinMethod
+    influences: Influences
+    report: InfluenceReport
+    joints: IntArray
+    joint_from_world: FloatArray
+    world_from_points: FloatArray
+
+    @property
+    def vertices(self) -> int:
+        """Number of vertices."""
+        return self.influences.vertices
+
+
+def prepare_skin(
+    binding: Binding, vertices: int, *, most: int | None = None
+) -> PreparedSkin:
+    """Return a binding ready to be evaluated, with the joints that it needs only.
+
+    Args:
+        binding: As files have it.
+        vertices: Number of vertices of the mesh.
+        most: Keep so many of the strongest influences of a vertex; None keeps all.
+
+    Raises:
+        FormatError: What `read_influences` refuses, a joint order that names no joint
+            of the skeleton (SKIN002), matrices of another shape (SKIN001), not finite
+            (SKIN003) or singular (SKIN005).
+    """
+    bind = np.asarray(binding.bind, np.float64)
+    geom = np.eye(4) if binding.geom_bind is None else np.asarray(binding.geom_bind)
+    geom = geom.astype(np.float64)
+    _check_matrices(bind, geom)
+    order = np.arange(len(bind))
+    if binding.joints is not None:
+        order = np.asarray(binding.joints)
+        _check_order(order, len(bind))
+    influences, report = read_influences(
+        binding.indices, binding.weights, len(order), vertices=vertices, most=most
+    )
+    used, numbers = np.unique(influences.joints, return_inverse=True)
+    joints = order[used].astype(np.int64)
+    _check_regular(bind, joints)
+    compact = Influences(influences.first, numbers.astype(np.int32), influences.weights)
+    inverse = np.linalg.inv(bind[joints]).astype(np.float64)
+    return PreparedSkin(binding.method, compact, report, joints, inverse, geom)
+
+
+def skin_points(
+    skin: PreparedSkin, points: ArrayLike, world: WorldTransforms
+) -> FloatArray:
+    """Return points where their joints carry them ``(F, V, 3)``.
+
+    Linear blend: ``p' = Σ w · world_from_joint · joint_from_world · geom_bind · p``.
+    Dual quaternions: each joint's transform from the bind pose is a rotation after a
+    stretch (the polar decomposition; a mirror is a negative stretch). Stretches are
+    blended linearly and move the point first; the rigid parts are blended as dual
+    quaternions, signs those nearest to the strongest joint's.
+
+    Where it fails: linear blend loses volume at bends and collapses at half turns.
+    Under dual quaternions, as in UsdSkel, a joint whose transform has a determinant
+    below 1e-10 leaves the blend, so that a point which follows no other stays at its
+    bind place.
+
+    Args:
+        skin: Of V vertices.
+        points: ``(F, V, 3)``, or ``(1, V, 3)`` where they are the same in all frames.
+        world: Of the skeleton's J joints.
+
+    Raises:
+        FormatError: A joint's transform is not finite (SKIN003).
+        ValueError: Arrays of another shape.
+    """
+    source = as_floats(points, ("F", skin.vertices, 3), "points")
+    return _skin(skin, skin.influences, source, world, normals=False)
+
+
+def skin_normals(
+    skin: PreparedSkin,
+    normals: ArrayLike,
+    world: WorldTransforms,
+    *,
+    vertices: IntArray | None = None,
+) -> FloatArray:
+    """Return unit normals as their joints turn them ``(F, N, 3)``.
+
+    Linear blend sums the inverse transposes of the joints' transforms, as UsdSkel;
+    dual quaternions turn by the blended rotation, after the inverse stretch. One that
+    a joint of zero scale leaves without direction is zero.
+
+    Args:
+        skin: Of V vertices.
+        normals: ``(F, N, 3)``, or ``(1, N, 3)`` where they are the same in all frames.
+        world: Of the skeleton's J joints.
+        vertices: The vertex of each normal ``(N,)``, for normals of face corners;
+            None is one a vertex.
+
+    Raises:
+        FormatError: A joint's transform is not finite (SKIN003).
+        ValueError: Arrays of another shape.
+    """
+    influences = skin.influences if vertices is None else skin.influences.rows(vertices)
+    source = as_floats(normals, ("F", influences.vertices, 3), "normals")
+    return _skin(skin, influences, source, world, normals=True)
+
+
+def _skin(
+    skin: PreparedSkin,
+    influences: Influences,
+    source: FloatArray,
+    world: WorldTransforms,
+    *,
+    normals: bool,
+) -> FloatArray:
+    if skin.method is SkinMethod.LINEAR:
+        offsets = skin.joint_from_world @ skin.world_from_points
+        transforms = _transforms(skin, offsets[:, :3], world)
+        if normals:
+            transforms[..., :3] = _inverse_transposes(transforms[..., :3])
+            transforms[..., 3] = 0.0
+        return _kernels.skin_linear(
+            source,
+            influences.first,
+            influences.joints,
+            influences.weights,
+            transforms,
+            normals,
+        )
+    transforms = _transforms(skin, skin.joint_from_world[:, :3], world)
+    rotations, stretches = _kernels.split_stretch(
+        np.ascontiguousarray(transforms[..., :3])
+    )
+    translations = np.ascontiguousarray(transforms[..., 3])
+    if normals:
+        turn = _inverse_transposes(skin.world_from_points[:3, :3])
+        source = source @ turn.T
+        stretches = _inverse_transposes(stretches)
+        translations[:] = 0.0
+    else:
+        source = _placed(source, skin.world_from_points)
+    return _kernels.skin_dual_quaternion(
+        source,
+        influences.first,
+        influences.joints,
+        influences.weights,
+        rotations,
+        translations,
+        _without_rounding(stretches),
+        normals,
+    )
+
+
+def _placed(points: FloatArray, world_from_points: FloatArray) -> FloatArray:
+    if (world_from_points == np.eye(4)).all():
+        return points
+    return points @ world_from_points[:3, :3].T + world_from_points[:3, 3]
+
+
+def _transforms(
+    skin: PreparedSkin, offsets: FloatArray, world: WorldTransforms
+) -> FloatArray:
+    """Return world from joint times offsets ``(U, 3, 4)``, ``(F, U, 3, 4)``."""
+    linear, origins = world.linear[:, skin.joints], world.positions[:, skin.joints]
+    _check_finite(skin, linear, origins)
+    transforms: FloatArray = np.matmul(linear, offsets)
+    transforms[..., 3] += origins
+    return transforms
+
+
+def _without_rounding(stretches: FloatArray) -> FloatArray | None:
+    """Return stretches, none in frames where no joint has any; None where no frame."""
+    off = np.abs(stretches - np.eye(3)).max(axis=(1, 2, 3), initial=0.0)
+    stretched = off > STRETCH_TOLERANCE
+    if not stretched.any():
+        return None
+    stretches[~stretched] = np.eye(3)
+    return stretches
+
+
+def _inverse_transposes(linear: FloatArray) -> FloatArray:
+    """Return inverse transposes ``(…, 3, 3)``; of singular ones, their direction."""
+    a, b, c = np.moveaxis(linear, -2, 0)
+    cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-2)
+    determinant = (a * cofactors[..., 0, :]).sum(axis=-1)[..., None, None]
+    size = np.linalg.norm(cofactors, axis=(-2, -1), keepdims=True)
+    largest = np.abs(linear).max(axis=(-2, -1), keepdims=True)
+    regular = np.abs(determinant) > SINGULAR * largest**3
+    divisor = np.where(regular, determinant, np.where(size > 0, size, 1.0))
+    return np.asarray(cofactors / divisor)
+
+
+def _check_matrices(bind: FloatArray, geom: FloatArray) -> None:
+    faults = []
+    for name, matrix, shape in (
+        ("bind transforms", bind, (len(bind), 4, 4) if bind.ndim else (0, 4, 4)),
+        ("the bind transform of the points", geom, (4, 4)),
+    ):
+        if matrix.shape != shape:
+            message = f"{name}: shape {matrix.shape}, and must be {shape}"
+            faults.append(Fault("SKIN001", message))
+        elif not np.isfinite(matrix).all():
+            rows = np.flatnonzero(~np.isfinite(matrix).all(axis=(-2, -1))).tolist()
+            joints = f", of joints {listed(rows)}" if matrix.ndim == 3 else ""
+            faults.append(Fault("SKIN003", f"{name} are not finite{joints}"))
+    if faults:
+        raise FormatError(faults)
+
+
+def _check_order(order: IntArray, joints: int) -> None:
+    if order.ndim != 1 or not np.issubdtype(order.dtype, np.integer):
+        message = (
+            f"the mesh's joint order is {order.dtype} {order.shape}, not whole (U,)"
+        )
+        raise FormatError(Fault("SKIN001", message))
+    wrong = order[(order < 0) | (order >= joints)].tolist()
+    if wrong:
+        message = f"the mesh's joint order has joints outside 0…{joints - 1}: "
+        raise FormatError(Fault("SKIN002", message + listed(wrong)))
+
+
+def _check_regular(bind: FloatArray, joints: IntArray) -> None:
+    linear = bind[joints, :3, :3]
+    largest = np.abs(linear).max(axis=(1, 2), initial=0.0)
+    singular = np.abs(np.linalg.det(linear)) <= SINGULAR * largest**3
+    if singular.any():
+        at = listed(joints[singular].tolist())
+        message = f"bind transforms of joints {at} are singular"
+        raise FormatError(Fault("SKIN005", message, hint="a scale of zero, as a rule"))
+
+
+def _check_finite(skin: PreparedSkin, linear: FloatArray, origins: FloatArray) -> None:
+    finite = np.isfinite(linear).all(axis=(2, 3)) & np.isfinite(origins).all(axis=2)
+    if not finite.all():
+        frame, joint = np.argwhere(~finite)[0].tolist()
+        message = f"joint {skin.joints[joint]} is not finite in frame {frame}"
+        raise FormatError(Fault("SKIN003", message))
