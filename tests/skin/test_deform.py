@@ -1,0 +1,135 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from support.skins import Array, random_case
+
+from animtool.errors import FormatError
+from animtool.rig.kinematics import WorldTransforms
+from animtool.skin.deform import DeformedMesh, deform, deform_blocks, extents
+from animtool.skin.shapes import ShapeDeltas, blend_points, prepare_shapes
+from animtool.skin.skinning import prepare_skin, skin_normals, skin_points
+
+FRAMES = 11
+
+
+def mesh_and_motion() -> tuple[DeformedMesh, Array, WorldTransforms]:
+    case = random_case(8, frames=FRAMES, scaled=True)
+    rng = np.random.default_rng(8)
+    normals = rng.normal(size=case.points.shape)
+    shapes = [
+        ShapeDeltas("a", rng.normal(size=(3, 3)), [1, 5, 6], rng.normal(size=(3, 3))),
+        ShapeDeltas("b", rng.normal(size=case.points.shape)),
+    ]
+    mesh = DeformedMesh(
+        case.points,
+        prepare_shapes(shapes, case.points, normals),
+        prepare_skin(case.binding, len(case.points)),
+        normals,
+    )
+    return mesh, rng.uniform(0, 1, (FRAMES, 2)), case.world
+
+
+def test_shapes_come_before_the_skin() -> None:
+    mesh, weights, world = mesh_and_motion()
+    assert mesh.shapes is not None
+    assert mesh.skin is not None
+    shaped = blend_points(mesh.shapes, weights)
+    made = deform(mesh, weights, world)
+    assert_array_equal(made.points, skin_points(mesh.skin, shaped, world))
+    assert_array_equal(made.extents[:, 0], made.points.min(axis=1))
+    assert_array_equal(made.extents[:, 1], made.points.max(axis=1))
+    assert made.normals is None
+    assert made.velocities is None
+
+
+@pytest.mark.parametrize("block", [1, 2, 4, 5, 100, None])
+def test_blocks_are_the_whole_in_pieces(block: int | None) -> None:
+    mesh, weights, world = mesh_and_motion()
+    whole = deform(mesh, weights, world, normals=True, rate=24)
+    parts = list(
+        deform_blocks(mesh, weights, world, normals=True, rate=24, block=block)
+    )
+    for name in ("points", "extents", "normals", "velocities"):
+        joined = np.concatenate([getattr(part, name) for part in parts])
+        assert_allclose(joined, getattr(whole, name), atol=1e-12)
+
+
+def test_velocities_of_a_steady_motion_are_exact() -> None:
+    case = random_case(1, frames=1)
+    shift = np.arange(5.0)[:, None, None] * [[[0.5, 0.0, -1.0]]]
+    world = WorldTransforms(
+        case.world.positions + shift, np.repeat(case.world.linear, 5, axis=0)
+    )
+    mesh = DeformedMesh(case.points, skin=prepare_skin(case.binding, 17))
+    made = deform(mesh, None, world, rate=30.0).velocities
+    expected = np.broadcast_to([15.0, 0, -30.0], (5, 17, 3))
+    assert made is not None
+    assert_allclose(made, expected, atol=1e-12)
+
+
+def test_one_frame_does_not_move() -> None:
+    mesh = DeformedMesh(np.eye(3))
+    made = deform(mesh, np.zeros((1, 0)), rate=24.0)
+    assert made.velocities is not None
+    assert not made.velocities.any()
+
+
+def test_without_weights_the_shapes_are_off() -> None:
+    mesh, weights, world = mesh_and_motion()
+    off = deform(mesh, 0 * weights, world, normals=True)
+    none = deform(mesh, None, world, normals=True)
+    assert_array_equal(off.points, none.points)
+    assert_array_equal(off.normals, none.normals)
+    assert mesh.skin is not None
+    assert_array_equal(none.normals, skin_normals(mesh.skin, [mesh.normals], world))
+
+
+def test_without_a_skin_points_stay_in_their_own_space() -> None:
+    mesh, weights, world = mesh_and_motion()
+    alone = DeformedMesh(mesh.points, mesh.shapes, None, mesh.normals)
+    made = deform(alone, weights, world, normals=True)
+    assert mesh.shapes is not None
+    assert made.normals is not None
+    assert_array_equal(made.points, blend_points(mesh.shapes, weights))
+    assert_allclose(np.linalg.norm(made.normals, axis=-1), 1)
+
+
+def test_results_may_be_written_to() -> None:
+    made = deform(DeformedMesh(np.eye(3)), np.zeros((2, 0)))
+    made.points[0] += 1
+    assert_array_equal(made.points[1], np.eye(3))
+
+
+def test_extents_of_no_points_are_empty() -> None:
+    low, high = extents(np.zeros((1, 0, 3)))[0]
+    assert (low > high).all()
+
+
+def test_another_number_of_frames_is_refused() -> None:
+    mesh, weights, world = mesh_and_motion()
+    with pytest.raises(ValueError, match="number of frames"):
+        deform(mesh, weights[:3], world)
+    with pytest.raises(ValueError, match="number of frames"):
+        deform(mesh)
+
+
+def test_normals_of_a_mesh_without_any_are_refused() -> None:
+    with pytest.raises(ValueError, match="no normals"):
+        deform(DeformedMesh(np.eye(3)), np.zeros((1, 0)), normals=True)
+
+
+def test_parts_that_do_not_fit_are_refused() -> None:
+    mesh, _, _ = mesh_and_motion()
+    with pytest.raises(FormatError) as caught:
+        DeformedMesh(
+            np.full((3, 3), np.nan), mesh.shapes, mesh.skin, normals=np.zeros((2, 3))
+        )
+    codes = [fault.code for fault in caught.value.faults]
+    assert codes == ["SKIN001", "SKIN001", "SKIN003", "SKIN001"]
+
+
+def test_normals_of_vertices_that_are_not_there_are_refused() -> None:
+    with pytest.raises(FormatError, match="SKIN002"):
+        DeformedMesh(np.eye(3), normals=np.eye(3)[:1], normal_vertices=np.array([3]))
