@@ -1,4 +1,4 @@
-// Skinning: linear blend and dual quaternions, two frames at a time.
+// Skinning: linear blend and dual quaternions, several frames at a time.
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
@@ -82,20 +82,39 @@ void interleave(const double* a, const double* b, std::size_t count, Pair* out) 
   for (std::size_t i = 0; i < count; ++i) out[i] = Pair{a[i], b[i]};
 }
 
-void linear_frames(const Influences& in, const Pair* palette, const double* p0,
-                   const double* p1, double* out0, double* out1, bool normalize) {
+// Frames that linear blending works on at once.
+constexpr std::size_t FRAMES = 4;
+
+// The transforms of four frames, (rows, 12) each, the frames of a number together.
+void interleave_four(const double* const (&tables)[FRAMES], std::size_t count, Pair* out) {
+  for (std::size_t i = 0; i < count; ++i, out += 2) {
+    out[0] = Pair{tables[0][i], tables[1][i]};
+    out[1] = Pair{tables[2][i], tables[3][i]};
+  }
+}
+
+// Still points share the products with their weights between all frames.
+template <bool Still>
+void linear_frames(const Influences& in, const Pair* palette,
+                   const double* const (&points)[FRAMES], double* const (&out)[FRAMES],
+                   bool normalize) {
   for (std::size_t v = 0; v < in.vertices; ++v) {
-    Pair m[12] = {};
+    const Vector p[2] = {load(points[0] + 3 * v, points[1] + 3 * v),
+                         load(points[2] + 3 * v, points[3] + 3 * v)};
+    Vector sum[2] = {};
     for (std::int64_t k = in.first[v]; k < in.first[v + 1]; ++k) {
       const Pair w = both(in.weights[k]);
-      const Pair* a = palette + 12 * in.joints[k];
-      for (int i = 0; i < 12; ++i) m[i] += w * a[i];
+      const Pair* a = palette + 24 * in.joints[k];
+      for (int h = 0; h < 2; ++h) {
+        const Vector& q = p[Still ? 0 : h];
+        const Pair x = w * q.x, y = w * q.y, z = w * q.z;
+        sum[h].x += x * a[h] + y * a[2 + h] + z * a[4 + h] + w * a[6 + h];
+        sum[h].y += x * a[8 + h] + y * a[10 + h] + z * a[12 + h] + w * a[14 + h];
+        sum[h].z += x * a[16 + h] + y * a[18 + h] + z * a[20 + h] + w * a[22 + h];
+      }
     }
-    const Vector p = load(p0 + 3 * v, p1 + 3 * v);
-    const Vector moved = {m[0] * p.x + m[1] * p.y + m[2] * p.z + m[3],
-                          m[4] * p.x + m[5] * p.y + m[6] * p.z + m[7],
-                          m[8] * p.x + m[9] * p.y + m[10] * p.z + m[11]};
-    store(moved, out0 + 3 * v, out1 + 3 * v, normalize);
+    for (int h = 0; h < 2; ++h)
+      store(sum[h], out[2 * h] + 3 * v, out[2 * h + 1] + 3 * v, normalize);
   }
 }
 
@@ -168,13 +187,19 @@ Out<double, 3> skin_linear(In<double, 3> points, In<std::int64_t, 1> first,
   Buffer<double> result(frames * row);
   {
     nb::gil_scoped_release release;
-    std::vector<Pair> palette(width);
-    for (std::size_t f = 0; f < frames; f += 2) {
-      const std::size_t g = std::min(f + 1, frames - 1);
-      interleave(transforms.data() + f * width, transforms.data() + g * width, width,
-                 palette.data());
-      linear_frames(in, palette.data(), source.frame(f), source.frame(g),
-                    result.get() + f * row, result.get() + g * row, normalize);
+    std::vector<Pair> palette(2 * width);
+    const auto blend = points.shape(0) == 1 ? linear_frames<true> : linear_frames<false>;
+    for (std::size_t f = 0; f < frames; f += FRAMES) {
+      const double *tables[FRAMES], *sources[FRAMES];
+      double* out[FRAMES];
+      for (std::size_t l = 0; l < FRAMES; ++l) {
+        const std::size_t g = std::min(f + l, frames - 1);
+        tables[l] = transforms.data() + g * width;
+        sources[l] = source.frame(g);
+        out[l] = result.get() + g * row;
+      }
+      interleave_four(tables, width, palette.data());
+      blend(in, palette.data(), sources, out, normalize);
     }
   }
   const std::size_t shape[3] = {frames, in.vertices, 3};

@@ -31,13 +31,13 @@ __all__ = [
 # Inbetweens nearer than this to weight 0, 1 or another are refused: UsdSkel skips them.
 NEAREST_INBETWEEN = 1e-6
 
-# What the two products cost beside each other, in time a frame over 10 000 vertices and
-# one thread of OpenBLAS: a column of the dense product 1.8 us, however many offsets it
-# has; a full column in the sparse one 4.1 us, in proportion to its offsets; and 20 us
-# to go over the points once more where both are used. So a column is cheaper sparse
-# while less than 44 % of the vertices move (tests/bench/deform.py measures these).
-SPARSE_COST = 2.3
-PASS_COLUMNS = 11.0
+# What the two products cost beside each other, measured a frame over 10 000 vertices on
+# one thread (tests/bench/deform.py): a column of the dense product 1.75 us, however
+# many offsets it has; a full column of the sparse one 4.2 us, in proportion to its
+# offsets; going over the points once more, where both are used, 22 us. So sparse is
+# cheaper while fewer than 42 % of the vertices move.
+SPARSE_COST = 2.4
+PASS_COLUMNS = 12.5
 
 # Rows of the dense table are copied to leave out columns that do not show. A copy
 # costs as much as a column's product over so many frames.
