@@ -40,8 +40,8 @@ SPARSE_COST = 2.4
 PASS_COLUMNS = 12.5
 
 # Rows of the dense table are copied to leave out columns that do not show. A copy
-# costs as much as a column's product over so many frames.
-COPY_FRAMES = 16
+# costs as much as the product of a column over so many frames (measured: 6.7).
+COPY_FRAMES = 7
 
 
 @dataclass(frozen=True, slots=True)
