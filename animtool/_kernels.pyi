@@ -93,18 +93,18 @@ def point_errors(points: Annotated[NDArray[numpy.float64], dict(shape=(None, Non
     parts ``(F, J, 3, 3)`` are those of `forward_kinematics`.
     """
 
-def skin_linear(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], first: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], joints: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], weights: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], transforms: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C', device='cpu', writable=False)], normalize: bool) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')]:
+def skin_linear(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], first: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], joints: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], weights: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], transforms: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C', device='cpu', writable=False)], normalize: bool, out: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu')]) -> None:
     """
-    Points ``(F, V, 3)`` moved by the weighted sum of joints' transforms.
+    Fill in points ``(F, V, 3)`` moved by the weighted sum of joints' transforms.
 
     Points are ``(F, V, 3)``, or ``(1, V, 3)`` where they stand still. Vertex v follows
     ``joints[first[v]:first[v + 1]]`` with the weights beside them. Transforms are
     ``(F, U, 3, 4)``, for column vectors. ``normalize`` brings results to length 1.
     """
 
-def skin_dual_quaternion(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], first: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], joints: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], weights: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], rotations: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], translations: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], stretches: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C', device='cpu', writable=False)] | None, normalize: bool) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')]:
+def skin_dual_quaternion(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], first: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], joints: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], weights: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], rotations: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], translations: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], stretches: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C', device='cpu', writable=False)] | None, normalize: bool, out: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu')]) -> None:
     """
-    Points ``(F, V, 3)`` moved by the weighted sum of joints' dual quaternions.
+    Fill in points ``(F, V, 3)`` moved by the weighted sum of dual quaternions.
 
     As `skin_linear`, with unit quaternions ``(F, U, 4)`` and translations ``(F, U, 3)``. The
     first influence of a vertex decides the sign of the others. Symmetric ``stretches``
@@ -120,11 +120,11 @@ def split_stretch(linear: Annotated[NDArray[numpy.float64], dict(shape=(None, No
     stretch.
     """
 
-def add_sparse(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], weights: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], first: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], columns: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], offsets: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')]:
+def add_sparse(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], weights: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], first: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], columns: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], offsets: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], out: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu')]) -> None:
     """
-    Points plus the weighted sum of sparse offsets, as ``(F, V, 3)``.
+    Fill in points plus the weighted sum of sparse offsets, as ``(F, V, 3)``.
 
-    Points are ``(F or 1, V, 3)``, weights ``(F, C)``. Vertex v has the offsets
+    ``out`` may be the points themselves. Points are ``(F or 1, V, 3)``, weights ``(F, C)``. Vertex v has the offsets
     ``first[v]`` to ``first[v + 1]``, each ``(3,)`` of the column in ``columns``.
     """
 

@@ -81,8 +81,8 @@ Points ``(J, P, 3)`` are in the joints' frames; origins ``(F, J, 3)`` and linear
 parts ``(F, J, 3, 3)`` are those of `forward_kinematics`.)");
 
   m.def("skin_linear", &skin_linear, "points"_a, "first"_a, "joints"_a, "weights"_a,
-        "transforms"_a, "normalize"_a,
-        R"(Points ``(F, V, 3)`` moved by the weighted sum of joints' transforms.
+        "transforms"_a, "normalize"_a, "out"_a.noconvert(),
+        R"(Fill in points ``(F, V, 3)`` moved by the weighted sum of joints' transforms.
 
 Points are ``(F, V, 3)``, or ``(1, V, 3)`` where they stand still. Vertex v follows
 ``joints[first[v]:first[v + 1]]`` with the weights beside them. Transforms are
@@ -90,7 +90,8 @@ Points are ``(F, V, 3)``, or ``(1, V, 3)`` where they stand still. Vertex v foll
 
   m.def("skin_dual_quaternion", &skin_dual_quaternion, "points"_a, "first"_a, "joints"_a,
         "weights"_a, "rotations"_a, "translations"_a, "stretches"_a.none(), "normalize"_a,
-        R"(Points ``(F, V, 3)`` moved by the weighted sum of joints' dual quaternions.
+        "out"_a.noconvert(),
+        R"(Fill in points ``(F, V, 3)`` moved by the weighted sum of dual quaternions.
 
 As `skin_linear`, with unit quaternions ``(F, U, 4)`` and translations ``(F, U, 3)``. The
 first influence of a vertex decides the sign of the others. Symmetric ``stretches``
@@ -104,10 +105,10 @@ where the linear part mirrors. A determinant below 1e-10 has quaternion zero and
 stretch.)");
 
   m.def("add_sparse", &add_sparse, "points"_a, "weights"_a, "first"_a, "columns"_a,
-        "offsets"_a,
-        R"(Points plus the weighted sum of sparse offsets, as ``(F, V, 3)``.
+        "offsets"_a, "out"_a.noconvert(),
+        R"(Fill in points plus the weighted sum of sparse offsets, as ``(F, V, 3)``.
 
-Points are ``(F or 1, V, 3)``, weights ``(F, C)``. Vertex v has the offsets
+``out`` may be the points themselves. Points are ``(F or 1, V, 3)``, weights ``(F, C)``. Vertex v has the offsets
 ``first[v]`` to ``first[v + 1]``, each ``(3,)`` of the column in ``columns``.)");
 
   m.def("point_extents", &point_extents, "points"_a,

@@ -32,13 +32,14 @@ void check_shapes(In<double, 3> points, In<double, 2> weights, In<std::int64_t, 
 
 }  // namespace
 
-Out<double, 3> add_sparse(In<double, 3> points, In<double, 2> weights,
-                          In<std::int64_t, 1> first, In<std::int32_t, 1> columns,
-                          In<double, 2> offsets) {
+void add_sparse(In<double, 3> points, In<double, 2> weights, In<std::int64_t, 1> first,
+                In<std::int32_t, 1> columns, In<double, 2> offsets,
+                Filled<double, 3> out) {
   check_shapes(points, weights, first, columns, offsets);
   const std::size_t frames = weights.shape(0), shapes = weights.shape(1);
   const std::size_t vertices = points.shape(1), row = vertices * 3;
-  Buffer<double> result(frames * row);
+  if (out.shape(0) != frames || out.shape(1) != vertices || out.shape(2) != 3)
+    throw std::invalid_argument("out is (F, V, 3), for as many points");
   {
     nb::gil_scoped_release release;
     const std::size_t stride = points.shape(0) == 1 ? 0 : row;
@@ -58,15 +59,13 @@ Out<double, 3> add_sparse(In<double, 3> points, In<double, 2> weights,
           for (int i = 0; i < 3; ++i)
             for (int h = 0; h < 2; ++h) sum[i][h] += w[h] * both(d[i]);
         }
-        for (std::size_t l = 0; l < LANES; ++l)
+        for (std::size_t l = 0; l < LANES && f + l < frames; ++l)
           for (int i = 0; i < 3; ++i)
-            result.get()[frame[l] * row + 3 * v + i] =
+            out.data()[frame[l] * row + 3 * v + i] =
                 points.data()[frame[l] * stride + 3 * v + i] + sum[i][l / 2][l % 2];
       }
     }
   }
-  const std::size_t shape[3] = {frames, vertices, 3};
-  return result.release(shape);
 }
 
 Out<double, 3> point_extents(In<double, 3> points) {

@@ -173,44 +173,48 @@ void dual_frames(const Influences& in, const Pair* palette, const Pair* stretche
   }
 }
 
+void check_out(const Filled<double, 3>& out, std::size_t frames, std::size_t vertices) {
+  if (out.shape(0) != frames || out.shape(1) != vertices || out.shape(2) != 3)
+    throw std::invalid_argument("out is (F, V, 3)");
+}
+
 }  // namespace
 
-Out<double, 3> skin_linear(In<double, 3> points, In<std::int64_t, 1> first,
-                           In<std::int32_t, 1> joints, In<double, 1> weights,
-                           In<double, 4> transforms, bool normalize) {
+void skin_linear(In<double, 3> points, In<std::int64_t, 1> first,
+                 In<std::int32_t, 1> joints, In<double, 1> weights,
+                 In<double, 4> transforms, bool normalize, Filled<double, 3> out) {
   const std::size_t frames = transforms.shape(0), count = transforms.shape(1);
   if (transforms.shape(2) != 3 || transforms.shape(3) != 4)
     throw std::invalid_argument("transforms are (F, U, 3, 4)");
   const Influences in = influences_of(first, joints, weights, count);
   const Points source(points, frames, in.vertices);
   const std::size_t row = in.vertices * 3, width = count * 12;
-  Buffer<double> result(frames * row);
+  check_out(out, frames, in.vertices);
+  double* const result = out.data();
   {
     nb::gil_scoped_release release;
     std::vector<Pair> palette(2 * width);
     const auto blend = points.shape(0) == 1 ? linear_frames<true> : linear_frames<false>;
     for (std::size_t f = 0; f < frames; f += FRAMES) {
       const double *tables[FRAMES], *sources[FRAMES];
-      double* out[FRAMES];
+      double* targets[FRAMES];
       for (std::size_t l = 0; l < FRAMES; ++l) {
         const std::size_t g = std::min(f + l, frames - 1);
         tables[l] = transforms.data() + g * width;
         sources[l] = source.frame(g);
-        out[l] = result.get() + g * row;
+        targets[l] = result + g * row;
       }
       interleave_four(tables, width, palette.data());
-      blend(in, palette.data(), sources, out, normalize);
+      blend(in, palette.data(), sources, targets, normalize);
     }
   }
-  const std::size_t shape[3] = {frames, in.vertices, 3};
-  return result.release(shape);
 }
 
-Out<double, 3> skin_dual_quaternion(In<double, 3> points, In<std::int64_t, 1> first,
-                                    In<std::int32_t, 1> joints, In<double, 1> weights,
-                                    In<double, 3> rotations, In<double, 3> translations,
-                                    std::optional<In<double, 4>> stretches,
-                                    bool normalize) {
+void skin_dual_quaternion(In<double, 3> points, In<std::int64_t, 1> first,
+                          In<std::int32_t, 1> joints, In<double, 1> weights,
+                          In<double, 3> rotations, In<double, 3> translations,
+                          std::optional<In<double, 4>> stretches, bool normalize,
+                          Filled<double, 3> out) {
   const std::size_t frames = rotations.shape(0), count = rotations.shape(1);
   if (rotations.shape(2) != 4 || translations.shape(0) != frames ||
       translations.shape(1) != count || translations.shape(2) != 3)
@@ -221,7 +225,8 @@ Out<double, 3> skin_dual_quaternion(In<double, 3> points, In<std::int64_t, 1> fi
   const Influences in = influences_of(first, joints, weights, count);
   const Points source(points, frames, in.vertices);
   const std::size_t row = in.vertices * 3, width = count * 8;
-  Buffer<double> result(frames * row);
+  check_out(out, frames, in.vertices);
+  double* const result = out.data();
   {
     nb::gil_scoped_release release;
     std::vector<double> duals(2 * width);
@@ -234,7 +239,7 @@ Out<double, 3> skin_dual_quaternion(In<double, 3> points, In<std::int64_t, 1> fi
                          translations.data() + both_frames[i] * count * 3, count,
                          duals.data() + i * width);
       interleave(duals.data(), duals.data() + width, width, palette.data());
-      double *out0 = result.get() + f * row, *out1 = result.get() + g * row;
+      double *out0 = result + f * row, *out1 = result + g * row;
       if (stretches) {
         interleave(stretches->data() + f * count * 9, stretches->data() + g * count * 9,
                    count * 9, scaling.data());
@@ -246,8 +251,6 @@ Out<double, 3> skin_dual_quaternion(In<double, 3> points, In<std::int64_t, 1> fi
       }
     }
   }
-  const std::size_t shape[3] = {frames, in.vertices, 3};
-  return result.release(shape);
 }
 
 }  // namespace animtool

@@ -224,7 +224,10 @@ def _blend(columns: _Columns, weights: FloatArray) -> FloatArray:
         points = _product(columns, weights, shows).reshape(len(weights), -1, 3)
     if sparse.any():
         first, numbers, offsets = _showing(columns, sparse)
-        points = _kernels.add_sparse(points, weights, first, numbers, offsets)
+        # The product is not needed any more, so its memory takes the sum.
+        out = points if dense.any() else np.zeros((len(weights), *points.shape[1:]))
+        _kernels.add_sparse(points, weights, first, numbers, offsets, out)
+        points = out
     still = not (dense.any() or sparse.any())
     return np.repeat(points, len(weights), axis=0) if still else points
 

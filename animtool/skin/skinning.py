@@ -124,7 +124,11 @@ def prepare_skin(
 
 
 def skin_points(
-    skin: PreparedSkin, points: ArrayLike, world: WorldTransforms
+    skin: PreparedSkin,
+    points: ArrayLike,
+    world: WorldTransforms,
+    *,
+    out: FloatArray | None = None,
 ) -> FloatArray:
     """Return points where their joints carry them ``(F, V, 3)``.
 
@@ -143,13 +147,15 @@ def skin_points(
         skin: Of V vertices.
         points: ``(F, V, 3)``, or ``(1, V, 3)`` where they are the same in all frames.
         world: Of the skeleton's J joints.
+        out: ``(F, V, 3)``, filled in and returned in place of a new array. Not to
+            overlap the points.
 
     Raises:
         FormatError: A joint's transform is not finite (SKIN003).
         ValueError: Arrays of another shape.
     """
     source = as_floats(points, ("F", skin.vertices, 3), "points")
-    return _skin(skin, skin.influences, source, world, normals=False)
+    return _skin(skin, skin.influences, source, world, out, normals=False)
 
 
 def skin_normals(
@@ -178,7 +184,7 @@ def skin_normals(
     """
     influences = skin.influences if vertices is None else skin.influences.rows(vertices)
     source = as_floats(normals, ("F", influences.vertices, 3), "normals")
-    return _skin(skin, influences, source, world, normals=True)
+    return _skin(skin, influences, source, world, None, normals=True)
 
 
 def _skin(
@@ -186,23 +192,27 @@ def _skin(
     influences: Influences,
     source: FloatArray,
     world: WorldTransforms,
+    out: FloatArray | None,
     *,
     normals: bool,
 ) -> FloatArray:
+    out = _result(out, (len(world.positions), influences.vertices, 3))
     if skin.method is SkinMethod.LINEAR:
         offsets = skin.joint_from_world @ skin.world_from_points
         transforms = _transforms(skin, offsets[:, :3], world)
         if normals:
             transforms[..., :3] = _inverse_transposes(transforms[..., :3])
             transforms[..., 3] = 0.0
-        return _kernels.skin_linear(
+        _kernels.skin_linear(
             source,
             influences.first,
             influences.joints,
             influences.weights,
             transforms,
             normals,
+            out,
         )
+        return out
     transforms = _transforms(skin, skin.joint_from_world[:, :3], world)
     rotations, stretches = _kernels.split_stretch(
         np.ascontiguousarray(transforms[..., :3])
@@ -215,7 +225,7 @@ def _skin(
         translations[:] = 0.0
     else:
         source = _placed(source, skin.world_from_points)
-    return _kernels.skin_dual_quaternion(
+    _kernels.skin_dual_quaternion(
         source,
         influences.first,
         influences.joints,
@@ -224,7 +234,17 @@ def _skin(
         translations,
         _without_rounding(stretches),
         normals,
+        out,
     )
+    return out
+
+
+def _result(out: FloatArray | None, shape: tuple[int, ...]) -> FloatArray:
+    if out is None:
+        return np.zeros(shape)
+    if out.shape != shape:
+        raise ValueError(f"out must have shape {shape}, not {out.shape}")
+    return out
 
 
 def _placed(points: FloatArray, world_from_points: FloatArray) -> FloatArray:

@@ -348,10 +348,10 @@ def measure_columns(options: argparse.Namespace) -> list[Row]:
     routes: dict[str, Route] = {
         "dense column": lambda: weights @ matrix,
         "full sparse column": lambda: _kernels.add_sparse(
-            rest, weights, first, columns, offsets
+            rest, weights, first, columns, offsets, whole
         ),
         "pass over the points": lambda: _kernels.add_sparse(
-            whole, weights, empty, *none
+            whole, weights, empty, *none, whole
         ),
     }
     seconds = in_turn(routes, options.runs)

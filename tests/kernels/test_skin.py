@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
@@ -12,13 +14,15 @@ INFLUENCES = {
     "weights": np.ones(2),
 }
 POINTS = {"points": np.zeros((1, 2, 3)), "normalize": False}
-LINEAR = {**INFLUENCES, **POINTS, "transforms": np.ones((3, 2, 3, 4))}
+OUT = {"out": np.zeros((3, 2, 3))}
+LINEAR = {**INFLUENCES, **POINTS, "transforms": np.ones((3, 2, 3, 4)), **OUT}
 DUAL = {
     **INFLUENCES,
     **POINTS,
     "rotations": np.tile([0.0, 0, 0, 1], (3, 2, 1)),
     "translations": np.ones((3, 2, 3)),
     "stretches": None,
+    **OUT,
 }
 SPARSE = {
     "points": np.zeros((1, 2, 3)),
@@ -26,19 +30,39 @@ SPARSE = {
     "first": np.array([0, 1, 3]),
     "columns": np.array([1, 0, 1], np.int32),
     "offsets": np.ones((3, 3)),
+    "out": np.zeros((5, 2, 3)),
 }
 
 
+def filled(kernel: Callable[..., None], arguments: dict[str, object]) -> object:
+    out = np.full(np.shape(arguments["out"]), np.nan)
+    kernel(**{**arguments, "out": out})
+    return out
+
+
 def test_each_gives_all_frames() -> None:
-    assert_array_equal(_kernels.skin_linear(**LINEAR), np.ones((3, 2, 3)))
-    assert_array_equal(_kernels.skin_dual_quaternion(**DUAL), np.ones((3, 2, 3)))
+    ones = np.ones((3, 2, 3))
+    assert_array_equal(filled(_kernels.skin_linear, LINEAR), ones)
+    assert_array_equal(filled(_kernels.skin_dual_quaternion, DUAL), ones)
     expected = np.broadcast_to([[1.0], [2.0]], (5, 2, 3))
-    assert_array_equal(_kernels.add_sparse(**SPARSE), expected)
+    assert_array_equal(filled(_kernels.add_sparse, SPARSE), expected)
+
+
+def test_sparse_adds_in_place() -> None:
+    points = np.ones((5, 2, 3))
+    _kernels.add_sparse(**{**SPARSE, "points": points, "out": points})
+    assert_array_equal(points, np.broadcast_to([[2.0], [3.0]], (5, 2, 3)))
 
 
 def test_no_frames() -> None:
-    none = _kernels.skin_linear(**{**LINEAR, "transforms": np.ones((0, 2, 3, 4))})
-    assert none.shape == (0, 2, 3)
+    none = {"transforms": np.ones((0, 2, 3, 4)), "out": np.zeros((0, 2, 3))}
+    _kernels.skin_linear(**{**LINEAR, **none})
+
+
+def test_a_result_of_another_kind_is_refused() -> None:
+    for out in (np.zeros((3, 2, 3), np.float32), np.zeros((3, 3, 2)).swapaxes(1, 2)):
+        with pytest.raises(TypeError):
+            _kernels.skin_linear(**{**LINEAR, "out": out})
 
 
 BAD_INFLUENCES = [
@@ -52,6 +76,7 @@ BAD_INFLUENCES = [
     ("points", np.zeros((2, 2, 3))),
     ("points", np.zeros((1, 3, 3))),
     ("points", np.zeros((1, 2, 4))),
+    ("out", np.zeros((2, 2, 3))),
 ]
 
 
@@ -59,7 +84,7 @@ BAD_INFLUENCES = [
     ("name", "value"), [*BAD_INFLUENCES, ("transforms", np.ones((3, 2, 4, 4)))]
 )
 def test_linear_refuses_bad_arrays(name: str, value: object) -> None:
-    with pytest.raises(ValueError, match=r"first|joints|points|transforms"):
+    with pytest.raises(ValueError, match=r"first|joints|points|transforms|out"):
         _kernels.skin_linear(**{**LINEAR, name: value})
 
 
@@ -73,7 +98,9 @@ def test_linear_refuses_bad_arrays(name: str, value: object) -> None:
     ],
 )
 def test_dual_quaternions_refuse_bad_arrays(name: str, value: object) -> None:
-    with pytest.raises(ValueError, match=r"first|joints|points|rotations|stretches"):
+    with pytest.raises(
+        ValueError, match=r"first|joints|points|rotations|stretches|out"
+    ):
         _kernels.skin_dual_quaternion(**{**DUAL, name: value})
 
 
@@ -86,10 +113,11 @@ def test_dual_quaternions_refuse_bad_arrays(name: str, value: object) -> None:
         ("columns", np.array([0, 2, 0], np.int32)),
         ("offsets", np.ones((2, 3))),
         ("weights", np.ones((5, 1))),
+        ("out", np.zeros((4, 2, 3))),
     ],
 )
 def test_sparse_refuses_bad_arrays(name: str, value: object) -> None:
-    with pytest.raises(ValueError, match=r"first|columns|points"):
+    with pytest.raises(ValueError, match=r"first|columns|points|out"):
         _kernels.add_sparse(**{**SPARSE, name: value})
 
 

@@ -3,17 +3,24 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_array_equal
 
+from animtool.rig.parts import Shape
 from animtool.rig.shapes import combined_weights
+
+A, B = Shape("a"), Shape("b")
+BOTH = Shape("both", combine=("a", "b"))
 
 
 def test_a_product_is_added_to_the_own_weight() -> None:
-    own = [np.array([0.5, 1.0]), np.array([0.4]), np.array([0.1])]
-    made = combined_weights(own, [(), (), (0, 1)])
-    assert_array_equal(made[2], 0.1 + np.array([0.5, 1.0]) * 0.4)
-    assert made[0] is own[0]
+    own = {"a": np.array([0.5, 1.0]), "b": np.array([0.4]), "both": np.array([0.1])}
+    made = combined_weights([A, B, BOTH], own)
+    assert_array_equal(made["both"], 0.1 + np.array([0.5, 1.0]) * 0.4)
+    assert made["a"] is own["a"]
 
 
-def test_a_combined_shape_may_drive_a_later_one() -> None:
-    own = [np.array([0.5]), np.array([0.5]), np.zeros(1), np.zeros(1)]
-    made = combined_weights(own, [(), (), (0, 1), (0, 2)])
-    assert made[3].tolist() == [0.125]
+def test_a_combined_shape_drives_one_that_stands_before_it() -> None:
+    late = Shape("late", combine=("a", "both"))
+    own = {"a": 0.5, "b": 0.5, "both": 0.0, "late": 0.0}
+    columns = {name: np.array([value]) for name, value in own.items()}
+    made = combined_weights([late, A, B, BOTH], columns)
+    assert list(made) == ["late", "a", "b", "both"]
+    assert made["late"].tolist() == [0.125]

@@ -143,6 +143,18 @@ def test_points_of_each_frame(method: SkinMethod) -> None:
         assert_allclose(whole[f], alone[f], atol=1e-14)
 
 
+@methods
+def test_a_result_is_filled_in(method: SkinMethod) -> None:
+    case = random_case(3).with_method(method)
+    skin = prepare_skin(case.binding, 17)
+    out = np.full((3, 17, 3), np.nan)
+    made = skin_points(skin, case.points[None], case.world, out=out)
+    assert made is out
+    assert_array_equal(out, skinned(case))
+    with pytest.raises(ValueError, match="out must have shape"):
+        skin_points(skin, case.points[None], case.world, out=out[:2])
+
+
 def test_a_half_twist_keeps_its_radius_under_dual_quaternions() -> None:
     """Linear blending collapses it to the axis: the candy wrapper."""
     turn = so3.to_matrix(so3.from_axis_angle([1, 0, 0], np.pi * 0.999999))
