@@ -17,6 +17,7 @@ import numpy.typing as npt
 from animtool import _kernels
 from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_floats
 from animtool.errors import Fault, FormatError, listed
+from animtool.skin.results import result
 
 __all__ = [
     "InbetweenDeltas",
@@ -184,7 +185,9 @@ def column_weights(shapes: PreparedShapes, weights: ArrayLike) -> FloatArray:
     return np.concatenate([np.zeros((len(values), 0)), *parts], axis=1)
 
 
-def blend_points(shapes: PreparedShapes, weights: ArrayLike) -> FloatArray:
+def blend_points(
+    shapes: PreparedShapes, weights: ArrayLike, *, out: FloatArray | None = None
+) -> FloatArray:
     """Return the points of a mesh under its shapes ``(F, V, 3)``.
 
     Shapes that do not show in any of the frames cost nothing.
@@ -192,11 +195,12 @@ def blend_points(shapes: PreparedShapes, weights: ArrayLike) -> FloatArray:
     Args:
         shapes: S shapes.
         weights: ``(F, S)`` [1], products of combined shapes included.
+        out: ``(F, V, 3)``, filled in and returned in place of a new array.
 
     Raises:
-        ValueError: As many weights as shapes are needed.
+        ValueError: As many weights as shapes are needed, or another ``out``.
     """
-    return _blend(shapes.points, column_weights(shapes, weights))
+    return _blend(shapes.points, column_weights(shapes, weights), out)
 
 
 def blend_normals(shapes: PreparedShapes, weights: ArrayLike) -> FloatArray:
@@ -212,34 +216,39 @@ def blend_normals(shapes: PreparedShapes, weights: ArrayLike) -> FloatArray:
     """
     if shapes.normals is None:
         raise ValueError("the shapes were prepared without normals")
-    return _blend(shapes.normals, column_weights(shapes, weights))
+    return _blend(shapes.normals, column_weights(shapes, weights), None)
 
 
-def _blend(columns: _Columns, weights: FloatArray) -> FloatArray:
+def _blend(
+    columns: _Columns, weights: FloatArray, out: FloatArray | None
+) -> FloatArray:
     shows = np.asarray(weights.any(axis=0), np.bool_)
     dense = np.asarray(columns.dense & shows, np.bool_)
     sparse = np.asarray(~columns.dense & shows, np.bool_)
+    made = result(out, (len(weights), *columns.rest.shape[1:]))
     points = columns.rest
     if dense.any():
-        points = _product(columns, weights, shows).reshape(len(weights), -1, 3)
+        _product(columns, weights, shows, made.reshape(len(made), -1))
+        points = made
     if sparse.any():
         first, numbers, offsets = _showing(columns, sparse)
-        # The product is not needed any more, so its memory takes the sum.
-        out = points if dense.any() else np.zeros((len(weights), *points.shape[1:]))
-        _kernels.add_sparse(points, weights, first, numbers, offsets, out)
-        points = out
-    still = not (dense.any() or sparse.any())
-    return np.repeat(points, len(weights), axis=0) if still else points
+        _kernels.add_sparse(points, weights, first, numbers, offsets, made)
+    elif not dense.any():
+        made[:] = points
+    return made
 
 
-def _product(columns: _Columns, weights: FloatArray, shows: BoolArray) -> FloatArray:
-    """Return the rest and the dense columns times their weights ``(F, 3·V)``."""
+def _product(
+    columns: _Columns, weights: FloatArray, shows: BoolArray, out: FloatArray
+) -> None:
+    """Fill in the rest and the dense columns times their weights ``(F, 3·V)``."""
     own, used = weights[:, columns.dense], shows[columns.dense]
     table = columns.table
     hidden = len(used) - int(used.sum())
     if hidden * len(weights) > COPY_FRAMES * (len(used) - hidden + 1):
         table, own = table[np.append(True, used)], own[:, used]
-    return np.concatenate([np.ones((len(own), 1)), own], axis=1) @ table
+    factors = np.concatenate([np.ones((len(own), 1)), own], axis=1)
+    np.matmul(factors, table, out=out)
 
 
 def _showing(

@@ -15,6 +15,7 @@ from animtool._types import ArrayLike, FloatArray, IntArray, as_floats
 from animtool.errors import Fault, FormatError, listed
 from animtool.rig.kinematics import WorldTransforms
 from animtool.skin.influences import InfluenceReport, Influences, read_influences
+from animtool.skin.results import result
 
 __all__ = [
     "Binding",
@@ -196,7 +197,7 @@ def _skin(
     *,
     normals: bool,
 ) -> FloatArray:
-    out = _result(out, (len(world.positions), influences.vertices, 3))
+    made = result(out, (len(world.positions), influences.vertices, 3))
     if skin.method is SkinMethod.LINEAR:
         offsets = skin.joint_from_world @ skin.world_from_points
         transforms = _transforms(skin, offsets[:, :3], world)
@@ -210,9 +211,9 @@ def _skin(
             influences.weights,
             transforms,
             normals,
-            out,
+            made,
         )
-        return out
+        return made
     transforms = _transforms(skin, skin.joint_from_world[:, :3], world)
     rotations, stretches = _kernels.split_stretch(
         np.ascontiguousarray(transforms[..., :3])
@@ -234,17 +235,9 @@ def _skin(
         translations,
         _without_rounding(stretches),
         normals,
-        out,
+        made,
     )
-    return out
-
-
-def _result(out: FloatArray | None, shape: tuple[int, ...]) -> FloatArray:
-    if out is None:
-        return np.zeros(shape)
-    if out.shape != shape:
-        raise ValueError(f"out must have shape {shape}, not {out.shape}")
-    return out
+    return made
 
 
 def _placed(points: FloatArray, world_from_points: FloatArray) -> FloatArray:

@@ -157,6 +157,28 @@ def test_no_shapes_and_no_frames() -> None:
     assert blend_points(one([]), np.zeros((0, 1))).shape == (0, 1, 3)
 
 
+@pytest.mark.parametrize("shown", [[], [1], [0], [0, 1]])
+def test_a_result_is_filled_in(shown: list[int]) -> None:
+    rng = np.random.default_rng(4)
+    rest = rng.normal(size=(30, 3))
+    made = prepare_shapes(random_shapes(rng, 30), rest)
+    weights = np.zeros((5, 30))
+    weights[:, shown] = 0.7
+    out = np.full((5, 30, 3), np.nan)
+    assert blend_points(made, weights, out=out) is out
+    assert_array_equal(out, blend_points(made, weights))
+
+
+@pytest.mark.parametrize(
+    "out",
+    [np.zeros((4, 30, 3)), np.zeros((5, 30, 3), np.float32), np.zeros((3, 30, 5)).T],
+)
+def test_a_result_of_another_kind_is_refused(out: Array) -> None:
+    made = prepare_shapes([], np.zeros((30, 3)))
+    with pytest.raises(ValueError, match=r"float64 \(5, 30, 3\), in C order"):
+        blend_points(made, np.zeros((5, 0)), out=out)
+
+
 def test_normals_that_were_not_prepared_are_refused() -> None:
     with pytest.raises(ValueError, match="without normals"):
         blend_normals(one([]), [[1.0]])

@@ -151,7 +151,7 @@ def test_a_result_is_filled_in(method: SkinMethod) -> None:
     made = skin_points(skin, case.points[None], case.world, out=out)
     assert made is out
     assert_array_equal(out, skinned(case))
-    with pytest.raises(ValueError, match="out must have shape"):
+    with pytest.raises(ValueError, match="out must be float64"):
         skin_points(skin, case.points[None], case.world, out=out[:2])
 
 
