@@ -32,4 +32,18 @@ inline Pair where_below(Pair x, Pair limit, Pair a, Pair b) {
 
 inline Pair both(double value) { return Pair{value, value}; }
 
+// A vector of each of two frames.
+struct Vector {
+  Pair x, y, z;
+};
+
+inline Vector load(const double* a, const double* b) {
+  return {Pair{a[0], b[0]}, Pair{a[1], b[1]}, Pair{a[2], b[2]}};
+}
+
+inline void store(const Vector& p, double* a, double* b) {
+  a[0] = p.x[0], a[1] = p.y[0], a[2] = p.z[0];
+  b[0] = p.x[1], b[1] = p.y[1], b[2] = p.z[1];
+}
+
 }  // namespace animtool

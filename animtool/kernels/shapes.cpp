@@ -30,6 +30,26 @@ void check_shapes(In<double, 3> points, In<double, 2> weights, In<std::int64_t, 
       throw std::invalid_argument("columns are those of the weights");
 }
 
+void add_frames(std::size_t vertices, const std::int64_t* first, const std::int32_t* columns,
+                const double* offsets, const Pair* weights,
+                const double* const (&from)[LANES], double* const (&to)[LANES]) {
+  for (std::size_t v = 0; v < vertices; ++v) {
+    // All frames are read before any is written: the last may stand here twice.
+    Vector p[2] = {load(from[0] + 3 * v, from[1] + 3 * v),
+                   load(from[2] + 3 * v, from[3] + 3 * v)};
+    for (std::int64_t k = first[v]; k < first[v + 1]; ++k) {
+      const Pair* w = weights + 2 * columns[k];
+      const double* d = offsets + 3 * k;
+      for (int h = 0; h < 2; ++h) {
+        p[h].x += w[h] * both(d[0]);
+        p[h].y += w[h] * both(d[1]);
+        p[h].z += w[h] * both(d[2]);
+      }
+    }
+    for (int h = 0; h < 2; ++h) store(p[h], to[2 * h] + 3 * v, to[2 * h + 1] + 3 * v);
+  }
+}
+
 }  // namespace
 
 void add_sparse(In<double, 3> points, In<double, 2> weights, In<std::int64_t, 1> first,
@@ -45,25 +65,20 @@ void add_sparse(In<double, 3> points, In<double, 2> weights, In<std::int64_t, 1>
     const std::size_t stride = points.shape(0) == 1 ? 0 : row;
     std::vector<Pair> table(shapes * 2);
     for (std::size_t f = 0; f < frames; f += LANES) {
-      std::size_t frame[LANES];
-      for (std::size_t l = 0; l < LANES; ++l) frame[l] = std::min(f + l, frames - 1);
-      for (std::size_t c = 0; c < shapes; ++c)
-        for (int h = 0; h < 2; ++h)
-          table[2 * c + h] = Pair{weights.data()[frame[2 * h] * shapes + c],
-                                  weights.data()[frame[2 * h + 1] * shapes + c]};
-      for (std::size_t v = 0; v < vertices; ++v) {
-        Pair sum[3][2] = {};
-        for (std::int64_t k = first.data()[v]; k < first.data()[v + 1]; ++k) {
-          const Pair* w = table.data() + 2 * columns.data()[k];
-          const double* d = offsets.data() + 3 * k;
-          for (int i = 0; i < 3; ++i)
-            for (int h = 0; h < 2; ++h) sum[i][h] += w[h] * both(d[i]);
-        }
-        for (std::size_t l = 0; l < LANES && f + l < frames; ++l)
-          for (int i = 0; i < 3; ++i)
-            out.data()[frame[l] * row + 3 * v + i] =
-                points.data()[frame[l] * stride + 3 * v + i] + sum[i][l / 2][l % 2];
+      const double *rows[LANES], *from[LANES];
+      double* to[LANES];
+      for (std::size_t l = 0; l < LANES; ++l) {
+        const std::size_t g = std::min(f + l, frames - 1);
+        rows[l] = weights.data() + g * shapes;
+        from[l] = points.data() + g * stride;
+        to[l] = out.data() + g * row;
       }
+      for (std::size_t c = 0; c < shapes; ++c) {
+        table[2 * c] = Pair{rows[0][c], rows[1][c]};
+        table[2 * c + 1] = Pair{rows[2][c], rows[3][c]};
+      }
+      add_frames(vertices, first.data(), columns.data(), offsets.data(), table.data(), from,
+                 to);
     }
   }
 }

@@ -50,16 +50,8 @@ class Points {
   std::size_t stride_;
 };
 
-struct Vector {
-  Pair x, y, z;
-};
-
 inline Vector cross(const Vector& a, const Vector& b) {
   return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
-}
-
-inline Vector load(const double* a, const double* b) {
-  return {Pair{a[0], b[0]}, Pair{a[1], b[1]}, Pair{a[2], b[2]}};
 }
 
 inline void unit(double* v) {
@@ -70,8 +62,7 @@ inline void unit(double* v) {
 }
 
 inline void store(const Vector& p, double* a, double* b, bool normalize) {
-  a[0] = p.x[0], a[1] = p.y[0], a[2] = p.z[0];
-  b[0] = p.x[1], b[1] = p.y[1], b[2] = p.z[1];
+  store(p, a, b);
   if (!normalize) return;
   unit(a);
   if (b != a) unit(b);
