@@ -123,8 +123,20 @@ def deform(
     [[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]
     """
     values = None if weights is None else as_floats(weights, ("F", "S"), "weights")
+    return _deform(mesh, values, world, normals, rate, None)
+
+
+def _deform(
+    mesh: DeformedMesh,
+    values: FloatArray | None,
+    world: WorldTransforms | None,
+    normals: bool,
+    rate: float | None,
+    scratch: FloatArray | None,
+) -> Deformed:
+    """Return what `deform` does; shaped points pass through ``(≥ F, V, 3)`` scratch."""
     frames = _frames(values, world)
-    points = _points(mesh, values, world, frames)
+    points = _points(mesh, values, world, frames, scratch)
     return Deformed(
         points,
         extents(points),
@@ -160,17 +172,21 @@ def deform_blocks(
     size = block or max(2, BLOCK_BYTES // max(24 * len(mesh.points), 1) // 2 * 2)
     # Central differences need the frame on either side.
     margin = 0 if rate is None else 1
+    scratch = None
+    if mesh.shapes is not None and mesh.skin is not None and world is not None:
+        scratch = np.zeros((min(frames, size + 2 * margin), *mesh.points.shape))
     for begin in range(0, frames, size):
         end = min(begin + size, frames)
         low, high = max(begin - margin, 0), min(end + margin, frames)
-        made = deform(
+        made = _deform(
             mesh,
             None if values is None else values[low:high],
             None
             if world is None
             else WorldTransforms(world.positions[low:high], world.linear[low:high]),
-            normals=normals,
-            rate=rate,
+            normals,
+            rate,
+            scratch,
         )
         own = slice(begin - low, end - low)
         yield Deformed(
@@ -206,10 +222,12 @@ def _points(
     weights: FloatArray | None,
     world: WorldTransforms | None,
     frames: int,
+    scratch: FloatArray | None,
 ) -> FloatArray:
     points = mesh.points[None]
     if mesh.shapes is not None and weights is not None and weights.any():
-        points = blend_points(mesh.shapes, weights)
+        out = None if scratch is None else scratch[:frames]
+        points = blend_points(mesh.shapes, weights, out=out)
     if mesh.skin is not None and world is not None:
         return skin_points(mesh.skin, points, world)
     return np.ascontiguousarray(np.broadcast_to(points, (frames, *points.shape[1:])))

@@ -34,11 +34,11 @@ NEAREST_INBETWEEN = 1e-6
 
 # What the two products cost beside each other, measured a frame over 10 000 vertices on
 # one thread (tests/bench/deform.py): a column of the dense product 1.75 us, however
-# many offsets it has; a full column of the sparse one 4.2 us, in proportion to its
-# offsets; going over the points once more, where both are used, 22 us. So sparse is
-# cheaper while fewer than 42 % of the vertices move.
-SPARSE_COST = 2.4
-PASS_COLUMNS = 12.5
+# many offsets it has; a full column of the sparse one 4.3 us, in proportion to its
+# offsets; going over the points once more, where both are used, 11.6 us. So sparse is
+# cheaper while fewer than 40 % of the vertices move.
+SPARSE_COST = 2.5
+PASS_COLUMNS = 6.6
 
 # Rows of the dense table are copied to leave out columns that do not show. A copy
 # costs as much as the product of a column over so many frames (measured: 6.7).
