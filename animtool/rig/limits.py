@@ -44,6 +44,11 @@ class BallLimit:
     twist: tuple[float, float] | None = None
     twist_axis: tuple[float, float, float] = (0.0, 1.0, 0.0)
 
+    @property
+    def axes(self) -> FloatArray:
+        """Twist axis and the two that swing is about, unit ``(3, 3)``, one a row."""
+        return np.stack([np.asarray(self.twist_axis), *_across(self.twist_axis)])
+
     def excess(self, rotations: FloatArray) -> FloatArray:
         """Return the angle between rotations ``(F, 4)`` and the limits [rad]."""
         return so3.angle_between(rotations, self.clamped(rotations))
@@ -61,7 +66,7 @@ class BallLimit:
             twist = np.clip(twist - whole, *self.twist)
         if self.swing is not None:
             across = so3.log(swing)
-            parts = across @ _across(self.twist_axis).T
+            parts = across @ self.axes[1:].T
             wide = np.maximum(self.swing, SMALLEST_CONE)
             reach = np.linalg.norm(parts / wide, axis=-1, keepdims=True)
             swing = so3.exp(across / np.maximum(reach, 1.0))
