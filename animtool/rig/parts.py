@@ -4,12 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.documents.arrays import load_array
 
 __all__ = [
     "ArrayRef",
+    "ArraySource",
     "Attachment",
     "Capsule",
     "Collider",
+    "HeldArray",
     "IkChain",
     "Inbetween",
     "Mesh",
@@ -34,6 +42,42 @@ class ArrayRef:
     path: Path
     key: str
 
+    def load(self) -> FloatArray:
+        """Return the array.
+
+        Raises:
+            ValueError: It cannot be read, or holds a value that is not finite.
+        """
+        return load_array(self.path, self.key)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldArray:
+    """An array in memory, of a file that holds the whole rig.
+
+    Attributes:
+        values: Finite.
+    """
+
+    values: FloatArray
+
+    def load(self) -> FloatArray:
+        """Return the array."""
+        return self.values
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether the other holds the same numbers."""
+        if not isinstance(other, HeldArray):
+            return NotImplemented
+        return bool(np.array_equal(self.values, other.values))
+
+    def __hash__(self) -> int:
+        """Return a hash by shape: numbers are compared, not hashed."""
+        return hash(self.values.shape)
+
+
+ArraySource: TypeAlias = ArrayRef | HeldArray
+
 
 @dataclass(frozen=True, slots=True)
 class Skin:
@@ -48,8 +92,8 @@ class Skin:
 
     method: str
     joints: tuple[str, ...]
-    indices: ArrayRef
-    weights: ArrayRef
+    indices: ArraySource
+    weights: ArraySource
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +103,7 @@ class Mesh:
     Attributes:
         name: Unique among the rig's meshes.
         points: ``(V, 3)`` in the rig's unit.
-        faces: ``(N, 3 or 4)`` indices, -1 fills a triangle.
+        faces: ``(N, K)`` indices, -1 fills a face of fewer than K vertices.
         normals: ``(V, 3)``; None where the mesh has none.
         geom_bind: World transform of the points at bind time, 16 numbers row by row,
             for column vectors; None is identity.
@@ -67,19 +111,26 @@ class Mesh:
     """
 
     name: str
-    points: ArrayRef
-    faces: ArrayRef
-    normals: ArrayRef | None = None
+    points: ArraySource
+    faces: ArraySource
+    normals: ArraySource | None = None
     geom_bind: tuple[float, ...] | None = None
     skin: Skin | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Inbetween:
-    """The deltas of a shape at a weight between 0 and 1."""
+    """What a shape adds at a weight between 0 and 1.
+
+    Attributes:
+        at: The weight.
+        deltas: As those of its shape.
+        normals: Likewise; None leaves them.
+    """
 
     at: float
-    deltas: ArrayRef
+    deltas: ArraySource
+    normals: ArraySource | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,14 +145,17 @@ class Shape:
         inbetweens: Ascending by weight.
         combine: Names of the shapes whose weights' product is this one's; empty for
             a shape with a weight of its own.
+        vertices: Which vertices the deltas, normals and inbetweens are for ``(N,)``;
+            None is all of them.
     """
 
     name: str
     mesh: str = ""
-    deltas: ArrayRef | None = None
-    normals: ArrayRef | None = None
+    deltas: ArraySource | None = None
+    normals: ArraySource | None = None
     inbetweens: tuple[Inbetween, ...] = ()
     combine: tuple[str, ...] = ()
+    vertices: ArraySource | None = None
 
 
 @dataclass(frozen=True, slots=True)

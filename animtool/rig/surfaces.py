@@ -1,0 +1,153 @@
+"""The meshes and blend shapes of a rig with their numbers, read when asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.rig.parts import Mesh, Shape, Skin
+from animtool.rig.skeleton import Rig
+
+__all__ = [
+    "Surface",
+    "SurfaceInbetween",
+    "SurfaceShape",
+    "SurfaceSkin",
+    "surfaces_of",
+]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceInbetween:
+    """What a shape adds at a weight between 0 and 1.
+
+    Attributes:
+        at: The weight.
+        deltas: Of the shape's vertices ``(N, 3)`` [m].
+        normals: Likewise; None leaves them.
+    """
+
+    at: float
+    deltas: FloatArray
+    normals: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceShape:
+    """A blend shape of a surface.
+
+    Attributes:
+        name: As the rig names it.
+        deltas: Added at weight 1 ``(N, 3)`` [m].
+        vertices: Which vertices they are for ``(N,)``; None is all of them.
+        normals: Added to the normals ``(N, 3)``; None leaves them.
+        inbetweens: Ascending by weight.
+    """
+
+    name: str
+    deltas: FloatArray
+    vertices: IntArray | None = None
+    normals: FloatArray | None = None
+    inbetweens: tuple[SurfaceInbetween, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceSkin:
+    """How a surface follows joints.
+
+    Attributes:
+        method: ``linear`` or ``dual_quaternion``.
+        joints: Names of the joints that the indices count.
+        indices: ``(V, I)`` into ``joints``.
+        weights: ``(V, I)`` [1].
+    """
+
+    method: str
+    joints: tuple[str, ...]
+    indices: IntArray
+    weights: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """A mesh in memory.
+
+    Attributes:
+        name: As the rig names it.
+        points: ``(V, 3)`` [m].
+        counts: Vertices of each face ``(N,)``.
+        indices: Vertices of all faces, one face behind the other.
+        normals: ``(V, 3)``; None where there are none.
+        geom_bind: World transform of the points at bind time ``(4, 4)``, for column
+            vectors, its translation in [m].
+        skin: None where it follows no joint.
+        shapes: Its blend shapes.
+    """
+
+    name: str
+    points: FloatArray
+    counts: IntArray
+    indices: IntArray
+    normals: FloatArray | None
+    geom_bind: FloatArray
+    skin: SurfaceSkin | None
+    shapes: tuple[SurfaceShape, ...]
+
+
+def surfaces_of(rig: Rig) -> tuple[Surface, ...]:
+    """Return the meshes of a rig, their arrays read.
+
+    Raises:
+        ValueError: An array cannot be read any more, or is not finite.
+    """
+    return tuple(_surface(rig, mesh) for mesh in rig.meshes)
+
+
+def _surface(rig: Rig, mesh: Mesh) -> Surface:
+    unit = rig.meters_per_unit
+    faces = mesh.faces.load().astype(np.int64)
+    within = faces >= 0
+    bind = np.eye(4)
+    if mesh.geom_bind is not None:
+        bind = np.array(mesh.geom_bind).reshape(4, 4)
+        bind[:3, 3] *= unit
+    return Surface(
+        mesh.name,
+        mesh.points.load() * unit,
+        within.sum(axis=1),
+        faces[within],
+        None if mesh.normals is None else mesh.normals.load(),
+        bind,
+        None if mesh.skin is None else _skin(mesh.skin),
+        tuple(
+            _shape(shape, unit)
+            for shape in rig.shapes
+            if shape.mesh == mesh.name and shape.deltas is not None
+        ),
+    )
+
+
+def _skin(skin: Skin) -> SurfaceSkin:
+    indices = skin.indices.load().astype(np.int64)
+    return SurfaceSkin(skin.method, skin.joints, indices, skin.weights.load())
+
+
+def _shape(shape: Shape, unit: float) -> SurfaceShape:
+    if shape.deltas is None:
+        raise ValueError(f"shape {shape.name!r} has no deltas")
+    return SurfaceShape(
+        shape.name,
+        shape.deltas.load() * unit,
+        None if shape.vertices is None else shape.vertices.load().astype(np.int64),
+        None if shape.normals is None else shape.normals.load(),
+        tuple(
+            SurfaceInbetween(
+                step.at,
+                step.deltas.load() * unit,
+                None if step.normals is None else step.normals.load(),
+            )
+            for step in shape.inbetweens
+        ),
+    )

@@ -1,0 +1,239 @@
+"""The meshes and blend shapes that are bound to a Skeleton, as parts of its rig."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NoReturn
+
+import numpy as np
+from pxr import Usd, UsdGeom, UsdSkel
+
+from animtool._types import FloatArray
+from animtool.errors import Fault, FormatError, Severity
+from animtool.rig.parts import HeldArray, Inbetween, Mesh, Shape, Skin
+from animtool.usd.rig_prims import SkeletonRig, array_value
+
+__all__ = ["read_meshes"]
+
+_METHODS = {"classicLinear": "linear", "dualQuaternion": "dual_quaternion"}
+
+
+def read_meshes(
+    skeleton: Any, rig: SkeletonRig, where: str
+) -> tuple[tuple[Mesh, ...], tuple[Shape, ...], list[Fault]]:
+    """Return meshes, shapes and what is left out of them.
+
+    Normals that are not one a vertex are left out (USD116), as are the shapes of a mesh
+    that name no target. A mesh that follows joints as a whole has their influences at
+    every vertex. Numbers are in the unit of the rig.
+
+    Args:
+        skeleton: A `UsdSkel.Skeleton`.
+        rig: What was read of it.
+        where: The file, for messages.
+
+    Raises:
+        FormatError: Counts do not fit, or a number is not finite (USD017), or an index
+            is out of range (USD018).
+    """
+    meshes: list[Mesh] = []
+    shapes: list[Shape] = []
+    notices: list[Fault] = []
+    used: set[str] = set()
+    for query in _bound(skeleton):
+        prim = query.GetPrim()
+        at = f"{where}<{prim.GetPath()}>"
+        name = _unique(_name(prim), used)
+        meshes.append(_mesh(query, name, rig, at, notices))
+        count = len(meshes[-1].points.load())
+        shapes += _shapes(query, name, count, at, {shape.name for shape in shapes})
+    return tuple(meshes), tuple(shapes), notices
+
+
+def _bound(skeleton: Any) -> list[Any]:
+    """Return queries of the meshes that a Skeleton moves."""
+    root = UsdSkel.Root.Find(skeleton.GetPrim())
+    if not root:
+        return []
+    cache = UsdSkel.Cache()
+    cache.Populate(root, Usd.TraverseInstanceProxies())
+    bindings = cache.ComputeSkelBindings(root, Usd.TraverseInstanceProxies())
+    return [
+        query
+        for binding in bindings
+        if binding.GetSkeleton().GetPrim() == skeleton.GetPrim()
+        for query in binding.GetSkinningTargets()
+        if query.GetPrim().IsA(UsdGeom.Mesh)
+    ]
+
+
+def _name(prim: Any) -> str:
+    data = prim.GetCustomDataByKey("animtool") or {}
+    return str(data.get("name", prim.GetName()))
+
+
+def _unique(name: str, used: set[str]) -> str:
+    unique, number = name, 2
+    while unique in used:
+        unique, number = f"{name}_{number}", number + 1
+    used.add(unique)
+    return unique
+
+
+def _mesh(
+    query: Any, name: str, rig: SkeletonRig, at: str, notices: list[Fault]
+) -> Mesh:
+    prim = query.GetPrim()
+    mesh = UsdGeom.Mesh(prim)
+    points = _floats(mesh.GetPointsAttr(), 3, at)
+    if not len(points):
+        _fail("USD017", "the mesh has no points", at)
+    normals = None
+    given = array_value(mesh.GetNormalsAttr())
+    if len(given) == len(points) and mesh.GetNormalsInterpolation() == "vertex":
+        normals = _floats(mesh.GetNormalsAttr(), 3, at)
+    elif len(given):
+        message = "normals that are not one a vertex are left out"
+        notices.append(Fault("USD116", message, at, severity=Severity.NOTE))
+    bind = None
+    matrix = np.array(query.GetGeomBindTransform(), np.float64).T
+    if not np.isfinite(matrix).all():
+        _fail("USD017", "geomBindTransform is not finite", at)
+    if (matrix != np.eye(4)).any():
+        bind = tuple(matrix.ravel().tolist())
+    return Mesh(
+        name,
+        HeldArray(points),
+        HeldArray(_faces(mesh, len(points), at)),
+        None if normals is None else HeldArray(normals),
+        bind,
+        _skin(query, len(points), rig, at) if query.HasJointInfluences() else None,
+    )
+
+
+def _faces(mesh: Any, points: int, at: str) -> FloatArray:
+    """Return the faces ``(N, K)``, -1 where one has fewer vertices than others."""
+    counts, indices = (
+        np.array(array_value(attr), np.int64)
+        for attr in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
+    )
+    if counts.sum() != len(indices) or (counts < 3).any():
+        _fail("USD017", f"{len(indices)} face vertices for faces of others", at)
+    if len(indices) and not 0 <= indices.min() <= indices.max() < points:
+        _fail("USD018", f"a face has a vertex that is not in 0 to {points - 1}", at)
+    width = int(counts.max(initial=3))
+    within = np.arange(width) < counts[:, None]
+    faces = np.full(within.shape, -1, np.int64)
+    faces[within] = indices
+    return faces.astype(np.float64)
+
+
+def _floats(attr: Any, width: int, at: str) -> FloatArray:
+    values = np.array(array_value(attr), np.float64).reshape(-1, width)
+    if not np.isfinite(values).all():
+        _fail("USD017", f"{attr.GetName()} hold a value that is not finite", at)
+    return values
+
+
+def _skin(query: Any, points: int, rig: SkeletonRig, at: str) -> Skin:
+    indices, weights = (
+        np.array(primvar.ComputeFlattened() or (), np.float64)
+        for primvar in (
+            query.GetJointIndicesPrimvar(),
+            query.GetJointWeightsPrimvar(),
+        )
+    )
+    width = query.GetNumInfluencesPerComponent()
+    rows = 1 if query.IsRigidlyDeformed() else points
+    if len(indices) != rows * width or len(weights) != rows * width:
+        message = (
+            f"{len(indices)} jointIndices and {len(weights)} jointWeights for "
+            f"{rows} x {width} influences"
+        )
+        _fail("USD017", message, at)
+    if not np.isfinite(weights).all():
+        _fail("USD017", "jointWeights hold a value that is not finite", at)
+    names = _joint_names(query, rig)
+    if len(indices) and not 0 <= indices.min() <= indices.max() < len(names):
+        _fail("USD018", f"a jointIndex is not in 0 to {len(names) - 1}", at)
+    shape = (points, width)
+    method = str(query.GetSkinningMethod())
+    return Skin(
+        _METHODS.get(method, "linear"),
+        names,
+        HeldArray(np.broadcast_to(indices.reshape(rows, width), shape).copy()),
+        HeldArray(np.broadcast_to(weights.reshape(rows, width), shape).copy()),
+    )
+
+
+def _joint_names(query: Any, rig: SkeletonRig) -> tuple[str, ...]:
+    order = query.GetJointOrder()
+    index = {token: i for i, token in enumerate(rig.tokens)}
+    tokens: Sequence[str] = rig.tokens if order is None else [str(t) for t in order]
+    unknown = [token for token in tokens if token not in index]
+    if unknown:
+        at = str(query.GetPrim().GetPath())
+        _fail("USD018", f"{unknown[0]!r} is no joint of the Skeleton", at)
+    return tuple(rig.rig.names[index[token]] for token in tokens)
+
+
+def _shapes(
+    query: Any, mesh: str, points: int, at: str, known: set[str]
+) -> list[Shape]:
+    """Return the shapes of a mesh; one that another mesh has too gets its name."""
+    if not query.HasBlendShapes():
+        return []
+    order = [str(token) for token in query.GetBlendShapeOrder() or ()]
+    targets = query.GetBlendShapeTargetsRel().GetTargets()
+    if len(order) != len(targets):
+        message = f"{len(order)} blendShapes for {len(targets)} targets"
+        _fail("USD017", message, at)
+    stage = query.GetPrim().GetStage()
+    return [
+        _shape(
+            UsdSkel.BlendShape(stage.GetPrimAtPath(target)),
+            token if token not in known else f"{mesh}_{token}",
+            mesh,
+            points,
+        )
+        for token, target in zip(order, targets, strict=True)
+    ]
+
+
+def _shape(shape: Any, name: str, mesh: str, points: int) -> Shape:
+    at = str(shape.GetPath())
+    deltas = _floats(shape.GetOffsetsAttr(), 3, at)
+    vertices = np.array(array_value(shape.GetPointIndicesAttr()), np.int64)
+    rows = len(vertices) or points
+    if len(deltas) != rows:
+        _fail("USD017", f"{len(deltas)} offsets for {rows} points", at)
+    if len(vertices) and not 0 <= vertices.min() <= vertices.max() < points:
+        _fail("USD018", f"a pointIndex is not in 0 to {points - 1}", at)
+
+    def rows_of(attr: Any) -> HeldArray | None:
+        if not attr or not attr.HasAuthoredValue():
+            return None
+        values = _floats(attr, 3, at)
+        if len(values) != rows:
+            _fail("USD017", f"{attr.GetName()} has {len(values)} rows, not {rows}", at)
+        return HeldArray(values)
+
+    between = []
+    for step in shape.GetInbetweens():
+        weight, found = step.GetWeight(), rows_of(step.GetAttr())
+        if weight is None or found is None or not np.isfinite(weight):
+            _fail("USD017", f"{step.GetAttr().GetName()} has no weight", at)
+        normals = rows_of(step.GetNormalOffsetsAttr())
+        between.append(Inbetween(float(weight), found, normals))
+    return Shape(
+        name,
+        mesh,
+        HeldArray(deltas),
+        rows_of(shape.GetNormalOffsetsAttr()),
+        tuple(sorted(between, key=lambda step: step.at)),
+        vertices=HeldArray(vertices.astype(np.float64)) if len(vertices) else None,
+    )
+
+
+def _fail(code: str, message: str, where: str) -> NoReturn:
+    raise FormatError(Fault(code, message, where))

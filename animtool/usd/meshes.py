@@ -1,0 +1,200 @@
+"""Authoring the meshes and blend shapes of a rig, bound to its Skeleton."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from pxr import Gf, Sdf, Vt
+
+from animtool._types import FloatArray, IntArray
+from animtool.rig.surfaces import Surface, SurfaceShape, SurfaceSkin
+from animtool.usd.layers import attribute, prim
+from animtool.usd.names import distinct_names
+from animtool.usd.skeleton import RigPaths
+
+__all__ = ["MeshNames", "author_meshes", "mesh_names"]
+
+# Fewer moving vertices than this share are written with their indices: an index is a
+# third of an offset.
+SPARSE = 0.75
+
+_TYPES = Sdf.ValueTypeNames
+_METHODS = {"linear": "classicLinear", "dual_quaternion": "dualQuaternion"}
+
+
+def mesh_names(
+    surfaces: Sequence[Surface], paths: RigPaths
+) -> tuple[list[str], dict[str, str]]:
+    """Return paths of the surfaces' prims, and the names that USD forbids, by path.
+
+    They stand below the SkelRoot, beside the Skeleton and the animation.
+    """
+    taken = [Sdf.Path(path).name for path in (paths.skeleton, paths.animation)]
+    wanted = [*taken, *(surface.name for surface in surfaces)]
+    names = distinct_names(wanted, wanted, wanted)
+    found = [f"{paths.root}/{name}" for name in names.names[len(taken) :]]
+    renamed = {
+        path: surface.name
+        for path, surface in zip(found, surfaces, strict=True)
+        if Sdf.Path(path).name != surface.name
+    }
+    return found, renamed
+
+
+def author_meshes(
+    layer: Any,
+    surfaces: Sequence[Surface],
+    paths: RigPaths,
+    tokens: Mapping[str, str],
+    meters_per_unit: float,
+    *,
+    bound: bool = True,
+) -> list[str]:
+    """Write meshes below the SkelRoot; return the paths of their prims.
+
+    Args:
+        layer: Where to.
+        surfaces: What to write.
+        paths: The character's prims.
+        tokens: Path of each joint of the Skeleton, by the joint's name, in order.
+        meters_per_unit: Unit of the layer [m].
+        bound: Bind them to the Skeleton, with their shapes; False writes surfaces
+            alone.
+    """
+    found, renamed = mesh_names(surfaces, paths)
+    for path, surface in zip(found, surfaces, strict=True):
+        spec = _mesh(layer, path, surface, meters_per_unit)
+        if path in renamed:
+            spec.SetInfo("customData", {"animtool": {"name": renamed[path]}})
+        if bound and (surface.skin is not None or surface.shapes):
+            schemas = Sdf.TokenListOp()
+            schemas.prependedItems = ["SkelBindingAPI"]
+            spec.SetInfo("apiSchemas", schemas)
+            if surface.skin is not None:
+                _skin(spec, surface, surface.skin, tokens, meters_per_unit)
+            if surface.shapes:
+                _shapes(layer, spec, surface, meters_per_unit)
+    return found
+
+
+def _mesh(layer: Any, path: str, surface: Surface, meters_per_unit: float) -> Any:
+    spec = prim(layer, path, "Mesh")
+    points = surface.points / meters_per_unit
+    extent = np.stack([points.min(axis=0), points.max(axis=0)])
+    attribute(spec, "extent", _TYPES.Float3Array, _vec3f(extent))
+    counts, indices = (
+        Vt.IntArray.FromNumpy(np.ascontiguousarray(values, np.int32))
+        for values in (surface.counts, surface.indices)
+    )
+    attribute(spec, "faceVertexCounts", _TYPES.IntArray, counts)
+    attribute(spec, "faceVertexIndices", _TYPES.IntArray, indices)
+    attribute(spec, "points", _TYPES.Point3fArray, _vec3f(points))
+    if surface.normals is not None:
+        normals = _vec3f(surface.normals)
+        attribute(
+            spec, "normals", _TYPES.Normal3fArray, normals, interpolation="vertex"
+        )
+    attribute(spec, "subdivisionScheme", _TYPES.Token, "none", uniform=True)
+    return spec
+
+
+def _vec3f(values: FloatArray) -> Any:
+    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values, np.float32))
+
+
+def _skin(
+    spec: Any,
+    surface: Surface,
+    skin: SurfaceSkin,
+    tokens: Mapping[str, str],
+    meters_per_unit: float,
+) -> None:
+    indices, weights = _packed(skin.indices, skin.weights)
+    if skin.joints != tuple(tokens):
+        own = Vt.TokenArray([tokens[name] for name in skin.joints])
+        attribute(spec, "skel:joints", _TYPES.TokenArray, own, uniform=True)
+    bind = surface.geom_bind.T.copy()
+    bind[3, :3] /= meters_per_unit
+    attribute(
+        spec,
+        "primvars:skel:geomBindTransform",
+        _TYPES.Matrix4d,
+        Gf.Matrix4d(*bind.ravel().tolist()),
+    )
+    flat = np.ascontiguousarray(indices.ravel(), np.int32)
+    shares = np.ascontiguousarray(weights.ravel(), np.float32)
+    for name, kind, values in (
+        ("jointIndices", _TYPES.IntArray, Vt.IntArray.FromNumpy(flat)),
+        ("jointWeights", _TYPES.FloatArray, Vt.FloatArray.FromNumpy(shares)),
+    ):
+        made = attribute(
+            spec, f"primvars:skel:{name}", kind, values, interpolation="vertex"
+        )
+        made.SetInfo("elementSize", indices.shape[1])
+    method = _METHODS[skin.method]
+    if method != "classicLinear":
+        attribute(spec, "skel:skinningMethod", _TYPES.Token, method, uniform=True)
+
+
+def _packed(indices: IntArray, weights: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return influences with the largest first, in no more columns than needed."""
+    order = np.argsort(-weights, axis=1, kind="stable")
+    weights = np.take_along_axis(weights, order, axis=1)
+    indices = np.take_along_axis(indices, order, axis=1)
+    indices = np.where(weights > 0, indices, 0)
+    width = max(1, int((weights > 0).sum(axis=1).max(initial=1)))
+    return indices[:, :width], weights[:, :width]
+
+
+def _shapes(layer: Any, spec: Any, surface: Surface, meters_per_unit: float) -> None:
+    wanted = [shape.name for shape in surface.shapes]
+    names = distinct_names(wanted, wanted, wanted).names
+    targets = [f"{spec.path}/{name}" for name in names]
+    attribute(
+        spec, "skel:blendShapes", _TYPES.TokenArray, Vt.TokenArray(wanted), uniform=True
+    )
+    made = Sdf.RelationshipSpec(
+        spec, "skel:blendShapeTargets", False, Sdf.VariabilityUniform
+    )
+    made.targetPathList.explicitItems = [Sdf.Path(target) for target in targets]
+    for target, shape in zip(targets, surface.shapes, strict=True):
+        _shape(prim(layer, target, "BlendShape"), shape, meters_per_unit)
+
+
+def _shape(spec: Any, shape: SurfaceShape, meters_per_unit: float) -> None:
+    parts = [shape.deltas, *(step.deltas for step in shape.inbetweens)]
+    turns = [shape.normals, *(step.normals for step in shape.inbetweens)]
+    given = [part for part in [*parts, *turns] if part is not None]
+    moves = np.any([part.any(axis=1) for part in given], axis=0)
+    vertices, rows = shape.vertices, slice(None)
+    if vertices is None and moves.mean() < SPARSE:
+        vertices = np.flatnonzero(moves)
+        rows = moves
+    attribute(
+        spec,
+        "offsets",
+        _TYPES.Vector3fArray,
+        _vec3f(shape.deltas[rows] / meters_per_unit),
+        uniform=True,
+    )
+    if shape.normals is not None:
+        normals = _vec3f(shape.normals[rows])
+        attribute(spec, "normalOffsets", _TYPES.Vector3fArray, normals, uniform=True)
+    if vertices is not None:
+        points = Vt.IntArray.FromNumpy(np.ascontiguousarray(vertices, np.int32))
+        attribute(spec, "pointIndices", _TYPES.IntArray, points, uniform=True)
+    for i, step in enumerate(shape.inbetweens):
+        name = f"inbetweens:step_{i + 1}"
+        deltas = _vec3f(step.deltas[rows] / meters_per_unit)
+        made = attribute(spec, name, _TYPES.Vector3fArray, deltas, uniform=True)
+        made.SetInfo("weight", step.at)
+        if step.normals is not None:
+            attribute(
+                spec,
+                f"{name}:normalOffsets",
+                _TYPES.Vector3fArray,
+                _vec3f(step.normals[rows]),
+                uniform=True,
+            )
