@@ -11,7 +11,7 @@ from animtool._types import ArrayLike, FloatArray, as_floats
 from animtool.maths import so3
 from animtool.rig.skeleton import Rig
 
-__all__ = ["WorldTransforms", "forward", "rest_size", "rest_world"]
+__all__ = ["WorldTransforms", "bind_world", "forward", "rest_size", "rest_world"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +94,21 @@ def forward(
 def rest_world(rig: Rig) -> WorldTransforms:
     """Return the world transforms of the rest pose, one frame."""
     return forward(rig, rig.rest_translations[None], rig.rest_rotations[None])
+
+
+def bind_world(rig: Rig) -> WorldTransforms:
+    """Return the world transforms of the bind pose, one frame.
+
+    >>> from animtool.rig.skeleton import Joint, Pose
+    >>> lifted = {"a": Pose((0.0, 2.0, 0.0), (0.0, 0.0, 0.0, 1.0))}
+    >>> bind_world(Rig("post", (Joint("a", -1),), bind=lifted)).positions.tolist()
+    [[[0.0, 2.0, 0.0]]]
+    """
+    translations, rotations = rig.rest_translations.copy(), rig.rest_rotations.copy()
+    for name, pose in rig.bind.items():
+        translations[rig.index(name)] = pose.translation
+        rotations[rig.index(name)] = pose.rotation
+    return forward(rig, translations[None], rotations[None])
 
 
 def rest_size(rig: Rig) -> float:

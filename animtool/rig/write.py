@@ -8,7 +8,15 @@ from collections.abc import Iterable, Sequence
 from animtool.documents.numbers import flow, number, scaled, text
 from animtool.rig.controls import Control, Drive
 from animtool.rig.limits import BallLimit, RangeLimit
-from animtool.rig.parts import Attachment, Collider, IkChain, Mesh, Shape
+from animtool.rig.parts import (
+    ArraySource,
+    Attachment,
+    Collider,
+    HeldArray,
+    IkChain,
+    Mesh,
+    Shape,
+)
 from animtool.rig.skeleton import Joint, JointType, Pose, Rig
 from animtool.units import unit_name
 
@@ -22,6 +30,9 @@ def rig_text(rig: Rig) -> str:
 
     A joint that is the mirror image of one before it is left to that one's
     ``mirror``. References to arrays are as the rig's own file spelled them.
+
+    Raises:
+        ValueError: An array is in no file; see `animtool.rig.store.with_file`.
 
     >>> rig_text(Rig("post", (Joint("top", -1, translation=(0, 2, 0)),))).split()[-1]
     '0]}'
@@ -196,33 +207,47 @@ def _mesh(mesh: Mesh) -> str:
             [
                 ("method", mesh.skin.method),
                 ("joints", _names(mesh.skin.joints)),
-                ("indices", text(mesh.skin.indices.text)),
-                ("weights", text(mesh.skin.weights.text)),
+                ("indices", _file(mesh.skin.indices)),
+                ("weights", _file(mesh.skin.weights)),
             ]
         )
     return _mapping(
         [
             ("name", text(mesh.name)),
-            ("points", text(mesh.points.text)),
-            ("faces", text(mesh.faces.text)),
-            ("normals", None if mesh.normals is None else text(mesh.normals.text)),
+            ("points", _file(mesh.points)),
+            ("faces", _file(mesh.faces)),
+            ("normals", _file(mesh.normals)),
             ("geom_bind", _numbers(mesh.geom_bind)),
             ("skin", skin),
         ]
     )
 
 
+def _file(source: ArraySource | None) -> str | None:
+    """Return where an array is, as the rig's file spells it."""
+    if isinstance(source, HeldArray):
+        raise ValueError("the array is in no file; animtool.rig.store puts it into one")
+    return None if source is None else text(source.text)
+
+
 def _shape(shape: Shape) -> str:
     between = [
-        _mapping([("at", number(step.at)), ("deltas", text(step.deltas.text))])
+        _mapping(
+            [
+                ("at", number(step.at)),
+                ("deltas", _file(step.deltas)),
+                ("normals", _file(step.normals)),
+            ]
+        )
         for step in shape.inbetweens
     ]
     return _mapping(
         [
             ("name", text(shape.name)),
             ("mesh", text(shape.mesh) if shape.mesh else None),
-            ("deltas", None if shape.deltas is None else text(shape.deltas.text)),
-            ("normals", None if shape.normals is None else text(shape.normals.text)),
+            ("deltas", _file(shape.deltas)),
+            ("normals", _file(shape.normals)),
+            ("vertices", _file(shape.vertices)),
             ("inbetweens", flow(between) if between else None),
             ("combine", _names(shape.combine) if shape.combine else None),
         ]

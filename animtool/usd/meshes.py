@@ -14,7 +14,7 @@ from animtool.usd.layers import attribute, prim
 from animtool.usd.names import distinct_names
 from animtool.usd.skeleton import RigPaths
 
-__all__ = ["MeshNames", "author_meshes", "mesh_names"]
+__all__ = ["author_meshes", "mesh_names"]
 
 # Fewer moving vertices than this share are written with their indices: an index is a
 # third of an offset.

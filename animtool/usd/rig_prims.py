@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence, Sized
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -15,7 +15,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError, Severity, excerpt, listed
 from animtool.maths import so3
-from animtool.rig.skeleton import Joint, Rig
+from animtool.rig.skeleton import Joint, Pose, Rig
 from animtool.units import UpAxis
 from animtool.usd.layers import check_prim_path, find_layer, usd_errors
 
@@ -37,6 +37,8 @@ __all__ = [
 
 # Rates and units outside are no rates and units, and would overflow what they scale.
 SMALLEST_METADATA, LARGEST_METADATA = 1e-9, 1e9
+# A bind pose nearer to rest [rad], [1] is rest with the rounding of other tools.
+BIND_TOLERANCE = 1e-6
 LARGEST_REST = float(np.finfo(np.float32).max)
 
 
@@ -98,7 +100,36 @@ def read_rig(path: Path) -> Rig:
         skeletons = find_skeletons(stage, prim_below(stage, None))
         if not skeletons:
             _fail("USD008", "holds no Skeleton", str(path))
-        return skeleton_rig(skeletons[0], path).rig
+        found = skeleton_rig(skeletons[0], path)
+        from animtool.usd.mesh_read import read_meshes
+
+        meshes, shapes, _ = read_meshes(skeletons[0], found, str(path))
+        bind = _bind_poses(skeletons[0], found)
+        return replace(found.rig, bind=bind, meshes=meshes, shapes=shapes)
+
+
+def _bind_poses(skeleton: Any, found: SkeletonRig) -> dict[str, Pose]:
+    """Return the local bind transforms that are not those of rest.
+
+    Scale of the bind transforms is left out.
+    """
+    matrices = array_value(skeleton.GetBindTransformsAttr())
+    rig = found.rig
+    world = np.array(matrices, np.float64).reshape(-1, 4, 4)
+    if len(world) != len(rig.joints) or not (np.abs(world) <= LARGEST_REST).all():
+        return {}
+    above = np.where((rig.parents < 0)[:, None, None], np.eye(4), world[rig.parents])
+    if (np.linalg.det(above) == 0).any():
+        return {}
+    places, turns, _ = decompose(world @ np.linalg.inv(above))
+    places = places * rig.meters_per_unit
+    moved = np.abs(places - rig.rest_translations).max(axis=1)
+    moved = moved > BIND_TOLERANCE * np.abs(rig.rest_translations).max()
+    moved |= so3.angle_between(turns, rig.rest_rotations) > BIND_TOLERANCE
+    return {
+        rig.names[j]: Pose(tuple(places[j].tolist()), tuple(turns[j].tolist()))
+        for j in np.flatnonzero(moved).tolist()
+    }
 
 
 def find_skeletons(stage: Any, below: str = "/") -> list[Any]:

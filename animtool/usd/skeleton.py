@@ -11,7 +11,7 @@ from pxr import Sdf, Vt
 
 from animtool._types import FloatArray
 from animtool.maths import so3
-from animtool.rig.kinematics import rest_world
+from animtool.rig.kinematics import bind_world
 from animtool.rig.skeleton import Rig
 from animtool.usd.layers import attribute, prim, relationship
 from animtool.usd.names import UsdNames
@@ -60,7 +60,7 @@ def author_rig(
     types = Sdf.ValueTypeNames
     tokens = Vt.TokenArray(rig.paths(names.names))
     attribute(spec, "joints", types.TokenArray, tokens, uniform=True)
-    world = rest_world(rig)
+    world = bind_world(rig)
     bind = _matrices(world.positions[0] / meters_per_unit, world.linear[0])
     local = so3.to_matrix(rig.rest_rotations)
     rest = _matrices(rig.rest_translations / meters_per_unit, local)
