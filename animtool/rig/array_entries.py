@@ -24,8 +24,8 @@ __all__ = ["ArrayReader"]
 Shape = tuple[int | None, ...]
 
 # Roles of arrays that count something, and hold whole numbers.
-_COUNTING = frozenset({"faces", "indices"})
-# What fills a triangle among quadrangles.
+_COUNTING = frozenset({"faces", "indices", "vertices"})
+# What fills a triangle among quadrangles, and so on.
 NO_CORNER = -1
 
 
@@ -50,7 +50,8 @@ class ArrayReader:
             at: Where the reference stands.
             text: As written, ``face.npz#smile``.
             role: What the array is: ``points``, ``faces``, ``normals``, ``deltas``,
-                ``indices`` or ``weights``; its name where the text has none.
+                ``indices``, ``vertices`` or ``weights``; its name where the text has
+                none.
             shape: That it must have, None for any length.
             count: Of what its indices count; None where that is not known.
         """
@@ -96,8 +97,8 @@ class ArrayReader:
             message = f"{ref.text!r} holds floats, not whole numbers"
             self.document.add("RIG019", at, message)
             return False
-        if role == "faces" and header.shape[1] not in {3, 4}:
-            message = f"{ref.text!r} has faces of {header.shape[1]} corners, not 3 or 4"
+        if role == "faces" and header.shape[1] < 3:
+            message = f"{ref.text!r} has faces of {header.shape[1]} corners, not 3"
             self.document.add("RIG019", at, message)
             return False
         return True

@@ -99,7 +99,14 @@ class PartReader:
             at = ("shapes", i)
             if shape.mesh is not None:
                 self._known((*at, "mesh"), shape.mesh, meshes, "mesh")
-            rows = (self.vertices.get(shape.mesh or ""), 3)
+            count = self.vertices.get(shape.mesh or "")
+            chosen = None
+            if shape.vertices is not None:
+                chosen = self.arrays.array(
+                    (*at, "vertices"), shape.vertices, "vertices", (None,), count
+                )
+                count = self.arrays.rows(chosen)
+            rows = (count, 3)
             for k, name in enumerate(shape.combine):
                 self._known((*at, "combine", k), name, names, "shape")
             between: list[Inbetween] = []
@@ -107,12 +114,13 @@ class PartReader:
             late = dict(self.document.descents((*at, "inbetweens"), weights, "at"))
             for k, step in enumerate(shape.inbetweens):
                 spot = (*at, "inbetweens", k)
-                if not 0 < step.at < 1 or k in late:
+                if step.at in {0, 1} or k in late:
                     message = f"inbetween weight {step.at:g} is out of place"
-                    hint = "weights ascend between 0 and 1"
+                    hint = "weights ascend; at 0 nothing is added, at 1 the deltas"
                     self.document.add("RIG024", (*spot, "at"), message, hint)
                 ref = self.arrays.array((*spot, "deltas"), step.deltas, "deltas", rows)
-                between.append(Inbetween(step.at, ref))
+                normals = self._maybe((*spot, "normals"), step.normals, "normals", rows)
+                between.append(Inbetween(step.at, ref, normals))
             made.append(
                 Shape(
                     shape.name,
@@ -121,6 +129,7 @@ class PartReader:
                     self._maybe((*at, "normals"), shape.normals, "normals", rows),
                     tuple(between),
                     tuple(shape.combine),
+                    chosen,
                 )
             )
         try:

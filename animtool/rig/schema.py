@@ -130,6 +130,7 @@ class InbetweenModel(FileModel):
 
     at: float
     deltas: str
+    normals: str | None = None
 
 
 class ShapeModel(FileModel):
@@ -139,6 +140,7 @@ class ShapeModel(FileModel):
     mesh: Name | None = None
     deltas: str | None = None
     normals: str | None = None
+    vertices: str | None = None
     inbetweens: list[InbetweenModel] = []
     combine: list[Name] = []
 

@@ -32,7 +32,7 @@ def rig_text(rig: Rig) -> str:
     ``mirror``. References to arrays are as the rig's own file spelled them.
 
     Raises:
-        ValueError: An array is in no file; see `animtool.rig.store.with_file`.
+        TypeError: An array is in no file; see `animtool.rig.store.with_file`.
 
     >>> rig_text(Rig("post", (Joint("top", -1, translation=(0, 2, 0)),))).split()[-1]
     '0]}'
@@ -226,7 +226,8 @@ def _mesh(mesh: Mesh) -> str:
 def _file(source: ArraySource | None) -> str | None:
     """Return where an array is, as the rig's file spells it."""
     if isinstance(source, HeldArray):
-        raise ValueError("the array is in no file; animtool.rig.store puts it into one")
+        message = "the array is in no file; animtool.rig.store puts it into one"
+        raise TypeError(message)
     return None if source is None else text(source.text)
 
 
