@@ -9,7 +9,8 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.maths import so3
-from animtool.rig.skeleton import Rig
+from animtool.rig.parts import Mesh
+from animtool.rig.skeleton import Pose, Rig
 from animtool.take import Channel, Motion, TakeStream
 from animtool.units import UpAxis, up_from_up
 
@@ -43,7 +44,27 @@ def _turned_rig(rig: Rig, turn: FloatArray, up: UpAxis) -> Rig:
             a, b, c, w = so3.multiply(turn, joint.rotation).tolist()
             joint = replace(joint, translation=(x, y, z), rotation=(a, b, c, w))  # noqa: PLW2901
         joints.append(joint)
-    return replace(rig, joints=tuple(joints), up=up)
+    roots = {joint.name for joint in rig.joints if joint.parent < 0}
+    bind = {
+        name: _turned_pose(pose, turn) if name in roots else pose
+        for name, pose in rig.bind.items()
+    }
+    meshes = tuple(_turned_mesh(mesh, turn) for mesh in rig.meshes)
+    return replace(rig, joints=tuple(joints), up=up, bind=bind, meshes=meshes)
+
+
+def _turned_pose(pose: Pose, turn: FloatArray) -> Pose:
+    x, y, z = so3.rotate(turn, pose.translation).tolist()
+    a, b, c, w = so3.multiply(turn, pose.rotation).tolist()
+    return Pose((x, y, z), (a, b, c, w))
+
+
+def _turned_mesh(mesh: Mesh, turn: FloatArray) -> Mesh:
+    """Return a mesh whose points are turned where they are bound."""
+    bind = np.eye(4) if mesh.geom_bind is None else np.reshape(mesh.geom_bind, (4, 4))
+    whole = np.eye(4)
+    whole[:3, :3] = so3.to_matrix(turn)
+    return replace(mesh, geom_bind=tuple((whole @ bind).ravel().tolist()))
 
 
 def _turned(blocks: Iterator[Motion], rig: Rig, turn: FloatArray) -> Iterator[Motion]:

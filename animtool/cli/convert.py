@@ -25,7 +25,9 @@ __all__ = ["convert"]
 Examples:
   animtool convert walk.usdc walk.bvh
   animtool convert walk.bvh walk.clip.yaml --reduce 0.5mm
-  animtool convert shot.usda hero.bvh --prim-path /World/hero"""
+  animtool convert shot.usda hero.bvh --prim-path /World/hero
+  animtool convert hero.rig.yaml hero.usda --physics
+  animtool convert hero.usda hero.rig.yaml"""
 )
 @click.argument("source", type=click.Path(path_type=Path, readable=False))
 @click.argument("output", type=click.Path(path_type=Path, readable=False))
@@ -47,6 +49,11 @@ Examples:
     help="SOURCE is an additive take: measure its keys on top of this one.",
 )
 @click.option(
+    "--physics",
+    is_flag=True,
+    help="Of a rig to USD: write NAME.physics.usda too, with joint types and limits.",
+)
+@click.option(
     "--strict", is_flag=True, help="Take warnings for errors and write nothing."
 )
 @click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
@@ -61,11 +68,19 @@ def convert(console: Console, /, source: Path, output: Path, **given: Any) -> No
 
     A clip (.clip.yaml) gets sparse keys that can be edited, and its rig file beside
     it. Joints that came from a BVH get their channel order and names back.
+
+    A rig (.rig.yaml) becomes a USD layer that animations can be put over, and comes
+    back equal, its arrays in a npz file beside it.
     """
     if given["skip_existing"] and output.exists():
         console.say(f"{output} exists: skipped")
         if given["report_format"] == "json":
             console.result_json({"convert": "animtool/1", "skipped": str(output)})
+        return
+    from animtool.scene.convert_rig import is_rig
+
+    if is_rig(source) or is_rig(output) or given["physics"]:
+        _rig(console, source, output, given)
         return
     from animtool.scene.convert import convert as run_convert
 
@@ -108,6 +123,44 @@ def convert(console: Console, /, source: Path, output: Path, **given: Any) -> No
             f"  largest error: {found.error * 1000:.3g} mm (joint {found.joint!r}, "
             f"frame {found.frame + 1} of {report.frames})"
         )
+
+
+def _rig(console: Console, source: Path, output: Path, given: dict[str, Any]) -> None:
+    from animtool.scene.convert_rig import convert_rig
+
+    for name in ("reduce", "reduce_at", "base", "units", "up", "source_fps"):
+        if given[name]:
+            option = f"--{name.replace('_', '-')}"
+            raise click.UsageError(f"{option} is for motion, not for a rig.")
+    report = convert_rig(
+        source,
+        output,
+        physics=given["physics"],
+        overwrite=given["overwrite"],
+        strict=given["strict"],
+    )
+    console.faults(report.notices)
+    counts = {
+        "joints": report.joints,
+        "meshes": report.meshes,
+        "shapes": report.shapes,
+        "controls": report.controls,
+    }
+    if given["report_format"] == "json":
+        console.result_json(
+            {
+                "convert": "animtool/1",
+                "outputs": [str(path) for path in report.outputs],
+                **counts,
+                "physics": report.physics,
+                "notices": [notice.as_dict() for notice in report.notices],
+            }
+        )
+        return
+    said = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+    console.say(f"{', '.join(map(str, report.outputs))}: {said}")
+    if report.physics is not None:
+        console.say(f"  {report.physics} joints as UsdPhysics has them")
 
 
 def _reduction_json(reduction: Any) -> dict[str, object]:

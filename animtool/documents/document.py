@@ -17,7 +17,14 @@ import yaml
 
 from animtool.errors import Fault, FormatError, excerpt
 
-__all__ = ["Document", "Location", "plain_scalar", "read_document", "read_text"]
+__all__ = [
+    "Document",
+    "Location",
+    "document_of",
+    "plain_scalar",
+    "read_document",
+    "read_text",
+]
 
 Location = tuple[str | int, ...]
 
@@ -193,6 +200,20 @@ def read_document(path: Path) -> Document:
     text = read_text(path)
     if path.suffix == ".json":
         text = _PAIRS.sub(_joined, text)
+    return document_of(text, path)
+
+
+def document_of(text: str, path: Path) -> Document:
+    """Return a text as `read_document` reads a file.
+
+    Args:
+        text: YAML.
+        path: Where it is from, for messages and references.
+
+    Raises:
+        FormatError: It is no YAML, holds an anchor, alias or tag, a key that stands
+            twice, or is no mapping.
+    """
     reader = _Reader(path)
     try:
         value = reader.read(text)

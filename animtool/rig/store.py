@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool._types import FloatArray
+from animtool.errors import Fault, FormatError
 from animtool.rig.parts import (
     ArrayRef,
     ArraySource,
-    HeldArray,
     Inbetween,
     Mesh,
     Shape,
@@ -27,14 +27,18 @@ __all__ = ["StoredArrays", "with_file"]
 StoredArrays = dict[str, npt.NDArray[np.generic]]
 
 
-def with_file(rig: Rig, path: Path) -> tuple[Rig, StoredArrays]:
+def with_file(rig: Rig, path: Path, *, moved: bool = False) -> tuple[Rig, StoredArrays]:
     """Return the rig with references in place of the arrays it holds, and the arrays.
 
     Args:
-        rig: As read from a file that holds the whole of it.
+        rig: As read from its file.
         path: The npz file that they are to be stored in.
+        moved: Store what the rig refers to as well: its file goes to another folder.
+
+    Raises:
+        FormatError: An array cannot be read (RIG018).
     """
-    store = _Store(path)
+    store = _Store(path, moved)
     meshes = tuple(store.mesh(mesh) for mesh in rig.meshes)
     shapes = tuple(store.shape(shape) for shape in rig.shapes)
     return replace(rig, meshes=meshes, shapes=shapes), store.arrays
@@ -43,6 +47,7 @@ def with_file(rig: Rig, path: Path) -> tuple[Rig, StoredArrays]:
 @dataclass(slots=True)
 class _Store:
     path: Path
+    moved: bool
     arrays: StoredArrays = field(default_factory=dict)
 
     @overload
@@ -57,13 +62,17 @@ class _Store:
         self, source: ArraySource | None, name: str, *, whole: bool = False
     ) -> ArraySource | None:
         """Return a reference to an array, which is stored if no file has it."""
-        if not isinstance(source, HeldArray):
+        if source is None or (isinstance(source, ArrayRef) and not self.moved):
             return source
+        try:
+            values = source.load()
+        except ValueError as error:
+            raise FormatError(Fault("RIG018", str(error))) from error
         key = plain = re.sub(r"\W", "_", name)
         number = 2
         while key in self.arrays:
             key, number = f"{plain}_{number}", number + 1
-        self.arrays[key] = _smallest(source.values, whole=whole)
+        self.arrays[key] = _smallest(values, whole=whole)
         return ArrayRef(f"{self.path.name}#{key}", self.path, key)
 
     def mesh(self, mesh: Mesh) -> Mesh:

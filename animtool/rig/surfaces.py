@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault, FormatError
 from animtool.rig.parts import Mesh, Shape, Skin
 from animtool.rig.skeleton import Rig
 
@@ -100,9 +101,12 @@ def surfaces_of(rig: Rig) -> tuple[Surface, ...]:
     """Return the meshes of a rig, their arrays read.
 
     Raises:
-        ValueError: An array cannot be read any more, or is not finite.
+        FormatError: An array cannot be read any more (RIG018).
     """
-    return tuple(_surface(rig, mesh) for mesh in rig.meshes)
+    try:
+        return tuple(_surface(rig, mesh) for mesh in rig.meshes)
+    except ValueError as error:
+        raise FormatError(Fault("RIG018", f"{rig.name!r}: {error}")) from error
 
 
 def _surface(rig: Rig, mesh: Mesh) -> Surface:

@@ -17,6 +17,7 @@ from animtool._types import BoolArray, Float32Array
 from animtool.errors import Fault, OutputError
 from animtool.maths.curves import Curves
 from animtool.rig.skeleton import Rig
+from animtool.rig.surfaces import surfaces_of
 from animtool.usd.animation import AnimationWriter, Rounding, WrittenBlock
 from animtool.usd.layers import (
     StageMetadata,
@@ -149,10 +150,19 @@ def author(job: UsdJob, blocks: Iterator[WrittenBlock]) -> tuple[Authored, UsdRe
     with Sdf.ChangeBlock():
         if authored.rig is not None:
             author_rig(authored.rig, job.rig, job.names, job.paths, job.meters_per_unit)
+            if job.rig.meshes:
+                from animtool.usd.meshes import author_meshes
+
+                tokens = dict(zip(job.rig.names, job.joints, strict=True))
+                surfaces = surfaces_of(job.rig)
+                author_meshes(
+                    authored.rig, surfaces, job.paths, tokens, job.meters_per_unit
+                )
+                authored.visible = True
             if job.bones:
                 from animtool.usd.bones import author_bones
 
-                authored.bones = author_bones(
+                authored.visible |= author_bones(
                     authored.rig, job.rig, job.paths, job.meters_per_unit
                 )
         writer = AnimationWriter(
@@ -191,12 +201,12 @@ class Authored:
     Attributes:
         animation: Holds the SkelAnimation.
         rig: Holds the skeleton; the same layer in a stage, None in a layer.
-        bones: Whether there are bones to see.
+        visible: Whether there are bones or meshes to see.
     """
 
     animation: Any
     rig: Any = None
-    bones: bool = False
+    visible: bool = False
 
 
 def write_usd(job: UsdJob, authored: Authored, result: UsdResult) -> None:
@@ -247,7 +257,7 @@ def _author_extents(job: UsdJob, authored: Authored, writer: AnimationWriter) ->
     rest alone, so one frame tells it; where the SkelRoot holds several skeletons
     or moves its own within, UsdSkel computes every frame.
     """
-    if job.target is None and not authored.bones:
+    if job.target is None and not authored.visible:
         with Sdf.ChangeBlock():
             writer.author_extents(0.0)
         return

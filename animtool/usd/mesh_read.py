@@ -129,7 +129,9 @@ def _faces(mesh: Any, points: int, at: str) -> FloatArray:
 
 
 def _floats(attr: Any, width: int, at: str) -> FloatArray:
-    values = np.array(array_value(attr), np.float64).reshape(-1, width)
+    # Points that are sampled only are those of the first sample.
+    value = array_value(attr, Usd.TimeCode.EarliestTime())
+    values = np.array(value, np.float64).reshape(-1, width)
     if not np.isfinite(values).all():
         _fail("USD017", f"{attr.GetName()} hold a value that is not finite", at)
     return values

@@ -68,6 +68,8 @@ def author_meshes(
         spec = _mesh(layer, path, surface, meters_per_unit)
         if path in renamed:
             spec.SetInfo("customData", {"animtool": {"name": renamed[path]}})
+        if surface.skin is None and (surface.geom_bind != np.eye(4)).any():
+            _placed(spec, surface.geom_bind, meters_per_unit)
         if bound and (surface.skin is not None or surface.shapes):
             schemas = Sdf.TokenListOp()
             schemas.prependedItems = ["SkelBindingAPI"]
@@ -100,6 +102,21 @@ def _mesh(layer: Any, path: str, surface: Surface, meters_per_unit: float) -> An
     return spec
 
 
+def _placed(spec: Any, transform: FloatArray, meters_per_unit: float) -> None:
+    """Place a mesh that follows no joint."""
+    matrix = _matrix(transform, meters_per_unit)
+    attribute(spec, "xformOp:transform", _TYPES.Matrix4d, matrix)
+    order = Vt.TokenArray(["xformOp:transform"])
+    attribute(spec, "xformOpOrder", _TYPES.TokenArray, order, uniform=True)
+
+
+def _matrix(transform: FloatArray, meters_per_unit: float) -> Any:
+    """Return a transform of column vectors [m] as a row-vector matrix."""
+    rows = transform.T.copy()
+    rows[3, :3] /= meters_per_unit
+    return Gf.Matrix4d(*rows.ravel().tolist())
+
+
 def _vec3f(values: FloatArray) -> Any:
     return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values, np.float32))
 
@@ -115,14 +132,9 @@ def _skin(
     if skin.joints != tuple(tokens):
         own = Vt.TokenArray([tokens[name] for name in skin.joints])
         attribute(spec, "skel:joints", _TYPES.TokenArray, own, uniform=True)
-    bind = surface.geom_bind.T.copy()
-    bind[3, :3] /= meters_per_unit
-    attribute(
-        spec,
-        "primvars:skel:geomBindTransform",
-        _TYPES.Matrix4d,
-        Gf.Matrix4d(*bind.ravel().tolist()),
-    )
+    if (surface.geom_bind != np.eye(4)).any():
+        bind = _matrix(surface.geom_bind, meters_per_unit)
+        attribute(spec, "primvars:skel:geomBindTransform", _TYPES.Matrix4d, bind)
     flat = np.ascontiguousarray(indices.ravel(), np.int32)
     shares = np.ascontiguousarray(weights.ravel(), np.float32)
     for name, kind, values in (
@@ -135,7 +147,8 @@ def _skin(
         made.SetInfo("elementSize", indices.shape[1])
     method = _METHODS[skin.method]
     if method != "classicLinear":
-        attribute(spec, "skel:skinningMethod", _TYPES.Token, method, uniform=True)
+        name = "primvars:skel:skinningMethod"
+        attribute(spec, name, _TYPES.Token, method, uniform=True)
 
 
 def _packed(indices: IntArray, weights: FloatArray) -> tuple[IntArray, FloatArray]:

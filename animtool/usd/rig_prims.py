@@ -29,6 +29,7 @@ __all__ = [
     "others_notice",
     "prim_below",
     "read_rig",
+    "read_whole_rig",
     "rig_from_tokens",
     "skeleton_rig",
     "up_axis",
@@ -90,7 +91,14 @@ def _check_metadata(stage: Any, where: str) -> None:
 
 
 def read_rig(path: Path) -> Rig:
+    """Return the rig of a USD file, without what there is to say of it."""
+    return read_whole_rig(path)[0]
+
+
+def read_whole_rig(path: Path) -> tuple[Rig, list[Fault]]:
     """Return the rig of a USD file's Skeleton, that of its default prim first.
+
+    With bind pose, meshes and shapes, and what its customData holds beyond USD.
 
     Raises:
         FormatError: It is no USD file or holds no sound Skeleton.
@@ -102,10 +110,23 @@ def read_rig(path: Path) -> Rig:
             _fail("USD008", "holds no Skeleton", str(path))
         found = skeleton_rig(skeletons[0], path)
         from animtool.usd.mesh_read import read_meshes
+        from animtool.usd.stored_rig import joined_rig
 
-        meshes, shapes, _ = read_meshes(skeletons[0], found, str(path))
-        bind = _bind_poses(skeletons[0], found)
-        return replace(found.rig, bind=bind, meshes=meshes, shapes=shapes)
+        skeleton = skeletons[0]
+        meshes, shapes, notices = read_meshes(skeleton, found, str(path))
+        notices += others_notice(skeletons, str(path))
+        notices += composition_notices(stage, str(path))
+        bind = _bind_poses(skeleton, found)
+        rig = replace(found.rig, bind=bind, meshes=meshes, shapes=shapes)
+        joined, more = joined_rig(
+            rig,
+            skeleton.GetPrim().GetCustomDataByKey("animtool") or {},
+            found.tokens,
+            array_value(skeleton.GetRestTransformsAttr()),
+            array_value(skeleton.GetBindTransformsAttr()),
+            path,
+        )
+        return joined, notices + more
 
 
 def _bind_poses(skeleton: Any, found: SkeletonRig) -> dict[str, Pose]:
@@ -238,7 +259,7 @@ def _parent(token: str, index: dict[str, int]) -> int:
 
 
 def _extras(data: dict[str, Any], where: str) -> dict[str, dict[str, Any]]:
-    text = data.get("rig", "")
+    text = data.get("joints", "")
     if not text:
         return {}
     try:
@@ -246,9 +267,9 @@ def _extras(data: dict[str, Any], where: str) -> dict[str, dict[str, Any]]:
         version, joints = content["animtool"], content["joints"]
         extras = {str(name): _joint_extras(entry) for name, entry in joints.items()}
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        _fail("USD007", f"customData animtool:rig is malformed: {error}", where)
+        _fail("USD007", f"customData animtool:joints is malformed: {error}", where)
     if version != 1:
-        _fail("USD007", f"customData animtool:rig needs animtool/{version}", where)
+        _fail("USD007", f"customData animtool:joints needs animtool/{version}", where)
     return extras
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,11 +13,21 @@ from pxr import Sdf, Vt
 from animtool._types import FloatArray
 from animtool.maths import so3
 from animtool.rig.kinematics import bind_world
-from animtool.rig.skeleton import Rig
+from animtool.rig.parts import Shape
+from animtool.rig.skeleton import JointType, Rig
+from animtool.rig.write import rig_text
 from animtool.usd.layers import attribute, prim, relationship
 from animtool.usd.names import UsdNames
 
-__all__ = ["RigPaths", "author_binding", "author_rig", "joint_extras"]
+__all__ = [
+    "RigPaths",
+    "author_binding",
+    "author_rig",
+    "joint_extras",
+    "says_more",
+    "skeleton_hash",
+    "stripped",
+]
 
 _EXTRAS_VERSION = 1
 
@@ -67,14 +78,39 @@ def author_rig(
     matrices = types.Matrix4dArray
     attribute(spec, "bindTransforms", matrices, bind, uniform=True)
     attribute(spec, "restTransforms", matrices, rest, uniform=True)
-    extras = joint_extras(rig, names.names)
     data: dict[str, Any] = {}
-    if extras:
-        data["rig"] = extras
+    if says_more(rig):
+        data["rig"] = rig_text(stripped(rig))
+        data["hash"] = skeleton_hash(tokens, rest, bind)
+    elif extras := joint_extras(rig, names.names):
+        data["joints"] = extras
     if names.originals:
         data["names"] = names.originals
     if data:
         spec.SetInfo("customData", {"animtool": data})
+
+
+def says_more(rig: Rig) -> bool:
+    """Return whether a rig holds what USD has no place for."""
+    parts = (rig.controls, rig.ik, rig.attach, rig.colliders)
+    return any(map(bool, parts)) or any(
+        joint.type is not JointType.FREE or joint.limits or joint.mimic or joint.mirror
+        for joint in rig.joints
+    )
+
+
+def stripped(rig: Rig) -> Rig:
+    """Return a rig without the arrays, which USD holds."""
+    shapes = tuple(Shape(shape.name, combine=shape.combine) for shape in rig.shapes)
+    return replace(rig, meshes=(), shapes=shapes)
+
+
+def skeleton_hash(tokens: Any, rest: Any, bind: Any) -> str:
+    """Return a hash of the joints, rest and bind transforms of a Skeleton."""
+    made = hashlib.sha256("\n".join(map(str, tokens)).encode())
+    for matrices in (rest, bind):
+        made.update(np.array(matrices, "<f8").tobytes())
+    return made.hexdigest()
 
 
 def _matrices(positions: FloatArray, linear: FloatArray) -> Any:

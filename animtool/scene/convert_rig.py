@@ -1,0 +1,151 @@
+"""A rig from one file format to another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from animtool.errors import Fault, OptionError, refuse_warnings
+from animtool.output import check_outputs, output_error, replacing
+from animtool.readers import USD, find_reader
+from animtool.rig.skeleton import Rig
+from animtool.rig.store import StoredArrays, with_file
+from animtool.rig.write import rig_text
+
+__all__ = ["RIG_SUFFIXES", "RigReport", "convert_rig", "is_rig"]
+
+RIG_SUFFIXES = (".rig.yaml", ".rig.yml", ".rig.json")
+
+
+@dataclass(frozen=True, slots=True)
+class RigReport:
+    """What a conversion of a rig did.
+
+    Attributes:
+        outputs: The files written.
+        joints: Joints of the rig.
+        meshes: Its meshes.
+        shapes: Its blend shapes.
+        controls: Its controls.
+        physics: Joint prims written; None where they were not asked for.
+        notices: Warnings and notes.
+    """
+
+    outputs: list[Path]
+    joints: int
+    meshes: int
+    shapes: int
+    controls: int
+    physics: int | None
+    notices: list[Fault]
+
+
+def is_rig(path: Path) -> bool:
+    """Return whether a name is that of a rig file.
+
+    >>> is_rig(Path("hero.rig.yaml")), is_rig(Path("hero.clip.yaml"))
+    (True, False)
+    """
+    return path.name.lower().endswith(RIG_SUFFIXES)
+
+
+def convert_rig(
+    source: Path | str,
+    output: Path | str,
+    *,
+    physics: bool = False,
+    overwrite: bool = False,
+    strict: bool = False,
+) -> RigReport:
+    """Convert a rig to a USD rig layer, or to a rig file with its arrays beside it.
+
+    Args:
+        source: A rig file, a USD file with a Skeleton, or a BVH.
+        output: A USD file, or ``.rig.yaml``.
+        physics: Write ``NAME.physics.usda`` beside a USD file too, with joint types
+            and limits.
+        overwrite: Replace outputs that exist.
+        strict: Take warnings for errors.
+
+    Raises:
+        FormatError: The source is malformed.
+        OptionError: The output's suffix is unknown, or it exists.
+        OutputError: The output cannot be written.
+        StrictError: There were warnings, and ``strict`` is on.
+    """
+    source, output = Path(source), Path(output)
+    if is_rig(output):
+        if physics:
+            message = "--physics is for a USD file, and this is none"
+            raise OptionError(Fault("CLI004", message, str(output)))
+        return _to_file(source, output, overwrite, strict)
+    if output.suffix.lower() in {".usd", ".usda", ".usdc"}:
+        return _to_usd(source, output, physics, overwrite, strict)
+    message = f"suffix {output.suffix!r} holds no rig"
+    hint = "allowed: .rig.yaml, .usd, .usda, .usdc"
+    raise OptionError(Fault("OUT004", message, str(output), (), hint))
+
+
+def _open(path: Path) -> tuple[Rig, list[Fault]]:
+    if path.is_file() and find_reader(path) is USD:
+        from animtool.usd.rig_prims import read_whole_rig
+
+        return read_whole_rig(path)
+    return Rig.load(path), []
+
+
+def _report(
+    rig: Rig, outputs: list[Path], notices: list[Fault], physics: int | None = None
+) -> RigReport:
+    counts = len(rig.joints), len(rig.meshes), len(rig.shapes), len(rig.controls)
+    return RigReport(outputs, *counts, physics, notices)
+
+
+def _to_file(source: Path, output: Path, overwrite: bool, strict: bool) -> RigReport:
+    stem = output.name
+    for suffix in RIG_SUFFIXES:
+        stem = stem.removesuffix(suffix)
+    arrays_path = output.with_name(f"{stem}.npz")
+    rig, notices = _open(source)
+    moved = source.resolve().parent != output.resolve().parent
+    rig, arrays = with_file(rig, arrays_path, moved=moved)
+    outputs = [arrays_path, output] if arrays else [output]
+    check_outputs(outputs, [source], overwrite=overwrite)
+    refuse_warnings(notices, strict=strict)
+    if arrays:
+        _write_arrays(arrays_path, arrays)
+    with replacing(output) as temporary:
+        try:
+            temporary.write_text(rig_text(rig), "utf-8")
+        except OSError as error:
+            raise output_error(output, error) from error
+    return _report(rig, outputs, notices)
+
+
+def _write_arrays(path: Path, arrays: StoredArrays) -> None:
+    with replacing(path) as temporary:
+        try:
+            with temporary.open("wb") as file:
+                np.savez_compressed(file, allow_pickle=False, **arrays)
+        except OSError as error:
+            raise output_error(path, error) from error
+
+
+def _to_usd(
+    source: Path, output: Path, physics: bool, overwrite: bool, strict: bool
+) -> RigReport:
+    outputs = [output]
+    if physics:
+        outputs.append(output.with_name(f"{output.stem}.physics.usda"))
+    check_outputs(outputs, [source], overwrite=overwrite)
+    rig, notices = _open(source)
+    from animtool.usd.rig_layer import write_physics_layer, write_rig_layer
+
+    refuse_warnings(notices, strict=strict)
+    _, more = write_rig_layer(rig, output)
+    made = None
+    if physics:
+        _, made = write_physics_layer(rig, outputs[1], output)
+    return _report(rig, outputs, notices + more, made)
