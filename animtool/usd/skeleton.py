@@ -82,7 +82,7 @@ def author_rig(
     if says_more(rig):
         data["rig"] = rig_text(stripped(rig))
         data["hash"] = skeleton_hash(tokens, rest, bind)
-    elif extras := joint_extras(rig, names.names):
+    if extras := joint_extras(rig, names.names):
         data["joints"] = extras
     if names.originals:
         data["names"] = names.originals
@@ -91,10 +91,16 @@ def author_rig(
 
 
 def says_more(rig: Rig) -> bool:
-    """Return whether a rig holds what USD has no place for."""
+    """Return whether a rig holds what USD has no place for.
+
+    The type of a joint with channels follows from these, which stand apart.
+    """
     parts = (rig.controls, rig.ik, rig.attach, rig.colliders)
     return any(map(bool, parts)) or any(
-        joint.type is not JointType.FREE or joint.limits or joint.mimic or joint.mirror
+        (joint.type is not JointType.FREE and joint.channels is None)
+        or joint.limits is not None
+        or joint.mimic is not None
+        or joint.mirror
         for joint in rig.joints
     )
 

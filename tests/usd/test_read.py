@@ -319,12 +319,12 @@ def test_metadata_that_is_none(stage: Usd.Stage, name: str, value: object) -> No
     [
         "x",
         {"names": "x"},
-        {"rig": "{"},
-        {"rig": "[]"},
-        {"rig": '{"animtool":1,"joints":[]}'},
-        {"rig": '{"animtool":1,"joints":{"c":{"channels":5}}}'},
-        {"rig": '{"animtool":1,"joints":{"c":{"tips":[[1]]}}}'},
-        {"rig": '{"animtool":2,"joints":{}}'},
+        {"joints": "{"},
+        {"joints": "[]"},
+        {"joints": '{"animtool":1,"joints":[]}'},
+        {"joints": '{"animtool":1,"joints":{"c":{"channels":5}}}'},
+        {"joints": '{"animtool":1,"joints":{"c":{"tips":[[1]]}}}'},
+        {"joints": '{"animtool":2,"joints":{}}'},
     ],
 )
 def test_custom_data_of_other_shapes(stage: Usd.Stage, data: object) -> None:
