@@ -132,7 +132,7 @@ def run_bake(plan: BakePlan) -> BakeReport:
     finally:
         rounded.close()
     seconds = {"read": counter.seconds, "author": time.perf_counter() - began}
-    notices = stream.notices + plan.notices + job.names.notices
+    notices = stream.notices + plan.notices + job.names.notices + result.notices
     refuse_warnings(notices, strict=options.strict)
     write_usd(job, authored, result)
     seconds["total"] = time.perf_counter() - began

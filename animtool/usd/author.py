@@ -155,9 +155,10 @@ def author(job: UsdJob, blocks: Iterator[WrittenBlock]) -> tuple[Authored, UsdRe
 
                 tokens = dict(zip(job.rig.names, job.joints, strict=True))
                 surfaces = surfaces_of(job.rig)
-                author_meshes(
+                _, notices = author_meshes(
                     authored.rig, surfaces, job.paths, tokens, job.meters_per_unit
                 )
+                result.notices += notices
                 authored.visible = True
             if job.bones:
                 from animtool.usd.bones import author_bones

@@ -9,7 +9,9 @@ import numpy as np
 from pxr import Gf, Sdf, Vt
 
 from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault, Severity
 from animtool.rig.surfaces import Surface, SurfaceShape, SurfaceSkin
+from animtool.skin.influences import InfluenceReport, Influences, read_influences
 from animtool.usd.layers import attribute, prim
 from animtool.usd.names import distinct_names
 from animtool.usd.skeleton import RigPaths
@@ -51,8 +53,10 @@ def author_meshes(
     meters_per_unit: float,
     *,
     bound: bool = True,
-) -> list[str]:
-    """Write meshes below the SkelRoot; return the paths of their prims.
+) -> tuple[list[str], list[Fault]]:
+    """Write meshes below the SkelRoot; return the paths of their prims, and notices.
+
+    Weights of a skin are normalised, which a note says (SKIN101).
 
     Args:
         layer: Where to.
@@ -63,6 +67,7 @@ def author_meshes(
         bound: Bind them to the Skeleton, with their shapes; False writes surfaces
             alone.
     """
+    notices: list[Fault] = []
     found, renamed = mesh_names(surfaces, paths)
     for path, surface in zip(found, surfaces, strict=True):
         spec = _mesh(layer, path, surface, meters_per_unit)
@@ -75,10 +80,10 @@ def author_meshes(
             schemas.prependedItems = ["SkelBindingAPI"]
             spec.SetInfo("apiSchemas", schemas)
             if surface.skin is not None:
-                _skin(spec, surface, surface.skin, tokens, meters_per_unit)
+                notices += _skin(spec, surface, surface.skin, tokens, meters_per_unit)
             if surface.shapes:
                 _shapes(layer, spec, surface, meters_per_unit)
-    return found
+    return found, notices
 
 
 def _mesh(layer: Any, path: str, surface: Surface, meters_per_unit: float) -> Any:
@@ -127,8 +132,9 @@ def _skin(
     skin: SurfaceSkin,
     tokens: Mapping[str, str],
     meters_per_unit: float,
-) -> None:
-    indices, weights = _packed(skin.indices, skin.weights)
+) -> list[Fault]:
+    influences, report = read_influences(skin.indices, skin.weights, len(skin.joints))
+    indices, weights = _padded(influences)
     if skin.joints != tuple(tokens):
         own = Vt.TokenArray([tokens[name] for name in skin.joints])
         attribute(spec, "skel:joints", _TYPES.TokenArray, own, uniform=True)
@@ -149,16 +155,27 @@ def _skin(
     if method != "classicLinear":
         name = "primvars:skel:skinningMethod"
         attribute(spec, name, _TYPES.Token, method, uniform=True)
+    return _notices(surface.name, report)
 
 
-def _packed(indices: IntArray, weights: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return influences with the largest first, in no more columns than needed."""
-    order = np.argsort(-weights, axis=1, kind="stable")
-    weights = np.take_along_axis(weights, order, axis=1)
-    indices = np.take_along_axis(indices, order, axis=1)
-    indices = np.where(weights > 0, indices, 0)
-    width = max(1, int((weights > 0).sum(axis=1).max(initial=1)))
-    return indices[:, :width], weights[:, :width]
+def _padded(influences: Influences) -> tuple[IntArray, FloatArray]:
+    """Return joints and weights ``(V, I)``, I no more than one vertex has."""
+    counts = np.diff(influences.first)
+    within = np.arange(max(1, int(counts.max(initial=1)))) < counts[:, None]
+    joints, weights = np.zeros(within.shape, np.int64), np.zeros(within.shape)
+    joints[within], weights[within] = influences.joints, influences.weights
+    return joints, weights
+
+
+def _notices(mesh: str, report: InfluenceReport) -> list[Fault]:
+    if not report.normalized:
+        return []
+    message = (
+        f"mesh {mesh!r}: the weights of {report.normalized} vertices were brought to "
+        f"the sum 1; that of vertex {report.sum_vertex} was off by "
+        f"{report.sum_error:.3g}"
+    )
+    return [Fault("SKIN101", message, severity=Severity.NOTE)]
 
 
 def _shapes(layer: Any, spec: Any, surface: Surface, meters_per_unit: float) -> None:

@@ -47,7 +47,7 @@ def _rig_layer(rig: Rig, path: Path) -> tuple[Any, list[Fault]]:
         _metadata(layer, rig, paths)
         author_rig(layer, rig, names, paths, meters)
         tokens = dict(zip(rig.names, rig.paths(names.names), strict=True))
-        author_meshes(layer, surfaces_of(rig), paths, tokens, meters)
+        _, said = author_meshes(layer, surfaces_of(rig), paths, tokens, meters)
         root = layer.GetPrimAtPath(paths.root)
         schemas = Sdf.TokenListOp()
         schemas.prependedItems = ["SkelBindingAPI"]
@@ -60,7 +60,7 @@ def _rig_layer(rig: Rig, path: Path) -> tuple[Any, list[Fault]]:
     with Sdf.ChangeBlock():
         value = Vt.Vec3fArray.FromNumpy(bounds)
         attribute(root, "extent", Sdf.ValueTypeNames.Float3Array, value)
-    notices = [replace(fault, path=str(path)) for fault in names.notices]
+    notices = [replace(fault, path=str(path)) for fault in names.notices + said]
     return layer, notices
 
 

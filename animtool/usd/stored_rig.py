@@ -12,7 +12,7 @@ from animtool.documents.document import document_of
 from animtool.errors import Fault, FormatError, Severity, listed
 from animtool.rig.controls import Control
 from animtool.rig.file import rig_of_document
-from animtool.rig.parts import Shape
+from animtool.rig.parts import Mesh, Shape
 from animtool.rig.skeleton import Joint, Rig
 from animtool.usd.skeleton import skeleton_hash
 
@@ -63,9 +63,20 @@ def joined_rig(
         shapes=shapes,
         meters_per_unit=read.meters_per_unit,
     )
-    if data.get("hash") == skeleton_hash(tokens, rest, bind):
-        return whole, []
-    return _edited(whole, read, str(path))
+    notices: list[Fault] = []
+    if data.get("hash") != skeleton_hash(tokens, rest, bind):
+        whole, notices = _edited(whole, read, str(path))
+    names = dict(zip(read.names, whole.names, strict=True))
+    meshes = tuple(_renamed(mesh, names) for mesh in whole.meshes)
+    return replace(whole, meshes=meshes), notices
+
+
+def _renamed(mesh: Mesh, names: dict[str, str]) -> Mesh:
+    """Return a mesh whose skin names joints as the rig does."""
+    if mesh.skin is None:
+        return mesh
+    joints = tuple(names[name] for name in mesh.skin.joints)
+    return replace(mesh, skin=replace(mesh.skin, joints=joints))
 
 
 def _shapes(stored: Rig, read: Rig) -> tuple[Shape, ...]:
