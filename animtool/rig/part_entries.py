@@ -29,6 +29,7 @@ from animtool.rig.parts import (
     Mesh,
     Shape,
     Skin,
+    Subdivision,
 )
 from animtool.rig.schema import (
     ControlModel,
@@ -226,6 +227,7 @@ class PartReader:
             self._maybe((*at, "normals"), mesh.normals, "normals", (count, 3)),
             None if mesh.geom_bind is None else tuple(mesh.geom_bind),
             None if mesh.skin is None else self._skin((*at, "skin"), mesh.skin, count),
+            None if mesh.subdivision is None else Subdivision(mesh.subdivision),
         )
 
     def _skin(self, at: Location, skin: SkinModel, vertices: int | None) -> Skin:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import TypeAlias
 
@@ -23,6 +24,7 @@ __all__ = [
     "Mesh",
     "Shape",
     "Skin",
+    "Subdivision",
 ]
 
 Vector = tuple[float, float, float]
@@ -79,6 +81,15 @@ class HeldArray:
 ArraySource: TypeAlias = ArrayRef | HeldArray
 
 
+class Subdivision(StrEnum):
+    """By which rule a surface is refined, if at all."""
+
+    NONE = "none"
+    CATMULL_CLARK = "catmull_clark"
+    LOOP = "loop"
+    BILINEAR = "bilinear"
+
+
 @dataclass(frozen=True, slots=True)
 class Skin:
     """How a mesh follows joints.
@@ -108,6 +119,8 @@ class Mesh:
         geom_bind: World transform of the points at bind time, 16 numbers row by row,
             for column vectors; None is identity.
         skin: None where it follows no joint.
+        subdivision: How it is refined; None is not at all where it has normals, else
+            by Catmull and Clark's rule.
     """
 
     name: str
@@ -116,6 +129,7 @@ class Mesh:
     normals: ArraySource | None = None
     geom_bind: tuple[float, ...] | None = None
     skin: Skin | None = None
+    subdivision: Subdivision | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -123,6 +123,7 @@ class MeshModel(FileModel):
     normals: str | None = None
     geom_bind: Matrix | None = None
     skin: SkinModel | None = None
+    subdivision: Literal["none", "catmull_clark", "loop", "bilinear"] | None = None
 
 
 class InbetweenModel(FileModel):

@@ -8,7 +8,7 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, FormatError
-from animtool.rig.parts import Mesh, Shape, Skin
+from animtool.rig.parts import Mesh, Shape, Skin, Subdivision
 from animtool.rig.skeleton import Rig
 
 __all__ = [
@@ -85,6 +85,7 @@ class Surface:
             vectors, its translation in [m].
         skin: None where it follows no joint.
         shapes: Its blend shapes.
+        subdivision: By which rule it is refined.
     """
 
     name: str
@@ -95,6 +96,7 @@ class Surface:
     geom_bind: FloatArray
     skin: SurfaceSkin | None
     shapes: tuple[SurfaceShape, ...]
+    subdivision: Subdivision
 
 
 def surfaces_of(rig: Rig) -> tuple[Surface, ...]:
@@ -130,7 +132,15 @@ def _surface(rig: Rig, mesh: Mesh) -> Surface:
             for shape in rig.shapes
             if shape.mesh == mesh.name and shape.deltas is not None
         ),
+        _subdivision(mesh),
     )
+
+
+def _subdivision(mesh: Mesh) -> Subdivision:
+    if mesh.subdivision is not None:
+        return mesh.subdivision
+    smooth = mesh.normals is None
+    return Subdivision.CATMULL_CLARK if smooth else Subdivision.NONE
 
 
 def _skin(skin: Skin) -> SurfaceSkin:

@@ -219,6 +219,7 @@ def _mesh(mesh: Mesh) -> str:
             ("normals", _file(mesh.normals)),
             ("geom_bind", _numbers(mesh.geom_bind)),
             ("skin", skin),
+            ("subdivision", mesh.subdivision and mesh.subdivision.value),
         ]
     )
 

@@ -10,7 +10,15 @@ from pxr import Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError, Severity
-from animtool.rig.parts import HeldArray, Inbetween, Mesh, Shape, Skin
+from animtool.rig.parts import (
+    HeldArray,
+    Inbetween,
+    Mesh,
+    Shape,
+    Skin,
+    Subdivision,
+)
+from animtool.usd.meshes import SUBDIVISION
 from animtool.usd.rig_prims import SkeletonRig, array_value
 
 __all__ = ["read_meshes"]
@@ -108,7 +116,16 @@ def _mesh(
         None if normals is None else HeldArray(normals),
         bind,
         _skin(query, len(points), rig, at) if query.HasJointInfluences() else None,
+        _subdivision(mesh, normals is not None),
     )
+
+
+def _subdivision(mesh: Any, with_normals: bool) -> Subdivision | None:
+    """Return the rule, None where it is the usual one."""
+    scheme = str(mesh.GetSubdivisionSchemeAttr().Get())
+    found = {name: rule for rule, name in SUBDIVISION.items()}.get(scheme)
+    usual = Subdivision.NONE if with_normals else Subdivision.CATMULL_CLARK
+    return None if found is usual else found
 
 
 def _faces(mesh: Any, points: int, at: str) -> FloatArray:

@@ -10,18 +10,25 @@ from pxr import Gf, Sdf, Vt
 
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, Severity
+from animtool.rig.parts import Subdivision
 from animtool.rig.surfaces import Surface, SurfaceShape, SurfaceSkin
 from animtool.skin.influences import InfluenceReport, Influences, read_influences
 from animtool.usd.layers import attribute, prim
 from animtool.usd.names import distinct_names
 from animtool.usd.skeleton import RigPaths
 
-__all__ = ["author_meshes", "mesh_names"]
+__all__ = ["SUBDIVISION", "author_meshes", "mesh_names"]
 
 # Fewer moving vertices than this share are written with their indices: an index is a
 # third of an offset.
 SPARSE = 0.75
 
+SUBDIVISION = {
+    Subdivision.NONE: "none",
+    Subdivision.CATMULL_CLARK: "catmullClark",
+    Subdivision.LOOP: "loop",
+    Subdivision.BILINEAR: "bilinear",
+}
 _TYPES = Sdf.ValueTypeNames
 _METHODS = {"linear": "classicLinear", "dual_quaternion": "dualQuaternion"}
 
@@ -103,7 +110,8 @@ def _mesh(layer: Any, path: str, surface: Surface, meters_per_unit: float) -> An
         attribute(
             spec, "normals", _TYPES.Normal3fArray, normals, interpolation="vertex"
         )
-    attribute(spec, "subdivisionScheme", _TYPES.Token, "none", uniform=True)
+    scheme = SUBDIVISION[surface.subdivision]
+    attribute(spec, "subdivisionScheme", _TYPES.Token, scheme, uniform=True)
     return spec
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.rig.limits import BallLimit, RangeLimit
-from animtool.rig.parts import HeldArray, Inbetween, Mesh, Shape, Skin
+from animtool.rig.parts import HeldArray, Inbetween, Mesh, Shape, Skin, Subdivision
 from animtool.rig.skeleton import Joint, JointType, Pose, Rig
 
 Floats = npt.NDArray[np.float64]
@@ -64,7 +64,12 @@ def shaped_rig(seed: int = 0, method: str = "linear") -> Rig:
             held(shares),
         ),
     )
-    cap = Mesh("Skel", held(points * 0.5 + 1), HeldArray(faces))
+    cap = Mesh(
+        "Skel",
+        held(points * 0.5 + 1),
+        HeldArray(faces),
+        subdivision=Subdivision.BILINEAR,
+    )
     lifted = rng.normal(0, 0.02, (count, 3))
     some = np.arange(2, 12)
     shapes = (

@@ -111,6 +111,7 @@ def same_arrays(one: Rig, other: Rig) -> None:
     """Assert that two rigs have the same surfaces."""
     for a, b in zip(surfaces_of(one), surfaces_of(other), strict=True):
         assert a.name == b.name
+        assert a.subdivision is b.subdivision
         for name in ("points", "counts", "indices", "normals", "geom_bind"):
             np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
         assert (a.skin is None) is (b.skin is None)
