@@ -17,6 +17,7 @@ from animtool.cli.options import (
 
 if TYPE_CHECKING:
     from animtool.report.describe import TakeDescription
+    from animtool.report.describe_rig import RigDescription
 
 __all__ = ["info"]
 
@@ -38,20 +39,26 @@ Examples:
 @common_options
 @click.pass_obj
 def info(console: Console, /, files: tuple[Path, ...], **given: Any) -> None:
-    """Say what is in BVH and USD files: joints, frames, rate, bounds, what is odd."""
+    """Say what is in BVH and USD files: joints, frames, rate, bounds, what is odd.
+
+    Of a rig file (.rig.yaml): its joints, meshes, shapes and controls.
+    """
     from animtool.errors import AnimtoolError
     from animtool.report.describe import describe
+    from animtool.scene.convert_rig import is_rig
     from animtool.scene.sources import is_usd
 
-    described, code = [], 0
+    described: list[Any] = []
+    code = 0
     for path in files:
         options = (
             source_options_record(None, None, None, given["prim_path"])
             if is_usd(path)
             else source_options_record(given["units"], given["up"], given["source_fps"])
         )
+        found: Any
         try:
-            found = describe(path, options)
+            found = _rig(path) if is_rig(path) else describe(path, options)
         except AnimtoolError as error:
             if console.debug:
                 raise
@@ -60,12 +67,49 @@ def info(console: Console, /, files: tuple[Path, ...], **given: Any) -> None:
             continue
         described.append(found)
         if given["report_format"] == "text":
-            console.result("\n".join(_text(found)))
+            text = _rig_text(found) if is_rig(path) else _text(found)
+            console.result("\n".join(text))
             console.faults(found.notices)
     if given["report_format"] == "json":
         files_json = [found.as_dict() for found in described]
         console.result_json({"info": "animtool/1", "files": files_json})
     click.get_current_context().exit(code)
+
+
+def _rig(path: Path) -> RigDescription:
+    from animtool.report.describe_rig import describe_rig
+    from animtool.scene.convert_rig import open_rig
+
+    return describe_rig(path, *open_rig(path))
+
+
+def _rig_text(found: RigDescription) -> list[str]:
+    types = ", ".join(f"{count} {kind}" for kind, count in found.joints.items())
+    lines = [
+        f"{found.path}: rig {found.name!r}",
+        f"  joints    {sum(found.joints.values())}: {types}; {found.limited} limited",
+        f"  size      {found.size:.4g} {found.units} at rest, {found.up} up",
+    ]
+    for mesh in found.meshes:
+        skin = "follows no joint"
+        if mesh.method is not None:
+            skin = f"{mesh.method} skin on {mesh.joints} joints, "
+            skin += f"{mesh.influences} a point at most"
+        lines.append(
+            f"  mesh      {mesh.name}: {mesh.points} points, {mesh.faces} faces, "
+            f"{skin}, {mesh.shapes} shapes"
+        )
+    if found.shapes:
+        arkit = f", {found.arkit} of ARKit's 52" if found.arkit else ""
+        lines.append(f"  shapes    {found.shapes}, {found.combined} combined{arkit}")
+    others = {
+        "controls": found.controls,
+        "chains": found.ik,
+        "attachments": found.attach,
+        "colliders": found.colliders,
+    }
+    said = ", ".join(f"{count} {name}" for name, count in others.items() if count)
+    return [*lines, f"  and       {said or 'nothing else'}"]
 
 
 def _text(found: TakeDescription) -> list[str]:

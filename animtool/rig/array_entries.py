@@ -97,6 +97,9 @@ class ArrayReader:
             message = f"{ref.text!r} holds floats, not whole numbers"
             self.document.add("RIG019", at, message)
             return False
+        if role == "faces" and not header.shape[0]:
+            self.document.add("RIG019", at, f"{ref.text!r} has no face")
+            return False
         if role == "faces" and header.shape[1] < 3:
             message = f"{ref.text!r} has faces of {header.shape[1]} corners, not 3"
             self.document.add("RIG019", at, message)

@@ -14,7 +14,7 @@ from animtool.rig.skeleton import Rig
 from animtool.rig.store import StoredArrays, with_file
 from animtool.rig.write import rig_text
 
-__all__ = ["RIG_SUFFIXES", "RigReport", "convert_rig", "is_rig"]
+__all__ = ["RIG_SUFFIXES", "RigReport", "convert_rig", "is_rig", "open_rig"]
 
 RIG_SUFFIXES = (".rig.yaml", ".rig.yml", ".rig.json")
 
@@ -88,7 +88,13 @@ def convert_rig(
     raise OptionError(Fault("OUT004", message, str(output), (), hint))
 
 
-def _open(path: Path) -> tuple[Rig, list[Fault]]:
+def open_rig(path: Path) -> tuple[Rig, list[Fault]]:
+    """Return a rig, wherever it lives, and what there is to say of it.
+
+    Raises:
+        FormatError: It cannot be read or is malformed.
+        OptionError: Its suffix is none that animtool reads.
+    """
     if path.is_file() and find_reader(path) is USD:
         from animtool.usd.rig_prims import read_whole_rig
 
@@ -108,7 +114,7 @@ def _to_file(source: Path, output: Path, overwrite: bool, strict: bool) -> RigRe
     for suffix in RIG_SUFFIXES:
         stem = stem.removesuffix(suffix)
     arrays_path = output.with_name(f"{stem}.npz")
-    rig, notices = _open(source)
+    rig, notices = open_rig(source)
     moved = source.resolve().parent != output.resolve().parent
     rig, arrays = with_file(rig, arrays_path, moved=moved)
     outputs = [arrays_path, output] if arrays else [output]
@@ -140,7 +146,7 @@ def _to_usd(
     if physics:
         outputs.append(output.with_name(f"{output.stem}.physics.usda"))
     check_outputs(outputs, [source], overwrite=overwrite)
-    rig, notices = _open(source)
+    rig, notices = open_rig(source)
     from animtool.usd.rig_layer import write_physics_layer, write_rig_layer
 
     refuse_warnings(notices, strict=strict)

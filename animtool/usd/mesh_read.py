@@ -134,6 +134,8 @@ def _faces(mesh: Any, points: int, at: str) -> FloatArray:
         np.array(array_value(attr), np.int64)
         for attr in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
     )
+    if not len(counts):
+        _fail("USD017", "the mesh has no faces", at)
     if counts.sum() != len(indices) or (counts < 3).any():
         _fail("USD017", f"{len(indices)} face vertices for faces of others", at)
     if len(indices) and not 0 <= indices.min() <= indices.max() < points:

@@ -82,6 +82,7 @@ def yard(tmp_path_factory: pytest.TempPathFactory) -> Path:
         filled=np.array([[0, 1, 2, -1]]),
         hole=np.array([[0, 1, -1, -1]]),
         pairs=np.array([[0, 1]]),
+        faceless=np.zeros((0, 3), int),
         infinite=np.full((4, 3), np.inf),
     )
     (folder / "animtool.toml").write_text("")
@@ -264,6 +265,7 @@ FAULTS = [
     ("weights: hull.npz", "weights: hull.npz#none", "RIG027", 14),
     ("weights: hull.npz", "weights: hull.npz#points", "RIG019", 14),
     ("faces: hull.npz", "faces: hull.npz#corners", "RIG027", 14),
+    ("faces: hull.npz", "faces: hull.npz#faceless", "RIG019", 14),
     ("faces: hull.npz", "faces: hull.npz#hole", "RIG027", 14),
     ("faces: hull.npz", "faces: hull.npz#pairs", "RIG019", 14),
     ("points: hull.npz", "points: hull.npz#infinite", "RIG027", 14),

@@ -196,6 +196,7 @@ FAULTS = [
     ("body", "points", Vt.Vec3fArray(0), "USD017"),
     ("body", "points", Vt.Vec3fArray([(0, 0, np.inf)] * 40), "USD017"),
     ("body", "faceVertexCounts", Vt.IntArray([4]), "USD017"),
+    ("body", "faceVertexCounts", Vt.IntArray(0), "USD017"),
     ("body", "faceVertexIndices", Vt.IntArray([99] * 111), "USD018"),
     ("body/jaw", "pointIndices", Vt.IntArray([77] * 10), "USD018"),
     ("body/jaw", "offsets", Vt.Vec3fArray([(0, 0, 0)]), "USD017"),

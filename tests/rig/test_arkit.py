@@ -1,0 +1,36 @@
+"""Names of face shapes."""
+
+from __future__ import annotations
+
+import pytest
+
+from animtool.edit.mirror import mirror_pairs
+from animtool.rig.arkit import ARKIT_SHAPES, arkit_name
+
+
+def test_there_are_52() -> None:
+    assert len(set(ARKIT_SHAPES)) == 52
+
+
+@pytest.mark.parametrize("name", ARKIT_SHAPES)
+def test_spellings(name: str) -> None:
+    snake = "".join(f"_{c.lower()}" if c.isupper() else c for c in name)
+    short = name.removesuffix("Left").removesuffix("Right")
+    spellings = [name, name.lower(), name[0].upper() + name[1:], snake, f"face.{name}"]
+    if short != name:
+        spellings += [f"{short}_{name[len(short)]}", f"ns:{short}{name[len(short)]}"]
+    for spelling in spellings:
+        assert arkit_name(spelling) == name
+
+
+@pytest.mark.parametrize("name", ["", "jaw", "eyeBlink", "smile", "mouthSmileMiddle"])
+def test_others(name: str) -> None:
+    assert arkit_name(name) is None
+
+
+def test_sides_are_each_others_mirror() -> None:
+    partners = mirror_pairs(list(ARKIT_SHAPES))
+    for i, j in enumerate(partners.tolist()):
+        left = ARKIT_SHAPES[i].replace("Right", "Left")
+        assert ARKIT_SHAPES[j].replace("Right", "Left") == left
+        assert (i == j) is ("Left" not in left)
