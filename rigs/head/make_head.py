@@ -1,0 +1,122 @@
+"""Make ``head.npz``, the surfaces of the head rig.
+
+Usage: ``python make_head.py [OUT]``; ``OUT`` is ``head.npz`` beside this file unless
+given.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+import head_mesh
+import head_parts
+import numpy as np
+from head_mesh import Ints
+from head_parts import Piece
+from head_surface import Array, head_field, project
+from numpy.typing import NDArray
+
+RELAXING = 14
+
+
+@dataclass(frozen=True, slots=True)
+class Face:
+    """The skin with ears, teeth and tongue, both sides.
+
+    Attributes:
+        points: ``(V, 3)``.
+        faces: ``(N, 4)``.
+        mirror: Index of each point's mirror image ``(V,)``.
+        part: Name of the part of each point ``(V,)``.
+        side: 1 on an upper lid or lip, -1 on a lower one, 0 elsewhere ``(V,)``.
+        share: Way from the middle of the mouth or the eye to the corner ``(V,)``.
+    """
+
+    points: Array
+    faces: Ints
+    mirror: Ints
+    part: NDArray[np.str_]
+    side: Array
+    share: Array
+
+
+def relaxed(points: Array, faces: Ints, loose: NDArray[np.bool_]) -> Array:
+    """Return points spread evenly over the skin, those that are not loose kept."""
+    ring = np.where(faces >= 0, faces, faces[:, :1])
+    ends = np.concatenate([ring[:, [k, (k + 1) % 4]] for k in range(4)])
+    ends = np.unique(np.sort(ends[ends[:, 0] != ends[:, 1]], axis=1), axis=0)
+    count = np.bincount(ends.ravel(), minlength=len(points)).astype(float)
+    middle = points[:, 0] == 0
+    points = points.copy()
+    for _ in range(RELAXING):
+        total = np.zeros_like(points)
+        np.add.at(total, ends[:, 0], points[ends[:, 1]])
+        np.add.at(total, ends[:, 1], points[ends[:, 0]])
+        moved = points + 0.5 * (total / count[:, None] - points)
+        moved[middle, 0] = 0.0
+        points[loose] = project(head_field, moved[loose], steps=2)
+        points[middle, 0] = 0.0
+    return points
+
+
+def mirrored(pieces: list[tuple[Piece, NDArray[np.str_], Array, Array]]) -> Face:
+    """Return left pieces and their mirror images as one mesh.
+
+    Args:
+        pieces: Piece, and for its points name of the part, side and share. Points in
+            the middle are their own images.
+    """
+    points, faces, part, side, share, mirror = [], [], [], [], [], []
+    first = 0
+    for piece, names, sides, shares in pieces:
+        own = piece.points
+        middle = np.abs(own[:, 0]) < 1e-9
+        own = np.where(middle[:, None], own * [0, 1, 1], own)
+        other = np.where(middle, np.arange(len(own)), 0)
+        other[~middle] = len(own) + np.arange((~middle).sum())
+        flipped = np.where(piece.faces >= 0, other[piece.faces], -1)
+        quad = flipped[:, 3] >= 0
+        flipped[quad] = flipped[quad][:, [0, 3, 2, 1]]
+        flipped[~quad] = flipped[~quad][:, [0, 2, 1, 3]]
+        both = np.concatenate([piece.faces, flipped])
+        points.append(np.concatenate([own, own[~middle] * [-1, 1, 1]]))
+        back = np.concatenate([other, np.flatnonzero(~middle)])
+        mirror.append(first + back)
+        faces.append(np.where(both >= 0, both + first, -1))
+        for kept, values in ((part, names), (side, sides), (share, shares)):
+            kept.append(np.concatenate([values, values[~middle]]))
+        first += len(back)
+    return Face(*(np.concatenate(x) for x in (points, faces, mirror, part, side, share)))
+
+
+def halved(piece: Piece) -> Piece:
+    """Return the left half of a piece that is its own mirror image."""
+    keep = (piece.points[piece.faces, 0] > -1e-9) | (piece.faces < 0)
+    faces = piece.faces[keep.all(1)]
+    used = np.unique(faces[faces >= 0])
+    new = np.full(len(piece.points), -1)
+    new[used] = np.arange(len(used))
+    return Piece(piece.points[used], np.where(faces >= 0, new[faces], -1))
+
+
+def face() -> Face:
+    """Return the face."""
+    half = head_mesh.half_head()
+    points, faces = np.array(half.points), np.array(half.faces)
+    part = np.array([tag[0] for tag in half.tags])
+    side = np.array([tag[1] for tag in half.tags])
+    share = np.array([tag[2] for tag in half.tags])
+    points = relaxed(points, faces, part == "skin")
+    pieces = [(Piece(points, faces), part, side, share)]
+    for name, piece in (
+        ("ear", head_parts.ear()),
+        ("brow", head_parts.brow()),
+        ("upper_teeth", halved(head_parts.teeth(*head_parts.UPPER_TEETH, 1.0))),
+        ("lower_teeth", halved(head_parts.teeth(*head_parts.LOWER_TEETH, 0.95))),
+        ("tongue", halved(head_parts.tongue())),
+    ):
+        zero = np.zeros(len(piece.points))
+        pieces.append((piece, np.full(len(zero), name), zero, zero))
+    return mirrored(pieces)
