@@ -69,14 +69,14 @@ def lofted(rings: Array, tip: Array | None = None, first: Array | None = None) -
     for r in range(count - 1):
         for c in range(width):
             d = (c + 1) % width
-            faces.append([r * width + c, r * width + d, (r + 1) * width + d, (r + 1) * width + c])
+            faces.append([r * width + c, (r + 1) * width + c, (r + 1) * width + d, r * width + d])
     for end, ring in ((tip, count - 1), (first, 0)):
         if end is None:
             continue
         points = np.concatenate([points, end[None]])
         for c in range(width):
             a, b = ring * width + c, ring * width + (c + 1) % width
-            pair = [a, b] if ring else [b, a]
+            pair = [b, a] if ring else [a, b]
             faces.append([*pair, len(points) - 1, -1])
     return Piece(points, np.array(faces))
 
@@ -87,7 +87,7 @@ def ear() -> Piece:
     up, back = np.cos(turn), np.sin(turn)
     wide = np.where(up > 0, 0.0175, 0.0175 - 0.0065 * up**2)
     wide = np.where(back < 0, wide * (0.62 - 0.1 * up), wide)
-    outline = np.column_stack([np.zeros(EAR_COUNT), 0.0305 * up, -wide * back])
+    outline = np.column_stack([np.zeros(EAR_COUNT), 0.0285 * up, -wide * back])
     rings = []
     for share, height in EAR_RINGS:
         inner = np.clip((0.7 - share) / 0.5, 0, 1)
@@ -104,11 +104,7 @@ def ear() -> Piece:
     turned = made.points @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
     c, s = np.cos(flare), np.sin(flare)
     turned = turned @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
-    faces = made.faces.copy()
-    quad = faces[:, 3] >= 0
-    faces[quad] = faces[quad][:, ::-1]
-    faces[~quad] = faces[~quad][:, [1, 0, 2, 3]]
-    return Piece(turned + EAR_PLACE, faces)
+    return Piece(turned + EAR_PLACE, made.faces)
 
 
 def eyeball() -> Piece:
@@ -159,7 +155,7 @@ def teeth(top: float, bottom: float, shrink: float) -> Piece:
 def tongue() -> Piece:
     """Return the tongue, rings from its root to its tip."""
     count, rings = 16, []
-    turn = 2 * np.pi * np.arange(count) / count
+    turn = -2 * np.pi * np.arange(count) / count
     across, lift = np.cos(turn), np.sin(turn)
     across[np.abs(across) < 1e-12] = 0.0
     for share in (0.0, 0.15, 0.3, 0.45, 0.6, 0.72, 0.82, 0.9, 0.955, 0.99):

@@ -108,11 +108,12 @@ class Sculptor:
         seam = HINGE[1] + (CORNER[1] - HINGE[1]) * np.clip(back, 0, 1.2)
         lips = lip_line(np.minimum(x, MOUTH_HALF_WIDTH))
         line = lips + (seam - lips) * smoothstep(0.6, 1.3, across)
-        band = 0.0012 + 0.0308 * smoothstep(0.7, 2.3, across)
+        band = 0.0012 + 0.0068 * np.clip(across, 0, 1) ** 2.2
+        band = band + 0.024 * smoothstep(0.9, 2.3, across)
         low = smoothstep(-band, band, line - y)
         throat = smoothstep(0.062, 0.112, y + 0.45 * (z - 0.03))
         made = low * throat * smoothstep(-0.035, 0.012, z)
-        corner = 0.5 * smoothstep(0.62, 1.0, self.share)
+        corner = 0.5 * np.abs(self.share) ** 2.2
         lip = np.where(self.side > 0, corner, 1 - corner)
         lip = np.where(self.side == 0, 0.5, lip)
         made = np.where(np.isin(self.part, ["lip", "pocket"]), lip, made)
@@ -240,11 +241,11 @@ def brow_shapes(s: Sculptor) -> Shapes:
 def mouth_shapes(s: Sculptor) -> Shapes:
     """Return shapes of the left half of the mouth."""
     low = s.jaw()[:, None]
-    wide = (0.030, 0.030, 0.045)
-    smile = s.pull(CORNER, wide, (0.0085, 0.0095, -0.0060))
+    wide = (0.037, 0.032, 0.050)
+    smile = s.pull(CORNER, wide, (0.0098, 0.0095, -0.0062))
     smile = smile + s.pull((0.042, 0.174, 0.068), (0.030, 0.022, 0.035), (0.001, 0.0042, 0.001))
     cheek = s.pull((0.038, 0.166, 0.074), (0.022, 0.018, 0.03), (0.0022, 0.0006, 0.0030))
-    frown = s.pull(CORNER, (0.026, 0.026, 0.045), (0.0012, -0.0085, -0.0008))
+    frown = s.pull(CORNER, (0.034, 0.028, 0.050), (0.0016, -0.0082, -0.0010))
     frown = frown + s.pull((0.014, 0.122, 0.09), (0.02, 0.014, 0.04), (0, 0.0015, 0.0008))
     dimple = s.pull(CORNER, (0.022, 0.018, 0.04), (0.0050, 0.0012, -0.0062))
     stretch = s.pull(CORNER, (0.032, 0.028, 0.045), (0.0092, -0.0038, -0.0050))

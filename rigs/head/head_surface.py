@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 Field = Callable[[Array], Array]
 
-EYE = np.array([0.0315, 0.215, 0.0745])  # centre of the left eyeball
-EYE_RADIUS = 0.0145
+EYE = np.array([0.0315, 0.215, 0.0735])  # centre of the left eyeball
+EYE_RADIUS = 0.0150
 LID_RADIUS = EYE_RADIUS + 0.0017  # outside of the lids
+MIDDLE = 0.004  # half-width over which the two sides meet
 
 
 def length(vectors: Array) -> Array:
@@ -60,10 +61,11 @@ def cone(points: Array, a: ArrayLike, b: ArrayLike, ra: float, rb: float) -> Arr
     return length(points - near) - (ra + (rb - ra) * along)
 
 
-# Solids of the left side and the middle, each with the width of its join.
 def head_field(points: Array) -> Array:
     """Return the distance to the skin, negative inside ``(...)``."""
-    p = np.concatenate([np.abs(points[..., :1]), points[..., 1:]], axis=-1)
+    aside = np.abs(points[..., :1])
+    # Rounded in the middle, where a paired solid would meet its image in a crease.
+    p = np.concatenate([np.sqrt(aside**2 + MIDDLE**2), points[..., 1:]], axis=-1)
     d = ellipsoid(p, (0, 0.250, -0.014), (0.0765, 0.088, 0.098))
     d = join(d, ellipsoid(p, (0, 0.255, 0.022), (0.062, 0.055, 0.070)), 0.03)
     d = join(d, ellipsoid(p, (0, 0.190, 0.016), (0.0690, 0.088, 0.0725)), 0.03)
@@ -74,6 +76,7 @@ def head_field(points: Array) -> Array:
     d = join(d, cone(p, (0.045, 0.140, 0.008), (0.016, 0.112, 0.064), 0.012, 0.014), 0.03)
     d = join(d, ellipsoid(p, (0, 0.1125, 0.0765), (0.020, 0.014, 0.0165)), 0.022)
     d = join(d, ellipsoid(p, (0.044, 0.184, 0.054), (0.022, 0.016, 0.022)), 0.035)
+    d = join(d, ellipsoid(p, (0.034, 0.195, 0.066), (0.022, 0.014, 0.0185)), 0.022)
     # Brow and socket.
     d = join(d, cone(p, (0.012, 0.237, 0.083), (0.045, 0.239, 0.066), 0.008, 0.008), 0.02)
     d = cut(d, ellipsoid(p, (0.0295, 0.217, 0.105), (0.019, 0.0100, 0.0170)), 0.018)
@@ -88,7 +91,7 @@ def head_field(points: Array) -> Array:
     d = cut(d, cone(p, (0, 0.1625, 0.1025), (0, 0.153, 0.1015), 0.003, 0.004), 0.008)
     d = cut(d, ellipsoid(p, (0, 0.1275, 0.1015), (0.018, 0.0045, 0.007)), 0.012)
     # Lids, over the eyeball.
-    lid = length(p - EYE) - LID_RADIUS
+    lid = length(np.concatenate([aside, points[..., 1:]], axis=-1) - EYE) - LID_RADIUS
     return join(d, lid, 0.008)
 
 

@@ -11,14 +11,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import head_mesh
+import head_paint
 import head_parts
+import head_shapes
 import numpy as np
 from head_mesh import Ints
 from head_parts import Piece
-from head_surface import Array, head_field, project
+from head_surface import Array, head_field, length, project, smoothstep
 from numpy.typing import NDArray
 
 RELAXING = 14
+STEP = 1e-6  # [m] that stored places are rounded to
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,3 +123,83 @@ def face() -> Face:
         zero = np.zeros(len(piece.points))
         pieces.append((piece, np.full(len(zero), name), zero, zero))
     return mirrored(pieces)
+
+
+def rounded(values: Array) -> NDArray[np.float32]:
+    """Return lengths as they are stored."""
+    return (np.round(values / STEP) * STEP + 0.0).astype(np.float32)
+
+
+def normals(points: Array, faces: Ints) -> NDArray[np.float32]:
+    """Return unit normals, faces weighted by area ``(V, 3)``."""
+    made = np.zeros_like(points)
+    corners = np.where(faces >= 0, faces, faces[:, [2]])
+    a, b, c, d = (points[corners[:, k]] for k in range(4))
+    across = np.cross(c - a, d - b)
+    for k in range(4):
+        real = faces[:, k] >= 0
+        np.add.at(made, faces[real, k], across[real])
+    made = made / np.maximum(length(made), 1e-12)[:, None]
+    return (np.round(made, 5) + 0.0).astype(np.float32)
+
+
+def skin(sculptor: head_shapes.Sculptor) -> tuple[Ints, Array]:
+    """Return joints and weights of the face: neck, head and jaw ``(V, 3)`` each."""
+    _, y, z = sculptor.points.T
+    head = smoothstep(0.035, 0.115, y - 0.25 * np.minimum(z, 0.0))
+    head = np.where(sculptor.part == "skin", head, 1.0)
+    jaw = sculptor.jaw()
+    weights = np.column_stack([1 - head, head * (1 - jaw), head * jaw])
+    return np.tile(np.arange(3), (len(y), 1)), weights
+
+
+def arrays() -> dict[str, NDArray[np.generic]]:
+    """Return every array of the rig by name."""
+    made = face()
+    points = rounded(made.points).astype(np.float64)
+    sculptor = head_shapes.Sculptor(
+        points, made.part, made.side, made.share, made.mirror
+    )
+    indices, weights = skin(sculptor)
+    kept: dict[str, NDArray[np.generic]] = {
+        "points": points.astype(np.float32),
+        "faces": made.faces.astype(np.int16),
+        "normals": normals(points, made.faces),
+        "indices": indices.astype(np.int8),
+        "weights": weights.astype(np.float32),
+        "colours": bytes_of(head_paint.face_colours(points, made.part)),
+        "mirror": made.mirror.astype(np.int16),
+    }
+    eye = head_parts.eyeball()
+    flipped = np.where(eye.faces[:, 3:] >= 0, eye.faces[:, ::-1], eye.faces[:, [0, 2, 1, 3]])
+    for name, sign, faces in (("eye_l", 1, eye.faces), ("eye_r", -1, flipped)):
+        places = rounded(eye.points * [sign, 1, 1])
+        kept |= {
+            f"{name}_points": places,
+            f"{name}_faces": faces.astype(np.int16),
+            f"{name}_normals": normals(places.astype(np.float64), faces),
+            f"{name}_indices": np.zeros((len(places), 1), np.int8),
+            f"{name}_weights": np.ones((len(places), 1), np.float32),
+        }
+    kept["eye_colours"] = bytes_of(head_paint.eye_colours(eye.points))
+    for name, move in sorted(head_shapes.all_shapes(sculptor).items()):
+        kept[name] = rounded(move)
+    return kept
+
+
+def bytes_of(colours: Array) -> NDArray[np.uint8]:
+    """Return colours from 0 to 255."""
+    return np.round(np.clip(colours, 0, 1) * 255).astype(np.uint8)
+
+
+def main() -> None:
+    """Write the arrays to the file named on the command line."""
+    parser = argparse.ArgumentParser(description="Make head.npz.")
+    beside = Path(__file__).with_name("head.npz")
+    parser.add_argument("out", nargs="?", type=Path, default=beside)
+    out: Path = parser.parse_args().out
+    np.savez_compressed(out, **arrays())
+
+
+if __name__ == "__main__":
+    main()
