@@ -20,20 +20,22 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-sys.path.append(str(Path(__file__).parents[1] / "head"))
+sys.path.append(str(Path(__file__).parents[1]))
 
-from head_surface import (  # noqa: E402
+from solids import (
     Array,
+    Ints,
     cone,
     cut,
     ellipsoid,
     join,
     length,
-    project,
+    neighbours,
+    relaxed,
     smoothstep,
+    surface_normals,
 )
 
-Ints = NDArray[np.int64]
 Segments = list[tuple[int, Array, Array]]
 
 MIDDLE = 0.006  # half-width over which the two sides meet
@@ -113,16 +115,22 @@ def body_field(points: Array) -> Array:
     d = join(d, cone(p, (0.20, 1.43, -0.02), (0.46, 1.43, -0.02), 0.054, 0.043), 0.05)
     d = join(d, ellipsoid(p, (0.33, 1.436, -0.016), (0.09, 0.050, 0.052)), 0.04)
     d = join(d, ellipsoid(p, (0.53, 1.430, -0.020), (0.10, 0.044, 0.047)), 0.04)
-    return join(d, cone(p, (0.46, 1.43, -0.02), (0.69, 1.43, -0.02), 0.042, 0.034), 0.03)
+    return join(
+        d, cone(p, (0.46, 1.43, -0.02), (0.69, 1.43, -0.02), 0.042, 0.034), 0.03
+    )
 
 
 def head_solids(p: Array) -> Array:
     """Return the distance to the head, a plain one ``(...)``."""
     d = ellipsoid(p, (0, 1.669, -0.004), (0.072, 0.083, 0.091))
     d = join(d, ellipsoid(p, (0, 1.615, 0.026), (0.060, 0.080, 0.065)), 0.03)
-    d = join(d, cone(p, (0.038, 1.575, 0.020), (0.012, 1.545, 0.072), 0.016, 0.014), 0.03)
+    d = join(
+        d, cone(p, (0.038, 1.575, 0.020), (0.012, 1.545, 0.072), 0.016, 0.014), 0.03
+    )
     d = join(d, ellipsoid(p, (0, 1.580, 0.066), (0.028, 0.024, 0.026)), 0.02)
-    d = join(d, cone(p, (0.012, 1.661, 0.084), (0.038, 1.661, 0.070), 0.010, 0.010), 0.02)
+    d = join(
+        d, cone(p, (0.012, 1.661, 0.084), (0.038, 1.661, 0.070), 0.010, 0.010), 0.02
+    )
     d = cut(d, ellipsoid(p, (0.030, 1.642, 0.105), (0.017, 0.010, 0.02)), 0.02)
     d = join(d, cone(p, (0, 1.648, 0.085), (0, 1.606, 0.106), 0.007, 0.012), 0.02)
     d = join(d, ellipsoid(p, (0.0, 1.602, 0.098), (0.019, 0.009, 0.012)), 0.014)
@@ -132,18 +140,56 @@ def head_solids(p: Array) -> Array:
 
 def hand_field(points: Array, places: dict[str, Array], bones: Segments) -> Array:
     """Return the distance to the left hand ``(...)``."""
-    wrist, names = places["wrist_l"], list(places)
-    d = ellipsoid(points, wrist + [-0.015, 0, 0], (0.045, 0.021, 0.027))
-    d = join(d, ellipsoid(points, wrist + [0.052, 0, -0.004], (0.053, 0.0155, 0.041)), 0.02)
-    d = join(d, cone(points, wrist + [0.02, -0.004, 0.016], wrist + [0.05, -0.012, 0.052], 0.016, 0.011), 0.015)
+    names = list(places)
+
+    def at(x: float, y: float, z: float) -> Array:
+        return places["wrist_l"] + np.array([x, y, z])
+
+    d = ellipsoid(points, at(-0.015, 0, 0), (0.045, 0.021, 0.027))
+    d = join(d, ellipsoid(points, at(0.052, 0, -0.004), (0.053, 0.0155, 0.041)), 0.02)
+    d = join(
+        d,
+        cone(
+            points,
+            at(0.02, -0.004, 0.016),
+            at(0.05, -0.012, 0.052),
+            0.016,
+            0.011,
+        ),
+        0.015,
+    )
     fingers = []
-    for finger, thick in (("thumb", 1.15), ("index", 1.0), ("middle", 1.03), ("ring", 0.98), ("pinky", 0.86)):
-        chain = [(a, b) for j, a, b in bones if names[j].startswith(finger) and names[j].endswith("_l")]
+    for finger, thick in (
+        ("thumb", 1.15),
+        ("index", 1.0),
+        ("middle", 1.03),
+        ("ring", 0.98),
+        ("pinky", 0.86),
+    ):
+        chain = [
+            (a, b)
+            for j, a, b in bones
+            if names[j].startswith(finger) and names[j].endswith("_l")
+        ]
         radii = [0.0096 * thick, 0.0088 * thick, 0.0079 * thick, 0.0068 * thick]
         f = np.full(points.shape[:-1], 1.0)
         for k, (a, b) in enumerate(chain):
             f = join(f, cone(points, a, b, radii[k], radii[k + 1]), 0.003)
-        d = join(d, cone(points, wrist + [0.045, 0.001, chain[0][0][2] - wrist[2]], chain[0][0], 0.011, radii[0]), 0.012) if finger != "thumb" else d
+        d = (
+            join(
+                d,
+                cone(
+                    points,
+                    at(0.045, 0.001, chain[0][0][2] - places["wrist_l"][2]),
+                    chain[0][0],
+                    0.011,
+                    radii[0],
+                ),
+                0.012,
+            )
+            if finger != "thumb"
+            else d
+        )
         fingers.append(f)
     for f in fingers:
         d = join(d, f, 0.006)
@@ -152,7 +198,10 @@ def hand_field(points: Array, places: dict[str, Array], bones: Segments) -> Arra
 
 def lines(*parts: tuple[float, float, float]) -> Array:
     """Return grid lines from parts: start, end and the step between, about."""
-    made = [np.linspace(a, b, max(round((b - a) / step), 1) + 1)[:-1] for a, b, step in parts]
+    made = [
+        np.linspace(a, b, max(round((b - a) / step), 1) + 1)[:-1]
+        for a, b, step in parts
+    ]
     return np.concatenate([*made, [parts[-1][1]]])
 
 
@@ -209,27 +258,6 @@ def netted(field: Array, axes: Sequence[Array]) -> tuple[Array, Ints]:
     return points, np.concatenate(faces)
 
 
-def edges(faces: Ints) -> Ints:
-    """Return every pair of neighbours once ``(E, 2)``."""
-    pairs = np.concatenate([faces[:, [k, (k + 1) % 4]] for k in range(4)])
-    return np.unique(np.sort(pairs, axis=1), axis=0)
-
-
-def smoothed(points: Array, faces: Ints, field) -> Array:  # noqa: ANN001
-    """Return points spread evenly over a surface, middle ones kept in the middle."""
-    pairs, middle = edges(faces), points[:, 0] == 0
-    count = np.bincount(pairs.ravel(), minlength=len(points))[:, None]
-    for _ in range(RELAXING):
-        total = np.zeros_like(points)
-        np.add.at(total, pairs[:, 0], points[pairs[:, 1]])
-        np.add.at(total, pairs[:, 1], points[pairs[:, 0]])
-        points = points + 0.5 * (total / count - points)
-        points[middle, 0] = 0.0
-        points = project(field, points, steps=2)
-        points[middle, 0] = 0.0
-    return points
-
-
 def body_surface() -> tuple[Array, Ints]:
     """Return the left half of the body."""
     x = lines((-0.007, 0.105, 0.014), (0.105, 0.74, 0.022))
@@ -238,7 +266,7 @@ def body_surface() -> tuple[Array, Ints]:
     grid = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1)
     points, faces = netted(body_field(grid), (x, y, z))
     points[np.abs(points[:, 0]) < 0.0071, 0] = 0.0
-    return smoothed(points, faces, body_field), faces
+    return relaxed(points, faces, body_field, points[:, 0] >= 0, RELAXING), faces
 
 
 def hand_surface(places: dict[str, Array], bones: Segments) -> tuple[Array, Ints]:
@@ -253,7 +281,7 @@ def hand_surface(places: dict[str, Array], bones: Segments) -> tuple[Array, Ints
     z = wrist[2] + lines((-0.058, 0.0365, 0.0042), (0.0365, 0.13, 0.0075))
     grid = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1)
     points, faces = netted(field(grid), (x, y, z))
-    return smoothed(points, faces, field), faces
+    return relaxed(points, faces, field, points[:, 0] > 0, RELAXING), faces
 
 
 def mirrored(points: Array, faces: Ints) -> tuple[Array, Ints, Ints]:
@@ -280,7 +308,7 @@ def heat_weights(points: Array, faces: Ints, bones: Segments, joints: int) -> Ar
     nearest = far.min(1)
     source = (far <= nearest[:, None] * 1.0001).astype(float)
     source /= source.sum(1, keepdims=True)
-    pairs = edges(faces)
+    pairs = neighbours(faces)
     apart = length(points[pairs[:, 0]] - points[pairs[:, 1]])
     mean = np.bincount(pairs.ravel(), np.repeat(apart, 2)) / np.bincount(pairs.ravel())
     conduct = 1.0 / (apart * mean[pairs].mean(1))
@@ -308,7 +336,10 @@ def strongest(weights: Array) -> tuple[Ints, Array]:
 def symmetric(weights: Array, mirror: Ints, names: list[str]) -> Array:
     """Return weights of which those of the right mirror those of the left."""
     swap = {"_l": "_r", "_r": "_l"}
-    twin = [names.index(n[:-2] + swap[n[-2:]]) if n[-2:] in swap else i for i, n in enumerate(names)]
+    twin = [
+        names.index(n[:-2] + swap[n[-2:]]) if n[-2:] in swap else i
+        for i, n in enumerate(names)
+    ]
     return np.asarray((weights + weights[mirror][:, twin]) / 2)
 
 
@@ -335,15 +366,6 @@ def colours(points: Array, hand: NDArray[np.bool_]) -> Array:
     back = smoothstep(0.03, 0.0, z - 0.9 * (y - 1.675))
     paint((0.24, 0.17, 0.13), smoothstep(1.585, 1.60, y) * back)
     return made
-
-
-def surface_normals(points: Array, faces: Ints) -> Array:
-    """Return unit normals, faces weighted by area ``(V, 3)``."""
-    a, b, c, d = (points[faces[:, k]] for k in range(4))
-    across, made = np.cross(c - a, d - b), np.zeros_like(points)
-    for k in range(4):
-        np.add.at(made, faces[:, k], across)
-    return np.asarray(made / np.maximum(length(made), 1e-12)[:, None])
 
 
 def arrays(rig: Path) -> dict[str, NDArray[np.generic]]:

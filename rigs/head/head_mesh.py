@@ -10,26 +10,17 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from head_surface import (
-    EYE,
-    EYE_RADIUS,
-    LID_RADIUS,
-    Array,
-    cast,
-    curve,
-    head_field,
-    project,
-    smoothstep,
-)
+from head_surface import EYE, EYE_RADIUS, LID_RADIUS, head_field
 from numpy.typing import NDArray
-
-Ints = NDArray[np.int64]
+from solids import Array, Ints, cast, curve, smoothstep
 
 # Columns, in degrees from the nose round the left side to the nape; the eye's block
 # lies between the first two of these, the mouth's between 0 and the middle one.
 COLUMNS = np.array(
-    [0, 2.3, 4.5, 6.6, 9.5, 13, 16.8, 20.7, 24.6, 28.4, 32.2, 35.8, 39.2, 42.5]
-    + [48, 55, 63, 72, 81, 91, 101, 112, 123, 134, 145, 157, 168.5, 180]
+    [
+        *(0, 2.3, 4.5, 6.6, 9.5, 13, 16.8, 20.7, 24.6, 28.4, 32.2, 35.8, 39.2, 42.5),
+        *(48, 55, 63, 72, 81, 91, 101, 112, 123, 134, 145, 157, 168.5, 180),
+    ]
 )
 EYE_COLUMNS, MOUTH_COLUMNS = (3, 13), (0, 8)
 CROWN = np.array([83, 74, 65, 56, 47, 38.5, 30, 21.5, 13])  # degrees above the brow
@@ -122,9 +113,7 @@ class Half:
 def lid_point(a: Array, b: Array, radius: float | Array) -> Array:
     """Return points round the left eye from angle to the side and elevation."""
     a, b, radius = np.broadcast_arrays(a, b, radius)
-    about = np.stack(
-        [np.sin(a), np.cos(a) * np.sin(b), np.cos(a) * np.cos(b)], axis=-1
-    )
+    about = np.stack([np.sin(a), np.cos(a) * np.sin(b), np.cos(a) * np.cos(b)], axis=-1)
     return EYE + radius[..., None] * about
 
 
@@ -222,7 +211,9 @@ def add_eye(half: Half, grid: Ints) -> None:
 def lip_line(x: Array) -> Array:
     """Return the height of the closed lips."""
     u = x / MOUTH_HALF_WIDTH
-    return np.asarray(MOUTH_HEIGHT - 0.0006 * u * u + 0.0006 * np.exp(-((x / 0.004) ** 2)))
+    return np.asarray(
+        MOUTH_HEIGHT - 0.0006 * u * u + 0.0006 * np.exp(-((x / 0.004) ** 2))
+    )
 
 
 def add_mouth(half: Half, grid: Ints) -> None:
@@ -238,7 +229,11 @@ def add_mouth(half: Half, grid: Ints) -> None:
     u = np.clip(x / MOUTH_HALF_WIDTH, 0, 1)
     sign = np.sign(corner - np.arange(count)).astype(float)
     full = np.maximum(1 - u * u, 0.0) ** 0.62
-    bow = 1 - 0.16 * np.exp(-((x / 0.0030) ** 2)) + 0.06 * np.exp(-(((x - 0.006) / 0.003) ** 2))
+    bow = (
+        1
+        - 0.16 * np.exp(-((x / 0.0030) ** 2))
+        + 0.06 * np.exp(-(((x - 0.006) / 0.003) ** 2))
+    )
     height = np.where(sign > 0, UPPER_LIP * bow, LOWER_LIP) * full
     line = lip_line(x)
     edge = np.column_stack([x, line + sign * height])
@@ -262,15 +257,21 @@ def add_mouth(half: Half, grid: Ints) -> None:
     contact = ring
     for back, open_, wide in POCKET:
         ring = contact + np.column_stack(
-            [x * (wide - 1), sign * np.maximum(open_ * full, LIP_GAP), np.full(count, -back)]
+            [
+                x * (wide - 1),
+                sign * np.maximum(open_ * full, LIP_GAP),
+                np.full(count, -back),
+            ]
         )
         ring[:, 2] += 0.004 * u * u * back / 0.05
         tags = [("pocket", float(s), float(v)) for s, v in zip(sign, u, strict=True)]
         now = half.add(ring, tags)
         half.strip(before, now)
         before = now
-    half.strip(before[:corner], before[: corner : -1])
-    half.faces.append([int(before[corner - 1]), int(before[corner]), int(before[corner + 1]), -1][::1])
+    half.strip(before[:corner], before[:corner:-1])
+    half.faces.append(
+        [int(before[corner - 1]), int(before[corner]), int(before[corner + 1]), -1][::1]
+    )
 
 
 def half_head() -> Half:
@@ -281,17 +282,26 @@ def half_head() -> Half:
     hit = hit.reshape(starts.shape)
     hit[:, [0, -1], 0] = 0.0
     inside = np.zeros(hit.shape[:2], bool)
-    for rows, columns in ((EYE_ROWS, EYE_COLUMNS), (MOUTH_ROWS, (-1, MOUTH_COLUMNS[1]))):
+    for rows, columns in (
+        (EYE_ROWS, EYE_COLUMNS),
+        (MOUTH_ROWS, (-1, MOUTH_COLUMNS[1])),
+    ):
         inside[rows[0] + 1 : rows[1], columns[0] + 1 : columns[1]] = True
     grid = np.full(hit.shape[:2], -1)
     grid[~inside] = half.add(hit[~inside], [("skin", 0.0, 0.0)] * int((~inside).sum()))
-    pole = half.add(cast(head_field, np.array([[0, 0.4, -0.01]]), np.array([[0.0, -1, 0]]), 0.2), [("skin", 0.0, 0.0)])
+    pole = half.add(
+        cast(head_field, np.array([[0, 0.4, -0.01]]), np.array([[0.0, -1, 0]]), 0.2),
+        [("skin", 0.0, 0.0)],
+    )
     for c in range(len(COLUMNS) - 1):
         half.faces.append([int(pole[0]), int(grid[0, c]), int(grid[0, c + 1]), -1])
     eye, mouth = (EYE_ROWS, EYE_COLUMNS), (MOUTH_ROWS, MOUTH_COLUMNS)
     for r in range(ROWS - 1):
         for c in range(len(COLUMNS) - 1):
-            if any(rows[0] <= r < rows[1] and cols[0] <= c < cols[1] for rows, cols in (eye, mouth)):
+            if any(
+                rows[0] <= r < rows[1] and cols[0] <= c < cols[1]
+                for rows, cols in (eye, mouth)
+            ):
                 continue
             a, b = grid[r], grid[r + 1]
             half.faces.append([int(a[c]), int(b[c]), int(b[c + 1]), int(a[c + 1])])

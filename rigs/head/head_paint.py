@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from head_parts import IRIS, PUPIL
-from head_surface import EYE, EYE_RADIUS, Array, curve, falloff, smoothstep
+from head_surface import EYE, EYE_RADIUS
+from numpy.typing import NDArray
+from solids import Array, curve, falloff, smoothstep
 
 PARTS = {
     "skin": (0.86, 0.67, 0.57),
@@ -30,13 +32,16 @@ def mixed(colours: Array, other: Array, share: Array) -> Array:
 def hair(points: Array) -> Array:
     """Return how much hair grows on the skin."""
     x, y, z = np.abs(points[:, 0]), points[:, 1], points[:, 2]
-    line = curve((-0.12, -0.06, -0.03, 0.0, 0.025, 0.04, 0.06, 0.12),
-                 (0.16, 0.165, 0.19, 0.215, 0.222, 0.262, 0.288, 0.292), z)
+    line = curve(
+        (-0.12, -0.06, -0.03, 0.0, 0.025, 0.04, 0.06, 0.12),
+        (0.16, 0.165, 0.19, 0.215, 0.222, 0.262, 0.288, 0.292),
+        z,
+    )
     line = line - 0.006 * smoothstep(0.02, 0.0, x)
     return smoothstep(line - 0.004, line + 0.012, y)
 
 
-def face_colours(points: Array, part: np.ndarray) -> Array:
+def face_colours(points: Array, part: NDArray[np.str_]) -> Array:
     """Return colours of the face ``(V, 3)``."""
     made = np.array([PARTS[name] for name in part])
     skin = np.isin(part, ["skin", "ear"])
@@ -51,6 +56,22 @@ def face_colours(points: Array, part: np.ndarray) -> Array:
 def eye_colours(points: Array) -> Array:
     """Return colours of the left eyeball ``(V, 3)``."""
     away = np.arccos(np.clip((points - EYE)[:, 2] / EYE_RADIUS, -1, 1))
-    table = [(0.03, 0.03, 0.03)] * 2 + [(0.22, 0.38, 0.42), (0.38, 0.55, 0.58), (0.12, 0.18, 0.22), (1.0, 0.99, 0.97), (1.0, 0.98, 0.96), (0.85, 0.6, 0.55)]
-    knots = (0, PUPIL - 0.002, PUPIL + 0.01, IRIS - 0.05, IRIS - 0.005, IRIS + 0.02, 1.0, 1.6)
+    table = [(0.03, 0.03, 0.03)] * 2 + [
+        (0.22, 0.38, 0.42),
+        (0.38, 0.55, 0.58),
+        (0.12, 0.18, 0.22),
+        (1.0, 0.99, 0.97),
+        (1.0, 0.98, 0.96),
+        (0.85, 0.6, 0.55),
+    ]
+    knots = (
+        0,
+        PUPIL - 0.002,
+        PUPIL + 0.01,
+        IRIS - 0.05,
+        IRIS - 0.005,
+        IRIS + 0.02,
+        1.0,
+        1.6,
+    )
     return curve(knots, table, away)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from head_mesh import Ints, on_skin
-from head_surface import EYE, EYE_RADIUS, Array, head_field, project, smoothstep
+from head_mesh import on_skin
+from head_surface import EYE, EYE_RADIUS, head_field
+from solids import Array, Ints, project, smoothstep
 
 # Ear: share of the outline, height over the head.
 EAR_RINGS = np.array(
@@ -69,7 +70,9 @@ def lofted(rings: Array, tip: Array | None = None, first: Array | None = None) -
     for r in range(count - 1):
         for c in range(width):
             d = (c + 1) % width
-            faces.append([r * width + c, (r + 1) * width + c, (r + 1) * width + d, r * width + d])
+            faces.append(
+                [r * width + c, (r + 1) * width + c, (r + 1) * width + d, r * width + d]
+            )
     for end, ring in ((tip, count - 1), (first, 0)):
         if end is None:
             continue
@@ -114,7 +117,11 @@ def eyeball() -> Piece:
         EYE
         + EYE_RADIUS
         * np.column_stack(
-            [np.sin(a) * np.cos(turn), np.sin(a) * np.sin(turn), np.full(EYE_COUNT, np.cos(a))]
+            [
+                np.sin(a) * np.cos(turn),
+                np.sin(a) * np.sin(turn),
+                np.full(EYE_COUNT, np.cos(a)),
+            ]
         )
         for a in EYE_RINGS
     ]
@@ -132,14 +139,25 @@ def teeth(top: float, bottom: float, shrink: float) -> Piece:
     rings = []
     upper = top > bottom and shrink == 1.0
     bite = 0.0006 * (1 - np.sqrt(phase)) * (1 if upper else -1)
-    profile = [(top, -0.005), (top, 0.0), ((top + bottom) / 2, 0.0004), (bottom, -0.0004), (bottom, -0.0035), (top, -0.005)]
+    profile = [
+        (top, -0.005),
+        (top, 0.0),
+        ((top + bottom) / 2, 0.0004),
+        (bottom, -0.0004),
+        (bottom, -0.0035),
+        (top, -0.005),
+    ]
     for height, out in profile:
         y = np.full(count + 1, height)
         grown = bulge * (out > -0.002)
         edge = (height == bottom) if upper else (height == top)
         y = y + bite * edge
         x = (ARCH_WIDTH * shrink + out + grown) * np.sin(turn)
-        z = ARCH_FRONT - ARCH_DEPTH + (ARCH_DEPTH - 0.002 * (shrink != 1.0) + out + grown) * np.cos(turn)
+        z = (
+            ARCH_FRONT
+            - ARCH_DEPTH
+            + (ARCH_DEPTH - 0.002 * (shrink != 1.0) + out + grown) * np.cos(turn)
+        )
         rings.append(np.column_stack([x, y, z]))
     grid = np.array(rings)
     points = grid.reshape(-1, 3)
@@ -163,7 +181,12 @@ def tongue() -> Piece:
         round_ = np.sqrt(max(1 - (max(share - 0.45, 0) / 0.55) ** 2.4, 0.0))
         groove = 0.0012 * np.exp(-((across / 0.25) ** 2)) * (lift > 0) * round_
         x = TONGUE_WIDTH * (0.85 + 0.15 * share) * round_ * across
-        y = TONGUE_HEIGHT - 0.004 * (1 - share) ** 2 + TONGUE_THICKNESS * round_ * lift - groove
+        y = (
+            TONGUE_HEIGHT
+            - 0.004 * (1 - share) ** 2
+            + TONGUE_THICKNESS * round_ * lift
+            - groove
+        )
         rings.append(np.column_stack([x, y, np.full(count, z)]))
     return lofted(np.array(rings), np.array([0.0, TONGUE_HEIGHT, TONGUE_TIP]))
 
@@ -178,7 +201,11 @@ def brow() -> Piece:
         middle[1:-1] = np.convolve(middle, smooth, "valid")
         half[1:-1] = np.convolve(half, smooth, "valid")
     rows = []
-    for across, level in zip((-1.0, -0.5, 0.0, 0.5, 1.0), (-0.0004, 0.0006, 0.0010, 0.0006, -0.0004), strict=True):
+    for across, level in zip(
+        (-1.0, -0.5, 0.0, 0.5, 1.0),
+        (-0.0004, 0.0006, 0.0010, 0.0006, -0.0004),
+        strict=True,
+    ):
         lean = 0.0015 * across
         front = np.column_stack([x + lean, middle + across * half])
         on = on_skin(front)

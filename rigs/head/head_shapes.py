@@ -15,22 +15,12 @@ from head_mesh import (
     CANTHUS,
     LID_HALF_WIDTH,
     MOUTH_HALF_WIDTH,
-    Ints,
     lid_elevation,
     lip_line,
 )
-from head_surface import (
-    EYE,
-    LID_RADIUS,
-    Array,
-    curve,
-    falloff,
-    gradient,
-    head_field,
-    length,
-    smoothstep,
-)
+from head_surface import EYE, LID_RADIUS, head_field
 from numpy.typing import NDArray
+from solids import Array, Ints, curve, falloff, gradient, length, smoothstep
 
 Shapes = dict[str, Array]
 
@@ -39,9 +29,14 @@ JAW_OPEN = np.radians(21)
 CORNER = (0.0245, 0.1426, 0.083)  # of the mouth
 LIDS_MEET = 0.72  # of the way from the corners' line to the lower lid
 BLINK_STEPS = (1 / 3, 2 / 3)
+LID_SPREAD = 8  # steps of smoothing
+LEAST_ANGLE = 2e-4
 # Correctives: name, drivers.
 COMBINED = {
-    f"{first}_{second}{side}": (first if first == "jawOpen" else first + side, second + side)
+    f"{first}_{second}{side}": (
+        first if first == "jawOpen" else first + side,
+        second + side,
+    )
     for side in ("Left", "Right")
     for first, second in (
         ("jawOpen", "mouthSmile"),
@@ -64,6 +59,7 @@ class Sculptor:
         side: 1 on an upper lid or lip, -1 on a lower one.
         share: Way from the middle of the mouth to the corner, or along an eye.
         mirror: Index of each point's mirror image.
+        pairs: Neighbours ``(E, 2)``.
     """
 
     points: Array
@@ -71,6 +67,7 @@ class Sculptor:
     side: Array
     share: Array
     mirror: Ints
+    pairs: Ints
 
     def pull(
         self, centre: Sequence[float], radii: Sequence[float], move: Sequence[float]
@@ -119,14 +116,20 @@ class Sculptor:
         made = np.where(np.isin(self.part, ["lip", "pocket"]), lip, made)
         for part, follows in (("lower_teeth", 1.0), ("tongue", 0.92)):
             made = np.where(self.part == part, follows, made)
-        return np.where(np.isin(self.part, ["upper_teeth", "ear", "brow", "rim", "lining"]), 0.0, made)
+        return np.where(
+            np.isin(self.part, ["upper_teeth", "ear", "brow", "rim", "lining"]),
+            0.0,
+            made,
+        )
 
     def jaw_turn(self, angle: float) -> Array:
         """Return the way of the jaw as it opens by an angle ``(V, 3)``."""
         turn = angle * self.jaw()
         return turned(self.points, HINGE, turn)
 
-    def lids(self, upper: Callable[[Array], Array], lower: Callable[[Array], Array]) -> Array:
+    def lids(
+        self, upper: Callable[[Array], Array], lower: Callable[[Array], Array]
+    ) -> Array:
         """Return lids turned about the left eyeball ``(V, 3)``.
 
         Args:
@@ -134,8 +137,20 @@ class Sculptor:
             lower: That of the lower lid.
         """
         share, up, weight = self.lid_weights()
-        angle = np.where(up, upper(share), lower(share)) * weight
+        angle = self.spread(np.where(up, upper(share), lower(share)) * weight)
         return turned(self.points, EYE, -angle)
+
+    def spread(self, angle: Array) -> Array:
+        """Return a lid's angle smoothed over the skin, the rims kept."""
+        skin = self.part == "skin"
+        count = np.bincount(self.pairs.ravel(), minlength=len(angle))
+        first, second = self.pairs.T
+        for _ in range(LID_SPREAD):
+            total = np.bincount(first, angle[second], len(angle))
+            total += np.bincount(second, angle[first], len(angle))
+            mean = total / np.maximum(count, 1)
+            angle = np.where(skin, 0.5 * (angle + mean), angle)
+        return np.where(np.abs(angle) < LEAST_ANGLE, 0.0, angle)
 
     def lid_weights(self) -> tuple[Array, NDArray[np.bool_], Array]:
         """Return share of the way along the left eye, whether upper lid, and weight."""
@@ -152,7 +167,11 @@ class Sculptor:
         weight = smoothstep(np.radians(58), np.radians(4), beyond)
         weight = weight * smoothstep(LID_RADIUS + 0.013, LID_RADIUS + 0.001, far)
         weight = weight * (off[:, 2] > 0) * (self.part == "skin")
-        weight = np.where(inner & (off[:, 0] * EYE[0] > -1) & (self.points[:, 0] > 0), np.abs(self.side), weight)
+        weight = np.where(
+            inner & (off[:, 0] * EYE[0] > -1) & (self.points[:, 0] > 0),
+            np.abs(self.side),
+            weight,
+        )
         return share, np.asarray(up), weight
 
     def mirrored(self, move: Array) -> Array:
@@ -179,7 +198,9 @@ def closing(upper: bool, amount: float) -> Callable[[Array], Array]:
         low = np.broadcast_to(False, share.shape)
         line = CANTHUS * share
         meet = line + LIDS_MEET * (lid_elevation(share, low) - line)
-        return amount * (meet - lid_elevation(share, np.broadcast_to(upper, share.shape)))
+        return amount * (
+            meet - lid_elevation(share, np.broadcast_to(upper, share.shape))
+        )
 
     return angle
 
@@ -207,29 +228,52 @@ def eye_shapes(s: Sculptor) -> tuple[Shapes, Shapes]:
     near = s.lid_weights()[2]
     for name, sign in (("eyeLookIn", -1.0), ("eyeLookOut", 1.0)):
         off = s.points - EYE
-        turn = np.radians(2.5) * sign * near * np.cos(np.arctan2(off[:, 1], off[:, 2])) ** 2
+        turn = (
+            np.radians(2.5)
+            * sign
+            * near
+            * np.cos(np.arctan2(off[:, 1], off[:, 2])) ** 2
+        )
         c, n = np.cos(turn) - 1, np.sin(turn)
         made[name] = np.column_stack(
-            [c * off[:, 0] + n * off[:, 2], np.zeros(len(off)), c * off[:, 2] - n * off[:, 0]]
+            [
+                c * off[:, 0] + n * off[:, 2],
+                np.zeros(len(off)),
+                c * off[:, 2] - n * off[:, 0],
+            ]
         )
     made["eyeSquint"] = made["eyeSquint"] + s.slid(
         s.pull((0.034, 0.192, 0.08), (0.026, 0.014, 0.03), (0, 0.0022, 0.0006))
     )
-    made["cheekSquint"] = made["cheekSquint"] + s.slid(
-        s.pull((0.038, 0.184, 0.072), (0.03, 0.018, 0.03), (0.0005, 0.0048, 0.001))
-    ) + s.pull((0.040, 0.186, 0.075), (0.024, 0.014, 0.03), (0.001, 0.001, 0.0026))
+    made["cheekSquint"] = (
+        made["cheekSquint"]
+        + s.slid(
+            s.pull((0.038, 0.184, 0.072), (0.03, 0.018, 0.03), (0.0005, 0.0048, 0.001))
+        )
+        + s.pull((0.040, 0.186, 0.075), (0.024, 0.014, 0.03), (0.001, 0.001, 0.0026))
+    )
     return made, lids
 
 
 def brow_shapes(s: Sculptor) -> Shapes:
     """Return shapes of the left brow, cheek and nose."""
-    down = s.pull((0.017, 0.242, 0.088), (0.026, 0.020, 0.03), (-0.0035, -0.0062, 0.0005))
-    down = down + s.pull((0.040, 0.242, 0.075), (0.028, 0.018, 0.03), (-0.001, -0.0040, 0))
+    down = s.pull(
+        (0.017, 0.242, 0.088), (0.026, 0.020, 0.03), (-0.0035, -0.0062, 0.0005)
+    )
+    down = down + s.pull(
+        (0.040, 0.242, 0.075), (0.028, 0.018, 0.03), (-0.001, -0.0040, 0)
+    )
     frown = s.pull((0.008, 0.240, 0.092), (0.009, 0.016, 0.03), (0, 0, 0.0016))
     up = s.pull((0.042, 0.243, 0.073), (0.030, 0.030, 0.035), (0.0006, 0.0092, -0.001))
     up = up + s.pull((0.036, 0.228, 0.085), (0.024, 0.014, 0.03), (0, 0.0022, 0))
-    sneer = s.pull((0.013, 0.174, 0.10), (0.015, 0.022, 0.026), (0.0012, 0.0050, -0.0012))
-    sneer = sneer + s.pull((0.016, 0.158, 0.095), (0.018, 0.012, 0.03), (0, 0.0028, 0.0004)) * (1 - s.jaw())[:, None]
+    sneer = s.pull(
+        (0.013, 0.174, 0.10), (0.015, 0.022, 0.026), (0.0012, 0.0050, -0.0012)
+    )
+    sneer = (
+        sneer
+        + s.pull((0.016, 0.158, 0.095), (0.018, 0.012, 0.03), (0, 0.0028, 0.0004))
+        * (1 - s.jaw())[:, None]
+    )
     fold = s.pull((0.008, 0.200, 0.09), (0.010, 0.018, 0.03), (0, 0.0020, 0.0014))
     return {
         "browDown": s.slid(down) + frown,
@@ -243,15 +287,27 @@ def mouth_shapes(s: Sculptor) -> Shapes:
     low = s.jaw()[:, None]
     wide = (0.037, 0.032, 0.050)
     smile = s.pull(CORNER, wide, (0.0098, 0.0095, -0.0062))
-    smile = smile + s.pull((0.042, 0.174, 0.068), (0.030, 0.022, 0.035), (0.001, 0.0042, 0.001))
-    cheek = s.pull((0.038, 0.166, 0.074), (0.022, 0.018, 0.03), (0.0022, 0.0006, 0.0030))
+    smile = smile + s.pull(
+        (0.042, 0.174, 0.068), (0.030, 0.022, 0.035), (0.001, 0.0042, 0.001)
+    )
+    cheek = s.pull(
+        (0.038, 0.166, 0.074), (0.022, 0.018, 0.03), (0.0022, 0.0006, 0.0030)
+    )
     frown = s.pull(CORNER, (0.034, 0.028, 0.050), (0.0016, -0.0082, -0.0010))
-    frown = frown + s.pull((0.014, 0.122, 0.09), (0.02, 0.014, 0.04), (0, 0.0015, 0.0008))
+    frown = frown + s.pull(
+        (0.014, 0.122, 0.09), (0.02, 0.014, 0.04), (0, 0.0015, 0.0008)
+    )
     dimple = s.pull(CORNER, (0.022, 0.018, 0.04), (0.0050, 0.0012, -0.0062))
     stretch = s.pull(CORNER, (0.032, 0.028, 0.045), (0.0092, -0.0038, -0.0050))
-    stretch = stretch + s.pull((0.035, 0.09, 0.05), (0.03, 0.03, 0.05), (0.002, -0.003, 0))
-    raised = s.pull((0.011, 0.149, 0.096), (0.019, 0.022, 0.04), (0.0006, 0.0062, 0.0012))
-    lowered = s.pull((0.011, 0.136, 0.096), (0.019, 0.024, 0.04), (0.0006, -0.0068, 0.0012))
+    stretch = stretch + s.pull(
+        (0.035, 0.09, 0.05), (0.03, 0.03, 0.05), (0.002, -0.003, 0)
+    )
+    raised = s.pull(
+        (0.011, 0.149, 0.096), (0.019, 0.022, 0.04), (0.0006, 0.0062, 0.0012)
+    )
+    lowered = s.pull(
+        (0.011, 0.136, 0.096), (0.019, 0.024, 0.04), (0.0006, -0.0068, 0.0012)
+    )
     return {
         "mouthSmile": s.slid(smile) + cheek,
         "mouthFrown": s.slid(frown),
@@ -288,10 +344,18 @@ def middle_shapes(s: Sculptor) -> Shapes:
     off = s.lip_distance()
     lips = smoothstep(0.018, 0.005, np.abs(off)) * round_
     thick = np.clip(off, -0.009, 0.009)
-    pucker = np.column_stack([-0.46 * x * round_, 0.22 * thick * lips, 0.0090 * round_ * (1 - 0.3 * (x / 0.03) ** 2)])
+    pucker = np.column_stack(
+        [
+            -0.46 * x * round_,
+            0.22 * thick * lips,
+            0.0090 * round_ * (1 - 0.3 * (x / 0.03) ** 2),
+        ]
+    )
     funnel = np.column_stack([-0.30 * x * round_, zero, 0.0085 * round_])
     part_lips = s.pull((0, 0.1432, 0.096), (0.022, 0.022, 0.04), (0, 1, 0))
-    funnel = funnel + part_lips * np.where(low > 0.5, -0.0052, 0.0042) * np.abs(2 * low - 1)
+    funnel = funnel + part_lips * np.where(low > 0.5, -0.0052, 0.0042) * np.abs(
+        2 * low - 1
+    )
     aside = s.pull((0, 0.1432, 0.09), (0.052, 0.036, 0.06), (0.0085, 0, 0))
     both = s.pull((0, 0.140, 0.094), (0.034, 0.026, 0.05), (0, 1, 0))
     shove = s.pull((0, 0.138, 0.096), (0.032, 0.020, 0.04), (0, 0, 1))
@@ -300,18 +364,32 @@ def middle_shapes(s: Sculptor) -> Shapes:
     rolled = np.column_stack([zero, -0.55 * thick * roll, -0.0042 * roll])
     cheeks = sum(
         (
-            s.pull((sign * 0.044, 0.150, 0.062), (0.032, 0.032, 0.05), (sign * 0.0085, 0, 0.0055))
+            s.pull(
+                (sign * 0.044, 0.150, 0.062),
+                (0.032, 0.032, 0.05),
+                (sign * 0.0085, 0, 0.0055),
+            )
             for sign in (1, -1)
         ),
         np.zeros_like(s.points),
     )
     jaw = s.jaw_turn(JAW_OPEN)
     inwards = sum(
-        (s.pull((sign * CORNER[0], *CORNER[1:]), (0.022, 0.024, 0.04), (-sign * 0.0022, 0, 0)) for sign in (1, -1)),
+        (
+            s.pull(
+                (sign * CORNER[0], *CORNER[1:]),
+                (0.022, 0.024, 0.04),
+                (-sign * 0.0022, 0, 0),
+            )
+            for sign in (1, -1)
+        ),
         np.zeros_like(s.points),
     )
     inner = sum(
-        (s.pull((sign * 0.011, 0.243, 0.09), (0.026, 0.030, 0.035), (0, 0.0085, 0)) for sign in (1, -1)),
+        (
+            s.pull((sign * 0.011, 0.243, 0.09), (0.026, 0.030, 0.035), (0, 0.0085, 0))
+            for sign in (1, -1)
+        ),
         np.zeros_like(s.points),
     )
     inner /= np.maximum(1.0, inner[:, 1:2] / 0.0085)
@@ -371,14 +449,20 @@ def tongue(s: Sculptor) -> Array:
     z = s.points[:, 2]
     along = smoothstep(0.035, 0.078, z) * (s.part == "tongue")
     out = along * 0.034
-    return np.column_stack([-0.12 * s.points[:, 0] * along, 0.0025 * along - 0.007 * along**3, out])
+    return np.column_stack(
+        [-0.12 * s.points[:, 0] * along, 0.0025 * along - 0.007 * along**3, out]
+    )
 
 
 def corrective_smile(s: Sculptor) -> Array:
     """Return what the left corner lacks in an open smile."""
     made = s.pull(CORNER, (0.022, 0.022, 0.04), (0.0040, 0.0030, -0.0022))
-    made = made + s.pull((0.040, 0.160, 0.07), (0.022, 0.02, 0.03), (0.0022, 0.0012, 0.0022))
-    lower = s.pull((0.013, 0.134, 0.095), (0.020, 0.016, 0.04), (0.0008, 0.0028, -0.0006))
+    made = made + s.pull(
+        (0.040, 0.160, 0.07), (0.022, 0.02, 0.03), (0.0022, 0.0012, 0.0022)
+    )
+    lower = s.pull(
+        (0.013, 0.134, 0.095), (0.020, 0.016, 0.04), (0.0008, 0.0028, -0.0006)
+    )
     return made + lower * s.jaw()[:, None]
 
 

@@ -7,18 +7,22 @@ given.
 from __future__ import annotations
 
 import argparse
+import sys
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+sys.path.append(str(Path(__file__).parents[1]))
 
 import head_mesh
 import head_paint
 import head_parts
 import head_shapes
-import numpy as np
-from head_mesh import Ints
 from head_parts import Piece
-from head_surface import Array, head_field, length, project, smoothstep
-from numpy.typing import NDArray
+from head_surface import head_field
+from solids import Array, Ints, neighbours, relaxed, smoothstep, surface_normals
 
 RELAXING = 14
 STEP = 1e-6  # [m] that stored places are rounded to
@@ -43,25 +47,6 @@ class Face:
     part: NDArray[np.str_]
     side: Array
     share: Array
-
-
-def relaxed(points: Array, faces: Ints, loose: NDArray[np.bool_]) -> Array:
-    """Return points spread evenly over the skin, those that are not loose kept."""
-    ring = np.where(faces >= 0, faces, faces[:, :1])
-    ends = np.concatenate([ring[:, [k, (k + 1) % 4]] for k in range(4)])
-    ends = np.unique(np.sort(ends[ends[:, 0] != ends[:, 1]], axis=1), axis=0)
-    count = np.bincount(ends.ravel(), minlength=len(points)).astype(float)
-    middle = points[:, 0] == 0
-    points = points.copy()
-    for _ in range(RELAXING):
-        total = np.zeros_like(points)
-        np.add.at(total, ends[:, 0], points[ends[:, 1]])
-        np.add.at(total, ends[:, 1], points[ends[:, 0]])
-        moved = points + 0.5 * (total / count[:, None] - points)
-        moved[middle, 0] = 0.0
-        points[loose] = project(head_field, moved[loose], steps=2)
-        points[middle, 0] = 0.0
-    return points
 
 
 def mirrored(pieces: list[tuple[Piece, NDArray[np.str_], Array, Array]]) -> Face:
@@ -91,7 +76,9 @@ def mirrored(pieces: list[tuple[Piece, NDArray[np.str_], Array, Array]]) -> Face
         for kept, values in ((part, names), (side, sides), (share, shares)):
             kept.append(np.concatenate([values, values[~middle]]))
         first += len(back)
-    return Face(*(np.concatenate(x) for x in (points, faces, mirror, part, side, share)))
+    return Face(
+        *(np.concatenate(x) for x in (points, faces, mirror, part, side, share))
+    )
 
 
 def halved(piece: Piece) -> Piece:
@@ -111,7 +98,7 @@ def face() -> Face:
     part = np.array([tag[0] for tag in half.tags])
     side = np.array([tag[1] for tag in half.tags])
     share = np.array([tag[2] for tag in half.tags])
-    points = relaxed(points, faces, part == "skin")
+    points = relaxed(points, faces, head_field, part == "skin", RELAXING)
     pieces = [(Piece(points, faces), part, side, share)]
     for name, piece in (
         ("ear", head_parts.ear()),
@@ -131,16 +118,8 @@ def rounded(values: Array) -> NDArray[np.float32]:
 
 
 def normals(points: Array, faces: Ints) -> NDArray[np.float32]:
-    """Return unit normals, faces weighted by area ``(V, 3)``."""
-    made = np.zeros_like(points)
-    corners = np.where(faces >= 0, faces, faces[:, [2]])
-    a, b, c, d = (points[corners[:, k]] for k in range(4))
-    across = np.cross(c - a, d - b)
-    for k in range(4):
-        real = faces[:, k] >= 0
-        np.add.at(made, faces[real, k], across[real])
-    made = made / np.maximum(length(made), 1e-12)[:, None]
-    return (np.round(made, 5) + 0.0).astype(np.float32)
+    """Return unit normals as they are stored ``(V, 3)``."""
+    return (np.round(surface_normals(points, faces), 5) + 0.0).astype(np.float32)
 
 
 def skin(sculptor: head_shapes.Sculptor) -> tuple[Ints, Array]:
@@ -158,7 +137,7 @@ def arrays() -> dict[str, NDArray[np.generic]]:
     made = face()
     points = rounded(made.points).astype(np.float64)
     sculptor = head_shapes.Sculptor(
-        points, made.part, made.side, made.share, made.mirror
+        points, made.part, made.side, made.share, made.mirror, neighbours(made.faces)
     )
     indices, weights = skin(sculptor)
     kept: dict[str, NDArray[np.generic]] = {
@@ -171,7 +150,9 @@ def arrays() -> dict[str, NDArray[np.generic]]:
         "mirror": made.mirror.astype(np.int16),
     }
     eye = head_parts.eyeball()
-    flipped = np.where(eye.faces[:, 3:] >= 0, eye.faces[:, ::-1], eye.faces[:, [0, 2, 1, 3]])
+    flipped = np.where(
+        eye.faces[:, 3:] >= 0, eye.faces[:, ::-1], eye.faces[:, [0, 2, 1, 3]]
+    )
     for name, sign, faces in (("eye_l", 1, eye.faces), ("eye_r", -1, flipped)):
         places = rounded(eye.points * [sign, 1, 1])
         kept |= {

@@ -1,12 +1,13 @@
-"""Make the pictures of the head: sheets of poses and of frames, as PNG files.
+"""Make the pictures of head and biped: sheets of poses and of frames, as PNG files.
 
-Usage: ``python make_pictures.py [OUT]``; ``OUT`` is the folder of this file unless given.
+Usage: ``python make_pictures.py [OUT]``; ``OUT`` is this file's folder unless given.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +59,23 @@ CORRECTIVES: list[list[Shot]] = [
 ]
 SPEECH = (3, 20, 34, 46, 53, 67, 76, 101)
 
+WHOLE = Camera((0.0, 0.9, 0.0), 1.95)
+BENT: dict[str, float | tuple[float, float, float]] = {
+    "control/spine_bend": 25,
+    "control/look_x": 20,
+    "control/fist_r": 1,
+    "joint/shoulder_l.rotation": (0, 0, -60),
+    "joint/shoulder_r.rotation": (0, 0, -50),
+    "joint/elbow_l.angle": 95,
+    "joint/elbow_r.angle": 125,
+    "joint/hip_l.rotation": (-85, 0, 0),
+    "joint/hip_r.rotation": (10, 0, 0),
+    "joint/knee_l.angle": 100,
+    "joint/knee_r.angle": 35,
+}
+ELBOW = Camera((0.33, 1.40, 0.02), 0.75, lift=35)
+KNEE = Camera((0.05, 0.75, 0.1), 0.95, turn=60)
+
 
 def head_surfaces(head: Puppet, motion: Motion, frame: int = 0) -> list[Surface]:
     """Return the head's surfaces in a frame of a motion."""
@@ -103,6 +121,30 @@ def speech_sheet(head: Puppet, size: int) -> Array:
     return sheet([pictures[:4], pictures[4:]])
 
 
+def body_sheet(body: Puppet, size: int) -> Array:
+    """Return the biped at rest, in a pose, and its elbow and knee bent."""
+    source = ROOT / "rigs/biped/body.npz"
+    (mesh,) = body.rig.meshes
+    triangles = triangulated(body.array(mesh.faces).astype(np.int64))
+    colours = load_array(source, "colours") / 255
+
+    def shot(camera: Camera, pose: Mapping[str, float | tuple[float, ...]]) -> Array:
+        points = body.points(mesh, posed(body.rig, pose))
+        return render([Surface(points, triangles, colours)], camera, (size, size))
+
+    aside = replace(WHOLE, turn=35, lift=8)
+    return sheet(
+        [
+            [
+                shot(WHOLE, {}),
+                shot(aside, BENT),
+                shot(ELBOW, {"joint/elbow_l.angle": 110}),
+                shot(KNEE, BENT),
+            ]
+        ]
+    )
+
+
 def main() -> None:
     """Write the pictures to the folder named on the command line."""
     parser = argparse.ArgumentParser(description="Make the pictures.")
@@ -112,7 +154,9 @@ def main() -> None:
     write_png(out / "expressions.png", head_sheet(head, EXPRESSIONS, 220))
     write_png(out / "lids.png", head_sheet(head, LIDS, 180))
     write_png(out / "correctives.png", head_sheet(head, CORRECTIVES, 220))
-    write_png(out / "speech.png", speech_sheet(head, 220))
+    write_png(out / "speech.png", speech_sheet(head, 205))
+    body = Puppet(load_rig(ROOT / "rigs/biped/biped.rig.yaml"))
+    write_png(out / "body.png", body_sheet(body, 300))
 
 
 if __name__ == "__main__":

@@ -13,9 +13,14 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 # Directions to the lights in the camera's frame, and their strengths.
-LIGHTS = (((-0.5, 0.65, 0.8), 0.72), ((0.85, 0.1, 0.55), 0.24), ((0.1, 0.6, -0.8), 0.20))
+LIGHTS = (
+    ((-0.5, 0.65, 0.8), 0.72),
+    ((0.85, 0.1, 0.55), 0.24),
+    ((0.1, 0.6, -0.8), 0.20),
+)
 AMBIENT = 0.20
 GLOSS, SHARPNESS = 0.10, 24.0
+COARSE = 3  # of 256 levels of a channel, to keep files small
 GROUND = np.array([0.86, 0.88, 0.90])
 
 
@@ -79,7 +84,7 @@ def point_normals(points: Array, triangles: NDArray[np.int64]) -> Array:
 
 
 def render(surfaces: list[Surface], camera: Camera, size: tuple[int, int]) -> Array:
-    """Return a picture ``(height, width, 3)``, every pixel of 2 × 2 samples."""
+    """Return a picture ``(height, width, 3)``, every pixel of four samples."""
     height, width = 2 * size[0], 2 * size[1]
     depth = np.full((height, width), -np.inf)
     image = np.broadcast_to(GROUND, (height, width, 3)).copy()
@@ -96,7 +101,9 @@ def render(surfaces: list[Surface], camera: Camera, size: tuple[int, int]) -> Ar
 
 def _fill(place: Array, near: Array, data: Array, depth: Array, image: Array) -> None:
     low = np.maximum(np.floor(place.min(0)).astype(int), 0)
-    high = np.minimum(np.ceil(place.max(0)).astype(int), [depth.shape[1], depth.shape[0]])
+    high = np.minimum(
+        np.ceil(place.max(0)).astype(int), [depth.shape[1], depth.shape[0]]
+    )
     if (low >= high).any():
         return
     (ax, ay), (bx, by), (cx, cy) = place
@@ -126,14 +133,16 @@ def _lit(normals: Array, colours: Array) -> Array:
     for towards, strength in LIGHTS:
         to = np.array(towards) / np.linalg.norm(towards)
         light += strength * np.maximum(normals @ to, 0.0)
-        half = (to + [0.0, 0.0, 1.0]) / np.linalg.norm(to + [0.0, 0.0, 1.0])
+        half = to + np.array([0.0, 0.0, 1.0])
+        half /= np.linalg.norm(half)
         gloss += strength * np.maximum(normals @ half, 0.0) ** SHARPNESS
     return np.clip(colours * light[:, None] + GLOSS * gloss[:, None], 0, 1)
 
 
 def write_png(path: Path, image: Array) -> None:
     """Write a picture with values from 0 to 1, 8 bits a channel."""
-    pixels = np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
+    steps = np.round(np.clip(image, 0, 1) * 255 / COARSE) * COARSE
+    pixels = np.minimum(steps, 255).astype(np.uint8)
     height, width = pixels.shape[:2]
     rows = pixels.reshape(height, -1)
     # Filter 2 of the format: every row less the one above it.

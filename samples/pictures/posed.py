@@ -82,7 +82,9 @@ class Puppet:
             for shape, weight in zip(self.rig.shapes, weights, strict=True):
                 if shape.mesh == mesh.name and weight:
                     points += self.moved(shape, float(weight))
-        return points if mesh.skin is None else self._skinned(mesh, points, motion, frame)
+        return (
+            points if mesh.skin is None else self._skinned(mesh, points, motion, frame)
+        )
 
     def moved(self, shape: Shape, weight: float) -> Array:
         """Return what a shape adds at a weight, through its inbetweens ``(V, 3)``."""
