@@ -72,11 +72,11 @@ LIP_GAP = 0.00005
 POCKET = np.array(
     [
         [0.0040, 0.0001, 0.985],
-        [0.0080, 0.0030, 0.97],
-        [0.0120, 0.0110, 1.00],
-        [0.0250, 0.0170, 1.00],
-        [0.0400, 0.0150, 0.80],
-        [0.0500, 0.0060, 0.45],
+        [0.0075, 0.0035, 1.00],
+        [0.0100, 0.0120, 1.12],
+        [0.0240, 0.0170, 1.16],
+        [0.0420, 0.0150, 0.95],
+        [0.0520, 0.0060, 0.50],
     ]
 )
 
@@ -255,11 +255,12 @@ def add_mouth(half: Half, grid: Ints) -> None:
         half.strip(before, now)
         before = now
     contact = ring
+    tall = np.maximum(1 - u * u, 0.0) ** 0.25
     for back, open_, wide in POCKET:
         ring = contact + np.column_stack(
             [
                 x * (wide - 1),
-                sign * np.maximum(open_ * full, LIP_GAP),
+                sign * np.maximum(open_ * (tall if wide > 1 else full), LIP_GAP),
                 np.full(count, -back),
             ]
         )
@@ -270,7 +271,7 @@ def add_mouth(half: Half, grid: Ints) -> None:
         before = now
     half.strip(before[:corner], before[:corner:-1])
     half.faces.append(
-        [int(before[corner - 1]), int(before[corner]), int(before[corner + 1]), -1][::1]
+        [int(before[corner + 1]), int(before[corner]), int(before[corner - 1]), -1]
     )
 
 
