@@ -31,6 +31,7 @@ LIDS_MEET = 0.72  # of the way from the corners' line to the lower lid
 BLINK_STEPS = (1 / 3, 2 / 3)
 LID_SPREAD = 8  # steps of smoothing
 LEAST_ANGLE = 2e-4
+BROW_HOLDERS = 6  # points of the skin that hold one of a brow
 # Correctives: name, drivers.
 COMBINED = {
     f"{first}_{second}{side}": (
@@ -76,8 +77,8 @@ class Sculptor:
         return falloff(self.points, centre, radii)[:, None] * np.array(move)
 
     def slid(self, move: Array) -> Array:
-        """Return a move with skin and brows kept as far from the skull as they were."""
-        loose = np.isin(self.part, ["skin", "brow"]) & (move != 0).any(1)
+        """Return a move with the skin kept as far from the skull as they were."""
+        loose = (self.part == "skin") & (move != 0).any(1)
         there = self.points[loose] + move[loose]
         off = head_field(self.points[loose]) - head_field(there)
         share = 0.85 * smoothstep(0.004, 0.014, np.abs(self.lip_distance()[loose]))
@@ -173,6 +174,22 @@ class Sculptor:
             weight,
         )
         return share, np.asarray(up), weight
+
+    def with_brows(self, move: Array) -> Array:
+        """Return a move in which the brows go with the skin beneath them."""
+        skin = np.flatnonzero(self.part == "skin")
+        left = np.flatnonzero((self.part == "brow") & (self.points[:, 0] > 0))
+        away = length(self.points[left][:, None] - self.points[skin][None])
+        near = np.argsort(away, axis=1, kind="stable")[:, :BROW_HOLDERS]
+        share = 1 / (np.take_along_axis(away, near, axis=1) + 1e-4) ** 2
+        share /= share.sum(1, keepdims=True)
+        made = move.copy()
+        for brow, held in (
+            (left, skin[near]),
+            (self.mirror[left], self.mirror[skin[near]]),
+        ):
+            made[brow] = np.einsum("bk,bkc->bc", share, move[held])
+        return made
 
     def mirrored(self, move: Array) -> Array:
         """Return the mirror image of a move."""
@@ -484,4 +501,4 @@ def all_shapes(s: Sculptor) -> Shapes:
             made[name] = -lids[second.removesuffix("Left")]
         if name.endswith("Right"):
             made[name] = s.mirrored(made[name.removesuffix("Right") + "Left"])
-    return made
+    return {name: s.with_brows(move) for name, move in made.items()}

@@ -154,7 +154,7 @@ def main() -> None:
     write_png(out / "expressions.png", head_sheet(head, EXPRESSIONS, 220))
     write_png(out / "lids.png", head_sheet(head, LIDS, 180))
     write_png(out / "correctives.png", head_sheet(head, CORRECTIVES, 220))
-    write_png(out / "speech.png", speech_sheet(head, 205))
+    write_png(out / "speech.png", speech_sheet(head, 200))
     body = Puppet(load_rig(ROOT / "rigs/biped/biped.rig.yaml"))
     write_png(out / "body.png", body_sheet(body, 300))
 
