@@ -21,6 +21,7 @@ import head_paint
 import head_parts
 import head_shapes
 from head_parts import Piece
+from head_sculptor import Sculptor
 from head_surface import head_field
 from solids import Array, Ints, neighbours, relaxed, smoothstep, surface_normals
 
@@ -122,7 +123,7 @@ def normals(points: Array, faces: Ints) -> NDArray[np.float32]:
     return (np.round(surface_normals(points, faces), 5) + 0.0).astype(np.float32)
 
 
-def skin(sculptor: head_shapes.Sculptor) -> tuple[Ints, Array]:
+def skin(sculptor: Sculptor) -> tuple[Ints, Array]:
     """Return joints and weights of the face: neck, head and jaw ``(V, 3)`` each."""
     _, y, z = sculptor.points.T
     head = smoothstep(0.035, 0.115, y - 0.25 * np.minimum(z, 0.0))
@@ -136,7 +137,7 @@ def arrays() -> dict[str, NDArray[np.generic]]:
     """Return every array of the rig by name."""
     made = face()
     points = rounded(made.points).astype(np.float64)
-    sculptor = head_shapes.Sculptor(
+    sculptor = Sculptor(
         points, made.part, made.side, made.share, made.mirror, neighbours(made.faces)
     )
     indices, weights = skin(sculptor)
