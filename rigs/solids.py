@@ -144,4 +144,6 @@ def relaxed(
         moved[middle, 0] = 0.0
         points[loose] = project(field, moved[loose], steps=2)
         points[middle, 0] = 0.0
+    points[loose] = project(field, points[loose], steps=6)
+    points[middle, 0] = 0.0
     return points

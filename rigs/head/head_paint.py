@@ -6,7 +6,7 @@ import numpy as np
 from head_parts import IRIS, PUPIL
 from head_surface import EYE, EYE_RADIUS
 from numpy.typing import NDArray
-from solids import Array, curve, falloff, smoothstep
+from solids import Array, curve, falloff
 
 PARTS = {
     "skin": (0.86, 0.67, 0.57),
@@ -17,28 +17,16 @@ PARTS = {
     "ear": (0.86, 0.64, 0.54),
     "upper_teeth": (0.95, 0.93, 0.88),
     "lower_teeth": (0.93, 0.91, 0.86),
+    "hair": (0.26, 0.18, 0.14),
     "brow": (0.36, 0.25, 0.19),
     "tongue": (0.78, 0.40, 0.40),
 }
-HAIR = np.array([0.24, 0.17, 0.13])
 BLUSH = np.array([0.85, 0.52, 0.46])
 
 
 def mixed(colours: Array, other: Array, share: Array) -> Array:
     """Return colours with a share of another."""
     return np.asarray(colours + share[:, None] * (other - colours))
-
-
-def hair(points: Array) -> Array:
-    """Return how much hair grows on the skin."""
-    x, y, z = np.abs(points[:, 0]), points[:, 1], points[:, 2]
-    line = curve(
-        (-0.12, -0.06, -0.03, 0.0, 0.025, 0.04, 0.06, 0.12),
-        (0.16, 0.165, 0.19, 0.215, 0.222, 0.262, 0.288, 0.292),
-        z,
-    )
-    line = line - 0.006 * smoothstep(0.02, 0.0, x)
-    return smoothstep(line - 0.004, line + 0.012, y)
 
 
 def face_colours(points: Array, part: NDArray[np.str_]) -> Array:
@@ -48,9 +36,7 @@ def face_colours(points: Array, part: NDArray[np.str_]) -> Array:
     left = np.abs(points) * [1, 0, 0] + points * [0, 1, 1]
     red = 0.45 * falloff(left, (0.042, 0.178, 0.065), (0.026, 0.02, 0.05))
     red = red + 0.45 * falloff(left, (0, 0.172, 0.115), (0.02, 0.02, 0.03))
-    made = mixed(made, BLUSH, red * skin)
-    grown = 0.88 * hair(points) * (part == "skin")
-    return mixed(made, HAIR, grown)
+    return mixed(made, BLUSH, red * skin)
 
 
 def eye_colours(points: Array) -> Array:

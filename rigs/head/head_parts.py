@@ -1,4 +1,4 @@
-"""What stands beside the skin: ears, eyeballs, teeth and tongue, each a small grid."""
+"""What stands beside the skin: ears, brows, hair, eyeballs, teeth and tongue."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from head_mesh import on_skin
 from head_surface import EYE, EYE_RADIUS, head_field
-from solids import Array, Ints, project, smoothstep
+from solids import Array, Ints, cast, project, smoothstep
 
 # Ear: share of the outline, height over the head.
 EAR_RINGS = np.array(
@@ -44,6 +44,24 @@ LOWER_TEETH = (0.1390, 0.1280)
 BROW_X = (0.0085, 0.020, 0.032, 0.043, 0.053)
 BROW_Y = (0.2370, 0.2400, 0.2425, 0.2405, 0.2350)
 BROW_HALF = (0.0030, 0.0034, 0.0030, 0.0022, 0.0006)
+
+# Hair: degrees round the head from the front, and of the hairline above the middle.
+HAIRLINE = np.array(
+    [
+        *((0, 30), (18, 31), (32, 34), (46, 22), (58, 4), (68, -18), (76, -30)),
+        *((84, -26), (92, -12), (104, -14), (116, -26), (130, -36), (150, -40)),
+        (180, -42),
+    ]
+)
+HAIR_MIDDLE, HAIR_COLUMNS, HAIR_LEVEL = np.array([0.0, 0.25, -0.012]), 46, 0.0055
+# Share of the way to the crown, height over the skin.
+HAIR_RINGS = (
+    *((0.0, -0.001), (0.025, 0.0035), (0.07, HAIR_LEVEL), (0.15, HAIR_LEVEL)),
+    *(
+        (share, HAIR_LEVEL)
+        for share in (0.23, 0.31, 0.39, 0.47, 0.55, 0.63, 0.71, 0.79, 0.87, 0.94)
+    ),
+)
 
 TONGUE_TIP, TONGUE_LENGTH, TONGUE_WIDTH = 0.0775, 0.045, 0.0165
 TONGUE_HEIGHT, TONGUE_THICKNESS = 0.1365, 0.0045
@@ -210,10 +228,43 @@ def brow() -> Piece:
         front = np.column_stack([x + lean, middle + across * half])
         on = on_skin(front)
         rows.append(project(head_field, on, level, 6))
-    points = np.concatenate(rows)
+    return sheet(rows)
+
+
+def hair() -> Piece:
+    """Return the left half of the hair, a cap from the hairline to the crown."""
+    turn = np.radians(np.linspace(0, 180, HAIR_COLUMNS))
+    low = np.radians(np.interp(np.degrees(turn), *HAIRLINE.T))
+    smooth = np.array([0.25, 0.5, 0.25])
+    for _ in range(2):
+        low[1:-1] = np.convolve(low, smooth, "valid")
+    rows = []
+    for share, level in HAIR_RINGS:
+        lift = low + share * (np.pi / 2 - low)
+        out = np.column_stack(
+            [np.cos(lift) * np.sin(turn), np.sin(lift), np.cos(lift) * np.cos(turn)]
+        )
+        on = cast(head_field, HAIR_MIDDLE + 0.2 * out, -out, 0.2)
+        ring = project(head_field, on, level, 6)
+        ring[[0, -1], 0] = 0.0
+        rows.append(ring)
+    top = project(head_field, HAIR_MIDDLE[None] * [1, 1.35, 1], HAIR_LEVEL, 6)
+    made = sheet(rows)
+    last = (len(rows) - 1) * HAIR_COLUMNS
+    pole = len(made.points)
+    fan = [[last + c, last + c + 1, pole, -1] for c in range(HAIR_COLUMNS - 1)]
+    return Piece(
+        np.concatenate([made.points, top * [0, 1, 1]]),
+        np.concatenate([made.faces, fan]),
+    )
+
+
+def sheet(rows: list[Array]) -> Piece:
+    """Return rows of points joined by quads."""
+    count = len(rows[0])
     faces = [
         [r * count + c, r * count + c + 1, (r + 1) * count + c + 1, (r + 1) * count + c]
         for r in range(len(rows) - 1)
         for c in range(count - 1)
     ]
-    return Piece(points, np.array(faces))
+    return Piece(np.concatenate(rows), np.array(faces))

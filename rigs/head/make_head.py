@@ -26,12 +26,13 @@ from head_surface import head_field
 from solids import Array, Ints, neighbours, relaxed, smoothstep, surface_normals
 
 RELAXING = 14
+NECK_END = 0.004  # [m] height of what belongs to it
 STEP = 1e-6  # [m] that stored places are rounded to
 
 
 @dataclass(frozen=True, slots=True)
 class Face:
-    """The skin with ears, teeth and tongue, both sides.
+    """The skin with ears, brows, hair, teeth and tongue, both sides.
 
     Attributes:
         points: ``(V, 3)``.
@@ -99,11 +100,14 @@ def face() -> Face:
     part = np.array([tag[0] for tag in half.tags])
     side = np.array([tag[1] for tag in half.tags])
     share = np.array([tag[2] for tag in half.tags])
-    points = relaxed(points, faces, head_field, part == "skin", RELAXING)
+    # The lower end of the neck stays a straight line.
+    loose = (part == "skin") & (points[:, 1] > points[:, 1].min() + NECK_END)
+    points = relaxed(points, faces, head_field, loose, RELAXING)
     pieces = [(Piece(points, faces), part, side, share)]
     for name, piece in (
         ("ear", head_parts.ear()),
         ("brow", head_parts.brow()),
+        ("hair", head_parts.hair()),
         ("upper_teeth", halved(head_parts.teeth(*head_parts.UPPER_TEETH, 1.0))),
         ("lower_teeth", halved(head_parts.teeth(*head_parts.LOWER_TEETH, 0.95))),
         ("tongue", halved(head_parts.tongue())),
