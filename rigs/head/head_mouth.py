@@ -6,7 +6,7 @@ import numpy as np
 from head_mesh import MOUTH_HALF_WIDTH
 from head_sculptor import CORNER, Sculptor
 from numpy.typing import NDArray
-from solids import Array, curve, falloff, smoothstep
+from solids import Array, curve, smoothstep
 
 JAW_OPEN = np.radians(21)
 
@@ -14,7 +14,7 @@ JAW_OPEN = np.radians(21)
 def mouth_shapes(s: Sculptor) -> dict[str, Array]:
     """Return shapes of the left half of the mouth."""
     low = s.jaw()[:, None]
-    wide = (0.037, 0.032, 0.050)
+    wide = (0.033, 0.031, 0.050)
     smile = s.pull(CORNER, wide, (0.0098, 0.0095, -0.0062))
     smile = smile + s.pull(
         (0.042, 0.174, 0.068), (0.030, 0.022, 0.035), (0.001, 0.0042, 0.001)
@@ -57,7 +57,7 @@ def pressed(s: Sculptor, amount: float) -> Array:
     """Return lips that thin towards their line."""
     off = s.lip_distance()
     near = smoothstep(0.020, 0.006, np.abs(off)) * np.isin(s.part, ["skin", "lip"])
-    front = falloff(s.points, (0, 0.1432, 0.09), (0.042, 0.03, 0.045))
+    front = s.near((0, 0.1432, 0.09), (0.042, 0.03, 0.045))
     thin = np.clip(off, -0.009, 0.009) * near * smoothstep(0.0, 0.35, front)
     zero = np.zeros(len(off))
     return np.column_stack([zero, -amount * thin, -0.25 * np.abs(thin)])
@@ -85,7 +85,7 @@ def jaw_shapes(s: Sculptor) -> dict[str, Array]:
 def round_shapes(s: Sculptor) -> dict[str, Array]:
     """Return shapes that draw the mouth together or aside, or blow it up."""
     x, zero, low = s.points[:, 0], np.zeros(len(s.points)), s.jaw()
-    near = falloff(s.points, (0, 0.1432, 0.098), (0.052, 0.040, 0.062))
+    near = s.near((0, 0.1432, 0.098), (0.052, 0.040, 0.062))
     off = s.lip_distance()
     thick = np.clip(off, -0.009, 0.009) * smoothstep(0.018, 0.005, np.abs(off)) * near
     forwards = 0.0090 * near * (1 - 0.3 * (x / 0.03) ** 2)
@@ -107,7 +107,7 @@ def lip_shapes(s: Sculptor) -> dict[str, Array]:
     low, zero = s.jaw()[:, None], np.zeros(len(s.points))
     lip = np.isin(s.part, ["lip", "pocket"])
     off = s.lip_distance()
-    near = falloff(s.points, (0, 0.1432, 0.098), (0.052, 0.040, 0.062))
+    near = s.near((0, 0.1432, 0.098), (0.052, 0.040, 0.062))
     roll = smoothstep(0.014, 0.003, np.abs(off)) * near
     thick = np.clip(off, -0.009, 0.009)
     rolled = np.column_stack([zero, -0.55 * thick * roll, -0.0042 * roll])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from head_parts import IRIS, PUPIL
+from head_parts import GUM, IRIS, LOWER_TEETH, PUPIL, UPPER_TEETH
 from head_surface import EYE, EYE_RADIUS
 from numpy.typing import NDArray
 from solids import Array, curve, falloff
@@ -32,6 +32,10 @@ def mixed(colours: Array, other: Array, share: Array) -> Array:
 def face_colours(points: Array, part: NDArray[np.str_]) -> Array:
     """Return colours of the face ``(V, 3)``."""
     made = np.array([PARTS[name] for name in part])
+    y = points[:, 1]
+    gum = (part == "upper_teeth") & (y > UPPER_TEETH[0] - GUM - 1e-4)
+    gum |= (part == "lower_teeth") & (y < LOWER_TEETH[1] + GUM + 1e-4)
+    made[gum] = PARTS["tongue"]
     skin = np.isin(part, ["skin", "ear"])
     left = np.abs(points) * [1, 0, 0] + points * [0, 1, 1]
     red = 0.45 * falloff(left, (0.042, 0.178, 0.065), (0.026, 0.02, 0.05))

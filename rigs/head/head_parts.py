@@ -35,8 +35,9 @@ EYE_RINGS = np.radians(
 EYE_COUNT = 28
 PUPIL, IRIS = np.radians(10.9), np.radians(23.5)
 
-ARCH_WIDTH, ARCH_DEPTH, ARCH_FRONT = 0.0205, 0.034, 0.0845
+ARCH_WIDTH, ARCH_DEPTH, ARCH_FRONT = 0.0240, 0.034, 0.0845
 TEETH = 14  # in a row
+GUM = 0.0042  # [m] height of what is seen of it
 UPPER_TEETH = (0.1525, 0.1392)
 LOWER_TEETH = (0.1390, 0.1280)
 
@@ -157,14 +158,13 @@ def teeth(top: float, bottom: float, shrink: float) -> Piece:
     rings = []
     upper = top > bottom and shrink == 1.0
     bite = 0.0006 * (1 - np.sqrt(phase)) * (1 if upper else -1)
-    profile = [
-        (top, -0.005),
-        (top, 0.0),
-        ((top + bottom) / 2, 0.0004),
-        (bottom, -0.0004),
-        (bottom, -0.0035),
-        (top, -0.005),
-    ]
+    neck = top - GUM if upper else bottom + GUM
+    fold = 0.0006 if upper else -0.0006
+    heights = (
+        (top, neck, neck - fold, bottom) if upper else (top, neck + fold, neck, bottom)
+    )
+    profile = [(top, -0.005), (top, 0.0), *((h, 0.0004) for h in heights[1:3])]
+    profile += [(bottom, -0.0004), (bottom, -0.0035), (top, -0.005)]
     for height, out in profile:
         y = np.full(count + 1, height)
         grown = bulge * (out > -0.002)

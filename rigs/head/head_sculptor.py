@@ -44,11 +44,16 @@ class Sculptor:
     mirror: Ints
     pairs: Ints
 
+    def near(self, centre: Sequence[float], radii: Sequence[float]) -> Array:
+        """Return how near soft points are, 1 at the centre and 0 off the radii."""
+        hard = np.isin(self.part, ["upper_teeth", "lower_teeth", "tongue"])
+        return np.where(hard, 0.0, falloff(self.points, centre, radii))
+
     def pull(
         self, centre: Sequence[float], radii: Sequence[float], move: Sequence[float]
     ) -> Array:
         """Return a pull that fades out at the radii ``(V, 3)``."""
-        return falloff(self.points, centre, radii)[:, None] * np.array(move)
+        return self.near(centre, radii)[:, None] * np.array(move)
 
     def pulls(
         self, centre: Sequence[float], radii: Sequence[float], move: Sequence[float]

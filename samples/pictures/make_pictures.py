@@ -24,8 +24,8 @@ ROOT = Path(__file__).parents[2]
 Pose = Mapping[str, float]
 Shot = tuple[Camera, Pose]
 
-FRONT = Camera((0.0, 0.165, 0.05), 0.25)
-ASIDE = Camera((0.0, 0.165, 0.02), 0.25, turn=40, lift=4)
+FRONT = Camera((0.0, 0.19, 0.05), 0.32)
+ASIDE = Camera((0.0, 0.19, 0.02), 0.32, turn=40, lift=4)
 EYE = Camera((0.0315, 0.217, 0.08), 0.075)
 MOUTH = Camera((0.0, 0.138, 0.08), 0.095)
 
