@@ -11,13 +11,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from picture import Camera, Surface, render, triangulated, write_png
+from picture import Camera, Surface, render, write_png
 from posed import Array, Puppet, posed
 
 from animtool.clip.file import load_clip, open_clip
 from animtool.clip.sample import sample_clip
 from animtool.documents.arrays import load_array
-from animtool.rig.file import load_rig
 from animtool.take import Motion
 
 ROOT = Path(__file__).parents[2]
@@ -85,9 +84,8 @@ def head_surfaces(head: Puppet, motion: Motion, frame: int = 0) -> list[Surface]
         colours = load_array(
             source, "colours" if mesh.name == "face" else "eye_colours"
         )
-        triangles = triangulated(head.array(mesh.faces).astype(np.int64))
         points = head.points(mesh, motion, frame)
-        made.append(Surface(points, triangles, colours / 255))
+        made.append(Surface(points, head.triangles(mesh), colours / 255))
     return made
 
 
@@ -125,7 +123,7 @@ def body_sheet(body: Puppet, size: int) -> Array:
     """Return the biped at rest, in a pose, and its elbow and knee bent."""
     source = ROOT / "rigs/biped/body.npz"
     (mesh,) = body.rig.meshes
-    triangles = triangulated(body.array(mesh.faces).astype(np.int64))
+    triangles = body.triangles(mesh)
     colours = load_array(source, "colours") / 255
 
     def shot(camera: Camera, pose: Mapping[str, float | tuple[float, ...]]) -> Array:
@@ -150,12 +148,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Make the pictures.")
     parser.add_argument("out", nargs="?", type=Path, default=Path(__file__).parent)
     out: Path = parser.parse_args().out
-    head = Puppet(load_rig(ROOT / "rigs/head/head.rig.yaml"))
+    head = Puppet.load(ROOT / "rigs/head/head.rig.yaml")
     write_png(out / "expressions.png", head_sheet(head, EXPRESSIONS, 220))
     write_png(out / "lids.png", head_sheet(head, LIDS, 180))
     write_png(out / "correctives.png", head_sheet(head, CORRECTIVES, 220))
     write_png(out / "speech.png", speech_sheet(head, 200))
-    body = Puppet(load_rig(ROOT / "rigs/biped/biped.rig.yaml"))
+    body = Puppet.load(ROOT / "rigs/biped/biped.rig.yaml")
     write_png(out / "body.png", body_sheet(body, 300))
 
 

@@ -1,22 +1,27 @@
-"""The surfaces of a rig in a motion: blend shapes and linear skinning."""
+"""The surfaces of a rig in a motion."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from picture import triangulated
 
 from animtool.clip.clip import Clip, ClipChannel, Interp, Tangent
 from animtool.clip.sample import sample_clip
 from animtool.documents.arrays import load_array
 from animtool.maths import so3
+from animtool.rig.file import load_rig
 from animtool.rig.kinematics import forward, rest_world
-from animtool.rig.parts import ArrayRef, Mesh, Shape
+from animtool.rig.parts import ArrayRef, Mesh
 from animtool.rig.skeleton import Rig
+from animtool.skin.deform import DeformedMesh, deform
+from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas, prepare_shapes
+from animtool.skin.skinning import Binding, SkinMethod, prepare_skin
 from animtool.take import Motion
 
 Array = NDArray[np.float64]
@@ -55,65 +60,73 @@ def posed(rig: Rig, values: Mapping[str, float | Sequence[float]]) -> Motion:
     return sample_clip(clip, rig, np.zeros(1)).motion
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Puppet:
-    """A rig with its arrays at hand, each read once.
+    """A rig with its surfaces at hand.
 
     Attributes:
         rig: The rig.
-        arrays: Those read so far, by file and name.
+        meshes: What deforms, by name.
     """
 
     rig: Rig
-    arrays: dict[tuple[Path, str], Array] = field(default_factory=dict)
+    meshes: dict[str, DeformedMesh]
 
-    def array(self, ref: ArrayRef) -> Array:
-        """Return an array that the rig refers to."""
-        key = (ref.path, ref.key)
-        if key not in self.arrays:
-            self.arrays[key] = load_array(*key)
-        return self.arrays[key]
+    @classmethod
+    def load(cls, path: Path) -> Puppet:
+        """Return the rig of a file, its arrays read."""
+        rig = load_rig(path)
+        return cls(rig, {mesh.name: deformed(rig, mesh) for mesh in rig.meshes})
+
+    def triangles(self, mesh: Mesh) -> NDArray[np.int64]:
+        """Return the triangles of a mesh ``(T, 3)``."""
+        return triangulated(loaded(mesh.faces).astype(np.int64))
 
     def points(self, mesh: Mesh, motion: Motion, frame: int = 0) -> Array:
         """Return the points of a mesh in a frame of a motion ``(V, 3)``."""
-        points = self.array(mesh.points).copy()
-        if motion.weights is not None:
-            weights = motion.weights.dense()[frame, :, 0]
-            for shape, weight in zip(self.rig.shapes, weights, strict=True):
-                if shape.mesh == mesh.name and weight:
-                    points += self.moved(shape, float(weight))
-        return (
-            points if mesh.skin is None else self._skinned(mesh, points, motion, frame)
-        )
-
-    def moved(self, shape: Shape, weight: float) -> Array:
-        """Return what a shape adds at a weight, through its inbetweens ``(V, 3)``."""
-        refs = [step.deltas for step in shape.inbetweens]
-        refs += [shape.deltas] if shape.deltas else []
-        ends = np.array([0.0, *(step.at for step in shape.inbetweens), 1.0])
-        k = int(np.clip(np.searchsorted(ends, weight) - 1, 0, len(ends) - 2))
-        share = (weight - ends[k]) / (ends[k + 1] - ends[k])
-        before = self.array(refs[k - 1]) if k else 0.0
-        return np.asarray((1 - share) * before + share * self.array(refs[k]))
-
-    def _skinned(self, mesh: Mesh, points: Array, motion: Motion, frame: int) -> Array:
-        assert mesh.skin is not None
-        now = forward(
+        world = forward(
             self.rig,
             motion.translations.dense()[[frame]],
             motion.rotations.dense()[[frame]],
         )
-        rest = rest_world(self.rig)
-        linear = now.linear @ np.linalg.inv(rest.linear)
-        linear = linear.reshape(-1, 3, 3)
-        away = now.positions.reshape(-1, 3) - np.einsum(
-            "jab,jb->ja", linear, rest.positions[0]
+        weights = None
+        if motion.weights is not None:
+            own = [shape.mesh == mesh.name for shape in self.rig.shapes]
+            weights = motion.weights.dense()[[frame], :, 0][:, own]
+        return deform(self.meshes[mesh.name], weights, world).points[0]
+
+
+def loaded(ref: ArrayRef) -> Array:
+    """Return an array that a rig refers to."""
+    return load_array(ref.path, ref.key)
+
+
+def deformed(rig: Rig, mesh: Mesh) -> DeformedMesh:
+    """Return a mesh of a rig with its shapes and its skin, bound at rest."""
+    points = loaded(mesh.points)
+    shapes = [
+        ShapeDeltas(
+            shape.name,
+            loaded(shape.deltas),
+            inbetweens=tuple(
+                InbetweenDeltas(step.at, loaded(step.deltas))
+                for step in shape.inbetweens
+            ),
         )
-        order = np.array([self.rig.index(name) for name in mesh.skin.joints])
-        joints = order[self.array(mesh.skin.indices).astype(np.int64)]
-        shares = self.array(mesh.skin.weights)
-        made = np.zeros_like(points)
-        for k in range(shares.shape[1]):
-            turned = np.einsum("vab,vb->va", linear[joints[:, k]], points)
-            made += shares[:, [k]] * (turned + away[joints[:, k]])
-        return made
+        for shape in rig.shapes
+        if shape.mesh == mesh.name and shape.deltas is not None
+    ]
+    skin = None
+    if mesh.skin is not None:
+        rest = rest_world(rig)
+        bind = np.tile(np.eye(4), (len(rig.joints), 1, 1))
+        bind[:, :3, :3], bind[:, :3, 3] = rest.linear[0], rest.positions[0]
+        binding = Binding(
+            loaded(mesh.skin.indices).astype(np.int64),
+            loaded(mesh.skin.weights),
+            bind,
+            np.array([rig.index(name) for name in mesh.skin.joints]),
+            method=SkinMethod(mesh.skin.method),
+        )
+        skin = prepare_skin(binding, len(points))
+    return DeformedMesh(points, prepare_shapes(shapes, points), skin)

@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from animtool.rig.file import load_rig
-
 ROOT = Path(__file__).parents[2]
 PICTURES = ROOT / "samples/pictures"
 
@@ -25,7 +23,7 @@ def script(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
 
 def test_a_head_is_drawn_and_its_mirror_image_is_alike(script: dict[str, Any]) -> None:
-    head = script["Puppet"](load_rig(ROOT / "rigs/head/head.rig.yaml"))
+    head = script["Puppet"].load(ROOT / "rigs/head/head.rig.yaml")
     size = 48
     plain = script["render"](script["head_pose"](head, {}), script["FRONT"], [size] * 2)
     ground = plain[0, 0]
@@ -41,11 +39,11 @@ def test_a_head_is_drawn_and_its_mirror_image_is_alike(script: dict[str, Any]) -
 
 
 def test_posed_joints_carry_the_points(script: dict[str, Any]) -> None:
-    body = script["Puppet"](load_rig(ROOT / "rigs/biped/biped.rig.yaml"))
+    body = script["Puppet"].load(ROOT / "rigs/biped/biped.rig.yaml")
     (mesh,) = body.rig.meshes
     posed = script["posed"]
     rest = body.points(mesh, posed(body.rig, {}))
-    np.testing.assert_allclose(rest, body.array(mesh.points), atol=1e-12)
+    np.testing.assert_allclose(rest, body.meshes[mesh.name].points, atol=1e-12)
     turned = posed(body.rig, {"joint/hips.rotation": (0, 90, 0)})
     round_hips = body.points(mesh, turned)
     expected = rest[:, [2, 1, 0]] * [1, 1, -1]
