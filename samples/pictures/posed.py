@@ -13,11 +13,10 @@ from picture import triangulated
 
 from animtool.clip.clip import Clip, ClipChannel, Interp, Tangent
 from animtool.clip.sample import sample_clip
-from animtool.documents.arrays import load_array
 from animtool.maths import so3
 from animtool.rig.file import load_rig
 from animtool.rig.kinematics import forward, rest_world
-from animtool.rig.parts import ArrayRef, Mesh
+from animtool.rig.parts import Mesh
 from animtool.rig.skeleton import Rig
 from animtool.skin.deform import DeformedMesh, deform
 from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas, prepare_shapes
@@ -80,7 +79,7 @@ class Puppet:
 
     def triangles(self, mesh: Mesh) -> NDArray[np.int64]:
         """Return the triangles of a mesh ``(T, 3)``."""
-        return triangulated(loaded(mesh.faces).astype(np.int64))
+        return triangulated(mesh.faces.load().astype(np.int64))
 
     def points(self, mesh: Mesh, motion: Motion, frame: int = 0) -> Array:
         """Return the points of a mesh in a frame of a motion ``(V, 3)``."""
@@ -96,20 +95,15 @@ class Puppet:
         return deform(self.meshes[mesh.name], weights, world).points[0]
 
 
-def loaded(ref: ArrayRef) -> Array:
-    """Return an array that a rig refers to."""
-    return load_array(ref.path, ref.key)
-
-
 def deformed(rig: Rig, mesh: Mesh) -> DeformedMesh:
     """Return a mesh of a rig with its shapes and its skin, bound at rest."""
-    points = loaded(mesh.points)
+    points = mesh.points.load()
     shapes = [
         ShapeDeltas(
             shape.name,
-            loaded(shape.deltas),
+            shape.deltas.load(),
             inbetweens=tuple(
-                InbetweenDeltas(step.at, loaded(step.deltas))
+                InbetweenDeltas(step.at, step.deltas.load())
                 for step in shape.inbetweens
             ),
         )
@@ -122,8 +116,8 @@ def deformed(rig: Rig, mesh: Mesh) -> DeformedMesh:
         bind = np.tile(np.eye(4), (len(rig.joints), 1, 1))
         bind[:, :3, :3], bind[:, :3, 3] = rest.linear[0], rest.positions[0]
         binding = Binding(
-            loaded(mesh.skin.indices).astype(np.int64),
-            loaded(mesh.skin.weights),
+            mesh.skin.indices.load().astype(np.int64),
+            mesh.skin.weights.load(),
             bind,
             np.array([rig.index(name) for name in mesh.skin.joints]),
             method=SkinMethod(mesh.skin.method),
