@@ -56,7 +56,8 @@ def convert(
 ) -> ConvertReport:
     """Convert a take to a BVH, to sparse keys, or to a USD stage as a bake would.
 
-    Keys go to a clip file, with the rig file that it is for beside it.
+    Keys go to a clip file, with the rig file that it is for beside it, and the arrays
+    of its meshes and shapes.
 
     Args:
         source: BVH, USD or clip.
@@ -143,7 +144,9 @@ def _to_clip(
     from animtool.clip.reduce import reduce_motion
     from animtool.clip.reduced_clip import clip_of_reduction
     from animtool.clip.write import clip_text
+    from animtool.rig.store import with_file
     from animtool.rig.write import rig_text
+    from animtool.scene.convert_rig import write_arrays
 
     stem = output.name.removesuffix(output.suffix).removesuffix(".clip")
     rig_path = output.with_name(f"{stem}.rig.yaml")
@@ -157,10 +160,15 @@ def _to_clip(
         alike = keys.base.suffix.lower() == source.suffix.lower()
         below = _below(take, keys.base, options if alike else None)
         take = replace(take, rig=without_rest(take.rig))
-    rig = typed_by_motion(take)
+    arrays_path = output.with_name(f"{stem}.npz")
+    rig, arrays = with_file(typed_by_motion(take), arrays_path, moved=True)
+    if arrays:
+        check_outputs([arrays_path], inputs, overwrite=overwrite)
     reduction = reduce_motion(
         take, keys.tolerance, joint_tolerances=keys.tolerances, base=below
     )
+    if arrays:
+        write_arrays(arrays_path, arrays)
     _write(rig_path, [rig_text(rig).encode()])
     text = clip_text(clip_of_reduction(reduction, rig, stem), rig, rig_path.name)
     _write(output, [text.encode()])

@@ -14,7 +14,14 @@ from animtool.rig.skeleton import Rig
 from animtool.rig.store import StoredArrays, with_file
 from animtool.rig.write import rig_text
 
-__all__ = ["RIG_SUFFIXES", "RigReport", "convert_rig", "is_rig", "open_rig"]
+__all__ = [
+    "RIG_SUFFIXES",
+    "RigReport",
+    "convert_rig",
+    "is_rig",
+    "open_rig",
+    "write_arrays",
+]
 
 RIG_SUFFIXES = (".rig.yaml", ".rig.yml", ".rig.json")
 
@@ -121,7 +128,7 @@ def _to_file(source: Path, output: Path, overwrite: bool, strict: bool) -> RigRe
     check_outputs(outputs, [source], overwrite=overwrite)
     refuse_warnings(notices, strict=strict)
     if arrays:
-        _write_arrays(arrays_path, arrays)
+        write_arrays(arrays_path, arrays)
     with replacing(output) as temporary:
         try:
             temporary.write_text(rig_text(rig), "utf-8")
@@ -130,7 +137,12 @@ def _to_file(source: Path, output: Path, overwrite: bool, strict: bool) -> RigRe
     return _report(rig, outputs, notices)
 
 
-def _write_arrays(path: Path, arrays: StoredArrays) -> None:
+def write_arrays(path: Path, arrays: StoredArrays) -> None:
+    """Write the arrays of a rig to an npz file, whole or not at all.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
     with replacing(path) as temporary:
         try:
             with temporary.open("wb") as file:

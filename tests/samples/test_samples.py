@@ -141,3 +141,19 @@ def test_the_stride_goes_on_where_it_began() -> None:
         travel, np.broadcast_to([0, 0, 1.3], travel.shape), atol=1e-9
     )
     np.testing.assert_allclose(found.linear[1], found.linear[0], atol=1e-9)
+
+
+def test_the_speech_shuts_its_lids_and_crosses_the_correctives() -> None:
+    clip, rig = load("speech")
+    weights = sample_clip(clip, rig, np.arange(1.0, 121.0)).motion.weights
+    assert weights is not None
+    frames = dense(weights, 120)[:, :, 0]
+    names = [shape.name for shape in rig.shapes]
+    by_name = dict(zip(names, frames.T, strict=True))
+    for side in ("Left", "Right"):
+        shut = np.flatnonzero(by_name[f"eyeBlink{side}"] > 1 - 1e-9) + 1
+        assert shut.tolist() == [7, 53, 94]
+        smile = np.flatnonzero(by_name[f"jawOpen_mouthSmile{side}"] >= 0.25) + 1
+        assert set(range(98, 110)) <= set(smile.tolist())
+    assert by_name["jawOpen"].argmax() + 1 == 20
+    assert by_name["mouthPucker"].argmax() + 1 == 85

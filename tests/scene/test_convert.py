@@ -9,6 +9,7 @@ import pytest
 
 from animtool.clip.points import SHELL, carried_points, point_errors
 from animtool.errors import OptionError
+from animtool.rig.file import load_rig
 from animtool.scene.bake import bake
 from animtool.scene.convert import convert
 from animtool.scene.file import load_scene
@@ -95,3 +96,17 @@ def test_the_base_has_the_same_joints(walk: Path, tmp_path: Path) -> None:
         convert(walk, tmp_path / "add.clip.yaml", base=clip)
     assert [fault.code for fault in caught.value.faults] == ["SCN017"]
     assert not (tmp_path / "add.clip.yaml").exists()
+
+
+def test_keys_of_a_rig_with_meshes_take_its_arrays_along(
+    root: Path, tmp_path: Path
+) -> None:
+    made = tmp_path / "walk.clip.yaml"
+    convert(root / "samples/stride/stride.clip.yaml", made)
+    rig = load_rig(tmp_path / "walk.rig.yaml")
+    shipped = load_rig(root / "rigs/biped/biped.rig.yaml")
+    for ours, theirs in zip(rig.meshes, shipped.meshes, strict=True):
+        assert np.array_equal(ours.points.load(), theirs.points.load())
+    with pytest.raises(OptionError) as caught:
+        convert(root / "samples/stride/stride.clip.yaml", made)
+    assert caught.value.faults

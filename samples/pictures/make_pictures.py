@@ -1,0 +1,161 @@
+"""Make the pictures of head and biped: sheets of poses and of frames, as PNG files.
+
+Usage: ``python make_pictures.py [OUT]``; ``OUT`` is this file's folder unless given.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from picture import Camera, Surface, render, write_png
+from posed import Array, Puppet, posed
+
+from animtool.clip.file import load_clip, open_clip
+from animtool.clip.sample import sample_clip
+from animtool.documents.arrays import load_array
+from animtool.take import Motion
+
+ROOT = Path(__file__).parents[2]
+Pose = Mapping[str, float]
+Shot = tuple[Camera, Pose]
+
+FRONT = Camera((0.0, 0.19, 0.05), 0.32)
+ASIDE = Camera((0.0, 0.19, 0.02), 0.32, turn=40, lift=4)
+EYE = Camera((0.0315, 0.217, 0.08), 0.075)
+MOUTH = Camera((0.0, 0.138, 0.08), 0.095)
+
+EXPRESSIONS: list[list[Shot]] = [
+    [(FRONT, {}), (ASIDE, {}), (FRONT, {"smile": 1}), (FRONT, {"jaw": 1})],
+    [
+        (FRONT, {"brows": 1, "wide": 0.6}),
+        (FRONT, {"brows": -1, "sneer": 0.8, "press": 0.5}),
+        (FRONT, {"pucker": 1}),
+        (FRONT, {"grin": 1, "jaw": 0.15}),
+    ],
+]
+LIDS: list[list[Shot]] = [
+    [(EYE, {"blink": amount}) for amount in (0, 1 / 3, 2 / 3, 1)],
+    [
+        (EYE, {"look_y": -22}),
+        (EYE, {"look_y": 22}),
+        (EYE, {"look_x": 28}),
+        (EYE, {"squint": 1}),
+    ],
+]
+# A shape's own channel adds to what controls give it: -1 takes a corrective away.
+OPEN_SMILE = {"smile": 1, "jaw": 1}
+UNCORRECTED = {f"shape/jawOpen_mouthSmile{side}": -1 for side in ("Left", "Right")}
+CORRECTIVES: list[list[Shot]] = [
+    [
+        (camera, {**OPEN_SMILE, **taken})
+        for camera in (MOUTH, ASIDE)
+        for taken in (UNCORRECTED, {})
+    ]
+]
+SPEECH = (3, 20, 34, 46, 53, 67, 76, 101)
+
+WHOLE = Camera((0.0, 0.9, 0.0), 1.95)
+BENT: dict[str, float | tuple[float, float, float]] = {
+    "control/spine_bend": 25,
+    "control/look_x": 20,
+    "control/fist_r": 1,
+    "joint/shoulder_l.rotation": (0, 0, -60),
+    "joint/shoulder_r.rotation": (0, 0, -50),
+    "joint/elbow_l.angle": 95,
+    "joint/elbow_r.angle": 125,
+    "joint/hip_l.rotation": (-85, 0, 0),
+    "joint/hip_r.rotation": (10, 0, 0),
+    "joint/knee_l.angle": 100,
+    "joint/knee_r.angle": 35,
+}
+ELBOW = Camera((0.33, 1.40, 0.02), 0.75, lift=35)
+KNEE = Camera((0.05, 0.75, 0.1), 0.95, turn=60)
+
+
+def head_surfaces(head: Puppet, motion: Motion, frame: int = 0) -> list[Surface]:
+    """Return the head's surfaces in a frame of a motion."""
+    source = ROOT / "rigs/head/head.npz"
+    made = []
+    for mesh in head.rig.meshes:
+        colours = load_array(
+            source, "colours" if mesh.name == "face" else "eye_colours"
+        )
+        points = head.points(mesh, motion, frame)
+        made.append(Surface(points, head.triangles(mesh), colours / 255))
+    return made
+
+
+def head_pose(head: Puppet, pose: Pose) -> list[Surface]:
+    """Return the head's surfaces at values of controls and shapes."""
+    keyed = {k if "/" in k else f"control/{k}": v for k, v in pose.items()}
+    return head_surfaces(head, posed(head.rig, keyed))
+
+
+def sheet(pictures: Sequence[Sequence[Array]]) -> Array:
+    """Return rows of pictures as one."""
+    return np.concatenate([np.concatenate(row, axis=1) for row in pictures])
+
+
+def head_sheet(head: Puppet, shots: list[list[Shot]], size: int) -> Array:
+    """Return a sheet of poses."""
+    return sheet(
+        [[render(head_pose(head, p), c, (size, size)) for c, p in row] for row in shots]
+    )
+
+
+def speech_sheet(head: Puppet, size: int) -> Array:
+    """Return frames of the speech."""
+    file = open_clip(ROOT / "samples/speech/speech.clip.yaml")
+    frames = np.array(SPEECH, np.float64)
+    motion = sample_clip(load_clip(file, head.rig), head.rig, frames).motion
+    pictures = [
+        render(head_surfaces(head, motion, k), FRONT, (size, size))
+        for k in range(len(SPEECH))
+    ]
+    return sheet([pictures[:4], pictures[4:]])
+
+
+def body_sheet(body: Puppet, size: int) -> Array:
+    """Return the biped at rest, in a pose, and its elbow and knee bent."""
+    source = ROOT / "rigs/biped/body.npz"
+    (mesh,) = body.rig.meshes
+    triangles = body.triangles(mesh)
+    colours = load_array(source, "colours") / 255
+
+    def shot(camera: Camera, pose: Mapping[str, float | tuple[float, ...]]) -> Array:
+        points = body.points(mesh, posed(body.rig, pose))
+        return render([Surface(points, triangles, colours)], camera, (size, size))
+
+    aside = replace(WHOLE, turn=35, lift=8)
+    return sheet(
+        [
+            [
+                shot(WHOLE, {}),
+                shot(aside, BENT),
+                shot(ELBOW, {"joint/elbow_l.angle": 110}),
+                shot(KNEE, BENT),
+            ]
+        ]
+    )
+
+
+def main() -> None:
+    """Write the pictures to the folder named on the command line."""
+    parser = argparse.ArgumentParser(description="Make the pictures.")
+    parser.add_argument("out", nargs="?", type=Path, default=Path(__file__).parent)
+    out: Path = parser.parse_args().out
+    head = Puppet.load(ROOT / "rigs/head/head.rig.yaml")
+    write_png(out / "expressions.png", head_sheet(head, EXPRESSIONS, 220))
+    write_png(out / "lids.png", head_sheet(head, LIDS, 180))
+    write_png(out / "correctives.png", head_sheet(head, CORRECTIVES, 220))
+    write_png(out / "speech.png", speech_sheet(head, 200))
+    body = Puppet.load(ROOT / "rigs/biped/biped.rig.yaml")
+    write_png(out / "body.png", body_sheet(body, 300))
+
+
+if __name__ == "__main__":
+    main()

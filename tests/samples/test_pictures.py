@@ -1,0 +1,70 @@
+"""The script of the pictures: it poses, shades and writes what it says."""
+
+from __future__ import annotations
+
+import struct
+import sys
+import zlib
+from pathlib import Path
+from runpy import run_path
+from typing import Any
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PICTURES = ROOT / "samples/pictures"
+
+
+@pytest.fixture
+def script(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    monkeypatch.setattr(sys, "path", [str(PICTURES), *sys.path])
+    return run_path(str(PICTURES / "make_pictures.py"))
+
+
+def test_a_head_is_drawn_and_its_mirror_image_is_alike(script: dict[str, Any]) -> None:
+    head = script["Puppet"].load(ROOT / "rigs/head/head.rig.yaml")
+    size = 48
+    plain = script["render"](script["head_pose"](head, {}), script["FRONT"], [size] * 2)
+    ground = plain[0, 0]
+    seen = (np.abs(plain - ground) > 0.02).any(-1)
+    assert 0.25 < seen.mean() < 0.75
+    assert np.mean(seen != seen[:, ::-1]) < 0.01
+    opened = script["render"](
+        script["head_pose"](head, {"jaw": 1}), script["FRONT"], [size] * 2
+    )
+    changed = (np.abs(opened - plain) > 0.1).any(-1)
+    assert changed[size // 2 :].sum() > 20
+    assert not changed[: size // 3].any()
+
+
+def test_posed_joints_carry_the_points(script: dict[str, Any]) -> None:
+    body = script["Puppet"].load(ROOT / "rigs/biped/biped.rig.yaml")
+    (mesh,) = body.rig.meshes
+    posed = script["posed"]
+    rest = body.points(mesh, posed(body.rig, {}))
+    np.testing.assert_allclose(rest, body.meshes[mesh.name].points, atol=1e-12)
+    turned = posed(body.rig, {"joint/hips.rotation": (0, 90, 0)})
+    round_hips = body.points(mesh, turned)
+    expected = rest[:, [2, 1, 0]] * [1, 1, -1]
+    np.testing.assert_allclose(round_hips, expected, atol=1e-9)
+
+
+def test_the_picture_is_a_png(script: dict[str, Any], tmp_path: Path) -> None:
+    image = np.linspace(0, 1, 5 * 7 * 3).reshape(5, 7, 3)
+    script["write_png"](tmp_path / "a.png", image)
+    data = (tmp_path / "a.png").read_bytes()
+    assert data.startswith(b"\x89PNG\r\n\x1a\n")
+    assert struct.unpack(">II", data[16:24]) == (7, 5)
+    start = data.index(b"IDAT")
+    (length,) = struct.unpack(">I", data[start - 4 : start])
+    lines = zlib.decompress(data[start + 4 : start + 4 + length])
+    rows = np.frombuffer(lines, np.uint8).reshape(5, 1 + 7 * 3)[:, 1:]
+    pixels = np.cumsum(rows, axis=0, dtype=np.uint8) / 255
+    assert np.abs(pixels.reshape(image.shape) - image).max() < 0.01
+
+
+def test_committed_pictures_are_small() -> None:
+    sizes = {path.name: path.stat().st_size for path in PICTURES.glob("*.png")}
+    assert len(sizes) == 5
+    assert max(sizes.values()) < 150_000
