@@ -28,17 +28,25 @@ class Scratch {
   std::vector<double> values_;
 };
 
+// R(q) . S(s) as numbers R: float rounds where UsdSkel does.
+template <typename R, typename T>
+inline void turn(const T* q, const T* s, double* r) {
+  const R x = q[0], y = q[1], z = q[2], w = q[3];
+  const double sums[9] = {y * y + z * z, x * y - z * w, x * z + y * w,
+                          x * y + z * w, x * x + z * z, y * z - x * w,
+                          x * z - y * w, y * z + x * w, x * x + y * y};
+  for (int i = 0; i < 9; ++i) {
+    const R value = static_cast<R>(i % 4 ? 2 * sums[i] : 1 - 2 * sums[i]);
+    r[i] = s ? value * static_cast<R>(s[i % 3]) : value;
+  }
+}
+
 // world = parent . T(t) . R(q) . S(s), with scale inherited as UsdSkel does.
-template <typename T>
+template <typename R, typename T>
 inline void step(const World& world, std::int64_t parent, std::size_t joint, const T* t,
                  const T* q, const T* s) {
-  const double x = q[0], y = q[1], z = q[2], w = q[3];
-  double r[9] = {1 - 2 * (y * y + z * z), 2 * (x * y - z * w),     2 * (x * z + y * w),
-                 2 * (x * y + z * w),     1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
-                 2 * (x * z - y * w),     2 * (y * z + x * w),     1 - 2 * (x * x + y * y)};
-  if (s)
-    for (int i = 0; i < 3; ++i)
-      for (int k = 0; k < 3; ++k) r[3 * i + k] *= static_cast<double>(s[k]);
+  double r[9];
+  turn<R>(q, s, r);
   double* linear = world.linear + 9 * joint;
   double* origin = world.origins + 3 * joint;
   if (parent < 0) {
@@ -55,11 +63,11 @@ inline void step(const World& world, std::int64_t parent, std::size_t joint, con
   }
 }
 
-template <typename T>
+template <typename R, typename T>
 void forward_frame(const std::int64_t* parents, std::size_t joints, const T* t, const T* q,
                    const T* s, const World& world) {
   for (std::size_t j = 0; j < joints; ++j)
-    step(world, parents[j], j, t + 3 * j, q + 4 * j, s ? s + 3 * j : nullptr);
+    step<R>(world, parents[j], j, t + 3 * j, q + 4 * j, s ? s + 3 * j : nullptr);
 }
 
 void check_parents(In<std::int64_t, 1> parents) {
@@ -102,9 +110,10 @@ void forward_kinematics(In<std::int64_t, 1> parents, In<double, 3> translations,
   nb::gil_scoped_release release;
   for (std::size_t f = 0; f < frames; ++f) {
     const std::size_t at = f * joints;
-    forward_frame(parents.data(), joints, translations.data() + 3 * at,
-                  rotations.data() + 4 * at, scales ? scales->data() + 3 * at : nullptr,
-                  {linear.data() + 9 * at, positions.data() + 3 * at});
+    forward_frame<double>(parents.data(), joints, translations.data() + 3 * at,
+                          rotations.data() + 4 * at,
+                          scales ? scales->data() + 3 * at : nullptr,
+                          {linear.data() + 9 * at, positions.data() + 3 * at});
   }
 }
 
@@ -125,15 +134,20 @@ RoundingReport measure_rounding(In<std::int64_t, 1> parents, In<double, 3> trans
   std::size_t at_frame = 0, at_joint = 0;
   {
     nb::gil_scoped_release release;
-    Scratch exact_frame(joints), written_frame(joints);
+    Scratch exact_frame(joints), written_frame(joints), played_frame(joints);
     const World exact = exact_frame.world(), written = written_frame.world();
+    const World played = played_frame.world();
     for (std::size_t f = 0; f < frames; ++f) {
       const std::size_t v = f * joints * 3, q = f * joints * 4;
-      forward_frame(parents.data(), joints, translations.data() + v, rotations.data() + q,
-                    scales ? scales->data() + v : nullptr, exact);
-      forward_frame(parents.data(), joints, written_translations.data() + v,
-                    written_rotations.data() + q,
-                    written_scales ? written_scales->data() + v : nullptr, written);
+      const float* t = written_translations.data() + v;
+      const float* r = written_rotations.data() + q;
+      const float* s = written_scales ? written_scales->data() + v : nullptr;
+      forward_frame<double>(parents.data(), joints, translations.data() + v,
+                            rotations.data() + q, scales ? scales->data() + v : nullptr,
+                            exact);
+      forward_frame<double>(parents.data(), joints, t, r, s, written);
+      // Extents are compared with UsdSkel's to the last bit.
+      forward_frame<float>(parents.data(), joints, t, r, s, played);
       double* low = extents.get() + f * 6;
       double* high = low + 3;
       for (int i = 0; i < 3; ++i) {
@@ -143,10 +157,10 @@ RoundingReport measure_rounding(In<std::int64_t, 1> parents, In<double, 3> trans
       for (std::size_t j = 0; j < joints; ++j) {
         double squared = 0;
         for (int i = 0; i < 3; ++i) {
-          const double p = written.origins[3 * j + i];
+          const double p = played.origins[3 * j + i];
           if (p < low[i]) low[i] = p;
           if (p > high[i]) high[i] = p;
-          const double d = p - exact.origins[3 * j + i];
+          const double d = written.origins[3 * j + i] - exact.origins[3 * j + i];
           squared += d * d;
         }
         if (squared > largest) {
