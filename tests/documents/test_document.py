@@ -11,6 +11,7 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
+from support.values import VALUES
 
 from animtool.documents.document import MOST_FAULTS, Document, read_document
 from animtool.errors import FormatError
@@ -260,30 +261,6 @@ def test_a_file_is_numbered_once_for_many_faults(
         document.add("DOC022", ("a", i, "n"), "x")
     assert len(calls) == 2 + 2 * 20_000
     assert document.faults[19_999].lines == (20_001,)
-
-
-TEXT = st.text(
-    st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]), max_size=8
-)
-LEAVES = (
-    st.none()
-    | st.booleans()
-    | st.integers(-(10**30), 10**30)
-    | st.floats(allow_nan=False)
-    | TEXT
-)
-VALUES = st.dictionaries(
-    TEXT,
-    st.recursive(
-        LEAVES,
-        lambda inner: (
-            st.lists(inner, max_size=4) | st.dictionaries(TEXT, inner, max_size=4)
-        ),
-        max_leaves=20,
-    ),
-    min_size=1,
-    max_size=4,
-)
 
 
 def locations(node: Any, here: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:

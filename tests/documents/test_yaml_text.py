@@ -8,33 +8,10 @@ from typing import Any
 
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
+from support.values import VALUES
 
 from animtool.documents.document import read_document
 from animtool.documents.yaml_text import comments_in, json_text, yaml_text
-
-TEXT = st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"])) | (
-    st.sampled_from(["1e3", "0o17", "no", "~", ".nan", "", "0x1", "12:30", "null", "-"])
-)
-LEAVES = (
-    st.none()
-    | st.booleans()
-    | st.integers(-(10**30), 10**30)
-    | st.floats(allow_nan=False)
-    | TEXT
-)
-VALUES = st.dictionaries(
-    TEXT,
-    st.recursive(
-        LEAVES,
-        lambda inner: (
-            st.lists(inner, max_size=4) | st.dictionaries(TEXT, inner, max_size=4)
-        ),
-        max_leaves=12,
-    ),
-    min_size=1,
-    max_size=4,
-)
 
 
 def read_back(text: str, name: str) -> Any:
