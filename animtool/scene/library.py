@@ -16,7 +16,7 @@ from animtool.rig.skeleton import Rig
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import source_stem
 from animtool.take import Motion, TakeStream
-from animtool.usd.names import distinct_names
+from animtool.usd.names import distinct_names, legal_name
 
 __all__ = ["alike", "rate_notice", "take_names"]
 
@@ -31,8 +31,16 @@ def take_names(sources: Sequence[Path], notices: list[Fault]) -> list[str]:
     Two that would be the same are added to the notices.
     """
     stems = [source_stem(path) for path in sources]
-    found = distinct_names([str(path) for path in sources], stems, stems)
-    notices += found.notices
+    found = distinct_names([path.name for path in sources], stems, stems)
+    renamed = [
+        path
+        for path, stem, name in zip(sources, stems, found.names, strict=True)
+        if name != legal_name(stem)
+    ]
+    notices += [
+        replace(notice, path=str(path))
+        for notice, path in zip(found.notices, renamed, strict=True)
+    ]
     return found.names
 
 
