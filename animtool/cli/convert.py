@@ -134,7 +134,7 @@ def convert(console: Console, /, source: Path, output: Path, **given: Any) -> No
 def _rig(console: Console, source: Path, output: Path, given: dict[str, Any]) -> None:
     from animtool.scene.convert_rig import convert_rig
 
-    for name in ("reduce", "reduce_at", "base", "units", "up", "source_fps"):
+    for name in ("reduce", "reduce_at", "base", "units", "up", "source_fps", "take"):
         if given[name]:
             option = f"--{name.replace('_', '-')}"
             raise click.UsageError(f"{option} is for motion, not for a rig.")
