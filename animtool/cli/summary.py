@@ -117,6 +117,7 @@ def bake_details(report: BakeReport) -> list[str]:
     for take in report.takes:
         stated = ", ".join(f"{key} {value}" for key, value in take.details.items())
         lines.append(f"  source: {stated}")
+        lines.append(f"  animation: {take.written.animation}")
     return [
         *lines,
         f"  seconds: {seconds} (read runs beside author)",
@@ -179,6 +180,7 @@ def _take_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
         "source": str(take.source),
         "source_frames": take.source_frames,
         "source_rate": str(take.source_fps),
+        "animation": written.animation,
     }
     if written.name:
         found = {

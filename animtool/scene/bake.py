@@ -24,14 +24,8 @@ from animtool.scene.plan import BakePlan, TakePlan, plan_bake
 from animtool.scene.sources import source_stem
 from animtool.take import Motion
 from animtool.usd.animation import WrittenBlock, round_blocks
-from animtool.usd.author import (
-    UsdJob,
-    UsdResult,
-    UsdTake,
-    WrittenTake,
-    author,
-    write_usd,
-)
+from animtool.usd.author import author, write_usd
+from animtool.usd.jobs import UsdJob, UsdResult, UsdTake, WrittenTake
 from animtool.usd.names import UsdNames, joint_names, legal_name
 from animtool.usd.skeleton import RigPaths
 

@@ -16,7 +16,7 @@ from animtool.reorient import reorient
 from animtool.scene.options import BakeOptions, check_options, merged
 from animtool.scene.sources import fitting_options, is_scene, open_source
 from animtool.take import TakeStream
-from animtool.usd.author import Form, output_paths
+from animtool.usd.jobs import Form, output_paths
 from animtool.usd.layers import check_prim_path, check_suffix
 
 if TYPE_CHECKING:

@@ -4,21 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field
-from enum import StrEnum
-from fractions import Fraction
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pxr import Sdf
 
-from animtool._types import BoolArray
-from animtool.errors import Fault
 from animtool.maths.curves import Curves
-from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import surfaces_of
-from animtool.usd.animation import AnimationWriter, Rounding, WrittenBlock
+from animtool.usd.animation import AnimationWriter
 from animtool.usd.extents import author_extents
+from animtool.usd.jobs import (
+    Form,
+    UsdJob,
+    UsdResult,
+    UsdTake,
+    WrittenTake,
+    output_paths,
+)
 from animtool.usd.layers import (
     StageMetadata,
     author_metadata,
@@ -26,182 +29,10 @@ from animtool.usd.layers import (
     prim,
     save_layer,
 )
-from animtool.usd.names import UsdNames
-from animtool.usd.skeleton import RigPaths, author_binding, author_rig
-from animtool.usd.stderr import without_spline_warnings
+from animtool.usd.skeleton import author_binding, author_rig
+from animtool.usd.stderr import without_version_warnings
 
-if TYPE_CHECKING:
-    from animtool.usd.curves import CurveReport
-    from animtool.usd.target import RigTarget
-
-__all__ = [
-    "Authored",
-    "Form",
-    "UsdJob",
-    "UsdResult",
-    "UsdTake",
-    "WrittenTake",
-    "author",
-    "output_paths",
-    "write_usd",
-]
-
-
-class Form(StrEnum):
-    """What to write.
-
-    ``stage`` is one file with skeleton and animation; ``split`` the same in three
-    layers; ``layer`` only the animation, over a rig that lives elsewhere.
-    """
-
-    STAGE = "stage"
-    SPLIT = "split"
-    LAYER = "layer"
-
-
-@dataclass(frozen=True, slots=True)
-class UsdJob:
-    """What `write_usd` needs beside the blocks.
-
-    Attributes:
-        form: Stage, split or layer.
-        output: The file; None writes usda to stdout.
-        rig: The joints, as the blocks have them.
-        names: Their USD names.
-        joints: Their paths as the Skeleton has them.
-        paths: The character's prims.
-        fps: Time codes a second.
-        meters_per_unit: Unit of the layer [m].
-        target: The rig of a layer.
-        bones: Add geometry that shows the joints.
-    """
-
-    form: Form
-    output: Path | None
-    rig: Rig
-    names: UsdNames
-    joints: list[str]
-    paths: RigPaths
-    fps: Fraction
-    meters_per_unit: float
-    target: RigTarget | None = None
-    bones: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class UsdTake:
-    """One animation of a job.
-
-    Attributes:
-        blocks: Its frames, as the layer will hold them.
-        start: Time code of the first sample.
-        step: Time codes from one sample to the next.
-        frames: First and last time code; None takes those of the samples.
-        chosen: Joints to write ``(J,)``; None is all.
-        shapes: Names of the rig's shapes, as the blocks have their weights.
-        curves: Curves of controls, by their names, over time codes of the layer.
-        name: Of a library's take, legal and distinct; empty where it is the only
-            animation, which needs no variant.
-        source_name: What the source of a library's take is called.
-    """
-
-    blocks: Iterable[WrittenBlock]
-    start: Fraction
-    step: Fraction
-    frames: tuple[Fraction, Fraction] | None = None
-    chosen: BoolArray | None = None
-    shapes: tuple[str, ...] = ()
-    curves: Mapping[str, Curves] = field(default_factory=dict)
-    name: str = ""
-    source_name: str = ""
-
-
-@dataclass(slots=True)
-class WrittenTake:
-    """What was written of one take.
-
-    Attributes:
-        name: Of a library's take; empty where it is the only one.
-        samples: Number of time samples.
-        first: Time code of the first frame.
-        last: Time code of the last frame.
-        sampled: Attributes of the SkelAnimation that change.
-        joints: Joints in the SkelAnimation.
-        rounding: What rounding to float32 moved.
-        curves: What became of the curves of controls.
-    """
-
-    name: str = ""
-    samples: int = 0
-    first: Fraction = Fraction(0)
-    last: Fraction = Fraction(0)
-    sampled: list[str] = field(default_factory=list)
-    joints: int = 0
-    rounding: Rounding = field(default_factory=Rounding)
-    curves: list[CurveReport] = field(default_factory=list)
-
-
-@dataclass(slots=True)
-class UsdResult:
-    """What was written.
-
-    Attributes:
-        outputs: The files.
-        bytes: Their size.
-        takes: Each animation, at least one.
-        notices: Warnings and notes of `animtool.usd.write`.
-    """
-
-    outputs: list[Path] = field(default_factory=list)
-    bytes: int = 0
-    takes: list[WrittenTake] = field(default_factory=list)
-    notices: list[Fault] = field(default_factory=list)
-
-    @property
-    def samples(self) -> int:
-        """Number of time samples of all takes."""
-        return sum(take.samples for take in self.takes)
-
-    @property
-    def first(self) -> Fraction:
-        """Time code of the first frame of any take."""
-        return min(take.first for take in self.takes)
-
-    @property
-    def last(self) -> Fraction:
-        """Time code of the last frame of any take."""
-        return max(take.last for take in self.takes)
-
-    @property
-    def sampled(self) -> list[str]:
-        """Attributes of a SkelAnimation that change in some take."""
-        return list(dict.fromkeys(name for take in self.takes for name in take.sampled))
-
-    @property
-    def joints(self) -> int:
-        """Joints in the SkelAnimation that has most."""
-        return max(take.joints for take in self.takes)
-
-    @property
-    def rounding(self) -> Rounding:
-        """What rounding to float32 moved most in any take."""
-        return max((take.rounding for take in self.takes), key=lambda r: r.error)
-
-    @property
-    def curves(self) -> list[CurveReport]:
-        """What became of the curves of controls of all takes."""
-        return [curve for take in self.takes for curve in take.curves]
-
-
-def output_paths(output: Path, form: Form) -> list[Path]:
-    """Return the files that a form writes, in the order written, ``output`` last."""
-    if form is not Form.SPLIT:
-        return [output]
-    return [
-        output.with_name(f"{output.stem}.rig.usda"),
-        output.with_name(f"{output.stem}.anim.usdc"),
-        output,
-    ]
+__all__ = ["Authored", "author", "write_usd"]
 
 
 def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
@@ -219,7 +50,6 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
     result = UsdResult()
     if job.form is not Form.LAYER:
         authored.rig = new_layer(outputs[0]) if job.form is Form.SPLIT else animation
-    writers: list[tuple[str, AnimationWriter]] = []
     with Sdf.ChangeBlock():
         if authored.rig is not None:
             author_rig(authored.rig, job.rig, job.names, job.paths, job.meters_per_unit)
@@ -239,60 +69,83 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
                 authored.visible |= author_bones(
                     authored.rig, job.rig, job.paths, job.meters_per_unit
                 )
-        curves = []
-        for take in takes:
-            writer, written = _author_take(job, authored, take, not writers)
-            writers.append((take.name, writer))
-            result.takes.append(written)
-            curves.append(take.curves)
+        parts = [
+            _author_take(job, authored, take, first=not i)
+            for i, take in enumerate(takes)
+        ]
+        result.takes = [part.written for part in parts]
         _author_metadata(job, authored, result)
-    for (_, writer), written, kept in zip(writers, result.takes, curves, strict=True):
-        if kept:
+    for part in parts:
+        if part.curves:
             from animtool.usd.curves import author_controls
 
-            written.curves = author_controls(animation, writer.paths.animation, kept)
-    author_extents(job, authored, writers)
-    for (_, writer), written in zip(writers, result.takes, strict=True):
-        written.sampled = writer.sampled
+            part.written.curves = author_controls(
+                animation, part.written.animation, part.curves
+            )
+    author_extents(
+        job,
+        authored.visible,
+        [layer for layer in (authored.animation, authored.rig) if layer is not None],
+        [(part.written.name, part.writer) for part in parts],
+    )
+    for part in parts:
+        part.written.sampled = part.writer.sampled
     return authored, result
 
 
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A take whose samples are authored: its writer, what it wrote, its curves."""
+
+    writer: AnimationWriter
+    written: WrittenTake
+    curves: Mapping[str, Curves]
+
+
 def _author_take(
-    job: UsdJob, authored: Authored, take: UsdTake, first: bool
-) -> tuple[AnimationWriter, WrittenTake]:
+    job: UsdJob, authored: Authored, take: UsdTake, *, first: bool
+) -> _Part:
     """Author a SkelAnimation and what binds it; extents and curves come later."""
     layer, paths = authored.animation, job.paths
-    binds_skeleton = job.form is not Form.LAYER
     if take.name:
         from animtool.usd.library import take_paths
 
         paths = take_paths(job.paths, take.name)
     writer = AnimationWriter(layer, paths, job.joints, take.chosen, take.shapes)
-    if take.name:
+    if take.name or authored.rig is not layer:
         prim(layer, paths.root, over=True)
-        if first:
-            _begin_library(job, authored, take.name)
-        binds_skeleton = False
-    elif authored.rig is not layer:
-        prim(layer, paths.root, over=True)
-    author_binding(layer, paths, skeleton=binds_skeleton)
+    if take.name and first:
+        _begin_library(job, authored, take.name)
+    with_skeleton = job.form is not Form.LAYER and not take.name
+    author_binding(layer, paths, skeleton=with_skeleton)
     for block in take.blocks:
         writer.add(block)
     if job.target is None:
         writer.finish([], replaces_motion=False)
     else:
         writer.finish(job.target.operations, replaces_motion=job.target.moves)
-    samples = sum(map(len, writer.codes))
-    begin, end = take.frames or (take.start, take.start + take.step * (samples - 1))
+    written = _written(job, take, writer)
     if take.name:
         from animtool.usd.library import author_range
 
-        author_range(layer, paths.animation, take.source_name, begin, end)
-    joints = len(job.joints) if take.chosen is None else int(take.chosen.sum())
-    written = WrittenTake(
-        take.name, samples, begin, end, joints=joints, rounding=writer.rounding
+        author_range(
+            layer, paths.animation, take.source_name, written.first, written.last
+        )
+    return _Part(writer, written, take.curves)
+
+
+def _written(job: UsdJob, take: UsdTake, writer: AnimationWriter) -> WrittenTake:
+    samples = sum(map(len, writer.codes))
+    first, last = take.frames or (take.start, take.start + take.step * (samples - 1))
+    return WrittenTake(
+        writer.paths.animation,
+        take.name,
+        samples,
+        first,
+        last,
+        joints=len(job.joints) if take.chosen is None else int(take.chosen.sum()),
+        rounding=writer.rounding,
     )
-    return writer, written
 
 
 def _begin_library(job: UsdJob, authored: Authored, name: str) -> None:
@@ -342,7 +195,9 @@ def write_usd(job: UsdJob, authored: Authored, result: UsdResult) -> None:
 
 
 def _quietly(result: UsdResult) -> AbstractContextManager[None]:
-    return without_spline_warnings() if result.curves else nullcontext()
+    """Hold back what USD says of files with splines, or a library's time codes."""
+    newer = any(take.curves or take.name for take in result.takes)
+    return without_version_warnings() if newer else nullcontext()
 
 
 def _metadata(job: UsdJob, result: UsdResult) -> StageMetadata:

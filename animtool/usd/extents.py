@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pxr import Sdf
@@ -11,15 +11,16 @@ from pxr import Sdf
 from animtool._types import Float32Array
 from animtool.errors import Fault, OutputError
 from animtool.usd.animation import AnimationWriter
-
-if TYPE_CHECKING:
-    from animtool.usd.author import Authored, UsdJob
+from animtool.usd.jobs import UsdJob
 
 __all__ = ["author_extents"]
 
 
 def author_extents(
-    job: UsdJob, authored: Authored, writers: Sequence[tuple[str, AnimationWriter]]
+    job: UsdJob,
+    visible: bool,
+    layers: Sequence[Any],
+    writers: Sequence[tuple[str, AnimationWriter]],
 ) -> None:
     """Write the SkelRoot's extent as UsdSkel would compute it, for every take.
 
@@ -29,20 +30,21 @@ def author_extents(
 
     Args:
         job: What is written.
-        authored: The layers, all else authored.
+        visible: Whether there are bones or meshes to see.
+        layers: That of the animation first, all else authored.
         writers: The takes and their names.
 
     Raises:
         OutputError: UsdSkel would not resolve what was authored (USD011, USD032).
     """
-    bare = job.target is None and not authored.visible
+    bare = job.target is None and not visible
     if bare:
         with Sdf.ChangeBlock():
             for _, writer in writers:
                 writer.author_extents(0.0)
         if not any(name for name, _ in writers):
             return
-    stage = _composed(job, authored)
+    stage = _composed(job, layers)
     for name, writer in writers:
         if name:
             _select(stage, job, name)
@@ -54,22 +56,19 @@ def author_extents(
             from animtool.usd.library import check_variant
 
             where = None if job.output is None else str(job.output)
-            check_variant(stage, authored.animation, writer.paths, where)
+            check_variant(stage, layers[0], writer.paths, where)
 
 
-def _composed(job: UsdJob, authored: Authored) -> Any:
+def _composed(job: UsdJob, layers: Sequence[Any]) -> Any:
     """Return a stage of what is authored, over its rig."""
     from pxr import Usd
 
     if job.target is not None:
         from animtool.usd.target import compose_check
 
-        return compose_check(job.target, authored.animation)
+        return compose_check(job.target, layers[0])
     top = Sdf.Layer.CreateAnonymous(".usda")
-    layers = [authored.animation]
-    if authored.rig is not authored.animation:
-        layers.append(authored.rig)
-    top.subLayerPaths = [layer.identifier for layer in layers]
+    top.subLayerPaths = list(dict.fromkeys(layer.identifier for layer in layers))
     stage = Usd.Stage.Open(top)
     stage.SetTimeCodesPerSecond(float(job.fps))
     return stage

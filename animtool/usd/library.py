@@ -6,7 +6,7 @@ SkelRoot's extent and, where it carries the root's motion, its transform. None o
 these stands outside of the variants, where it would be stronger than they are.
 ``customData`` of a SkelAnimation says which frames are its own::
 
-    animtool = { dictionary take = { string name, double start, double end } }
+    animtool = { dictionary take = { string name, timecode start, timecode end } }
 """
 
 from __future__ import annotations
@@ -79,7 +79,9 @@ def author_range(
     layer: Any, animation: str, name: str, first: Fraction, last: Fraction
 ) -> None:
     """State a take's name in its source and its frames on its SkelAnimation."""
-    take = {"name": name, "start": float(first), "end": float(last)}
+    # Time codes, so that an offset of a sublayer or reference shifts them too.
+    begin, end = Sdf.TimeCode(float(first)), Sdf.TimeCode(float(last))
+    take = {"name": name, "start": begin, "end": end}
     layer.GetPrimAtPath(animation).SetInfo("customData", {"animtool": {"take": take}})
 
 
@@ -89,6 +91,7 @@ def take_range(animation: Any) -> tuple[Fraction, Fraction] | None:
     if not isinstance(data, dict):
         return None
     ends = [data.get("start"), data.get("end")]
+    ends = [x.GetValue() if isinstance(x, Sdf.TimeCode) else x for x in ends]
     numbers = [float(x) for x in ends if isinstance(x, (int, float))]
     if len(numbers) < 2 or not all(abs(x) <= LARGEST_FRAME for x in numbers):
         return None
