@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from animtool.config import find_config
-from animtool.errors import AnimtoolError, Fault, Severity
+from animtool.errors import AnimtoolError, Fault, OptionError, Severity
 from animtool.output import check_outputs
 from animtool.rates import rate_label
 from animtool.reorient import reorient
@@ -98,6 +98,8 @@ def plan_bake(
     options = options or BakeOptions()
     given = [source] if isinstance(source, (Path, str)) else source
     sources = [Path(path) for path in given]
+    if not sources:
+        raise OptionError(Fault("CLI002", "there is no source to bake"))
     path = None if output is None else Path(output)
     scenes = _scenes(sources)
     notices: list[Fault] = []

@@ -9,10 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from support.bvh import HEADER, random_rows, small_bvh
-from support.takes import assert_same_motion
+from support.example_rig import write_example_rig
+from support.takes import assert_same_motion, motion_of, takes
 from support.usd import joint_positions, open_stage, skeleton_query, validation_errors
 
 from animtool.edit.resample import FrameRange
@@ -20,8 +23,13 @@ from animtool.errors import AnimtoolError
 from animtool.scene.bake import BakeReport, bake
 from animtool.scene.options import BakeOptions
 from animtool.take import Take
+from animtool.usd.animation import round_blocks
+from animtool.usd.author import author, write_usd
+from animtool.usd.jobs import Form, UsdJob, UsdTake
 from animtool.usd.library import take_range
+from animtool.usd.names import joint_names
 from animtool.usd.read import read_usd
+from animtool.usd.skeleton import RigPaths
 
 FRAMES = {"walk": 13, "run": 5, "idle": 9}
 LONGEST = max(FRAMES.values())
@@ -461,6 +469,92 @@ def test_a_library_is_a_rig_layer_too(sources: list[Path], tmp_path: Path) -> No
     for name in FRAMES:
         select(shot, name)
         assert bound(shot) == "/lib/Rig/Anim"
+
+
+@pytest.mark.parametrize("name", FRAMES)
+def test_an_offset_shifts_the_range_of_a_take(
+    sources: list[Path], tmp_path: Path, name: str
+) -> None:
+    library(sources, tmp_path / "lib.usda")
+    layer = Sdf.Layer.CreateNew(str(tmp_path / "shot.usda"))
+    layer.subLayerPaths = ["./lib.usda"]
+    layer.subLayerOffsets[0] = Sdf.LayerOffset(100)
+    layer.timeCodesPerSecond = 30
+    layer.Save()
+    clock = read_usd(tmp_path / "shot.usda", take=name).collect().clock
+    assert (clock.start, clock.count) == (101, FRAMES[name])
+
+
+def test_meshes_stand_in_the_extent_of_each_take(tmp_path: Path) -> None:
+    write_example_rig(tmp_path)
+    paths = []
+    for name, turn in (("bow", 40), ("wave", 120)):
+        path = tmp_path / f"{name}.clip.yaml"
+        path.write_text(
+            "clip: animtool/1\nrig: hero.rig.yaml\nfps: 24\nchannels:\n"
+            "- {target: joint/elbow_l.angle,"
+            f" keys: [{{t: 1, v: 0}}, {{t: 6, v: {turn}}}]}}\n"
+            "- {target: control/grin, keys: [{t: 1, v: 0}, {t: 6, v: 1}]}\n"
+        )
+        paths.append(path)
+    library(paths, tmp_path / "lib.usda")
+    stage = open_stage(tmp_path / "lib.usda")
+    assert validation_errors(stage) == []
+    root = UsdGeom.Boundable(stage.GetPrimAtPath("/hero/Rig"))
+    for name in ("bow", "wave"):
+        select(stage, name)
+        assert bound(stage) == f"/hero/Rig/Anim_{name}"
+        for code in (1, 3, 6):
+            computed = UsdGeom.Boundable.ComputeExtentFromPlugins(
+                root, Usd.TimeCode(code)
+            )
+            extent = np.array(root.GetExtentAttr().Get(code))
+            assert_allclose(extent, np.array(computed), rtol=1e-5, atol=1e-6)
+
+
+@given(takes(), st.integers(2, 9), st.integers(0, 2**31), st.booleans())
+def test_any_takes_come_back_as_if_alone(
+    tmp_path_factory: pytest.TempPathFactory,
+    one: Take,
+    frames: int,
+    seed: int,
+    scaled: bool,
+) -> None:
+    folder = tmp_path_factory.mktemp("law")
+    rng = np.random.default_rng(seed)
+    second = motion_of(one.rig, frames, rng, scaled, False)
+    two = replace(one, clock=replace(one.clock, count=frames), motion=second)
+    names = joint_names(one.rig.joints)
+
+    def job(output: Path) -> UsdJob:
+        return UsdJob(
+            form=Form.STAGE,
+            output=output,
+            rig=one.rig,
+            names=names,
+            joints=one.rig.paths(names.names),
+            paths=RigPaths.below("/any"),
+            fps=one.clock.fps,
+            meters_per_unit=1.0,
+        )
+
+    def part(take: Take, name: str = "") -> UsdTake:
+        clock = take.clock
+        blocks = round_blocks(iter([(clock.times, take.motion)]), take.rig, 1.0)
+        shapes = tuple(shape.name for shape in take.rig.shapes)
+        return UsdTake(
+            blocks, clock.start, clock.step, shapes=shapes, name=name, source_name=name
+        )
+
+    def write(output: Path, *parts: UsdTake) -> Path:
+        authored, result = author(job(output), parts)
+        write_usd(job(output), authored, result)
+        return output
+
+    whole = write(folder / "lib.usdc", part(one, "one"), part(two, "two"))
+    for name, take in (("one", one), ("two", two)):
+        alone = read_usd(write(folder / f"{name}.usdc", part(take))).collect()
+        assert_same_motion(read_usd(whole, take=name).collect(), alone)
 
 
 @pytest.mark.parametrize(
