@@ -16,7 +16,7 @@ from animtool.rig.skeleton import Rig
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import source_stem
 from animtool.take import Motion, TakeStream
-from animtool.usd.names import distinct_names, legal_name
+from animtool.usd.names import distinct_names, joint_names, legal_name
 
 __all__ = ["alike", "rate_notice", "take_names"]
 
@@ -76,51 +76,63 @@ def alike(
     Raises:
         FormatError: The joints of one are not those of the first (USD030).
     """
-    first = streams[0].rig
+    first, *others = [_named(stream.rig, options) for stream in streams]
     faults = [
         Fault("USD030", difference, str(path), (), "one library has one skeleton")
-        for path, stream in zip(sources[1:], streams[1:], strict=True)
-        if (difference := _difference(first, stream.rig, str(sources[0])))
+        for path, other in zip(sources[1:], others, strict=True)
+        if (difference := _difference(first, other, str(sources[0])))
     ]
     if faults:
         raise FormatError(faults)
-    ordered = [_ordered(stream, first) for stream in streams]
+    ordered = [streams[0]]
+    ordered += [
+        _ordered(stream, list(other), list(first), streams[0].rig)
+        for stream, other in zip(streams[1:], others, strict=True)
+    ]
     if options.rest_frame is None:
         for path, stream in zip(sources[1:], ordered[1:], strict=True):
-            notices += _rest_notice(first, stream.rig, str(path), str(sources[0]))
+            notices += _rest_notice(
+                streams[0].rig, stream.rig, str(path), str(sources[0])
+            )
     return ordered
 
 
-def _difference(first: Rig, other: Rig, source: str) -> str:
+def _named(rig: Rig, options: BakeOptions) -> dict[str, str]:
+    """Return the parent of every joint, in order, all named as USD will have them.
+
+    So a BVH and what USD holds of it have the same joints. A root has none.
+    """
+    names = joint_names(rig.joints, options.strip_namespace).names
+    return {
+        name: names[joint.parent] if joint.parent >= 0 else ""
+        for name, joint in zip(names, rig.joints, strict=True)
+    }
+
+
+def _difference(first: dict[str, str], other: dict[str, str], source: str) -> str:
     """Return the first difference of the joints in words; empty for none."""
-    mine, theirs = _parents(first), _parents(other)
-    for name, parent in mine.items():
-        if name not in theirs:
+    for name, parent in first.items():
+        if name not in other:
             return f"there is no joint {name!r}, which {source} has"
-        if theirs[name] != parent:
-            places = [f"below {p!r}" if p else "a root" for p in (theirs[name], parent)]
+        if other[name] != parent:
+            places = [f"below {p!r}" if p else "a root" for p in (other[name], parent)]
             return f"joint {name!r} is {places[0]}, and in {source} {places[1]}"
-    for name in theirs:
-        if name not in mine:
+    for name in other:
+        if name not in first:
             return f"joint {name!r} is not in {source}"
     return ""
 
 
-def _parents(rig: Rig) -> dict[str, str]:
-    return {
-        joint.name: rig.joints[joint.parent].name if joint.parent >= 0 else ""
-        for joint in rig.joints
-    }
-
-
-def _ordered(stream: TakeStream, first: Rig) -> TakeStream:
-    """Return a take with the joints in the order of a rig of the same joints."""
-    rig = stream.rig
-    if rig.names == first.names:
+def _ordered(
+    stream: TakeStream, names: list[str], wanted: list[str], first: Rig
+) -> TakeStream:
+    """Return a take with its joints in another order, that of a first rig."""
+    if names == wanted:
         return stream
     from animtool.usd.target import JointMap
 
-    source = np.array([rig.index(name) for name in first.names], np.int64)
+    rig = stream.rig
+    source = np.array([names.index(name) for name in wanted], np.int64)
     joints = tuple(
         replace(rig.joints[i], parent=joint.parent)
         for i, joint in zip(source.tolist(), first.joints, strict=True)

@@ -300,6 +300,19 @@ def test_joints_in_another_order_are_put_in_that_of_the_first(tmp_path: Path) ->
     assert_same_take(read_usd(tmp_path / "lib.usda", take="two").collect(), first)
 
 
+def test_joints_are_compared_as_usd_has_them(tmp_path: Path) -> None:
+    paths = [tmp_path / "one.bvh", tmp_path / "two.bvh"]
+    for path, name in zip(paths, ("a:Spi.ne", "b:Spi.ne"), strict=True):
+        header = spoilt(HEADER, "Spine", name)
+        path.write_text(small_bvh(random_rows(3), header=header))
+    bake(paths[0], tmp_path / "back.usda")
+    library([paths[0], tmp_path / "back.usda"], tmp_path / "lib.usda")
+    with pytest.raises(AnimtoolError) as caught:
+        library(paths, tmp_path / "no.usda")
+    assert caught.value.code == "USD030"
+    library(paths, tmp_path / "yes.usda", BakeOptions(strip_namespace=1))
+
+
 @pytest.mark.parametrize("rest_frame", [None, 2])
 def test_rest_poses_that_differ_are_said(
     sources: list[Path], tmp_path: Path, rest_frame: int | None
