@@ -70,7 +70,7 @@ USD = Reader(
     "USD",
     "animtool.usd.rig_prims:read_rig",
     "animtool.usd.read:read_usd",
-    ("prim_path",),
+    ("prim_path", "take"),
 )
 DOCUMENT = Reader(
     "rig and clip files",

@@ -17,6 +17,7 @@ from animtool.cli.options import (
     reduce_at_option,
     source_options,
     source_options_record,
+    take_option,
 )
 
 __all__ = ["bake"]
@@ -38,18 +39,26 @@ Examples:
   animtool bake walk.bvh -o hero.usda --split
   animtool bake wave.clip.yaml --rig hero.rig.yaml -o wave.usdc --fps 60
   animtool bake shot.scene.yaml
+  animtool bake walk.bvh run.bvh idle.clip.yaml -o library.usda
+  animtool bake library.usda --take run -o run.usdc
   animtool bake walk.bvh -o walk_layer.usdc --rig-layer hero.rig.usda
   animtool bake walk.bvh -o walk.usda --fps 24 --range 1001-1048 --start 1001
   animtool bake wave.clip.yaml -o wave.usda --keep-curves --reduce 0.5mm
   animtool bake wave.clip.yaml --table"""
 )
-@click.argument("source", type=click.Path(path_type=Path, readable=False))
+@click.argument(
+    "sources",
+    metavar="SOURCE...",
+    nargs=-1,
+    required=True,
+    type=click.Path(path_type=Path, readable=False),
+)
 @click.option(
     "-o",
     "--output",
     type=click.Path(path_type=Path, allow_dash=True, readable=False),
     help="USD file to write (.usda, .usdc, .usd), or - for usda on stdout.  "
-    "[default: SOURCE with .usdc]",
+    "[default: SOURCE with .usdc; a library has none]",
 )
 @click.option(
     "--as",
@@ -106,6 +115,7 @@ Examples:
     metavar="PATH",
     help="The character to read, where a USD source has several.",
 )
+@take_option
 @click.option(
     "--to-units", type=click.Choice(["m", "cm", "mm", "in"]), help="Unit of the output."
 )
@@ -174,8 +184,13 @@ Examples:
 @format_option
 @common_options
 @click.pass_obj
-def bake(console: Console, /, source: Path, output: Path | None, **given: Any) -> None:
+def bake(
+    console: Console, /, sources: tuple[Path, ...], output: Path | None, **given: Any
+) -> None:
     """Bake SOURCE, a scene, clip, BVH or USD file, to a USD animation that plays.
+
+    Several make a clip library: one skeleton, an animation for each, and a variant
+    set `take` that binds one of them. Then -o names the file.
 
     The summary says what was written and the error made: the largest distance
     between a joint's position in float64 and in the float32 values of the file.
@@ -187,9 +202,11 @@ def bake(console: Console, /, source: Path, output: Path | None, **given: Any) -
     if given["split"] and given["form"] == "layer":
         raise click.UsageError("--split is a stage in three files, not --as layer.")
     if given["table"]:
-        _table(console, source, output, _options(given), as_json=as_json)
+        _table(console, sources, output, _options(given), as_json=as_json)
         return
-    path = None if to_stdout else output or _output_beside(source)
+    if output is None and len(sources) > 1:
+        raise click.UsageError("Several sources make one library: name it with -o.")
+    path = None if to_stdout else output or _output_beside(sources[0])
     if given["skip_existing"] and path is not None and path.exists():
         console.say(f"{path} exists: skipped")
         if as_json:
@@ -198,8 +215,9 @@ def bake(console: Console, /, source: Path, output: Path | None, **given: Any) -
 
     from animtool.scene.bake import bake as run_bake
 
-    with console.progress(f"bake {source.name}", stdout=to_stdout) as progress:
-        report = run_bake(source, path, _options(given), progress=progress)
+    label = sources[0].name if len(sources) == 1 else f"{len(sources)} takes"
+    with console.progress(f"bake {label}", stdout=to_stdout) as progress:
+        report = run_bake(sources, path, _options(given), progress=progress)
     console.faults(report.notices)
     from animtool.cli.summary import bake_details, bake_json, bake_text
 
@@ -213,11 +231,19 @@ def bake(console: Console, /, source: Path, output: Path | None, **given: Any) -
 
 
 def _table(
-    console: Console, source: Path, output: Path | None, options: Any, *, as_json: bool
+    console: Console,
+    sources: tuple[Path, ...],
+    output: Path | None,
+    options: Any,
+    *,
+    as_json: bool,
 ) -> None:
     """Measure time and size against error, and print it."""
     if output is not None:
         raise click.UsageError("--table writes no file: no -o.")
+    if len(sources) > 1:
+        raise click.UsageError("--table measures one SOURCE.")
+    source = sources[0]
     from animtool.cli.summary import table_json, table_text
     from animtool.scene.table import bake_table
 
@@ -231,16 +257,15 @@ def _table(
 
 def _output_beside(source: Path) -> Path:
     """Return the file that a scene names, else the source's own name as usdc."""
-    from animtool.scene.plan import SCENE_SUFFIXES
+    from animtool.scene.sources import is_scene, source_stem
 
-    if source.name.lower().endswith(SCENE_SUFFIXES):
+    if is_scene(source):
         from animtool.scene.file import load_scene
 
         named = load_scene(source).output
         if named is not None:
             return named
-    stem = source.stem.removesuffix(".clip").removesuffix(".scene")
-    return source.with_name(f"{stem}.usdc")
+    return source.with_name(f"{source_stem(source)}.usdc")
 
 
 def _options(given: dict[str, Any]) -> Any:
@@ -256,6 +281,7 @@ def _options(given: dict[str, Any]) -> Any:
             given["source_prim"],
             given["rig"],
             clamp=given["clamp"],
+            take=given["take"],
         ),
         form="split" if given["split"] else given["form"],
         rig_layer=given["rig_layer"],

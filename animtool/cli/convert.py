@@ -15,6 +15,7 @@ from animtool.cli.options import (
     reduce_at_option,
     source_options,
     source_options_record,
+    take_option,
 )
 
 __all__ = ["convert"]
@@ -35,6 +36,7 @@ Examples:
 @click.option(
     "--prim-path", metavar="PATH", help="The character, where a stage has several."
 )
+@take_option
 @click.option(
     "--reduce",
     type=LENGTH,
@@ -85,7 +87,11 @@ def convert(console: Console, /, source: Path, output: Path, **given: Any) -> No
     from animtool.scene.convert import convert as run_convert
 
     options = source_options_record(
-        given["units"], given["up"], given["source_fps"], given["prim_path"]
+        given["units"],
+        given["up"],
+        given["source_fps"],
+        given["prim_path"],
+        take=given["take"],
     )
     with console.progress(f"convert {source.name}") as progress:
         report = run_convert(
@@ -128,7 +134,7 @@ def convert(console: Console, /, source: Path, output: Path, **given: Any) -> No
 def _rig(console: Console, source: Path, output: Path, given: dict[str, Any]) -> None:
     from animtool.scene.convert_rig import convert_rig
 
-    for name in ("reduce", "reduce_at", "base", "units", "up", "source_fps"):
+    for name in ("reduce", "reduce_at", "base", "units", "up", "source_fps", "take"):
         if given[name]:
             option = f"--{name.replace('_', '-')}"
             raise click.UsageError(f"{option} is for motion, not for a rig.")

@@ -13,6 +13,7 @@ from animtool.cli.options import (
     format_option,
     source_options,
     source_options_record,
+    take_option,
 )
 
 if TYPE_CHECKING:
@@ -26,7 +27,8 @@ __all__ = ["info"]
     epilog="""\b
 Examples:
   animtool info walk.bvh
-  animtool info walk.usdc hero.usda --format json"""
+  animtool info walk.usdc hero.usda --format json
+  animtool info library.usda --take run"""
 )
 @click.argument(
     "files", nargs=-1, required=True, type=click.Path(path_type=Path, readable=False)
@@ -35,6 +37,7 @@ Examples:
 @click.option(
     "--prim-path", metavar="PATH", help="The character, where a stage has several."
 )
+@take_option
 @format_option
 @common_options
 @click.pass_obj
@@ -52,7 +55,9 @@ def info(console: Console, /, files: tuple[Path, ...], **given: Any) -> None:
     code = 0
     for path in files:
         options = (
-            source_options_record(None, None, None, given["prim_path"])
+            source_options_record(
+                None, None, None, given["prim_path"], take=given["take"]
+            )
             if is_usd(path)
             else source_options_record(given["units"], given["up"], given["source_fps"])
         )
@@ -125,8 +130,13 @@ def _text(found: TakeDescription) -> list[str]:
     )
     every = "" if found.step == 1 else f", one every {found.step} time codes"
     notices = "1 notice" if len(found.notices) == 1 else f"{len(found.notices)} notices"
+    takes = []
+    if found.takes:
+        names = listed(found.takes, 40)
+        takes = [f"  takes     {names}; this is {found.take!r}, --take reads another"]
     return [
         f"{found.path}: {found.format}",
+        *takes,
         f"  joints    {found.joints} below {roots}{channels}",
         f"  frames    {found.frames} at {rate_label(found.fps)}, "
         f"{float(found.duration):.4g} s, time codes {float(found.start):g} to "

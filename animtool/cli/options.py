@@ -19,6 +19,7 @@ __all__ = [
     "reduce_at_option",
     "source_options",
     "source_options_record",
+    "take_option",
 ]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -166,6 +167,15 @@ def source_options(command: Command) -> Command:
     return command
 
 
+def take_option(command: Command) -> Command:
+    """Add ``--take``."""
+    return click.option(
+        "--take",
+        metavar="NAME",
+        help="The take to read of a clip library in USD.  [default: the one selected]",
+    )(command)
+
+
 def source_options_record(
     units: str | None,
     up: str | None,
@@ -174,6 +184,7 @@ def source_options_record(
     rig: Path | None = None,
     *,
     clamp: bool = False,
+    take: str | None = None,
 ) -> Any:
     """Return the record of `source_options`."""
     from animtool.scene.sources import SourceOptions
@@ -186,4 +197,5 @@ def source_options_record(
         prim_path,
         rig,
         clamp,
+        take,
     )

@@ -10,7 +10,7 @@ from animtool.rates import rate_label
 from animtool.units import unit_name
 
 if TYPE_CHECKING:
-    from animtool.scene.bake import BakeReport
+    from animtool.scene.bake import BakeReport, TakeReport
     from animtool.scene.table import BakeTable
 
 __all__ = ["bake_details", "bake_json", "bake_text", "table_json", "table_text"]
@@ -30,79 +30,112 @@ def bake_text(report: BakeReport) -> list[str]:
     result, total = report.result, report.seconds["total"]
     files = ", ".join(map(str, result.outputs)) or "stdout"
     unit = unit_name(report.meters_per_unit)
-    samples = "1 sample" if result.samples == 1 else f"{result.samples} samples"
-    frames = f"{samples}, frames {_number(result.first)} to {_number(result.last)}"
-    frames += f" at {rate_label(report.fps)}"
-    if report.source_fps != report.fps or report.source_frames != result.samples:
-        source = f"{report.source_frames} frames at {rate_label(report.source_fps)}"
-        frames += f", from {source}"
-    error = result.rounding.error / report.meters_per_unit
-    where = ""
-    if error:
-        where = f" (joint {report.error_joint!r}, frame {result.rounding.code:g})"
+    unstated = any(take.unit_assumed for take in report.takes)
+    assumed = "; the source taken to be in cm (--units)" if unstated else ""
+    takes = report.takes
+    one = takes[0] if len(takes) == 1 else None
     moving = " and ".join(result.sampled) or "nothing"
-    assumed = "; the source taken to be in cm (--units)" if report.unit_assumed else ""
-    return [
-        f"{files}: {report.form}",
-        f"  {frames}",
+    lines = [f"{files}: {report.form}"]
+    if one is not None:
+        lines.append(f"  {_frames_text(report, one)}")
+    else:
+        lines.append(f"  {len(takes)} takes, {_range_text(report)}")
+    lines += [
         f"  {result.joints} joints, {moving} animated",
         f"  {report.up} up, lengths in {unit}{assumed}",
         f"  {result.bytes / 1e6:.3g} MB written in {total:.2f} s, "
         f"{report.source_bytes / 1e6 / total:.3g} MB/s of source",
-        f"  largest error of float32: {error:.2g} {unit}{where}",
-        *_thinned_text(report, unit),
-        *_curves_text(report),
+        "  largest error of float32: "
+        + _error_text(
+            report, report.worst, unit, "" if one else report.worst.written.name
+        ),
     ]
+    if one is not None:
+        return lines + [f"  {line}" for line in _extras_text(report, one, unit)]
+    for take in takes:
+        lines.append(f"  take {take.written.name}: {_frames_text(report, take)}")
+        lines.append(f"    error of float32: {_error_text(report, take, unit)}")
+        lines += [f"    {line}" for line in _extras_text(report, take, unit)]
+    return lines
 
 
-def _thinned_text(report: BakeReport, unit: str) -> list[str]:
-    thinned = report.thinned
-    if thinned is None:
-        return []
-    error = thinned.error / report.meters_per_unit
-    where = (
-        f" (joint {report.thinned_joint!r}, frame {thinned.code:g})" if error else ""
+def _frames_text(report: BakeReport, take: TakeReport) -> str:
+    """Return what was written of a take, and of what."""
+    written = take.written
+    samples = "1 sample" if written.samples == 1 else f"{written.samples} samples"
+    text = f"{samples}, frames {_number(written.first)} to {_number(written.last)}"
+    text += f" at {rate_label(report.fps)}"
+    if take.source_fps != report.fps or take.source_frames != written.samples:
+        text += f", from {take.source_frames} frames at {rate_label(take.source_fps)}"
+    return text
+
+
+def _range_text(report: BakeReport) -> str:
+    first, last = _number(report.result.first), _number(report.result.last)
+    return f"frames {first} to {last} at {rate_label(report.fps)}"
+
+
+def _error_text(report: BakeReport, take: TakeReport, unit: str, name: str = "") -> str:
+    """Return the largest error of a take, and where; with its name, if given."""
+    rounding = take.written.rounding
+    error = rounding.error / report.meters_per_unit
+    if not error:
+        return f"{error:.2g} {unit}"
+    of = f"take {name!r}, " if name else ""
+    return (
+        f"{error:.2g} {unit} ({of}joint {take.error_joint!r}, frame {rounding.code:g})"
     )
-    return [
-        f"  {thinned.samples} samples reduced to {len(thinned.kept)}: largest error "
-        f"between them {error:.3g} {unit}{where}"
-    ]
 
 
-def _curves_text(report: BakeReport) -> list[str]:
-    curves = report.result.curves
-    if not curves:
-        return []
-    worst = max(curves, key=lambda curve: curve.difference)
-    where = f" (control {worst.name!r})" if worst.difference else ""
-    knots = sum(curve.knots for curve in curves)
-    return [
-        f"  {len(curves)} curves of controls kept, {knots} knots: largest difference "
-        f"{worst.difference:.2g}{where}"
-    ]
+def _extras_text(report: BakeReport, take: TakeReport, unit: str) -> list[str]:
+    """Return what only some bakes do to a take."""
+    lines, thinned, curves = [], take.thinned, take.written.curves
+    if thinned is not None:
+        error = thinned.error / report.meters_per_unit
+        where = (
+            f" (joint {take.thinned_joint!r}, frame {thinned.code:g})" if error else ""
+        )
+        lines.append(
+            f"{thinned.samples} samples reduced to {len(thinned.kept)}: largest error "
+            f"between them {error:.3g} {unit}{where}"
+        )
+    if curves:
+        worst = max(curves, key=lambda curve: curve.difference)
+        where = f" (control {worst.name!r})" if worst.difference else ""
+        knots = sum(curve.knots for curve in curves)
+        lines.append(
+            f"{len(curves)} curves of controls kept, {knots} knots: largest difference "
+            f"{worst.difference:.2g}{where}"
+        )
+    return lines
 
 
 def bake_details(report: BakeReport) -> list[str]:
     """Return what only the verbose are told."""
     seconds = ", ".join(f"{name} {value:.3f}" for name, value in report.seconds.items())
-    stated = ", ".join(f"{key} {value}" for key, value in report.details.items())
+    lines = []
+    for take in report.takes:
+        stated = ", ".join(f"{key} {value}" for key, value in take.details.items())
+        lines.append(f"  source: {stated}")
+        lines.append(f"  animation: {take.written.animation}")
     return [
-        f"  source: {stated}",
+        *lines,
         f"  seconds: {seconds} (read runs beside author)",
         f"  skeleton at rest: {report.size:.4g} m across",
     ]
 
 
 def bake_json(report: BakeReport) -> dict[str, object]:
-    """Return the summary as plain values."""
-    result = report.result
+    """Return the summary as plain values.
+
+    Of a library ``takes`` says what became of each; what stands beside it is of all.
+    """
+    result, takes = report.result, report.takes
     return {
         "bake": "animtool/1",
-        "source": str(report.source),
+        **(_take_json(report, takes[0]) if len(takes) == 1 else {}),
         "outputs": [str(path) for path in result.outputs],
         "form": report.form,
-        "source_frames": report.source_frames,
-        "source_rate": str(report.source_fps),
         "samples": result.samples,
         "start": float(result.first),
         "end": float(result.last),
@@ -119,32 +152,59 @@ def bake_json(report: BakeReport) -> dict[str, object]:
         "megabytes_per_second": round(
             report.source_bytes / 1e6 / report.seconds["total"], 3
         ),
-        "error": {
-            "meters": _finite(result.rounding.error),
-            "relative": _finite(result.rounding.error / (report.size or math.inf)),
-            "joint": report.error_joint,
-            "frame": result.rounding.code,
-        },
-        **_extras_json(report),
+        "error": _error_json(report, report.worst),
+        **(
+            {"takes": [_take_json(report, take) for take in takes]}
+            if len(takes) > 1
+            else {}
+        ),
         "notices": [notice.as_dict() for notice in report.notices],
     }
 
 
-def _extras_json(report: BakeReport) -> dict[str, object]:
-    """Return what only some bakes do."""
-    found: dict[str, object] = {}
-    if report.thinned is not None:
-        found["reduction"] = {
-            "samples": report.thinned.samples,
-            "kept": len(report.thinned.kept),
-            "error": {
-                "meters": report.thinned.error,
-                "joint": report.thinned_joint,
-                "frame": report.thinned.code,
-            },
-            "weight_error": report.thinned.weight_error,
+def _error_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
+    rounding = take.written.rounding
+    return {
+        **({"take": take.written.name} if take.written.name else {}),
+        "meters": _finite(rounding.error),
+        "relative": _finite(rounding.error / (report.size or math.inf)),
+        "joint": take.error_joint,
+        "frame": rounding.code,
+    }
+
+
+def _take_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
+    """Return what became of one source."""
+    written = take.written
+    found: dict[str, object] = {
+        "source": str(take.source),
+        "source_frames": take.source_frames,
+        "source_rate": str(take.source_fps),
+        "animation": written.animation,
+    }
+    if written.name:
+        found = {
+            "take": written.name,
+            **found,
+            "samples": written.samples,
+            "start": float(written.first),
+            "end": float(written.last),
+            "joints_written": written.joints,
+            "animated": written.sampled,
+            "error": _error_json(report, take),
         }
-    if report.result.curves:
+    if take.thinned is not None:
+        found["reduction"] = {
+            "samples": take.thinned.samples,
+            "kept": len(take.thinned.kept),
+            "error": {
+                "meters": take.thinned.error,
+                "joint": take.thinned_joint,
+                "frame": take.thinned.code,
+            },
+            "weight_error": take.thinned.weight_error,
+        }
+    if written.curves:
         found["curves"] = [
             {
                 "control": curve.name,
@@ -153,7 +213,7 @@ def _extras_json(report: BakeReport) -> dict[str, object]:
                 "difference": curve.difference,
                 "seam": curve.seam,
             }
-            for curve in report.result.curves
+            for curve in written.curves
         ]
     return found
 

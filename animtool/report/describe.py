@@ -38,6 +38,8 @@ class TakeDescription:
         bounds: Lowest and highest joint position over all frames, in ``units``.
         units: Unit of the file.
         up: Up axis of the file.
+        takes: Names of the takes that a clip library has; empty for other files.
+        take: The one described.
         notices: What is odd.
     """
 
@@ -56,6 +58,8 @@ class TakeDescription:
     bounds: tuple[list[float], list[float]]
     units: str
     up: str
+    takes: list[str]
+    take: str
     notices: list[Fault]
 
     def as_dict(self) -> dict[str, object]:
@@ -99,6 +103,7 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
         animated["scale"] = len(motion.scales.animated)
     clock = take.clock
     channels = stream.details.get("channels")
+    takes = stream.details.get("takes")
     return TakeDescription(
         str(path),
         str(stream.details.get("format", "")),
@@ -118,5 +123,7 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
         ),
         unit_name(meters),
         rig.up.value,
+        takes if isinstance(takes, list) else [],
+        str(stream.details.get("take", "")),
         stream.notices,
     )

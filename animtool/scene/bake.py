@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
@@ -19,40 +20,34 @@ from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
 from animtool.scene.frames import moving_joints, timed_blocks
 from animtool.scene.options import BakeOptions
-from animtool.scene.plan import BakePlan, plan_bake
+from animtool.scene.plan import BakePlan, TakePlan, plan_bake
+from animtool.scene.sources import source_stem
 from animtool.take import Motion
 from animtool.usd.animation import WrittenBlock, round_blocks
-from animtool.usd.author import UsdJob, UsdResult, author, write_usd
+from animtool.usd.author import author, write_usd
+from animtool.usd.jobs import UsdJob, UsdResult, UsdTake, WrittenTake
 from animtool.usd.names import UsdNames, joint_names, legal_name
 from animtool.usd.skeleton import RigPaths
 
 if TYPE_CHECKING:
     from animtool.edit.thin import Thinned
 
-__all__ = ["BakeReport", "bake", "run_bake"]
+__all__ = ["BakeReport", "TakeReport", "bake", "run_bake"]
 
 TimedBlocks = Iterator[tuple[FloatArray, Motion]]
 
 
 @dataclass(slots=True)
-class BakeReport:
-    """What a bake did.
+class TakeReport:
+    """What became of one source.
 
     Attributes:
         source: The file read.
-        result: What was written.
-        form: Stage, split or layer, and why.
+        written: What was written of it.
         source_frames: Frames of the source.
         source_fps: Its frame rate.
-        fps: Time codes a second of the output.
-        joints: Joints of the source.
-        meters_per_unit: Unit of the output [m].
-        up: Its up axis.
-        size: Extent of the skeleton at rest [m].
         error_joint: Name of the joint that rounding moved most.
-        notices: Warnings and notes.
         unit_assumed: Whether nothing states the unit of the source.
-        seconds: Wall time by stage; ``read`` runs beside ``author``.
         source_bytes: Size of the source.
         details: What the source states of itself.
         thinned: Which samples were left out, where that was asked for.
@@ -60,43 +55,75 @@ class BakeReport:
     """
 
     source: Path
-    result: UsdResult
-    form: str
+    written: WrittenTake
     source_frames: int
     source_fps: Fraction
-    fps: Fraction
-    joints: int
-    meters_per_unit: float
-    up: str
-    size: float
     error_joint: str
-    notices: list[Fault]
     unit_assumed: bool = False
-    seconds: dict[str, float] = field(default_factory=dict)
     source_bytes: int = 0
     details: dict[str, object] = field(default_factory=dict)
     thinned: Thinned | None = None
     thinned_joint: str = ""
 
 
+@dataclass(slots=True)
+class BakeReport:
+    """What a bake did.
+
+    Attributes:
+        takes: What became of every source, at least one.
+        result: What was written.
+        form: Stage, split or layer, and why.
+        fps: Time codes a second of the output.
+        joints: Joints of the first source.
+        meters_per_unit: Unit of the output [m].
+        up: Its up axis.
+        size: Extent of the skeleton at rest [m].
+        notices: Warnings and notes.
+        seconds: Wall time by stage; ``read`` runs beside ``author``.
+    """
+
+    takes: list[TakeReport]
+    result: UsdResult
+    form: str
+    fps: Fraction
+    joints: int
+    meters_per_unit: float
+    up: str
+    size: float
+    notices: list[Fault]
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def worst(self) -> TakeReport:
+        """The take that rounding moved most."""
+        return max(self.takes, key=lambda take: take.written.rounding.error)
+
+    @property
+    def source_bytes(self) -> int:
+        """Size of all sources."""
+        return sum(take.source_bytes for take in self.takes)
+
+
 def bake(
-    source: Path | str,
+    source: Path | str | Sequence[Path | str],
     output: Path | str | None,
     options: BakeOptions | None = None,
     *,
     progress: Callable[[float], None] | None = None,
 ) -> BakeReport:
-    """Bake a BVH or USD file to a USD animation.
+    """Bake a BVH, USD file, clip or scene to a USD animation, or several to a library.
 
     Args:
-        source: The file to read.
+        source: The file to read; or several, each to be a take of a clip library.
         output: The file to write, ``.usda``, ``.usdc`` or ``.usd``; None writes
             usda to stdout.
         options: How.
         progress: Called with the share done, 0 to 1.
 
     Raises:
-        FormatError: The source is malformed.
+        FormatError: A source is malformed, or the takes of a library have other
+            joints.
         OptionError: An option makes no sense, or the output exists.
         OutputError: The output cannot be written.
         StrictError: There were warnings, and ``strict`` is on.
@@ -109,84 +136,51 @@ def run_bake(plan: BakePlan) -> BakeReport:
     """Run a planned bake: read, author, write.
 
     Raises:
-        FormatError: The rows of the source are malformed.
+        FormatError: The rows of a source are malformed.
         OptionError: The range has no frame of the take.
         OutputError: The output cannot be written.
         StrictError: There were warnings, and ``strict`` is on.
     """
     began = time.perf_counter()
-    options, stream = plan.options, plan.stream
-    counter = _Counter()
-    counted = replace(stream, blocks=counter.count(stream.blocks))
-    timed, frames, rest = timed_blocks(plan, counted)
-    job, timed, thinned = _job(plan, timed, frames, rest)
-    rounded = prefetch(
-        counter.time(
-            round_blocks(
-                timed, job.rig, job.meters_per_unit, root_motion=options.root_motion
-            )
-        )
-    )
-    try:
-        authored, result = author(job, rounded)
-    finally:
-        rounded.close()
-    seconds = {"read": counter.seconds, "author": time.perf_counter() - began}
-    notices = stream.notices + plan.notices + job.names.notices + result.notices
-    refuse_warnings(notices, strict=options.strict)
+    runs = [_TakeRun(take) for take in plan.takes]
+    rest = runs[0].open()
+    job = _job(plan, rest)
+    with closing(_usd_takes(runs, job)) as takes:
+        authored, result = author(job, takes)
+    read = sum(run.seconds for run in runs)
+    seconds = {"read": read, "author": time.perf_counter() - began}
+    notices = [notice for take in plan.takes for notice in take.stream.notices]
+    notices += plan.notices + job.names.notices + result.notices
+    refuse_warnings(notices, strict=plan.options.strict)
     write_usd(job, authored, result)
     seconds["total"] = time.perf_counter() - began
     seconds["save"] = seconds["total"] - seconds["author"]
     return BakeReport(
-        plan.source,
+        [
+            run.report(job, written)
+            for run, written in zip(runs, result.takes, strict=True)
+        ],
         result,
         f"{plan.form} ({plan.reason})",
-        stream.count or counter.frames,
-        stream.fps / stream.step,
         plan.fps,
-        len(stream.rig.joints),
+        len(plan.takes[0].stream.rig.joints),
         job.meters_per_unit,
         job.rig.up.value,
         rest_size(rest),
-        job.names.names[result.rounding.joint],
         notices,
-        options.source.unit is None and "units" not in stream.details,
         seconds,
-        plan.source.stat().st_size,
-        stream.details,
-        thinned,
-        "" if thinned is None else job.rig.names[thinned.joint],
     )
 
 
-def _job(
-    plan: BakePlan,
-    timed: TimedBlocks,
-    frames: tuple[Fraction, Fraction] | None,
-    rig: Rig,
-) -> tuple[UsdJob, TimedBlocks, Thinned | None]:
-    """Return what the writer is to do, the blocks for it, and what was left out."""
-    options, mapping = plan.options, plan.mapping
+def _job(plan: BakePlan, rest: Rig) -> UsdJob:
+    """Return what the writer is to do with every take."""
+    mapping = plan.takes[0].mapping
+    rig = rest if mapping is None else mapping.rig
     meters = rig.meters_per_unit
-    chosen = None
-    if mapping is not None:
-        timed = ((codes, mapping.apply(motion)) for codes, motion in timed)
-        rig = mapping.rig
-        meters = rig.meters_per_unit
-        if (mapping.source < 0).any():
-            chosen = mapping.source >= 0
-    elif options.to_units is not None:
-        meters = options.to_units.meters
-    if options.sparse:
-        held = list(timed)
-        moving = moving_joints(plan, rig, [motion for _, motion in held])
-        kept = moving if chosen is None else moving & chosen
-        chosen, timed = kept if kept.any() else chosen, iter(held)
-    thinned = None
-    if options.reduce is not None:
-        timed, thinned, frames = _thinned(plan, timed, frames, rig, options.reduce)
+    if mapping is None and plan.options.to_units is not None:
+        meters = plan.options.to_units.meters
     names, joints, paths = _usd_places(plan, rig)
-    job = UsdJob(
+    return UsdJob(
         form=plan.form,
         output=plan.output,
         rig=rig,
@@ -194,25 +188,134 @@ def _job(
         joints=joints,
         paths=paths,
         fps=plan.fps,
-        frames=frames,
-        start=plan.start,
-        step=plan.stream.step * plan.fps / plan.stream.fps,
         meters_per_unit=meters,
         target=plan.target,
-        chosen=chosen,
-        bones=options.bones,
-        shapes=tuple(shape.name for shape in plan.stream.rig.shapes),
-        curves=_kept_curves(plan) if options.keep_curves else {},
+        bones=plan.options.bones,
     )
-    return job, timed, thinned
+
+
+def _usd_takes(runs: Sequence[_TakeRun], job: UsdJob) -> Generator[UsdTake]:
+    """Yield every take, made ready when the writer comes to it."""
+    for run in runs:
+        take, timed = run.prepare(job.rig)
+        rounded = prefetch(
+            run.time(
+                round_blocks(
+                    timed,
+                    job.rig,
+                    job.meters_per_unit,
+                    root_motion=run.plan.options.root_motion,
+                )
+            )
+        )
+        try:
+            yield replace(take, blocks=rounded)
+        finally:
+            rounded.close()
+
+
+class _TakeRun:
+    """One take on its way from its source to the writer.
+
+    Attributes:
+        plan: Of the take.
+        frames: Frames of the source that were read.
+        seconds: How long making blocks took.
+        thinned: Which samples were left out, where that was asked for.
+    """
+
+    def __init__(self, plan: TakePlan) -> None:
+        self.plan = plan
+        self.frames = 0
+        self.seconds = 0.0
+        self.thinned: Thinned | None = None
+        self._opened: (
+            tuple[TimedBlocks, tuple[Fraction, Fraction] | None, Rig] | None
+        ) = None
+
+    def open(self) -> Rig:
+        """Return the rig at rest, with the source's frames at the output's times."""
+        stream = self.plan.stream
+        counted = replace(stream, blocks=self._counted(stream.blocks))
+        self._opened = timed_blocks(self.plan, counted)
+        return self._opened[2]
+
+    def prepare(self, rig: Rig) -> tuple[UsdTake, TimedBlocks]:
+        """Return what the writer is told of the take, and its frames.
+
+        Args:
+            rig: As it is written: of the rig layer, or of the first take.
+        """
+        if self._opened is None:
+            self.open()
+        assert self._opened is not None
+        timed, frames, _ = self._opened
+        plan, options, mapping = self.plan, self.plan.options, self.plan.mapping
+        chosen = None
+        if mapping is not None:
+            mapped = mapping
+            timed = ((codes, mapped.apply(motion)) for codes, motion in timed)
+            if (mapping.source < 0).any():
+                chosen = mapping.source >= 0
+        if options.sparse:
+            held = list(timed)
+            moving = moving_joints(plan, rig, [motion for _, motion in held])
+            kept = moving if chosen is None else moving & chosen
+            chosen, timed = kept if kept.any() else chosen, iter(held)
+        step = plan.stream.step * plan.fps / plan.stream.fps
+        if options.reduce is not None:
+            timed, self.thinned, frames = _thinned(plan, timed, frames, rig, step)
+        take = UsdTake(
+            (),
+            plan.start,
+            step,
+            frames=frames,
+            chosen=chosen,
+            shapes=tuple(shape.name for shape in plan.stream.rig.shapes),
+            curves=_kept_curves(plan) if options.keep_curves else {},
+            name=plan.name,
+            source_name=source_stem(plan.source),
+        )
+        return take, timed
+
+    def report(self, job: UsdJob, written: WrittenTake) -> TakeReport:
+        """Return what became of the take."""
+        plan, stream, thinned = self.plan, self.plan.stream, self.thinned
+        return TakeReport(
+            plan.source,
+            written,
+            stream.count or self.frames,
+            stream.fps / stream.step,
+            job.names.names[written.rounding.joint],
+            plan.options.source.unit is None and "units" not in stream.details,
+            plan.source.stat().st_size,
+            stream.details,
+            thinned,
+            "" if thinned is None else job.rig.names[thinned.joint],
+        )
+
+    def time(self, blocks: Iterator[WrittenBlock]) -> Iterator[WrittenBlock]:
+        """Count the seconds that making blocks takes."""
+        while True:
+            began = time.perf_counter()
+            block = next(blocks, None)
+            self.seconds += time.perf_counter() - began
+            if block is None:
+                return
+            yield block
+
+    def _counted(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
+        for block in blocks:
+            self.frames += block.frames
+            yield block
 
 
 def _thinned(
-    plan: BakePlan,
+    plan: TakePlan,
     timed: TimedBlocks,
     frames: tuple[Fraction, Fraction] | None,
     rig: Rig,
-    tolerance: float,
+    step: Fraction,
 ) -> tuple[TimedBlocks, Thinned, tuple[Fraction, Fraction]]:
     """Return the samples that are needed, what that does, first and last frame."""
     from animtool.edit.thin import thin_samples
@@ -220,17 +323,18 @@ def _thinned(
     held = list(timed)
     codes = np.concatenate([codes for codes, _ in held])
     motion = Motion.concatenate([motion for _, motion in held])
+    tolerance = plan.options.reduce
+    assert tolerance is not None
     found = thin_samples(
         rig, codes, motion, tolerance, joint_tolerances=dict(plan.options.reduce_at)
     )
     if frames is None:
-        step = plan.stream.step * plan.fps / plan.stream.fps
         frames = plan.start, plan.start + step * (len(codes) - 1)
     kept = iter([(codes[found.kept], motion.select(found.kept))])
     return kept, found, frames
 
 
-def _kept_curves(plan: BakePlan) -> dict[str, Curves]:
+def _kept_curves(plan: TakePlan) -> dict[str, Curves]:
     """Return the curves of controls over the output's time codes."""
     stream = plan.stream
     if not stream.control_curves:
@@ -247,35 +351,21 @@ def _kept_curves(plan: BakePlan) -> dict[str, Curves]:
     }
 
 
-class _Counter:
-    """Counts the frames of the source, and the seconds that making blocks takes."""
-
-    def __init__(self) -> None:
-        self.frames = 0
-        self.seconds = 0.0
-
-    def count(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
-        for block in blocks:
-            self.frames += block.frames
-            yield block
-
-    def time(self, blocks: Iterator[WrittenBlock]) -> Iterator[WrittenBlock]:
-        while True:
-            began = time.perf_counter()
-            block = next(blocks, None)
-            self.seconds += time.perf_counter() - began
-            if block is None:
-                return
-            yield block
-
-
 def _usd_places(plan: BakePlan, rig: Rig) -> tuple[UsdNames, list[str], RigPaths]:
     """Return USD names of the joints, their paths, and the character's prims."""
     if plan.target is not None:
         names = UsdNames(rig.names, {}, [])
         return names, plan.target.skeleton.tokens, plan.target.paths
     names = joint_names(rig.joints, plan.options.strip_namespace)
-    notices = [replace(fault, path=str(plan.source)) for fault in names.notices]
-    names = replace(names, notices=notices)
-    model = plan.options.prim_path or f"/{legal_name(rig.name)}"
+    where = str(plan.takes[0].source)
+    names = replace(
+        names, notices=[replace(fault, path=where) for fault in names.notices]
+    )
+    model = plan.options.prim_path or f"/{legal_name(_character(plan, rig))}"
     return names, rig.paths(names.names), RigPaths.below(model)
+
+
+def _character(plan: BakePlan, rig: Rig) -> str:
+    """Return the rig's name; of a library whose takes name several, the output's."""
+    named = {take.stream.rig.name for take in plan.takes}
+    return rig.name if len(named) == 1 or plan.output is None else plan.output.stem

@@ -96,6 +96,7 @@ class _SceneReader:
             model.source.prim,
             rig if takes_option(source, "rig") else None,
             model.source.clamp,
+            model.source.take,
         )
         frames = None
         if model.range is not None:

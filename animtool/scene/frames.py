@@ -12,14 +12,14 @@ from animtool._types import BoolArray, FloatArray
 from animtool.edit.resample import FrameRange, SampleTimes, plan_samples, sample
 from animtool.errors import Fault, Severity
 from animtool.rig.skeleton import Rig
-from animtool.scene.plan import BakePlan
+from animtool.scene.plan import TakePlan
 from animtool.take import Clock, Motion, Take, TakeStream, time_codes
 
 __all__ = ["moving_joints", "timed_blocks"]
 
 
 def timed_blocks(
-    plan: BakePlan, stream: TakeStream
+    plan: TakePlan, stream: TakeStream
 ) -> tuple[Iterator[tuple[FloatArray, Motion]], tuple[Fraction, Fraction] | None, Rig]:
     """Return time codes with motions, first and last frame, and the rig at rest.
 
@@ -54,7 +54,7 @@ def timed_blocks(
 
 
 def _sampled(
-    plan: BakePlan, stream: TakeStream, curve: Callable[[FloatArray], Motion]
+    plan: TakePlan, stream: TakeStream, curve: Callable[[FloatArray], Motion]
 ) -> tuple[Iterator[tuple[FloatArray, Motion]], tuple[Fraction, Fraction] | None, Rig]:
     """Evaluate a source that is a function of time at the output's own times."""
     options = plan.options
@@ -81,7 +81,7 @@ def _sampled(
 
 
 def _streamed(
-    plan: BakePlan, stream: TakeStream
+    plan: TakePlan, stream: TakeStream
 ) -> Iterator[tuple[FloatArray, Motion]]:
     done = 0
     for block in stream.blocks:
@@ -90,7 +90,7 @@ def _streamed(
         done += block.frames
 
 
-def _cut_notice(plan: BakePlan, times: SampleTimes) -> list[Fault]:
+def _cut_notice(plan: TakePlan, times: SampleTimes) -> list[Fault]:
     """Say so where a range reaches beyond the take."""
     wanted = plan.options.frame_range
     if wanted is None or plan.options.keep_samples:
@@ -105,7 +105,7 @@ def _cut_notice(plan: BakePlan, times: SampleTimes) -> list[Fault]:
     return [Fault("CLI101", message, str(plan.source), severity=Severity.WARNING)]
 
 
-def _with_rest(plan: BakePlan, take: Take, frame: int) -> Rig:
+def _with_rest(plan: TakePlan, take: Take, frame: int) -> Rig:
     """Return the rig with a frame of the take as its rest pose."""
     frames = FrameRange(frame, frame)
     times = plan_samples(take.clock, plan.fps, plan.start, frame_range=frames)
@@ -123,7 +123,7 @@ def _with_rest(plan: BakePlan, take: Take, frame: int) -> Rig:
     return replace(take.rig, joints=joints)
 
 
-def moving_joints(plan: BakePlan, rig: Rig, motions: list[Motion]) -> BoolArray:
+def moving_joints(plan: TakePlan, rig: Rig, motions: list[Motion]) -> BoolArray:
     """Return which joints are not at the rig's rest in every frame ``(J,)``."""
     moving = np.zeros(len(rig.joints), bool)
     ones = np.ones((len(rig.joints), 3))

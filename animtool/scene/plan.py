@@ -2,29 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from animtool.config import find_config
-from animtool.errors import Fault, Severity
+from animtool.errors import AnimtoolError, Fault, OptionError, Severity
 from animtool.output import check_outputs
 from animtool.rates import rate_label
 from animtool.reorient import reorient
 from animtool.scene.options import BakeOptions, check_options, merged
-from animtool.scene.sources import open_source
+from animtool.scene.sources import fitting_options, is_scene, open_source
 from animtool.take import TakeStream
-from animtool.usd.author import Form, output_paths
+from animtool.usd.jobs import Form, output_paths
 from animtool.usd.layers import check_prim_path, check_suffix
 
 if TYPE_CHECKING:
+    from animtool.scene.file import Scene
     from animtool.usd.target import JointMap, RigTarget
 
-__all__ = ["SCENE_SUFFIXES", "BakePlan", "plan_bake"]
+__all__ = ["BakePlan", "TakePlan", "plan_bake"]
 
-SCENE_SUFFIXES = (".scene.yaml", ".scene.yml", ".scene.json")
+Progress = Callable[[float], None] | None
+
+
+@dataclass(frozen=True, slots=True)
+class TakePlan:
+    """One take of a bake.
+
+    Attributes:
+        source: The file.
+        name: Of a library's take, legal and distinct; empty where it is the only one.
+        stream: The source, opened, with the joints in the order written.
+        mapping: How they stand in the rig of a layer.
+        options: As given; the rest pose is that of the first take.
+        fps: Time codes a second of the output.
+        start: Time code of the first frame.
+        notices: The plan's.
+    """
+
+    source: Path
+    name: str
+    stream: TakeStream
+    mapping: JointMap | None
+    options: BakeOptions
+    fps: Fraction
+    start: Fraction
+    notices: list[Fault]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,104 +58,183 @@ class BakePlan:
     """A bake that is ready to run.
 
     Attributes:
-        source: The file.
+        takes: One, or those of a library.
         output: The file to write; None is stdout.
         options: As given.
-        stream: The source, opened.
         form: Stage, split or layer.
         reason: Why that form.
         target: The rig of a layer.
-        mapping: How the take's joints stand in it.
         fps: Time codes a second of the output.
         start: Time code of the first frame.
         notices: What is odd so far.
     """
 
-    source: Path
+    takes: tuple[TakePlan, ...]
     output: Path | None
     options: BakeOptions
-    stream: TakeStream
     form: Form
     reason: str
     target: RigTarget | None
-    mapping: JointMap | None
     fps: Fraction
     start: Fraction
     notices: list[Fault]
 
 
 def plan_bake(
-    source: Path | str,
+    source: Path | str | Sequence[Path | str],
     output: Path | str | None,
     options: BakeOptions | None = None,
     *,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = None,
 ) -> BakePlan:
-    """Check everything that can be checked before the work, and open the source.
+    """Check everything that can be checked before the work, and open the sources.
 
     Raises:
-        FormatError: The header of the source, or the rig layer, is malformed.
+        FormatError: The header of a source, or the rig layer, is malformed, or the
+            takes of a library have other joints.
         OptionError: An option makes no sense, or the output exists.
         OutputError: The output cannot be written.
     """
     options = options or BakeOptions()
-    source = Path(source)
+    given = [source] if isinstance(source, (Path, str)) else source
+    sources = [Path(path) for path in given]
+    if not sources:
+        raise OptionError(Fault("CLI002", "there is no source to bake"))
     path = None if output is None else Path(output)
-    scene = None
-    if source.name.lower().endswith(SCENE_SUFFIXES):
-        from animtool.scene.file import load_scene
-
-        scene = load_scene(source)
-        options = merged(options, scene.bake)
+    scenes = _scenes(sources)
+    notices: list[Fault] = []
+    if len(sources) == 1 and sources[0] in scenes:
+        options = merged(options, scenes[sources[0]].bake)
+    else:
+        notices += _unused(scenes)
     check_options(options, to_stdout=path is None)
     form = Form(options.form or (Form.LAYER if options.rig_layer else Form.STAGE))
     if path is not None:
         check_suffix(path)
-        inputs = [source] + ([options.rig_layer] if options.rig_layer else [])
+        inputs = sources + ([options.rig_layer] if options.rig_layer else [])
         check_outputs(output_paths(path, form), inputs, overwrite=options.overwrite)
-    if scene is not None:
-        stream = scene.open()
-    else:
-        stream = open_source(source, options.source, progress=progress)
-    target = mapping = None
-    notices: list[Fault] = []
+    streams = _open_all(sources, scenes, options, progress)
+    target = None
     reason = "a rig layer was named" if options.form is None else "asked for"
+    mappings: list[JointMap | None] = [None] * len(streams)
     if options.rig_layer is not None:
-        from animtool.usd.target import map_joints, missing_shapes, open_target
+        from animtool.usd.target import open_target
 
         target = open_target(options.rig_layer, options.prim_path)
-        stream = reorient(stream, target.skeleton.rig.up)
-        mapping = map_joints(stream.rig, target, options.strip_namespace)
-        notices += target.notices + mapping.notices
-        notices += missing_shapes(target, [s.name for s in stream.rig.shapes])
+        notices += target.notices
+        streams = [reorient(stream, target.skeleton.rig.up) for stream in streams]
+        mappings = [_mapped(stream, target, options, notices) for stream in streams]
     else:
         if options.prim_path is not None:
             check_prim_path(options.prim_path)
         if options.form is None:
             reason = "no rig layer was named"
-        stream = reorient(stream, options.to_up or stream.rig.up)
-    fps = options.fps or (target.fps if target else stream.fps)
-    if target is not None and fps != target.fps:
-        theirs = rate_label(target.fps)
-        message = f"--fps {float(fps):g} is not the rig layer's rate, {theirs}"
-        hint = "USD stretches time where a sublayer's rate is not its stage's"
-        notices.append(
-            Fault("USD106", message, str(target.path), (), hint, Severity.WARNING)
+        up = options.to_up or streams[0].rig.up
+        streams = [reorient(stream, up) for stream in streams]
+    names = [""]
+    if len(sources) > 1:
+        from animtool.scene.library import alike, rate_notice, take_names
+
+        names = take_names(sources, notices)
+        if target is None:
+            streams = alike(sources, streams, options, notices)
+    fps = options.fps or (target.fps if target else streams[0].fps)
+    if len(sources) > 1:
+        notices += rate_notice(names, streams, fps)
+    notices += _rate_apart(target, fps)
+    start = _start(options, target, streams[0], sources[0])
+    takes = tuple(
+        TakePlan(
+            source,
+            name,
+            stream,
+            mapping,
+            options if i == 0 else replace(options, rest_frame=None),
+            fps,
+            start,
+            notices,
         )
-    start = _start(options, target, stream, source)
-    return BakePlan(
-        source,
-        path,
-        options,
-        stream,
-        form,
-        reason,
-        target,
-        mapping,
-        fps,
-        start,
-        notices,
+        for i, (source, name, stream, mapping) in enumerate(
+            zip(sources, names, streams, mappings, strict=True)
+        )
     )
+    return BakePlan(takes, path, options, form, reason, target, fps, start, notices)
+
+
+def _scenes(sources: Sequence[Path]) -> dict[Path, Scene]:
+    """Return what the scene files among the sources say."""
+    found: dict[Path, Scene] = {}
+    for path in sources:
+        if is_scene(path):
+            from animtool.scene.file import load_scene
+
+            found[path] = load_scene(path)
+    return found
+
+
+def _unused(scenes: dict[Path, Scene]) -> list[Fault]:
+    """Say so where a take of a library is a scene that states how to bake it."""
+    message = "the scene's fps, range and output are for it alone, and not used here"
+    hint = "the options of the command are for the whole library"
+    return [
+        Fault("CLI103", message, str(path), (), hint, Severity.WARNING)
+        for path, scene in scenes.items()
+        if scene.bake != BakeOptions()
+    ]
+
+
+def _open_all(
+    sources: Sequence[Path],
+    scenes: dict[Path, Scene],
+    options: BakeOptions,
+    progress: Progress,
+) -> list[TakeStream]:
+    """Open every source; what is wrong with them is said of all at once."""
+    streams: list[TakeStream] = []
+    errors: list[AnimtoolError] = []
+    for i, path in enumerate(sources):
+        try:
+            if path in scenes:
+                streams.append(scenes[path].open())
+                continue
+            own = fitting_options(options.source, path, sources)
+            shown = _share(progress, i, len(sources))
+            streams.append(open_source(path, own, progress=shown))
+        except AnimtoolError as error:
+            errors.append(error)
+    if len(errors) == 1:
+        raise errors[0]
+    if errors:
+        raise type(errors[0])([fault for error in errors for fault in error.faults])
+    return streams
+
+
+def _share(progress: Progress, i: int, count: int) -> Progress:
+    """Return what shows the progress of one of several as that of all."""
+    if progress is None or count == 1:
+        return progress
+    shown = progress
+    return lambda share: shown((i + share) / count)
+
+
+def _mapped(
+    stream: TakeStream, target: RigTarget, options: BakeOptions, notices: list[Fault]
+) -> JointMap:
+    from animtool.usd.target import map_joints, missing_shapes
+
+    mapping = map_joints(stream.rig, target, options.strip_namespace)
+    notices += mapping.notices
+    notices += missing_shapes(target, [shape.name for shape in stream.rig.shapes])
+    return mapping
+
+
+def _rate_apart(target: RigTarget | None, fps: Fraction) -> list[Fault]:
+    if target is None or fps == target.fps:
+        return []
+    theirs = rate_label(target.fps)
+    message = f"--fps {float(fps):g} is not the rig layer's rate, {theirs}"
+    hint = "USD stretches time where a sublayer's rate is not its stage's"
+    return [Fault("USD106", message, str(target.path), (), hint, Severity.WARNING)]
 
 
 def _start(

@@ -20,6 +20,7 @@ class SourceModel(FileModel):
     up: Literal["Y", "Z"] | None = None
     fps: float | str | None = None
     prim: str | None = None
+    take: str | None = None
     clamp: bool = False
 
 

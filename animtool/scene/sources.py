@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import cast
@@ -13,13 +13,23 @@ from animtool.readers import READERS, USD, find_reader
 from animtool.take import TakeStream
 from animtool.units import LengthUnit, UpAxis
 
-__all__ = ["SourceOptions", "is_usd", "open_source", "takes_option"]
+__all__ = [
+    "SourceOptions",
+    "fitting_options",
+    "is_scene",
+    "is_usd",
+    "open_source",
+    "source_stem",
+    "takes_option",
+]
 
+SCENE_SUFFIXES = (".scene.yaml", ".scene.yml", ".scene.json")
 # As the command line calls an option, and why a file may not take it.
 _REFUSALS = {
     "rig": ("--rig", "is for clips, and this is no clip"),
     "clamp": ("--clamp", "is for clips, and this is no clip"),
     "prim_path": ("--source-prim", "is for USD files, and this is none"),
+    "take": ("--take", "is for clip libraries in USD, and this is no USD file"),
     "unit": ("--units", "says what a BVH leaves open; this file states it"),
     "up": ("--up", "says what a BVH leaves open; this file states it"),
     "fps": ("--source-fps", "says what a BVH leaves open; this file states it"),
@@ -37,6 +47,7 @@ class SourceOptions:
         prim_path: The character, where a stage has several.
         rig: Rig of a clip, in place of the one that it names.
         clamp: Bring a clip's controls into their ranges, and joints into limits.
+        take: Which take of a clip library; None is the one that it selects.
     """
 
     unit: LengthUnit | None = None
@@ -45,11 +56,26 @@ class SourceOptions:
     prim_path: str | None = None
     rig: Path | None = None
     clamp: bool = False
+    take: str | None = None
 
 
 def is_usd(path: Path) -> bool:
     """Return whether a path is that of a USD file."""
     return READERS.get(path.suffix.lower()) is USD
+
+
+def is_scene(path: Path) -> bool:
+    """Return whether a path is that of a scene file."""
+    return path.name.lower().endswith(SCENE_SUFFIXES)
+
+
+def source_stem(path: Path) -> str:
+    """Return a file's name without what says its kind.
+
+    >>> source_stem(Path("takes/walk.clip.yaml"))
+    'walk'
+    """
+    return path.stem.removesuffix(".clip").removesuffix(".scene")
 
 
 def takes_option(path: Path, name: str) -> bool:
@@ -62,6 +88,29 @@ def takes_option(path: Path, name: str) -> bool:
         return name in find_reader(path).options
     except AnimtoolError:
         return False
+
+
+def fitting_options(
+    options: SourceOptions, path: Path, others: Sequence[Path]
+) -> SourceOptions:
+    """Return options for one of several files that are opened alike.
+
+    What files of its kind do not take is left out, where one of the others takes it.
+
+    >>> walk, idle = Path("walk.bvh"), Path("idle.usda")
+    >>> options = SourceOptions(up=UpAxis.Z, clamp=True)
+    >>> found = fitting_options(options, idle, [walk])
+    >>> found.up, found.clamp
+    (None, True)
+    """
+    usual = SourceOptions()
+    left_out = {
+        field.name: getattr(usual, field.name)
+        for field in fields(SourceOptions)
+        if not takes_option(path, field.name)
+        and any(takes_option(other, field.name) for other in others)
+    }
+    return replace(options, **left_out)
 
 
 def open_source(

@@ -152,7 +152,7 @@ class _Truth:
 
 
 def _truth(source: Path, options: BakeOptions) -> tuple[_Truth, Take]:
-    stream = plan_bake(source, None, options).stream
+    stream = plan_bake(source, None, options).takes[0].stream
     take = stream.collect()
     clock = take.clock
     per_frame = FINE if stream.curve is not None else 1

@@ -21,6 +21,7 @@ from animtool.rig.skeleton import Rig
 from animtool.take import Channel, Clock, Motion, Take, TakeStream
 from animtool.units import unit_name
 from animtool.usd.layers import usd_errors
+from animtool.usd.library import TakeSet, find_take_set, select_take, take_range
 from animtool.usd.rig_prims import (
     SkeletonRig,
     array_value,
@@ -47,7 +48,9 @@ UNIT_SCALE_TOLERANCE = 1e-6
 MOST_FRAMES = 100_000
 
 
-def read_usd(path: Path | str, *, prim_path: str | None = None) -> TakeStream:
+def read_usd(
+    path: Path | str, *, prim_path: str | None = None, take: str | None = None
+) -> TakeStream:
     """Read the animation of a character on a stage, or of an animation layer alone.
 
     Joints that the animation lacks are at rest. A SkelRoot (or a prim below it) that
@@ -58,19 +61,44 @@ def read_usd(path: Path | str, *, prim_path: str | None = None) -> TakeStream:
     Args:
         path: A USD file.
         prim_path: The character, where the stage has several.
+        take: Which take of a clip library; None is the one that it selects.
 
     Raises:
         FormatError: The file cannot be read, holds no skeletal animation, or one
             that UsdSkel would ignore.
-        OptionError: ``prim_path`` is no path.
+        OptionError: ``prim_path`` is no path, or there is no such take (USD031).
     """
     path = Path(path)
     with usd_errors(path):
-        return _read_stage(open_stage(path), path, prim_path)
+        return _read_stage(open_stage(path), path, prim_path, take)
 
 
-def _read_stage(stage: Any, path: Path, prim_path: str | None) -> TakeStream:
+def _read_stage(
+    stage: Any, path: Path, prim_path: str | None, take: str | None
+) -> TakeStream:
     below = prim_below(stage, prim_path)
+    takes = _takes(stage, below)
+    if take is not None:
+        takes = select_take(takes, take, str(path))
+    stream = _read_selected(stage, path, below)
+    if takes is not None:
+        stream.details["takes"] = list(takes.names)
+        stream.details["take"] = takes.selected
+    return stream
+
+
+def _takes(stage: Any, below: str) -> TakeSet | None:
+    """Return the takes that the character has to choose from."""
+    skeletons = find_skeletons(stage, below)
+    if skeletons:
+        return find_take_set(skeletons[0].GetPrim())
+    # An animation layer alone has only overs.
+    start = stage.GetPrimAtPath(below)
+    prims = Usd.PrimRange(start, Usd.PrimAllPrimsPredicate) if start else ()
+    return next((found for prim in prims if (found := find_take_set(prim))), None)
+
+
+def _read_selected(stage: Any, path: Path, below: str) -> TakeStream:
     skeletons = find_skeletons(stage, below)
     if skeletons:
         skeleton = skeleton_rig(skeletons[0], path)
@@ -113,8 +141,15 @@ def _first_animation(stage: Any, below: str) -> Any:
     start = stage.GetPrimAtPath(below)
     # An animation layer alone has only overs above its animation.
     everything = Usd.PrimAllPrimsPredicate
-    for prim in Usd.PrimRange(start, everything) if start else ():
-        if prim.IsA(UsdSkel.Animation):
+    prims = list(Usd.PrimRange(start, everything)) if start else []
+    bound = [
+        stage.GetPrimAtPath(target)
+        for prim in prims
+        if (binding := prim.GetRelationship("skel:animationSource"))
+        for target in binding.GetTargets()
+    ]
+    for prim in (*bound, *prims):
+        if prim and prim.IsA(UsdSkel.Animation):
             return UsdSkel.Animation(prim)
     return None
 
@@ -183,15 +218,31 @@ class _Grid:
     even: bool
 
 
-def _grid(times: list[float], stage: Any, where: str) -> _Grid:
-    if not times and stage.HasAuthoredTimeCodeRange():
-        # Nothing moves, for as long as the stage lasts.
-        begin, end = map(_fraction, (stage.GetStartTimeCode(), stage.GetEndTimeCode()))
-        still = min(max(0, math.floor(end - begin)), MOST_FRAMES) + 1
-        return _Grid(begin, Fraction(1), still, True)
+@dataclass(frozen=True, slots=True)
+class _Span:
+    """First frame, and the last where the take or its stage states one."""
+
+    first: Fraction
+    last: Fraction | None
+
+
+def _span(stage: Any, animation: Any) -> _Span:
+    own = take_range(animation)
+    if own is not None:
+        return _Span(*own)
+    stated = stage.HasAuthoredTimeCodeRange()
+    last = _fraction(stage.GetEndTimeCode()) if stated else None
+    return _Span(_fraction(stage.GetStartTimeCode()), last)
+
+
+def _grid(times: list[float], span: _Span, where: str) -> _Grid:
+    if not times and span.last is not None:
+        # Nothing moves, for as long as the take or its stage lasts.
+        still = min(max(0, math.floor(span.last - span.first)), MOST_FRAMES) + 1
+        return _Grid(span.first, Fraction(1), still, True)
     if len(times) < 2:
-        start = times[0] if times else stage.GetStartTimeCode()
-        return _Grid(_fraction(start), Fraction(1), 1, True)
+        start = _fraction(times[0]) if times else span.first
+        return _Grid(start, Fraction(1), 1, True)
     exact = [_fraction(time) for time in times]
     gaps = {b - a for a, b in pairwise(exact)}
     step = _common_divisor(gaps)
@@ -203,7 +254,7 @@ def _grid(times: list[float], stage: Any, where: str) -> _Grid:
             raise FormatError(Fault("USD016", message, where, (), "a stray sample?"))
         return _Grid(Fraction(first), Fraction(1), last - first + 1, False)
     # Samples within a frame before the first serve its motion blur.
-    start = _fraction(stage.GetStartTimeCode())
+    start = span.first
     early = (start - exact[0]) / step
     if exact[0] < start < exact[0] + 1 and early.denominator == 1 and early < count:
         return _Grid(start, step, count - int(early), len(gaps) == 1)
@@ -249,7 +300,7 @@ def _read(
     sampled = [*attributes.values(), *([weights] if shapes else [])]
     times = {t for attr in sampled for t in attr.GetTimeSamples()}
     times |= {time for mover in movers for time in mover.GetTimeSamples()}
-    grid = _grid(sorted(times), stage, where)
+    grid = _grid(sorted(times), _span(stage, animation), where)
     if not grid.even:
         message = (
             f"samples are unevenly spaced; read every {float(grid.step):g} time codes"

@@ -148,7 +148,9 @@ def joint_extras(rig: Rig, names: list[str]) -> str:
     return json.dumps(content, sort_keys=True, separators=(",", ":"))
 
 
-def author_binding(layer: Any, paths: RigPaths, *, skeleton: bool) -> None:
+def author_binding(
+    layer: Any, paths: RigPaths, *, skeleton: bool, animation: bool = True
+) -> None:
     """Bind the animation, and the skeleton too where the rig does not."""
     spec = layer.GetPrimAtPath(paths.binding)
     if spec is None:
@@ -156,6 +158,7 @@ def author_binding(layer: Any, paths: RigPaths, *, skeleton: bool) -> None:
     schemas = Sdf.TokenListOp()
     schemas.prependedItems = ["SkelBindingAPI"]
     spec.SetInfo("apiSchemas", schemas)
-    relationship(spec, "skel:animationSource", paths.animation)
+    if animation:
+        relationship(spec, "skel:animationSource", paths.animation)
     if skeleton:
         relationship(spec, "skel:skeleton", paths.skeleton)

@@ -8,15 +8,20 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-__all__ = ["without_spline_warnings"]
+__all__ = ["without_version_warnings"]
 
-# Of its own writers, about every file with a spline: nothing that a user could change.
-_KNOWN = (b"inner looping is deprecated", b"A spline was detected which requires")
+# Of its own writers, about every file with a spline or with time codes in metadata:
+# nothing that a user could change.
+_KNOWN = (
+    b"inner looping is deprecated",
+    b"A spline was detected which requires",
+    b"A timecode or timecode[] value type was detected which requires",
+)
 
 
 @contextmanager
-def without_spline_warnings() -> Iterator[None]:
-    """Leave out what USD's writers print about splines as such.
+def without_version_warnings() -> Iterator[None]:
+    """Leave out what USD's writers print about splines and time codes as such.
 
     They print to the process's stderr, past Python. Everything else that arrives
     there meanwhile is printed afterwards.

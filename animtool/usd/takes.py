@@ -13,14 +13,8 @@ from animtool.reorient import reorient
 from animtool.take import Motion, Take, TakeStream
 from animtool.units import LengthUnit
 from animtool.usd.animation import round_blocks
-from animtool.usd.author import (
-    Form,
-    UsdJob,
-    UsdResult,
-    author,
-    output_paths,
-    write_usd,
-)
+from animtool.usd.author import author, write_usd
+from animtool.usd.jobs import Form, UsdJob, UsdResult, UsdTake, output_paths
 from animtool.usd.layers import check_prim_path, check_suffix
 from animtool.usd.names import UsdNames, joint_names, legal_name
 from animtool.usd.skeleton import RigPaths
@@ -76,12 +70,12 @@ def write(
     check_suffix(path)
     inputs = [] if layer is None else [layer]
     check_outputs(output_paths(path, form), inputs, overwrite=overwrite)
-    job, timed, notices = (
+    job, written, notices = (
         _stage_job(take, path, form, prim_path, unit, bones)
         if layer is None
         else _layer_job(take, path, layer, prim_path)
     )
-    authored, result = author(job, round_blocks(timed, job.rig, job.meters_per_unit))
+    authored, result = author(job, [written])
     write_usd(job, authored, result)
     result.notices += notices
     return result
@@ -97,7 +91,7 @@ def _stage_job(
     prim_path: str | None,
     unit: LengthUnit | str | None,
     bones: bool,
-) -> tuple[UsdJob, _Blocks, list[Fault]]:
+) -> tuple[UsdJob, UsdTake, list[Fault]]:
     rig, clock = take.rig, take.clock
     if prim_path is not None:
         check_prim_path(prim_path)
@@ -110,14 +104,16 @@ def _stage_job(
         joints=rig.paths(names.names),
         paths=RigPaths.below(prim_path or f"/{legal_name(rig.name)}"),
         fps=clock.fps,
-        frames=None,
-        start=clock.start,
-        step=clock.step,
         meters_per_unit=rig.meters_per_unit if unit is None else _unit(unit).meters,
         bones=bones,
+    )
+    written = UsdTake(
+        round_blocks(_blocks(take), rig, job.meters_per_unit),
+        clock.start,
+        clock.step,
         shapes=tuple(shape.name for shape in rig.shapes),
     )
-    return job, _blocks(take), [replace(n, path=str(path)) for n in names.notices]
+    return job, written, [replace(n, path=str(path)) for n in names.notices]
 
 
 def _unit(name: LengthUnit | str) -> LengthUnit:
@@ -130,7 +126,7 @@ def _unit(name: LengthUnit | str) -> LengthUnit:
 
 def _layer_job(
     take: Take, path: Path, layer: Path, prim_path: str | None
-) -> tuple[UsdJob, _Blocks, list[Fault]]:
+) -> tuple[UsdJob, UsdTake, list[Fault]]:
     from animtool.usd.target import map_joints, missing_shapes, open_target
 
     target = open_target(layer, prim_path)
@@ -148,20 +144,22 @@ def _layer_job(
         joints=target.skeleton.tokens,
         paths=target.paths,
         fps=clock.fps,
-        frames=None,
-        start=clock.start,
-        step=clock.step,
         meters_per_unit=mapping.rig.meters_per_unit,
         target=target,
-        chosen=mapping.source >= 0 if (mapping.source < 0).any() else None,
-        shapes=shapes,
     )
     blocks = (
         (codes, mapping.apply(motion))
         for codes, motion in _blocks(replace(take, clock=clock))
     )
+    written = UsdTake(
+        round_blocks(blocks, mapping.rig, job.meters_per_unit),
+        clock.start,
+        clock.step,
+        chosen=mapping.source >= 0 if (mapping.source < 0).any() else None,
+        shapes=shapes,
+    )
     notices = target.notices + mapping.notices + missing_shapes(target, shapes)
-    return job, blocks, notices
+    return job, written, notices
 
 
 def _blocks(take: Take) -> _Blocks:

@@ -120,7 +120,7 @@ def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
         str(root.GetPath()),
         str(prim.GetPath()),
         str(root.GetPath().AppendChild("Anim")),
-        _binding(prim, root),
+        _binding(prim, root, model),
     )
     if moved_to is not None:
         paths = _moved(paths, str(model), moved_to)
@@ -130,6 +130,8 @@ def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
     placing, moving = _operations(root)
     notices = composition_notices(stage, str(path))
     notices += others_notice(skeletons, str(path))
+    if moved_to is None:
+        notices += _bound_in_shot(stage, paths, str(path))
     skeleton = skeleton_rig(skeletons[0], path)
     notices += _unit_notice(stage, skeleton.rig, str(path))
     if moving:
@@ -165,6 +167,19 @@ def _unit_notice(stage: Any, rig: Rig, where: str) -> list[Fault]:
     return [Fault("USD110", message, where, (), hint, Severity.NOTE)]
 
 
+def _bound_in_shot(stage: Any, paths: RigPaths, where: str) -> list[Fault]:
+    """Say so where a shot itself binds an animation to a rig that it refers to."""
+    layer = stage.GetRootLayer()
+    skeleton = layer.GetPrimAtPath(paths.skeleton)
+    if skeleton is not None and skeleton.specifier == Sdf.SpecifierDef:
+        return []
+    if layer.GetPropertyAtPath(f"{paths.binding}.skel:animationSource") is None:
+        return []
+    message = f"the shot itself binds an animation at {paths.binding}"
+    hint = "as its sublayer the layer would be weaker: put it above the shot"
+    return [Fault("USD132", message, where, (), hint, Severity.WARNING)]
+
+
 def _operations(root: Any) -> tuple[list[str], list[str]]:
     """Return the transform operations that place a SkelRoot, and that move it."""
     placing: list[str] = []
@@ -186,10 +201,13 @@ def _model(stage: Any, root: Any, prim_path: str | None) -> Any:
     return root.GetPath().GetPrefixes()[0]
 
 
-def _binding(skeleton: Any, root: Any) -> str:
-    """Return the prim nearest the Skeleton that binds an animation, else the root."""
+def _binding(skeleton: Any, root: Any, model: Any) -> str:
+    """Return the prim nearest the Skeleton that binds an animation, else the root.
+
+    What binds above the model is not the character's alone: the root is nearer.
+    """
     prim = skeleton
-    while prim and prim.GetPath().HasPrefix(root.GetPath()):
+    while prim and prim.GetPath().HasPrefix(model):
         source = prim.GetRelationship("skel:animationSource")
         if source and source.HasAuthoredTargets():
             return str(prim.GetPath())

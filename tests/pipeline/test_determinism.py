@@ -34,3 +34,21 @@ def test_split_files_are_the_same(walk: Path, tmp_path: Path) -> None:
         found.append({p.name: p.read_bytes() for p in (tmp_path / folder).iterdir()})
     assert len(found[0]) == 3
     assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdc"])
+def test_libraries_are_the_same_and_usd_says_nothing(
+    walk: Path, tmp_path: Path, suffix: str
+) -> None:
+    found = set()
+    takes = [walk, tmp_path / "other.usda"]
+    animtool_process("bake", walk, "-o", takes[1], "--fps", "12")
+    for seed in ("0", "1"):
+        output = tmp_path / f"{seed}{suffix}"
+        options = ("--prim-path", "/hero", "-q")
+        done = animtool_process(
+            "bake", *takes, "-o", output, *options, PYTHONHASHSEED=seed
+        )
+        assert (done.code, done.stderr) == (0, "")
+        found.add(output.read_bytes())
+    assert len(found) == 1

@@ -86,3 +86,9 @@ def test_sources_that_are_none(take: Path, name: str, code: str) -> None:
     with pytest.raises(AnimtoolError) as caught:
         open_source(take.parent / name)
     assert caught.value.code == code
+
+
+def test_no_source_is_an_option_error(tmp_path: Path) -> None:
+    with pytest.raises(AnimtoolError) as caught:
+        plan_bake([], tmp_path / "o.usda")
+    assert caught.value.code == "CLI002"

@@ -18,7 +18,8 @@ from animtool.errors import FormatError
 from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Channel, Motion
 from animtool.usd.animation import FLOAT32_MAX, round_blocks
-from animtool.usd.author import Form, UsdJob, UsdResult, author, write_usd
+from animtool.usd.author import author, write_usd
+from animtool.usd.jobs import Form, UsdJob, UsdResult, UsdTake
 from animtool.usd.names import joint_names
 from animtool.usd.read import read_usd
 from animtool.usd.skeleton import RigPaths
@@ -55,11 +56,7 @@ def job(output: Path, **fields: Any) -> UsdJob:
         joints=RIG.paths(names.names),
         paths=RigPaths.below("/hero"),
         fps=Fraction(24),
-        frames=None,
-        start=Fraction(1),
-        step=Fraction(1),
         meters_per_unit=1.0,
-        shapes=SHAPES,
     )
     return replace(made, **fields)
 
@@ -69,7 +66,8 @@ def write(made: UsdJob, taken: Motion, split: int = 0) -> UsdResult:
     parts = [slice(0, split), slice(split, None)] if split else [slice(None)]
     blocks = ((codes[part], taken.select(part)) for part in parts)
     rounded = round_blocks(blocks, made.rig, made.meters_per_unit)
-    authored, result = author(made, rounded)
+    one = UsdTake(rounded, Fraction(1), Fraction(1), shapes=SHAPES)
+    authored, result = author(made, [one])
     write_usd(made, authored, result)
     return result
 

@@ -1,0 +1,175 @@
+"""Clip libraries: many takes on one character, each bound by a variant of its model.
+
+Every take is a SkelAnimation ``Anim_{take}`` beside the Skeleton. The variant set
+``take`` of the model binds one: a variant holds ``skel:animationSource``, the
+SkelRoot's extent and, where it carries the root's motion, its transform. None of
+these stands outside of the variants, where it would be stronger than they are.
+``customData`` of a SkelAnimation says which frames are its own::
+
+    animtool = { dictionary take = { string name, timecode start, timecode end } }
+"""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Any
+
+from pxr import Sdf, Usd
+
+from animtool.errors import Fault, OptionError, OutputError, excerpt, listed
+from animtool.usd.skeleton import RigPaths
+
+__all__ = [
+    "STRONGER_HINT",
+    "TAKE_SET",
+    "TakeSet",
+    "author_range",
+    "author_selection",
+    "check_variant",
+    "find_take_set",
+    "select_take",
+    "take_paths",
+    "take_range",
+]
+
+TAKE_SET = "take"
+# A layer stack's own opinions are stronger than its variants, whatever their order.
+STRONGER_HINT = (
+    "what a rig binds is stronger than a variant of a layer beside it: let a shot "
+    "refer to the rig, and say where with --prim-path"
+)
+# Beyond it a frame is no frame, as of a stage's own range.
+LARGEST_FRAME = 1e9
+
+
+def take_paths(paths: RigPaths, name: str) -> RigPaths:
+    """Return where a take has its prims: what binds it is inside of its variant.
+
+    Args:
+        paths: The character's prims.
+        name: Of the take; empty where the file holds one, without variants.
+
+    >>> take_paths(RigPaths.below("/hero"), "run").binding
+    '/hero{take=run}Rig'
+    """
+    if not name:
+        return paths
+    model = Sdf.Path(paths.model)
+    variant = model.AppendVariantSelection(TAKE_SET, name)
+
+    def inside(path: str) -> str:
+        return str(Sdf.Path(path).ReplacePrefix(model, variant))
+
+    return replace(
+        paths,
+        root=inside(paths.root),
+        binding=inside(paths.binding),
+        animation=f"{paths.animation}_{name}",
+    )
+
+
+def author_selection(layer: Any, paths: RigPaths, name: str) -> None:
+    """Select the variant of a take, whose variant the layer has."""
+    layer.GetPrimAtPath(paths.model).variantSelections[TAKE_SET] = name
+
+
+def author_range(
+    layer: Any, animation: str, name: str, first: Fraction, last: Fraction
+) -> None:
+    """State a take's name in its source and its frames on its SkelAnimation."""
+    # Time codes, so that an offset of a sublayer or reference shifts them too.
+    begin, end = Sdf.TimeCode(float(first)), Sdf.TimeCode(float(last))
+    take = {"name": name, "start": begin, "end": end}
+    layer.GetPrimAtPath(animation).SetInfo("customData", {"animtool": {"take": take}})
+
+
+def take_range(animation: Any) -> tuple[Fraction, Fraction] | None:
+    """Return the first and last frame that a SkelAnimation states; None for none."""
+    data = animation.GetPrim().GetCustomDataByKey("animtool:take")
+    if not isinstance(data, dict):
+        return None
+    ends = [data.get("start"), data.get("end")]
+    ends = [x.GetValue() if isinstance(x, Sdf.TimeCode) else x for x in ends]
+    numbers = [float(x) for x in ends if isinstance(x, (int, float))]
+    if len(numbers) < 2 or not all(abs(x) <= LARGEST_FRAME for x in numbers):
+        return None
+    first, last = (Fraction(x).limit_denominator(1_000_000) for x in numbers)
+    return (first, last) if first <= last else None
+
+
+@dataclass(frozen=True, slots=True)
+class TakeSet:
+    """The takes that a stage has for a character.
+
+    Attributes:
+        prim: The prim with the variant set.
+        names: Of the takes.
+        selected: The one that is bound.
+    """
+
+    prim: Any
+    names: tuple[str, ...]
+    selected: str
+
+
+def find_take_set(start: Any) -> TakeSet | None:
+    """Return the takes that a prim, or the nearest prim above it, chooses from.
+
+    Prims inside of instances cannot choose and are passed over.
+    """
+    prim = start
+    while prim and not prim.IsPseudoRoot():
+        if not prim.IsInstanceProxy() and prim.GetVariantSets().HasVariantSet(TAKE_SET):
+            found = prim.GetVariantSet(TAKE_SET)
+            names = tuple(found.GetVariantNames())
+            return TakeSet(prim, names, str(found.GetVariantSelection()))
+        prim = prim.GetParent()
+    return None
+
+
+def select_take(takes: TakeSet | None, name: str, where: str) -> TakeSet:
+    """Return the takes with one bound, on their stage's session layer alone.
+
+    Raises:
+        OptionError: There is none of that name, or no take to choose (USD031).
+    """
+    if takes is None:
+        message = f"there is no take {excerpt(name)}: the file is no clip library"
+        hint = f"a library has a variant set {TAKE_SET!r}"
+        raise OptionError(Fault("USD031", message, where, (), hint))
+    if name not in takes.names:
+        near = difflib.get_close_matches(name, takes.names, 1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        hint += f"the takes: {listed(takes.names, 40)}"
+        message = f"there is no take {excerpt(name)}"
+        raise OptionError(Fault("USD031", message, where, (), hint))
+    stage = takes.prim.GetStage()
+    with Usd.EditContext(stage, stage.GetSessionLayer()):
+        takes.prim.GetVariantSet(TAKE_SET).SetVariantSelection(name)
+    return replace(takes, selected=name)
+
+
+def check_variant(stage: Any, layer: Any, paths: RigPaths, where: str | None) -> None:
+    """Refuse a variant whose values something on the stage overrides.
+
+    Args:
+        stage: The layer over its rig, with the take selected.
+        layer: The layer.
+        paths: The take's prims.
+        where: The output, for the message.
+
+    Raises:
+        OutputError: A property of the variant is not the strongest (USD032).
+    """
+    for place in sorted({paths.root, paths.binding}):
+        spec = layer.GetPrimAtPath(place)
+        for own in spec.properties if spec else ():
+            path = own.path.StripAllVariantSelections()
+            stack = stage.GetPropertyAtPath(path).GetPropertyStack(
+                Usd.TimeCode.Default()
+            )
+            if stack and stack[0].path != own.path:
+                message = f"{path} of the rig is stronger than that of a variant"
+                raise OutputError(Fault("USD032", message, where, (), STRONGER_HINT))
