@@ -201,8 +201,10 @@ def typed_by_motion(take: Take) -> Rig:
     """Return the rig of a take with joints that can do what the take does.
 
     A joint whose translation moves, or is not that of rest, is free; the others are
-    balls. What a rig says of pins and slides stays where it says so.
+    balls. A rig that knows pins, slides or fixed joints says all that it means.
     """
+    if any(j.type not in {JointType.FREE, JointType.BALL} for j in take.rig.joints):
+        return take.rig
     channel = take.motion.translations
     moved = (channel.rest != take.rig.rest_translations).any(axis=1)
     moved[channel.animated] = True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
-from animtool._types import FloatArray
+from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, FormatError, Severity, excerpt
 from animtool.maths import so3
 from animtool.rates import rate_from_float
@@ -117,9 +118,51 @@ def _read_selected(stage: Any, path: Path, below: str) -> TakeStream:
         stream = _read(stage, path, skeleton, animation, prim)
     if prim is None:
         stream.notices += _lost_motion(animation, str(path))
+    else:
+        _join_stored(stream, skeletons[0], skeleton, path)
     stream.notices += others_notice(skeletons, str(path))
     stream.notices += composition_notices(stage, str(path))
     return stream
+
+
+def _join_stored(
+    stream: TakeStream, skeleton: Any, found: SkeletonRig, path: Path
+) -> None:
+    """Give the take's rig what the Skeleton's customData says of it beyond USD."""
+    data = skeleton.GetPrim().GetCustomDataByKey("animtool") or {}
+    if not data.get("rig"):
+        return
+    from animtool.usd.stored_rig import joined_rig
+
+    joined, notices = joined_rig(
+        stream.rig,
+        data,
+        found.tokens,
+        array_value(skeleton.GetRestTransformsAttr()),
+        array_value(skeleton.GetBindTransformsAttr()),
+        path,
+    )
+    names = [shape.name for shape in joined.shapes]
+    places = np.array([names.index(s.name) for s in stream.rig.shapes], np.int64)
+    stream.blocks = _among(stream.blocks, places, len(names))
+    # Meshes stay where they are.
+    stream.rig = replace(joined, meshes=())
+    stream.notices += notices
+
+
+def _among(blocks: Iterator[Motion], places: IntArray, count: int) -> Iterator[Motion]:
+    """Yield blocks whose weights stand at some places among others, which are 0."""
+    for block in blocks:
+        old = block.weights
+        if old is None:
+            yield block
+            continue
+        rest = np.zeros((count, 1))
+        rest[places] = old.rest
+        animated = places[old.animated]
+        order = np.argsort(animated)
+        weights = Channel(rest, animated[order], old.values[:, order])
+        yield replace(block, weights=weights)
 
 
 def _bound_animation(skeleton: Any) -> Any:

@@ -249,3 +249,21 @@ def test_rigs_of_other_tools(tmp_path: Path) -> None:
         for a, b in zip(one, other, strict=True):
             np.testing.assert_array_equal(a.points, b.points)
             assert [s.name for s in a.shapes] == [s.name for s in b.shapes]
+
+
+def test_a_take_of_a_stage_has_the_rig_that_it_was_made_for(
+    hero: Path, tmp_path: Path
+) -> None:
+    clip = hero.with_name("wave.clip.yaml")
+    clip.write_text(
+        "clip: animtool/1\nrig: hero.rig.yaml\nfps: 24\nchannels:\n"
+        "- {target: joint/hand.angle, keys: [{t: 1, v: 0}, {t: 9, v: 50}]}\n"
+    )
+    stage, keys = tmp_path / "wave.usdc", tmp_path / "keys.clip.yaml"
+    assert animtool("bake", clip, "-o", stage).code == 0
+    done = animtool("convert", stage, keys, "--reduce", "0.1mm")
+    assert done.code == 0, done.stderr
+    made, rig = Rig.load(tmp_path / "keys.rig.yaml"), Rig.load(hero)
+    assert made.joints == rig.joints
+    assert made.controls == rig.controls
+    assert animtool("bake", keys, "-o", tmp_path / "again.usdc").code == 0
