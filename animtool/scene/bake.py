@@ -271,7 +271,7 @@ class _TakeRun:
             step,
             frames=frames,
             chosen=chosen,
-            shapes=tuple(shape.name for shape in plan.stream.rig.shapes),
+            shapes=_shape_names(plan),
             curves=_kept_curves(plan) if options.keep_curves else {},
             name=plan.name,
             source_name=source_stem(plan.source),
@@ -332,6 +332,13 @@ def _thinned(
         frames = plan.start, plan.start + step * (len(codes) - 1)
     kept = iter([(codes[found.kept], motion.select(found.kept))])
     return kept, found, frames
+
+
+def _shape_names(plan: TakePlan) -> tuple[str, ...]:
+    """Return the take's shapes as the output has them."""
+    if plan.mapping is not None:
+        return plan.mapping.shapes
+    return tuple(shape.name for shape in plan.stream.rig.shapes)
 
 
 def _kept_curves(plan: TakePlan) -> dict[str, Curves]:

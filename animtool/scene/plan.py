@@ -220,11 +220,10 @@ def _share(progress: Progress, i: int, count: int) -> Progress:
 def _mapped(
     stream: TakeStream, target: RigTarget, options: BakeOptions, notices: list[Fault]
 ) -> JointMap:
-    from animtool.usd.target import map_joints, missing_shapes
+    from animtool.usd.target import map_joints
 
     mapping = map_joints(stream.rig, target, options.strip_namespace)
     notices += mapping.notices
-    notices += missing_shapes(target, [shape.name for shape in stream.rig.shapes])
     return mapping
 
 

@@ -127,12 +127,11 @@ def _unit(name: LengthUnit | str) -> LengthUnit:
 def _layer_job(
     take: Take, path: Path, layer: Path, prim_path: str | None
 ) -> tuple[UsdJob, UsdTake, list[Fault]]:
-    from animtool.usd.target import map_joints, missing_shapes, open_target
+    from animtool.usd.target import map_joints, open_target
 
     target = open_target(layer, prim_path)
     take = reorient(TakeStream.of(take), target.skeleton.rig.up).collect()
     mapping = map_joints(take.rig, target, 0)
-    shapes = tuple(shape.name for shape in take.rig.shapes)
     clock = replace(
         take.clock, fps=target.fps, step=take.clock.step * target.fps / take.clock.fps
     )
@@ -156,9 +155,9 @@ def _layer_job(
         clock.start,
         clock.step,
         chosen=mapping.source >= 0 if (mapping.source < 0).any() else None,
-        shapes=shapes,
+        shapes=mapping.shapes,
     )
-    notices = target.notices + mapping.notices + missing_shapes(target, shapes)
+    notices = target.notices + mapping.notices
     return job, written, notices
 
 

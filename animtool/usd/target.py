@@ -15,6 +15,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, FormatError, Severity, excerpt, listed
 from animtool.rates import rate_from_float
+from animtool.rig.arkit import arkit_name
 from animtool.rig.skeleton import Rig
 from animtool.take import Channel, Motion
 from animtool.units import UpAxis, unit_name
@@ -40,7 +41,7 @@ __all__ = [
     "RigTarget",
     "compose_check",
     "map_joints",
-    "missing_shapes",
+    "match_shapes",
     "open_target",
     "resolved_animation",
 ]
@@ -236,13 +237,16 @@ class JointMap:
         rig: The target's joints.
         source: Joint of the take for each joint of the target ``(J,)``, -1 for none.
         rest_scales: Scale of the target's rest ``(J, 3)``.
-        notices: Joints of the take that the target lacks.
+        notices: Joints and shapes of the take that the target lacks, or spells in
+            another way.
+        shapes: Names of the take's shapes as the target has them.
     """
 
     rig: Rig
     source: IntArray
     rest_scales: FloatArray
     notices: list[Fault]
+    shapes: tuple[str, ...] = ()
 
     def apply(self, motion: Motion) -> Motion:
         """Return the motion of the target; joints that the take lacks are at rest."""
@@ -322,16 +326,56 @@ def map_joints(take: Rig, target: RigTarget, strip_namespaces: int) -> JointMap:
         message += listed(resting, MOST_NAMED)
         hint, kind = "they stay at rest", Severity.NOTE
         notices.append(Fault("USD111", message, where, (), hint, kind))
+    shapes, said = match_shapes(target, [shape.name for shape in take.shapes])
     return JointMap(
-        skeleton.rig, np.array(source, np.int64), skeleton.rest_scales, notices
+        skeleton.rig,
+        np.array(source, np.int64),
+        skeleton.rest_scales,
+        notices + said,
+        shapes,
     )
 
 
-def missing_shapes(target: RigTarget, shapes: Sequence[str]) -> list[Fault]:
-    """Return a warning that names the shapes which no mesh of a rig has.
+def match_shapes(
+    target: RigTarget, shapes: Sequence[str]
+) -> tuple[tuple[str, ...], list[Fault]]:
+    """Return the names that a rig has for some shapes, and what is odd about them.
 
-    A rig without meshes says nothing of the shapes that it will have.
+    A shape of ARKit's is found however the rig spells it (USD118); what is on no mesh
+    is named (USD114). A rig without meshes says nothing of the shapes that it will
+    have.
     """
+    known = _known_shapes(target)
+    if known is None:
+        return tuple(shapes), []
+    spelled = {arkit_name(name): name for name in known}
+    found = [
+        name if name in known else spelled.get(arkit_name(name) or "", name)
+        for name in shapes
+    ]
+    # Of two that would become one, the first keeps the name.
+    found = [
+        name if name not in found[:i] else own
+        for i, (own, name) in enumerate(zip(shapes, found, strict=True))
+    ]
+    where = str(target.path)
+    notices = []
+    missing = [name for name in found if name not in known]
+    if missing:
+        message = f"{len(missing)} shapes of the take are on no mesh of the rig: "
+        message += listed(missing, MOST_NAMED)
+        hint = "their weights move nothing there"
+        notices.append(Fault("USD114", message, where, (), hint, Severity.WARNING))
+    other = [f"{a} as {b}" for a, b in zip(shapes, found, strict=True) if a != b]
+    if other:
+        message = f"{len(other)} shapes are written as the rig spells them: "
+        message += listed(other, MOST_NAMED)
+        notices.append(Fault("USD118", message, where, severity=Severity.NOTE))
+    return tuple(found), notices
+
+
+def _known_shapes(target: RigTarget) -> set[str] | None:
+    """Return the shapes that a rig's meshes have; None where it has no mesh."""
     path = Sdf.Path(target.paths.root).ReplacePrefix(
         Sdf.Path(target.paths.model), Sdf.Path(target.stage_model)
     )
@@ -343,17 +387,13 @@ def missing_shapes(target: RigTarget, shapes: Sequence[str]) -> list[Fault]:
         # Bones that only show the joints are no meshes of the character.
         and UsdGeom.Imageable(prim).ComputePurpose() != UsdGeom.Tokens.guide
     ]
-    known: set[str] = set()
-    for mesh in meshes:
-        known.update(array_value(UsdSkel.BindingAPI(mesh).GetBlendShapesAttr()))
-    missing = [name for name in shapes if name not in known]
-    if not meshes or not missing:
-        return []
-    message = f"{len(missing)} shapes of the take are on no mesh of the rig: "
-    message += listed(missing, MOST_NAMED)
-    hint = "their weights move nothing there"
-    where = str(target.path)
-    return [Fault("USD114", message, where, (), hint, Severity.WARNING)]
+    if not meshes:
+        return None
+    return {
+        str(name)
+        for mesh in meshes
+        for name in array_value(UsdSkel.BindingAPI(mesh).GetBlendShapesAttr())
+    }
 
 
 def compose_check(target: RigTarget, layer: Any) -> Any:

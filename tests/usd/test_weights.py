@@ -12,6 +12,7 @@ import numpy.typing as npt
 import pytest
 from numpy.testing import assert_array_equal
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
+from support.surfaces import shaped_rig
 from support.usd import open_stage, skeleton_query, validation_errors
 
 from animtool.errors import FormatError
@@ -22,8 +23,9 @@ from animtool.usd.author import author, write_usd
 from animtool.usd.jobs import Form, UsdJob, UsdResult, UsdTake
 from animtool.usd.names import joint_names
 from animtool.usd.read import read_usd
+from animtool.usd.rig_layer import write_rig_layer
 from animtool.usd.skeleton import RigPaths
-from animtool.usd.target import map_joints, missing_shapes, open_target
+from animtool.usd.target import map_joints, match_shapes, open_target
 
 SHAPES = ("smile", "blink", "frown", "jaw")
 RIG = Rig("hero", (Joint("Hips", -1), Joint("Spine", 0, translation=(0, 1, 0))))
@@ -215,7 +217,8 @@ def test_a_layer_moves_the_shapes_of_its_rig(
     assert UsdSkel.BakeSkinning(root, Gf.Interval(5, 5))
     points = np.array(UsdGeom.Mesh(mesh).GetPointsAttr().Get(5))
     assert points[0, 2] == pytest.approx(row[1])
-    (fault,) = missing_shapes(target, ["blink", "jaw"])
+    names, (fault,) = match_shapes(target, ["blink", "jaw"])
+    assert names == ("blink", "jaw")
     assert fault.code == "USD114"
     assert "jaw" in fault.message
     assert "blink" not in fault.message
@@ -223,7 +226,23 @@ def test_a_layer_moves_the_shapes_of_its_rig(
 
 def test_a_rig_without_meshes_lacks_no_shape(tmp_path: Path) -> None:
     write(job(tmp_path / "rig.usda", bones=True), motion(None))
-    assert missing_shapes(open_target(tmp_path / "rig.usda", None), SHAPES) == []
+    target = open_target(tmp_path / "rig.usda", None)
+    assert match_shapes(target, SHAPES) == (tuple(SHAPES), [])
+
+
+def test_shapes_of_arkit_are_found_however_they_are_spelled(tmp_path: Path) -> None:
+    rig = shaped_rig()
+    names = ("eyeBlink_L", "JawOpen", "both")
+    shapes = (*(replace(s, name=n) for s, n in zip(rig.shapes, names, strict=False)),)
+    body = replace(rig, shapes=(*shapes[:2], replace(shapes[2], combine=())))
+    write_rig_layer(body, tmp_path / "rig.usda")
+    target = open_target(tmp_path / "rig.usda", None)
+    wanted = ["eyeBlinkLeft", "jaw_open", "both", "jawOpen", "grin"]
+    found, notices = match_shapes(target, wanted)
+    assert found == ("eyeBlink_L", "JawOpen", "both", "jawOpen", "grin")
+    assert [notice.code for notice in notices] == ["USD114", "USD118"]
+    assert "grin" in notices[0].message
+    assert "eyeBlinkLeft as eyeBlink_L" in notices[1].message
 
 
 def test_controls_pass_through_the_map(rig_file: Path) -> None:
