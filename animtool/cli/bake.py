@@ -44,6 +44,7 @@ Examples:
   animtool bake walk.bvh -o walk_layer.usdc --rig-layer hero.rig.usda
   animtool bake walk.bvh -o walk.usda --fps 24 --range 1001-1048 --start 1001
   animtool bake wave.clip.yaml -o wave.usda --keep-curves --reduce 0.5mm
+  animtool bake wave.clip.yaml -o cache.usdc --deform --velocities
   animtool bake wave.clip.yaml --table"""
 )
 @click.argument(
@@ -168,6 +169,22 @@ Examples:
     help="Leave out samples that the others give back within so much, such as 0.5mm.",
 )
 @reduce_at_option
+@click.option(
+    "--deform",
+    is_flag=True,
+    help="Write the meshes of the rig deformed, as point caches, in place of a skinned "
+    "character: points, extent, and normals of meshes that have them.",
+)
+@click.option(
+    "--velocities",
+    is_flag=True,
+    help="With --deform, how fast points move too, per second, for motion blur.",
+)
+@click.option(
+    "--no-normals",
+    is_flag=True,
+    help="With --deform, leave meshes without normals, which saves half of the file.",
+)
 @click.option(
     "--table",
     is_flag=True,
@@ -301,6 +318,9 @@ def _options(given: dict[str, Any]) -> Any:
         keep_curves=given["keep_curves"],
         reduce=given["reduce"],
         reduce_at=given["reduce_at"],
+        deform=given["deform"],
+        velocities=given["velocities"],
+        normals=not given["no_normals"],
         strict=given["strict"],
         overwrite=given["overwrite"],
     )

@@ -6,6 +6,7 @@ import math
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
+from animtool.cli.mesh_summary import mesh_json, mesh_text
 from animtool.rates import rate_label
 from animtool.units import unit_name
 
@@ -34,6 +35,14 @@ def bake_text(report: BakeReport) -> list[str]:
     assumed = "; the source taken to be in cm (--units)" if unstated else ""
     takes = report.takes
     one = takes[0] if len(takes) == 1 else None
+    if one is not None and one.meshes:
+        return [
+            f"{files}: {report.form}",
+            f"  {_frames_text(report, one)}",
+            *mesh_text(one, report.meters_per_unit),
+            f"  {report.up} up, lengths in {unit}{assumed}",
+            f"  {result.bytes / 1e6:.3g} MB written in {total:.2f} s",
+        ]
     moving = " and ".join(result.sampled) or "nothing"
     lines = [f"{files}: {report.form}"]
     if one is not None:
@@ -193,6 +202,8 @@ def _take_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
             "animated": written.sampled,
             "error": _error_json(report, take),
         }
+    if take.meshes:
+        found["meshes"] = mesh_json(take)
     if take.thinned is not None:
         found["reduction"] = {
             "samples": take.thinned.samples,

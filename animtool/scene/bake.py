@@ -31,6 +31,7 @@ from animtool.usd.skeleton import RigPaths
 
 if TYPE_CHECKING:
     from animtool.edit.thin import Thinned
+    from animtool.scene.point_bake import MeshReport
 
 __all__ = ["BakeReport", "TakeReport", "bake", "run_bake"]
 
@@ -52,6 +53,8 @@ class TakeReport:
         details: What the source states of itself.
         thinned: Which samples were left out, where that was asked for.
         thinned_joint: Name of the joint that this moved most.
+        meshes: What was written of each mesh, where it was deformed.
+        meshes_of: Whose meshes they are.
     """
 
     source: Path
@@ -64,6 +67,8 @@ class TakeReport:
     details: dict[str, object] = field(default_factory=dict)
     thinned: Thinned | None = None
     thinned_joint: str = ""
+    meshes: list[MeshReport] = field(default_factory=list)
+    meshes_of: str = ""
 
 
 @dataclass(slots=True)
@@ -141,6 +146,10 @@ def run_bake(plan: BakePlan) -> BakeReport:
         OutputError: The output cannot be written.
         StrictError: There were warnings, and ``strict`` is on.
     """
+    if plan.character is not None:
+        from animtool.scene.point_bake import run_point_bake
+
+        return run_point_bake(plan, plan.character)
     began = time.perf_counter()
     runs = [_TakeRun(take) for take in plan.takes]
     rest = runs[0].open()

@@ -51,6 +51,10 @@ class BakeOptions:
         reduce: Leave out samples that the others give back within so much [m]; None
             keeps all.
         reduce_at: Other tolerances for some joints: names or patterns, and [m].
+        deform: Write deformed meshes as point caches, in place of a skinned character.
+        velocities: Of points too, per second.
+        normals: Deform the normals of meshes that have them; False leaves meshes
+            without.
         strict: Take warnings for errors.
         overwrite: Replace outputs that exist.
     """
@@ -74,6 +78,9 @@ class BakeOptions:
     keep_curves: bool = False
     reduce: float | None = None
     reduce_at: tuple[tuple[str, float], ...] = ()
+    deform: bool = False
+    velocities: bool = False
+    normals: bool = True
     strict: bool = False
     overwrite: bool = False
 
@@ -208,6 +215,26 @@ def check_options(options: BakeOptions, *, to_stdout: bool) -> None:
             "--reduce-at goes with --reduce",
         ),
     ]
+    clashes += _deform_clashes(options, form)
     faults = [Fault("CLI002", message) for wrong, message in clashes if wrong]
     if faults:
         raise OptionError(faults)
+
+
+def _deform_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
+    """Return what does not go with point caches, and whether it is asked for."""
+    if not options.deform:
+        return [
+            (options.velocities, "--velocities goes with --deform"),
+            (not options.normals, "--no-normals goes with --deform"),
+        ]
+    joints = "--deform writes points, no joints"
+    return [
+        (form == "split", f"{joints}: no --split"),
+        (options.bones, f"{joints}: no --bones"),
+        (options.sparse, f"{joints}: no --sparse"),
+        (options.reduce is not None, f"{joints}: no --reduce"),
+        (options.root_motion, f"{joints}: no --root-motion skelroot"),
+        (options.keep_curves, f"{joints}: no --keep-curves"),
+        (options.rest_frame is not None, f"{joints}: no --rest frame:N"),
+    ]

@@ -20,6 +20,7 @@ from animtool.usd.jobs import Form, output_paths
 from animtool.usd.layers import check_prim_path, check_suffix
 
 if TYPE_CHECKING:
+    from animtool.scene.deform import Character
     from animtool.scene.file import Scene
     from animtool.usd.target import JointMap, RigTarget
 
@@ -67,6 +68,7 @@ class BakePlan:
         fps: Time codes a second of the output.
         start: Time code of the first frame.
         notices: What is odd so far.
+        character: What it deforms, where point caches are asked for.
     """
 
     takes: tuple[TakePlan, ...]
@@ -78,6 +80,7 @@ class BakePlan:
     fps: Fraction
     start: Fraction
     notices: list[Fault]
+    character: Character | None = None
 
 
 def plan_bake(
@@ -108,6 +111,9 @@ def plan_bake(
     else:
         notices += _unused(scenes)
     check_options(options, to_stdout=path is None)
+    if options.deform and len(sources) > 1:
+        message = "--deform writes the points of one take: name one source"
+        raise OptionError(Fault("CLI002", message))
     form = Form(options.form or (Form.LAYER if options.rig_layer else Form.STAGE))
     if path is not None:
         check_suffix(path)
@@ -158,7 +164,14 @@ def plan_bake(
             zip(sources, names, streams, mappings, strict=True)
         )
     )
-    return BakePlan(takes, path, options, form, reason, target, fps, start, notices)
+    character = None
+    if options.deform:
+        from animtool.scene.deform import open_character
+
+        character = open_character(takes[0], target)
+    return BakePlan(
+        takes, path, options, form, reason, target, fps, start, notices, character
+    )
 
 
 def _scenes(sources: Sequence[Path]) -> dict[Path, Scene]:

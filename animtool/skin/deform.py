@@ -14,7 +14,14 @@ from animtool.rig.kinematics import WorldTransforms
 from animtool.skin.shapes import PreparedShapes, blend_normals, blend_points
 from animtool.skin.skinning import PreparedSkin, skin_normals, skin_points
 
-__all__ = ["Deformed", "DeformedMesh", "deform", "deform_blocks", "extents"]
+__all__ = [
+    "Deformed",
+    "DeformedMesh",
+    "block_frames",
+    "deform",
+    "deform_blocks",
+    "extents",
+]
 
 # Points of a block of frames [bytes]: large enough that the products of matrices run
 # at full speed, small enough to stay a small part of memory.
@@ -94,6 +101,15 @@ class Deformed:
     normals: FloatArray | None = None
     velocities: FloatArray | None = None
 
+    def select(self, frames: slice) -> Deformed:
+        """Return some of the frames."""
+        return Deformed(
+            self.points[frames],
+            self.extents[frames],
+            None if self.normals is None else self.normals[frames],
+            None if self.velocities is None else self.velocities[frames],
+        )
+
 
 def deform(
     mesh: DeformedMesh,
@@ -101,7 +117,7 @@ def deform(
     world: WorldTransforms | None = None,
     *,
     normals: bool = False,
-    rate: float | None = None,
+    times: ArrayLike | None = None,
 ) -> Deformed:
     """Return a mesh in every frame: shapes first, then the skin.
 
@@ -111,8 +127,8 @@ def deform(
             None is all zero.
         world: Of the skeleton's joints, in F frames; None is the bind pose.
         normals: Deform the normals too.
-        rate: Frames a second; velocities are wanted, by central differences, from
-            one side at either end.
+        times: Of the frames ``(F,)`` [s], ascending; velocities are wanted, by
+            central differences of second order, from one side at either end.
 
     Raises:
         ValueError: Neither weights nor joints, another number of frames in one than
@@ -123,7 +139,7 @@ def deform(
     [[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]
     """
     values = None if weights is None else as_floats(weights, ("F", "S"), "weights")
-    return _deform(mesh, values, world, normals, rate, None)
+    return _deform(mesh, values, world, normals, _seconds(times), None)
 
 
 def _deform(
@@ -131,7 +147,7 @@ def _deform(
     values: FloatArray | None,
     world: WorldTransforms | None,
     normals: bool,
-    rate: float | None,
+    times: FloatArray | None,
     scratch: FloatArray | None,
 ) -> Deformed:
     """Return what `deform` does; shaped points pass through ``(≥ F, V, 3)`` scratch."""
@@ -141,7 +157,7 @@ def _deform(
         points,
         extents(points),
         _normals(mesh, values, world, frames) if normals else None,
-        None if rate is None else _velocities(points, rate),
+        None if times is None else _velocities(points, times),
     )
 
 
@@ -151,7 +167,7 @@ def deform_blocks(
     world: WorldTransforms | None = None,
     *,
     normals: bool = False,
-    rate: float | None = None,
+    times: ArrayLike | None = None,
     block: int | None = None,
 ) -> Iterator[Deformed]:
     """Yield a mesh in blocks of consecutive frames, as `deform` has them at once.
@@ -161,7 +177,7 @@ def deform_blocks(
         weights: As for `deform`.
         world: As for `deform`.
         normals: As for `deform`.
-        rate: As for `deform`.
+        times: As for `deform`.
         block: Frames a block; None is as many as fit 16 MB.
 
     Raises:
@@ -169,9 +185,10 @@ def deform_blocks(
     """
     values = None if weights is None else as_floats(weights, ("F", "S"), "weights")
     frames = _frames(values, world)
-    size = block or max(2, BLOCK_BYTES // max(24 * len(mesh.points), 1) // 2 * 2)
+    size = block or block_frames(len(mesh.points))
     # Central differences need the frame on either side.
-    margin = 0 if rate is None else 1
+    seconds = _seconds(times)
+    margin = 0 if seconds is None else 1
     scratch = None
     if mesh.shapes is not None and mesh.skin is not None and world is not None:
         scratch = np.zeros((min(frames, size + 2 * margin), *mesh.points.shape))
@@ -185,16 +202,19 @@ def deform_blocks(
             if world is None
             else WorldTransforms(world.positions[low:high], world.linear[low:high]),
             normals,
-            rate,
+            None if seconds is None else seconds[low:high],
             scratch,
         )
-        own = slice(begin - low, end - low)
-        yield Deformed(
-            made.points[own],
-            made.extents[own],
-            None if made.normals is None else made.normals[own],
-            None if made.velocities is None else made.velocities[own],
-        )
+        yield made.select(slice(begin - low, end - low))
+
+
+def block_frames(vertices: int) -> int:
+    """Return how many frames of a mesh fit 16 MB, two at least, an even number.
+
+    >>> block_frames(10_000)
+    68
+    """
+    return max(2, BLOCK_BYTES // max(24 * vertices, 1) // 2 * 2)
 
 
 def extents(points: ArrayLike) -> FloatArray:
@@ -254,7 +274,11 @@ def _normals(
     return np.ascontiguousarray(np.broadcast_to(normals, (frames, *normals.shape[1:])))
 
 
-def _velocities(points: FloatArray, rate: float) -> FloatArray:
+def _seconds(times: ArrayLike | None) -> FloatArray | None:
+    return None if times is None else as_floats(times, ("F",), "times")
+
+
+def _velocities(points: FloatArray, times: FloatArray) -> FloatArray:
     if len(points) < 2:
         return np.zeros_like(points)
-    return np.gradient(points, axis=0) * rate
+    return np.asarray(np.gradient(points, times, axis=0))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,6 +16,7 @@ from animtool.maths import so3
 from animtool.rig.skeleton import Rig
 from animtool.take import Motion
 from animtool.usd.layers import attribute, prim
+from animtool.usd.samples import Samples
 from animtool.usd.skeleton import RigPaths
 
 __all__ = ["AnimationWriter", "Rounding", "WrittenBlock", "round_blocks"]
@@ -158,52 +159,6 @@ class Rounding:
             self.joint = block.error_joint
 
 
-class _Samples:
-    """An attribute's samples; a default only, while the values do not change.
-
-    The frames before the first change share one array, as copies of it would.
-    """
-
-    def __init__(
-        self, spec: Any, name: str, type_name: Any, make: Callable[[Any], Any]
-    ) -> None:
-        self._attribute = attribute(spec, name, type_name)
-        self._path = self._attribute.path
-        self._set = spec.layer.SetTimeSample
-        self._make = make
-        self._first: npt.NDArray[Any] | None = None
-        self._held: list[FloatArray] = []
-        self.sampled = False
-
-    def add(self, codes: FloatArray, rows: npt.NDArray[Any]) -> None:
-        """Add frames of values ``(F, …)``."""
-        rows = np.ascontiguousarray(rows)
-        if self._first is None:
-            self._first = rows[0].copy()
-        if not self.sampled:
-            if (rows == self._first).all():
-                self._held.append(codes)
-                return
-            self._release()
-        put, path, make = self._set, self._path, self._make
-        for code, row in zip(codes.tolist(), rows, strict=True):
-            put(path, code, make(row))
-
-    def _release(self) -> None:
-        self.sampled = True
-        value = self._make(self._first)
-        for codes in self._held:
-            for code in codes.tolist():
-                self._set(self._path, code, value)
-        self._held.clear()
-
-    def finish(self, otherwise: npt.NDArray[Any]) -> None:
-        """Author the default of values that never changed, or never came."""
-        if not self.sampled:
-            first = otherwise if self._first is None else self._first
-            self._attribute.default = self._make(first)
-
-
 @dataclass
 class AnimationWriter:
     """Writes a SkelAnimation and what moves with it.
@@ -233,17 +188,17 @@ class AnimationWriter:
             names = [n for n, keep in zip(names, self.chosen, strict=True) if keep]
         self._count = len(names)
         attribute(spec, "joints", types.TokenArray, Vt.TokenArray(names), uniform=True)
-        self._translations = _Samples(
+        self._translations = Samples(
             spec, "translations", types.Float3Array, Vt.Vec3fArray.FromNumpy
         )
-        self._rotations = _Samples(
+        self._rotations = Samples(
             spec, "rotations", types.QuatfArray, Vt.QuatfArray.FromNumpy
         )
-        self._scales = _Samples(
+        self._scales = Samples(
             spec, "scales", types.Half3Array, Vt.Vec3hArray.FromNumpy
         )
         self._weights: list[Float32Array] = []
-        self._weight_samples: _Samples | None = None
+        self._weight_samples: Samples | None = None
         self._codes: list[FloatArray] = []
         self._extents: list[Float32Array] = []
         self._root_path: list[RootPath] = []
@@ -299,7 +254,7 @@ class AnimationWriter:
     def author_bounds(self, extents: list[Float32Array]) -> None:
         """Write the SkelRoot's bounds ``(F, 2, 3)``, one array a block."""
         spec = self.layer.GetPrimAtPath(self.paths.root)
-        samples = _Samples(
+        samples = Samples(
             spec, "extent", Sdf.ValueTypeNames.Float3Array, Vt.Vec3fArray.FromNumpy
         )
         for codes, bounds in zip(self._codes, extents, strict=True):
@@ -327,7 +282,7 @@ class AnimationWriter:
         names = [n for n, keep in zip(self.shapes, used, strict=True) if keep]
         tokens = Vt.TokenArray(names)
         attribute(spec, "blendShapes", types.TokenArray, tokens, uniform=True)
-        samples = _Samples(
+        samples = Samples(
             spec, "blendShapeWeights", types.FloatArray, Vt.FloatArray.FromNumpy
         )
         for codes, rows in zip(self._codes, self._weights, strict=True):
@@ -340,8 +295,8 @@ class AnimationWriter:
         spec = self.layer.GetPrimAtPath(self.paths.root)
         types = Sdf.ValueTypeNames
         names = ["xformOp:translate:rootMotion", "xformOp:orient:rootMotion"]
-        move = _Samples(spec, names[0], types.Double3, _vector)
-        turn = _Samples(spec, names[1], types.Quatd, _quaternion)
+        move = Samples(spec, names[0], types.Double3, _vector)
+        turn = Samples(spec, names[1], types.Quatd, _quaternion)
         self._author_order(placing + names)
         for codes, path in zip(self._codes, self._root_path, strict=True):
             move.add(codes, path.translations)

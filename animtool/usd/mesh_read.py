@@ -21,7 +21,7 @@ from animtool.rig.parts import (
 from animtool.usd.meshes import SUBDIVISION
 from animtool.usd.rig_prims import SkeletonRig, array_value
 
-__all__ = ["read_meshes"]
+__all__ = ["bound_meshes", "read_meshes"]
 
 _METHODS = {"classicLinear": "linear", "dualQuaternion": "dual_quaternion"}
 
@@ -47,27 +47,25 @@ def read_meshes(
     meshes: list[Mesh] = []
     shapes: list[Shape] = []
     notices: list[Fault] = []
-    used: set[str] = set()
-    for query in _bound(skeleton):
-        prim = query.GetPrim()
-        at = f"{where}<{prim.GetPath()}>"
-        name = _unique(_name(prim), used)
+    for name, query in bound_meshes(skeleton):
+        at = f"{where}<{query.GetPrim().GetPath()}>"
         meshes.append(_mesh(query, name, rig, at, notices))
         count = len(meshes[-1].points.load())
         shapes += _shapes(query, name, count, at, {shape.name for shape in shapes})
     return tuple(meshes), tuple(shapes), notices
 
 
-def _bound(skeleton: Any) -> list[Any]:
-    """Return queries of the meshes that a Skeleton moves."""
+def bound_meshes(skeleton: Any) -> list[tuple[str, Any]]:
+    """Return the meshes that a Skeleton moves: distinct names, and queries."""
     root = UsdSkel.Root.Find(skeleton.GetPrim())
     if not root:
         return []
     cache = UsdSkel.Cache()
     cache.Populate(root, Usd.TraverseInstanceProxies())
     bindings = cache.ComputeSkelBindings(root, Usd.TraverseInstanceProxies())
+    used: set[str] = set()
     return [
-        query
+        (_unique(_name(query.GetPrim()), used), query)
         for binding in bindings
         if binding.GetSkeleton().GetPrim() == skeleton.GetPrim()
         for query in binding.GetSkinningTargets()

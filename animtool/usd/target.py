@@ -81,6 +81,16 @@ class RigTarget:
     up: UpAxis
     notices: list[Fault]
 
+    def on_stage(self, path: str) -> str:
+        """Return where the rig's own stage has a prim of a layer over it."""
+        model = Sdf.Path(self.stage_model)
+        return str(Sdf.Path(path).ReplacePrefix(Sdf.Path(self.paths.model), model))
+
+    def on_layer(self, path: Any) -> str:
+        """Return where a layer over the rig has a prim of its own stage."""
+        model = Sdf.Path(self.paths.model)
+        return str(Sdf.Path(path).ReplacePrefix(Sdf.Path(self.stage_model), model))
+
 
 def open_target(path: Path, prim_path: str | None) -> RigTarget:
     """Open the stage that holds a rig: a rig layer, or a shot that refers to one.
@@ -376,10 +386,7 @@ def match_shapes(
 
 def _known_shapes(target: RigTarget) -> set[str] | None:
     """Return the shapes that a rig's meshes have; None where it has no mesh."""
-    path = Sdf.Path(target.paths.root).ReplacePrefix(
-        Sdf.Path(target.paths.model), Sdf.Path(target.stage_model)
-    )
-    root = target.stage.GetPrimAtPath(path)
+    root = target.stage.GetPrimAtPath(target.on_stage(target.paths.root))
     meshes = [
         prim
         for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies())

@@ -12,6 +12,7 @@ from animtool.skin.shapes import ShapeDeltas, blend_points, prepare_shapes
 from animtool.skin.skinning import prepare_skin, skin_normals, skin_points
 
 FRAMES = 11
+SECONDS = np.arange(FRAMES) / 24
 
 
 def mesh_and_motion() -> tuple[DeformedMesh, Array, WorldTransforms]:
@@ -47,9 +48,9 @@ def test_shapes_come_before_the_skin() -> None:
 @pytest.mark.parametrize("block", [1, 2, 4, 5, 100, None])
 def test_blocks_are_the_whole_in_pieces(block: int | None) -> None:
     mesh, weights, world = mesh_and_motion()
-    whole = deform(mesh, weights, world, normals=True, rate=24)
+    whole = deform(mesh, weights, world, normals=True, times=SECONDS)
     parts = list(
-        deform_blocks(mesh, weights, world, normals=True, rate=24, block=block)
+        deform_blocks(mesh, weights, world, normals=True, times=SECONDS, block=block)
     )
     for name in ("points", "extents", "normals", "velocities"):
         joined = np.concatenate([getattr(part, name) for part in parts])
@@ -63,15 +64,29 @@ def test_velocities_of_a_steady_motion_are_exact() -> None:
         case.world.positions + shift, np.repeat(case.world.linear, 5, axis=0)
     )
     mesh = DeformedMesh(case.points, skin=prepare_skin(case.binding, 17))
-    made = deform(mesh, None, world, rate=30.0).velocities
+    made = deform(mesh, None, world, times=np.arange(5) / 30.0).velocities
     expected = np.broadcast_to([15.0, 0, -30.0], (5, 17, 3))
     assert made is not None
     assert_allclose(made, expected, atol=1e-12)
 
 
+def test_velocities_between_uneven_frames_are_of_second_order() -> None:
+    case = random_case(1, frames=1)
+    times = np.array([0.0, 0.1, 0.15, 0.4, 0.5])
+    shift = (times**2)[:, None, None] * [[[1.0, 0.0, -2.0]]]
+    world = WorldTransforms(
+        case.world.positions + shift, np.repeat(case.world.linear, 5, axis=0)
+    )
+    mesh = DeformedMesh(case.points, skin=prepare_skin(case.binding, 17))
+    made = deform(mesh, None, world, times=times).velocities
+    assert made is not None
+    expected = (2 * times)[1:-1, None, None] * [[[1.0, 0.0, -2.0]]]
+    assert_allclose(made[1:-1], np.broadcast_to(expected, (3, 17, 3)), atol=1e-12)
+
+
 def test_one_frame_does_not_move() -> None:
     mesh = DeformedMesh(np.eye(3))
-    made = deform(mesh, np.zeros((1, 0)), rate=24.0)
+    made = deform(mesh, np.zeros((1, 0)), times=[0.0])
     assert made.velocities is not None
     assert not made.velocities.any()
 

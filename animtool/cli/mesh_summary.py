@@ -1,0 +1,71 @@
+"""What became of each mesh of a bake, in words and in JSON."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from animtool.errors import counted
+from animtool.units import unit_name
+
+if TYPE_CHECKING:
+    from animtool.scene.bake import TakeReport
+    from animtool.scene.point_bake import MeshReport
+
+__all__ = ["mesh_json", "mesh_text"]
+
+
+def mesh_text(take: TakeReport, meters_per_unit: float) -> list[str]:
+    """Return a line on whose meshes they are, and one on each.
+
+    Args:
+        take: What became of it.
+        meters_per_unit: Unit of the output [m].
+    """
+    count = len(take.meshes)
+    meshes = "1 mesh" if count == 1 else f"{count} meshes"
+    return [
+        f"  {meshes} of {take.meshes_of}, deformed",
+        *(_line(mesh, meters_per_unit) for mesh in take.meshes),
+    ]
+
+
+def _line(mesh: MeshReport, meters_per_unit: float) -> str:
+    written = mesh.written
+    error, unit = written.error / meters_per_unit, unit_name(meters_per_unit)
+    where = ""
+    if error:
+        where = f" (vertex {written.error_vertex}, frame {written.error_code:g})"
+    moves = "still, no samples"
+    if written.samples:
+        moves = f"{counted(written.samples, 'frame')}, {written.bytes / 1e6:.3g} MB"
+    return (
+        f"    {mesh.name}: {written.vertices} vertices, {moves}, "
+        f"{_milliseconds(mesh):.3g} ms a frame, largest error of float32 {error:.2g} "
+        f"{unit}{where}"
+    )
+
+
+def _milliseconds(mesh: MeshReport) -> float:
+    return mesh.seconds * 1e3 / max(mesh.frames, 1)
+
+
+def mesh_json(take: TakeReport) -> list[dict[str, object]]:
+    """Return what became of each mesh as plain values."""
+    return [
+        {
+            "mesh": mesh.name,
+            "prim": mesh.written.path,
+            "of": take.meshes_of,
+            "vertices": mesh.written.vertices,
+            "samples": mesh.written.samples,
+            "animated": mesh.written.sampled,
+            "bytes": mesh.written.bytes,
+            "milliseconds_per_frame": round(_milliseconds(mesh), 6),
+            "error": {
+                "meters": mesh.written.error,
+                "vertex": mesh.written.error_vertex,
+                "frame": mesh.written.error_code,
+            },
+        }
+        for mesh in take.meshes
+    ]

@@ -1,0 +1,278 @@
+"""The meshes of a bake, deformed: which, by what, and frame by frame."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.errors import Fault, FormatError
+from animtool.maths import so3
+from animtool.rig.kinematics import WorldTransforms, bind_world, forward
+from animtool.rig.skeleton import Rig
+from animtool.rig.surfaces import Surface, surfaces_of
+from animtool.scene.sources import is_usd
+from animtool.skin.character import CharacterMesh, character_meshes
+from animtool.skin.deform import Deformed, block_frames, deform, deform_blocks
+from animtool.take import Motion
+from animtool.units import UpAxis, up_from_up
+from animtool.usd.point_cache import PointBlock, round_points
+
+if TYPE_CHECKING:
+    from animtool.scene.plan import TakePlan
+    from animtool.usd.target import JointMap, RigTarget
+
+__all__ = ["Character", "PointStream", "open_character", "pieces"]
+
+# Frames whose joints are held at once: 60 joints take 1.5 MB.
+PIECE = 256
+
+TimedBlocks = Iterator[tuple[FloatArray, Motion]]
+
+
+@dataclass(frozen=True, slots=True)
+class Character:
+    """What a bake deforms.
+
+    Attributes:
+        rig: The joints that carry the meshes.
+        surfaces: The meshes.
+        mapping: How the take's joints stand in the rig; None where they are its own.
+        meshes: The meshes, ready to follow.
+        origin: Whose meshes they are, for reports.
+    """
+
+    rig: Rig
+    surfaces: tuple[Surface, ...]
+    mapping: JointMap | None
+    meshes: tuple[CharacterMesh, ...]
+    origin: str
+
+    def only(self, names: Sequence[str]) -> Character:
+        """Return the character with some of its meshes, in the order given."""
+        surfaces = {surface.name: surface for surface in self.surfaces}
+        meshes = {mesh.name: mesh for mesh in self.meshes}
+        return replace(
+            self,
+            surfaces=tuple(surfaces[name] for name in names),
+            meshes=tuple(meshes[name] for name in names),
+        )
+
+
+def open_character(take: TakePlan, target: RigTarget | None) -> Character:
+    """Return what a take deforms.
+
+    That is the meshes of its own rig; without, those of the rig layer; without one,
+    those of the USD file that the take is from.
+
+    Args:
+        take: The take, on the up axis of the output; its notices get what is odd.
+        target: The rig layer.
+
+    Raises:
+        FormatError: There are no meshes (USD040), or their arrays do not fit.
+    """
+    stream, source, mapping = take.stream, take.source, take.mapping
+    options = take.options
+    rig = stream.rig
+    surfaces: tuple[Surface, ...] = ()
+    if rig.meshes:
+        surfaces, bind = surfaces_of(rig), _bind(rig)
+        origin, mapping = f"rig {rig.name!r} of the take", None
+    elif target is not None or is_usd(source):
+        from animtool.usd.characters import source_meshes, target_meshes
+
+        if target is not None:
+            rig, origin = target.skeleton.rig, str(target.path)
+            found = target_meshes(target)
+        else:
+            origin, found = str(source), source_meshes(source, options.source.prim_path)
+        take.notices.extend(found.notices)
+        surfaces, bind = _turned(found.surfaces, rig.up, found.up), found.bind
+    if not surfaces:
+        message = "there is no mesh to deform"
+        hint = "name a rig that has meshes: in the clip, or with --rig or --rig-layer"
+        raise FormatError(Fault("USD040", message, str(source), (), hint))
+    shapes = [shape.name for shape in stream.rig.shapes]
+    meshes = character_meshes(
+        surfaces, rig.names, bind, shapes, normals=options.normals
+    )
+    return Character(rig, tuple(surfaces), mapping, tuple(meshes), origin)
+
+
+def _bind(rig: Rig) -> FloatArray:
+    world = bind_world(rig)
+    bind = np.zeros((len(rig.joints), 4, 4))
+    bind[:, :3, :3], bind[:, :3, 3] = world.linear[0], world.positions[0]
+    bind[:, 3, 3] = 1.0
+    return bind
+
+
+def _turned(
+    surfaces: tuple[Surface, ...], up: UpAxis, source_up: UpAxis
+) -> tuple[Surface, ...]:
+    """Stand meshes that no joint carries on another up axis; joints carry the others.
+
+    Where the joints are turned, so is what they carry, wherever it was bound.
+    """
+    turn = up_from_up(up, source_up)
+    if turn is None:
+        return surfaces
+    whole = np.eye(4)
+    whole[:3, :3] = so3.to_matrix(np.array(turn))
+    return tuple(
+        surface
+        if surface.skin is not None
+        else replace(surface, geom_bind=whole @ surface.geom_bind)
+        for surface in surfaces
+    )
+
+
+def pieces(
+    blocks: TimedBlocks, *, neighbours: bool
+) -> Iterator[tuple[FloatArray, Motion, slice]]:
+    """Yield short pieces of a motion; the slice says which of their frames count.
+
+    Args:
+        blocks: Time codes and motions.
+        neighbours: Give each a frame of the pieces beside it, for differences at its
+            ends.
+    """
+    before: tuple[FloatArray, Motion] | None = None
+    cut = _cut(blocks)
+    piece = next(cut, None)
+    while piece is not None:
+        after = next(cut, None)
+        codes, motion = piece
+        parts = [piece]
+        if neighbours and before is not None:
+            parts.insert(0, before)
+        if neighbours and after is not None:
+            parts.append((after[0][:1], after[1].select(slice(0, 1))))
+        if len(parts) > 1:
+            codes = np.concatenate([codes for codes, _ in parts])
+            motion = Motion.concatenate([motion for _, motion in parts])
+        lead = 1 if neighbours and before is not None else 0
+        yield codes, motion, slice(lead, lead + len(piece[0]))
+        before = piece[0][-1:], piece[1].select(slice(-1, None))
+        piece = after
+
+
+def _cut(blocks: TimedBlocks) -> TimedBlocks:
+    for codes, motion in blocks:
+        for begin in range(0, len(codes), PIECE):
+            part = slice(begin, begin + PIECE)
+            yield codes[part], motion.select(part)
+
+
+@dataclass
+class PointStream:
+    """Deforms a character frame by frame.
+
+    Attributes:
+        character: What deforms.
+        meters_per_unit: Unit of the output [m].
+        rate: Time codes a second.
+        placements: Mesh from skeleton space, of each mesh, in the output's unit; None
+            where these are the same.
+        normals: Deform those of meshes that have them.
+        velocities: Find how fast points move.
+        seconds: Spent on each mesh so far, joints left out [s].
+    """
+
+    character: Character
+    meters_per_unit: float
+    rate: float
+    placements: Sequence[FloatArray | None]
+    normals: bool = True
+    velocities: bool = False
+    seconds: list[float] = field(default_factory=list)
+
+    def blocks(self, timed: TimedBlocks) -> Iterator[PointBlock]:
+        """Yield frames of each mesh, those of a mesh in their order."""
+        character = self.character
+        self.seconds = [0.0] * len(character.meshes)
+        for codes, motion, own in pieces(timed, neighbours=self.velocities):
+            carried = motion
+            if character.mapping is not None:
+                carried = character.mapping.apply(motion)
+            world = forward(character.rig, *carried.dense())
+            weights = None if motion.weights is None else motion.weights.dense()[..., 0]
+            for i, mesh in enumerate(character.meshes):
+                made = self._frames(mesh, codes, mesh.weights(weights), world)
+                yield from self._rounded(i, codes, made, own)
+
+    def _rounded(
+        self, mesh: int, codes: FloatArray, made: Iterator[Deformed], own: slice
+    ) -> Iterator[PointBlock]:
+        """Yield the frames of a piece that count, rounded."""
+        done = 0
+        began = time.perf_counter()
+        for part in made:
+            first, last = max(own.start - done, 0), max(own.stop - done, 0)
+            kept = part.select(slice(first, last))
+            at = codes[done + first : done + first + len(kept.points)]
+            done += len(part.points)
+            if not len(at):
+                continue
+            placement = self.placements[mesh]
+            block = round_points(mesh, at, kept, self.meters_per_unit, placement)
+            self.seconds[mesh] += time.perf_counter() - began
+            yield block
+            began = time.perf_counter()
+        self.seconds[mesh] += time.perf_counter() - began
+
+    def _frames(
+        self,
+        mesh: CharacterMesh,
+        codes: FloatArray,
+        weights: FloatArray | None,
+        world: WorldTransforms,
+    ) -> Iterator[Deformed]:
+        record = mesh.mesh
+        normals = self.normals and record.normals is not None
+        if _still(mesh, weights, world):
+            # One frame is as good as all of them, and no work.
+            weights = None if weights is None else weights[:1]
+            first = WorldTransforms(world.positions[:1], world.linear[:1])
+            times = codes[:1] if self.velocities else None
+            one = deform(record, weights, first, normals=normals, times=times)
+            return _repeated(one, len(codes))
+        times = codes / self.rate if self.velocities else None
+        return deform_blocks(record, weights, world, normals=normals, times=times)
+
+
+def _still(
+    mesh: CharacterMesh, weights: FloatArray | None, world: WorldTransforms
+) -> bool:
+    """Return whether nothing that a mesh follows moves."""
+    if weights is not None and (weights != weights[:1]).any():
+        return False
+    skin = mesh.mesh.skin
+    if skin is None:
+        return True
+    return all(
+        bool((values == values[:1]).all())
+        for values in (world.positions[:, skin.joints], world.linear[:, skin.joints])
+    )
+
+
+def _repeated(one: Deformed, frames: int) -> Iterator[Deformed]:
+    size = block_frames(one.points.shape[1])
+
+    def repeat(values: FloatArray | None, count: int) -> Any:
+        return None if values is None else np.repeat(values, count, axis=0)
+
+    for begin in range(0, frames, size):
+        count = min(size, frames - begin)
+        yield Deformed(
+            repeat(one.points, count),
+            repeat(one.extents, count),
+            repeat(one.normals, count),
+            repeat(one.velocities, count),
+        )

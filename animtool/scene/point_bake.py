@@ -1,0 +1,197 @@
+"""Running a bake whose output is point caches."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Any
+
+from animtool._types import FloatArray
+from animtool.errors import Fault, FormatError, refuse_warnings
+from animtool.prefetch import prefetch
+from animtool.rig.kinematics import rest_size
+from animtool.scene.bake import BakeReport
+from animtool.scene.deform import Character, PointStream
+from animtool.scene.frames import timed_blocks
+from animtool.scene.plan import BakePlan
+from animtool.take import Motion
+from animtool.usd.author import UsdResult
+from animtool.usd.layers import save_layer
+from animtool.usd.names import legal_name
+from animtool.usd.point_cache import CachedMesh, CacheJob, author_cache, mesh_paths
+from animtool.usd.skeleton import RigPaths
+
+__all__ = ["MeshReport", "run_point_bake"]
+
+
+@dataclass(frozen=True, slots=True)
+class MeshReport:
+    """What became of a mesh.
+
+    Attributes:
+        name: As the rig names it.
+        written: What was written of it.
+        seconds: Spent on deforming and rounding it [s].
+        frames: How many frames that was for.
+    """
+
+    name: str
+    written: CachedMesh
+    seconds: float
+    frames: int
+
+
+class _Frames:
+    """Counts frames of a source and samples of an output as they pass."""
+
+    def __init__(self) -> None:
+        self.source = self.samples = 0
+
+    def of_source(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
+        for block in blocks:
+            self.source += block.frames
+            yield block
+
+    def of_output(
+        self, blocks: Iterator[tuple[FloatArray, Motion]]
+    ) -> Iterator[tuple[FloatArray, Motion]]:
+        for codes, motion in blocks:
+            self.samples += len(codes)
+            yield codes, motion
+
+
+def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
+    """Run a planned bake of point caches: read, deform, author, write.
+
+    Raises:
+        FormatError: The rows of the source are malformed, or meshes do not fit those
+            of the rig layer.
+        OptionError: The range has no frame of the take.
+        OutputError: The output cannot be written.
+        StrictError: There were warnings, and ``strict`` is on.
+    """
+    began = time.perf_counter()
+    stream, frames = plan.stream, _Frames()
+    counted = replace(stream, blocks=frames.of_source(stream.blocks))
+    timed, span, _ = timed_blocks(plan, counted)
+    job, character, placements = _job(plan, character, span)
+    points = PointStream(
+        character,
+        job.meters_per_unit,
+        float(plan.fps),
+        placements,
+        plan.options.normals,
+        plan.options.velocities,
+    )
+    ahead = prefetch(points.blocks(frames.of_output(timed)))
+    try:
+        layer, written = author_cache(job, ahead)
+    finally:
+        ahead.close()
+    seconds = {"read": sum(points.seconds), "author": time.perf_counter() - began}
+    notices = stream.notices + plan.notices
+    refuse_warnings(notices, strict=plan.options.strict)
+    result = _write(plan, job, layer, written, frames.samples)
+    seconds["total"] = time.perf_counter() - began
+    seconds["save"] = seconds["total"] - seconds["author"]
+    names = [mesh.name for mesh in character.meshes]
+    return BakeReport(
+        plan.source,
+        result,
+        f"point caches as a {plan.form} ({plan.reason})",
+        stream.count or frames.source,
+        stream.fps / stream.step,
+        plan.fps,
+        len(stream.rig.joints),
+        job.meters_per_unit,
+        job.up.value if job.target is None else job.target.up.value,
+        rest_size(character.rig),
+        "",
+        notices,
+        plan.options.source.unit is None and "units" not in stream.details,
+        seconds,
+        plan.source.stat().st_size,
+        stream.details,
+        meshes=[
+            MeshReport(name, mesh, spent, frames.samples)
+            for name, mesh, spent in zip(names, written, points.seconds, strict=True)
+        ],
+        meshes_of=character.origin,
+    )
+
+
+def _job(
+    plan: BakePlan, character: Character, span: tuple[Fraction, Fraction] | None
+) -> tuple[CacheJob, Character, Sequence[FloatArray | None]]:
+    """Return what the writer is to do, with which meshes, and where these stand."""
+    options, rig = plan.options, plan.stream.rig
+    if plan.target is not None:
+        return _layer_job(plan, character, span)
+    model = options.prim_path or f"/{legal_name(rig.name)}"
+    paths = RigPaths.below(model)
+    unit = options.to_units
+    job = CacheJob(
+        plan.output,
+        paths,
+        mesh_paths(character.surfaces, paths),
+        plan.fps,
+        span,
+        rig.meters_per_unit if unit is None else unit.meters,
+        rig.up,
+        character.surfaces,
+        options.normals,
+    )
+    return job, character, [None] * len(character.meshes)
+
+
+def _layer_job(
+    plan: BakePlan, character: Character, span: tuple[Fraction, Fraction] | None
+) -> tuple[CacheJob, Character, Sequence[FloatArray | None]]:
+    from animtool.usd.cache_target import open_cache_target
+
+    assert plan.target is not None
+    # A mesh that follows nothing stays as the rig has it.
+    wanted = {
+        surface.name: len(surface.points)
+        for surface in character.surfaces
+        if surface.skin is not None or surface.shapes
+    }
+    target = open_cache_target(plan.target, wanted)
+    plan.notices.extend(target.notices)
+    if not target.meshes:
+        message = "no mesh of the take is in the rig layer"
+        where = str(plan.target.path)
+        raise FormatError(Fault("USD040", message, where, (), "nothing would deform"))
+    job = CacheJob(
+        plan.output,
+        plan.target.paths,
+        tuple(mesh.path for mesh in target.meshes),
+        plan.fps,
+        span,
+        plan.target.skeleton.rig.meters_per_unit,
+        plan.target.up,
+        normals=plan.options.normals,
+        target=target,
+    )
+    character = character.only([mesh.name for mesh in target.meshes])
+    return job, character, [mesh.placement for mesh in target.meshes]
+
+
+def _write(
+    plan: BakePlan,
+    job: CacheJob,
+    layer: Any,
+    written: list[CachedMesh],
+    samples: int,
+) -> UsdResult:
+    result = UsdResult(samples=samples)
+    first, last = layer.startTimeCode, layer.endTimeCode
+    result.first, result.last = job.frames or (Fraction(first), Fraction(last))
+    sampled = [name for mesh in written for name in mesh.sampled]
+    result.sampled = list(dict.fromkeys(sampled))
+    if plan.output is not None:
+        result.outputs = [plan.output]
+    result.bytes = save_layer(layer, plan.output)
+    return result

@@ -1,0 +1,132 @@
+"""The meshes of a rig, ready to follow its motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault, FormatError
+from animtool.rig.surfaces import Surface, SurfaceShape
+from animtool.skin.deform import DeformedMesh
+from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas, prepare_shapes
+from animtool.skin.skinning import Binding, SkinMethod, prepare_skin
+
+__all__ = ["CharacterMesh", "character_meshes"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CharacterMesh:
+    """A mesh of a rig, and which shape weights of the rig are its own.
+
+    Attributes:
+        name: As the rig names it.
+        mesh: What deforms, in [m].
+        columns: ``(S,)`` for each of its shapes, the rig's shape whose weight it
+            has; -1 for one without, which stays off.
+    """
+
+    name: str
+    mesh: DeformedMesh
+    columns: IntArray
+
+    def weights(self, of_rig: FloatArray | None) -> FloatArray | None:
+        """Return the weights of its own shapes ``(F, S)``; None where all are off.
+
+        Args:
+            of_rig: Weights of the rig's shapes in its order ``(F, shapes)`` [1].
+        """
+        if of_rig is None or not (self.columns >= 0).any():
+            return None
+        own = of_rig[:, self.columns]
+        own[:, self.columns < 0] = 0.0
+        return own
+
+
+def character_meshes(
+    surfaces: Sequence[Surface],
+    joints: Sequence[str],
+    bind: FloatArray,
+    shapes: Sequence[str],
+    *,
+    normals: bool = True,
+) -> list[CharacterMesh]:
+    """Return meshes ready to follow joints and shape weights.
+
+    Args:
+        surfaces: The meshes.
+        joints: Names of the J joints that carry them.
+        bind: Their world transforms at bind time ``(J, 4, 4)`` [m].
+        shapes: Names of the shapes whose weights there will be.
+        normals: Prepare the normals of meshes that have them.
+
+    Raises:
+        FormatError: All that does not fit: lengths, numbers of joints or vertices,
+            values that are not finite, weights (SKIN001 to SKIN006).
+
+    >>> triangle = Surface(
+    ...     "sail", np.eye(3), np.array([3]), np.arange(3), None, np.eye(4), None, ()
+    ... )
+    >>> character_meshes([triangle], ["mast"], np.eye(4)[None], [])[0].name
+    'sail'
+    """
+    places = {name: i for i, name in enumerate(joints)}
+    columns = {name: i for i, name in enumerate(shapes)}
+    made, faults = [], []
+    for surface in surfaces:
+        try:
+            mesh = _mesh(surface, places, bind, normals=normals)
+        except FormatError as error:
+            faults += [_named(fault, surface.name) for fault in error.faults]
+            continue
+        own = [_column(surface, shape, columns) for shape in surface.shapes]
+        made.append(CharacterMesh(surface.name, mesh, np.array(own, np.int64)))
+    if faults:
+        raise FormatError(faults)
+    return made
+
+
+def _named(fault: Fault, mesh: str) -> Fault:
+    return replace(fault, message=f"mesh {mesh!r}: {fault.message}")
+
+
+def _column(surface: Surface, shape: SurfaceShape, columns: dict[str, int]) -> int:
+    """Return the weight of a shape; one that two meshes have bears its mesh's name."""
+    whole = shape.name.removeprefix(f"{surface.name}_")
+    return columns.get(shape.name, columns.get(whole, -1))
+
+
+def _mesh(
+    surface: Surface, places: dict[str, int], bind: FloatArray, *, normals: bool
+) -> DeformedMesh:
+    vertices, turned = len(surface.points), surface.normals if normals else None
+    shapes = skin = None
+    if surface.shapes:
+        deltas = [_deltas(shape) for shape in surface.shapes]
+        shapes = prepare_shapes(deltas, surface.points, turned)
+    if surface.skin is not None:
+        binding = Binding(
+            surface.skin.indices,
+            surface.skin.weights,
+            bind,
+            np.array([places[name] for name in surface.skin.joints], np.int64),
+            surface.geom_bind,
+            SkinMethod(surface.skin.method),
+        )
+        skin = prepare_skin(binding, vertices)
+    return DeformedMesh(surface.points, shapes, skin, turned)
+
+
+def _deltas(shape: SurfaceShape) -> ShapeDeltas:
+    return ShapeDeltas(
+        shape.name,
+        shape.deltas,
+        shape.vertices,
+        shape.normals,
+        tuple(
+            InbetweenDeltas(step.at, step.deltas, step.normals)
+            for step in shape.inbetweens
+        ),
+    )

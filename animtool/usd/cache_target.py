@@ -1,0 +1,225 @@
+"""The meshes of a rig layer that a point cache goes over."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
+
+from animtool._types import FloatArray
+from animtool.errors import Fault, FormatError, OutputError, Severity, listed
+from animtool.units import UpAxis
+from animtool.usd.layers import attribute, prim
+from animtool.usd.mesh_read import bound_meshes
+from animtool.usd.target import MOST_NAMED, RigTarget, compose_check
+
+__all__ = ["CacheTarget", "TargetMesh", "open_cache_target"]
+
+# A transform between mesh and skeleton nearer to none than this is rounding.
+SAME = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class TargetMesh:
+    """A mesh of a rig layer.
+
+    Attributes:
+        name: As the rig names it.
+        path: Its prim, as a layer over the rig names it.
+        placement: Mesh from skeleton space, in the rig's unit ``(4, 4)``; None where
+            these are the same.
+        normals: Whether it has normals that a cache can replace.
+        blocked: Attributes whose values do not hold for deformed points.
+    """
+
+    name: str
+    path: str
+    placement: FloatArray | None
+    normals: bool
+    blocked: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class CacheTarget:
+    """A rig whose meshes a cache deforms in UsdSkel's place.
+
+    Attributes:
+        rig: The rig's stage.
+        meshes: Those that the cache has points of.
+        notices: What is odd.
+    """
+
+    rig: RigTarget
+    meshes: tuple[TargetMesh, ...]
+    notices: tuple[Fault, ...]
+
+    @property
+    def unit(self) -> float:
+        """Length unit that the stage states [m]."""
+        return self.rig.unit
+
+    @property
+    def up(self) -> UpAxis:
+        """Up axis that the stage states."""
+        return self.rig.up
+
+    def author(self, layer: Any, *, normals: bool) -> Mapping[str, Any]:
+        """Write the overs; return those of the meshes by path."""
+        # As UsdSkel.BakeSkinning does it: outside a SkelRoot nothing is skinned.
+        root = prim(layer, self.rig.paths.root, "Xform", over=True)
+        if self.rig.moves:
+            order = Vt.TokenArray(self.rig.operations)
+            kind = Sdf.ValueTypeNames.TokenArray
+            attribute(root, "xformOpOrder", kind, order, uniform=True)
+        specs = {}
+        for mesh in self.meshes:
+            spec = prim(layer, mesh.path, over=True)
+            blocked = mesh.blocked
+            if mesh.normals and not normals:
+                blocked += ("normals",)
+            for name in blocked:
+                kind = Sdf.ValueTypeNames.Normal3fArray
+                attribute(spec, name, kind, Sdf.ValueBlock())
+            specs[mesh.path] = spec
+        return specs
+
+    def check(self, layer: Any) -> None:
+        """Compose the layer with its rig, and see that its points are what shows.
+
+        Raises:
+            OutputError: The rig's own opinions win (USD042).
+        """
+        stage = compose_check(self.rig, layer)
+        root = stage.GetPrimAtPath(self.rig.paths.root)
+        wrong = []
+        if root.IsA(UsdSkel.Root):
+            wrong.append(str(root.GetPath()))
+        for mesh in self.meshes:
+            attr = stage.GetPrimAtPath(mesh.path).GetAttribute("points")
+            stack = attr.GetPropertyStack(Usd.TimeCode.EarliestTime())
+            if not stack or stack[0].layer != layer:
+                wrong.append(mesh.path)
+        if wrong:
+            message = f"the rig's own opinions win over the cache at {listed(wrong)}"
+            hint = "a layer cannot reach into instances"
+            where = str(self.rig.path)
+            raise OutputError(Fault("USD042", message, where, (), hint))
+
+
+def open_cache_target(rig: RigTarget, wanted: Mapping[str, int]) -> CacheTarget:
+    """Find the meshes of a rig by the names that a cache has for them.
+
+    Args:
+        rig: The rig.
+        wanted: Number of points of each mesh that deforms, by name.
+
+    Raises:
+        FormatError: A mesh has another number of points (USD041), or moves below its
+            skeleton by itself (USD043); with every such mesh.
+    """
+    at = rig.stage.GetPrimAtPath(rig.on_stage(rig.paths.skeleton))
+    skeleton = UsdSkel.Skeleton(at)
+    root = UsdSkel.Root.Find(at).GetPrim()
+    found = {name: query.GetPrim() for name, query in bound_meshes(skeleton)}
+    faults, meshes = [], []
+    for name, count in wanted.items():
+        if name not in found:
+            continue
+        mesh = UsdGeom.Mesh(found[name])
+        faults += _misfits(mesh, name, count, skeleton, rig)
+        meshes.append(_mesh(mesh, name, skeleton, rig))
+    if faults:
+        raise FormatError(faults)
+    missing = [name for name in wanted if name not in found]
+    notices = _missing_notice(missing, rig.path)
+    deformed = {found[mesh.name].GetPath() for mesh in meshes}
+    notices += _left_notice(root, deformed, rig.path)
+    notices += _normals_notice(meshes, rig.path)
+    return CacheTarget(rig, tuple(meshes), tuple(notices))
+
+
+def _misfits(
+    mesh: Any, name: str, count: int, skeleton: Any, rig: RigTarget
+) -> list[Fault]:
+    where, faults = f"{rig.path}<{mesh.GetPath()}>", []
+    points = mesh.GetPointsAttr().Get(Usd.TimeCode.EarliestTime()) or ()
+    if len(points) != count:
+        message = f"mesh {name!r} has {len(points)} points here, and {count} in the rig"
+        hint = "the cache would not fit its faces"
+        faults.append(Fault("USD041", message, where, (), hint))
+    between = mesh.GetPrim()
+    while between.GetPath().HasPrefix(Sdf.Path("/")) and between:
+        if skeleton.GetPath().HasPrefix(between.GetPath()):
+            break
+        xform = UsdGeom.Xformable(between)
+        if xform and xform.TransformMightBeTimeVarying():
+            message = f"{between.GetPath()} moves below the skeleton by itself"
+            faults.append(Fault("USD043", message, where))
+        between = between.GetParent()
+    return faults
+
+
+def _mesh(mesh: Any, name: str, skeleton: Any, rig: RigTarget) -> TargetMesh:
+    binding = UsdSkel.BindingAPI(mesh.GetPrim())
+    skinned = binding.GetJointIndicesPrimvar().HasAuthoredValue()
+    cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
+    world = cache.GetLocalToWorldTransform(skeleton.GetPrim())
+    own = cache.GetLocalToWorldTransform(mesh.GetPrim())
+    placement = np.array(world * own.GetInverse(), np.float64).T
+    normals = mesh.GetNormalsAttr().HasAuthoredValue()
+    followed = normals and mesh.GetNormalsInterpolation() == UsdGeom.Tokens.vertex
+    blocked = ["normals"] if normals and not followed else []
+    primvar = mesh.GetPrim().GetAttribute("primvars:normals")
+    if primvar and primvar.HasAuthoredValue():
+        blocked.append("primvars:normals")
+    same = np.abs(placement - np.eye(4)).max() <= SAME
+    return TargetMesh(
+        name,
+        rig.on_layer(mesh.GetPath()),
+        None if same or not skinned else placement,
+        followed,
+        tuple(blocked),
+    )
+
+
+def _missing_notice(missing: Sequence[str], path: Path) -> list[Fault]:
+    if not missing:
+        return []
+    message = f"{len(missing)} meshes of the take are not in the rig layer: "
+    message += listed(missing, MOST_NAMED)
+    hint = "they are left out"
+    return [Fault("USD141", message, str(path), (), hint, Severity.WARNING)]
+
+
+def _left_notice(root: Any, deformed: set[Any], path: Path) -> list[Fault]:
+    """Name what UsdSkel moved below the SkelRoot, and nothing moves now."""
+    cache = UsdSkel.Cache()
+    cache.Populate(UsdSkel.Root(root), Usd.TraverseInstanceProxies())
+    bindings = cache.ComputeSkelBindings(
+        UsdSkel.Root(root), Usd.TraverseInstanceProxies()
+    )
+    left = [
+        str(query.GetPrim().GetPath())
+        for binding in bindings
+        for query in binding.GetSkinningTargets()
+        if query.GetPrim().GetPath() not in deformed
+    ]
+    if not left:
+        return []
+    message = f"{len(left)} prims stop following their skeleton: "
+    message += listed(left, MOST_NAMED)
+    hint = "the SkelRoot becomes an Xform, and the cache has no points of them"
+    return [Fault("USD142", message, str(path), (), hint, Severity.WARNING)]
+
+
+def _normals_notice(meshes: Sequence[TargetMesh], path: Path) -> list[Fault]:
+    blocked = [mesh.name for mesh in meshes if mesh.blocked]
+    if not blocked:
+        return []
+    message = f"normals of {listed(blocked, MOST_NAMED)} are not one a vertex"
+    hint = "they are blocked, as they would not fit deformed points"
+    return [Fault("USD143", message, str(path), (), hint, Severity.NOTE)]

@@ -1,0 +1,92 @@
+"""The meshes that a stage's Skeleton deforms, with its exact bind transforms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import UsdSkel
+
+from animtool._types import FloatArray
+from animtool.errors import Fault, FormatError
+from animtool.rig.surfaces import Surface, surfaces_of
+from animtool.units import UpAxis
+from animtool.usd.layers import usd_errors
+from animtool.usd.mesh_read import read_meshes
+from animtool.usd.rig_prims import (
+    SkeletonRig,
+    array_value,
+    find_skeletons,
+    open_stage,
+    prim_below,
+    skeleton_rig,
+)
+from animtool.usd.target import RigTarget
+
+__all__ = ["StageMeshes", "source_meshes", "target_meshes"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StageMeshes:
+    """Meshes of a Skeleton.
+
+    Attributes:
+        surfaces: The meshes [m].
+        bind: World transforms of the Skeleton's J joints at bind time, scale and shear
+            included, for column vectors ``(J, 4, 4)`` [m].
+        up: Up axis of all of it.
+        notices: What is left out.
+    """
+
+    surfaces: tuple[Surface, ...]
+    bind: FloatArray
+    up: UpAxis
+    notices: list[Fault]
+
+
+def source_meshes(path: Path, prim_path: str | None) -> StageMeshes:
+    """Return the meshes of the character that a USD file is read as.
+
+    Raises:
+        FormatError: A mesh is malformed, or the bind transforms are (USD019).
+    """
+    with usd_errors(path):
+        stage = open_stage(path)
+        skeletons = find_skeletons(stage, prim_below(stage, prim_path))
+        if not skeletons:
+            return StageMeshes((), np.zeros((0, 4, 4)), UpAxis.Y, [])
+        return _meshes(skeletons[0], skeleton_rig(skeletons[0], path), path)
+
+
+def target_meshes(target: RigTarget) -> StageMeshes:
+    """Return the meshes of a rig layer.
+
+    Raises:
+        FormatError: A mesh is malformed, or the bind transforms are (USD019).
+    """
+    with usd_errors(target.path):
+        prim = target.stage.GetPrimAtPath(target.on_stage(target.paths.skeleton))
+        return _meshes(UsdSkel.Skeleton(prim), target.skeleton, target.path)
+
+
+def _meshes(skeleton: Any, found: SkeletonRig, path: Path) -> StageMeshes:
+    meshes, shapes, notices = read_meshes(skeleton, found, str(path))
+    rig = replace(found.rig, meshes=meshes, shapes=shapes)
+    if not meshes:
+        return StageMeshes((), np.zeros((0, 4, 4)), rig.up, notices)
+    bind = _bind(skeleton, len(rig.joints), f"{path}<{skeleton.GetPath()}>")
+    bind[:, :3, 3] *= rig.meters_per_unit
+    return StageMeshes(surfaces_of(rig), bind, rig.up, notices)
+
+
+def _bind(skeleton: Any, joints: int, where: str) -> FloatArray:
+    matrices = array_value(skeleton.GetBindTransformsAttr())
+    bind = np.array(matrices, np.float64).reshape(-1, 4, 4)
+    if len(bind) != joints or not np.isfinite(bind).all():
+        message = f"{len(bind)} bindTransforms for {joints} joints"
+        if len(bind) == joints:
+            message = "a bind transform is not finite"
+        raise FormatError(Fault("USD019", message, where))
+    return bind.swapaxes(-1, -2).copy()

@@ -1,0 +1,311 @@
+"""Authoring deformed meshes as point caches: a stage of them, or overs on a rig."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pxr import Sdf, Vt
+
+from animtool._types import Float32Array, FloatArray
+from animtool.rig.surfaces import Surface
+from animtool.skin.deform import Deformed
+from animtool.units import UpAxis
+from animtool.usd.layers import (
+    StageMetadata,
+    author_metadata,
+    new_layer,
+    prim,
+)
+from animtool.usd.meshes import author_meshes, mesh_names
+from animtool.usd.samples import Samples
+from animtool.usd.skeleton import RigPaths
+
+if TYPE_CHECKING:
+    from animtool.usd.cache_target import CacheTarget
+
+__all__ = [
+    "CacheJob",
+    "CachedMesh",
+    "PointBlock",
+    "author_cache",
+    "mesh_paths",
+    "round_points",
+]
+
+FLOAT32_MAX = float(np.finfo(np.float32).max)
+
+_TYPES = Sdf.ValueTypeNames
+
+
+@dataclass(frozen=True, slots=True)
+class PointBlock:
+    """Frames of one mesh as the layer will hold them, in its unit.
+
+    Attributes:
+        mesh: The mesh's place in the job.
+        codes: Time codes ``(F,)``.
+        points: ``(F, V, 3)`` float32, in the mesh's own space.
+        extents: Bounds of the points ``(F, 2, 3)`` float32.
+        normals: ``(F, V, 3)`` float32; None where they are not written.
+        velocities: ``(F, V, 3)`` float32, per second; None likewise.
+        error: Largest distance that rounding moved a point along an axis [m].
+        error_code: Time code of that.
+        error_vertex: The point that moved.
+    """
+
+    mesh: int
+    codes: FloatArray
+    points: Float32Array
+    extents: Float32Array
+    normals: Float32Array | None
+    velocities: Float32Array | None
+    error: float
+    error_code: float
+    error_vertex: int
+
+
+@dataclass(frozen=True, slots=True)
+class CacheJob:
+    """What `author_cache` needs beside the blocks.
+
+    Attributes:
+        output: The file; None is usda for stdout.
+        paths: The character's prims.
+        meshes: Paths of the meshes' prims, in the order that blocks count them.
+        fps: Time codes a second.
+        frames: First and last time code; None takes those of the samples.
+        meters_per_unit: Unit of the layer's numbers [m].
+        up: Up axis of a stage.
+        surfaces: Of a stage, the meshes, as the blocks count them.
+        normals: Write those of meshes that have them; False leaves meshes without.
+        target: Of a layer, the rig; None is a stage.
+    """
+
+    output: Path | None
+    paths: RigPaths
+    meshes: tuple[str, ...]
+    fps: Fraction
+    frames: tuple[Fraction, Fraction] | None
+    meters_per_unit: float
+    up: UpAxis
+    surfaces: tuple[Surface, ...] = ()
+    normals: bool = True
+    target: CacheTarget | None = None
+
+
+@dataclass(slots=True)
+class CachedMesh:
+    """What was written of a mesh.
+
+    Attributes:
+        path: Its prim.
+        vertices: Number of its points.
+        samples: Time samples of its points; 0 where it never moves.
+        bytes: Size of its samples in memory.
+        sampled: Names of the attributes that change.
+        error: Largest distance that rounding moved a point along an axis [m].
+        error_code: Time code of that.
+        error_vertex: The point that moved.
+    """
+
+    path: str
+    vertices: int = 0
+    samples: int = 0
+    bytes: int = 0
+    sampled: list[str] = field(default_factory=list)
+    error: float = 0.0
+    error_code: float = 0.0
+    error_vertex: int = 0
+
+    def add(self, block: PointBlock) -> None:
+        """Count a block, and keep the larger error."""
+        self.vertices = block.points.shape[1]
+        self.samples += len(block.codes)
+        if block.error > self.error:
+            self.error, self.error_code = block.error, block.error_code
+            self.error_vertex = block.error_vertex
+
+
+def mesh_paths(surfaces: Sequence[Surface], paths: RigPaths) -> tuple[str, ...]:
+    """Return where a stage has meshes: where a stage with a skeleton has them too."""
+    return tuple(mesh_names(surfaces, paths)[0])
+
+
+def round_points(
+    mesh: int,
+    codes: FloatArray,
+    deformed: Deformed,
+    meters_per_unit: float,
+    placement: FloatArray | None = None,
+) -> PointBlock:
+    """Return frames of a mesh rounded to what USD holds, and what the rounding did.
+
+    Args:
+        mesh: The mesh's place in the job.
+        codes: Time codes ``(F,)``.
+        deformed: Its frames [m].
+        meters_per_unit: Unit of the layer [m].
+        placement: Mesh from skeleton space, in the layer's unit ``(4, 4)``; None
+            where these are the same.
+    """
+    points, extents = deformed.points, deformed.extents
+    velocities, normals = deformed.velocities, deformed.normals
+    if meters_per_unit != 1.0:
+        points, extents = points / meters_per_unit, extents / meters_per_unit
+        velocities = None if velocities is None else velocities / meters_per_unit
+    if placement is not None:
+        linear = placement[:3, :3]
+        points = points @ linear.T + placement[:3, 3]
+        extents = np.stack([points.min(axis=1), points.max(axis=1)], axis=1)
+        velocities = None if velocities is None else velocities @ linear.T
+        normals = None if normals is None else _turned(normals, linear)
+    rounded = _float32(points)
+    error = np.abs(rounded - points)
+    at = int(error.argmax()) if error.size else 0
+    frame, vertex, _ = np.unravel_index(at, error.shape)
+    return PointBlock(
+        mesh,
+        codes,
+        rounded,
+        _float32(extents),
+        None if normals is None else _float32(normals),
+        None if velocities is None else _float32(velocities),
+        float(error.flat[at]) * meters_per_unit,
+        float(codes[frame]),
+        int(vertex),
+    )
+
+
+def _float32(values: FloatArray) -> Float32Array:
+    if np.abs(values).max(initial=0.0) > FLOAT32_MAX:
+        values = np.clip(values, -FLOAT32_MAX, FLOAT32_MAX)
+    return values.astype(np.float32)
+
+
+def _turned(normals: FloatArray, linear: FloatArray) -> FloatArray:
+    turned = normals @ np.linalg.inv(linear)
+    length = np.linalg.norm(turned, axis=-1, keepdims=True)
+    return np.asarray(turned / np.where(length > 0, length, 1.0))
+
+
+def author_cache(
+    job: CacheJob, blocks: Iterator[PointBlock]
+) -> tuple[Any, list[CachedMesh]]:
+    """Author a layer in memory; nothing is written yet.
+
+    A stage has ``Xform`` prims where one with a skeleton has the model and the
+    SkelRoot, and the meshes at the same paths, bound to nothing. A layer makes the
+    SkelRoot of its rig an ``Xform``, so that UsdSkel does not deform what is deformed
+    already.
+
+    Raises:
+        OutputError: The rig's own opinions would win (USD042).
+    """
+    layer = new_layer(job.output or Path("stdout.usda"))
+    with Sdf.ChangeBlock():
+        if job.target is None:
+            specs = _author_stage(layer, job)
+        else:
+            specs = job.target.author(layer, normals=job.normals)
+        writers = [_MeshWriter(specs[path]) for path in job.meshes]
+        first, last = np.inf, -np.inf
+        for block in blocks:
+            writers[block.mesh].add(block)
+            first, last = min(first, block.codes[0]), max(last, block.codes[-1])
+        reports = [writer.finish() for writer in writers]
+        author_metadata(layer, _metadata(job, first, last))
+    if job.target is not None:
+        job.target.check(layer)
+    return layer, reports
+
+
+def _metadata(job: CacheJob, first: float, last: float) -> StageMetadata:
+    frames = job.frames or (Fraction(first), Fraction(last))
+    default = Sdf.Path(job.paths.model).GetPrefixes()[0].name
+    unit, up = job.meters_per_unit, job.up
+    if job.target is not None:
+        unit, up = job.target.unit, job.target.up
+    return StageMetadata(default, job.fps, *frames, unit, up)
+
+
+def _author_stage(layer: Any, job: CacheJob) -> Mapping[str, Any]:
+    model = Sdf.Path(job.paths.model)
+    for ancestor in model.GetAncestorsRange():
+        if not ancestor.IsAbsoluteRootPath():
+            kind = "component" if ancestor == model else "group"
+            prim(layer, str(ancestor), "Xform").SetInfo("kind", kind)
+    prim(layer, job.paths.root, "Xform")
+    author_meshes(layer, job.surfaces, job.paths, {}, job.meters_per_unit, bound=False)
+    return {path: layer.GetPrimAtPath(path) for path in job.meshes}
+
+
+class _MeshWriter:
+    """Writes what changes of a mesh."""
+
+    def __init__(self, spec: Any) -> None:
+        self._spec = spec
+        self._report = CachedMesh(str(spec.path))
+        self._channels: dict[str, Samples] = {}
+
+    def add(self, block: PointBlock) -> None:
+        """Write a block of frames."""
+        self._report.add(block)
+        for name, rows in (
+            ("points", block.points),
+            ("extent", block.extents),
+            ("normals", block.normals),
+            ("velocities", block.velocities),
+        ):
+            if rows is not None:
+                self._channel(name).add(block.codes, rows)
+                self._report.bytes += rows.nbytes
+
+    def _channel(self, name: str) -> Samples:
+        if name not in self._channels:
+            self._channels[name] = _samples(self._spec, name)
+        return self._channels[name]
+
+    def finish(self) -> CachedMesh:
+        """Write the defaults of what never changed; return what there is now."""
+        report, channels = self._report, self._channels
+        velocities = channels.pop("velocities", None)
+        moves = bool(channels) and channels["points"].sampled
+        if velocities is not None:
+            if moves:
+                # UsdGeomPointBased uses them beside points of the same times only.
+                velocities.release()
+                channels["velocities"] = velocities
+            else:
+                _remove(self._spec, "velocities")
+        nothing = np.zeros((0, 3), np.float32)
+        for channel in channels.values():
+            channel.finish(nothing)
+        report.sampled = [name for name, made in channels.items() if made.sampled]
+        if not moves:
+            report.samples = report.bytes = 0
+        return report
+
+
+def _samples(spec: Any, name: str) -> Samples:
+    """Return an empty attribute in place of the one that a mesh at rest has."""
+    _remove(spec, name)
+    kinds = {
+        "points": _TYPES.Point3fArray,
+        "extent": _TYPES.Float3Array,
+        "normals": _TYPES.Normal3fArray,
+        "velocities": _TYPES.Vector3fArray,
+    }
+    interpolation = "vertex" if name == "normals" else ""
+    return Samples(
+        spec, name, kinds[name], Vt.Vec3fArray.FromNumpy, interpolation=interpolation
+    )
+
+
+def _remove(spec: Any, name: str) -> None:
+    if name in spec.attributes:
+        spec.RemoveProperty(spec.attributes[name])

@@ -1,0 +1,72 @@
+"""Samples of an attribute over time, a default alone while nothing changes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from animtool._types import FloatArray
+from animtool.usd.layers import attribute
+
+__all__ = ["Samples"]
+
+
+class Samples:
+    """An attribute's samples; a default only, while the values do not change.
+
+    The frames before the first change share one array, as copies of it would.
+
+    Attributes:
+        sampled: Whether they changed, or are sampled all the same.
+    """
+
+    def __init__(
+        self,
+        spec: Any,
+        name: str,
+        type_name: Any,
+        make: Callable[[Any], Any],
+        *,
+        interpolation: str = "",
+    ) -> None:
+        self._attribute = attribute(spec, name, type_name, interpolation=interpolation)
+        self._path = self._attribute.path
+        self._set = spec.layer.SetTimeSample
+        self._make = make
+        self._first: npt.NDArray[Any] | None = None
+        self._held: list[FloatArray] = []
+        self.sampled = False
+
+    def add(self, codes: FloatArray, rows: npt.NDArray[Any]) -> None:
+        """Add frames of values ``(F, …)``."""
+        rows = np.ascontiguousarray(rows)
+        if self._first is None:
+            self._first = rows[0].copy()
+        if not self.sampled:
+            if (rows == self._first).all():
+                self._held.append(codes)
+                return
+            self.release()
+        put, path, make = self._set, self._path, self._make
+        for code, row in zip(codes.tolist(), rows, strict=True):
+            put(path, code, make(row))
+
+    def release(self) -> None:
+        """Sample from the first frame on, whether anything changes or not."""
+        if self.sampled:
+            return
+        self.sampled = True
+        value = self._make(self._first)
+        for codes in self._held:
+            for code in codes.tolist():
+                self._set(self._path, code, value)
+        self._held.clear()
+
+    def finish(self, otherwise: npt.NDArray[Any]) -> None:
+        """Author the default of values that never changed, or never came."""
+        if not self.sampled:
+            first = otherwise if self._first is None else self._first
+            self._attribute.default = self._make(first)
