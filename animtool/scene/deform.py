@@ -94,14 +94,14 @@ def open_character(take: TakePlan, target: RigTarget | None) -> Character:
             origin, found = str(source), source_meshes(source, options.source.prim_path)
         take.notices.extend(found.notices)
         surfaces, bind = _turned(found.surfaces, rig.up, found.up), found.bind
+    if not options.normals:
+        surfaces = tuple(replace(surface, normals=None) for surface in surfaces)
     if not surfaces:
         message = "there is no mesh to deform"
         hint = "name a rig that has meshes: in the clip, or with --rig or --rig-layer"
         raise FormatError(Fault("USD040", message, str(source), (), hint))
     shapes = [shape.name for shape in stream.rig.shapes]
-    meshes = character_meshes(
-        surfaces, rig.names, bind, shapes, normals=options.normals
-    )
+    meshes = character_meshes(surfaces, rig.names, bind, shapes)
     return Character(rig, tuple(surfaces), mapping, tuple(meshes), origin)
 
 
@@ -180,7 +180,6 @@ class PointStream:
         rate: Time codes a second.
         placements: Mesh from skeleton space, of each mesh, in the output's unit; None
             where these are the same.
-        normals: Deform those of meshes that have them.
         velocities: Find how fast points move.
         seconds: Spent on each mesh so far, joints left out [s].
     """
@@ -189,7 +188,6 @@ class PointStream:
     meters_per_unit: float
     rate: float
     placements: Sequence[FloatArray | None]
-    normals: bool = True
     velocities: bool = False
     seconds: list[float] = field(default_factory=list)
 
@@ -235,7 +233,7 @@ class PointStream:
         world: WorldTransforms,
     ) -> Iterator[Deformed]:
         record = mesh.mesh
-        normals = self.normals and record.normals is not None
+        normals = record.normals is not None
         if _still(mesh, weights, world):
             # One frame is as good as all of them, and no work.
             weights = None if weights is None else weights[:1]

@@ -82,7 +82,6 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
         job.meters_per_unit,
         float(plan.fps),
         placements,
-        plan.options.normals,
         plan.options.velocities,
     )
     ahead = prefetch(points.blocks(frames.of_output(timed)))
@@ -141,7 +140,6 @@ def _job(
         rig.meters_per_unit if unit is None else unit.meters,
         rig.up,
         character.surfaces,
-        options.normals,
     )
     return job, character, [None] * len(character.meshes)
 

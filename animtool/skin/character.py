@@ -50,8 +50,6 @@ def character_meshes(
     joints: Sequence[str],
     bind: FloatArray,
     shapes: Sequence[str],
-    *,
-    normals: bool = True,
 ) -> list[CharacterMesh]:
     """Return meshes ready to follow joints and shape weights.
 
@@ -60,7 +58,6 @@ def character_meshes(
         joints: Names of the J joints that carry them.
         bind: Their world transforms at bind time ``(J, 4, 4)`` [m].
         shapes: Names of the shapes whose weights there will be.
-        normals: Prepare the normals of meshes that have them.
 
     Raises:
         FormatError: All that does not fit: lengths, numbers of joints or vertices,
@@ -77,7 +74,7 @@ def character_meshes(
     made, faults = [], []
     for surface in surfaces:
         try:
-            mesh = _mesh(surface, places, bind, normals=normals)
+            mesh = _mesh(surface, places, bind)
         except FormatError as error:
             faults += [_named(fault, surface.name) for fault in error.faults]
             continue
@@ -98,14 +95,11 @@ def _column(surface: Surface, shape: SurfaceShape, columns: dict[str, int]) -> i
     return columns.get(shape.name, columns.get(whole, -1))
 
 
-def _mesh(
-    surface: Surface, places: dict[str, int], bind: FloatArray, *, normals: bool
-) -> DeformedMesh:
-    vertices, turned = len(surface.points), surface.normals if normals else None
+def _mesh(surface: Surface, places: dict[str, int], bind: FloatArray) -> DeformedMesh:
     shapes = skin = None
     if surface.shapes:
         deltas = [_deltas(shape) for shape in surface.shapes]
-        shapes = prepare_shapes(deltas, surface.points, turned)
+        shapes = prepare_shapes(deltas, surface.points, surface.normals)
     if surface.skin is not None:
         binding = Binding(
             surface.skin.indices,
@@ -115,8 +109,8 @@ def _mesh(
             surface.geom_bind,
             SkinMethod(surface.skin.method),
         )
-        skin = prepare_skin(binding, vertices)
-    return DeformedMesh(surface.points, shapes, skin, turned)
+        skin = prepare_skin(binding, len(surface.points))
+    return DeformedMesh(surface.points, shapes, skin, surface.normals)
 
 
 def _deltas(shape: SurfaceShape) -> ShapeDeltas:

@@ -82,7 +82,8 @@ class CacheJob:
         meters_per_unit: Unit of the layer's numbers [m].
         up: Up axis of a stage.
         surfaces: Of a stage, the meshes, as the blocks count them.
-        normals: Write those of meshes that have them; False leaves meshes without.
+        normals: Of a layer, whether the blocks have those of meshes that have them;
+            False blocks those of the rig.
         target: Of a layer, the rig; None is a stage.
     """
 

@@ -1,0 +1,398 @@
+"""Deformed bakes beside skinned ones of the same take, through the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Gf, Sdf, Usd, UsdGeom
+from support.cli import animtool, animtool_process
+from support.point_caches import bindings, layered, skinned_points, world_points
+from support.skinned_rig import VERTICES, write_pair
+from support.usd import validation_errors
+
+# What float32 joints, weights and points leave, as a share of the size.
+TOLERANCE = 2e-6
+CODES = [float(code) for code in range(1, 10)]
+MOVING = ["body", "face", "sleeve"]
+
+methods = pytest.mark.parametrize("method", ["linear", "dual_quaternion"])
+
+
+def baked(folder: Path, name: str, *options: object, source: object = "") -> Usd.Stage:
+    source = source or "pair.clip.yaml"
+    done = animtool("bake", source, "-o", name, *options, cwd=folder)
+    assert done.code == 0, done.stderr
+    return Usd.Stage.Open(str(folder / name))
+
+
+def near(points: np.ndarray, truth: np.ndarray) -> bool:
+    return bool(np.abs(points - truth).max() <= TOLERANCE * np.abs(truth).max())
+
+
+@methods
+@pytest.mark.parametrize(
+    "options",
+    [
+        (),
+        ("--to-units", "m", "--to-up", "Z"),
+        ("--fps", "30", "--range", "1-9"),
+        ("--prim-path", "/World/cast/pair"),
+    ],
+)
+def test_points_are_where_the_skinned_stage_has_them(
+    method: str, options: tuple[str, ...], tmp_path: Path
+) -> None:
+    write_pair(tmp_path, method)
+    cache = baked(tmp_path, "cache.usdc", "--deform", *options)
+    baked(tmp_path, "skinned.usdc", *options)
+    truth = skinned_points(tmp_path / "skinned.usdc", CODES)
+    assert len(truth) == 4
+    for path, points in truth.items():
+        assert near(world_points(cache, path, CODES), points), path
+    assert not bindings(cache)
+    assert not validation_errors(cache)
+
+
+@methods
+def test_normals_turn_as_those_that_usdskel_bakes(method: str, tmp_path: Path) -> None:
+    from pxr import UsdSkel
+
+    write_pair(tmp_path, method)
+    cache = baked(tmp_path, "cache.usdc", "--deform")
+    skinned = baked(tmp_path, "skinned.usdc")
+    made = Usd.Stage.Open(skinned.Flatten())
+    root = UsdSkel.Root(made.GetPrimAtPath("/pair/Rig"))
+    assert UsdSkel.BakeSkinning(root, Gf.Interval(1, 9))
+    for name in ("body", "face"):
+        ours, theirs = (
+            UsdGeom.Mesh(stage.GetPrimAtPath(f"/pair/Rig/{name}"))
+            for stage in (cache, made)
+        )
+        assert ours.GetNormalsInterpolation() == "vertex"
+        for code in CODES:
+            truth = np.array(theirs.GetNormalsAttr().Get(code), np.float64)
+            truth /= np.linalg.norm(truth, axis=1, keepdims=True)
+            found = np.array(ours.GetNormalsAttr().Get(code), np.float64)
+            assert np.abs(found - truth).max() <= 2e-5
+    assert (
+        not UsdGeom.Mesh(cache.GetPrimAtPath("/pair/Rig/sleeve")).GetNormalsAttr().Get()
+    )
+
+
+def test_what_follows_nothing_that_moves_has_a_default_alone(tmp_path: Path) -> None:
+    write_pair(tmp_path)
+    cache = baked(tmp_path, "cache.usda", "--deform", "--velocities")
+    for prim in cache.Traverse():
+        if not prim.IsA(UsdGeom.Mesh):
+            continue
+        mesh = UsdGeom.Mesh(prim)
+        samples = [
+            attr.GetNumTimeSamples()
+            for attr in (mesh.GetPointsAttr(), mesh.GetExtentAttr())
+        ]
+        still = prim.GetName() == "rock"
+        assert samples == ([0, 0] if still else [9, 9])
+        assert mesh.GetVelocitiesAttr().GetNumTimeSamples() == samples[0]
+        for code in CODES:
+            points = mesh.GetPointsAttr().Get(code)
+            extent = UsdGeom.PointBased.ComputeExtent(points)
+            assert mesh.GetExtentAttr().Get(code) == extent
+
+
+@pytest.mark.parametrize("samples", [None, "-.25,0,.5"])
+def test_velocities_are_differences_of_points_a_second(
+    samples: str | None, tmp_path: Path
+) -> None:
+    write_pair(tmp_path)
+    more = [] if samples is None else [f"--samples={samples}"]
+    cache = baked(tmp_path, "cache.usdc", "--deform", "--velocities", *more)
+    for name in MOVING:
+        mesh = UsdGeom.Mesh(cache.GetPrimAtPath(f"/pair/Rig/{name}"))
+        codes = mesh.GetPointsAttr().GetTimeSamples()
+        assert mesh.GetVelocitiesAttr().GetTimeSamples() == codes
+        assert len(codes) == (9 if samples is None else 27)
+        points = np.array([mesh.GetPointsAttr().Get(code) for code in codes])
+        seconds = np.array(codes) / 24
+        truth = np.gradient(points.astype(np.float64), seconds, axis=0)
+        found = np.array([mesh.GetVelocitiesAttr().Get(code) for code in codes])
+        assert np.abs(found - truth).max() <= 1e-3
+
+
+def test_normals_can_be_left_out(tmp_path: Path) -> None:
+    write_pair(tmp_path)
+    stage = baked(tmp_path, "cache.usda", "--deform", "--no-normals")
+    for prim in stage.Traverse():
+        if prim.IsA(UsdGeom.Mesh):
+            assert not UsdGeom.Mesh(prim).GetNormalsAttr().Get(5)
+
+
+def rig_layer(folder: Path) -> Path:
+    done = animtool("convert", "pair.rig.yaml", "pair.usda", cwd=folder)
+    assert done.code == 0, done.stderr
+    return folder / "pair.usda"
+
+
+@methods
+@pytest.mark.parametrize("normals", [True, False])
+def test_a_layer_shows_in_a_shot_what_the_skinned_layer_shows(
+    method: str, normals: bool, tmp_path: Path
+) -> None:
+    write_pair(tmp_path, method)
+    rig = rig_layer(tmp_path)
+    over = ("--rig-layer", rig)
+    more = [] if normals else ["--no-normals"]
+    baked(tmp_path, "cache.usdc", *over, "--deform", *more)
+    baked(tmp_path, "skinned.usdc", *over)
+    truth = skinned_points(layered(tmp_path, tmp_path / "skinned.usdc", rig), CODES)
+    shot = Usd.Stage.Open(str(layered(tmp_path, tmp_path / "cache.usdc", rig)))
+    assert set(truth) == {f"/pair/Rig/{name}" for name in [*MOVING, "rock"]}
+    for path, points in truth.items():
+        assert near(world_points(shot, path, CODES), points), path
+    assert not bindings(shot)
+    body = UsdGeom.Mesh(shot.GetPrimAtPath("/pair/Rig/body"))
+    assert bool(body.GetNormalsAttr().Get(5)) is normals
+
+
+def test_a_layer_holds_overs_alone(tmp_path: Path) -> None:
+    write_pair(tmp_path)
+    rig = rig_layer(tmp_path)
+    baked(tmp_path, "cache.usda", "--rig-layer", rig, "--deform")
+    layer = Sdf.Layer.FindOrOpen(str(tmp_path / "cache.usda"))
+    specs: list[Sdf.PrimSpec] = []
+    layer.Traverse(
+        "/",
+        lambda path: path.IsPrimPath() and specs.append(layer.GetPrimAtPath(path)),
+    )
+    assert {str(spec.path) for spec in specs} == {
+        "/pair",
+        "/pair/Rig",
+        *(f"/pair/Rig/{name}" for name in [*MOVING, "rock"]),
+    }
+    assert all(spec.specifier == Sdf.SpecifierOver for spec in specs)
+    assert layer.GetPrimAtPath("/pair/Rig").typeName == "Xform"
+
+
+def test_in_a_shot_that_holds_the_rig_elsewhere(tmp_path: Path) -> None:
+    write_pair(tmp_path)
+    rig_layer(tmp_path)
+    shot = Usd.Stage.CreateNew(str(tmp_path / "set.usda"))
+    UsdGeom.SetStageMetersPerUnit(shot, 0.01)
+    UsdGeom.SetStageUpAxis(shot, "Y")
+    shot.SetTimeCodesPerSecond(24)
+    world = UsdGeom.Xform.Define(shot, "/World")
+    shot.SetDefaultPrim(world.GetPrim())
+    hero = UsdGeom.Xform.Define(shot, "/World/hero")
+    hero.GetPrim().GetReferences().AddReference("./pair.usda")
+    hero.AddTranslateOp().Set((100, 0, 30))
+    shot.Save()
+    options = ("--rig-layer", "set.usda", "--prim-path", "/World/hero")
+    baked(tmp_path, "cache.usdc", *options, "--deform")
+    baked(tmp_path, "skinned.usdc", *options)
+    under = tmp_path / "set.usda"
+    truth = skinned_points(layered(tmp_path, tmp_path / "skinned.usdc", under), CODES)
+    made = Usd.Stage.Open(str(layered(tmp_path, tmp_path / "cache.usdc", under)))
+    for path, points in truth.items():
+        assert path.startswith("/World/hero/Rig/")
+        assert near(world_points(made, path, CODES), points), path
+
+
+def test_a_take_without_meshes_deforms_those_of_the_rig_layer(tmp_path: Path) -> None:
+    write_pair(tmp_path)
+    rig = rig_layer(tmp_path)
+    baked(tmp_path, "take.usdc")
+    done = animtool(
+        *("bake", "take.usdc", "-o", "cache.usdc", "--rig-layer", rig, "--deform"),
+        *("--format", "json"),
+        cwd=tmp_path,
+    )
+    assert done.code == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert {mesh["of"] for mesh in report["meshes"]} == {str(rig)}
+    truth = skinned_points(tmp_path / "take.usdc", CODES)
+    shot = Usd.Stage.Open(str(layered(tmp_path, tmp_path / "cache.usdc", rig)))
+    for path, points in truth.items():
+        assert near(world_points(shot, path, CODES), points), path
+
+
+def test_a_mesh_that_stands_by_itself_below_the_root(tmp_path: Path) -> None:
+    write_pair(tmp_path)
+    rig = rig_layer(tmp_path)
+    stage = Usd.Stage.Open(str(rig))
+    body = UsdGeom.Xformable(stage.GetPrimAtPath("/pair/Rig/body"))
+    body.AddTranslateOp().Set((3, 4, 5))
+    body.AddRotateXYZOp().Set((20, 30, 40))
+    body.AddScaleOp().Set((1, 2, 1))
+    stage.GetRootLayer().Save()
+    options = ("--rig-layer", rig)
+    baked(tmp_path, "cache.usdc", *options, "--deform", "--velocities")
+    baked(tmp_path, "skinned.usdc", *options)
+    truth = skinned_points(layered(tmp_path, tmp_path / "skinned.usdc", rig), CODES)
+    shot = Usd.Stage.Open(str(layered(tmp_path, tmp_path / "cache.usdc", rig)))
+    path = "/pair/Rig/body"
+    assert near(world_points(shot, path, CODES), truth[path])
+    mesh = UsdGeom.Mesh(shot.GetPrimAtPath(path))
+    extent = UsdGeom.PointBased.ComputeExtent(mesh.GetPointsAttr().Get(3))
+    assert mesh.GetExtentAttr().Get(3) == extent
+
+
+def test_meshes_that_the_rig_layer_lacks_are_named(tmp_path: Path) -> None:
+    write_pair(tmp_path)
+    rig = rig_layer(tmp_path)
+    stage = Usd.Stage.Open(str(rig))
+    stage.RemovePrim("/pair/Rig/sleeve")
+    stage.GetRootLayer().Save()
+    done = animtool(
+        *("bake", "pair.clip.yaml", "-o", "cache.usdc", "--rig-layer", rig),
+        *("--deform", "--format", "json"),
+        cwd=tmp_path,
+    )
+    assert done.code == 0, done.stderr
+    notices = {n["code"]: n["message"] for n in json.loads(done.stdout)["notices"]}
+    assert "sleeve" in notices["USD141"]
+
+
+def test_what_stops_following_is_named(tmp_path: Path) -> None:
+    write_pair(tmp_path)
+    rig = rig_layer(tmp_path)
+    stage = Usd.Stage.Open(str(rig))
+    layer = stage.GetRootLayer()
+    Sdf.CopySpec(layer, "/pair/Rig/body", layer, "/pair/Rig/beard")
+    layer.Save()
+    done = animtool(
+        *("bake", "pair.clip.yaml", "-o", "cache.usdc", "--rig-layer", rig),
+        *("--deform", "--format", "json"),
+        cwd=tmp_path,
+    )
+    assert done.code == 0, done.stderr
+    notices = {n["code"]: n["message"] for n in json.loads(done.stdout)["notices"]}
+    assert "/pair/Rig/beard" in notices["USD142"]
+
+
+@pytest.mark.parametrize(
+    ("edit", "code"),
+    [
+        (lambda mesh: mesh.GetPointsAttr().Set([(0, 0, 0)] * 3), "USD041"),
+        (lambda mesh: mesh.AddTranslateOp().Set((1, 2, 3), 5), "USD043"),
+    ],
+)
+def test_a_rig_layer_that_does_not_fit(edit: object, code: str, tmp_path: Path) -> None:
+    write_pair(tmp_path)
+    rig = rig_layer(tmp_path)
+    stage = Usd.Stage.Open(str(rig))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/pair/Rig/body"))
+    if code == "USD043":
+        mesh.AddTranslateOp().GetAttr().Set((1, 2, 3), 1)
+        mesh.GetOrderedXformOps()[0].Set((2, 2, 3), 5)
+    else:
+        edit(mesh)  # type: ignore[operator]
+    stage.GetRootLayer().Save()
+    before = sorted(tmp_path.iterdir())
+    done = animtool(
+        *("bake", "pair.clip.yaml", "-o", "cache.usdc", "--rig-layer", rig),
+        "--deform",
+        cwd=tmp_path,
+    )
+    assert done.code == 3
+    assert code in done.stderr
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_an_instanced_rig_is_out_of_reach(tmp_path: Path) -> None:
+    write_pair(tmp_path)
+    rig_layer(tmp_path)
+    shot = Usd.Stage.CreateNew(str(tmp_path / "set.usda"))
+    UsdGeom.SetStageMetersPerUnit(shot, 0.01)
+    UsdGeom.SetStageUpAxis(shot, "Y")
+    shot.SetTimeCodesPerSecond(24)
+    hero = UsdGeom.Xform.Define(shot, "/hero").GetPrim()
+    shot.SetDefaultPrim(hero)
+    hero.GetReferences().AddReference("./pair.usda")
+    hero.SetInstanceable(True)
+    shot.Save()
+    done = animtool(
+        *("bake", "pair.clip.yaml", "-o", "cache.usdc", "--rig-layer", "set.usda"),
+        "--deform",
+        cwd=tmp_path,
+    )
+    assert done.code == 3
+    assert "USD042" in done.stderr
+    assert not (tmp_path / "cache.usdc").exists()
+
+
+def test_a_take_without_meshes_is_refused(walk: Path, tmp_path: Path) -> None:
+    done = animtool("bake", walk, "-o", tmp_path / "o.usdc", "--deform")
+    assert done.code == 3
+    assert "USD040" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "option",
+    ["--split", "--bones", "--sparse", "--reduce=1mm", "--root-motion=skelroot"],
+)
+def test_what_is_of_joints_is_refused(option: str, tmp_path: Path) -> None:
+    write_pair(tmp_path)
+    done = animtool("bake", "pair.clip.yaml", "--deform", option, cwd=tmp_path)
+    assert done.code == 2
+    assert "CLI002" in done.stderr
+
+
+@pytest.mark.parametrize("option", ["--velocities", "--no-normals"])
+def test_what_goes_with_deform_alone(option: str, tmp_path: Path) -> None:
+    write_pair(tmp_path)
+    done = animtool("bake", "pair.clip.yaml", option, cwd=tmp_path)
+    assert done.code == 2
+    assert "CLI002" in done.stderr
+
+
+def test_weights_that_do_not_fit_are_said_of_their_mesh(tmp_path: Path) -> None:
+    write_pair(tmp_path)
+    rig = rig_layer(tmp_path)
+    stage = Usd.Stage.Open(str(rig))
+    skeleton = stage.GetPrimAtPath("/pair/Rig/Skel")
+    binds = list(skeleton.GetAttribute("bindTransforms").Get())
+    binds[2] = Gf.Matrix4d(0)
+    skeleton.GetAttribute("bindTransforms").Set(binds)
+    stage.GetRootLayer().Save()
+    done = animtool("bake", rig, "-o", "cache.usdc", "--deform", cwd=tmp_path)
+    assert done.code == 3
+    assert "SKIN005" in done.stderr
+    assert "mesh 'body'" in done.stderr
+    assert not (tmp_path / "cache.usdc").exists()
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdc"])
+def test_the_same_bytes_in_every_process(suffix: str, tmp_path: Path) -> None:
+    write_pair(tmp_path)
+    found = set()
+    for seed in ("0", "1"):
+        output = tmp_path / f"seed_{seed}{suffix}"
+        done = animtool_process(
+            *("bake", "pair.clip.yaml", "-o", output, "--deform", "--velocities"),
+            cwd=tmp_path,
+            PYTHONHASHSEED=seed,
+        )
+        assert done.code == 0, done.stderr
+        found.add(output.read_bytes())
+    assert len(found) == 1
+
+
+def test_the_report(tmp_path: Path) -> None:
+    write_pair(tmp_path)
+    done = animtool(
+        *("bake", "pair.clip.yaml", "-o", "c.usdc", "--deform", "--format", "json"),
+        cwd=tmp_path,
+    )
+    meshes = {mesh["mesh"]: mesh for mesh in json.loads(done.stdout)["meshes"]}
+    assert set(meshes) == {*MOVING, "rock"}
+    body = meshes["body"]
+    assert body["vertices"] == VERTICES
+    assert body["samples"] == 9
+    assert body["animated"] == ["points", "extent", "normals"]
+    assert body["bytes"] == 9 * (2 * VERTICES + 2) * 12
+    # Half a step of float32 at some metres.
+    assert 0 < body["error"]["meters"] < 2e-7
+    assert meshes["rock"]["samples"] == meshes["rock"]["bytes"] == 0
