@@ -130,3 +130,11 @@ def add_sparse(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None,
 
 def point_extents(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')]:
     """Least and largest coordinates ``(F, 2, 3)`` of points ``(F, V, 3)``."""
+
+def round_points(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], unit: float) -> tuple[Annotated[NDArray[numpy.float32], dict(shape=(None, None, None), order='C')], float, int, int]:
+    """
+    Points ``(F, V, 3)`` over ``unit``, as float32, and what the rounding moved.
+
+    Returns ``(rounded, error, frame, vertex)``: what is beyond float32 is its largest
+    number; the largest distance of a point from where it was, times ``unit``, and where.
+    """

@@ -24,6 +24,9 @@ using FittedCubics = std::tuple<Out<std::int64_t, 1>, Out<double, 2>, Out<double
 // rotations, stretches
 using Stretched = std::tuple<Out<double, 3>, Out<double, 4>>;
 
+// rounded, error, frame, vertex
+using RoundedPoints = std::tuple<Out<float, 3>, double, std::size_t, std::size_t>;
+
 BvhRows parse_bvh_rows(nb::bytes text, std::size_t columns, std::size_t limit, bool final);
 
 nb::bytes format_bvh_rows(In<double, 2> values, In<std::int64_t, 1> decimals);
@@ -71,5 +74,7 @@ void add_sparse(In<double, 3> points, In<double, 2> weights, In<std::int64_t, 1>
                 Filled<double, 3> out);
 
 Out<double, 3> point_extents(In<double, 3> points);
+
+RoundedPoints round_points(In<double, 3> points, double unit);
 
 }  // namespace animtool

@@ -113,4 +113,10 @@ stretch.)");
 
   m.def("point_extents", &point_extents, "points"_a,
         R"(Least and largest coordinates ``(F, 2, 3)`` of points ``(F, V, 3)``.)");
+
+  m.def("round_points", &round_points, "points"_a, "unit"_a,
+        R"(Points ``(F, V, 3)`` over ``unit``, as float32, and what the rounding moved.
+
+Returns ``(rounded, error, frame, vertex)``: what is beyond float32 is its largest
+number; the largest distance of a point from where it was, times ``unit``, and where.)");
 }

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pxr import Sdf, Vt
 
+from animtool import _kernels
 from animtool._types import Float32Array, FloatArray
 from animtool.rig.surfaces import Surface
 from animtool.skin.deform import Deformed
@@ -37,8 +38,6 @@ __all__ = [
     "round_points",
 ]
 
-FLOAT32_MAX = float(np.finfo(np.float32).max)
-
 _TYPES = Sdf.ValueTypeNames
 
 
@@ -53,7 +52,7 @@ class PointBlock:
         extents: Bounds of the points ``(F, 2, 3)`` float32.
         normals: ``(F, V, 3)`` float32; None where they are not written.
         velocities: ``(F, V, 3)`` float32, per second; None likewise.
-        error: Largest distance that rounding moved a point along an axis [m].
+        error: Largest distance that rounding moved a point [m].
         error_code: Time code of that.
         error_vertex: The point that moved.
     """
@@ -109,7 +108,7 @@ class CachedMesh:
         samples: Time samples of its points; 0 where it never moves.
         bytes: Size of its samples in memory.
         sampled: Names of the attributes that change.
-        error: Largest distance that rounding moved a point along an axis [m].
+        error: Largest distance that rounding moved a point [m].
         error_code: Time code of that.
         error_vertex: The point that moved.
     """
@@ -156,36 +155,28 @@ def round_points(
     """
     points, extents = deformed.points, deformed.extents
     velocities, normals = deformed.velocities, deformed.normals
-    if meters_per_unit != 1.0:
-        points, extents = points / meters_per_unit, extents / meters_per_unit
-        velocities = None if velocities is None else velocities / meters_per_unit
     if placement is not None:
-        linear = placement[:3, :3]
-        points = points @ linear.T + placement[:3, 3]
+        linear, shift = placement[:3, :3], placement[:3, 3] * meters_per_unit
+        points = points @ linear.T + shift
         extents = np.stack([points.min(axis=1), points.max(axis=1)], axis=1)
         velocities = None if velocities is None else velocities @ linear.T
         normals = None if normals is None else _turned(normals, linear)
-    rounded = _float32(points)
-    error = np.abs(rounded - points)
-    at = int(error.argmax()) if error.size else 0
-    frame, vertex, _ = np.unravel_index(at, error.shape)
+    rounded, error, frame, vertex = _kernels.round_points(points, meters_per_unit)
     return PointBlock(
         mesh,
         codes,
         rounded,
-        _float32(extents),
-        None if normals is None else _float32(normals),
-        None if velocities is None else _float32(velocities),
-        float(error.flat[at]) * meters_per_unit,
+        _rounded(extents, meters_per_unit),
+        None if normals is None else _rounded(normals, 1.0),
+        None if velocities is None else _rounded(velocities, meters_per_unit),
+        error,
         float(codes[frame]),
-        int(vertex),
+        vertex,
     )
 
 
-def _float32(values: FloatArray) -> Float32Array:
-    if np.abs(values).max(initial=0.0) > FLOAT32_MAX:
-        values = np.clip(values, -FLOAT32_MAX, FLOAT32_MAX)
-    return values.astype(np.float32)
+def _rounded(values: FloatArray, unit: float) -> Float32Array:
+    return _kernels.round_points(values, unit)[0]
 
 
 def _turned(normals: FloatArray, linear: FloatArray) -> FloatArray:

@@ -7,6 +7,7 @@ points in memory; see README.md beside this file.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import statistics
 import sys
@@ -14,6 +15,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +24,10 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from animtool import _kernels
 from animtool.maths import so3
+from animtool.output import replacing
 from animtool.rig.kinematics import WorldTransforms
+from animtool.scene.bake import bake
+from animtool.scene.options import BakeOptions
 from animtool.skin.shapes import ShapeDeltas, blend_points, prepare_shapes
 from animtool.skin.skinning import Binding, SkinMethod, prepare_skin, skin_points
 
@@ -383,6 +388,122 @@ def measure_columns(options: argparse.Namespace) -> list[Row]:
     return rows
 
 
+def write_take(folder: Path, options: argparse.Namespace) -> Path:
+    """Write a rig of one mesh, its arrays, and a clip that turns every joint."""
+    rng = np.random.default_rng(SEED)
+    vertices, joints = options.vertices, options.joints
+    made = make_skin(options, scaled=False)
+    shapes = {
+        f"s{i}": rng.normal(0, 0.01, (vertices, 3)) * (rng.random((vertices, 1)) < 0.4)
+        for i in range(options.bake_shapes)
+    }
+    np.savez(
+        folder / "mesh.npz",
+        points=made.points,
+        faces=np.arange(vertices // 3 * 3).reshape(-1, 3),
+        indices=np.asarray(made.binding.indices),
+        weights=np.asarray(made.binding.weights),
+        **shapes,
+    )
+    rig = {
+        "rig": "animtool/1",
+        "name": "mesh",
+        "units": {"length": "m", "angle": "deg"},
+        "up": "Y",
+        "joints": [
+            {"name": f"j{i}", "type": "free", "translate": [0.1, 0.1, 0.0]}
+            | ({"parent": f"j{(i - 1) // 2}"} if i else {})
+            for i in range(joints)
+        ],
+        "meshes": [
+            {
+                "name": "body",
+                "points": "mesh.npz",
+                "faces": "mesh.npz",
+                "skin": {
+                    "method": "linear",
+                    "joints": [f"j{i}" for i in range(joints)],
+                    "indices": "mesh.npz",
+                    "weights": "mesh.npz",
+                },
+            }
+        ],
+        "shapes": [
+            {"name": name, "mesh": "body", "deltas": f"mesh.npz#{name}"}
+            for name in shapes
+        ],
+    }
+    last = options.bake_frames
+    turn = [{"t": 1, "v": [1, 0, 0, 0]}, {"t": last, "v": [0.8, 0.6, 0, 0]}]
+    grow = [{"t": 1, "v": 0.1}, {"t": last, "v": 1}]
+    channels: list[dict[str, object]] = [
+        {"target": f"joint/j{i}.rotation", "interp": "slerp", "keys": turn}
+        for i in range(joints)
+    ]
+    channels += [{"target": f"shape/{name}", "keys": grow} for name in shapes]
+    clip = {
+        "clip": "animtool/1",
+        "rig": "mesh.rig.json",
+        "fps": 24,
+        "range": [1, last],
+        "channels": channels,
+    }
+    (folder / "mesh.rig.json").write_text(json.dumps(rig), "utf-8")
+    path = folder / "mesh.clip.json"
+    path.write_text(json.dumps(clip), "utf-8")
+    return path
+
+
+def write_points(points: npt.NDArray[np.float32], path: Path) -> None:
+    """Write points and nothing else, as quickly as USD takes them."""
+    layer = Sdf.Layer.CreateAnonymous(".usdc")
+    with Sdf.ChangeBlock():
+        spec = Sdf.CreatePrimInLayer(layer, "/body")
+        kind = Sdf.ValueTypeNames.Point3fArray
+        at = Sdf.AttributeSpec(spec, "points", kind).path
+        for code, frame in enumerate(points, 1):
+            layer.SetTimeSample(at, code, Vt.Vec3fArray.FromNumpy(frame))
+    with replacing(path) as temporary:
+        layer.Export(str(temporary))
+
+
+def measure_bake(options: argparse.Namespace) -> list[Row]:
+    """Time a whole deformed bake beside writing its points alone."""
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        clip = write_take(folder, options)
+        ready = BakeOptions(deform=True, overwrite=True)
+        output, floor = folder / "cache.usdc", folder / "floor.usdc"
+        reports = []
+
+        def ours() -> None:
+            reports.append(bake(clip, output, ready))
+
+        ours()
+        stage = Usd.Stage.Open(str(output))
+        points = UsdGeom.Mesh(stage.GetPrimAtPath("/mesh/Rig/body")).GetPointsAttr()
+        frames = np.array([points.Get(code) for code in points.GetTimeSamples()])
+        reports.clear()
+        alone = "points alone"
+        routes: dict[str, Route] = {
+            "animtool bake --deform": ours,
+            alone: lambda: write_points(frames, floor),
+        }
+        seconds = in_turn(routes, options.runs)
+    least = statistics.median(seconds[alone])
+    rows = []
+    for tool, taken in seconds.items():
+        each = [s * 1e3 / len(frames) for s in taken]
+        bound = None if tool == alone else Wanted(False, 3)
+        ratio = statistics.median(taken) / least
+        rows.append(Row("bake", tool, TIME, each))
+        rows.append(Row("bake", tool, "time / points alone [x]", [ratio], bound))
+        print(f"  bake, {tool}: {statistics.median(each):.4f} ms", file=sys.stderr)
+    deformed = [r.meshes[0].seconds * 1e3 / len(frames) for r in reports[1:]]
+    rows.append(Row("bake", "of it deforming, in a thread", TIME, deformed))
+    return rows
+
+
 def measure(options: argparse.Namespace) -> list[list[Row]]:
     """Return the rows of every section."""
     rng = np.random.default_rng(SEED)
@@ -407,6 +528,7 @@ def measure(options: argparse.Namespace) -> list[list[Row]]:
         measure_skin("dual quaternions", dual, 2, options),
         measure_skin("dual quaternions, scaled", dual, 2, options, scaled=True),
         measure_columns(options),
+        measure_bake(options),
     ]
     return sections
 
@@ -423,6 +545,8 @@ def parser() -> argparse.ArgumentParser:
     add("--influences", type=int, default=4)
     add("--shapes", type=int, default=53)
     add("--frames", type=int, default=64)
+    add("--bake-frames", type=int, default=240, help="frames of the whole bake")
+    add("--bake-shapes", type=int, default=20, help="shapes of the whole bake")
     add("--runs", type=int, default=9, help="runs of each route; the median counts")
     add("--csv", type=Path, default=HERE / "results" / "deform.csv")
     return made
