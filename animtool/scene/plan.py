@@ -101,8 +101,7 @@ def plan_bake(
     options = options or BakeOptions()
     given = [source] if isinstance(source, (Path, str)) else source
     sources = [Path(path) for path in given]
-    if not sources:
-        raise OptionError(Fault("CLI002", "there is no source to bake"))
+    _check_count(sources, options)
     path = None if output is None else Path(output)
     scenes = _scenes(sources)
     notices: list[Fault] = []
@@ -111,9 +110,6 @@ def plan_bake(
     else:
         notices += _unused(scenes)
     check_options(options, to_stdout=path is None)
-    if options.deform and len(sources) > 1:
-        message = "--deform writes the points of one take: name one source"
-        raise OptionError(Fault("CLI002", message))
     form = Form(options.form or (Form.LAYER if options.rig_layer else Form.STAGE))
     if path is not None:
         check_suffix(path)
@@ -164,14 +160,26 @@ def plan_bake(
             zip(sources, names, streams, mappings, strict=True)
         )
     )
-    character = None
-    if options.deform:
-        from animtool.scene.deform import open_character
-
-        character = open_character(takes[0], target)
+    character = _character(takes[0], target) if options.deform else None
     return BakePlan(
         takes, path, options, form, reason, target, fps, start, notices, character
     )
+
+
+def _check_count(sources: Sequence[Path], options: BakeOptions) -> None:
+    message = ""
+    if not sources:
+        message = "there is no source to bake"
+    elif options.deform and len(sources) > 1:
+        message = "--deform writes the points of one take, and there are several"
+    if message:
+        raise OptionError(Fault("CLI002", message))
+
+
+def _character(take: TakePlan, target: RigTarget | None) -> Character:
+    from animtool.scene.deform import open_character
+
+    return open_character(take, target)
 
 
 def _scenes(sources: Sequence[Path]) -> dict[Path, Scene]:

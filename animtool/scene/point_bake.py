@@ -12,12 +12,13 @@ from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError, refuse_warnings
 from animtool.prefetch import prefetch
 from animtool.rig.kinematics import rest_size
-from animtool.scene.bake import BakeReport
+from animtool.scene.bake import BakeReport, TakeReport
 from animtool.scene.deform import Character, PointStream
 from animtool.scene.frames import timed_blocks
 from animtool.scene.plan import BakePlan
 from animtool.take import Motion
-from animtool.usd.author import UsdResult
+from animtool.usd.animation import Rounding
+from animtool.usd.jobs import UsdResult, WrittenTake
 from animtool.usd.layers import save_layer
 from animtool.usd.names import legal_name
 from animtool.usd.point_cache import CachedMesh, CacheJob, author_cache, mesh_paths
@@ -73,9 +74,10 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
         StrictError: There were warnings, and ``strict`` is on.
     """
     began = time.perf_counter()
-    stream, frames = plan.stream, _Frames()
+    take = plan.takes[0]
+    stream, frames = take.stream, _Frames()
     counted = replace(stream, blocks=frames.of_source(stream.blocks))
-    timed, span, _ = timed_blocks(plan, counted)
+    timed, span, _ = timed_blocks(take, counted)
     job, character, placements = _job(plan, character, span)
     points = PointStream(
         character,
@@ -96,22 +98,14 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
     seconds["total"] = time.perf_counter() - began
     seconds["save"] = seconds["total"] - seconds["author"]
     names = [mesh.name for mesh in character.meshes]
-    return BakeReport(
-        plan.source,
-        result,
-        f"point caches as a {plan.form} ({plan.reason})",
+    report = TakeReport(
+        take.source,
+        result.takes[0],
         stream.count or frames.source,
         stream.fps / stream.step,
-        plan.fps,
-        len(stream.rig.joints),
-        job.meters_per_unit,
-        job.up.value if job.target is None else job.target.up.value,
-        rest_size(character.rig),
         "",
-        notices,
         plan.options.source.unit is None and "units" not in stream.details,
-        seconds,
-        plan.source.stat().st_size,
+        take.source.stat().st_size,
         stream.details,
         meshes=[
             MeshReport(name, mesh, spent, frames.samples)
@@ -119,13 +113,25 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
         ],
         meshes_of=character.origin,
     )
+    return BakeReport(
+        [report],
+        result,
+        f"point caches as a {plan.form} ({plan.reason})",
+        plan.fps,
+        len(stream.rig.joints),
+        job.meters_per_unit,
+        job.up.value,
+        rest_size(character.rig),
+        notices,
+        seconds,
+    )
 
 
 def _job(
     plan: BakePlan, character: Character, span: tuple[Fraction, Fraction] | None
 ) -> tuple[CacheJob, Character, Sequence[FloatArray | None]]:
     """Return what the writer is to do, with which meshes, and where these stand."""
-    options, rig = plan.options, plan.stream.rig
+    options, rig = plan.options, plan.takes[0].stream.rig
     if plan.target is not None:
         return _layer_job(plan, character, span)
     model = options.prim_path or f"/{legal_name(rig.name)}"
@@ -184,12 +190,16 @@ def _write(
     written: list[CachedMesh],
     samples: int,
 ) -> UsdResult:
-    result = UsdResult(samples=samples)
-    first, last = layer.startTimeCode, layer.endTimeCode
-    result.first, result.last = job.frames or (Fraction(first), Fraction(last))
+    first, last = job.frames or (layer.startTimeCode, layer.endTimeCode)
+    worst = max(written, key=lambda mesh: mesh.error)
     sampled = [name for mesh in written for name in mesh.sampled]
-    result.sampled = list(dict.fromkeys(sampled))
-    if plan.output is not None:
-        result.outputs = [plan.output]
-    result.bytes = save_layer(layer, plan.output)
-    return result
+    take = WrittenTake(
+        "",
+        samples=samples,
+        first=Fraction(first),
+        last=Fraction(last),
+        sampled=list(dict.fromkeys(sampled)),
+        rounding=Rounding(worst.error, worst.error_code),
+    )
+    outputs = [] if plan.output is None else [plan.output]
+    return UsdResult(outputs, save_layer(layer, plan.output), [take])
