@@ -63,11 +63,6 @@ def character_meshes(
         FormatError: All that does not fit: lengths, numbers of joints or vertices,
             values that are not finite, weights (SKIN001 to SKIN006).
 
-    >>> triangle = Surface(
-    ...     "sail", np.eye(3), np.array([3]), np.arange(3), None, np.eye(4), None, ()
-    ... )
-    >>> character_meshes([triangle], ["mast"], np.eye(4)[None], [])[0].name
-    'sail'
     """
     places = {name: i for i, name in enumerate(joints)}
     columns = {name: i for i, name in enumerate(shapes)}

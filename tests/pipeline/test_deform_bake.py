@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -217,6 +218,25 @@ def test_a_take_without_meshes_deforms_those_of_the_rig_layer(tmp_path: Path) ->
         assert near(world_points(shot, path, CODES), points), path
 
 
+@pytest.mark.parametrize("options", [(), ("--to-up", "Z", "--to-units", "m")])
+def test_a_skinned_stage_deforms_its_own_meshes(
+    options: tuple[str, ...], tmp_path: Path
+) -> None:
+    write_pair(tmp_path)
+    baked(tmp_path, "take.usdc")
+    cache = baked(tmp_path, "cache.usdc", "--deform", *options, source="take.usdc")
+    baked(tmp_path, "skinned.usdc", *options)
+    for path, points in skinned_points(tmp_path / "skinned.usdc", CODES).items():
+        assert near(world_points(cache, path, CODES), points), path
+
+
+def test_several_takes_are_refused(tmp_path: Path) -> None:
+    clip = write_pair(tmp_path)
+    done = animtool("bake", clip, clip, "-o", "o.usdc", "--deform", cwd=tmp_path)
+    assert done.code == 2
+    assert "CLI002" in done.stderr
+
+
 def test_a_mesh_that_stands_by_itself_below_the_root(tmp_path: Path) -> None:
     write_pair(tmp_path)
     rig = rig_layer(tmp_path)
@@ -271,23 +291,27 @@ def test_what_stops_following_is_named(tmp_path: Path) -> None:
     assert "/pair/Rig/beard" in notices["USD142"]
 
 
+def fewer_points(mesh: UsdGeom.Mesh) -> None:
+    mesh.GetPointsAttr().Set([(0, 0, 0)] * 3)
+
+
+def moving(mesh: UsdGeom.Mesh) -> None:
+    operation = mesh.AddTranslateOp()
+    operation.Set((1, 2, 3), 1)
+    operation.Set((2, 2, 3), 5)
+
+
 @pytest.mark.parametrize(
-    ("edit", "code"),
-    [
-        (lambda mesh: mesh.GetPointsAttr().Set([(0, 0, 0)] * 3), "USD041"),
-        (lambda mesh: mesh.AddTranslateOp().Set((1, 2, 3), 5), "USD043"),
-    ],
+    ("edit", "code"), [(fewer_points, "USD041"), (moving, "USD043")]
 )
-def test_a_rig_layer_that_does_not_fit(edit: object, code: str, tmp_path: Path) -> None:
+def test_a_rig_layer_that_does_not_fit(
+    edit: Callable[[UsdGeom.Mesh], None], code: str, tmp_path: Path
+) -> None:
     write_pair(tmp_path)
     rig = rig_layer(tmp_path)
     stage = Usd.Stage.Open(str(rig))
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/pair/Rig/body"))
-    if code == "USD043":
-        mesh.AddTranslateOp().GetAttr().Set((1, 2, 3), 1)
-        mesh.GetOrderedXformOps()[0].Set((2, 2, 3), 5)
-    else:
-        edit(mesh)  # type: ignore[operator]
+    edit(mesh)
     stage.GetRootLayer().Save()
     before = sorted(tmp_path.iterdir())
     done = animtool(

@@ -1,0 +1,50 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
+
+from animtool import _kernels
+
+LARGEST = float(np.finfo(np.float32).max)
+
+
+@given(st.integers(0, 2**31), st.sampled_from([1.0, 0.01, 0.0254]))
+def test_points_are_those_of_numpy(seed: int, unit: float) -> None:
+    rng = np.random.default_rng(seed)
+    shape = (int(rng.integers(1, 4)), int(rng.integers(1, 9)), 3)
+    points = rng.normal(size=shape) * 10.0 ** rng.uniform(-3, 6)
+    rounded, error, frame, vertex = _kernels.round_points(points, unit)
+    exact = points / unit
+    assert rounded.dtype == np.float32
+    assert_array_equal(rounded, exact.astype(np.float32))
+    off = np.linalg.norm(rounded - exact, axis=-1) * unit
+    assert error == pytest.approx(off.max(), rel=1e-12)
+    assert off[frame, vertex] == pytest.approx(error, rel=1e-12)
+
+
+def test_what_float32_holds_does_not_move() -> None:
+    points = np.arange(12.0).reshape(2, 2, 3)
+    assert _kernels.round_points(points, 1.0)[1:] == (0.0, 0, 0)
+
+
+def test_what_float32_does_not_hold_is_its_largest_number() -> None:
+    rounded = _kernels.round_points(np.array([[[1e300, -1e300, 1.0]]]), 1.0)[0]
+    assert rounded.ravel().tolist() == [LARGEST, -LARGEST, 1.0]
+
+
+@pytest.mark.parametrize("shape", [(0, 4, 3), (2, 0, 3)])
+def test_nothing(shape: tuple[int, ...]) -> None:
+    rounded, error, _, _ = _kernels.round_points(np.zeros(shape), 1.0)
+    assert rounded.shape == shape
+    assert error == 0.0
+
+
+def test_bad_arguments() -> None:
+    with pytest.raises(ValueError, match="points"):
+        _kernels.round_points(np.zeros((1, 2, 4)), 1.0)
+    for unit in (0.0, -1.0, np.nan):
+        with pytest.raises(ValueError, match="unit"):
+            _kernels.round_points(np.zeros((1, 2, 3)), unit)
