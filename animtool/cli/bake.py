@@ -181,9 +181,10 @@ Examples:
     help="With --deform, how fast points move too, per second, for motion blur.",
 )
 @click.option(
-    "--no-normals",
-    is_flag=True,
-    help="With --deform, leave meshes without normals, which saves half of the file.",
+    "--normals/--no-normals",
+    default=True,
+    help="With --deform, whether meshes keep normals, which are half of the file.  "
+    "[default: normals]",
 )
 @click.option(
     "--table",
@@ -320,7 +321,7 @@ def _options(given: dict[str, Any]) -> Any:
         reduce_at=given["reduce_at"],
         deform=given["deform"],
         velocities=given["velocities"],
-        normals=not given["no_normals"],
+        normals=given["normals"],
         strict=given["strict"],
         overwrite=given["overwrite"],
     )
