@@ -187,6 +187,13 @@ Examples:
     "[default: normals]",
 )
 @click.option(
+    "--chunk",
+    type=click.IntRange(1),
+    metavar="N",
+    help="With --deform, for long takes, a file for every N samples, joined as value "
+    "clips; memory holds two or three of them.",
+)
+@click.option(
     "--table",
     is_flag=True,
     help="Write nothing; measure time and size against error, over sample rates and "
@@ -322,6 +329,7 @@ def _options(given: dict[str, Any]) -> Any:
         deform=given["deform"],
         velocities=given["velocities"],
         normals=given["normals"],
+        chunk=given["chunk"],
         strict=given["strict"],
         overwrite=given["overwrite"],
     )

@@ -55,6 +55,7 @@ class BakeOptions:
         velocities: Of points too, per second.
         normals: Deform the normals of meshes that have them; False leaves meshes
             without.
+        chunk: Samples of point caches in each of several files; None is one file.
         strict: Take warnings for errors.
         overwrite: Replace outputs that exist.
     """
@@ -81,6 +82,7 @@ class BakeOptions:
     deform: bool = False
     velocities: bool = False
     normals: bool = True
+    chunk: int | None = None
     strict: bool = False
     overwrite: bool = False
 
@@ -215,21 +217,28 @@ def check_options(options: BakeOptions, *, to_stdout: bool) -> None:
             "--reduce-at goes with --reduce",
         ),
     ]
-    clashes += _deform_clashes(options, form)
+    clashes += _deform_clashes(options, form, to_stdout=to_stdout)
     faults = [Fault("CLI002", message) for wrong, message in clashes if wrong]
     if faults:
         raise OptionError(faults)
 
 
-def _deform_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
+def _deform_clashes(
+    options: BakeOptions, form: str, *, to_stdout: bool
+) -> list[tuple[bool, str]]:
     """Return what does not go with point caches, and whether it is asked for."""
     if not options.deform:
         return [
             (options.velocities, "--velocities goes with --deform"),
             (not options.normals, "--no-normals goes with --deform"),
+            (options.chunk is not None, "--chunk goes with --deform"),
         ]
     joints = "--deform writes points, no joints"
     return [
+        (
+            options.chunk is not None and to_stdout,
+            "--chunk writes several files, not stdout",
+        ),
         (form == "split", f"{joints}: no --split"),
         (options.bones, f"{joints}: no --bones"),
         (options.sparse, f"{joints}: no --sparse"),

@@ -114,7 +114,9 @@ def plan_bake(
     if path is not None:
         check_suffix(path)
         inputs = sources + ([options.rig_layer] if options.rig_layer else [])
-        check_outputs(output_paths(path, form), inputs, overwrite=options.overwrite)
+        check_outputs(
+            _outputs(path, form, options), inputs, overwrite=options.overwrite
+        )
     streams = _open_all(sources, scenes, options, progress)
     target = None
     reason = "a rig layer was named" if options.form is None else "asked for"
@@ -174,6 +176,17 @@ def _check_count(sources: Sequence[Path], options: BakeOptions) -> None:
         message = "--deform writes the points of one take, and there are several"
     if message:
         raise OptionError(Fault("CLI002", message))
+
+
+def _outputs(path: Path, form: Form, options: BakeOptions) -> list[Path]:
+    """Return the files to write; of a cache in chunks, those that it may replace."""
+    if options.chunk is None:
+        return output_paths(path, form)
+    from animtool.usd.point_chunks import chunk_paths
+
+    pattern, manifest = chunk_paths(path)
+    there = sorted(path.parent.glob(pattern)) if path.parent.is_dir() else []
+    return [path, manifest, *there]
 
 
 def _character(take: TakePlan, target: RigTarget | None) -> Character:

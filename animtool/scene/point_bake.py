@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from pathlib import Path
 from typing import Any
 
 from animtool._types import FloatArray
@@ -22,6 +23,7 @@ from animtool.usd.jobs import UsdResult, WrittenTake
 from animtool.usd.layers import save_layer
 from animtool.usd.names import legal_name
 from animtool.usd.point_cache import CachedMesh, CacheJob, author_cache, mesh_paths
+from animtool.usd.point_chunks import write_chunks
 from animtool.usd.skeleton import RigPaths
 
 __all__ = ["MeshReport", "run_point_bake"]
@@ -86,15 +88,28 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
         placements,
         plan.options.velocities,
     )
+
+    def check(_: object) -> None:
+        refuse_warnings(stream.notices + plan.notices, strict=plan.options.strict)
+
     ahead = prefetch(points.blocks(frames.of_output(timed)))
     try:
-        layer, written = author_cache(job, ahead)
+        if plan.options.chunk is not None:
+            outputs, written, layer = write_chunks(
+                job, ahead, plan.options.chunk, check
+            )
+        else:
+            layer, written = author_cache(job, ahead)
+            check(layer)
+            outputs = [] if plan.output is None else [plan.output]
     finally:
         ahead.close()
     seconds = {"read": sum(points.seconds), "author": time.perf_counter() - began}
-    notices = stream.notices + plan.notices
-    refuse_warnings(notices, strict=plan.options.strict)
-    result = _write(plan, job, layer, written, frames.samples)
+    if plan.options.chunk is None:
+        size = save_layer(layer, plan.output)
+    else:
+        size = sum(path.stat().st_size for path in outputs)
+    result = _result(job, layer, written, frames.samples, outputs, size)
     seconds["total"] = time.perf_counter() - began
     seconds["save"] = seconds["total"] - seconds["author"]
     names = [mesh.name for mesh in character.meshes]
@@ -122,7 +137,7 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
         job.meters_per_unit,
         job.up.value,
         rest_size(character.rig),
-        notices,
+        stream.notices + plan.notices,
         seconds,
     )
 
@@ -183,12 +198,13 @@ def _layer_job(
     return job, character, [mesh.placement for mesh in target.meshes]
 
 
-def _write(
-    plan: BakePlan,
+def _result(
     job: CacheJob,
     layer: Any,
     written: list[CachedMesh],
     samples: int,
+    outputs: list[Path],
+    size: int,
 ) -> UsdResult:
     first, last = job.frames or (layer.startTimeCode, layer.endTimeCode)
     worst = max(written, key=lambda mesh: mesh.error)
@@ -201,5 +217,4 @@ def _write(
         sampled=list(dict.fromkeys(sampled)),
         rounding=Rounding(worst.error, worst.error_code),
     )
-    outputs = [] if plan.output is None else [plan.output]
-    return UsdResult(outputs, save_layer(layer, plan.output), [take])
+    return UsdResult(outputs, size, [take])

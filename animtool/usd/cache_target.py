@@ -87,8 +87,12 @@ class CacheTarget:
             specs[mesh.path] = spec
         return specs
 
-    def check(self, layer: Any) -> None:
+    def check(self, layer: Any, *, points: bool = True) -> None:
         """Compose the layer with its rig, and see that its points are what shows.
+
+        Args:
+            layer: What was authored.
+            points: Whether it holds the points itself.
 
         Raises:
             OutputError: The rig's own opinions win (USD042).
@@ -99,9 +103,14 @@ class CacheTarget:
         if root.IsA(UsdSkel.Root):
             wrong.append(str(root.GetPath()))
         for mesh in self.meshes:
-            attr = stage.GetPrimAtPath(mesh.path).GetAttribute("points")
+            found = stage.GetPrimAtPath(mesh.path)
+            if found.IsInstanceProxy():
+                wrong.append(mesh.path)
+            if not points:
+                continue
+            attr = found.GetAttribute("points")
             stack = attr.GetPropertyStack(Usd.TimeCode.EarliestTime())
-            if not stack or stack[0].layer != layer:
+            if mesh.path not in wrong and (not stack or stack[0].layer != layer):
                 wrong.append(mesh.path)
         if wrong:
             message = f"the rig's own opinions win over the cache at {listed(wrong)}"

@@ -24,6 +24,7 @@ __all__ = [
     "author_metadata",
     "check_prim_path",
     "check_suffix",
+    "export_layer",
     "find_layer",
     "new_layer",
     "prim",
@@ -178,10 +179,19 @@ def save_layer(layer: Any, path: Path | None) -> int:
         sys.stdout.flush()
         return len(text.encode())
     with replacing(path) as temporary:
-        try:
-            done = layer.Export(str(temporary))
-        except Tf.ErrorException as error:
-            raise output_error(path, _reason(error)) from error
-        if not done:
-            raise output_error(path, "USD could not write it")
+        export_layer(layer, temporary, path)
     return path.stat().st_size
+
+
+def export_layer(layer: Any, temporary: Path, path: Path) -> None:
+    """Write a layer to a file that becomes ``path`` when all is well.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    try:
+        done = layer.Export(str(temporary))
+    except Tf.ErrorException as error:
+        raise output_error(path, _reason(error)) from error
+    if not done:
+        raise output_error(path, "USD could not write it")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,8 +32,12 @@ if TYPE_CHECKING:
 __all__ = [
     "CacheJob",
     "CachedMesh",
+    "MeshWriter",
     "PointBlock",
     "author_cache",
+    "author_prims",
+    "cache_metadata",
+    "empty_attribute",
     "mesh_paths",
     "round_points",
 ]
@@ -66,6 +70,17 @@ class PointBlock:
     error: float
     error_code: float
     error_vertex: int
+
+    def select(self, frames: slice) -> PointBlock:
+        """Return some of the frames; the error stays that of all."""
+        return replace(
+            self,
+            codes=self.codes[frames],
+            points=self.points[frames],
+            extents=self.extents[frames],
+            normals=None if self.normals is None else self.normals[frames],
+            velocities=None if self.velocities is None else self.velocities[frames],
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,23 +215,28 @@ def author_cache(
     """
     layer = new_layer(job.output or Path("stdout.usda"))
     with Sdf.ChangeBlock():
-        if job.target is None:
-            specs = _author_stage(layer, job)
-        else:
-            specs = job.target.author(layer, normals=job.normals)
-        writers = [_MeshWriter(specs[path]) for path in job.meshes]
+        specs = author_prims(layer, job)
+        writers = [MeshWriter(specs[path]) for path in job.meshes]
         first, last = np.inf, -np.inf
         for block in blocks:
             writers[block.mesh].add(block)
             first, last = min(first, block.codes[0]), max(last, block.codes[-1])
         reports = [writer.finish() for writer in writers]
-        author_metadata(layer, _metadata(job, first, last))
+        author_metadata(layer, cache_metadata(job, first, last))
     if job.target is not None:
         job.target.check(layer)
     return layer, reports
 
 
-def _metadata(job: CacheJob, first: float, last: float) -> StageMetadata:
+def author_prims(layer: Any, job: CacheJob) -> Mapping[str, Any]:
+    """Write everything but points; return the meshes' prims by path."""
+    if job.target is None:
+        return _author_stage(layer, job)
+    return job.target.author(layer, normals=job.normals)
+
+
+def cache_metadata(job: CacheJob, first: float, last: float) -> StageMetadata:
+    """Return what a layer of a cache states, for frames from first to last."""
     frames = job.frames or (Fraction(first), Fraction(last))
     default = Sdf.Path(job.paths.model).GetPrefixes()[0].name
     unit, up = job.meters_per_unit, job.up
@@ -236,8 +256,8 @@ def _author_stage(layer: Any, job: CacheJob) -> Mapping[str, Any]:
     return {path: layer.GetPrimAtPath(path) for path in job.meshes}
 
 
-class _MeshWriter:
-    """Writes what changes of a mesh."""
+class MeshWriter:
+    """Writes a mesh: samples of what changes, a default of what does not."""
 
     def __init__(self, spec: Any) -> None:
         self._spec = spec
@@ -259,8 +279,13 @@ class _MeshWriter:
 
     def _channel(self, name: str) -> Samples:
         if name not in self._channels:
-            self._channels[name] = _samples(self._spec, name)
+            self._channels[name] = empty_attribute(self._spec, name)
         return self._channels[name]
+
+    def release(self) -> None:
+        """Sample everything, whether it changes or not."""
+        for channel in self._channels.values():
+            channel.release()
 
     def finish(self) -> CachedMesh:
         """Write the defaults of what never changed; return what there is now."""
@@ -283,8 +308,8 @@ class _MeshWriter:
         return report
 
 
-def _samples(spec: Any, name: str) -> Samples:
-    """Return an empty attribute in place of the one that a mesh at rest has."""
+def empty_attribute(spec: Any, name: str) -> Samples:
+    """Return an attribute without value in place of what a mesh at rest has."""
     _remove(spec, name)
     kinds = {
         "points": _TYPES.Point3fArray,

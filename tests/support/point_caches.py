@@ -40,7 +40,8 @@ def skinned_points(path: Path, codes: list[float]) -> dict[str, Array]:
 
 def layered(folder: Path, *layers: Path) -> Path:
     """Return a shot of layers, the strongest first."""
-    shot = Sdf.Layer.CreateNew(str(folder / "shot.usda"), {"allowOverwrite": "1"})
+    path = folder / f"shot_{layers[0].stem}.usda"
+    shot = Sdf.Layer.CreateNew(str(path))
     shot.subLayerPaths = [str(layer) for layer in layers]
     strongest = Sdf.Layer.FindOrOpen(str(layers[0]))
     for key in ("timeCodesPerSecond", "framesPerSecond", "defaultPrim"):
@@ -50,7 +51,7 @@ def layered(folder: Path, *layers: Path) -> Path:
     shot.startTimeCode = strongest.startTimeCode
     shot.endTimeCode = strongest.endTimeCode
     shot.Save()
-    return folder / "shot.usda"
+    return path
 
 
 def bindings(stage: Usd.Stage) -> list[str]:

@@ -1,0 +1,242 @@
+"""Long point caches in several files, joined as value clips.
+
+A file is written as soon as all of its frames are there, so that the points of two or
+three are in memory, however long the take.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Sdf, Vt
+
+from animtool._types import Float32Array
+from animtool.output import replacing
+from animtool.usd.layers import author_metadata, export_layer, new_layer, prim
+from animtool.usd.point_cache import (
+    CachedMesh,
+    CacheJob,
+    MeshWriter,
+    PointBlock,
+    author_prims,
+    cache_metadata,
+    empty_attribute,
+)
+
+__all__ = ["chunk_paths", "write_chunks"]
+
+CLIP_SET = "points"
+
+
+def chunk_paths(output: Path) -> tuple[str, Path]:
+    """Return a pattern of the names of chunks, and the manifest of their attributes.
+
+    >>> chunk_paths(Path("shot.usdc"))[1].name
+    'shot.manifest.usda'
+    """
+    manifest = output.with_name(f"{output.stem}.manifest.usda")
+    return f"{output.stem}.points.*.usdc", manifest
+
+
+def _chunk_path(output: Path, number: int) -> Path:
+    return output.with_name(f"{output.stem}.points.{number + 1:04d}.usdc")
+
+
+def write_chunks(
+    job: CacheJob, blocks: Iterator[PointBlock], size: int, check: Any
+) -> tuple[list[Path], list[CachedMesh], Any]:
+    """Write a cache as a layer, and its points in files of some samples each.
+
+    Every file also has the first sample of the next, for what lies between them.
+    Nothing is there under its name before all is written, the layer last.
+
+    Args:
+        job: What to write; with an output.
+        blocks: Frames of the meshes, in time order for each.
+        size: Samples a file.
+        check: Called with the layer before anything gets its name; what it raises
+            leaves nothing behind.
+
+    Returns:
+        The files, what was written of each mesh, and the layer.
+
+    Raises:
+        OutputError: A file cannot be written.
+    """
+    output = job.output
+    assert output is not None
+    with ExitStack() as stack:
+        # Left in the reverse order: the layer gets its name last.
+        whole = stack.enter_context(replacing(output))
+        manifest_path = chunk_paths(output)[1]
+        manifest = stack.enter_context(replacing(manifest_path))
+        layer = new_layer(output)
+        with Sdf.ChangeBlock():
+            specs = author_prims(layer, job)
+        chunks = _Chunks(job, size, stack)
+        for block in blocks:
+            chunks.add(block)
+        chunks.finish()
+        with Sdf.ChangeBlock():
+            _author_still(specs, job, chunks)
+            author_metadata(layer, chunks.metadata())
+            _author_clips(layer, job, chunks, manifest_path)
+        if job.target is not None:
+            job.target.check(layer, points=False)
+        check(layer)
+        export_layer(_manifest(job, chunks), manifest, manifest_path)
+        export_layer(layer, whole, output)
+    files = [*chunks.paths, manifest_path, output]
+    return files, chunks.reports, layer
+
+
+class _Chunk:
+    """A file in the making."""
+
+    def __init__(self, job: CacheJob, number: int) -> None:
+        assert job.output is not None
+        self.path = _chunk_path(job.output, number)
+        self.layer = new_layer(self.path)
+        self.first, self.last = np.inf, -np.inf
+        self.writers = [
+            MeshWriter(prim(self.layer, path, over=True)) for path in job.meshes
+        ]
+
+    def add(self, block: PointBlock) -> None:
+        with Sdf.ChangeBlock():
+            self.writers[block.mesh].add(block)
+        self.first = min(self.first, float(block.codes[0]))
+        self.last = max(self.last, float(block.codes[-1]))
+
+
+class _Chunks:
+    """Files of a cache, each written when the next has begun for every mesh.
+
+    Attributes:
+        paths: Files written.
+        starts: First time code of each.
+        last: Last time code of all.
+        reports: What was written of each mesh.
+        still: Values of meshes that have not moved so far, by attribute.
+        names: Attributes of each mesh.
+    """
+
+    def __init__(self, job: CacheJob, size: int, stack: ExitStack) -> None:
+        self._job, self._size, self._stack = job, size, stack
+        self._done = [0] * len(job.meshes)
+        self._open: dict[int, _Chunk] = {}
+        self._written = 0
+        self.paths: list[Path] = []
+        self.starts: list[float] = []
+        self.last = -np.inf
+        self.reports = [CachedMesh(path) for path in job.meshes]
+        self.still: list[dict[str, Float32Array] | None] = [{} for _ in job.meshes]
+        self.names: list[list[str]] = [[] for _ in job.meshes]
+
+    def add(self, block: PointBlock) -> None:
+        """Put frames into the files that they belong to."""
+        self._count(block)
+        begin, mesh = 0, block.mesh
+        while begin < len(block.codes):
+            number, at = divmod(self._done[mesh], self._size)
+            count = min(self._size - at, len(block.codes) - begin)
+            if at == 0 and number:
+                self._open[number - 1].add(block.select(slice(begin, begin + 1)))
+            if number not in self._open:
+                self._open[number] = _Chunk(self._job, number)
+            self._open[number].add(block.select(slice(begin, begin + count)))
+            self._done[mesh] += count
+            begin += count
+        while min(self._done) > (self._written + 1) * self._size:
+            self._close(self._written)
+
+    def _count(self, block: PointBlock) -> None:
+        report = self.reports[block.mesh]
+        report.add(block)
+        values = {
+            "points": block.points,
+            "extent": block.extents,
+            "normals": block.normals,
+            "velocities": block.velocities,
+        }
+        given = {name: rows for name, rows in values.items() if rows is not None}
+        self.names[block.mesh] = list(given)
+        report.bytes += sum(rows.nbytes for rows in given.values())
+        still = self.still[block.mesh]
+        if still is None:
+            return
+        for name, rows in given.items():
+            still.setdefault(name, rows[0].copy())
+        if (block.points != still["points"]).any():
+            self.still[block.mesh] = None
+
+    def _close(self, number: int) -> None:
+        chunk = self._open.pop(number)
+        with Sdf.ChangeBlock():
+            for writer in chunk.writers:
+                writer.release()
+            metadata = cache_metadata(self._job, chunk.first, chunk.last)
+            author_metadata(chunk.layer, metadata)
+            chunk.layer.startTimeCode, chunk.layer.endTimeCode = chunk.first, chunk.last
+        temporary = self._stack.enter_context(replacing(chunk.path))
+        export_layer(chunk.layer, temporary, chunk.path)
+        self.paths.append(chunk.path)
+        self.starts.append(chunk.first)
+        self.last = max(self.last, chunk.last)
+        self._written += 1
+
+    def finish(self) -> None:
+        """Write what is left."""
+        for number in sorted(self._open):
+            self._close(number)
+        for report, still, names in zip(
+            self.reports, self.still, self.names, strict=True
+        ):
+            report.sampled = [] if still is not None else names
+            if still is not None:
+                report.samples = report.bytes = 0
+
+    def metadata(self) -> Any:
+        """Return what the layer of all files states."""
+        return cache_metadata(self._job, self.starts[0], self.last)
+
+
+def _author_still(specs: Any, job: CacheJob, chunks: _Chunks) -> None:
+    """Declare what the files hold; what never moves has its value here, which wins."""
+    for path, names, still in zip(job.meshes, chunks.names, chunks.still, strict=True):
+        for name in names:
+            if still is None:
+                empty_attribute(specs[path], name)
+            elif name != "velocities":
+                empty_attribute(specs[path], name).finish(still[name])
+
+
+def _author_clips(layer: Any, job: CacheJob, chunks: _Chunks, manifest: Path) -> None:
+    span = [(code, code) for code in (chunks.starts[0], chunks.last)]
+    clips = {
+        "assetPaths": Sdf.AssetPathArray(
+            [Sdf.AssetPath(f"./{path.name}") for path in chunks.paths]
+        ),
+        "primPath": job.paths.root,
+        "manifestAssetPath": Sdf.AssetPath(f"./{manifest.name}"),
+        "active": Vt.Vec2dArray([(code, i) for i, code in enumerate(chunks.starts)]),
+        "times": Vt.Vec2dArray(span),
+    }
+    layer.GetPrimAtPath(job.paths.root).SetInfo("clips", {CLIP_SET: clips})
+
+
+def _manifest(job: CacheJob, chunks: _Chunks) -> Any:
+    layer = new_layer(chunk_paths(job.output or Path())[1])
+    with Sdf.ChangeBlock():
+        for path, names, still in zip(
+            job.meshes, chunks.names, chunks.still, strict=True
+        ):
+            spec = prim(layer, path, over=True)
+            for name in names if still is None else ():
+                empty_attribute(spec, name)
+        author_metadata(layer, chunks.metadata())
+    return layer
