@@ -268,6 +268,8 @@ def _table(
         raise click.UsageError("--table writes no file: no -o.")
     if len(sources) > 1:
         raise click.UsageError("--table measures one SOURCE.")
+    if options.deform:
+        raise click.UsageError("--table measures joints, not --deform.")
     source = sources[0]
     from animtool.cli.summary import table_json, table_text
     from animtool.scene.table import bake_table

@@ -80,6 +80,7 @@ def open_character(take: TakePlan, target: RigTarget | None) -> Character:
     options = take.options
     rig = stream.rig
     surfaces: tuple[Surface, ...] = ()
+    shapes = tuple(shape.name for shape in rig.shapes)
     if rig.meshes:
         surfaces, bind = surfaces_of(rig), _bind(rig)
         origin, mapping = f"rig {rig.name!r} of the take", None
@@ -87,6 +88,8 @@ def open_character(take: TakePlan, target: RigTarget | None) -> Character:
         from animtool.usd.characters import source_meshes, target_meshes
 
         if target is not None:
+            assert mapping is not None
+            shapes = mapping.shapes
             rig, origin = target.skeleton.rig, str(target.path)
             found = target_meshes(target)
         else:
@@ -99,7 +102,6 @@ def open_character(take: TakePlan, target: RigTarget | None) -> Character:
         message = "there is no mesh to deform"
         hint = "name a rig that has meshes: in the clip, or with --rig or --rig-layer"
         raise FormatError(Fault("USD040", message, str(source), (), hint))
-    shapes = [shape.name for shape in stream.rig.shapes]
     meshes = character_meshes(surfaces, rig.names, bind, shapes)
     return Character(rig, tuple(surfaces), mapping, tuple(meshes), origin)
 

@@ -372,6 +372,12 @@ def test_what_goes_with_deform_alone(option: str, tmp_path: Path) -> None:
     assert "CLI002" in done.stderr
 
 
+def test_tables_are_of_joints(tmp_path: Path) -> None:
+    write_pair(tmp_path)
+    done = animtool("bake", "pair.clip.yaml", "--deform", "--table", cwd=tmp_path)
+    assert done.code == 2
+
+
 def test_weights_that_do_not_fit_are_said_of_their_mesh(tmp_path: Path) -> None:
     write_pair(tmp_path)
     rig = rig_layer(tmp_path)
