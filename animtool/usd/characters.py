@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import UsdSkel
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError
 from animtool.rig.surfaces import Surface, surfaces_of
 from animtool.units import UpAxis
 from animtool.usd.layers import usd_errors
-from animtool.usd.mesh_read import bound_meshes, read_meshes
+from animtool.usd.mesh_read import read_meshes
 from animtool.usd.rig_prims import (
     SkeletonRig,
     array_value,
@@ -78,30 +78,7 @@ def _meshes(skeleton: Any, found: SkeletonRig, path: Path) -> StageMeshes:
         return StageMeshes((), np.zeros((0, 4, 4)), rig.up, notices)
     bind = _bind(skeleton, len(rig.joints), f"{path}<{skeleton.GetPath()}>")
     bind[:, :3, 3] *= rig.meters_per_unit
-    surfaces = _placed(surfaces_of(rig), skeleton, rig.meters_per_unit)
-    return StageMeshes(surfaces, bind, rig.up, notices)
-
-
-def _placed(
-    surfaces: tuple[Surface, ...], skeleton: Any, meters_per_unit: float
-) -> tuple[Surface, ...]:
-    """Return meshes, those that no joint carries where their prims place them."""
-    prims = {name: query.GetPrim() for name, query in bound_meshes(skeleton)}
-    cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
-    world = cache.GetLocalToWorldTransform(skeleton.GetPrim()).GetInverse()
-
-    def place(surface: Surface) -> FloatArray:
-        own = cache.GetLocalToWorldTransform(prims[surface.name])
-        matrix = np.array(own * world, np.float64).T.copy()
-        matrix[:3, 3] *= meters_per_unit
-        return matrix
-
-    return tuple(
-        surface
-        if surface.skin is not None
-        else replace(surface, geom_bind=place(surface))
-        for surface in surfaces
-    )
+    return StageMeshes(surfaces_of(rig), bind, rig.up, notices)
 
 
 def _bind(skeleton: Any, joints: int, where: str) -> FloatArray:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import Gf, Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError, Severity
@@ -33,7 +33,8 @@ def read_meshes(
 
     Normals that are not one a vertex are left out (USD116), as are the shapes of a mesh
     that name no target. A mesh that follows joints as a whole has their influences at
-    every vertex. Numbers are in the unit of the rig.
+    every vertex; one that follows none stands where its prim places it. Numbers are in
+    the unit of the rig.
 
     Args:
         skeleton: A `UsdSkel.Skeleton`.
@@ -49,7 +50,8 @@ def read_meshes(
     notices: list[Fault] = []
     for name, query in bound_meshes(skeleton):
         at = f"{where}<{query.GetPrim().GetPath()}>"
-        meshes.append(_mesh(query, name, rig, at, notices))
+        bind = _bind(query, skeleton, at)
+        meshes.append(_mesh(query, name, rig, at, bind, notices))
         count = len(meshes[-1].points.load())
         shapes += _shapes(query, name, count, at, {shape.name for shape in shapes})
     return tuple(meshes), tuple(shapes), notices
@@ -86,8 +88,28 @@ def _unique(name: str, used: set[str]) -> str:
     return unique
 
 
+def _bind(query: Any, skeleton: Any, at: str) -> tuple[float, ...] | None:
+    """Return where a mesh is bound, or placed; None where that is the origin."""
+    if query.HasJointInfluences():
+        found = query.GetGeomBindTransform()
+    else:
+        cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
+        world = cache.GetLocalToWorldTransform(skeleton.GetPrim())
+        own = cache.GetLocalToWorldTransform(query.GetPrim())
+        found = own if world == Gf.Matrix4d(1) else own * world.GetInverse()
+    matrix = np.array(found, np.float64).T
+    if not np.isfinite(matrix).all():
+        _fail("USD017", "its transform at bind time is not finite", at)
+    return tuple(matrix.ravel().tolist()) if (matrix != np.eye(4)).any() else None
+
+
 def _mesh(
-    query: Any, name: str, rig: SkeletonRig, at: str, notices: list[Fault]
+    query: Any,
+    name: str,
+    rig: SkeletonRig,
+    at: str,
+    bind: tuple[float, ...] | None,
+    notices: list[Fault],
 ) -> Mesh:
     prim = query.GetPrim()
     mesh = UsdGeom.Mesh(prim)
@@ -101,12 +123,6 @@ def _mesh(
     elif len(given):
         message = "normals that are not one a vertex are left out"
         notices.append(Fault("USD116", message, at, severity=Severity.NOTE))
-    bind = None
-    matrix = np.array(query.GetGeomBindTransform(), np.float64).T
-    if not np.isfinite(matrix).all():
-        _fail("USD017", "geomBindTransform is not finite", at)
-    if (matrix != np.eye(4)).any():
-        bind = tuple(matrix.ravel().tolist())
     return Mesh(
         name,
         HeldArray(points),

@@ -172,6 +172,14 @@ def test_a_mesh_without_skin_stands_where_it_is_bound(tmp_path: Path) -> None:
     assert tuple(placed.ExtractTranslation()) == (3, 0, 0)
 
 
+def test_a_mesh_with_shapes_alone_comes_back_to_its_place(tmp_path: Path) -> None:
+    rig = shaped_rig()
+    bind = (1.0, 0, 0, 3, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1)
+    cap = replace(rig.meshes[1], geom_bind=bind)
+    write_rig_layer(replace(rig, meshes=(rig.meshes[0], cap)), tmp_path / "x.usda")
+    assert read_rig(tmp_path / "x.usda").meshes[1].geom_bind == bind
+
+
 def test_weights_are_normalised_and_it_is_said(tmp_path: Path) -> None:
     rig = shaped_rig()
     skin = rig.meshes[0].skin
