@@ -231,20 +231,20 @@ def untangled(field: Array) -> Array:
     Where two sheets of the surface share a cell, one point would join them.
     """
     field, tangled = field.copy(), tangled_corners()
-    corners = list(np.ndindex(2, 2, 2))
+    corners, cells = list(np.ndindex(2, 2, 2)), np.array(field.shape) - 1
     while True:
         views = [
-            field[tuple(slice(c, n - 1 + c) for c, n in zip(corner, field.shape))]
-            for corner in corners
+            field[i : i + cells[0], j : j + cells[1], k : k + cells[2]]
+            for i, j, k in corners
         ]
         signs = sum((view < 0) << bit for bit, view in enumerate(views))
-        cells = np.argwhere(tangled[signs])
-        if not len(cells):
+        wrong = np.argwhere(tangled[signs])
+        if not len(wrong):
             return field
-        places = cells[:, None] + np.array(corners)
+        places = wrong[:, None] + np.array(corners)
         values = field[tuple(np.moveaxis(places, -1, 0))]
         nearest = np.where(values < 0, np.inf, values).argmin(1)
-        field[tuple(places[np.arange(len(cells)), nearest].T)] = -ROUNDING
+        field[tuple(places[np.arange(len(wrong)), nearest].T)] = -ROUNDING
 
 
 def netted(field: Array, axes: Sequence[Array]) -> tuple[Array, Ints]:
