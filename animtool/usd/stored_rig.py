@@ -36,7 +36,7 @@ def joined_rig(
     Where the Skeleton is what it was when it was written, joints are exactly those of
     the rig that it was written from. Else USD's own tree, rest and bind count, what
     names joints that are gone is left out, and a warning says so (USD117). Cloth and
-    strands are left out where USD lost or broke their mesh or curves (USD118).
+    strands are left out where USD lost or broke their mesh or curves (USD119).
 
     Args:
         read: As USD says.
@@ -81,7 +81,7 @@ def joined_rig(
     if lost:
         message = f"attachments whose mesh or curves are gone or edited: {listed(lost)}"
         place = str(path)
-        notices.append(Fault("USD118", message, place, severity=Severity.WARNING))
+        notices.append(Fault("USD119", message, place, severity=Severity.WARNING))
     return replace(whole, meshes=meshes, attach=attach), notices
 
 

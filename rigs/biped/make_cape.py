@@ -27,9 +27,10 @@ KNOTS = (0.0, 0.05, 0.12, 0.22, 0.5, 1.0)
 WIDTHS = (0.150, 0.165, 0.180, 0.200, 0.255, 0.330)
 HEIGHTS = (1.500, 1.470, 1.400, 1.290, 0.940, 0.330)
 PLACES = (-0.040, -0.090, -0.130, -0.150, -0.175, -0.230)
-# What the points follow, in the order of their indices.
-BACK = ("hips", "spine_1", "spine_2", "spine_3", "spine_4")
-JOINTS = (*BACK, "clavicle_l", "shoulder_l", "clavicle_r", "shoulder_r")
+# What the points follow, in the order of their indices; a bone ends where the next
+# begins, and the last one at the neck.
+BACK = ("hips", "spine_2", "spine_3", "spine_4")
+NECK = "neck_1"
 
 
 def hanging() -> tuple[Array, Array]:
@@ -91,14 +92,17 @@ def quads() -> Ints:
 def followed(points: Array, aside: Array, heights: Array) -> tuple[Ints, Array]:
     """Return joints and weights of the points, four each.
 
+    Joints are counted down the back first, then come clavicle and shoulder of the left,
+    and those of the right.
+
     Args:
         points: ``(V, 3)``.
         aside: Their sideways share, from -1 to 1 ``(V,)``.
-        heights: Of the joints of the back, ascending.
+        heights: Of the middles of the back's bones, ascending.
     """
     place = np.interp(points[:, 1], heights, np.arange(len(heights)))
     below = np.minimum(place.astype(int), len(heights) - 2)
-    upper = smoothstep(0, 1, place - below)
+    upper = place - below
     shoulder = smoothstep(0.25, 1.0, np.abs(aside))
     shoulder = 0.75 * shoulder * smoothstep(1.20, 1.45, points[:, 1])
     arm = 0.3 * shoulder
@@ -115,7 +119,8 @@ def arrays(rig: Path) -> dict[str, NDArray[np.generic]]:
     _, joints, _ = read_joints(rig)
     grid, aside = hanging()
     points = np.round(settled(grid).reshape(-1, 3), 6) + 0.0
-    heights = np.array([joints[name][1] for name in BACK])
+    ends = np.array([joints[name][1] for name in (*BACK, NECK)])
+    heights = (ends[1:] + ends[:-1]) / 2
     indices, weights = followed(points, np.tile(aside, DOWN), heights)
     normals = surface_normals(points, quads())
     return {

@@ -66,7 +66,9 @@ class Camera:
         return np.stack([right, np.cross(towards, right), towards])
 
 
-def ribbons(strands: Array, colour: Sequence[float], width: float, camera: Camera) -> Surface:
+def ribbons(
+    strands: Array, colour: Sequence[float], width: float, camera: Camera
+) -> Surface:
     """Return strands ``(S, K, 3)`` as ribbons that face a camera, tips thin."""
     count, length = strands.shape[:2]
     along = np.gradient(strands, axis=1)
