@@ -70,7 +70,7 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
     bind = bind_of(document, model.bind, joints, units, inherited_bind)
     controls = parts.controls(shape.name for shape in (*inherited, *shapes))
     chains, colliders = parts.ik(), parts.colliders()
-    attached = parts.attach(mesh.name for mesh in meshes)
+    attached = parts.attach(meshes, () if base is None else base.attach)
     document.check()
     return Rig(
         model.name,

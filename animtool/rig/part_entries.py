@@ -11,6 +11,7 @@ from typing import Any
 from animtool.documents.check import nearest
 from animtool.documents.document import Document, Location
 from animtool.rig.array_entries import ArrayReader
+from animtool.rig.attach_entries import AttachmentReader
 from animtool.rig.controls import (
     Control,
     ControlCycleError,
@@ -21,7 +22,6 @@ from animtool.rig.expressions import FUNCTIONS, Expression, parse_expression
 from animtool.rig.joint_entries import FileJoints, FileUnits, unit_vector
 from animtool.rig.parts import (
     ArrayRef,
-    AttachKind,
     Attachment,
     Capsule,
     Collider,
@@ -33,7 +33,6 @@ from animtool.rig.parts import (
     Subdivision,
 )
 from animtool.rig.schema import (
-    AttachModel,
     ControlModel,
     DriveModel,
     MeshModel,
@@ -46,12 +45,6 @@ from animtool.rig.targets import DRIVEN_PARTS, nearest_part, split_part
 
 __all__ = ["PartReader"]
 
-# The keys that an attachment of a kind wants, and those that it takes beside.
-_KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    AttachKind.SPRING_CHAIN: (("joints",), ()),
-    AttachKind.CLOTH: (("mesh",), ("pins",)),
-    AttachKind.STRANDS: (("joint", "points"), ()),
-}
 _LISTS = {"joint": "joints", "mesh": "meshes", "shape": "shapes", "control": "controls"}
 
 
@@ -189,18 +182,46 @@ class PartReader:
             )
         return tuple(made)
 
-    def attach(self, meshes: Iterable[str]) -> tuple[Attachment, ...]:
+    def attach(
+        self, meshes: Iterable[Mesh], inherited: Iterable[Attachment] = ()
+    ) -> tuple[Attachment, ...]:
         """Return the attachments, their arrays looked at.
 
         Args:
-            meshes: Names of the rig's meshes.
+            meshes: The rig's.
+            inherited: Those that the rig has already; one of the same name in the file
+                takes the place of its own. Of them only strands stay, which are its
+                geometry.
         """
         self._distinct("attach", "attachment")
-        meshes = list(meshes)
-        return tuple(
-            self._attachment(("attach", i), entry, meshes)
-            for i, entry in enumerate(self.model.attach)
+        counts = {mesh.name: self._count(mesh) for mesh in meshes}
+        reader = AttachmentReader(
+            self.document,
+            self.arrays,
+            counts,
+            lambda at, name: self._known(at, name, self.joints, "joint"),
+            lambda at, name: self._known(at, name, counts, "mesh"),
         )
+        own = {entry.name for entry in self.model.attach}
+        return (
+            *(
+                entry
+                for entry in inherited
+                if entry.points is not None and entry.name not in own
+            ),
+            *(
+                reader.attachment(("attach", i), entry)
+                for i, entry in enumerate(self.model.attach)
+            ),
+        )
+
+    def _count(self, mesh: Mesh) -> int | None:
+        """Return the number of points of a mesh; None where it cannot be read."""
+        if mesh.name in self.vertices:
+            return self.vertices[mesh.name]
+        if isinstance(mesh.points, ArrayRef):
+            return self.arrays.rows(mesh.points)
+        return len(mesh.points.load())
 
     def colliders(self) -> tuple[Collider, ...]:
         """Return the colliders."""
@@ -221,49 +242,6 @@ class PartReader:
             )
             made.append(Collider(entry.joint, capsule))
         return tuple(made)
-
-    def _attachment(
-        self, at: Location, entry: AttachModel, meshes: list[str]
-    ) -> Attachment:
-        self._fitting_keys(at, entry)
-        joints = tuple(entry.joints or ())
-        for k, name in enumerate(joints):
-            self._known((*at, "joints", k), name, self.joints, "joint")
-        if entry.joint is not None:
-            self._known((*at, "joint"), entry.joint, self.joints, "joint")
-            joints = (entry.joint,)
-        if entry.mesh is not None:
-            self._known((*at, "mesh"), entry.mesh, meshes, "mesh")
-        pins = None
-        if entry.pins is not None:
-            count = self.vertices.get(entry.mesh or "")
-            spot = (*at, "pins")
-            pins = self.arrays.array(spot, entry.pins, "pins", (None,), count)
-        shape = (None, None, 3)
-        points = self._maybe((*at, "points"), entry.points, "strands", shape)
-        return Attachment(
-            entry.name, entry.kind, joints, entry.mesh or "", pins, points
-        )
-
-    def _fitting_keys(self, at: Location, entry: AttachModel) -> None:
-        """Note the keys that an attachment's kind lacks, or does not take."""
-        if self.document.doubtful((*at, "kind")):
-            return
-        wants, takes = _KEYS.get(entry.kind, _KEYS[AttachKind.SPRING_CHAIN])
-        every = ("joints", "joint", "mesh", "pins", "points")
-        given = [key for key in every if getattr(entry, key) is not None]
-        hint = f"it has {', '.join((*wants, *takes))}"
-        if entry.kind not in _KEYS:
-            hint = nearest(entry.kind, [str(kind) for kind in AttachKind])
-        for key in wants:
-            sure = not self.document.doubtful((*at, key))
-            if key not in given and sure and "attach" not in self.document.partial:
-                message = f"an attachment of kind {entry.kind!r} has no {key}"
-                self.document.add("RIG031", at, message, hint)
-        for key in given:
-            if key not in (*wants, *takes):
-                message = f"an attachment of kind {entry.kind!r} takes no {key}"
-                self.document.add("RIG031", (*at, key), message, hint)
 
     def _mesh(self, at: Location, mesh: MeshModel) -> Mesh:
         points = self.arrays.array((*at, "points"), mesh.points, "points", (None, 3))

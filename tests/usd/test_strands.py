@@ -18,6 +18,7 @@ from support.usd import open_stage, validation_errors
 from animtool.errors import FormatError
 from animtool.maths import so3
 from animtool.reorient import reorient
+from animtool.rig.file import load_rig
 from animtool.rig.kinematics import bind_world, forward
 from animtool.rig.parts import ArraySource, Attachment, HeldArray
 from animtool.rig.skeleton import Rig
@@ -241,6 +242,26 @@ def test_what_does_not_fit_is_refused(
     with pytest.raises(FormatError) as caught:
         edited(tmp_path, change)
     assert [fault.code for fault in caught.value.faults] == [code]
+
+
+def test_a_sidecar_takes_strands_and_pins_a_mesh(tmp_path: Path) -> None:
+    write_rig_layer(haired_rig(), tmp_path / "hero.usda")
+    text = "rig: animtool/1\nname: hero\nfrom: hero.usda\nattach:\n"
+    cloth = "- {name: cloak, kind: cloth, mesh: body, pins: pins.npz}\n"
+    np.savez(tmp_path / "pins.npz", pins=np.array([39, 0]))
+    path = tmp_path / "hero.rig.yaml"
+    path.write_text(text + cloth, "utf-8")
+    rig = load_rig(path)
+    assert [entry.name for entry in rig.attach] == ["hair", "a b", "cloak"]
+    own = "- {name: hair, kind: spring_chain, joints: [hand]}\n"
+    path.write_text(text + own, "utf-8")
+    kinds = [(entry.name, entry.kind) for entry in load_rig(path).attach]
+    assert kinds == [("a b", "strands"), ("hair", "spring_chain")]
+    np.savez(tmp_path / "pins.npz", pins=np.array([40]))
+    path.write_text(text + cloth, "utf-8")
+    with pytest.raises(FormatError) as caught:
+        load_rig(path)
+    assert [fault.code for fault in caught.value.faults] == ["RIG027"]
 
 
 def test_curves_of_another_tool_are_strands(tmp_path: Path) -> None:
