@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.errors import Fault, FormatError
 from animtool.maths import so3
-from animtool.rig.parts import Mesh
+from animtool.rig.parts import Attachment, HeldArray, Mesh
 from animtool.rig.skeleton import Pose, Rig
 from animtool.take import Channel, Motion, TakeStream
 from animtool.units import UpAxis, up_from_up
@@ -20,7 +21,11 @@ __all__ = ["reorient"]
 def reorient(stream: TakeStream, up: UpAxis) -> TakeStream:
     """Return the take with its roots, at rest and in motion, turned to an up axis.
 
-    Everything below the roots is in their frames and stays as it is.
+    Everything below the roots is in their frames and stays as it is; strands are in
+    the world.
+
+    Raises:
+        FormatError: An array of the rig cannot be read any more (RIG018).
     """
     turn = up_from_up(up, stream.rig.up)
     if turn is None:
@@ -50,7 +55,10 @@ def _turned_rig(rig: Rig, turn: FloatArray, up: UpAxis) -> Rig:
         for name, pose in rig.bind.items()
     }
     meshes = tuple(_turned_mesh(mesh, turn) for mesh in rig.meshes)
-    return replace(rig, joints=tuple(joints), up=up, bind=bind, meshes=meshes)
+    attach = tuple(_turned_strands(entry, turn) for entry in rig.attach)
+    return replace(
+        rig, joints=tuple(joints), up=up, bind=bind, meshes=meshes, attach=attach
+    )
 
 
 def _turned_pose(pose: Pose, turn: FloatArray) -> Pose:
@@ -65,6 +73,17 @@ def _turned_mesh(mesh: Mesh, turn: FloatArray) -> Mesh:
     whole = np.eye(4)
     whole[:3, :3] = so3.to_matrix(turn)
     return replace(mesh, geom_bind=tuple((whole @ bind).ravel().tolist()))
+
+
+def _turned_strands(entry: Attachment, turn: FloatArray) -> Attachment:
+    """Return an attachment whose strands are turned where they are in the world."""
+    if entry.points is None:
+        return entry
+    try:
+        points = so3.rotate(turn, entry.points.load())
+    except ValueError as error:
+        raise FormatError(Fault("RIG018", f"{entry.name!r}: {error}")) from error
+    return replace(entry, points=HeldArray(points))
 
 
 def _turned(blocks: Iterator[Motion], rig: Rig, turn: FloatArray) -> Iterator[Motion]:

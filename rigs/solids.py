@@ -5,7 +5,7 @@ A solid is a field: the distance to its surface, negative inside. Lengths are me
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -99,7 +99,7 @@ def falloff(points: Array, centre: ArrayLike, radii: ArrayLike) -> Array:
     return np.asarray(np.maximum(1 - square, 0.0) ** 2)
 
 
-def curve(knots: Sequence[float], values: ArrayLike, x: ArrayLike) -> Array:
+def curve(knots: ArrayLike, values: ArrayLike, x: ArrayLike) -> Array:
     """Return piecewise linear values, for tables ``(K,)`` or ``(K, D)``."""
     table = np.asarray(values, np.float64)
     if table.ndim == 1:

@@ -24,7 +24,9 @@ __all__ = ["ArrayReader"]
 Shape = tuple[int | None, ...]
 
 # Roles of arrays that count something, and hold whole numbers.
-_COUNTING = frozenset({"faces", "indices", "vertices"})
+_COUNTING = frozenset({"faces", "indices", "pins", "vertices"})
+# Keys of the file that are not named like the role of their array.
+_KEYS = {"strands": "points"}
 # What fills a triangle among quadrangles, and so on.
 NO_CORNER = -1
 
@@ -50,12 +52,12 @@ class ArrayReader:
             at: Where the reference stands.
             text: As written, ``face.npz#smile``.
             role: What the array is: ``points``, ``faces``, ``normals``, ``deltas``,
-                ``indices``, ``vertices`` or ``weights``; its name where the text has
-                none.
+                ``indices``, ``pins``, ``strands``, ``vertices`` or ``weights``; its
+                name where the text has none.
             shape: That it must have, None for any length.
             count: Of what its indices count; None where that is not known.
         """
-        name, key = split_reference(text, role)
+        name, key = split_reference(text, _KEYS.get(role, role))
         path = referred(self.document, at, name, self.roots, "RIG021")
         if path is None:
             return ArrayRef(text, Path(name), key)
@@ -97,8 +99,13 @@ class ArrayReader:
             message = f"{ref.text!r} holds floats, not whole numbers"
             self.document.add("RIG019", at, message)
             return False
-        if role == "faces" and not header.shape[0]:
-            self.document.add("RIG019", at, f"{ref.text!r} has no face")
+        if role in {"faces", "strands"} and not header.shape[0]:
+            kind = role.removesuffix("s")
+            self.document.add("RIG019", at, f"{ref.text!r} has no {kind}")
+            return False
+        if role == "strands" and header.shape[1] < 2:
+            message = f"{ref.text!r} has strands of {header.shape[1]} points, not 2"
+            self.document.add("RIG019", at, message)
             return False
         if role == "faces" and header.shape[1] < 3:
             message = f"{ref.text!r} has faces of {header.shape[1]} corners, not 3"
@@ -122,8 +129,20 @@ def _value_fault(role: str, values: npt.NDArray[Any], count: int | None) -> str 
     spot = _first(~np.isfinite(values))
     if spot is not None:
         return f"holds {values[spot]} at {list(spot)}, not a finite number"
-    if role != "weights":
+    if role == "strands":
+        return _strand_fault(values)
+    return _weight_fault(values) if role == "weights" else None
+
+
+def _strand_fault(values: npt.NDArray[Any]) -> str | None:
+    spot = _first((values[:, 1:] == values[:, :-1]).all(axis=-1))
+    if spot is None:
         return None
+    strand, point = spot
+    return f"has points {point} and {point + 1} of strand {strand} in one place"
+
+
+def _weight_fault(values: npt.NDArray[Any]) -> str | None:
     spot = _first(values < 0)
     if spot is not None:
         return f"holds {values[spot]} at {list(spot)}, a negative weight"

@@ -69,7 +69,8 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
     inherited_bind = {} if base is None else base.bind
     bind = bind_of(document, model.bind, joints, units, inherited_bind)
     controls = parts.controls(shape.name for shape in (*inherited, *shapes))
-    chains, attached, colliders = parts.ik(), parts.attach(), parts.colliders()
+    chains, colliders = parts.ik(), parts.colliders()
+    attached = parts.attach(meshes, () if base is None else base.attach)
     document.check()
     return Rig(
         model.name,

@@ -11,6 +11,7 @@ from typing import Any
 from animtool.documents.check import nearest
 from animtool.documents.document import Document, Location
 from animtool.rig.array_entries import ArrayReader
+from animtool.rig.attach_entries import AttachmentReader
 from animtool.rig.controls import (
     Control,
     ControlCycleError,
@@ -181,15 +182,46 @@ class PartReader:
             )
         return tuple(made)
 
-    def attach(self) -> tuple[Attachment, ...]:
-        """Return the attachments."""
+    def attach(
+        self, meshes: Iterable[Mesh], inherited: Iterable[Attachment] = ()
+    ) -> tuple[Attachment, ...]:
+        """Return the attachments, their arrays looked at.
+
+        Args:
+            meshes: The rig's.
+            inherited: Those that the rig has already; one of the same name in the file
+                takes the place of its own. Of them only strands stay, which are its
+                geometry.
+        """
         self._distinct("attach", "attachment")
-        made = []
-        for i, entry in enumerate(self.model.attach):
-            for k, name in enumerate(entry.joints):
-                self._known(("attach", i, "joints", k), name, self.joints, "joint")
-            made.append(Attachment(entry.name, entry.kind, tuple(entry.joints)))
-        return tuple(made)
+        counts = {mesh.name: self._count(mesh) for mesh in meshes}
+        reader = AttachmentReader(
+            self.document,
+            self.arrays,
+            counts,
+            lambda at, name: self._known(at, name, self.joints, "joint"),
+            lambda at, name: self._known(at, name, counts, "mesh"),
+        )
+        own = {entry.name for entry in self.model.attach}
+        return (
+            *(
+                entry
+                for entry in inherited
+                if entry.points is not None and entry.name not in own
+            ),
+            *(
+                reader.attachment(("attach", i), entry)
+                for i, entry in enumerate(self.model.attach)
+            ),
+        )
+
+    def _count(self, mesh: Mesh) -> int | None:
+        """Return the number of points of a mesh; None where it cannot be read."""
+        if mesh.name in self.vertices:
+            return self.vertices[mesh.name]
+        if isinstance(mesh.points, ArrayRef):
+            return self.arrays.rows(mesh.points)
+        return len(mesh.points.load())
 
     def colliders(self) -> tuple[Collider, ...]:
         """Return the colliders."""

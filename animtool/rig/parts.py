@@ -15,6 +15,7 @@ from animtool.documents.arrays import load_array
 __all__ = [
     "ArrayRef",
     "ArraySource",
+    "AttachKind",
     "Attachment",
     "Capsule",
     "Collider",
@@ -194,13 +195,35 @@ class IkChain:
     stretch: float = 0.0
 
 
+class AttachKind(StrEnum):
+    """What a simulation moves, of the kinds that are known."""
+
+    SPRING_CHAIN = "spring_chain"
+    CLOTH = "cloth"
+    STRANDS = "strands"
+
+
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """Joints that a simulation moves."""
+    """What a simulation moves.
+
+    Attributes:
+        name: Unique among the rig's attachments.
+        kind: One of `AttachKind`; any other names joints.
+        joints: Those that move; of strands the one that carries their roots; none of
+            cloth.
+        mesh: Name of the mesh that is cloth.
+        pins: Of cloth, the vertices that stay with the skin ``(N,)``; None is none.
+        points: Of strands ``(S, K, 3)`` in the rig's unit, where they are in the world
+            at bind time, each from root to tip.
+    """
 
     name: str
     kind: str
-    joints: tuple[str, ...]
+    joints: tuple[str, ...] = ()
+    mesh: str = ""
+    pins: ArraySource | None = None
+    points: ArraySource | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -177,11 +177,29 @@ class IkModel(FileModel):
 
 
 class AttachModel(FileModel):
-    """Joints that a simulation moves."""
+    """What a simulation moves."""
 
     name: Name
-    kind: Name
-    joints: Annotated[list[Name], Len(1)]
+    kind: Annotated[
+        Name,
+        Field(
+            description="spring_chain of joints; cloth of a mesh; strands of points "
+            "that a joint carries."
+        ),
+    ]
+    joints: Annotated[list[Name], Len(1)] | None = None
+    mesh: Annotated[Name | None, Field(description="Of cloth: what hangs.")] = None
+    pins: Annotated[
+        str | None,
+        Field(description="Of cloth: (N,) vertices that stay with the skin."),
+    ] = None
+    joint: Annotated[
+        Name | None, Field(description="Of strands: what carries their roots.")
+    ] = None
+    points: Annotated[
+        str | None,
+        Field(description="Of strands: (S, K, 3) in the world, from root to tip."),
+    ] = None
 
 
 class CapsuleModel(FileModel):

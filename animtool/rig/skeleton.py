@@ -115,7 +115,7 @@ class Rig:
         shapes: Blend shapes.
         controls: What an animator holds.
         ik: Chains that reach for goals.
-        attach: Joints that simulations move.
+        attach: What simulations move.
         colliders: What simulations may not pass through.
         radians_per_unit: Angle unit of the source [rad]; inside they are radians.
 

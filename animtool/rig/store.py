@@ -15,6 +15,7 @@ from animtool.errors import Fault, FormatError
 from animtool.rig.parts import (
     ArrayRef,
     ArraySource,
+    Attachment,
     Inbetween,
     Mesh,
     Shape,
@@ -41,7 +42,8 @@ def with_file(rig: Rig, path: Path, *, moved: bool = False) -> tuple[Rig, Stored
     store = _Store(path, moved)
     meshes = tuple(store.mesh(mesh) for mesh in rig.meshes)
     shapes = tuple(store.shape(shape) for shape in rig.shapes)
-    return replace(rig, meshes=meshes, shapes=shapes), store.arrays
+    attach = tuple(store.attachment(entry) for entry in rig.attach)
+    return replace(rig, meshes=meshes, shapes=shapes, attach=attach), store.arrays
 
 
 @dataclass(slots=True)
@@ -112,6 +114,14 @@ class _Store:
             step,
             deltas=self.ref(step.deltas, name),
             normals=self.ref(step.normals, f"{name}_normals"),
+        )
+
+    def attachment(self, entry: Attachment) -> Attachment:
+        """Return an attachment with references."""
+        return replace(
+            entry,
+            pins=self.ref(entry.pins, f"{entry.name}_pins", whole=True),
+            points=self.ref(entry.points, f"{entry.name}_points"),
         )
 
 

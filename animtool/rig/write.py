@@ -10,6 +10,7 @@ from animtool.rig.controls import Control, Drive
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import (
     ArraySource,
+    AttachKind,
     Attachment,
     Collider,
     HeldArray,
@@ -191,11 +192,17 @@ def _chain(chain: IkChain) -> str:
 
 
 def _attachment(entry: Attachment) -> str:
+    joints = ("joints", _names(entry.joints) if entry.joints else None)
+    if entry.kind == AttachKind.STRANDS:
+        joints = ("joint", text(entry.joints[0]))
     return _mapping(
         [
             ("name", text(entry.name)),
             ("kind", text(entry.kind)),
-            ("joints", _names(entry.joints)),
+            joints,
+            ("mesh", text(entry.mesh) if entry.mesh else None),
+            ("pins", _file(entry.pins)),
+            ("points", _file(entry.points)),
         ]
     )
 

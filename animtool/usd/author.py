@@ -53,6 +53,7 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
     with Sdf.ChangeBlock():
         if authored.rig is not None:
             author_rig(authored.rig, job.rig, job.names, job.paths, job.meters_per_unit)
+            authored.visible |= any(e.points is not None for e in job.rig.attach)
             if job.rig.meshes:
                 from animtool.usd.meshes import author_meshes
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NoReturn
 
 import numpy as np
@@ -20,6 +19,13 @@ from animtool.rig.parts import (
 )
 from animtool.usd.meshes import SUBDIVISION
 from animtool.usd.rig_prims import SkeletonRig, array_value
+from animtool.usd.skinned import (
+    floats,
+    joint_names,
+    prim_name,
+    skinned_prims,
+    unique_name,
+)
 
 __all__ = ["bound_meshes", "read_meshes"]
 
@@ -59,33 +65,11 @@ def read_meshes(
 
 def bound_meshes(skeleton: Any) -> list[tuple[str, Any]]:
     """Return the meshes that a Skeleton moves: distinct names, and queries."""
-    root = UsdSkel.Root.Find(skeleton.GetPrim())
-    if not root:
-        return []
-    cache = UsdSkel.Cache()
-    cache.Populate(root, Usd.TraverseInstanceProxies())
-    bindings = cache.ComputeSkelBindings(root, Usd.TraverseInstanceProxies())
     used: set[str] = set()
     return [
-        (_unique(_name(query.GetPrim()), used), query)
-        for binding in bindings
-        if binding.GetSkeleton().GetPrim() == skeleton.GetPrim()
-        for query in binding.GetSkinningTargets()
-        if query.GetPrim().IsA(UsdGeom.Mesh)
+        (unique_name(prim_name(query.GetPrim()), used), query)
+        for query in skinned_prims(skeleton, UsdGeom.Mesh)
     ]
-
-
-def _name(prim: Any) -> str:
-    data = prim.GetCustomDataByKey("animtool") or {}
-    return str(data.get("name", prim.GetName()))
-
-
-def _unique(name: str, used: set[str]) -> str:
-    unique, number = name, 2
-    while unique in used:
-        unique, number = f"{name}_{number}", number + 1
-    used.add(unique)
-    return unique
 
 
 def _bind(query: Any, skeleton: Any, at: str) -> tuple[float, ...] | None:
@@ -113,13 +97,13 @@ def _mesh(
 ) -> Mesh:
     prim = query.GetPrim()
     mesh = UsdGeom.Mesh(prim)
-    points = _floats(mesh.GetPointsAttr(), 3, at)
+    points = floats(mesh.GetPointsAttr(), 3, at)
     if not len(points):
         _fail("USD017", "the mesh has no points", at)
     normals = None
     given = array_value(mesh.GetNormalsAttr())
     if len(given) == len(points) and mesh.GetNormalsInterpolation() == "vertex":
-        normals = _floats(mesh.GetNormalsAttr(), 3, at)
+        normals = floats(mesh.GetNormalsAttr(), 3, at)
     elif len(given):
         message = "normals that are not one a vertex are left out"
         notices.append(Fault("USD116", message, at, severity=Severity.NOTE))
@@ -161,15 +145,6 @@ def _faces(mesh: Any, points: int, at: str) -> FloatArray:
     return faces.astype(np.float64)
 
 
-def _floats(attr: Any, width: int, at: str) -> FloatArray:
-    # Points that are sampled only are those of the first sample.
-    value = array_value(attr, Usd.TimeCode.EarliestTime())
-    values = np.array(value, np.float64).reshape(-1, width)
-    if not np.isfinite(values).all():
-        _fail("USD017", f"{attr.GetName()} hold a value that is not finite", at)
-    return values
-
-
 def _skin(query: Any, points: int, rig: SkeletonRig, at: str) -> Skin:
     indices, weights = (
         np.array(primvar.ComputeFlattened() or (), np.float64)
@@ -188,7 +163,7 @@ def _skin(query: Any, points: int, rig: SkeletonRig, at: str) -> Skin:
         _fail("USD017", message, at)
     if not np.isfinite(weights).all():
         _fail("USD017", "jointWeights hold a value that is not finite", at)
-    names = _joint_names(query, rig)
+    names = joint_names(query, rig)
     if len(indices) and not 0 <= indices.min() <= indices.max() < len(names):
         _fail("USD018", f"a jointIndex is not in 0 to {len(names) - 1}", at)
     shape = (points, width)
@@ -199,17 +174,6 @@ def _skin(query: Any, points: int, rig: SkeletonRig, at: str) -> Skin:
         HeldArray(np.broadcast_to(indices.reshape(rows, width), shape).copy()),
         HeldArray(np.broadcast_to(weights.reshape(rows, width), shape).copy()),
     )
-
-
-def _joint_names(query: Any, rig: SkeletonRig) -> tuple[str, ...]:
-    order = query.GetJointOrder()
-    index = {token: i for i, token in enumerate(rig.tokens)}
-    tokens: Sequence[str] = rig.tokens if order is None else [str(t) for t in order]
-    unknown = [token for token in tokens if token not in index]
-    if unknown:
-        at = str(query.GetPrim().GetPath())
-        _fail("USD018", f"{unknown[0]!r} is no joint of the Skeleton", at)
-    return tuple(rig.rig.names[index[token]] for token in tokens)
 
 
 def _shapes(
@@ -237,7 +201,7 @@ def _shapes(
 
 def _shape(shape: Any, name: str, mesh: str, points: int) -> Shape:
     at = str(shape.GetPath())
-    deltas = _floats(shape.GetOffsetsAttr(), 3, at)
+    deltas = floats(shape.GetOffsetsAttr(), 3, at)
     vertices = np.array(array_value(shape.GetPointIndicesAttr()), np.int64)
     rows = len(vertices) or points
     if len(deltas) != rows:
@@ -248,7 +212,7 @@ def _shape(shape: Any, name: str, mesh: str, points: int) -> Shape:
     def rows_of(attr: Any) -> HeldArray | None:
         if not attr or not attr.HasAuthoredValue():
             return None
-        values = _floats(attr, 3, at)
+        values = floats(attr, 3, at)
         if len(values) != rows:
             _fail("USD017", f"{attr.GetName()} has {len(values)} rows, not {rows}", at)
         return HeldArray(values)

@@ -16,6 +16,7 @@ from animtool.skin.influences import InfluenceReport, Influences, read_influence
 from animtool.usd.layers import attribute, prim
 from animtool.usd.names import distinct_names
 from animtool.usd.skeleton import RigPaths
+from animtool.usd.strands import SCOPE
 
 __all__ = ["SUBDIVISION", "author_meshes", "mesh_names"]
 
@@ -38,9 +39,10 @@ def mesh_names(
 ) -> tuple[list[str], dict[str, str]]:
     """Return paths of the surfaces' prims, and the names that USD forbids, by path.
 
-    They stand below the SkelRoot, beside the Skeleton and the animation.
+    They stand below the SkelRoot, beside the Skeleton, the animation and strands.
     """
     taken = [Sdf.Path(path).name for path in (paths.skeleton, paths.animation)]
+    taken.append(SCOPE)
     wanted = [*taken, *(surface.name for surface in surfaces)]
     names = distinct_names(wanted, wanted, wanted)
     found = [f"{paths.root}/{name}" for name in names.names[len(taken) :]]

@@ -98,7 +98,8 @@ def read_rig(path: Path) -> Rig:
 def read_whole_rig(path: Path) -> tuple[Rig, list[Fault]]:
     """Return the rig of a USD file's Skeleton, that of its default prim first.
 
-    With bind pose, meshes and shapes, and what its customData holds beyond USD.
+    With bind pose, meshes, shapes and strands, and what its customData holds beyond
+    USD.
 
     Raises:
         FormatError: It is no USD file or holds no sound Skeleton.
@@ -111,13 +112,20 @@ def read_whole_rig(path: Path) -> tuple[Rig, list[Fault]]:
         found = skeleton_rig(skeletons[0], path)
         from animtool.usd.mesh_read import read_meshes
         from animtool.usd.stored_rig import joined_rig
+        from animtool.usd.strand_read import read_strands
 
         skeleton = skeletons[0]
         meshes, shapes, notices = read_meshes(skeleton, found, str(path))
         notices += others_notice(skeletons, str(path))
         notices += composition_notices(stage, str(path))
         bind = _bind_poses(skeleton, found)
-        rig = replace(found.rig, bind=bind, meshes=meshes, shapes=shapes)
+        rig = replace(
+            found.rig,
+            bind=bind,
+            meshes=meshes,
+            shapes=shapes,
+            attach=read_strands(skeleton, found, str(path)),
+        )
         joined, more = joined_rig(
             rig,
             skeleton.GetPrim().GetCustomDataByKey("animtool") or {},
@@ -209,7 +217,9 @@ def rig_from_tokens(
     index = {token: i for i, token in enumerate(tokens)}
     if len(index) != len(tokens):
         _fail("USD005", "a joint stands twice", where)
-    if not isinstance(data, dict) or not isinstance(data.get("names", {}), dict):
+    if not isinstance(data, dict) or not all(
+        isinstance(data.get(key, {}), dict) for key in ("names", "pins")
+    ):
         _fail("USD007", "customData animtool is malformed", where)
     extras = _extras(data, where)
     originals = dict(data.get("names", {}))

@@ -11,9 +11,10 @@ import numpy as np
 from pxr import Sdf, Vt
 
 from animtool._types import FloatArray
+from animtool.errors import Fault, FormatError
 from animtool.maths import so3
 from animtool.rig.kinematics import bind_world
-from animtool.rig.parts import Shape
+from animtool.rig.parts import ArraySource, Shape
 from animtool.rig.skeleton import JointType, Rig
 from animtool.rig.write import rig_text
 from animtool.usd.layers import attribute, prim, relationship
@@ -60,7 +61,11 @@ class RigPaths:
 def author_rig(
     layer: Any, rig: Rig, names: UsdNames, paths: RigPaths, meters_per_unit: float
 ) -> None:
-    """Write the model, the SkelRoot and the Skeleton of a rig."""
+    """Write the model, the SkelRoot and the Skeleton of a rig, with its strands.
+
+    Raises:
+        FormatError: An array of the rig cannot be read any more (RIG018).
+    """
     model = prim(layer, paths.model, "Xform")
     model.SetInfo("kind", "component")
     for ancestor in Sdf.Path(paths.model).GetAncestorsRange():
@@ -78,9 +83,16 @@ def author_rig(
     matrices = types.Matrix4dArray
     attribute(spec, "bindTransforms", matrices, bind, uniform=True)
     attribute(spec, "restTransforms", matrices, rest, uniform=True)
+    if any(entry.points is not None for entry in rig.attach):
+        from animtool.usd.strands import author_strands
+
+        named = dict(zip(rig.names, map(str, tokens), strict=True))
+        author_strands(layer, rig, paths.root, named, meters_per_unit)
     data: dict[str, Any] = {}
     if says_more(rig):
         data["rig"] = rig_text(stripped(rig))
+        if pins := _pins(rig):
+            data["pins"] = pins
         data["hash"] = skeleton_hash(tokens, rest, bind)
     if extras := joint_extras(rig, names.names):
         data["joints"] = extras
@@ -108,7 +120,24 @@ def says_more(rig: Rig) -> bool:
 def stripped(rig: Rig) -> Rig:
     """Return a rig without the arrays, which USD holds."""
     shapes = tuple(Shape(shape.name, combine=shape.combine) for shape in rig.shapes)
-    return replace(rig, meshes=(), shapes=shapes)
+    attach = tuple(replace(entry, pins=None, points=None) for entry in rig.attach)
+    return replace(rig, meshes=(), shapes=shapes, attach=attach)
+
+
+def _pins(rig: Rig) -> dict[str, Any]:
+    """Return the vertices that stay with the skin, by the cloth's name."""
+    return {
+        entry.name: Vt.IntArray.FromNumpy(_whole(entry.pins, entry.name))
+        for entry in rig.attach
+        if entry.pins is not None
+    }
+
+
+def _whole(source: ArraySource, name: str) -> Any:
+    try:
+        return np.ascontiguousarray(source.load(), np.int32)
+    except ValueError as error:
+        raise FormatError(Fault("RIG018", f"{name!r}: {error}")) from error
 
 
 def skeleton_hash(tokens: Any, rest: Any, bind: Any) -> str:

@@ -15,6 +15,7 @@ from animtool.rig.file import rig_of_document
 from animtool.rig.parts import Mesh, Shape
 from animtool.rig.skeleton import Joint, Rig
 from animtool.usd.skeleton import skeleton_hash
+from animtool.usd.stored_attach import joined_attachments
 
 __all__ = ["joined_rig"]
 
@@ -34,7 +35,8 @@ def joined_rig(
 
     Where the Skeleton is what it was when it was written, joints are exactly those of
     the rig that it was written from. Else USD's own tree, rest and bind count, what
-    names joints that are gone is left out, and a warning says so (USD117).
+    names joints that are gone is left out, and a warning says so (USD117). Cloth and
+    strands are left out where USD lost or broke their mesh or curves (USD119).
 
     Args:
         read: As USD says.
@@ -50,8 +52,11 @@ def joined_rig(
     text = data.get("rig")
     if not text:
         return read, []
+    document = document_of(str(text), path)
+    # USD holds what these name.
+    document.partial |= {"meshes", "attach"}
     try:
-        stored = rig_of_document(document_of(str(text), path))
+        stored = rig_of_document(document)
     except FormatError as error:
         reason = error.faults[0].message
         message = f"customData animtool:rig is malformed: {reason}"
@@ -68,7 +73,16 @@ def joined_rig(
         whole, notices = _edited(whole, read, str(path))
     names = dict(zip(read.names, whole.names, strict=True))
     meshes = tuple(_renamed(mesh, names) for mesh in whole.meshes)
-    return replace(whole, meshes=meshes), notices
+    strands = {
+        entry.name: replace(entry, joints=tuple(names[name] for name in entry.joints))
+        for entry in read.attach
+    }
+    attach, lost = joined_attachments(whole, strands, data.get("pins", {}))
+    if lost:
+        message = f"attachments whose mesh or curves are gone or edited: {listed(lost)}"
+        place = str(path)
+        notices.append(Fault("USD119", message, place, severity=Severity.WARNING))
+    return replace(whole, meshes=meshes, attach=attach), notices
 
 
 def _renamed(mesh: Mesh, names: dict[str, str]) -> Mesh:

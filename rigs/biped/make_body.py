@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,7 @@ from solids import (
 Segments = list[tuple[int, Array, Array]]
 
 MIDDLE = 0.006  # half-width over which the two sides meet
+ROUNDING = 1e-9  # off the middle [m]: cells there hold the mean of two mirrored sides
 INFLUENCES = 4
 SHARPNESS = 1.6  # power of the weights
 LEAST = 0.004  # share that does not count
@@ -191,9 +193,8 @@ def hand_field(points: Array, places: dict[str, Array], bones: Segments) -> Arra
             else d
         )
         fingers.append(f)
-    for f in fingers:
-        d = join(d, f, 0.006)
-    return d
+    # Fingers are not rounded where they pass each other: that would weld them.
+    return join(d, np.min(fingers, axis=0), 0.006)
 
 
 def lines(*parts: tuple[float, float, float]) -> Array:
@@ -205,12 +206,54 @@ def lines(*parts: tuple[float, float, float]) -> Array:
     return np.concatenate([*made, [parts[-1][1]]])
 
 
+def tangled_corners() -> NDArray[np.bool_]:
+    """Return which signs of a cell's corners part its surface in several ``(256,)``.
+
+    Bit ``4 i + 2 j + k`` of the number is the corner (i, j, k), set inside. One sheet
+    has corners inside, and corners outside, that hang together along edges.
+    """
+    tangled = np.zeros(256, bool)
+    for signs in range(256):
+        for side in (signs, ~signs & 255):
+            reached = side & -side
+            for _ in range(8):
+                for corner in range(8):
+                    around = sum(1 << (corner ^ bit) for bit in (1, 2, 4))
+                    if side >> corner & 1 and reached & around:
+                        reached |= 1 << corner
+            tangled[signs] |= reached != side
+    return tangled
+
+
+def untangled(field: Array) -> Array:
+    """Return a field on a grid, its cells filled until each holds one sheet at most.
+
+    Where two sheets of the surface share a cell, one point would join them.
+    """
+    field, tangled = field.copy(), tangled_corners()
+    corners, cells = list(np.ndindex(2, 2, 2)), np.array(field.shape) - 1
+    while True:
+        views = [
+            field[i : i + cells[0], j : j + cells[1], k : k + cells[2]]
+            for i, j, k in corners
+        ]
+        signs = sum((view < 0) << bit for bit, view in enumerate(views))
+        wrong = np.argwhere(tangled[signs])
+        if not len(wrong):
+            return field
+        places = wrong[:, None] + np.array(corners)
+        values = field[tuple(np.moveaxis(places, -1, 0))]
+        nearest = np.where(values < 0, np.inf, values).argmin(1)
+        field[tuple(places[np.arange(len(wrong)), nearest].T)] = -ROUNDING
+
+
 def netted(field: Array, axes: Sequence[Array]) -> tuple[Array, Ints]:
     """Return points and quads round where a field on a grid changes its sign.
 
     Every cell that the surface crosses holds one point, in the middle of the crossings
     on its edges (Gibson 1998, "Constrained elastic surface nets").
     """
+    field = untangled(field)
     inside = field < 0
     cells = np.array(field.shape) - 1
     total, count = np.zeros((*cells, 3)), np.zeros(tuple(cells))
@@ -265,7 +308,7 @@ def body_surface() -> tuple[Array, Ints]:
     z = lines((-0.17, 0.23, 0.0165))
     grid = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1)
     points, faces = netted(body_field(grid), (x, y, z))
-    points[np.abs(points[:, 0]) < 0.0071, 0] = 0.0
+    points[np.abs(points[:, 0]) < ROUNDING, 0] = 0.0
     return relaxed(points, faces, body_field, points[:, 0] >= 0, RELAXING), faces
 
 
@@ -278,7 +321,16 @@ def hand_surface(places: dict[str, Array], bones: Segments) -> tuple[Array, Ints
 
     x = wrist[0] + lines((-0.065, 0.22, 0.0095))
     y = wrist[1] + lines((-0.036, 0.032, 0.0068))
-    z = wrist[2] + lines((-0.058, 0.0365, 0.0042), (0.0365, 0.13, 0.0075))
+    # Lines of the grid run midway between fingers, and so does what parts them.
+    fingers = [
+        places[f"{name}_1_l"][2] for name in ("pinky", "ring", "middle", "index")
+    ]
+    gaps = [(a + b) / 2 for a, b in pairwise(fingers)]
+    ends = [wrist[2] - 0.058, *gaps, wrist[2] + 0.0365]
+    z = lines(
+        *((a, b, 0.0042) for a, b in pairwise(ends)),
+        (ends[-1], wrist[2] + 0.13, 0.0075),
+    )
     grid = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1)
     points, faces = netted(field(grid), (x, y, z))
     return relaxed(points, faces, field, points[:, 0] > 0, RELAXING), faces

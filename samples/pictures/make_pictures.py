@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from picture import Camera, Surface, render, write_png
+from picture import Camera, Surface, render, ribbons, write_png
 from posed import Array, Puppet, posed
 
 from animtool.clip.file import load_clip, open_clip
@@ -20,7 +20,7 @@ from animtool.documents.arrays import load_array
 from animtool.take import Motion
 
 ROOT = Path(__file__).parents[2]
-Pose = Mapping[str, float]
+Pose = Mapping[str, float | tuple[float, ...]]
 Shot = tuple[Camera, Pose]
 
 FRONT = Camera((0.0, 0.19, 0.05), 0.32)
@@ -59,7 +59,7 @@ CORRECTIVES: list[list[Shot]] = [
 SPEECH = (3, 20, 34, 46, 53, 67, 76, 101)
 
 WHOLE = Camera((0.0, 0.9, 0.0), 1.95)
-BENT: dict[str, float | tuple[float, float, float]] = {
+BENT: Pose = {
     "control/spine_bend": 25,
     "control/look_x": 20,
     "control/fist_r": 1,
@@ -73,6 +73,8 @@ BENT: dict[str, float | tuple[float, float, float]] = {
     "joint/knee_r.angle": 35,
 }
 ELBOW = Camera((0.33, 1.40, 0.02), 0.75, lift=35)
+TAIL = Camera((0.0, 1.56, -0.05), 0.5, turn=130, lift=10)
+SCARLET, BROWN = (0.62, 0.13, 0.14), (0.34, 0.24, 0.17)
 KNEE = Camera((0.05, 0.75, 0.1), 0.95, turn=60)
 
 
@@ -121,14 +123,10 @@ def speech_sheet(head: Puppet, size: int) -> Array:
 
 def body_sheet(body: Puppet, size: int) -> Array:
     """Return the biped at rest, in a pose, and its elbow and knee bent."""
-    source = ROOT / "rigs/biped/body.npz"
-    (mesh,) = body.rig.meshes
-    triangles = body.triangles(mesh)
-    colours = load_array(source, "colours") / 255
 
-    def shot(camera: Camera, pose: Mapping[str, float | tuple[float, ...]]) -> Array:
-        points = body.points(mesh, posed(body.rig, pose))
-        return render([Surface(points, triangles, colours)], camera, (size, size))
+    def shot(camera: Camera, pose: Pose) -> Array:
+        surface = body_surface(body, posed(body.rig, pose))
+        return render([surface], camera, (size, size))
 
     aside = replace(WHOLE, turn=35, lift=8)
     return sheet(
@@ -143,6 +141,39 @@ def body_sheet(body: Puppet, size: int) -> Array:
     )
 
 
+def cape_sheet(body: Puppet, size: int) -> Array:
+    """Return the biped's cape and hair at rest and in a pose."""
+    cape = next(mesh for mesh in body.rig.meshes if mesh.name == "cape")
+    (hair,) = [entry for entry in body.rig.attach if entry.kind == "strands"]
+    scarlet = np.tile(SCARLET, (len(body.meshes["cape"].points), 1))
+
+    def shot(camera: Camera, pose: Pose) -> Array:
+        motion = posed(body.rig, pose)
+        cloth = Surface(body.points(cape, motion), body.triangles(cape), scarlet)
+        strands = ribbons(body.strands(hair, motion), BROWN, 0.0025, camera)
+        surfaces = [body_surface(body, motion), cloth, strands]
+        return render(surfaces, camera, (size, size))
+
+    behind = replace(WHOLE, turn=180)
+    return sheet(
+        [
+            [
+                shot(behind, {}),
+                shot(replace(WHOLE, turn=130, lift=8), {}),
+                shot(replace(WHOLE, turn=145, lift=12), BENT),
+                shot(TAIL, {"control/look_x": 30, "control/look_y": 15}),
+            ]
+        ]
+    )
+
+
+def body_surface(body: Puppet, motion: Motion) -> Surface:
+    """Return the biped's body in the first frame of a motion."""
+    mesh = next(mesh for mesh in body.rig.meshes if mesh.name == "body")
+    colours = load_array(ROOT / "rigs/biped/body.npz", "colours") / 255
+    return Surface(body.points(mesh, motion), body.triangles(mesh), colours)
+
+
 def main() -> None:
     """Write the pictures to the folder named on the command line."""
     parser = argparse.ArgumentParser(description="Make the pictures.")
@@ -155,6 +186,7 @@ def main() -> None:
     write_png(out / "speech.png", speech_sheet(head, 200))
     body = Puppet.load(ROOT / "rigs/biped/biped.rig.yaml")
     write_png(out / "body.png", body_sheet(body, 300))
+    write_png(out / "cape.png", cape_sheet(body, 300))
 
 
 if __name__ == "__main__":

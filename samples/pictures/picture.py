@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -63,6 +64,25 @@ class Camera:
         )
         right = np.array([np.cos(turn), 0.0, -np.sin(turn)])
         return np.stack([right, np.cross(towards, right), towards])
+
+
+def ribbons(
+    strands: Array, colour: Sequence[float], width: float, camera: Camera
+) -> Surface:
+    """Return strands ``(S, K, 3)`` as ribbons that face a camera, tips thin."""
+    count, length = strands.shape[:2]
+    along = np.gradient(strands, axis=1)
+    aside = np.cross(along, camera.axes()[2])
+    aside /= np.maximum(np.linalg.norm(aside, axis=-1), 1e-12)[..., None]
+    half = 0.5 * width * np.linspace(1.0, 0.3, length)[:, None]
+    points = np.stack([strands - half * aside, strands + half * aside], axis=2)
+    first = 2 * (np.arange(count)[:, None] * length + np.arange(length - 1)).ravel()
+    ring = [first, first + 1, first + 3, first + 2]
+    faces = triangulated(np.stack(ring, axis=1))
+    # Every strand a little lighter or darker, so that they can be told apart.
+    shade = 0.85 + 0.3 * (np.arange(count) * 0.618 % 1)
+    colours = np.repeat(shade[:, None] * np.array(colour), 2 * length, axis=0)
+    return Surface(points.reshape(-1, 3), faces, np.clip(colours, 0, 1))
 
 
 def triangulated(faces: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -15,8 +15,8 @@ from animtool.clip.clip import Clip, ClipChannel, Interp, Tangent
 from animtool.clip.sample import sample_clip
 from animtool.maths import so3
 from animtool.rig.file import load_rig
-from animtool.rig.kinematics import forward, rest_world
-from animtool.rig.parts import Mesh
+from animtool.rig.kinematics import bind_world, forward, rest_world
+from animtool.rig.parts import Attachment, Mesh
 from animtool.rig.skeleton import Rig
 from animtool.skin.deform import DeformedMesh, deform
 from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas, prepare_shapes
@@ -93,6 +93,20 @@ class Puppet:
             own = [shape.mesh == mesh.name for shape in self.rig.shapes]
             weights = motion.weights.dense()[[frame], :, 0][:, own]
         return deform(self.meshes[mesh.name], weights, world).points[0]
+
+    def strands(self, entry: Attachment, motion: Motion, frame: int = 0) -> Array:
+        """Return strands as their joint carries them in a frame ``(S, K, 3)``."""
+        assert entry.points is not None
+        world = forward(
+            self.rig,
+            motion.translations.dense()[[frame]],
+            motion.rotations.dense()[[frame]],
+        )
+        bind, joint = bind_world(self.rig), self.rig.index(entry.joints[0])
+        points = entry.points.load() * self.rig.meters_per_unit
+        local = (points - bind.positions[0, joint]) @ bind.linear[0, joint]
+        turned = local @ world.linear[0, joint].T
+        return np.asarray(turned + world.positions[0, joint])
 
 
 def deformed(rig: Rig, mesh: Mesh) -> DeformedMesh:

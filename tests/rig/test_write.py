@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,11 +25,10 @@ def test_shipped_rigs_come_back(path: Path, tmp_path: Path) -> None:
     back = load_rig(again)
     assert back.names == rig.names
     assert back.controls == rig.controls
-    assert (back.ik, back.attach, back.colliders) == (
-        rig.ik,
-        rig.attach,
-        rig.colliders,
-    )
+    assert (back.ik, back.colliders) == (rig.ik, rig.colliders)
+    assert [replace(a, pins=None, points=None) for a in back.attach] == [
+        replace(a, pins=None, points=None) for a in rig.attach
+    ]
     for ours, theirs in zip(rig.joints, back.joints, strict=True):
         assert ours == theirs
     assert rig_text(back) == rig_text(rig)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.made_arrays import check_made
+from support.manifold import boundary_edges, check_manifold, euler_characteristic
 
 from animtool.documents.arrays import load_array
 from animtool.rig.file import load_rig
@@ -19,11 +20,20 @@ def array(name: str) -> np.ndarray:
     return load_array(BIPED / "body.npz", name)
 
 
-def test_every_edge_has_two_faces() -> None:
-    faces = array("faces").astype(int)
-    edges = np.concatenate([faces[:, [k, (k + 1) % 4]] for k in range(4)])
-    there = {tuple(edge) for edge in edges}
-    assert all((b, a) in there for a, b in there)
+def test_it_is_a_trunk_and_two_hands_each_closed_and_without_a_hole() -> None:
+    faces, points = array("faces").astype(int), array("points")
+    check_manifold(faces)
+    assert boundary_edges(faces) == 0
+    assert euler_characteristic(faces) == 3 * 2
+    assert len(np.unique(faces)) == len(points)
+
+
+def test_no_face_is_degenerate() -> None:
+    corners = array("points")[array("faces").astype(int)]
+    across = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    assert np.linalg.norm(across, axis=1).min() > 1e-6
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)
+    assert sides.min() > 1e-3
 
 
 def test_it_stands_on_the_floor_in_its_own_mirror() -> None:

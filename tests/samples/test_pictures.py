@@ -40,14 +40,32 @@ def test_a_head_is_drawn_and_its_mirror_image_is_alike(script: dict[str, Any]) -
 
 def test_posed_joints_carry_the_points(script: dict[str, Any]) -> None:
     body = script["Puppet"].load(ROOT / "rigs/biped/biped.rig.yaml")
-    (mesh,) = body.rig.meshes
     posed = script["posed"]
-    rest = body.points(mesh, posed(body.rig, {}))
-    np.testing.assert_allclose(rest, body.meshes[mesh.name].points, atol=1e-12)
+    still = posed(body.rig, {})
     turned = posed(body.rig, {"joint/hips.rotation": (0, 90, 0)})
-    round_hips = body.points(mesh, turned)
-    expected = rest[:, [2, 1, 0]] * [1, 1, -1]
-    np.testing.assert_allclose(round_hips, expected, atol=1e-9)
+    (hair,) = [entry for entry in body.rig.attach if entry.points is not None]
+    pairs = [
+        (rest, body.points(mesh, still), body.points(mesh, turned))
+        for mesh in body.rig.meshes
+        for rest in [body.meshes[mesh.name].points]
+    ]
+    rest = hair.points.load()
+    pairs.append((rest, body.strands(hair, still), body.strands(hair, turned)))
+    for given, at_rest, round_hips in pairs:
+        np.testing.assert_allclose(at_rest, given, atol=1e-12)
+        expected = given[..., [2, 1, 0]] * [1, 1, -1]
+        np.testing.assert_allclose(round_hips, expected, atol=1e-9)
+
+
+def test_a_strand_is_a_ribbon_that_faces_the_camera(script: dict[str, Any]) -> None:
+    camera = script["Camera"]((0.0, 0.0, 0.0), 2.0)
+    strand = np.array([[[0.0, -0.8, 0.0], [0.0, 0.0, 0.3], [0.0, 0.8, 0.0]]])
+    ribbon = script["ribbons"](strand, (1.0, 0.0, 0.0), 0.5, camera)
+    image = script["render"]([ribbon], camera, [40, 40])
+    seen = (np.abs(image - image[0, 0]) > 0.02).any(-1)
+    # From half a unit wide at the root below to a third of it at the tip.
+    assert seen[34].sum() > 2 * seen[6].sum() > 0
+    assert np.array_equal(seen, seen[:, ::-1])
 
 
 def test_the_picture_is_a_png(script: dict[str, Any], tmp_path: Path) -> None:
@@ -66,5 +84,5 @@ def test_the_picture_is_a_png(script: dict[str, Any], tmp_path: Path) -> None:
 
 def test_committed_pictures_are_small() -> None:
     sizes = {path.name: path.stat().st_size for path in PICTURES.glob("*.png")}
-    assert len(sizes) == 5
+    assert len(sizes) == 6
     assert max(sizes.values()) < 150_000
