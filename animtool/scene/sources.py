@@ -28,7 +28,7 @@ SCENE_SUFFIXES = (".scene.yaml", ".scene.yml", ".scene.json")
 _REFUSALS = {
     "rig": ("--rig", "is for clips, and this is no clip"),
     "clamp": ("--clamp", "is for clips, and this is no clip"),
-    "prim_path": ("--source-prim", "is for USD files, and this is none"),
+    "prim_path": ("--source-prim (--prim-path)", "is for USD files, and this is none"),
     "take": ("--take", "is for clip libraries in USD, and this is no USD file"),
     "unit": ("--units", "says what a BVH leaves open; this file states it"),
     "up": ("--up", "says what a BVH leaves open; this file states it"),

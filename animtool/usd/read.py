@@ -14,7 +14,7 @@ import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, FormatError, Severity, excerpt
+from animtool.errors import Fault, FormatError, Severity, excerpt, listed
 from animtool.maths import so3
 from animtool.rates import rate_from_float
 from animtool.rig.parts import Shape
@@ -23,6 +23,7 @@ from animtool.take import Channel, Clock, Motion, Take, TakeStream
 from animtool.units import unit_name
 from animtool.usd.layers import usd_errors
 from animtool.usd.library import TakeSet, find_take_set, select_take, take_range
+from animtool.usd.placement import MOST_NAMED, character_paths
 from animtool.usd.rig_prims import (
     SkeletonRig,
     array_value,
@@ -109,7 +110,9 @@ def _read_selected(stage: Any, path: Path, below: str) -> TakeStream:
         animation = _first_animation(stage, below)
         if animation is None:
             message = f"holds no Skeleton and no SkelAnimation below {below}"
-            raise FormatError(Fault("USD008", message, str(path)))
+            there = character_paths(stage)
+            hint = f"characters: {listed(there, MOST_NAMED)}" if there else None
+            raise FormatError(Fault("USD008", message, str(path), (), hint))
         skeleton = _rig_of_animation(animation, path, stage)
         prim = None
     if animation is None:
@@ -120,7 +123,9 @@ def _read_selected(stage: Any, path: Path, below: str) -> TakeStream:
         stream.notices += _lost_motion(animation, str(path))
     else:
         _join_stored(stream, skeletons[0], skeleton, path)
-    stream.notices += others_notice(skeletons, str(path))
+    stream.notices += others_notice(
+        skeletons, str(path), "--prim-path names one (in bake, --source-prim)"
+    )
     stream.notices += composition_notices(stage, str(path))
     return stream
 

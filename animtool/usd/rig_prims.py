@@ -342,15 +342,22 @@ def composition_notices(stage: Any, where: str) -> list[Fault]:
     ]
 
 
-def others_notice(skeletons: list[Any], where: str) -> list[Fault]:
-    """Name the characters that are passed over where there are several."""
+def others_notice(
+    skeletons: list[Any], where: str, hint: str | None = None
+) -> list[Fault]:
+    """Name the characters that are passed over where there are several.
+
+    Args:
+        skeletons: Those found, the one taken first.
+        where: The file.
+        hint: How to take another, where there is a way.
+    """
     if len(skeletons) < 2:
         return []
     taken, *others = [str(skeleton.GetPath()) for skeleton in skeletons]
     message = (
         f"{taken} is taken of {len(skeletons)} skeletons; the others: {listed(others)}"
     )
-    hint = "--source-prim or --prim-path names one"
     return [Fault("USD107", message, where, (), hint, Severity.WARNING)]
 
 

@@ -21,6 +21,7 @@ from animtool.take import Channel, Motion
 from animtool.units import UpAxis, unit_name
 from animtool.usd.layers import check_prim_path, usd_errors
 from animtool.usd.names import joint_names, legal_name
+from animtool.usd.placement import holds_character
 from animtool.usd.rig_prims import (
     SkeletonRig,
     array_value,
@@ -97,12 +98,13 @@ def open_target(path: Path, prim_path: str | None) -> RigTarget:
 
     Args:
         path: The file.
-        prim_path: The character where the stage has it; or where a shot will have
-            it, if the stage has no such prim.
+        prim_path: The character where the stage has it; or, of a rig alone, where a
+            shot will have it.
 
     Raises:
         FormatError: It is no USD file or holds no character.
-        OptionError: ``prim_path`` is no path.
+        OptionError: ``prim_path`` is no path, or none of a character in a shot
+            (USD033).
     """
     with usd_errors(path):
         return _target(open_stage(path), path, prim_path)
@@ -112,7 +114,7 @@ def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
     moved_to: str | None = None
     if prim_path is not None:
         check_prim_path(prim_path)
-        if not stage.GetPrimAtPath(prim_path):
+        if not holds_character(stage, prim_path, str(path)):
             prim_path, moved_to = None, prim_path
     below = prim_below(stage, prim_path)
     skeletons = find_skeletons(stage, below)
@@ -140,7 +142,7 @@ def _target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
         start = Fraction(stage.GetStartTimeCode()).limit_denominator(1_000_000)
     placing, moving = _operations(root)
     notices = composition_notices(stage, str(path))
-    notices += others_notice(skeletons, str(path))
+    notices += others_notice(skeletons, str(path), "--prim-path names one")
     if moved_to is None:
         notices += _bound_in_shot(stage, paths, str(path))
     skeleton = skeleton_rig(skeletons[0], path)

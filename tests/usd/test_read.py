@@ -368,3 +368,11 @@ def test_layers_that_are_missing_are_named(
     assert "gone.usda" in stream.notices[0].message
     # USD says so on stderr too, in its own words.
     assert "gone.usda" in capfd.readouterr().err
+
+
+def test_a_path_of_no_character_names_those_there(take: Path, tmp_path: Path) -> None:
+    bake(take, tmp_path / "one.usda", BakeOptions(prim_path="/World/a"))
+    with pytest.raises(FormatError) as caught:
+        read_usd(tmp_path / "one.usda", prim_path="/World/b")
+    assert caught.value.code == "USD008"
+    assert "/World/a" in str(caught.value.faults[0].hint)

@@ -11,7 +11,7 @@ import pytest
 from pxr import Usd, UsdSkel
 from support.bvh import random_rows, read_reference, small_bvh
 
-from animtool.errors import AnimtoolError
+from animtool.errors import AnimtoolError, OptionError
 from animtool.scene.bake import BakeReport, bake
 from animtool.scene.options import BakeOptions
 
@@ -414,3 +414,44 @@ def test_a_shot_that_binds_an_animation_itself(
     above = Usd.Stage.Open(str(top))
     above.Reload()
     assert_near(played(above, "/World/hero/Rig", codes), truth(take))
+
+
+@pytest.mark.parametrize("prim", ["/World/heor", "/World/hero/Rig/typo", "/Wrold/hero"])
+@pytest.mark.parametrize("strict", [False, True])
+def test_a_path_of_no_character_in_a_shot_is_refused(
+    take: Path, rig: Path, tmp_path: Path, prim: str, strict: bool
+) -> None:
+    assert rig.is_file()
+    shot = tmp_path / "shot.usda"
+    shot.write_text(head() + world())
+    options = BakeOptions(rig_layer=shot, prim_path=prim, strict=strict)
+    with pytest.raises(OptionError) as caught:
+        bake(take, tmp_path / "layer.usda", options)
+    assert caught.value.code == "USD033"
+    assert "/World/hero" in caught.value.faults[0].message
+    assert not (tmp_path / "layer.usda").exists()
+
+
+@pytest.mark.parametrize("prim", ["/World/c", "/c", "/World/a/Rig/Own"])
+def test_a_path_of_no_character_among_several_is_refused(
+    take: Path, rig: Path, tmp_path: Path, prim: str
+) -> None:
+    assert rig.is_file()
+    shot = tmp_path / "shot.usda"
+    shot.write_text(head() + TWICE)
+    with pytest.raises(OptionError) as caught:
+        layer_for(take, shot, prim)
+    assert caught.value.code == "USD033"
+    assert "/World/a, /World/b" in caught.value.faults[0].message
+
+
+def test_a_prim_of_the_shot_without_a_character_is_refused(
+    take: Path, rig: Path, tmp_path: Path
+) -> None:
+    assert rig.is_file()
+    shot = tmp_path / "shot.usda"
+    inside = (prim_text("hero", REFERS), prim_text("set", ""))
+    shot.write_text(head() + prim_text("World", "", *inside))
+    with pytest.raises(OptionError) as caught:
+        layer_for(take, shot, "/World/set")
+    assert caught.value.code == "USD033"
