@@ -7,6 +7,7 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from animtool.cli.mesh_summary import mesh_json, mesh_text
+from animtool.errors import counted
 from animtool.rates import rate_label
 from animtool.units import unit_name
 
@@ -50,11 +51,11 @@ def bake_text(report: BakeReport) -> list[str]:
     else:
         lines.append(f"  {len(takes)} takes, {_range_text(report)}")
     lines += [
-        f"  {result.joints} joints, {moving} animated",
+        f"  {counted(result.joints, 'joint')}, {moving} animated",
         f"  {report.up} up, lengths in {unit}{assumed}",
         f"  {result.bytes / 1e6:.3g} MB written in {total:.2f} s, "
         f"{report.source_bytes / 1e6 / total:.3g} MB/s of source",
-        "  largest error of float32: "
+        f"  largest error of {_rounded_to(report.worst)}: "
         + _error_text(
             report, report.worst, unit, "" if one else report.worst.written.name
         ),
@@ -63,7 +64,8 @@ def bake_text(report: BakeReport) -> list[str]:
         return lines + [f"  {line}" for line in _extras_text(report, one, unit)]
     for take in takes:
         lines.append(f"  take {take.written.name}: {_frames_text(report, take)}")
-        lines.append(f"    error of float32: {_error_text(report, take, unit)}")
+        error = _error_text(report, take, unit)
+        lines.append(f"    error of {_rounded_to(take)}: {error}")
         lines += [f"    {line}" for line in _extras_text(report, take, unit)]
     return lines
 
@@ -71,17 +73,23 @@ def bake_text(report: BakeReport) -> list[str]:
 def _frames_text(report: BakeReport, take: TakeReport) -> str:
     """Return what was written of a take, and of what."""
     written = take.written
-    samples = "1 sample" if written.samples == 1 else f"{written.samples} samples"
-    text = f"{samples}, frames {_number(written.first)} to {_number(written.last)}"
+    first, last = _number(written.first), _number(written.last)
+    text = f"{counted(written.samples, 'sample')}, frames {first} to {last}"
     text += f" at {rate_label(report.fps)}"
     if take.source_fps != report.fps or take.source_frames != written.samples:
-        text += f", from {take.source_frames} frames at {rate_label(take.source_fps)}"
+        text += f", from {counted(take.source_frames, 'frame')}"
+        text += f" at {rate_label(take.source_fps)}"
     return text
 
 
 def _range_text(report: BakeReport) -> str:
     first, last = _number(report.result.first), _number(report.result.last)
     return f"frames {first} to {last} at {rate_label(report.fps)}"
+
+
+def _rounded_to(take: TakeReport) -> str:
+    """Return what the numbers of a take were rounded to."""
+    return "float32 and half scales" if take.written.rounding.scales else "float32"
 
 
 def _error_text(report: BakeReport, take: TakeReport, unit: str, name: str = "") -> str:
@@ -105,15 +113,16 @@ def _extras_text(report: BakeReport, take: TakeReport, unit: str) -> list[str]:
             f" (joint {take.thinned_joint!r}, frame {thinned.code:g})" if error else ""
         )
         lines.append(
-            f"{thinned.samples} samples reduced to {len(thinned.kept)}: largest error "
-            f"between them {error:.3g} {unit}{where}"
+            f"{counted(thinned.samples, 'sample')} reduced to {len(thinned.kept)}: "
+            f"largest error between them {error:.3g} {unit}{where}"
         )
     if curves:
         worst = max(curves, key=lambda curve: curve.difference)
         where = f" (control {worst.name!r})" if worst.difference else ""
-        knots = sum(curve.knots for curve in curves)
+        knots = counted(sum(curve.knots for curve in curves), "knot")
+        kept = "curve of a control" if len(curves) == 1 else "curves of controls"
         lines.append(
-            f"{len(curves)} curves of controls kept, {knots} knots: largest difference "
+            f"{len(curves)} {kept} kept, {knots}: largest difference "
             f"{worst.difference:.2g}{where}"
         )
     return lines
@@ -179,6 +188,7 @@ def _error_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
         "relative": _finite(rounding.error / (report.size or math.inf)),
         "joint": take.error_joint,
         "frame": rounding.code,
+        "half_scales": rounding.scales,
     }
 
 

@@ -51,6 +51,7 @@ class WrittenBlock:
         error_code: Time code of that.
         error_joint: Index of the joint that moved.
         weights: Of the rig's shapes ``(F, S)`` float32; None where there are none.
+        scales_rounded: Whether a scale is another number as float16.
     """
 
     codes: FloatArray
@@ -63,6 +64,7 @@ class WrittenBlock:
     error_code: float
     error_joint: int
     weights: Float32Array | None = None
+    scales_rounded: bool = False
 
 
 def round_blocks(
@@ -113,6 +115,7 @@ def round_blocks(
             float(codes[frame]),
             joint,
             _weights(motion),
+            scales is not None and bool((scales != written_s).any()),
         )
 
 
@@ -146,14 +149,23 @@ def _move_root(
 
 @dataclass(slots=True)
 class Rounding:
-    """The largest error over all blocks [m], and where."""
+    """What rounding did over all blocks.
+
+    Attributes:
+        error: Largest distance that it moved a joint [m].
+        code: Time code of that.
+        joint: Index of the joint that moved.
+        scales: Whether scales were rounded too, to UsdSkel's float16.
+    """
 
     error: float = 0.0
     code: float = 0.0
     joint: int = 0
+    scales: bool = False
 
     def add(self, block: WrittenBlock) -> None:
-        """Take the larger of the two."""
+        """Take the larger of the two errors."""
+        self.scales |= block.scales_rounded
         if block.error > self.error:
             self.error, self.code = block.error, block.error_code
             self.joint = block.error_joint

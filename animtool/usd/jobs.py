@@ -112,7 +112,7 @@ class WrittenTake:
         last: Time code of the last frame.
         sampled: Attributes of the SkelAnimation that change.
         joints: Joints in the SkelAnimation.
-        rounding: What rounding to float32 moved.
+        rounding: What rounding to float32, and of scales to float16, moved.
         curves: What became of the curves of controls.
     """
 
@@ -170,7 +170,7 @@ class UsdResult:
 
     @property
     def rounding(self) -> Rounding:
-        """What rounding to float32 moved most in any take."""
+        """What rounding moved most in any take."""
         return max((take.rounding for take in self.takes), key=lambda r: r.error)
 
     @property

@@ -54,7 +54,7 @@ def write(
         overwrite: Replace files that exist.
 
     Returns:
-        What was written, with the error that rounding to float32 made [m].
+        What was written, with the error that rounding made [m].
 
     Raises:
         FormatError: The rig layer is malformed.

@@ -221,3 +221,20 @@ def test_a_value_beyond_reason_is_refused(tmp_path: Path, rig: Rig, value: str) 
     assert done.code == 3
     assert "CLIP007" in done.stderr
     assert rig.controls
+
+
+@pytest.mark.parametrize(("scale", "half"), [(1.1, True), (1.5, False)])
+def test_the_error_of_half_scales_is_not_called_float32s(
+    tmp_path: Path, rig: Rig, scale: float, half: bool
+) -> None:
+    assert rig.joints
+    clip = write_clip(
+        tmp_path,
+        f"- {{target: joint/hips.scale, interp: step, keys: [{{t: 1, v: [1, 1, 1]}}, "
+        f"{{t: 5, v: [{scale}, {scale}, {scale}]}}]}}\n",
+    )
+    said = animtool("bake", clip, "-o", tmp_path / "o.usda").stderr
+    assert ("largest error of float32 and half scales: " in said) is half
+    assert ("largest error of float32: " in said) is not half
+    done = animtool("bake", clip, "-o", tmp_path / "p.usda", "--format", "json")
+    assert json.loads(done.stdout)["error"]["half_scales"] is half
