@@ -151,13 +151,13 @@ def listed(items: Sequence[object], most: int = 5) -> str:
     return ", ".join(map(str, items[:most])) + (" …" if len(items) > most else "")
 
 
-def counted(count: int, noun: str) -> str:
-    """Return a number of things.
+def counted(count: int, noun: str, plural: str = "") -> str:
+    """Return a number of things; the plural of most has an s.
 
-    >>> counted(1, "joint"), counted(3, "joint")
-    ('1 joint', '3 joints')
+    >>> counted(1, "joint"), counted(3, "joint"), counted(2, "mesh", "meshes")
+    ('1 joint', '3 joints', '2 meshes')
     """
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+    return f"{count} {noun}" if count == 1 else f"{count} {plural or noun + 's'}"
 
 
 def refuse_warnings(notices: Sequence[Fault], *, strict: bool) -> None:

@@ -84,6 +84,7 @@ def convert(console: Console, /, source: Path, output: Path, **given: Any) -> No
     if is_rig(source) or is_rig(output) or given["physics"]:
         _rig(console, source, output, given)
         return
+    from animtool.errors import counted
     from animtool.scene.convert import convert as run_convert
 
     options = source_options_record(
@@ -118,20 +119,15 @@ def convert(console: Console, /, source: Path, output: Path, **given: Any) -> No
             }
         )
         return
-    console.say(f"{report.output}: {report.frames} frames, {report.joints} joints")
+    frames, joints = counted(report.frames, "frame"), counted(report.joints, "joint")
+    console.say(f"{report.output}: {frames}, {joints}")
     if report.reduction is not None:
-        found = report.reduction
-        console.say(
-            f"  {found.samples} samples became {found.keys} keys, "
-            f"{found.samples_per_key:.3g} each"
-        )
-        console.say(
-            f"  largest error: {found.error * 1000:.3g} mm (joint {found.joint!r}, "
-            f"frame {found.frame + 1} of {report.frames})"
-        )
+        for line in _reduction_text(report.reduction, report.frames):
+            console.say(f"  {line}")
 
 
 def _rig(console: Console, source: Path, output: Path, given: dict[str, Any]) -> None:
+    from animtool.errors import counted
     from animtool.scene.convert_rig import convert_rig
 
     for name in ("reduce", "reduce_at", "base", "units", "up", "source_fps", "take"):
@@ -163,10 +159,35 @@ def _rig(console: Console, source: Path, output: Path, given: dict[str, Any]) ->
             }
         )
         return
-    said = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+    nouns = [("joint", ""), ("mesh", "meshes"), ("shape", ""), ("control", "")]
+    said = ", ".join(
+        counted(count, *noun)
+        for noun, count in zip(nouns, counts.values(), strict=True)
+        if count
+    )
     console.say(f"{', '.join(map(str, report.outputs))}: {said}")
     if report.physics is not None:
-        console.say(f"  {report.physics} joints as UsdPhysics has them")
+        joints = counted(report.physics, "joint")
+        console.say(f"  {joints} as UsdPhysics has them")
+
+
+def _reduction_text(found: Any, frames: int) -> list[str]:
+    """Return what a reduction came to, and its error where there is one."""
+    from animtool.errors import counted
+
+    keys = counted(found.keys, "key")
+    if not found.samples:
+        made = f"{keys}, for what is not at rest" if found.keys else "no keys"
+        lines = [f"nothing moves: {made}"]
+    else:
+        lines = [
+            f"{counted(found.samples, 'sample')} of what moves became {keys}: "
+            f"{found.samples_per_key:.3g} a key"
+        ]
+    where = ""
+    if found.error:
+        where = f" (joint {found.joint!r}, frame {found.frame + 1} of {frames})"
+    return [*lines, f"largest error: {found.error * 1000:.3g} mm{where}"]
 
 
 def _reduction_json(reduction: Any) -> dict[str, object]:

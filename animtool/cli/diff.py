@@ -2,49 +2,73 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from collections.abc import Callable
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from animtool.cli.console import Console
 from animtool.cli.options import (
+    TOLERANCE,
     common_options,
     format_option,
     source_options,
     source_options_record,
 )
 
+if TYPE_CHECKING:
+    from animtool.report.compare import TakeDifference
+
 __all__ = ["diff"]
 
+Command = TypeVar("Command", bound=Callable[..., Any])
+
 _KINDS = (("world", "m"), ("translation", "m"), ("rotation", "deg"), ("scale", ""))
+
+
+def _choices(command: Command) -> Command:
+    """Add what to read of the files: options of both, and of either alone."""
+    for name, metavar, what in (
+        ("take", "NAME", "The take to read of clip libraries in USD"),
+        ("prim-path", "PATH", "The character, where a stage has several"),
+    ):
+        for side, file in (("-b", "SECOND"), ("-a", "FIRST")):
+            text = f"The same, of {file} alone."
+            command = click.option(f"--{name}{side}", metavar=metavar, help=text)(
+                command
+            )
+        command = click.option(f"--{name}", metavar=metavar, help=f"{what}.")(command)
+    return command
+
+
+def _tolerance(
+    name: str, default: float, metavar: str, text: str
+) -> Callable[[Command], Command]:
+    return click.option(
+        name,
+        type=TOLERANCE,
+        default=default,
+        show_default=True,
+        metavar=metavar,
+        help=text,
+    )
 
 
 @click.command(
     epilog="""\b
 Examples:
   animtool diff walk.bvh walk.usdc
-  animtool diff old.usdc new.usdc --tol 1e-4 --tol-degrees .01"""
+  animtool diff old.usdc new.usdc --tol 1e-4 --tol-degrees .01
+  animtool diff walk.bvh library.usda --take-b walk"""
 )
 @click.argument("first", type=click.Path(path_type=Path, readable=False))
 @click.argument("second", type=click.Path(path_type=Path, readable=False))
-@click.option(
-    "--tol",
-    type=click.FloatRange(0),
-    default=1e-5,
-    show_default=True,
-    metavar="METRES",
-    help="Distance that is no difference.",
-)
-@click.option(
-    "--tol-degrees",
-    type=click.FloatRange(0),
-    default=1e-3,
-    show_default=True,
-    metavar="DEGREES",
-    help="Rotation that is no difference.",
-)
+@_tolerance("--tol", 1e-5, "METRES", "Distance that is no difference.")
+@_tolerance("--tol-degrees", 1e-3, "DEGREES", "Rotation that is no difference.")
+@_tolerance("--tol-weight", 1e-5, "WEIGHT", "Shape weight that is no difference.")
+@_choices
 @source_options
 @format_option
 @common_options
@@ -52,26 +76,64 @@ Examples:
 def diff(console: Console, /, first: Path, second: Path, **given: Any) -> None:
     """Compare the takes of FIRST and SECOND, joints by name, in metres.
 
-    Exit code 1 where they differ by more than the tolerances, or one has joints,
-    frames or a rate that the other has not.
+    Weights of blend shapes are compared too. Exit code 1 where they differ by more
+    than the tolerances, or one has joints, moving shapes, frames or a rate that the
+    other has not.
     """
     from animtool.errors import ExitCode
     from animtool.report.compare import compare
 
-    options = source_options_record(given["units"], given["up"], given["source_fps"])
-    found = compare(first, second, options)
-    same = found.within(given["tol"], given["tol_degrees"])
+    found = compare(first, second, *_options(first, second, given))
+    same = found.within(given["tol"], given["tol_degrees"], given["tol_weight"])
     if given["report_format"] == "json":
-        console.result_json({"diff": "animtool/1", "same": same, **asdict(found)})
+        notices = [notice.as_dict() for notice in found.notices]
+        values = {**asdict(found), "notices": notices}
+        console.result_json({"diff": "animtool/1", "same": same, **values})
     else:
-        lines = [f"{found.joints} joints, {found.frames} frames compared"]
-        for kind, unit in _KINDS:
-            largest = getattr(found, kind)
-            line = f"  {kind:<12}{largest.value:.3g} {unit}"
-            if largest.value:
-                line += f"  joint {largest.joint!r}, time code {largest.code:g}"
-            lines.append(line)
-        lines += [f"  {text}" for text in found.mismatches]
-        lines.append("same" if same else "different")
-        console.result("\n".join(lines))
+        console.result("\n".join(_text(found, same=same)))
+        console.faults(found.notices)
     click.get_current_context().exit(int(ExitCode.OK if same else ExitCode.FINDINGS))
+
+
+def _options(first: Path, second: Path, given: dict[str, Any]) -> list[Any]:
+    """Return what each file is: options of both where they fit, then its own."""
+    from animtool.scene.sources import fitting_options
+
+    shared = source_options_record(
+        given["units"],
+        given["up"],
+        given["source_fps"],
+        given["prim_path"],
+        take=given["take"],
+    )
+    options = []
+    for path, side in ((first, "a"), (second, "b")):
+        names = ("take", "prim_path")
+        own = {n: v for n in names if (v := given[f"{n}_{side}"]) is not None}
+        options.append(replace(fitting_options(shared, path, [first, second]), **own))
+    return options
+
+
+def _text(found: TakeDifference, *, same: bool) -> list[str]:
+    """Return what was compared, the largest differences, and what they come to."""
+    from animtool.errors import counted
+
+    compared = [counted(found.joints, "joint"), counted(found.frames, "frame")]
+    if found.shapes:
+        compared.insert(1, counted(found.shapes, "shape"))
+    lines = [f"{', '.join(compared)} compared"]
+    for kind, unit in _KINDS:
+        largest = getattr(found, kind)
+        line = f"  {kind:<12}{largest.value:.3g} {unit}".rstrip()
+        if largest.value:
+            line += f"  joint {largest.joint!r}, time code {largest.code:g}"
+        lines.append(line)
+    if found.shapes:
+        weight = found.weight
+        line = f"  {'weight':<12}{weight.value:.3g}"
+        if weight.value:
+            line += f"  shape {weight.shape!r}, time code {weight.code:g}"
+        lines.append(line)
+    lines += [f"  {text}" for text in found.mismatches]
+    lines += [f"  note: {text}" for text in found.notes]
+    return [*lines, "same" if same else "different"]

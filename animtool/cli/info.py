@@ -89,6 +89,8 @@ def _rig(path: Path) -> RigDescription:
 
 
 def _rig_text(found: RigDescription) -> list[str]:
+    from animtool.errors import counted
+
     types = ", ".join(f"{count} {kind}" for kind, count in found.joints.items())
     lines = [
         f"{found.path}: rig {found.name!r}",
@@ -98,39 +100,44 @@ def _rig_text(found: RigDescription) -> list[str]:
     for mesh in found.meshes:
         skin = "follows no joint"
         if mesh.method is not None:
-            skin = f"{mesh.method} skin on {mesh.joints} joints, "
+            skin = f"{mesh.method} skin on {counted(mesh.joints, 'joint')}, "
             skin += f"{mesh.influences} a point at most"
         lines.append(
-            f"  mesh      {mesh.name}: {mesh.points} points, {mesh.faces} faces, "
-            f"{skin}, {mesh.shapes} shapes"
+            f"  mesh      {mesh.name}: {counted(mesh.points, 'point')}, "
+            f"{counted(mesh.faces, 'face')}, {skin}, {counted(mesh.shapes, 'shape')}"
         )
     if found.shapes:
         arkit = f", {found.arkit} of ARKit's 52" if found.arkit else ""
         lines.append(f"  shapes    {found.shapes}, {found.combined} combined{arkit}")
     others = {
-        "controls": found.controls,
-        "chains": found.ik,
-        "attachments": found.attach,
-        "colliders": found.colliders,
+        "control": found.controls,
+        "chain": found.ik,
+        "attachment": found.attach,
+        "collider": found.colliders,
     }
-    said = ", ".join(f"{count} {name}" for name, count in others.items() if count)
+    said = ", ".join(counted(count, name) for name, count in others.items() if count)
     return [*lines, f"  and       {said or 'nothing else'}"]
 
 
 def _text(found: TakeDescription) -> list[str]:
-    from animtool.errors import listed
+    from animtool.errors import counted, listed
     from animtool.rates import rate_label
 
     low, high = found.bounds
     moving = ", ".join(f"{count} {kind}" for kind, count in found.animated.items())
-    channels = "" if found.channels is None else f", {found.channels} channels"
+    channels = ""
+    if found.channels is not None:
+        channels = f", {counted(found.channels, 'channel')}"
     roots = listed(found.roots, 4)
     corners = " to ".join(
         "(" + ", ".join(f"{x:.4g}" for x in c) + ")" for c in (low, high)
     )
     every = "" if found.step == 1 else f", one every {found.step} time codes"
-    notices = "1 notice" if len(found.notices) == 1 else f"{len(found.notices)} notices"
-    takes = []
+    notices = counted(len(found.notices), "notice")
+    shapes: list[str] = []
+    takes: list[str] = []
+    if found.shapes:
+        shapes = [f"  shapes    {_shapes_text(found)}"]
     if found.takes:
         names = listed(found.takes, 40)
         takes = [f"  takes     {names}; this is {found.take!r}, --take reads another"]
@@ -142,6 +149,18 @@ def _text(found: TakeDescription) -> list[str]:
         f"{float(found.duration):.4g} s, time codes {float(found.start):g} to "
         f"{float(found.end):g}{every}",
         f"  animated  {moving} joints of {found.joints}; the rest never move",
+        *shapes,
         f"  bounds    {corners} {found.units}, {found.up} up",
         f"  odd       {notices if found.notices else 'nothing'}",
     ]
+
+
+def _shapes_text(found: TakeDescription) -> str:
+    """Return how many shapes move, and which."""
+    from animtool.errors import counted, listed
+
+    moving = found.moving_shapes
+    if not moving:
+        return f"none animated of {found.shapes}"
+    animated = f"{counted(len(moving), 'shape')} animated of {found.shapes}"
+    return f"{animated}: {listed(moving)}"

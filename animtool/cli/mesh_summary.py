@@ -21,8 +21,7 @@ def mesh_text(take: TakeReport, meters_per_unit: float) -> list[str]:
         take: What became of it.
         meters_per_unit: Unit of the output [m].
     """
-    count = len(take.meshes)
-    meshes = "1 mesh" if count == 1 else f"{count} meshes"
+    meshes = counted(len(take.meshes), "mesh", "meshes")
     return [
         f"  {meshes} of {take.meshes_of}, deformed",
         *(_line(mesh, meters_per_unit) for mesh in take.meshes),
@@ -39,7 +38,7 @@ def _line(mesh: MeshReport, meters_per_unit: float) -> str:
     if written.samples:
         moves = f"{counted(written.samples, 'frame')}, {written.bytes / 1e6:.3g} MB"
     return (
-        f"    {mesh.name}: {written.vertices} vertices, {moves}, "
+        f"    {mesh.name}: {counted(written.vertices, 'vertex', 'vertices')}, {moves}, "
         f"{_milliseconds(mesh):.3g} ms a frame, largest error of float32 {error:.2g} "
         f"{unit}{where}"
     )

@@ -13,6 +13,7 @@ from animtool.cli.console import Console
 __all__ = [
     "LENGTH",
     "RATE",
+    "TOLERANCE",
     "Parsed",
     "common_options",
     "format_option",
@@ -56,6 +57,14 @@ def _length(text: str) -> float:
     return parse_length(text)
 
 
+def _tolerance(text: str) -> float:
+    value = float(text)
+    # Nothing is within a tolerance that is no number.
+    if not value >= 0:
+        raise ValueError(f"{text!r} is no tolerance: a number from 0 up is needed")
+    return value
+
+
 def _joint_length(text: str) -> tuple[str, float]:
     name, equals, length = text.rpartition("=")
     if not equals or not name:
@@ -65,6 +74,7 @@ def _joint_length(text: str) -> tuple[str, float]:
 
 RATE = Parsed("rate", _rate)
 LENGTH = Parsed("length", _length)
+TOLERANCE = Parsed("tolerance", _tolerance)
 
 
 def _set(name: str, value: Any) -> Callable[..., None]:

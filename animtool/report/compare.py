@@ -2,25 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from animtool._types import FloatArray
 from animtool.edit.resample import resampled
-from animtool.errors import listed
+from animtool.errors import Fault, counted, listed
 from animtool.maths import so3
 from animtool.reorient import reorient
+from animtool.report.shape_weights import ShapeDifference, compare_weights
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Rig
-from animtool.scene.sources import SourceOptions, open_source, takes_option
+from animtool.scene.sources import SourceOptions, fitting_options, open_source
 from animtool.take import Take
 
 # USD holds scales as 16-bit floats, which are 5e-4 apart near one.
 SCALE_TOLERANCE = 1e-3
+# Of what a weight of one moves by centimetres, less than a micrometre.
+WEIGHT_TOLERANCE = 1e-5
 
-__all__ = ["Difference", "TakeDifference", "compare", "compare_takes"]
+__all__ = [
+    "WEIGHT_TOLERANCE",
+    "Difference",
+    "TakeDifference",
+    "compare",
+    "compare_takes",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,27 +49,37 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class TakeDifference:
-    """How two takes differ over the joints and frames that both have.
+    """How two takes differ over the joints, shapes and frames that both have.
 
     Attributes:
         world: World position [m].
         translation: Local translation [m].
         rotation: Local rotation [deg].
         scale: Local scale [1].
+        weight: Weight of a blend shape [1].
         frames: Frames compared.
         joints: Joints compared.
+        shapes: Shapes compared.
         mismatches: What one has and the other has not, in words.
+        notes: What differs and is no difference of the takes, in words.
+        notices: What is odd about the files.
     """
 
     world: Difference
     translation: Difference
     rotation: Difference
     scale: Difference
+    weight: ShapeDifference
     frames: int
     joints: int
+    shapes: int
     mismatches: list[str]
+    notes: list[str] = field(default_factory=list)
+    notices: list[Fault] = field(default_factory=list)
 
-    def within(self, meters: float, degrees: float) -> bool:
+    def within(
+        self, meters: float, degrees: float, weights: float = WEIGHT_TOLERANCE
+    ) -> bool:
         """Return whether the takes agree to the tolerances."""
         return (
             not self.mismatches
@@ -68,29 +87,42 @@ class TakeDifference:
             and self.translation.value <= meters
             and self.rotation.value <= degrees
             and self.scale.value <= SCALE_TOLERANCE
+            and self.weight.value <= weights
         )
 
 
 def compare(
-    first: Path | str, second: Path | str, options: SourceOptions | None = None
+    first: Path | str,
+    second: Path | str,
+    options: SourceOptions | None = None,
+    second_options: SourceOptions | None = None,
 ) -> TakeDifference:
     """Compare the takes of two files by time from the first frame, joints by name.
 
-    The second is stood on the up axis of the first. ``options`` apply to both
-    where they can: units and up axis are stated by USD files themselves.
+    The second is stood on the up axis of the first. Other first time codes are noted.
+
+    Args:
+        first: A file.
+        second: Another.
+        options: What the first is; without ``second_options`` both, each as far as
+            such files take it: units and up axis are stated by USD files themselves.
+        second_options: What the second is.
 
     Raises:
         FormatError: A file cannot be read or is malformed.
+        OptionError: An option does not apply to its file, or to neither.
     """
-    streams = []
-    for path in (first, second):
-        leaves_open = takes_option(Path(path), "unit")
-        streams.append(open_source(path, options if leaves_open else None))
-    one, two = streams
+    paths = [Path(first), Path(second)]
+    mine = options or SourceOptions()
+    given = [mine, second_options]
+    if second_options is None:
+        given = [fitting_options(mine, path, paths) for path in paths]
+    one, two = (open_source(path, own) for path, own in zip(paths, given, strict=True))
     found = compare_takes(one.collect(), reorient(two, one.rig.up).collect())
+    found.notices.extend([*one.notices, *two.notices])
     if None not in {one.start, two.start} and one.start != two.start:
-        first_codes = f"{float(one.start or 0):g} against {float(two.start or 0):g}"
-        found.mismatches.append(f"first time code {first_codes}")
+        codes = f"{float(one.start or 0):g} against {float(two.start or 0):g}"
+        found.notes.append(f"first time code {codes}; compared from there")
     return found
 
 
@@ -104,6 +136,8 @@ def compare_takes(first: Take, second: Take) -> TakeDifference:
     mine = [a for a, _ in pairs]
     theirs = [b for _, b in pairs]
     codes = first.clock.times
+
+    weight, shapes, lost = compare_weights(first, second, frames)
 
     def largest(values: FloatArray) -> Difference:
         if not values.size:
@@ -122,9 +156,11 @@ def compare_takes(first: Take, second: Take) -> TakeDifference:
         largest(np.linalg.norm(moved, axis=-1)),
         largest(np.degrees(turned)),
         largest(np.abs(_scales(a)[:, mine] - _scales(b)[:, theirs]).max(axis=-1)),
+        weight,
         frames,
         len(pairs),
-        mismatches,
+        shapes,
+        mismatches + lost,
     )
 
 
@@ -158,11 +194,14 @@ def _mismatches(first: Take, second: Take, pairs: list[tuple[int, int]]) -> list
         matched = {pair[column] for pair in pairs}
         missing = [n for i, n in enumerate(take.rig.names) if i not in matched]
         if missing:
+            are = "is" if len(missing) == 1 else "are"
             found.append(
-                f"{len(missing)} joints are not in the {other}: {listed(missing)}"
+                f"{counted(len(missing), 'joint')} {are} not in the {other}: "
+                f"{listed(missing)}"
             )
     if first.clock.count != second.clock.count:
-        found.append(f"{first.clock.count} frames against {second.clock.count}")
+        frames = counted(first.clock.count, "frame")
+        found.append(f"{frames} against {second.clock.count}")
     if first.clock.rate != second.clock.rate:
         found.append(f"{first.clock.rate} fps against {second.clock.rate}")
     return found

@@ -11,6 +11,7 @@ import numpy as np
 from animtool.errors import Fault
 from animtool.rig.kinematics import forward
 from animtool.scene.sources import SourceOptions, open_source
+from animtool.take import Take
 from animtool.units import unit_name
 
 __all__ = ["TakeDescription", "describe"]
@@ -35,6 +36,8 @@ class TakeDescription:
         duration: From the first to the last [s].
         channels: Numbers a frame in a BVH; None for USD.
         animated: Joints that move, by kind of channel.
+        shapes: Number of blend shapes.
+        moving_shapes: Names of those whose weights move.
         bounds: Lowest and highest joint position over all frames, in ``units``.
         units: Unit of the file.
         up: Up axis of the file.
@@ -55,6 +58,8 @@ class TakeDescription:
     duration: Fraction
     channels: int | None
     animated: dict[str, int]
+    shapes: int
+    moving_shapes: list[str]
     bounds: tuple[list[float], list[float]]
     units: str
     up: str
@@ -117,6 +122,8 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
         clock.duration,
         channels if isinstance(channels, int) else None,
         animated,
+        len(rig.shapes),
+        _moving_shapes(take),
         (
             (np.min(lows, axis=0) / meters).tolist(),
             (np.max(highs, axis=0) / meters).tolist(),
@@ -127,3 +134,11 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
         str(stream.details.get("take", "")),
         stream.notices,
     )
+
+
+def _moving_shapes(take: Take) -> list[str]:
+    """Return the names of the shapes whose weights change."""
+    weights = take.motion.weights
+    if weights is None:
+        return []
+    return [take.rig.shapes[s].name for s in weights.animated.tolist()]

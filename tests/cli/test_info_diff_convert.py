@@ -4,8 +4,10 @@ import json
 from pathlib import Path
 
 import pytest
+from pxr import Usd
 from support.bvh import random_rows, small_bvh
 from support.cli import animtool
+from support.skinned_rig import write_pair
 
 
 @pytest.fixture
@@ -84,3 +86,109 @@ def test_what_a_usd_file_states_is_not_stated_again(takes: tuple[Path, Path]) ->
     done = animtool("bake", takes[0].with_suffix(".usdc"), "--units", "m", "-o", "-")
     assert done.code == 2
     assert "--to-units" in done.stderr
+
+
+@pytest.fixture
+def faces(tmp_path: Path) -> tuple[Path, Path]:
+    """Return a clip, and the same with another weight of one shape."""
+    one, two = write_pair(tmp_path), tmp_path / "narrow.clip.yaml"
+    two.write_text(one.read_text().replace("{t: 9, v: 1.2}", "{t: 9, v: 0.1}"))
+    return one, two
+
+
+def test_diff_compares_shape_weights(faces: tuple[Path, Path], tmp_path: Path) -> None:
+    one, two = tmp_path / "one.usdc", tmp_path / "two.usdc"
+    for clip, output in zip(faces, (one, two), strict=True):
+        assert animtool("bake", clip, "-o", output).code == 0
+    for pair in (faces, (one, two)):
+        done = animtool("diff", *pair)
+        assert done.code == 1
+        assert "shape 'smile', time code 9" in done.stdout
+    assert animtool("diff", faces[0], one, "--tol", "1e-4").code == 0
+    done = animtool("diff", one, two, "--format", "json", "--tol-weight", "1.2")
+    assert done.code == 0
+    weight = json.loads(done.stdout)["weight"]
+    assert weight["value"] == pytest.approx(1.1, rel=1e-6)
+    assert (weight["shape"], weight["code"]) == ("smile", 9)
+
+
+def test_info_names_the_shapes_that_move(faces: tuple[Path, Path]) -> None:
+    assert animtool("bake", faces[0], "-o", "-").code == 0
+    done = animtool("info", faces[0])
+    assert "shapes    3 shapes animated of 3: smile, bulge, both" in done.stdout
+    found = json.loads(animtool("info", faces[0], "--format", "json").stdout)
+    (described,) = found["files"]
+    assert described["moving_shapes"] == ["smile", "bulge", "both"]
+    still = faces[0].with_name("still.clip.yaml")
+    still.write_text(
+        "clip: animtool/1\nrig: pair.rig.yaml\nfps: 24\nrange: [1, 9]\nchannels: []\n"
+    )
+    assert "shapes    none animated of 3" in animtool("info", still).stdout
+
+
+def test_diff_of_takes_that_start_elsewhere(
+    takes: tuple[Path, Path], tmp_path: Path
+) -> None:
+    one, two = tmp_path / "a.usda", tmp_path / "b.usda"
+    for output, start in ((one, 1), (two, 1001)):
+        animtool("bake", takes[0], "-o", output, "--start", start)
+    done = animtool("diff", one, two)
+    assert done.code == 0
+    assert "note: first time code 1 against 1001" in done.stdout
+    assert done.stdout.endswith("same\n")
+
+
+def test_diff_chooses_takes_and_characters(
+    takes: tuple[Path, Path], tmp_path: Path
+) -> None:
+    library, shot = tmp_path / "library.usda", tmp_path / "shot.usda"
+    animtool("bake", *takes, "-o", library, "--prim-path", "/World/a")
+    shot.write_text(library.read_text())
+    stage = Usd.Stage.Open(str(shot))
+    stage.DefinePrim("/World/b").GetReferences().AddInternalReference("/World/a")
+    stage.Save()
+    tolerances = ("--tol", "1e-4")
+    assert animtool("diff", takes[1], library, "--take", "two", *tolerances).code == 0
+    assert animtool("diff", takes[0], library, "--take", "two", *tolerances).code == 1
+    both = ("--take-a", "one", "--take-b", "two")
+    assert animtool("diff", library, library, *both, *tolerances).code == 1
+    assert animtool("diff", library, library, "--take", "two", "--tol", "0").code == 0
+    done = animtool("diff", library, shot)
+    assert "USD107" in done.stderr
+    assert "--prim-path" in done.stderr
+    done = animtool("diff", library, shot, "--prim-path-b", "/World/b")
+    assert (done.code, done.stderr) == (0, "")
+    assert animtool("diff", shot, shot, "--prim-path", "/World/b").stderr == ""
+    assert animtool("diff", takes[0], shot, "--prim-path-a", "/x").code == 2
+
+
+@pytest.mark.parametrize("option", ["--tol", "--tol-degrees", "--tol-weight"])
+@pytest.mark.parametrize("value", ["nan", "-1", "wide"])
+def test_a_tolerance_that_is_none_is_refused(
+    takes: tuple[Path, Path], option: str, value: str
+) -> None:
+    done = animtool("diff", *takes, option, value)
+    assert done.code == 2
+    assert option in done.stderr
+
+
+def test_one_of_a_kind_is_not_said_in_plural(
+    takes: tuple[Path, Path], tmp_path: Path
+) -> None:
+    still = tmp_path / "still.bvh"
+    head, _, rows = takes[0].read_text().partition("Frames: 6")
+    time, row = rows.strip().splitlines()[:2]
+    still.write_text(f"{head}Frames: 1\n{time}\n{row}\n")
+    keys = tmp_path / "still.clip.yaml"
+    done = animtool("convert", still, keys, "--reduce", "1mm")
+    assert "1 frame, 2 joints" in done.stderr
+    assert "nothing moves: 3 keys, for what is not at rest" in done.stderr
+    rig = tmp_path / "one.rig.yaml"
+    rig.write_text(
+        "rig: animtool/1\nname: one\njoints:\n- {name: a, type: free}\n"
+        "- {name: b, parent: a, type: pin, axis: [0, 0, 1], translate: [1, 0, 0]}\n"
+        "- {name: c, parent: b, type: fixed, translate: [1, 0, 0]}\n"
+        "controls: [{name: x}]\nik: [{name: leg, root: a, tip: c}]\n"
+    )
+    done = animtool("info", rig)
+    assert "and       1 control, 1 chain\n" in done.stdout

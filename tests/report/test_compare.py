@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from support.bvh import random_rows, small_bvh
 
+from animtool.errors import OptionError
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
 from animtool.report.compare import compare, compare_takes
@@ -67,6 +69,25 @@ def test_scales_move_what_hangs_below(take: Take) -> None:
     found = compare_takes(take, moved(take, scales=Channel.from_dense(leaf)))
     assert found.world.value == 0
     assert not found.within(1.0, 1.0)
+
+
+def test_another_first_time_code_is_a_note(path: Path, tmp_path: Path) -> None:
+    one, two = tmp_path / "one.usda", tmp_path / "two.usda"
+    for output, start in ((one, 1), (two, 1001)):
+        bake(path, output, BakeOptions(start=Fraction(start)))
+    found = compare(one, two)
+    assert found.within(0.0, 0.0)
+    assert found.mismatches == []
+    assert found.notes == ["first time code 1 against 1001; compared from there"]
+
+
+def test_each_file_has_options_of_its_own(path: Path, tmp_path: Path) -> None:
+    bake(path, tmp_path / "o.usda", BakeOptions(prim_path="/World/a"))
+    chosen = SourceOptions(prim_path="/World/a")
+    assert compare(path, tmp_path / "o.usda", None, chosen).within(1e-6, 1e-4)
+    with pytest.raises(OptionError) as caught:
+        compare(path, tmp_path / "o.usda", chosen, chosen)
+    assert caught.value.code == "CLI004"
 
 
 def test_other_units_and_up_axis_are_the_same_take(path: Path, tmp_path: Path) -> None:
