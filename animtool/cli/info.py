@@ -134,10 +134,14 @@ def _text(found: TakeDescription) -> list[str]:
     )
     every = "" if found.step == 1 else f", one every {found.step} time codes"
     notices = counted(len(found.notices), "notice")
+    moving += f" joints of {found.joints}"
     shapes: list[str] = []
     takes: list[str] = []
     if found.shapes:
-        shapes = [f"  shapes    {_shapes_text(found)}"]
+        count = counted(len(found.moving_shapes), "shape")
+        moving += f", {count} of {found.shapes}"
+    if found.moving_shapes:
+        shapes = [f"  shapes    {listed(found.moving_shapes, 12)}"]
     if found.takes:
         names = listed(found.takes, 40)
         takes = [f"  takes     {names}; this is {found.take!r}, --take reads another"]
@@ -148,19 +152,8 @@ def _text(found: TakeDescription) -> list[str]:
         f"  frames    {found.frames} at {rate_label(found.fps)}, "
         f"{float(found.duration):.4g} s, time codes {float(found.start):g} to "
         f"{float(found.end):g}{every}",
-        f"  animated  {moving} joints of {found.joints}; the rest never move",
+        f"  animated  {moving}; the rest never move",
         *shapes,
         f"  bounds    {corners} {found.units}, {found.up} up",
         f"  odd       {notices if found.notices else 'nothing'}",
     ]
-
-
-def _shapes_text(found: TakeDescription) -> str:
-    """Return how many shapes move, and which."""
-    from animtool.errors import counted, listed
-
-    moving = found.moving_shapes
-    if not moving:
-        return f"none animated of {found.shapes}"
-    animated = f"{counted(len(moving), 'shape')} animated of {found.shapes}"
-    return f"{animated}: {listed(moving)}"

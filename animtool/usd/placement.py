@@ -53,8 +53,9 @@ def holds_character(stage: Any, prim_path: str, where: str) -> bool:
     characters = character_paths(stage)
     if not characters or _is_rig_alone(stage, prim_path, characters):
         return False
-    message = f"no character is at {prim_path}; there: {listed(characters, MOST_NAMED)}"
-    hint = "a file of the rig alone takes the path that a shot will have it at"
+    there = listed(characters, MOST_NAMED)
+    message = f"has no character at {prim_path}, but at {there}"
+    hint = "only a file of the rig alone is for a path that it does not have"
     raise OptionError(Fault("USD033", message, where, (), hint))
 
 

@@ -9,6 +9,9 @@ from support.bvh import random_rows, small_bvh
 from support.cli import animtool
 from support.skinned_rig import write_pair
 
+from animtool.cli.diff import diff
+from animtool.report.compare import WEIGHT_TOLERANCE
+
 
 @pytest.fixture
 def takes(tmp_path: Path) -> tuple[Path, Path]:
@@ -113,9 +116,9 @@ def test_diff_compares_shape_weights(faces: tuple[Path, Path], tmp_path: Path) -
 
 
 def test_info_names_the_shapes_that_move(faces: tuple[Path, Path]) -> None:
-    assert animtool("bake", faces[0], "-o", "-").code == 0
     done = animtool("info", faces[0])
-    assert "shapes    3 shapes animated of 3: smile, bulge, both" in done.stdout
+    assert "joints of 4, 3 shapes of 3; the rest never move" in done.stdout
+    assert "shapes    smile, bulge, both\n" in done.stdout
     found = json.loads(animtool("info", faces[0], "--format", "json").stdout)
     (described,) = found["files"]
     assert described["moving_shapes"] == ["smile", "bulge", "both"]
@@ -123,7 +126,7 @@ def test_info_names_the_shapes_that_move(faces: tuple[Path, Path]) -> None:
     still.write_text(
         "clip: animtool/1\nrig: pair.rig.yaml\nfps: 24\nrange: [1, 9]\nchannels: []\n"
     )
-    assert "shapes    none animated of 3" in animtool("info", still).stdout
+    assert "joints of 4, 0 shapes of 3; the rest" in animtool("info", still).stdout
 
 
 def test_diff_of_takes_that_start_elsewhere(
@@ -160,6 +163,11 @@ def test_diff_chooses_takes_and_characters(
     assert (done.code, done.stderr) == (0, "")
     assert animtool("diff", shot, shot, "--prim-path", "/World/b").stderr == ""
     assert animtool("diff", takes[0], shot, "--prim-path-a", "/x").code == 2
+
+
+def test_the_default_tolerance_of_weights_is_that_of_the_library() -> None:
+    (option,) = (o for o in diff.params if o.name == "tol_weight")
+    assert option.default == WEIGHT_TOLERANCE
 
 
 @pytest.mark.parametrize("option", ["--tol", "--tol-degrees", "--tol-weight"])
