@@ -150,9 +150,9 @@ def _join_stored(
     names = [shape.name for shape in joined.shapes]
     places = np.array([names.index(s.name) for s in stream.rig.shapes], np.int64)
     stream.blocks = _among(stream.blocks, places, len(names))
-    # Meshes stay where they are.
+    # Meshes stay where they are, and with them what hangs on them (USD119).
     stream.rig = replace(joined, meshes=())
-    stream.notices += notices
+    stream.notices += [notice for notice in notices if notice.code != "USD119"]
 
 
 def _among(blocks: Iterator[Motion], places: IntArray, count: int) -> Iterator[Motion]:

@@ -276,3 +276,12 @@ def test_a_take_of_a_stage_has_the_rig_that_it_was_made_for(
     assert made.joints == rig.joints
     assert made.controls == rig.controls
     assert animtool("bake", keys, "-o", tmp_path / "again.usdc").code == 0
+
+
+def test_a_stage_of_ours_is_read_without_a_word(tmp_path: Path) -> None:
+    stage = tmp_path / "stride.usdc"
+    clip = ROOT / "samples/stride/stride.clip.yaml"
+    assert animtool("bake", clip, "-o", stage).code == 0
+    done = animtool("info", stage)
+    assert done.code == 0
+    assert done.stderr == ""
