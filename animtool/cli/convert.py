@@ -129,6 +129,10 @@ def convert(console: Console, /, source: Path, output: Path, **given: Any) -> No
             f"  largest error: {found.error * 1000:.3g} mm (joint {found.joint!r}, "
             f"frame {found.frame + 1} of {report.frames})"
         )
+        if found.weight_error:
+            console.say(
+                f"  largest error of a shape's weight: {found.weight_error:.3g}"
+            )
 
 
 def _rig(console: Console, source: Path, output: Path, given: dict[str, Any]) -> None:
@@ -178,6 +182,7 @@ def _reduction_json(reduction: Any) -> dict[str, object]:
             "samples": reduction.samples,
             "keys": reduction.keys,
             "error": {"meters": reduction.error, "joint": reduction.joint},
+            "weight_error": reduction.weight_error,
             "held": reduction.held,
         }
     }

@@ -141,8 +141,7 @@ def _to_clip(
     strict: bool,
     progress: Callable[[float], None] | None,
 ) -> ConvertReport:
-    from animtool.clip.reduce import reduce_motion
-    from animtool.clip.reduced_clip import clip_of_reduction
+    from animtool.clip.keyed_take import keyed_take
     from animtool.clip.write import clip_text
     from animtool.rig.store import with_file
     from animtool.rig.write import rig_text
@@ -164,16 +163,16 @@ def _to_clip(
     rig, arrays = with_file(typed_by_motion(take), arrays_path, moved=True)
     if arrays:
         check_outputs([arrays_path], inputs, overwrite=overwrite)
-    reduction = reduce_motion(
-        take, keys.tolerance, joint_tolerances=keys.tolerances, base=below
+    made = keyed_take(
+        take, rig, stem, keys.tolerance, joint_tolerances=keys.tolerances, base=below
     )
     if arrays:
         write_arrays(arrays_path, arrays)
     _write(rig_path, [rig_text(rig).encode()])
-    text = clip_text(clip_of_reduction(reduction, rig, stem), rig, rig_path.name)
+    text = clip_text(made.clip, rig, rig_path.name)
     _write(output, [text.encode()])
     return ConvertReport(
-        output, take.clock.count, len(rig.joints), stream.notices, reduction
+        output, take.clock.count, len(rig.joints), stream.notices, made.reduction
     )
 
 
