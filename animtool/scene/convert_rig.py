@@ -20,6 +20,7 @@ __all__ = [
     "convert_rig",
     "is_rig",
     "open_rig",
+    "rig_outputs",
     "write_arrays",
 ]
 
@@ -95,6 +96,15 @@ def convert_rig(
     raise OptionError(Fault("OUT004", message, str(output), (), hint))
 
 
+def rig_outputs(output: Path, *, physics: bool = False) -> list[Path]:
+    """Return the files that hold a rig in the format of an output, it first.
+
+    The arrays beside a rig file are left out: not every rig has some.
+    """
+    beside = [output.with_name(f"{output.stem}.physics.usda")] if physics else []
+    return [output, *beside]
+
+
 def open_rig(path: Path) -> tuple[Rig, list[Fault]]:
     """Return a rig, wherever it lives, and what there is to say of it.
 
@@ -154,9 +164,7 @@ def write_arrays(path: Path, arrays: StoredArrays) -> None:
 def _to_usd(
     source: Path, output: Path, physics: bool, overwrite: bool, strict: bool
 ) -> RigReport:
-    outputs = [output]
-    if physics:
-        outputs.append(output.with_name(f"{output.stem}.physics.usda"))
+    outputs = rig_outputs(output, physics=physics)
     check_outputs(outputs, [source], overwrite=overwrite)
     rig, notices = open_rig(source)
     from animtool.usd.rig_layer import write_physics_layer, write_rig_layer
