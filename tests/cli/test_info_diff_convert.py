@@ -84,3 +84,30 @@ def test_what_a_usd_file_states_is_not_stated_again(takes: tuple[Path, Path]) ->
     done = animtool("bake", takes[0].with_suffix(".usdc"), "--units", "m", "-o", "-")
     assert done.code == 2
     assert "--to-units" in done.stderr
+
+
+def test_skipping_a_clip_wants_its_rig_too(walk: Path, tmp_path: Path) -> None:
+    clip, rig = tmp_path / "keys.clip.yaml", tmp_path / "keys.rig.yaml"
+    rig.write_text("mine")
+    refused = animtool("convert", walk, clip, "--skip-existing")
+    assert refused.code == 2
+    assert "keys.rig.yaml" in refused.stderr
+    assert not clip.exists()
+    clip.write_text("mine")
+    assert animtool("convert", walk, clip, "--skip-existing").code == 0
+    assert clip.read_text() == "mine"
+
+
+def test_a_length_without_a_unit_is_refused(walk: Path, tmp_path: Path) -> None:
+    done = animtool("convert", walk, tmp_path / "keys.clip.yaml", "--reduce", "1")
+    assert done.code == 2
+    assert "write 1mm or 1m" in done.stderr
+
+
+def test_physics_says_that_motion_is_left_out(walk: Path, tmp_path: Path) -> None:
+    done = animtool("convert", walk, tmp_path / "rig.usda", "--physics")
+    assert done.code == 0
+    assert "CLI104" in done.stderr
+    again = animtool("convert", tmp_path / "rig.usda", tmp_path / "b.usda", "--physics")
+    assert again.code == 0
+    assert "CLI104" not in again.stderr
