@@ -9,6 +9,7 @@ import pytest
 
 from animtool.clip.points import SHELL, carried_points, point_errors
 from animtool.errors import Severity
+from animtool.scene.bake import bake
 from animtool.scene.convert import convert
 from animtool.scene.sources import open_source
 from animtool.take import Take
@@ -134,3 +135,14 @@ def test_keys_of_a_combined_shape_are_what_its_drivers_do_not_give(
     text = (tmp_path / "back.clip.yaml").read_text()
     assert "shape/both" in text
     assert "shape/more" not in text
+
+
+@pytest.mark.parametrize("suffix", ["clip.yaml", "usdc"])
+def test_speech_comes_back_within_the_tolerance_of_weights(
+    tmp_path: Path, suffix: str
+) -> None:
+    source = Path(__file__).parents[2] / "samples" / "speech" / "speech.clip.yaml"
+    if suffix == "usdc":
+        bake(source, tmp_path / "speech.usdc")
+        source = tmp_path / "speech.usdc"
+    check_back(source, tmp_path)
