@@ -20,10 +20,12 @@ def check_outputs(
     """Refuse outputs that cannot or must not be written.
 
     Raises:
-        OptionError: An output exists and overwrite is off, or is also an input.
+        OptionError: An output exists and overwrite is off, with a fault for each
+            that does; or one is also an input.
         OutputError: Its folder does not exist or may not be written to.
     """
     taken = {path.resolve() for path in inputs}
+    there: list[Path] = []
     for path in outputs:
         if path.resolve() in taken:
             message = "is an input of this very command"
@@ -51,8 +53,14 @@ def check_outputs(
             message = "cannot be written: it is read-only"
             raise OutputError(Fault("OUT002", message, str(path)))
         if exists and not overwrite:
-            hint = "--overwrite replaces it, --skip-existing leaves it"
-            raise OptionError(Fault("OUT001", "already exists", str(path), (), hint))
+            there.append(path)
+    if there:
+        hint = "--overwrite replaces it"
+        if len(there) == len(outputs):
+            hint += ", --skip-existing leaves it"
+        raise OptionError(
+            [Fault("OUT001", "already exists", str(p), (), hint) for p in there]
+        )
 
 
 def output_error(path: Path, error: BaseException | str) -> OutputError:

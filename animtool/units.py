@@ -52,10 +52,10 @@ _LENGTH = re.compile(r"([0-9.eE+-]+)\s*(m|cm|mm|in)?")
 
 
 def parse_length(text: str) -> float:
-    """Return a positive length [m] such as ``0.5mm``; metres where it says no unit.
+    """Return a positive length [m] such as ``0.5mm``.
 
     Raises:
-        ValueError: It is none.
+        ValueError: It is none, or without a unit.
 
     >>> parse_length("0.5mm")
     0.0005
@@ -67,7 +67,9 @@ def parse_length(text: str) -> float:
         value = math.nan
     if match is None or not 0 < value < math.inf:
         raise ValueError(f"{text!r} is no length such as 0.5mm")
-    return value * LengthUnit(match[2] or "m").meters
+    if match[2] is None:
+        raise ValueError(f"{text!r} has no unit: write {match[1]}mm or {match[1]}m")
+    return value * LengthUnit(match[2]).meters
 
 
 def up_from_up(

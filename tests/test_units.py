@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from animtool.maths import so3
-from animtool.units import LengthUnit, UpAxis, unit_name, up_from_up
+from animtool.units import LengthUnit, UpAxis, parse_length, unit_name, up_from_up
 
 
 @pytest.mark.parametrize("unit", list(LengthUnit))
@@ -22,3 +22,17 @@ def test_up_axes_stand_on_each_other() -> None:
     assert_allclose(so3.rotate(z_from_y, [0, 1, 0]), [0, 0, 1], atol=1e-15)
     assert_allclose(so3.rotate(y_from_z, [0, 0, 1]), [0, 1, 0], atol=1e-15)
     assert_allclose(so3.rotate(z_from_y, [1, 0, 0]), [1, 0, 0], atol=1e-15)
+
+
+@pytest.mark.parametrize("unit", list(LengthUnit))
+def test_a_length_is_in_its_unit(unit: LengthUnit) -> None:
+    assert parse_length(f"0.5 {unit}") == 0.5 * unit.meters
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [("1", "write 1mm or 1m"), ("0", "is no length"), ("0mm", "is no length")],
+)
+def test_a_length_wants_a_unit_and_is_above_zero(text: str, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        parse_length(text)

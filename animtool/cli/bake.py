@@ -15,6 +15,7 @@ from animtool.cli.options import (
     common_options,
     format_option,
     reduce_at_option,
+    skips,
     source_options,
     source_options_record,
     take_option,
@@ -204,7 +205,7 @@ Examples:
 )
 @click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
 @click.option(
-    "--skip-existing", is_flag=True, help="Do nothing where the output exists."
+    "--skip-existing", is_flag=True, help="Do nothing where all outputs exist."
 )
 @format_option
 @common_options
@@ -232,7 +233,7 @@ def bake(
     if output is None and len(sources) > 1:
         raise click.UsageError("Several sources make one library: name it with -o.")
     path = None if to_stdout else output or _output_beside(sources[0])
-    if given["skip_existing"] and path is not None and path.exists():
+    if path is not None and _skips(sources, path, given):
         console.say(f"{path} exists: skipped")
         if as_json:
             console.result_json({"bake": "animtool/1", "skipped": str(path)})
@@ -253,6 +254,14 @@ def bake(
         console.say(line)
     for line in bake_details(report):
         console.detail(line)
+
+
+def _skips(sources: tuple[Path, ...], path: Path, given: dict[str, Any]) -> bool:
+    if not given["skip_existing"]:
+        return False
+    from animtool.scene.plan import bake_outputs
+
+    return skips(given, bake_outputs(sources, path, _options(given)))
 
 
 def _table(

@@ -13,6 +13,7 @@ from animtool.cli.options import (
     common_options,
     format_option,
     reduce_at_option,
+    skips,
     source_options,
     source_options_record,
     take_option,
@@ -60,7 +61,7 @@ Examples:
 )
 @click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
 @click.option(
-    "--skip-existing", is_flag=True, help="Do nothing where the output exists."
+    "--skip-existing", is_flag=True, help="Do nothing where all outputs exist."
 )
 @format_option
 @common_options
@@ -74,18 +75,23 @@ def convert(console: Console, /, source: Path, output: Path, **given: Any) -> No
     A rig (.rig.yaml) becomes a USD layer that animations can be put over, and comes
     back equal, its arrays in a npz file beside it.
     """
-    if given["skip_existing"] and output.exists():
+    from animtool.scene.convert import convert as run_convert
+    from animtool.scene.convert import convert_outputs
+    from animtool.scene.convert_rig import is_rig, rig_outputs
+
+    of_rig = is_rig(source) or is_rig(output) or given["physics"]
+    outputs = convert_outputs(output)
+    if of_rig:
+        outputs = rig_outputs(output, physics=given["physics"])
+    if skips(given, outputs):
         console.say(f"{output} exists: skipped")
         if given["report_format"] == "json":
             console.result_json({"convert": "animtool/1", "skipped": str(output)})
         return
-    from animtool.scene.convert_rig import is_rig
-
-    if is_rig(source) or is_rig(output) or given["physics"]:
+    if of_rig:
         _rig(console, source, output, given)
         return
     from animtool.errors import counted
-    from animtool.scene.convert import convert as run_convert
 
     options = source_options_record(
         given["units"],
@@ -187,7 +193,10 @@ def _reduction_text(found: Any, frames: int) -> list[str]:
     where = ""
     if found.error:
         where = f" (joint {found.joint!r}, frame {found.frame + 1} of {frames})"
-    return [*lines, f"largest error: {found.error * 1000:.3g} mm{where}"]
+    lines.append(f"largest error: {found.error * 1000:.3g} mm{where}")
+    if found.weight_error:
+        lines.append(f"largest error of a shape's weight: {found.weight_error:.3g}")
+    return lines
 
 
 def _reduction_json(reduction: Any) -> dict[str, object]:
@@ -199,6 +208,7 @@ def _reduction_json(reduction: Any) -> dict[str, object]:
             "samples": reduction.samples,
             "keys": reduction.keys,
             "error": {"meters": reduction.error, "joint": reduction.joint},
+            "weight_error": reduction.weight_error,
             "held": reduction.held,
         }
     }

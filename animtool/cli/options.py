@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,6 +18,7 @@ __all__ = [
     "common_options",
     "format_option",
     "reduce_at_option",
+    "skips",
     "source_options",
     "source_options_record",
     "take_option",
@@ -139,6 +140,19 @@ def reduce_at_option(command: Command) -> Command:
         help="Another tolerance of --reduce for a joint, or for those that fit a "
         "pattern, such as 'hand_*=0.1mm'; can be given several times.",
     )(command)
+
+
+def skips(given: Mapping[str, Any], outputs: Sequence[Path]) -> bool:
+    """Return whether ``--skip-existing`` leaves everything as it is.
+
+    Raises:
+        click.UsageError: ``--overwrite`` is given too.
+    """
+    if given["skip_existing"] and given["overwrite"]:
+        raise click.UsageError(
+            "--overwrite replaces outputs and --skip-existing keeps them: give one."
+        )
+    return bool(given["skip_existing"]) and all(path.exists() for path in outputs)
 
 
 def format_option(command: Command) -> Command:

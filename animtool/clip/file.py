@@ -37,6 +37,8 @@ __all__ = ["ClipFile", "check_clip", "load_clip", "load_rig_of", "open_clip"]
 
 _ROTATING = frozenset({Interp.STEP, Interp.SLERP, Interp.SQUAD, Interp.SPLINE})
 _SCALAR = frozenset(Interp) - {Interp.SLERP, Interp.SQUAD, Interp.SPLINE}
+# Whose segments have handles.
+_HANDLED = {Interp.BEZIER, Interp.HERMITE}
 # Motion, and what takes its place: one of them may hold a joint.
 _REPLACED = {
     "translation": "local_translation",
@@ -126,7 +128,7 @@ def load_rig_of(file: ClipFile, path: Path | None = None) -> Rig:
 
 
 def load_clip(file: ClipFile, rig: Rig) -> Clip:
-    """Return the clip of a file, for a rig.
+    """Return the clip of a file, for a rig; warnings are left in its document.
 
     Args:
         file: Its content.
@@ -232,6 +234,8 @@ class _ClipReader:
         fits = self._check_interps(at, model, _ROTATING if turning else _SCALAR)
         if turning and fits:
             self._refuse_slopes(at, model)
+        if not turning and fits:
+            self._warn_of_idle(at, model, interps)
         values = self._values(at, model, width)
         handles = [self._handle((*at, "keys", k), key, model, width, unit)
                    for k, key in enumerate(model.keys)]  # fmt: skip
@@ -316,6 +320,31 @@ class _ClipReader:
                     key = name.rstrip("_")
                     message = f"quaternions have no {key}"
                     self.document.add("CLIP009", (*spot, key), message, hint)
+
+    def _warn_of_idle(
+        self, at: Location, model: ChannelModel, interps: tuple[Interp, ...]
+    ) -> None:
+        """Warn of what shapes curves of another kind than those beside its key.
+
+        Handles before the first key and behind the last wait for keys to come.
+        """
+        for k, key in enumerate(model.keys):
+            before, behind = interps[:k][-1:], interps[k:-1][:1]
+            for name, given, beside, wanted in (
+                ("in", key.in_, before, _HANDLED),
+                ("out", key.out, behind, _HANDLED),
+                ("tcb", key.tcb, before + behind, {Interp.TCB}),
+            ):
+                if given is not None and beside and not wanted & {*beside}:
+                    kinds = " and ".join(dict.fromkeys(beside))
+                    message = f"'{name}' does nothing, beside it is {kinds}"
+                    hint = f"it is for {' and '.join(sorted(wanted))}"
+                    self.document.warn("CLIP104", (*at, "keys", k, name), message, hint)
+        segments = interps[:-1] or interps
+        named = "parametrization" in model.model_fields_set
+        if named and Interp.CATMULL_ROM not in segments:
+            message = "'parametrization' does nothing without catmull_rom"
+            self.document.warn("CLIP104", (*at, "parametrization"), message)
 
     def _values(
         self, at: Location, model: ChannelModel, width: int

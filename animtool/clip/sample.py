@@ -36,7 +36,8 @@ class Sampled:
     Attributes:
         motion: Joints, shapes and controls; what does not move is stored once.
         notices: Controls out of range and limits exceeded, with frame and by how
-            much, the worst of each; joints that keys keep from following another.
+            much, the worst of each; joints that keys keep from following another, or
+            from what a moving control adds.
     """
 
     motion: Motion
@@ -51,7 +52,9 @@ def sample_clip(
     Channels whose keys are all alike are not sampled, and joints that neither a
     channel nor a moving control reaches are left at rest. What channels and controls
     say of one joint is added: turns of controls are rotation vectors, applied before
-    the channel's rotation. A combined shape's weight is the product of its drivers'.
+    the channel's rotation. A channel of ``local_translation`` or ``local_rotation``
+    takes the place of rest and of all that would be added to it. A combined shape's
+    weight is the product of its drivers', and what keys and controls add to it.
 
     Args:
         clip: Its keys.
@@ -74,6 +77,7 @@ def sample_clip(
     _refuse_undefined(driven, times)
     notices += _range_notices(rig, driven, times, clamp=clamp)
     parts = _parts_by_joint(keyed, driven)
+    notices += _replace(parts)
     notices += _follow(rig, parts, clamp=clamp)
     made = _Joints(rig, times, clamp, notices)
     for name, part in parts.items():
@@ -186,6 +190,37 @@ def _parts_by_joint(
     return parts
 
 
+def _replace(parts: Mapping[str, Parts]) -> list[Fault]:
+    """Take away what controls add where a channel holds the joint as a whole."""
+    notices = []
+    for name, part in parts.items():
+        for local, added in _ADDED.items():
+            if local not in part:
+                continue
+            gone = [part.pop(key) for key in added if key in part]
+            if any((values != values[0]).any() for values in gone):
+                message = (
+                    f"joint {name!r} has keys of {local}, so no control turns or "
+                    "moves it"
+                )
+                notices.append(Fault("CLIP105", message, severity=Severity.NOTE))
+    return notices
+
+
+# What the keys that hold a joint as a whole take the place of.
+_ADDED = {
+    "local_translation": ("+slide", *(f"+translation.{axis}" for axis in "xyz")),
+    "local_rotation": ("+angle", *(f"+rotation.{axis}" for axis in "xyz")),
+}
+
+
+# The coordinate of a joint that may follow another, and what holds it as a whole.
+_FOLLOWING = {
+    JointType.PIN: ("angle", "local_rotation"),
+    JointType.PRISMATIC: ("slide", "local_translation"),
+}
+
+
 def _follow(rig: Rig, parts: dict[str, Parts], *, clamp: bool) -> list[Fault]:
     """Give joints that follow another the coordinate that comes of it.
 
@@ -195,7 +230,8 @@ def _follow(rig: Rig, parts: dict[str, Parts], *, clamp: bool) -> list[Fault]:
     for joint in rig.joints:
         if joint.mimic is None:
             continue
-        if parts.get(joint.name, {}).keys() & {"angle", "slide"}:
+        part, whole = _FOLLOWING[joint.type]
+        if parts.get(joint.name, {}).keys() & {part, whole}:
             message = (
                 f"joint {joint.name!r} has keys, so it does not follow "
                 f"{joint.mimic.joint!r}"
@@ -204,17 +240,16 @@ def _follow(rig: Rig, parts: dict[str, Parts], *, clamp: bool) -> list[Fault]:
             continue
         leader = parts.get(joint.mimic.joint, {})
         coordinate = np.zeros(1)
-        for part in ("angle", "slide"):
-            if part in leader:
-                coordinate = coordinate + leader[part][:, 0]
-            if f"+{part}" in leader:
-                coordinate = coordinate + leader[f"+{part}"]
+        for led in ("angle", "slide"):
+            if led in leader:
+                coordinate = coordinate + leader[led][:, 0]
+            if f"+{led}" in leader:
+                coordinate = coordinate + leader[f"+{led}"]
         limits = rig.joints[rig.index(joint.mimic.joint)].limits
         if clamp and isinstance(limits, RangeLimit):
             coordinate = limits.clamped(coordinate)
         own = joint.mimic.gain * coordinate + joint.mimic.offset
         if own.any():
-            part = "angle" if joint.type is JointType.PIN else "slide"
             parts.setdefault(joint.name, {})[f"+{part}"] = own
     return notices
 

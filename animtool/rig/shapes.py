@@ -8,7 +8,12 @@ from graphlib import CycleError, TopologicalSorter
 from animtool._types import FloatArray
 from animtool.rig.parts import Shape
 
-__all__ = ["ShapeCycleError", "combination_order", "combined_weights"]
+__all__ = [
+    "ShapeCycleError",
+    "combination_order",
+    "combined_weights",
+    "own_weights",
+]
 
 
 class ShapeCycleError(ValueError):
@@ -67,8 +72,34 @@ def combined_weights(
     found = {shape.name: own[shape.name] for shape in shapes}
     for shape in combination_order(shapes):
         if shape.combine:
-            product, *others = (found[name] for name in shape.combine)
-            for other in others:
-                product = product * other
-            found[shape.name] = found[shape.name] + product
+            found[shape.name] = found[shape.name] + _product(shape, found)
     return found
+
+
+def own_weights(
+    shapes: Sequence[Shape], total: Mapping[str, FloatArray]
+) -> dict[str, FloatArray]:
+    """Return what `combined_weights` makes given weights of.
+
+    Args:
+        shapes: In any order.
+        total: Their weights by name [1], ``(F,)``, or ``(1,)`` where one never moves.
+
+    >>> import numpy as np
+    >>> shapes = [Shape("a"), Shape("both", combine=("a",))]
+    >>> own_weights(shapes, {"a": np.array([0.5]), "both": np.array([0.75])})["both"]
+    array([0.25])
+    """
+    return {
+        shape.name: total[shape.name] - _product(shape, total)
+        if shape.combine
+        else total[shape.name]
+        for shape in shapes
+    }
+
+
+def _product(shape: Shape, weights: Mapping[str, FloatArray]) -> FloatArray:
+    product, *others = (weights[name] for name in shape.combine)
+    for other in others:
+        product = product * other
+    return product

@@ -16,7 +16,7 @@ from animtool.take import Take
 if TYPE_CHECKING:
     from animtool.clip.reduction import Reduction
 
-__all__ = ["ConvertReport", "convert"]
+__all__ = ["ConvertReport", "convert", "convert_outputs"]
 
 _WRITES = ".bvh, .clip.yaml, .usd, .usda, .usdc"
 # Of keys written for samples [m]: under what anyone sees on a person.
@@ -81,7 +81,7 @@ def convert(
     """
     source, output = Path(source), Path(output)
     given = {"--reduce": reduce, "--reduce-at": reduce_at, "--base": base}
-    to_clip = output.suffix.lower() in {".yaml", ".yml"}
+    to_clip = _is_clip(output)
     for name, value in given.items():
         if value and not to_clip:
             message = f"{name} is for keys, and this output holds samples"
@@ -113,6 +113,27 @@ def convert(
     return ConvertReport(output, take.clock.count, len(take.rig.joints), notices)
 
 
+def convert_outputs(output: Path) -> list[Path]:
+    """Return the files that hold a take in the format of an output, it last.
+
+    The arrays of a clip's rig are left out: not every rig has some.
+
+    >>> [path.name for path in convert_outputs(Path("walk.clip.yaml"))]
+    ['walk.rig.yaml', 'walk.clip.yaml']
+    """
+    if not _is_clip(output):
+        return [output]
+    return [output.with_name(f"{_stem(output)}.rig.yaml"), output]
+
+
+def _is_clip(output: Path) -> bool:
+    return output.suffix.lower() in {".yaml", ".yml"}
+
+
+def _stem(output: Path) -> str:
+    return output.name.removesuffix(output.suffix).removesuffix(".clip")
+
+
 def _write(output: Path, parts: Iterable[bytes]) -> None:
     with replacing(output) as temporary:
         try:
@@ -141,17 +162,17 @@ def _to_clip(
     strict: bool,
     progress: Callable[[float], None] | None,
 ) -> ConvertReport:
-    from animtool.clip.reduce import reduce_motion
-    from animtool.clip.reduced_clip import clip_of_reduction
+    from animtool.clip.keyed_take import keyed_take
     from animtool.clip.write import clip_text
     from animtool.rig.store import with_file
     from animtool.rig.write import rig_text
     from animtool.scene.convert_rig import write_arrays
 
-    stem = output.name.removesuffix(output.suffix).removesuffix(".clip")
-    rig_path = output.with_name(f"{stem}.rig.yaml")
+    stem = _stem(output)
+    outputs = convert_outputs(output)
+    rig_path = outputs[0]
     inputs = [source] if keys.base is None else [source, keys.base]
-    check_outputs([rig_path, output], inputs, overwrite=overwrite)
+    check_outputs(outputs, inputs, overwrite=overwrite)
     stream = open_source(source, options, progress=progress)
     take = stream.collect()
     refuse_warnings(stream.notices, strict=strict)
@@ -163,17 +184,17 @@ def _to_clip(
     arrays_path = output.with_name(f"{stem}.npz")
     rig, arrays = with_file(typed_by_motion(take), arrays_path, moved=True)
     if arrays:
-        check_outputs([arrays_path], inputs, overwrite=overwrite)
-    reduction = reduce_motion(
-        take, keys.tolerance, joint_tolerances=keys.tolerances, base=below
+        check_outputs([arrays_path, *outputs], inputs, overwrite=overwrite)
+    made = keyed_take(
+        take, rig, stem, keys.tolerance, joint_tolerances=keys.tolerances, base=below
     )
     if arrays:
         write_arrays(arrays_path, arrays)
     _write(rig_path, [rig_text(rig).encode()])
-    text = clip_text(clip_of_reduction(reduction, rig, stem), rig, rig_path.name)
+    text = clip_text(made.clip, rig, rig_path.name)
     _write(output, [text.encode()])
     return ConvertReport(
-        output, take.clock.count, len(rig.joints), stream.notices, reduction
+        output, take.clock.count, len(rig.joints), stream.notices, made.reduction
     )
 
 

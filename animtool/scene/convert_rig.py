@@ -7,7 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool.errors import Fault, OptionError, refuse_warnings
+from animtool.errors import (
+    AnimtoolError,
+    Fault,
+    OptionError,
+    Severity,
+    refuse_warnings,
+)
 from animtool.output import check_outputs, output_error, replacing
 from animtool.readers import USD, find_reader
 from animtool.rig.skeleton import Rig
@@ -20,6 +26,7 @@ __all__ = [
     "convert_rig",
     "is_rig",
     "open_rig",
+    "rig_outputs",
     "write_arrays",
 ]
 
@@ -95,6 +102,15 @@ def convert_rig(
     raise OptionError(Fault("OUT004", message, str(output), (), hint))
 
 
+def rig_outputs(output: Path, *, physics: bool = False) -> list[Path]:
+    """Return the files that hold a rig in the format of an output, it first.
+
+    The arrays beside a rig file are left out: not every rig has some.
+    """
+    beside = [output.with_name(f"{output.stem}.physics.usda")] if physics else []
+    return [output, *beside]
+
+
 def open_rig(path: Path) -> tuple[Rig, list[Fault]]:
     """Return a rig, wherever it lives, and what there is to say of it.
 
@@ -137,6 +153,24 @@ def _to_file(source: Path, output: Path, overwrite: bool, strict: bool) -> RigRe
     return _report(rig, outputs, notices)
 
 
+def _motion_left_out(source: Path, output: Path) -> list[Fault]:
+    """Say so where a source has motion: a rig holds none."""
+    if is_rig(source):
+        return []
+    from animtool.scene.sources import open_source
+
+    try:
+        frames = sum(block.frames for block in open_source(source).blocks)
+    except AnimtoolError:
+        # A rig without animation; whatever else is wrong was said of it as a rig.
+        return []
+    if frames < 2:
+        return []
+    message = f"only the rig is written, not its motion of {frames} frames"
+    hint = f"animtool bake {source.name} --rig-layer {output.name} -o MOTION.usda"
+    return [Fault("CLI104", message, str(source), (), hint, Severity.NOTE)]
+
+
 def write_arrays(path: Path, arrays: StoredArrays) -> None:
     """Write the arrays of a rig to an npz file, whole or not at all.
 
@@ -154,11 +188,10 @@ def write_arrays(path: Path, arrays: StoredArrays) -> None:
 def _to_usd(
     source: Path, output: Path, physics: bool, overwrite: bool, strict: bool
 ) -> RigReport:
-    outputs = [output]
-    if physics:
-        outputs.append(output.with_name(f"{output.stem}.physics.usda"))
+    outputs = rig_outputs(output, physics=physics)
     check_outputs(outputs, [source], overwrite=overwrite)
     rig, notices = open_rig(source)
+    notices = notices + _motion_left_out(source, output)
     from animtool.usd.rig_layer import write_physics_layer, write_rig_layer
 
     refuse_warnings(notices, strict=strict)

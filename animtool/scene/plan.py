@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from animtool.scene.file import Scene
     from animtool.usd.target import JointMap, RigTarget
 
-__all__ = ["BakePlan", "TakePlan", "plan_bake"]
+__all__ = ["BakePlan", "TakePlan", "bake_outputs", "plan_bake"]
 
 Progress = Callable[[float], None] | None
 
@@ -110,7 +110,7 @@ def plan_bake(
     else:
         notices += _unused(scenes)
     check_options(options, to_stdout=path is None)
-    form = Form(options.form or (Form.LAYER if options.rig_layer else Form.STAGE))
+    form = _form(options)
     if path is not None:
         check_suffix(path)
         inputs = sources + ([options.rig_layer] if options.rig_layer else [])
@@ -176,6 +176,24 @@ def _check_count(sources: Sequence[Path], options: BakeOptions) -> None:
         message = "--deform writes the points of one take, and there are several"
     if message:
         raise OptionError(Fault("CLI002", message))
+
+
+def bake_outputs(
+    sources: Sequence[Path], output: Path, options: BakeOptions
+) -> list[Path]:
+    """Return the files that a bake writes, ``output`` among them.
+
+    Raises:
+        FormatError: The source is a scene, and malformed.
+    """
+    if len(sources) == 1:
+        scenes = _scenes(sources)
+        options = merged(options, scenes[sources[0]].bake) if scenes else options
+    return _outputs(output, _form(options), options)
+
+
+def _form(options: BakeOptions) -> Form:
+    return Form(options.form or (Form.LAYER if options.rig_layer else Form.STAGE))
 
 
 def _outputs(path: Path, form: Form, options: BakeOptions) -> list[Path]:

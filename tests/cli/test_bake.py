@@ -91,6 +91,30 @@ def test_one_existing_file_of_a_split_stops_all(take: Path, tmp_path: Path) -> N
     assert not (tmp_path / "o.usda").exists()
 
 
+def test_skipping_wants_every_file_of_a_split(take: Path, tmp_path: Path) -> None:
+    command = ("bake", take, "-o", tmp_path / "o.usda", "--split", "--skip-existing")
+    (tmp_path / "o.rig.usda").write_text("mine")
+    refused = animtool(*command)
+    assert refused.code == 2
+    assert "o.rig.usda" in refused.stderr
+    assert "skip-existing" not in refused.stderr
+    (tmp_path / "o.anim.usdc").write_text("mine")
+    (tmp_path / "o.usda").write_text("mine")
+    assert animtool(*command).code == 0
+    assert (tmp_path / "o.usda").read_text() == "mine"
+
+
+@pytest.mark.parametrize("command", ["bake", "convert"])
+def test_outputs_are_not_both_replaced_and_kept(
+    take: Path, tmp_path: Path, command: str
+) -> None:
+    output = ["-o", tmp_path / "o.usda"] if command == "bake" else [tmp_path / "o.usda"]
+    done = animtool(command, take, *output, "--overwrite", "--skip-existing")
+    assert done.code == 2
+    assert "give one" in done.stderr
+    assert not (tmp_path / "o.usda").exists()
+
+
 @pytest.mark.parametrize(
     ("source", "output", "code"),
     [

@@ -166,6 +166,8 @@ def test_a_joint_is_reduced_less(walk: Path, tmp_path: Path) -> None:
     ("options", "code", "said"),
     [
         (["--reduce", "0"], 2, "is no length"),
+        (["--reduce", "1"], 2, "write 1mm or 1m"),
+        (["--reduce", "1cm", "--reduce-at", "Hips=1"], 2, "write 1mm or 1m"),
         (["--reduce", "1cm", "--samples", "0,.5"], 2, "CLI002"),
         (["--reduce", "1cm", "--root-motion", "skelroot"], 2, "CLI002"),
         (["--reduce-at", "Hips=1cm"], 2, "CLI002"),

@@ -200,3 +200,30 @@ def test_one_of_a_kind_is_not_said_in_plural(
     )
     done = animtool("info", rig)
     assert "and       1 control, 1 chain\n" in done.stdout
+
+
+def test_skipping_a_clip_wants_its_rig_too(walk: Path, tmp_path: Path) -> None:
+    clip, rig = tmp_path / "keys.clip.yaml", tmp_path / "keys.rig.yaml"
+    rig.write_text("mine")
+    refused = animtool("convert", walk, clip, "--skip-existing")
+    assert refused.code == 2
+    assert "keys.rig.yaml" in refused.stderr
+    assert not clip.exists()
+    clip.write_text("mine")
+    assert animtool("convert", walk, clip, "--skip-existing").code == 0
+    assert clip.read_text() == "mine"
+
+
+def test_a_length_without_a_unit_is_refused(walk: Path, tmp_path: Path) -> None:
+    done = animtool("convert", walk, tmp_path / "keys.clip.yaml", "--reduce", "1")
+    assert done.code == 2
+    assert "write 1mm or 1m" in done.stderr
+
+
+def test_physics_says_that_motion_is_left_out(walk: Path, tmp_path: Path) -> None:
+    done = animtool("convert", walk, tmp_path / "rig.usda", "--physics")
+    assert done.code == 0
+    assert "CLI104" in done.stderr
+    again = animtool("convert", tmp_path / "rig.usda", tmp_path / "b.usda", "--physics")
+    assert again.code == 0
+    assert "CLI104" not in again.stderr

@@ -312,3 +312,48 @@ def test_a_misspelt_part_gives_the_nearest(tmp_path: Path) -> None:
     ((code, _, words),) = faults(tmp_path, text, "fps: 24")
     assert code == "CLIP001"
     assert "did you mean '.angle'?" in words
+
+
+@pytest.mark.parametrize(
+    ("keys", "places"),
+    [
+        ("interp: linear, keys: [{t: 0, v: 1, tcb: [0, 0, 1]}, {t: 1, v: 2}]", ["tcb"]),
+        ("interp: tcb, keys: [{t: 0, v: 1}, {t: 1, v: 2, tcb: [0, 0, 1]}]", []),
+        ("interp: step, keys: [{t: 0, v: 1, out: [1, 0]}, {t: 1, v: 2}]", ["out"]),
+        ("interp: catmull_rom, keys: [{t: 0, v: 1}, {t: 1, v: 2, in: flat}]", ["in"]),
+        ("interp: tcb, keys: [{t: 0, v: 1}, {t: 1, v: 2, in: flat}]", ["in"]),
+        ("interp: linear, keys: [{t: 0, v: 1, in: flat}, {t: 1, v: 2, out: flat}]", []),
+        ("keys: [{t: 0, v: 1, out: flat}, {t: 1, v: 2, interp: step, in: flat}]", []),
+        (
+            "parametrization: chordal, keys: [{t: 0, v: 1}, {t: 1, v: 2}]",
+            ["parametrization"],
+        ),
+        (
+            "interp: catmull_rom, parametrization: chordal, "
+            "keys: [{t: 0, v: 1}, {t: 1, v: 2}]",
+            [],
+        ),
+    ],
+)
+def test_keys_that_do_nothing_are_pointed_out(
+    tmp_path: Path, keys: str, places: list[str]
+) -> None:
+    rig = hero(tmp_path)
+    file = open_clip(write_clip(tmp_path, f"- {{target: control/grin, {keys}}}\n"))
+    load_clip(file, rig)
+    found = file.document.warnings
+    assert [fault.code for fault in found] == ["CLIP104"] * len(places)
+    assert [fault.where.split(".")[-1] for fault in found if fault.where] == places
+    assert all(fault.lines == (5,) for fault in found)
+
+
+def test_keys_that_do_nothing_are_errors_where_warnings_are(tmp_path: Path) -> None:
+    hero(tmp_path)
+    channel = "- {target: control/grin, interp: linear, "
+    channel += "keys: [{t: 0, v: 1, out: flat}, {t: 1, v: 1}]}\n"
+    clip = write_clip(tmp_path, channel)
+    done = animtool("bake", clip, "-o", tmp_path / "o.usda", "--strict")
+    assert done.code != 0
+    assert "shot.clip.yaml:5:" in done.stderr
+    assert "CLIP104" in done.stderr
+    assert not (tmp_path / "o.usda").exists()

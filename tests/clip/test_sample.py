@@ -136,6 +136,31 @@ def test_keys_take_the_place_of_a_mimic(tmp_path: Path) -> None:
     assert (note.code, note.severity) == ("CLIP103", Severity.NOTE)
 
 
+@pytest.mark.parametrize("moving", [True, False])
+def test_local_keys_take_the_place_of_what_controls_add(
+    tmp_path: Path, *, moving: bool
+) -> None:
+    text = ramp("control/lean", 1, 2 if moving else 1)
+    text += ramp(
+        "joint/shoulder_r.local_rotation", [0, 0, 0], [0, 80, 0], "euler: XYZ,"
+    )
+    made, rig = sampled(tmp_path, text)
+    _, rotations = locals_of(made, rig, "shoulder_r")
+    assert_turns(rotations, so3.from_axis_angle(Y, np.radians(20 * FRAMES)))
+    codes = [note.code for note in made.notices if note.severity is Severity.NOTE]
+    assert codes == ["CLIP105"] * moving
+
+
+def test_local_keys_take_the_place_of_a_mimic(tmp_path: Path) -> None:
+    text = ramp("joint/elbow_l.angle", 0, 40)
+    text += ramp("joint/rod.local_translation", [0, 0, 0], [8, 0, 0])
+    made, rig = sampled(tmp_path, text)
+    translations, _ = locals_of(made, rig, "rod")
+    np.testing.assert_allclose(translations[:, 0], 0.02 * FRAMES, atol=1e-15)
+    (note,) = made.notices
+    assert (note.code, note.severity) == ("CLIP103", Severity.NOTE)
+
+
 def test_controls_add_to_each_other_and_to_a_channel(tmp_path: Path) -> None:
     text = ramp("control/lean", 0, 1) + ramp("control/sway", 0, -2)
     made, rig = sampled(tmp_path, text)

@@ -1,10 +1,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.testing import assert_array_equal
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from animtool.rig.parts import Shape
-from animtool.rig.shapes import combined_weights
+from animtool.rig.shapes import combined_weights, own_weights
 
 A, B = Shape("a"), Shape("b")
 BOTH = Shape("both", combine=("a", "b"))
@@ -24,3 +26,12 @@ def test_a_combined_shape_drives_one_that_stands_before_it() -> None:
     made = combined_weights([late, A, B, BOTH], columns)
     assert list(made) == ["late", "a", "b", "both"]
     assert made["late"].tolist() == [0.125]
+
+
+@given(st.lists(st.floats(-1, 1), min_size=4, max_size=4))
+def test_own_weights_undo_the_combination(values: list[float]) -> None:
+    shapes = [Shape("late", combine=("a", "both")), A, B, BOTH]
+    names = [shape.name for shape in shapes]
+    total = {name: np.array([v]) for name, v in zip(names, values, strict=True)}
+    made = combined_weights(shapes, own_weights(shapes, total))
+    assert_allclose([made[n] for n in names], [total[n] for n in names], atol=1e-15)

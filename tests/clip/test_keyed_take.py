@@ -1,0 +1,148 @@
+"""Takes as clips: what a bake of the clip gives on its rig."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from animtool.clip.points import SHELL, carried_points, point_errors
+from animtool.errors import Severity
+from animtool.scene.bake import bake
+from animtool.scene.convert import convert
+from animtool.scene.sources import open_source
+from animtool.take import Take
+
+TOLERANCE = 5e-4
+CHANNEL = (
+    "- {{target: {0}, interp: linear, keys: [{{t: 1, v: {1}}}, {{t: 9, v: {2}}}]}}\n"
+)
+
+
+def taken(tmp_path: Path, rig: str, *channels: tuple[str, float, float]) -> Path:
+    """Write a rig and a clip of ramps; return the clip."""
+    (tmp_path / "one.rig.yaml").write_text(f"rig: animtool/1\nname: one\n{rig}")
+    text = "clip: animtool/1\nrig: one.rig.yaml\nfps: 24\nrange: [1, 9]\n"
+    text += "channels:\n" * bool(channels)
+    text += "".join(CHANNEL.format(*channel) for channel in channels)
+    source = tmp_path / "one.clip.yaml"
+    source.write_text(text)
+    return source
+
+
+def check_back(source: Path, tmp_path: Path) -> tuple[Take, Take]:
+    """Convert to keys; return what was and what a bake of these gives, both alike."""
+    output = tmp_path / "back.clip.yaml"
+    report = convert(source, output, reduce=TOLERANCE).reduction
+    assert report is not None
+    wanted, found = open_source(source).collect(), open_source(output).collect()
+    points = carried_points(wanted.rig, SHELL)
+    errors = point_errors(points, wanted.world(), found.world())
+    assert errors.max() <= TOLERANCE
+    assert report.error == pytest.approx(errors.max(), abs=1e-9)
+    assert report.held
+    if wanted.motion.weights is not None:
+        assert found.motion.weights is not None
+        off = wanted.motion.weights.dense() - found.motion.weights.dense()
+        assert np.abs(off).max() <= 1e-3
+        assert report.weight_error == pytest.approx(np.abs(off).max(), abs=1e-9)
+    return wanted, found
+
+
+DRIVEN = """joints:
+- {name: a, type: pin, axis: [0, 0, 1]}
+- {name: b, type: fixed, parent: a, translate: [1, 0, 0]}
+controls:
+- {name: c, default: 30, drives: [{joint: a.angle, expr: c}]}
+"""
+
+
+@pytest.mark.parametrize("first", [30, 0])
+def test_a_default_that_drives_a_joint_is_not_added_to_its_keys(
+    tmp_path: Path, first: float
+) -> None:
+    check_back(taken(tmp_path, DRIVEN, ("control/c", first, 60)), tmp_path)
+
+
+def test_a_joint_at_rest_that_a_default_drives_has_a_key(tmp_path: Path) -> None:
+    source = taken(tmp_path, DRIVEN, ("control/c", 0, 0))
+    wanted, found = check_back(source, tmp_path)
+    assert not wanted.motion.rotations.rest[0, :3].any()
+    assert len(found.motion.rotations.animated) == 0
+    assert "joint/a.local_rotation" in (tmp_path / "back.clip.yaml").read_text()
+
+
+FOLLOWING = """joints:
+- {name: a, type: pin, axis: [0, 0, 1]}
+- {name: b, type: pin, parent: a, translate: [1, 0, 0], axis: [0, 0, 1],
+   mimic: {joint: a, gain: 0.5, offset: 20}}
+- {name: s, type: prismatic, parent: a, axis: [1, 0, 0],
+   mimic: {joint: a, gain: 0.01, offset: -0.3}}
+- {name: c, type: fixed, parent: b, translate: [1, 0, 0]}
+"""
+
+
+def test_a_mimic_is_not_added_to_its_keys(tmp_path: Path) -> None:
+    source = taken(tmp_path, FOLLOWING, ("joint/a.angle", 0, 60))
+    _, found = check_back(source, tmp_path)
+    codes = [(note.code, note.severity) for note in found.notices]
+    assert set(codes) == {("CLIP103", Severity.NOTE)}
+
+
+def test_a_mimic_that_comes_to_rest_stays_there(tmp_path: Path) -> None:
+    # The leader's 30 degrees and the follower's offset cancel out.
+    rig = FOLLOWING + "controls:\n"
+    rig += "- {name: k, default: 30, drives: [{joint: a.angle, expr: k}]}\n"
+    check_back(taken(tmp_path, rig), tmp_path)
+
+
+SHAPED = """joints:
+- {name: a, type: free}
+shapes:
+- {name: left}
+- {name: right}
+- {name: both, combine: [left, right]}
+- {name: more, combine: [both, left]}
+- {name: still}
+controls:
+- {name: c, default: 0.25, drives: [{shape: still, expr: c}]}
+"""
+
+
+def test_a_combined_shape_that_its_drivers_give_has_no_keys(tmp_path: Path) -> None:
+    source = taken(tmp_path, SHAPED, ("shape/left", 0, 1), ("shape/right", 1, 0.3))
+    check_back(source, tmp_path)
+    text = (tmp_path / "back.clip.yaml").read_text()
+    assert "shape/left" in text
+    assert "shape/both" not in text
+    assert "shape/more" not in text
+    assert "shape/still" not in text
+
+
+def test_keys_of_a_combined_shape_are_what_its_drivers_do_not_give(
+    tmp_path: Path,
+) -> None:
+    source = taken(
+        tmp_path,
+        SHAPED,
+        ("shape/left", 0, 1),
+        ("shape/right", 1, 0.3),
+        ("shape/both", 0.2, 0.5),
+        ("control/c", 0, 1),
+    )
+    check_back(source, tmp_path)
+    text = (tmp_path / "back.clip.yaml").read_text()
+    assert "shape/both" in text
+    assert "shape/more" not in text
+
+
+@pytest.mark.parametrize("suffix", ["clip.yaml", "usdc"])
+def test_speech_comes_back_within_the_tolerance_of_weights(
+    tmp_path: Path, suffix: str
+) -> None:
+    source = Path(__file__).parents[2] / "samples" / "speech" / "speech.clip.yaml"
+    if suffix == "usdc":
+        bake(source, tmp_path / "speech.usdc")
+        source = tmp_path / "speech.usdc"
+    check_back(source, tmp_path)
