@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NoReturn, cast
 
 import yaml
 
-from animtool.errors import Fault, FormatError, excerpt
+from animtool.errors import Fault, FormatError, Severity, excerpt
 
 __all__ = [
     "Document",
@@ -66,6 +66,7 @@ class Document:
         places: 1-based line and column of every node, keys included, in the order
             of the file.
         faults: What is wrong with its content, as `add` found.
+        notices: What is odd about it, as `note` found.
         doubts: Where a value is faulty and something else stands in for it, so that
             the rest can be checked.
         partial: Keys of lists that have more entries in another file, which cannot be
@@ -77,6 +78,7 @@ class Document:
     value: dict[str, Any]
     places: list[tuple[int, int]] = field(repr=False)
     faults: list[Fault] = field(default_factory=list)
+    notices: list[Fault] = field(default_factory=list)
     doubts: set[Location] = field(default_factory=set)
     partial: set[str] = field(default_factory=set)
     spellings: dict[Location, str] = field(default_factory=dict)
@@ -156,20 +158,24 @@ class Document:
         self, code: str, location: Location, message: str, hint: str | None = None
     ) -> None:
         """Note a fault at a location, unless something stands in for what is there."""
-        if self.doubtful(location):
-            return
+        if not self.doubtful(location):
+            self.faults.append(self._fault(code, location, message, hint))
+
+    def note(
+        self, code: str, location: Location, message: str, hint: str | None = None
+    ) -> None:
+        """Note what is odd but no fault, at a location."""
+        if not self.doubtful(location):
+            fault = self._fault(code, location, message, hint)
+            self.notices.append(replace(fault, severity=Severity.NOTE))
+
+    def _fault(
+        self, code: str, location: Location, message: str, hint: str | None
+    ) -> Fault:
         line, column = self.place(location)
-        self.faults.append(
-            Fault(
-                code,
-                message,
-                str(self.path),
-                (line,),
-                hint,
-                column=column,
-                where=spelled(tuple(self._as_written(location))),
-            )
-        )
+        where = spelled(tuple(self._as_written(location)))
+        path = str(self.path)
+        return Fault(code, message, path, (line,), hint, column=column, where=where)
 
     def check(self) -> None:
         """Raise `FormatError` with every fault noted so far, in the file's order."""

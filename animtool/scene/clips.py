@@ -42,6 +42,7 @@ def open_clip_source(
     with _named(path):
         count = clip.frame_count()
     stream = TakeStream(loaded, clip.fps, clip.first, Fraction(1), iter(()))
+    stream.notices += loaded.notices
     stream.details = {
         "format": "clip",
         "rig": str(named),
