@@ -141,8 +141,8 @@ class ClipModel(FileModel):
     )
     rig: str | None = Field(
         default=None,
-        description="The rig's file: a rig file, USD file or BVH. Not given: `--rig` or "
-        "the scene names it.",
+        description="The rig: a rig file, USD file or BVH. Not given: `--rig` or the "
+        "scene names it.",
         examples=["hero.rig.yaml"],
     )
     units: ClipUnitsModel = Field(

@@ -147,7 +147,7 @@ class SceneModel(FileModel):
         default=[],
         description="What is done to it, in order: the name of a pass, and its "
         "options.",
-        examples=[[{"mirror": None}, {"trim": {"first": 5, "last": 60}}]],
+        examples=[[{"mirror": {}}, {"trim": {"first": 5, "last": 60}}]],
     )
     output: OutputModel = Field(
         default=OutputModel(),
