@@ -245,7 +245,7 @@ class MeshModel(FileModel):
     geom_bind: Matrix | None = Field(
         default=None,
         description="World transform of the points at bind: 16 numbers, row by row, "
-        "the translation last in the first three rows. Not given: none.",
+        "the translation 4th, 8th and 12th. Not given: none.",
         examples=[[1, 0, 0, 0, 0, 1, 0, 0.9, 0, 0, 1, 0, 0, 0, 0, 1]],
     )
     skin: SkinModel | None = Field(

@@ -16,6 +16,7 @@ from support.key_tables import PAGE, Key, field_of, filled, keys_of, marked, mod
 from animtool import Clip, Rig
 from animtool.cli.schema import MODELS
 from animtool.rig.expressions import FUNCTIONS
+from animtool.rig.parts import AttachKind
 from animtool.rig.targets import DRIVEN_PARTS, KEYED_PARTS
 from animtool.scene.file import load_scene
 
@@ -66,6 +67,16 @@ def test_the_parts_are_those_of_joints() -> None:
         assert _spelled(driven) == {
             p for p, types in DRIVEN_PARTS.items() if kind.strip("`") in types
         }
+
+
+def test_the_targets_are_those_of_clips() -> None:
+    table = TEXT.split("| target | `v` |")[1].split("\n\n")[0]
+    assert set(re.findall(r"`joint/NAME\.(\w+)`", table)) == set(KEYED_PARTS)
+
+
+def test_the_kinds_of_attachments_are_listed() -> None:
+    table = TEXT.split("| `kind` | must have |")[1].split("\n\n")[0]
+    assert re.findall(r"^\| `(\w+)`", table, re.M) == list(AttachKind)
 
 
 def _spelled(cell: str) -> set[str]:

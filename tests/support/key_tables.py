@@ -20,7 +20,7 @@ from animtool.documents.check import FileModel
 
 PAGE = Path(__file__).parents[2] / "animtool/docs/formats.md"
 _MARK = re.compile(r"(<!-- keys: (\w+) (.+?) -->\n)(?:\n(?:\|.*\n)+)?")
-_HEAD = "| key | value | usually | | example |\n|---|---|---|---|---|\n"
+_HEAD = "| key | value | usually | meaning | example |\n|---|---|---|---|---|\n"
 _WORDS = {
     "string": "text",
     "boolean": "true or false",
