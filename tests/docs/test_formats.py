@@ -49,6 +49,14 @@ def test_every_key_is_described_and_its_example_is_right(key: Key) -> None:
         assert example != field.get_default() or field.is_required()
 
 
+def test_examples_stand_between_braces_too() -> None:
+    rows = re.findall(r"^\| `(\w+)` \|.*\| `(.*)` \|$", filled(TEXT), re.M)
+    examples = [(key, text) for key, text in rows if text.startswith(f"{key}: ")]
+    assert examples
+    for key, text in examples:
+        assert list(yaml.safe_load(f"{{{text}}}")) == [key]
+
+
 def test_the_functions_are_those_of_expressions() -> None:
     table = TEXT.split("| function | |")[1].split("\n\n")[0]
     listed = re.findall(r"`(\w+)\(([^)]*)\)`", table)

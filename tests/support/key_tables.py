@@ -66,7 +66,7 @@ def field_of(model: str, key: str) -> FieldInfo:
 
 def _classes(base: type[FileModel] = FileModel) -> dict[str, type[FileModel]]:
     """Return every model below one, by name."""
-    found = {}
+    found: dict[str, type[FileModel]] = {}
     for model in base.__subclasses__():
         found |= {model.__name__: model, **_classes(model)}
     return found
@@ -112,7 +112,9 @@ def _row(key: Key, models: list[str]) -> str:
     if len(key.models) < len(models):
         kinds = [name.removesuffix("JointModel").lower() for name in key.models]
         about = f"Of {' and '.join(kinds)}. {about}"
-    example = f"{key.name}: {_flow(field_of(key.models[0], key.name).examples[0])}"
+    given = (field_of(key.models[0], key.name).examples or [None])[0]
+    # As it stands between braces, where commas want quotes.
+    example = _flow({key.name: given})[1:-1]
     usual = "must be given" if key.required else _usual(key.spec)
     cells = [f"`{key.name}`", _value(key.spec), usual, about, f"`{example}`"]
     assert not any("|" in cell for cell in cells), key
