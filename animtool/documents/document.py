@@ -66,7 +66,7 @@ class Document:
         places: 1-based line and column of every node, keys included, in the order
             of the file.
         faults: What is wrong with its content, as `add` found.
-        warnings: What is doubtful about it, as `warn` found.
+        notices: What is odd about it, as `note` and `warn` found.
         doubts: Where a value is faulty and something else stands in for it, so that
             the rest can be checked.
         partial: Keys of lists that have more entries in another file, which cannot be
@@ -78,7 +78,7 @@ class Document:
     value: dict[str, Any]
     places: list[tuple[int, int]] = field(repr=False)
     faults: list[Fault] = field(default_factory=list)
-    warnings: list[Fault] = field(default_factory=list)
+    notices: list[Fault] = field(default_factory=list)
     doubts: set[Location] = field(default_factory=set)
     partial: set[str] = field(default_factory=set)
     spellings: dict[Location, str] = field(default_factory=dict)
@@ -165,23 +165,33 @@ class Document:
         self, code: str, location: Location, message: str, hint: str | None = None
     ) -> None:
         """Note a warning at a location, as `add` notes a fault."""
+        self._odd(Severity.WARNING, code, location, message, hint)
+
+    def note(
+        self, code: str, location: Location, message: str, hint: str | None = None
+    ) -> None:
+        """Note what is odd but no fault, at a location."""
+        self._odd(Severity.NOTE, code, location, message, hint)
+
+    def _odd(
+        self,
+        severity: Severity,
+        code: str,
+        location: Location,
+        message: str,
+        hint: str | None,
+    ) -> None:
         if not self.doubtful(location):
             found = self._fault(code, location, message, hint)
-            self.warnings.append(replace(found, severity=Severity.WARNING))
+            self.notices.append(replace(found, severity=severity))
 
     def _fault(
         self, code: str, location: Location, message: str, hint: str | None
     ) -> Fault:
         line, column = self.place(location)
-        return Fault(
-            code,
-            message,
-            str(self.path),
-            (line,),
-            hint,
-            column=column,
-            where=spelled(tuple(self._as_written(location))),
-        )
+        where = spelled(tuple(self._as_written(location)))
+        path = str(self.path)
+        return Fault(code, message, path, (line,), hint, column=column, where=where)
 
     def check(self) -> None:
         """Raise `FormatError` with every fault noted so far, in the file's order."""

@@ -85,6 +85,7 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
         attached,
         colliders,
         units.angle,
+        (*(() if base is None else base.notices), *document.notices),
     )
 
 

@@ -35,6 +35,8 @@ __all__ = [
 SHORTEST = 1e-9
 # Within rounding of unit length: kept as written, so that it is written as read.
 UNIT_LENGTH = 1e-15
+# Nearer to the middle plane, a joint is on it but for the rounding of a file [m].
+OFF_MIDDLE = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +106,8 @@ def joints_of(
             joint = mirrored_joint(
                 tree.made[source], tree.world[source], parent, parent_world
             )
+            if parent >= 0 and tree.made[source].parent == parent:
+                _note_off_middle(document, entry, joint, parent_world, tree.made)
         else:
             joint = _joint(document, entry.index, models[entry.index], units, parent)
         tree.places[name] = len(tree.made)
@@ -189,6 +193,26 @@ def _parents_first(document: Document, entries: dict[str, _Entry]) -> Iterator[s
                     done.add(name)
                 continue
             pending.append(missing)
+
+
+def _note_off_middle(
+    document: Document,
+    entry: _Entry,
+    joint: Joint,
+    parent_world: Transform,
+    made: list[Joint],
+) -> None:
+    """Note a pair below one joint that is not between left and right."""
+    away = float(parent_world[0][0])
+    if abs(away) <= OFF_MIDDLE:
+        return
+    parent = made[joint.parent].name
+    message = (
+        f"{joint.name!r} mirrors {entry.source!r} in the world's plane x = 0, but both "
+        f"hang from {parent!r}, which is {abs(away):.4g} m off it"
+    )
+    hint = f"give {parent!r} a mirror, or write both joints without one"
+    document.note("RIG101", ("joints", entry.index, "mirror"), message, hint)
 
 
 def _joint(

@@ -118,6 +118,7 @@ class Rig:
         attach: What simulations move.
         colliders: What simulations may not pass through.
         radians_per_unit: Angle unit of the source [rad]; inside they are radians.
+        notices: What is odd about the file that it was read from; not compared.
 
     Raises:
         OptionError: A name stands twice (RIG001), or a parent does not precede its
@@ -136,6 +137,7 @@ class Rig:
     attach: tuple[Attachment, ...] = ()
     colliders: tuple[Collider, ...] = ()
     radians_per_unit: float = math.radians(1.0)
+    notices: tuple[Fault, ...] = field(default=(), repr=False, compare=False)
     _index: dict[str, int] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

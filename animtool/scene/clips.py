@@ -42,7 +42,7 @@ def open_clip_source(
     with _named(path):
         count = clip.frame_count()
     stream = TakeStream(loaded, clip.fps, clip.first, Fraction(1), iter(()))
-    stream.notices += file.document.warnings
+    stream.notices += [*loaded.notices, *file.document.notices]
     stream.details = {
         "format": "clip",
         "rig": str(named),

@@ -122,7 +122,8 @@ def open_rig(path: Path) -> tuple[Rig, list[Fault]]:
         from animtool.usd.rig_prims import read_whole_rig
 
         return read_whole_rig(path)
-    return Rig.load(path), []
+    rig = Rig.load(path)
+    return rig, list(rig.notices)
 
 
 def _report(

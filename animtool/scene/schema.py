@@ -1,4 +1,7 @@
-"""The keys of a scene file, as models; ``animtool schema scene`` prints them."""
+"""The keys of a scene file, as models; ``animtool schema scene`` prints them.
+
+The tables of ``docs/formats.md`` are made of their descriptions and examples.
+"""
 
 from __future__ import annotations
 
@@ -15,37 +18,139 @@ __all__ = ["SceneModel"]
 class SourceModel(FileModel):
     """A clip, BVH or USD file, and what a BVH leaves open."""
 
-    file: Annotated[str, Field(min_length=1)]
-    units: Literal["m", "cm", "mm", "in"] | None = None
-    up: Literal["Y", "Z"] | None = None
-    fps: float | str | None = None
-    prim: str | None = None
-    take: str | None = None
-    clamp: bool = False
+    file: Annotated[str, Field(min_length=1)] = Field(
+        description="The clip, BVH or USD file.", examples=["walk.bvh"]
+    )
+    units: Literal["m", "cm", "mm", "in"] | None = Field(
+        default=None,
+        description="Of a BVH: the unit of its lengths. Not given: cm.",
+        examples=["cm"],
+    )
+    up: Literal["Y", "Z"] | None = Field(
+        default=None,
+        description="Of a BVH: its up axis. Not given: Y.",
+        examples=["Z"],
+    )
+    fps: float | str | None = Field(
+        default=None,
+        description="Of a BVH: its true frame rate. Not given: what its frame time "
+        "stands for.",
+        examples=[120],
+    )
+    prim: str | None = Field(
+        default=None,
+        description="Of a USD file with several characters: the one to read.",
+        examples=["/World/hero"],
+    )
+    take: str | None = Field(
+        default=None,
+        description="Of a clip library in USD: the take to read. Not given: the one "
+        "that is selected.",
+        examples=["walk"],
+    )
+    clamp: bool = Field(
+        default=False,
+        description="Of a clip: bring controls into their ranges and joints into their "
+        "limits.",
+        examples=[True],
+    )
 
 
 class OutputModel(FileModel):
     """What to write; the command line's own options come first."""
 
-    file: str | None = None
-    form: Literal["stage", "split", "layer"] | None = Field(default=None, alias="as")
-    rig_layer: str | None = None
-    prim_path: str | None = None
-    start: float | None = None
-    sparse: bool = False
-    bones: bool = False
-    keep_curves: bool = False
-    reduce: str | None = None
-    reduce_at: dict[str, str] = {}
+    file: str | None = Field(
+        default=None,
+        description="The USD file to write. Not given: beside the source.",
+        examples=["shot.usdc"],
+    )
+    form: Literal["stage", "split", "layer"] | None = Field(
+        default=None,
+        alias="as",
+        description="One file, three, or an animation layer. Not given: `layer` with "
+        "`rig_layer`, else `stage`.",
+        examples=["split"],
+    )
+    rig_layer: str | None = Field(
+        default=None,
+        description="The rig in USD, or a shot that holds it, that a layer goes over.",
+        examples=["hero.usda"],
+    )
+    prim_path: str | None = Field(
+        default=None,
+        description="Where the character stands. Not given: /NAME of the source, or "
+        "where the rig layer has it.",
+        examples=["/World/hero"],
+    )
+    start: float | None = Field(
+        default=None,
+        description="Time code of the first frame. Not given: the rig layer's, the "
+        "source's, the project's, or 1.",
+        examples=[1001],
+    )
+    sparse: bool = Field(
+        default=False,
+        description="Write only joints that leave their rest pose.",
+        examples=[True],
+    )
+    bones: bool = Field(
+        default=False,
+        description="Add geometry that shows the joints.",
+        examples=[True],
+    )
+    keep_curves: bool = Field(
+        default=False,
+        description="Of a clip: write the curves of its controls as splines too.",
+        examples=[True],
+    )
+    reduce: str | None = Field(
+        default=None,
+        description="Leave out samples that the others give back within this length. "
+        "Not given: all stay.",
+        examples=["0.5mm"],
+    )
+    reduce_at: dict[str, str] = Field(
+        default={},
+        description="Other tolerances, by joint or pattern.",
+        examples=[{"hand_*": "0.1mm"}],
+    )
 
 
 class SceneModel(FileModel):
     """A scene file."""
 
-    scene: Literal["animtool/1"]
-    rig: str | None = None
-    fps: float | str | None = None
-    range: Annotated[list[int], Len(2, 2)] | None = None
-    source: SourceModel
-    passes: list[Annotated[dict[str, dict[str, Any] | None], Len(1, 1)]] = []
-    output: OutputModel = OutputModel()
+    scene: Literal["animtool/1"] = Field(
+        description="What the file is, and the version of its format.",
+        examples=["animtool/1"],
+    )
+    rig: str | None = Field(
+        default=None,
+        description="Of a clip: its rig. Not given: the one that the clip names.",
+        examples=["hero.rig.yaml"],
+    )
+    fps: float | str | None = Field(
+        default=None,
+        description="Frames a second of the output. Not given: the rig layer's, or the "
+        "source's.",
+        examples=[24],
+    )
+    range: Annotated[list[int], Len(2, 2)] | None = Field(
+        default=None,
+        description="First and last frame to write, as the output numbers them. Not "
+        "given: all.",
+        examples=[[1001, 1040]],
+    )
+    source: SourceModel = Field(
+        description="What is read.", examples=[{"file": "walk.bvh"}]
+    )
+    passes: list[Annotated[dict[str, dict[str, Any] | None], Len(1, 1)]] = Field(
+        default=[],
+        description="What is done to it, in order: the name of a pass, and its "
+        "options.",
+        examples=[[{"mirror": {}}, {"trim": {"first": 5, "last": 60}}]],
+    )
+    output: OutputModel = Field(
+        default=OutputModel(),
+        description="What is written; options of the command line come first.",
+        examples=[{"file": "shot.usdc"}],
+    )

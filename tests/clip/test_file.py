@@ -341,7 +341,7 @@ def test_keys_that_do_nothing_are_pointed_out(
     rig = hero(tmp_path)
     file = open_clip(write_clip(tmp_path, f"- {{target: control/grin, {keys}}}\n"))
     load_clip(file, rig)
-    found = file.document.warnings
+    found = file.document.notices
     assert [fault.code for fault in found] == ["CLIP104"] * len(places)
     assert [fault.where.split(".")[-1] for fault in found if fault.where] == places
     assert all(fault.lines == (5,) for fault in found)

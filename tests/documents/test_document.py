@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from support.values import VALUES
 
 from animtool.documents.document import MOST_FAULTS, Document, read_document
-from animtool.errors import FormatError
+from animtool.errors import FormatError, Severity
 
 
 def written(folder: Path, content: str | bytes, name: str = "a.yaml") -> Path:
@@ -242,6 +242,16 @@ def test_places_of_what_is_not_there(tmp_path: Path) -> None:
     assert document.place(("b", "d")) == (3, 3)
     assert document.place(("b", "c", 5)) == (3, 6)
     assert document.place(("z",)) == (1, 1)
+
+
+def test_what_is_odd_is_no_fault(tmp_path: Path) -> None:
+    document = read_document(written(tmp_path, "a: 1\nb: 2\n"))
+    document.doubts.add(("b",))
+    document.note("RIG101", ("a",), "is odd")
+    document.note("RIG101", ("b",), "is odd")
+    document.check()
+    (note,) = document.notices
+    assert (note.severity, note.lines, note.where) == (Severity.NOTE, (1,), "a")
 
 
 def test_a_file_is_numbered_once_for_many_faults(

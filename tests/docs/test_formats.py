@@ -1,0 +1,185 @@
+"""The reference of the files that people write: complete, and its examples load."""
+
+from __future__ import annotations
+
+import copy
+import re
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import pytest
+import yaml
+from pydantic import Field, TypeAdapter
+from support.key_tables import PAGE, Key, field_of, filled, keys_of, marked, models_of
+
+from animtool import Clip, Rig
+from animtool.cli.schema import MODELS
+from animtool.rig.expressions import FUNCTIONS
+from animtool.rig.parts import AttachKind
+from animtool.rig.targets import DRIVEN_PARTS, KEYED_PARTS
+from animtool.scene.file import load_scene
+
+TEXT = PAGE.read_text("utf-8")
+BLOCKS = re.findall(r"^```yaml\n(.*?)^```", TEXT, re.M | re.S)
+WHOLE = {kind: [b for b in BLOCKS if b.startswith(f"{kind}: ")] for kind in MODELS}
+PARTS = [b for b in BLOCKS if not any(b in whole for whole in WHOLE.values())]
+KEYS = [key for kind in MODELS for model in models_of(kind)
+        for key in keys_of(kind, [model])]  # fmt: skip
+
+
+def test_the_tables_are_those_of_the_schemas() -> None:
+    assert filled(TEXT) == TEXT, "run tests/support/key_tables.py"
+
+
+def test_every_model_has_one_table() -> None:
+    wanted = [(kind, model) for kind in MODELS for model in models_of(kind)]
+    assert sorted(marked(TEXT)) == sorted(wanted)
+
+
+@pytest.mark.parametrize("key", KEYS, ids=lambda key: f"{key.models[0]}.{key.name}")
+def test_every_key_is_described_and_its_example_is_right(key: Key) -> None:
+    field = field_of(key.models[0], key.name)
+    assert (field.description or "").endswith(".")
+    assert field.examples
+    facts = (Field(), *field.metadata)
+    adapter: TypeAdapter[Any] = TypeAdapter(Annotated[(field.annotation, *facts)])
+    for example in field.examples:
+        adapter.validate_python(example)
+        assert example != field.get_default() or field.is_required()
+
+
+def test_examples_stand_between_braces_too() -> None:
+    rows = re.findall(r"^\| `(\w+)` \|.*\| `(.*)` \|$", filled(TEXT), re.M)
+    examples = [(key, text) for key, text in rows if text.startswith(f"{key}: ")]
+    assert examples
+    for key, text in examples:
+        assert list(yaml.safe_load(f"{{{text}}}")) == [key]
+
+
+def test_the_functions_are_those_of_expressions() -> None:
+    table = TEXT.split("| function | |")[1].split("\n\n")[0]
+    listed = re.findall(r"`(\w+)\(([^)]*)\)`", table)
+    assert {name: len(args.split(",")) for name, args in listed} == {
+        name: count for name, (_, count) in FUNCTIONS.items()
+    }
+
+
+def test_the_parts_are_those_of_joints() -> None:
+    table = TEXT.split("| `type` | moves by |")[1].split("\n\n")[0]
+    for row in table.splitlines()[2:]:
+        kind, _, driven, keyed = (cell.strip() for cell in row.split("|")[1:5])
+        own = {p for p, types in KEYED_PARTS.items() if kind.strip("`") in types}
+        others = {"local_translation", "local_rotation", "scale"}
+        assert set(re.findall(r"`(\w+)`", keyed)) == own - others
+        assert _spelled(driven) == {
+            p for p, types in DRIVEN_PARTS.items() if kind.strip("`") in types
+        }
+
+
+def test_the_targets_are_those_of_clips() -> None:
+    table = TEXT.split("| target | `v` |")[1].split("\n\n")[0]
+    assert set(re.findall(r"`joint/NAME\.(\w+)`", table)) == set(KEYED_PARTS)
+
+
+def test_the_kinds_of_attachments_are_listed() -> None:
+    table = TEXT.split("| `kind` | must have |")[1].split("\n\n")[0]
+    assert re.findall(r"^\| `(\w+)`", table, re.M) == list(AttachKind)
+
+
+def _spelled(cell: str) -> set[str]:
+    """Return the parts of a cell in which ``.y`` stands for another of its kind."""
+    found: list[str] = []
+    for part in re.findall(r"`([\w.]+)`", cell):
+        stem = found[-1].partition(".")[0] if part.startswith(".") else ""
+        found.append(stem + part)
+    return set(found)
+
+
+@pytest.fixture
+def project(workplace: Path) -> Path:
+    """Return a folder with the files that the examples name."""
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 2, 0]])
+    surface = {"points": points, "faces": np.array([[0, 1, 2, 3], [3, 2, 4, -1]])}
+    names = ("blink", "blink_half", "smile_blink")
+    np.savez(
+        workplace / "body.npz",
+        **surface,
+        indices=np.array([[0, 1], [0, 2], [1, 2], [1, 0], [2, 0]]),
+        weights=np.array([[0.5, 0.5], [1, 0], [1, 0], [0.2, 0.8], [1, 0]]),
+        smile=points[:2],
+        smile_vertices=np.array([1, 3]),
+        **dict.fromkeys(names, points),
+    )
+    np.savez(workplace / "cape.npz", **surface, pins=np.array([0, 1]))
+    strand = np.array([[[0.0, 0, 0], [0, 1, 0], [0, 2, 0]]])
+    np.savez(workplace / "hair.npz", points=strand)
+    walk = (workplace / "samples/walk/walk.bvh").read_bytes()
+    (workplace / "walk.bvh").write_bytes(walk)
+    (workplace / "hero.rig.yaml").write_text(WHOLE["rig"][0], "utf-8")
+    return workplace
+
+
+@pytest.mark.parametrize("text", WHOLE["rig"])
+def test_rigs_load(project: Path, text: str) -> None:
+    (project / "one.rig.yaml").write_text(text, "utf-8")
+    rig = Rig.load(project / "one.rig.yaml")
+    assert len(rig.joints) > 10
+    assert not rig.notices
+
+
+@pytest.mark.parametrize("count", range(1, len(PARTS) + 1))
+def test_parts_of_rigs_load(project: Path, count: int) -> None:
+    whole = yaml.safe_load(WHOLE["rig"][0])
+    for text in PARTS[:count]:
+        whole = with_part(whole, yaml.safe_load(text))
+    path = project / "one.rig.yaml"
+    path.write_text(yaml.safe_dump(whole, sort_keys=False), "utf-8")
+    notices = Rig.load(path).notices
+    odd = sum("lamp_l" in text for text in PARTS[:count])
+    assert [note.code for note in notices] == ["RIG101"] * odd
+
+
+@pytest.mark.parametrize("text", WHOLE["clip"])
+def test_clips_load(project: Path, text: str) -> None:
+    (project / "one.clip.yaml").write_text(text, "utf-8")
+    clip = Clip.load(project / "one.clip.yaml")
+    take = clip.sample(Rig.load(project / "hero.rig.yaml"))
+    assert take.clock.count == 24
+
+
+@pytest.mark.parametrize("text", WHOLE["scene"])
+def test_scenes_load(project: Path, text: str) -> None:
+    (project / "one.scene.yaml").write_text(text, "utf-8")
+    assert load_scene(project / "one.scene.yaml").open().collect().clock.count == 16
+
+
+def test_there_is_an_example_of_each_kind() -> None:
+    assert all(WHOLE.values())
+    assert len(PARTS) >= 8
+
+
+@pytest.mark.parametrize("name", ["README.md", "animtool/docs/guide.md"])
+def test_the_page_is_linked(root: Path, name: str) -> None:
+    links = re.findall(r"\]\(([^)]*formats\.md)\)", (root / name).read_text("utf-8"))
+    assert links
+    assert all(((root / name).parent / link).is_file() for link in links)
+
+
+def test_links_lead_to_headings() -> None:
+    pages = {"": TEXT, "guide.md": PAGE.with_name("guide.md").read_text("utf-8")}
+    for page, anchor in re.findall(r"\]\(([\w.]*)#([^)]+)\)", TEXT):
+        heads = re.findall(r"^#+ (.+)$", pages[page], re.M)
+        assert anchor in {re.sub(r"[^\w -]", "", h).lower().replace(" ", "-")
+                          for h in heads}  # fmt: skip
+
+
+def with_part(whole: dict[str, Any], part: dict[str, Any]) -> dict[str, Any]:
+    """Return a file with more entries in its lists and mappings."""
+    made = copy.deepcopy(whole)
+    for key, value in part.items():
+        if isinstance(value, list):
+            made[key] = [*made.get(key, []), *value]
+        else:
+            made[key] = {**made.get(key, {}), **value}
+    return made
