@@ -40,7 +40,7 @@ def blend(
     other: Take,
     *,
     weight: Weight = 0.5,
-    interpolation: Interpolation = Interpolation.LINEAR,
+    interpolation: Interpolation | str = Interpolation.LINEAR,
     delay: float = 0.0,
 ) -> Take:
     """Return the weighted mean of two takes, on the clock of the first.

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from animtool._types import FloatArray
 from animtool.edit.additive import add
+from animtool.edit.choices import chosen
 from animtool.edit.combine import Strength, check_same_rig
 from animtool.edit.frames import exact
 from animtool.edit.joint_names import joints_matching
@@ -61,10 +62,10 @@ def layer(
     take: Take,
     other: Take,
     *,
-    mode: LayerMode = LayerMode.OVERRIDE,
+    mode: LayerMode | str = LayerMode.OVERRIDE,
     weight: Weight = 1.0,
-    interpolation: Interpolation = Interpolation.LINEAR,
-    joints: Sequence[str] = (),
+    interpolation: Interpolation | str = Interpolation.LINEAR,
+    joints: str | Sequence[str] = (),
     children: bool = False,
     delay: float = 0.0,
 ) -> Take:
@@ -75,16 +76,21 @@ def layer(
 
     Raises:
         OptionError: A joint is not in the rig (SCN012), a weight is not finite or
-            out of bounds (SCN014), its curve malformed (SCN015), or the rigs differ
-            (SCN017).
+            out of bounds (SCN014), its curve malformed (SCN015), the rigs differ
+            (SCN017), or a mode or interpolation is none (SCN025).
     """
     plan = _Plan(
-        other, mode, weight, interpolation, _chosen(take.rig, joints, children), delay
+        other,
+        chosen(LayerMode, mode, "mode"),
+        weight,
+        chosen(Interpolation, interpolation, "interpolation"),
+        _limited(take.rig, joints, children),
+        delay,
     )
     return plan.over(TakeStream.of(take)).collect()
 
 
-def _chosen(rig: Rig, joints: Sequence[str], children: bool) -> list[int] | None:
+def _limited(rig: Rig, joints: str | Sequence[str], children: bool) -> list[int] | None:
     return joints_matching(rig, joints, children=children) if joints else None
 
 
@@ -126,10 +132,10 @@ class _Plan:
 def _run(stream: TakeStream, options: LayerOptions, context: PassContext) -> TakeStream:
     plan = _Plan(
         context.take(options.take),
-        options.mode,
+        chosen(LayerMode, options.mode, "mode"),
         options.weight,
-        options.interpolation,
-        _chosen(stream.rig, options.joints, options.children),
+        chosen(Interpolation, options.interpolation, "interpolation"),
+        _limited(stream.rig, options.joints, options.children),
         options.delay,
     )
     return plan.over(stream)

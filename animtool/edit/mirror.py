@@ -11,6 +11,7 @@ from typing import TypeAlias
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
+from animtool.edit.choices import chosen
 from animtool.edit.joint_names import joint_index
 from animtool.errors import Fault, OptionError
 from animtool.maths import so3
@@ -47,7 +48,7 @@ class MirrorOptions:
 
 
 def mirror(
-    take: Take, axis: Axis = Axis.X, pairs: Sequence[Sequence[str]] = ()
+    take: Take, axis: Axis | str = Axis.X, pairs: Sequence[Sequence[str]] = ()
 ) -> Take:
     """Return the take seen in a mirror, on the same rig.
 
@@ -61,9 +62,10 @@ def mirror(
 
     Raises:
         OptionError: A pair names no joint (SCN012), or partners do not hang from
-            partners (SCN019).
+            partners (SCN019), or there is no such axis (SCN025).
     """
-    return _mirrored(TakeStream.of(take), MirrorOptions(axis, _tuples(pairs))).collect()
+    options = MirrorOptions(chosen(Axis, axis, "axis"), _tuples(pairs))
+    return _mirrored(TakeStream.of(take), options).collect()
 
 
 def _tuples(pairs: Sequence[Sequence[str]]) -> tuple[tuple[str, str], ...]:
@@ -121,7 +123,7 @@ def _mirrored(
     rig = stream.rig
     partners = mirror_pairs(rig.names, _stated(rig, _tuples(options.pairs)))
     _check_tree(rig, partners)
-    glass = _Glass.of(rig, partners, "XYZ".index(options.axis))
+    glass = _Glass.of(rig, partners, "XYZ".index(chosen(Axis, options.axis, "axis")))
     swaps = [
         mirror_pairs([part.name for part in getattr(rig, kind, ())])
         for kind in ("shapes", "controls")

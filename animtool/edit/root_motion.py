@@ -14,6 +14,7 @@ from animtool.edit.chain import (
     rest_rotation,
     twist,
 )
+from animtool.edit.choices import chosen
 from animtool.edit.joint_names import joint_index
 from animtool.edit.signs import continuous
 from animtool.edit.travel import traveller
@@ -155,7 +156,7 @@ def _compact(take: Take) -> Take:
 
 
 def _run(take: Take, options: RootMotionOptions, _: PassContext) -> Take:
-    if options.mode is RootMode.RECOMPOSE:
+    if chosen(RootMode, options.mode, "mode") is RootMode.RECOMPOSE:
         return recompose_root(take, options.root, keep=options.keep)
     return extract_root(
         take, options.root, options.axes, yaw=options.yaw, hips=options.hips

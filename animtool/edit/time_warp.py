@@ -33,7 +33,9 @@ class TimeWarpOptions:
 
 
 def time_warp(
-    take: Take, curve: Keys, interpolation: Interpolation = Interpolation.LINEAR
+    take: Take,
+    curve: Keys,
+    interpolation: Interpolation | str = Interpolation.LINEAR,
 ) -> Take:
     """Return the take retimed, from the curve's first frame to its last.
 
