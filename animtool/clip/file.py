@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 
@@ -115,6 +116,8 @@ def load_rig_of(file: ClipFile, path: Path | None = None) -> Rig:
         OptionError: No rig is named (CLIP011).
     """
     named = file.needed_rig() if path is None else path
+    if path is None and not named.exists():
+        _note_missing(file)
     try:
         return Rig.load(named)
     except FormatError as error:
@@ -123,6 +126,14 @@ def load_rig_of(file: ClipFile, path: Path | None = None) -> Rig:
         except FormatError as other:
             raise FormatError([*other.faults, *error.faults]) from error
         raise
+
+
+def _note_missing(file: ClipFile) -> NoReturn:
+    """Raise what is wrong with a clip whose rig is not there."""
+    message = f"{file.model.rig!r} does not exist"
+    file.document.add("CLIP012", ("rig",), message, "give another rig with --rig")
+    check_clip(file)
+    raise AssertionError(message)
 
 
 def load_clip(file: ClipFile, rig: Rig) -> Clip:

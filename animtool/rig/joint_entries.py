@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -198,6 +198,7 @@ def _joint(
     rotation = quaternion(document, (*at, "rotate"), model.rotate)
     x, y, z = (value * units.length for value in model.translate)
     tips = tuple(_scaled(tip, units.length) for tip in model.tips)
+    _refuse_repeats(document, (*at, "channels"), model.channels or [])
     joint = Joint(
         model.name,
         parent,
@@ -216,6 +217,13 @@ def _joint(
         limit = _ball_limit(document, (*at, "limits"), model.limits, units)
         joint = replace(joint, limits=limit)
     return joint
+
+
+def _refuse_repeats(document: Document, at: Location, channels: Sequence[str]) -> None:
+    for k, name in enumerate(channels):
+        if name in channels[:k]:
+            message = f"channel {name!r} stands twice"
+            document.add("RIG028", (*at, k), message, "a joint has each once")
 
 
 def _scaled(values: list[float], unit: float) -> Vector:

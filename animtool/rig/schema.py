@@ -8,6 +8,7 @@ from annotated_types import Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
+from animtool.rig.skeleton import ChannelName
 
 __all__ = ["JointModel", "RigModel", "UnitsModel"]
 
@@ -48,7 +49,7 @@ class _JointBase(FileModel):
     rotate: Quaternion = [1.0, 0.0, 0.0, 0.0]
     mirror: Name | None = None
     tips: list[Vector3] = []
-    channels: list[str] | None = None
+    channels: list[ChannelName] | None = None
 
 
 class FreeJointModel(_JointBase):

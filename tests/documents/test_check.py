@@ -103,6 +103,9 @@ def test_all_that_is_missing(tmp_path: Path) -> None:
         ("rig: 1", "DOC009", "allowed: animtool/1"),
         ("rig: [animtool/1]", "DOC009", "allowed: animtool/1"),
         ("rig: animtool/2", "DOC012", "newer"),
+        ("rig: animtool/0", "DOC012", "allowed: animtool/1"),
+        ("rig: animtool/x", "DOC012", "allowed: animtool/1"),
+        ("clip: animtool/1\nrig: hero.rig.yaml", "DOC009", "looks like a clip file"),
     ],
 )
 def test_versions(tmp_path: Path, text: str, code: str, words: str) -> None:
