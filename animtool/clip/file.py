@@ -25,7 +25,7 @@ from animtool.config import project_roots
 from animtool.documents.arrays import referred
 from animtool.documents.check import check_version, validated
 from animtool.documents.document import Document, Location, read_document
-from animtool.errors import Fault, FormatError, OptionError
+from animtool.errors import Fault, FormatError, OptionError, counted
 from animtool.maths import so3
 from animtool.maths.extrapolation import Extrapolation
 from animtool.rates import parse_rate
@@ -338,7 +338,8 @@ class _ClipReader:
                 row = row * 3
             if len(row) != width:
                 place = (*at, "keys", k, "v")
-                message = f"{len(row)} numbers where {width} are wanted"
+                wanted = "1 is" if width == 1 else f"{width} are"
+                message = f"{counted(len(row), 'number')} where {wanted} wanted"
                 self.document.add("CLIP007", place, message)
                 continue
             if max(map(abs, row)) > LARGEST_VALUE:

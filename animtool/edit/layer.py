@@ -8,6 +8,8 @@ from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
 
+import numpy as np
+
 from animtool._types import FloatArray
 from animtool.edit.additive import add
 from animtool.edit.choices import chosen
@@ -18,7 +20,7 @@ from animtool.edit.keyed import Interpolation, Weight, weights_at
 from animtool.edit.mix import mix
 from animtool.edit.other_take import other_frames
 from animtool.edit.signs import continuous
-from animtool.passes import Pass, PassContext, Scope
+from animtool.passes import OptionChecks, Pass, PassContext, Scope, named_take
 from animtool.rig.skeleton import Rig
 from animtool.take import Motion, Take, TakeStream, time_codes
 
@@ -141,4 +143,15 @@ def _run(stream: TakeStream, options: LayerOptions, context: PassContext) -> Tak
     return plan.over(stream)
 
 
-PASS = Pass("layer", "Put another take on top", LayerOptions, Scope.FRAME, _run)
+def _checks(options: LayerOptions) -> OptionChecks:
+    bounded = options.mode is LayerMode.OVERRIDE
+    return {
+        "take": lambda: named_take(options.take),
+        "weight": lambda: weights_at(options.weight, np.zeros(0), bounded=bounded),
+        "delay": lambda: exact(options.delay, "delay"),
+    }
+
+
+PASS = Pass(
+    "layer", "Put another take on top", LayerOptions, Scope.FRAME, _run, _checks
+)

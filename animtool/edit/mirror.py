@@ -122,6 +122,7 @@ def _mirrored(
 ) -> TakeStream:
     rig = stream.rig
     partners = mirror_pairs(rig.names, _stated(rig, _tuples(options.pairs)))
+    _check_stated(rig, options.pairs, partners)
     _check_tree(rig, partners)
     glass = _Glass.of(rig, partners, "XYZ".index(chosen(Axis, options.axis, "axis")))
     swaps = [
@@ -129,6 +130,25 @@ def _mirrored(
         for kind in ("shapes", "controls")
     ]
     return replace(stream, blocks=_blocks(stream, glass, swaps))
+
+
+def _check_stated(rig: Rig, pairs: Sequence[Sequence[str]], partners: IntArray) -> None:
+    """Refuse stated pairs whose parents are no partners."""
+    faults = []
+    for a, b in pairs:
+        above = [rig.joints[rig.index(name)].parent for name in (a, b)]
+        if min(above) < 0 and above[0] != above[1]:
+            low, top = (a, b) if above[0] >= 0 else (b, a)
+            faults.append(f"{top!r} hangs from no joint, {low!r} does")
+        elif min(above) >= 0 and partners[above[0]] != above[1]:
+            one, two = (repr(rig.names[parent]) for parent in above)
+            faults.append(f"they hang from {one} and {two}, which are no partners")
+        else:
+            continue
+        faults[-1] = f"pairs: {a!r} and {b!r} cannot change places: {faults[-1]}"
+    if faults:
+        hint = "pair their parents too, or name other joints"
+        raise OptionError([Fault("SCN019", text, hint=hint) for text in faults])
 
 
 def _check_tree(rig: Rig, partners: IntArray) -> None:

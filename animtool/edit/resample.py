@@ -12,7 +12,7 @@ from animtool._types import FloatArray, IntArray
 from animtool.edit.frames import check_count
 from animtool.edit.places import Places, even_places
 from animtool.errors import Fault, OptionError
-from animtool.passes import Pass, PassContext, Scope
+from animtool.passes import OptionChecks, Pass, PassContext, Scope
 from animtool.rates import rate_option
 from animtool.take import MOST_FRAMES, Clock, Motion, Take, time_codes
 
@@ -200,4 +200,13 @@ def _run(take: Take, options: ResampleOptions, _: PassContext) -> Take:
     return take if options.fps is None else resampled(take, options.fps)
 
 
-PASS = Pass("resample", "Sample at another rate", ResampleOptions, Scope.CLIP, _run)
+def _checks(options: ResampleOptions) -> OptionChecks:
+    if options.fps is None:
+        return {}
+    fps = options.fps
+    return {"fps": lambda: rate_option(fps, "SCN022")}
+
+
+PASS = Pass(
+    "resample", "Sample at another rate", ResampleOptions, Scope.CLIP, _run, _checks
+)

@@ -86,12 +86,13 @@ def test_what_is_no_rig(tmp_path: Path, name: str, code: str) -> None:
 def test_a_missing_rig_has_its_place_in_the_clip(tmp_path: Path) -> None:
     path = tmp_path / "nod.clip.yaml"
     path.write_text(
-        "clip: animtool/1\nrig: none.rig.yaml\nrange: [9, 1]\n", encoding="utf-8"
+        "clip: animtool/1\nrig: none.rig.yaml\nfps: 24\nchannels: []\nrange: [9, 1]\n",
+        encoding="utf-8",
     )
     with pytest.raises(AnimtoolError) as caught:
         open_source(path)
     found = [(f.code, f.lines[0], f.column) for f in caught.value.faults]
-    assert found == [("CLIP012", 2, 6), ("CLIP006", 3, 8)]
+    assert found == [("CLIP012", 2, 6), ("CLIP006", 5, 8)]
     assert caught.value.faults[0].message == "'none.rig.yaml' does not exist"
 
 
