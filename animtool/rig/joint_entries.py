@@ -140,6 +140,11 @@ def _entries(
     for i, model in enumerate(models):
         if model.mirror is None or entries[model.name].index != i:
             continue
+        if model.mirror == model.name:
+            message = f"{model.name!r} mirrors itself"
+            hint = "mirror names the joint of the other side"
+            document.add("RIG010", ("joints", i, "mirror"), message, hint)
+            continue
         if model.mirror in entries:
             message = f"mirror {model.mirror!r} is a joint already"
             hint = "mirror writes that joint; leave the other out"
@@ -313,6 +318,8 @@ def _refuse_chains(
             entry = entries[joint.name]
             if not entry.mirrored:
                 message = f"{joint.mimic.joint!r} follows another joint itself"
+                if joint.mimic.joint == joint.name:
+                    message = f"{joint.name!r} follows itself"
                 hint = "name the joint that is moved"
                 at = ("joints", entry.index, "mimic", "joint")
                 document.add("RIG009", at, message, hint)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,8 @@ from animtool.edit.mirror import mirror, mirror_pairs
 from animtool.errors import OptionError
 from animtool.formats.bvh import read_bvh
 from animtool.rig.kinematics import forward
-from animtool.take import Take
+from animtool.rig.skeleton import Joint, Rig
+from animtool.take import Channel, Clock, Motion, Take
 
 
 def positions(take: Take) -> np.ndarray:

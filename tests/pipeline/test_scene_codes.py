@@ -138,6 +138,7 @@ CASES = {
         "SCN023", "difference", {"base": OTHER}, other=lambda: crouched((1, 1, 0))
     ),
     "no other take": Case("SCN024", "layer", {}),
+    "no such mode": Case("SCN025", "layer", {"take": OTHER, "mode": "foo"}),
     "a poor seam": Case("SCN101", "loop", {}),
     "a cycle found": Case("SCN102", "loop", {"find": True}),
 }
