@@ -7,7 +7,7 @@ names both. The table holds the passes by name; they are imported when used.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from fractions import Fraction
@@ -23,6 +23,7 @@ __all__ = [
     "PLUGIN_GROUP",
     "ClipRun",
     "ListedPass",
+    "OptionChecks",
     "Pass",
     "PassContext",
     "Scope",
@@ -30,6 +31,7 @@ __all__ = [
     "apply_pass",
     "find_pass",
     "listed_passes",
+    "named_take",
 ]
 
 PLUGIN_GROUP = "animtool.passes"
@@ -56,6 +58,18 @@ class Scope(StrEnum):
     CLIP = "clip"
 
 
+def named_take(path: Path | None, option: str = "take") -> Path:
+    """Return the file of another take that an option names.
+
+    Raises:
+        OptionError: It names none (SCN024).
+    """
+    if path is None:
+        message = f"{option} must name a file with another take"
+        raise OptionError(Fault("SCN024", message))
+    return path
+
+
 @dataclass(frozen=True, slots=True)
 class PassContext:
     """What a pass may use beside its take and options.
@@ -76,16 +90,18 @@ class PassContext:
         Raises:
             OptionError: It names none (SCN024).
         """
-        if path is None:
-            raise OptionError(
-                Fault("SCN024", f"{option} must name a file with another take")
-            )
-        return self.open(self.folder / path)
+        return self.open(self.folder / named_take(path, option))
 
 
+# By option, what raises `OptionError` where its value makes no sense for any take.
+OptionChecks: TypeAlias = Mapping[str, Callable[[], object]]
 # A pass fills its own options record, which the caller need not know.
 ClipRun: TypeAlias = Callable[[Take, Any, PassContext], Take]
 StreamRun: TypeAlias = Callable[[TakeStream, Any, PassContext], TakeStream]
+
+
+def _no_checks(_: object) -> OptionChecks:
+    return {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +116,8 @@ class Pass:
             block to block; CLIP passes run on whole takes.
         run: Takes a `TakeStream` (FRAME, WINDOW) or a `Take` (CLIP), the options
             and the context, and returns the same kind.
+        checks: Takes the options and returns what can be checked of them before
+            there is a take.
     """
 
     name: str
@@ -107,6 +125,7 @@ class Pass:
     options: type[Any]
     scope: Scope
     run: ClipRun | StreamRun
+    checks: Callable[[Any], OptionChecks] = _no_checks
 
 
 def find_pass(name: str) -> Pass:

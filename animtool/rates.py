@@ -6,6 +6,9 @@ from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from enum import StrEnum
 from fractions import Fraction
+from numbers import Rational
+
+from animtool.errors import Fault, OptionError
 
 __all__ = [
     "RateChoice",
@@ -14,6 +17,7 @@ __all__ = [
     "rate_from_float",
     "rate_from_frame_time",
     "rate_label",
+    "rate_option",
 ]
 
 # Exporters print frame times to 6 or more digits: the error left in a rate up to
@@ -167,7 +171,7 @@ def parse_rate(text: str | float | Fraction) -> Fraction:
     Fraction(30000, 1001)
     """
     if not isinstance(text, str):
-        text = str(text) if isinstance(text, Fraction) else f"{text:.12g}"
+        text = _digits(text)
     text = text.strip()
     if text in _BROADCAST:
         return _BROADCAST[text]
@@ -180,6 +184,36 @@ def parse_rate(text: str | float | Fraction) -> Fraction:
     if not LOWEST_WRITTEN_RATE <= rate <= HIGHEST_WRITTEN_RATE:
         raise ValueError(f"a frame rate is between 0.001 and 100000, not {text}")
     return rate
+
+
+def _digits(number: object) -> str:
+    """Return a number as text that `Fraction` reads; of anything else what it is."""
+    if isinstance(number, float):
+        return f"{number:.12g}"
+    is_rate = isinstance(number, Rational) and not isinstance(number, bool)
+    return str(number) if is_rate else repr(number)
+
+
+def rate_option(
+    fps: str | float | Fraction, code: str, option: str = "fps"
+) -> Fraction:
+    """Return the rate of an option, see `parse_rate`.
+
+    Args:
+        fps: As given.
+        code: Of the fault.
+        option: What the option is called.
+
+    Raises:
+        OptionError: It is not a positive number.
+
+    >>> rate_option("29.97", "CLI006")
+    Fraction(30000, 1001)
+    """
+    try:
+        return parse_rate(fps)
+    except ValueError as error:
+        raise OptionError(Fault(code, f"{option}: {error}")) from error
 
 
 def rate_label(fps: Fraction) -> str:

@@ -31,6 +31,9 @@ __all__ = [
     "time_codes",
 ]
 
+# Half precision, the coarsest that USD keeps rotations in, is off by 5e-4.
+UNIT_TOLERANCE = 1e-3
+
 # Days of animation: rather a number that is mistyped.
 MOST_FRAMES = 10_000_000
 
@@ -277,7 +280,8 @@ class Take:
     Raises:
         OptionError: The motion's arrays are not of the rig's joints, shapes and
             controls, or not of the clock's frames (TAKE001), or a channel's joints
-            do not ascend (TAKE002), with every such fault.
+            do not ascend (TAKE002), with every such fault; else a value is not
+            finite (TAKE004) or a rotation no unit quaternion (TAKE005).
     """
 
     rig: Rig
@@ -287,7 +291,7 @@ class Take:
 
     def __post_init__(self) -> None:
         """Check that rig, clock and motion fit together."""
-        faults = _misfits(self)
+        faults = _misfits(self) or _no_motion(self)
         if faults:
             raise OptionError(faults)
 
@@ -347,6 +351,52 @@ def _misfits(take: Take) -> list[Fault]:
             message = f"{name}.animated must ascend from 0 to below {many}"
             faults.append(Fault("TAKE002", message))
     return faults
+
+
+def _no_motion(take: Take) -> list[Fault]:
+    """Return what of a take is no number, or no rotation: the first of each channel."""
+    motion, faults = take.motion, []
+    for name in ("translations", "rotations", "scales", "weights", "controls"):
+        channel: Channel | None = getattr(motion, name)
+        if channel is None:
+            continue
+        for still, values in ((True, channel.rest), (False, channel.values)):
+            wrong = _first_infinite(values)
+            code, what = "TAKE004", "not finite"
+            if wrong is None and name == "rotations":
+                wrong = _first_unequal(values)
+                code, what = "TAKE005", "no unit quaternion (x, y, z, w)"
+            if wrong is not None:
+                place = _spot(take, name, channel, wrong, still)
+                message = f"{place} is {values[wrong].tolist()}, {what}"
+                faults.append(Fault(code, message))
+    return faults
+
+
+def _first_infinite(values: FloatArray) -> tuple[int, ...] | None:
+    # A sum that is finite has no part that is not, and makes no copy.
+    if np.isfinite(np.sum(values)):
+        return None
+    bad = np.argwhere(~np.isfinite(values).all(axis=-1))
+    return tuple(bad[0].tolist()) if len(bad) else None
+
+
+def _first_unequal(values: FloatArray) -> tuple[int, ...] | None:
+    squares = np.einsum("...k,...k->...", values, values)
+    # Twice, as the length is squared.
+    off = np.abs(squares - 1.0) > 2 * UNIT_TOLERANCE
+    return tuple(np.argwhere(off)[0].tolist()) if off.any() else None
+
+
+def _spot(
+    take: Take, name: str, channel: Channel, at: tuple[int, ...], still: bool
+) -> str:
+    """Return which value of a take stands at a place of an array."""
+    index = at[0] if still else int(channel.animated[at[1]])
+    kind = {"weights": "shapes", "controls": "controls"}.get(name, "joints")
+    owner = getattr(take.rig, kind)[index].name
+    when = "" if still else f" at frame {float(take.clock.times[at[0]]):g}"
+    return f"{name}: {kind[:-1]} {owner!r}{when}"
 
 
 @dataclass(slots=True)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from animtool._types import FloatArray
-from animtool.errors import AnimtoolError, Fault
+from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
 from animtool.rig.kinematics import forward
@@ -184,3 +184,51 @@ def test_what_is_no_channel(shape: tuple[int, ...]) -> None:
     with pytest.raises(AnimtoolError) as caught:
         Channel.from_dense(np.zeros(shape))
     assert caught.value.code == "TAKE001"
+
+
+def values_of(wrong: str) -> Motion:
+    """Return two joints over three frames, the second at fault in the second."""
+    turns = np.tile(so3.IDENTITY, (3, 2, 1))
+    slides = np.arange(18.0).reshape(3, 2, 3)
+    if wrong == "half":
+        turns = turns.astype(np.float16) + np.float16(5e-4)
+    elif wrong in {"nan", "inf"}:
+        slides[1, 1, 0] = float(wrong)
+    else:
+        turns[1, 1] *= float(wrong)
+    return Motion(Channel.from_dense(slides), Channel.from_dense(turns))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "code", "words"),
+    [
+        ("nan", "TAKE004", "translations: joint 'b' at frame 2"),
+        ("inf", "TAKE004", "translations: joint 'b' at frame 2"),
+        ("0", "TAKE005", "rotations: joint 'b' at frame 2"),
+        ("2", "TAKE005", "rotations: joint 'b' at frame 2"),
+    ],
+)
+def test_a_take_with_no_numbers_or_no_rotations_is_refused(
+    wrong: str, code: str, words: str
+) -> None:
+    rig = Rig("arm", (Joint("a", -1), Joint("b", 0)))
+    clock = Clock(Fraction(24), Fraction(1), Fraction(1), 3)
+    with pytest.raises(OptionError) as caught:
+        Take(rig, clock, values_of(wrong))
+    [fault] = caught.value.faults
+    assert fault.code == code
+    assert words in fault.message
+
+
+def test_a_still_joint_with_no_rotation_is_refused() -> None:
+    rig = Rig("arm", (Joint("a", -1), Joint("b", 0)))
+    clock = Clock(Fraction(24), Fraction(1), Fraction(1), 3)
+    still = np.zeros((3, 2, 4))
+    motion = Motion(Channel.from_dense(np.zeros((3, 2, 3))), Channel.from_dense(still))
+    with pytest.raises(OptionError, match="joint 'a' is"):
+        Take(rig, clock, motion)
+
+
+def test_rotations_of_half_precision_are_a_take() -> None:
+    rig = Rig("arm", (Joint("a", -1), Joint("b", 0)))
+    Take(rig, Clock(Fraction(24), Fraction(1), Fraction(1), 3), values_of("half"))

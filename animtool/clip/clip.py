@@ -11,7 +11,7 @@ from animtool._types import FloatArray
 from animtool.clip.targets import check_targets
 from animtool.errors import Fault, FormatError, OptionError, counted
 from animtool.maths.extrapolation import Extrapolation
-from animtool.rates import parse_rate, rate_label
+from animtool.rates import rate_label, rate_option
 from animtool.rig.skeleton import Rig
 from animtool.take import MOST_FRAMES, Clock, Take, time_codes
 
@@ -108,12 +108,12 @@ class Clip:
     channels: tuple[ClipChannel, ...]
 
     @classmethod
-    def load(cls, path: Path | str, rig: Rig | None = None) -> Clip:
+    def load(cls, path: Path | str, rig: Rig | Path | str | None = None) -> Clip:
         """Return the clip of a clip file, its targets and units checked on a rig.
 
         Args:
             path: The file.
-            rig: Its rig; None is the one that it names.
+            rig: Its rig, or the file of it; None is the one that it names.
 
         Raises:
             FormatError: The clip or its rig is malformed, with every fault.
@@ -122,10 +122,12 @@ class Clip:
         from animtool.clip.file import load_clip, load_rig_of, open_clip
 
         file = open_clip(path)
-        return load_clip(file, load_rig_of(file) if rig is None else rig)
+        if not isinstance(rig, Rig):
+            rig = load_rig_of(file, None if rig is None else Path(rig))
+        return load_clip(file, rig)
 
     def frame_count(
-        self, fps: Fraction | None = None, step: Fraction = Fraction(1)
+        self, fps: Fraction | float | str | None = None, step: Fraction = Fraction(1)
     ) -> int:
         """Return how many frames the range has.
 
@@ -135,14 +137,18 @@ class Clip:
 
         Raises:
             FormatError: None, or more than 10 million (CLIP006).
+            OptionError: The rate is none (CLIP008).
 
         >>> Clip("nod", Fraction(24), Fraction(1), Fraction(13), ()).frame_count()
         13
         """
-        each = step * self.fps / (self.fps if fps is None else fps)
+        each = step * self.fps / _rate(fps, self.fps)
         count = (self.last - self.first) // each + 1
         if not 0 < count <= MOST_FRAMES:
-            raise FormatError(Fault("CLIP006", f"the range has {count} frames"))
+            message = f"the range has {count} frames; at most {MOST_FRAMES} are read"
+            if count <= 0:
+                message = "the range has no frame"
+            raise FormatError(Fault("CLIP006", message, where="range"))
         return count
 
     def sample(
@@ -199,10 +205,7 @@ class Clip:
 
 
 def _rate(fps: Fraction | float | str | None, usual: Fraction) -> Fraction:
-    try:
-        return usual if fps is None else parse_rate(fps)
-    except ValueError as error:
-        raise OptionError(Fault("CLIP008", f"fps: {error}")) from error
+    return usual if fps is None else rate_option(fps, "CLIP008")
 
 
 def _step(step: Fraction | float) -> Fraction:

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from animtool.config import project_roots
 from animtool.documents.arrays import referred
 from animtool.documents.check import check_version, validated
 from animtool.documents.document import Document, Location, read_document
-from animtool.errors import Fault, FormatError, OptionError
+from animtool.errors import Fault, FormatError, OptionError, counted
 from animtool.maths import so3
 from animtool.maths.extrapolation import Extrapolation
 from animtool.rates import parse_rate
@@ -117,6 +118,8 @@ def load_rig_of(file: ClipFile, path: Path | None = None) -> Rig:
         OptionError: No rig is named (CLIP011).
     """
     named = file.needed_rig() if path is None else path
+    if path is None and not named.exists():
+        _note_missing(file)
     try:
         return Rig.load(named)
     except FormatError as error:
@@ -125,6 +128,14 @@ def load_rig_of(file: ClipFile, path: Path | None = None) -> Rig:
         except FormatError as other:
             raise FormatError([*other.faults, *error.faults]) from error
         raise
+
+
+def _note_missing(file: ClipFile) -> NoReturn:
+    """Raise what is wrong with a clip whose rig is not there."""
+    message = f"{file.model.rig!r} does not exist"
+    file.document.add("CLIP012", ("rig",), message, "give another rig with --rig")
+    check_clip(file)
+    raise AssertionError(message)
 
 
 def load_clip(file: ClipFile, rig: Rig) -> Clip:
@@ -356,7 +367,8 @@ class _ClipReader:
                 row = row * 3
             if len(row) != width:
                 place = (*at, "keys", k, "v")
-                message = f"{len(row)} numbers where {width} are wanted"
+                wanted = "1 is" if width == 1 else f"{width} are"
+                message = f"{counted(len(row), 'number')} where {wanted} wanted"
                 self.document.add("CLIP007", place, message)
                 continue
             if max(map(abs, row)) > LARGEST_VALUE:

@@ -79,8 +79,7 @@ def reduce_motion(
 
     Raises:
         OptionError: A joint is unknown or a tolerance not above 0 (CLIP020).
-        ValueError: A value is not finite, the take has no frame, or the base's
-            joints or frames differ.
+        ValueError: The take has no frame, or the base's joints or frames differ.
 
     References:
         N. Frechette, Animation Compression Library, 2017: error on a shell around
@@ -275,12 +274,3 @@ def _check(take: Take, base: Take | None, shell: float) -> None:
         base.rig.names != take.rig.names or base.motion.frames != take.motion.frames
     ):
         raise ValueError("the base has other joints or another number of frames")
-    for motion in [take.motion] if base is None else [take.motion, base.motion]:
-        for name in ("translations", "rotations", "scales", "weights"):
-            channel = getattr(motion, name)
-            if channel is None:
-                continue
-            if not (
-                np.isfinite(channel.values).all() and np.isfinite(channel.rest).all()
-            ):
-                raise ValueError(f"the {name} hold a value that is not finite")

@@ -328,7 +328,7 @@ class _Joints:
         if total is not None and isinstance(joint.limits, BallLimit):
             inside = joint.limits.clamped(total)
             excess = so3.angle_between(total, inside)
-            self._notice(joint, excess, "its cone or twist by")
+            self._notice(joint, excess, "its cone or twist")
             total = inside if self.clamp else total
         return total
 
@@ -336,7 +336,7 @@ class _Joints:
         if not isinstance(joint.limits, RangeLimit):
             return values
         inside = joint.limits.clamped(values)
-        self._notice(joint, np.abs(values - inside)[:, 0], "its limits by")
+        self._notice(joint, np.abs(values - inside)[:, 0], "its limits")
         return inside if self.clamp else values
 
     def _notice(self, joint: Joint, excess: FloatArray, what: str) -> None:
@@ -346,8 +346,10 @@ class _Joints:
         amount = f"{np.degrees(excess[worst]):.4g}°"
         if joint.type is JointType.PRISMATIC:
             amount = f"{excess[worst]:.4g} m"
-        done = "clamped" if self.clamp else "exceeds"
-        message = f"joint {joint.name!r} {done} {what} {amount} at frame "
+        said = f"exceeds {what} by {amount}"
+        if self.clamp:
+            said = f"was brought inside {what}, by {amount},"
+        message = f"joint {joint.name!r} {said} at frame "
         message += f"{self.times[worst]:g}"
         hint = None if self.clamp else _CLAMP
         self.notices.append(

@@ -20,9 +20,9 @@ from animtool.documents.mend import (
     stand_in,
 )
 from animtool.documents.versions import STEPS, newest, version_of
-from animtool.errors import excerpt
+from animtool.errors import counted, excerpt
 
-__all__ = ["FileModel", "check_version", "nearest", "validated"]
+__all__ = ["FileModel", "check_version", "nearest", "validated", "wrong_values"]
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -77,6 +77,16 @@ def validated(document: Document, model: type[Model]) -> Model:
             _Faults(document, model, value).mend(error)
 
 
+def wrong_values(value: Any, error: ValidationError) -> list[tuple[Location, str]]:
+    """Return what is wrong in a value that is of no model, and where."""
+    merged = _by_place(value, error)
+    return [
+        (place, "; or ".join(dict.fromkeys(map(_words, faults))))
+        for (place, _), faults in merged.items()
+        if not any(_is_below(other, place) for other, _ in merged)
+    ]
+
+
 @dataclass(slots=True)
 class _Faults:
     """The faults of a value: they are noted, and mended in the value.
@@ -93,10 +103,7 @@ class _Faults:
 
     def mend(self, error: ValidationError) -> None:
         """Note what an attempt to read the value found, and mend it."""
-        merged: dict[tuple[Location, str], list[Any]] = {}
-        for fault in error.errors(include_url=False):
-            missing = str(fault["loc"][-1]) if fault["type"] == "missing" else ""
-            merged.setdefault((self._within(fault), missing), []).append(fault)
+        merged = _by_place(self.value, error)
         by_kind: dict[str, list[tuple[Location, str]]] = {}
         for key, faults in merged.items():
             by_kind.setdefault(faults[0]["type"], []).append(key)
@@ -109,18 +116,6 @@ class _Faults:
             # Of a type that may be several, the one that comes farthest was meant.
             if not any(_is_below(other, key[0]) for other, _ in merged):
                 self._wrong_value(key[0], merged[key])
-
-    def _within(self, fault: Any) -> Location:
-        """Return where a fault is, without the names of variants that were tried."""
-        node: Any = self.value
-        found: list[str | int] = []
-        for step in fault["loc"]:
-            try:
-                node = node[step]
-            except (KeyError, IndexError, TypeError):
-                continue
-            found.append(step)
-        return tuple(found)
 
     def _unknown_key(self, location: Location) -> None:
         *outer, key = location
@@ -177,6 +172,29 @@ class _Faults:
         replaced(self.value, location, stand_in(annotation))
 
 
+def _by_place(
+    value: Any, error: ValidationError
+) -> dict[tuple[Location, str], list[Any]]:
+    """Return faults by where they are, and by the key that is missing there."""
+    merged: dict[tuple[Location, str], list[Any]] = {}
+    for fault in error.errors(include_url=False):
+        missing = str(fault["loc"][-1]) if fault["type"] == "missing" else ""
+        merged.setdefault((_within(value, fault), missing), []).append(fault)
+    return merged
+
+
+def _within(value: Any, fault: Any) -> Location:
+    """Return where a fault is, without the names of variants that were tried."""
+    node, found = value, []
+    for step in fault["loc"]:
+        try:
+            node = node[step]
+        except (KeyError, IndexError, TypeError):
+            continue
+        found.append(step)
+    return tuple(found)
+
+
 def _is_below(location: Location, other: Location) -> bool:
     return len(location) > len(other) and location[: len(other)] == other
 
@@ -187,7 +205,10 @@ def _words(fault: Any) -> str:
     shown = excerpt(given) if isinstance(given, str) else _shown(given)
     if kind in {"too_short", "too_long"}:
         wanted = context.get("min_length", context.get("max_length"))
-        return f"{len(given)} items where {wanted} are wanted"
+        return f"{counted(len(given), 'item')} where {_are(wanted)} wanted"
+    if kind == "missing" and isinstance(fault["loc"][-1], int):
+        wanted = fault["loc"][-1] + 1
+        return f"{counted(len(given), 'item')} where {_are(wanted)} wanted"
     if kind == "union_tag_not_found":
         return f"key {context['discriminator']} is missing"
     if kind in {"literal_error", "enum", "union_tag_invalid"}:
@@ -199,13 +220,23 @@ def _words(fault: Any) -> str:
     return f"{shown}: {fault['msg'][0].lower()}{fault['msg'][1:]}"
 
 
+def _are(count: int) -> str:
+    return f"{count} is" if count == 1 else f"{count} are"
+
+
 _KINDS = {
     "float_type": "a number",
+    "float_parsing": "a number",
     "finite_number": "a finite number",
     "int_type": "a whole number",
+    "int_parsing": "a whole number",
+    "int_from_float": "a whole number",
     "string_type": "text",
     "bool_type": "true or false",
+    "bool_parsing": "true or false",
+    "path_type": "the name of a file",
     "list_type": "a list",
+    "tuple_type": "a list",
     "dict_type": "a mapping of keys",
     "model_type": "a mapping of keys",
     "model_attributes_type": "a mapping of keys",

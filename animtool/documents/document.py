@@ -24,6 +24,7 @@ __all__ = [
     "plain_scalar",
     "read_document",
     "read_text",
+    "spelled",
 ]
 
 Location = tuple[str | int, ...]

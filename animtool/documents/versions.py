@@ -48,7 +48,7 @@ def version_of(
     """
     named = [name for name in KINDS if name in document.value]
     found = kind or next((name for name in named if name in table), "")
-    if found not in named:
+    if found not in named or _of_another_kind(document, found, named[0]):
         hint = f"the first line of such a file is '{kind or 'rig'}: animtool/1'"
         if named:
             hint = f"it looks like a {named[0]} file"
@@ -61,9 +61,18 @@ def version_of(
         return found, version
     if isinstance(stated, str) and stated.startswith("animtool/"):
         message = f"{stated} is a version that this animtool does not know"
-        document.add("DOC012", (found,), message, "a newer animtool reads it")
+        newer = number is not None and version > last
+        hint = "a newer animtool reads it" if newer else f"allowed: animtool/{last}"
+        document.add("DOC012", (found,), message, hint)
     else:
         message = f"{found} is {excerpt(str(stated))}"
         document.add("DOC009", (found,), message, f"allowed: animtool/{last}")
     document.check()
     raise AssertionError(stated)
+
+
+def _of_another_kind(document: Document, kind: str, first: str) -> bool:
+    """Return whether a file names another kind, and a file of this one beside it."""
+    stated = document.value[kind]
+    is_version = isinstance(stated, str) and stated.startswith("animtool/")
+    return first != kind and not is_version

@@ -6,13 +6,15 @@ import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from animtool.edit.combine import Strength, check_same_rig
 from animtool.edit.frames import check_count, exact
 from animtool.edit.keyed import Interpolation, Weight, weights_at
 from animtool.edit.mix import mix
 from animtool.edit.other_take import other_frames
 from animtool.edit.signs import continuous
-from animtool.passes import Pass, PassContext, Scope
+from animtool.passes import OptionChecks, Pass, PassContext, Scope, named_take
 from animtool.take import Channel, Take
 
 __all__ = ["PASS", "BlendOptions", "blend"]
@@ -40,7 +42,7 @@ def blend(
     other: Take,
     *,
     weight: Weight = 0.5,
-    interpolation: Interpolation = Interpolation.LINEAR,
+    interpolation: Interpolation | str = Interpolation.LINEAR,
     delay: float = 0.0,
 ) -> Take:
     """Return the weighted mean of two takes, on the clock of the first.
@@ -78,4 +80,12 @@ def _run(take: Take, options: BlendOptions, context: PassContext) -> Take:
     )
 
 
-PASS = Pass("blend", "Blend with another take", BlendOptions, Scope.CLIP, _run)
+def _checks(options: BlendOptions) -> OptionChecks:
+    return {
+        "take": lambda: named_take(options.take),
+        "weight": lambda: weights_at(options.weight, np.zeros(0)),
+        "delay": lambda: exact(options.delay, "delay"),
+    }
+
+
+PASS = Pass("blend", "Blend with another take", BlendOptions, Scope.CLIP, _run, _checks)

@@ -8,7 +8,7 @@ from fractions import Fraction
 from animtool.errors import Fault, OptionError
 from animtool.take import MOST_FRAMES, Clock
 
-__all__ = ["check_count", "exact", "frame_index", "frame_refusal"]
+__all__ = ["check_count", "check_range", "exact", "frame_index", "frame_refusal"]
 
 
 def exact(number: float, name: str) -> Fraction:
@@ -23,6 +23,23 @@ def exact(number: float, name: str) -> Fraction:
     if not math.isfinite(number):
         raise frame_refusal(f"{name} is {number}, which is no frame")
     return Fraction(repr(float(number)))
+
+
+def check_range(first: float | None, last: float | None) -> None:
+    """Refuse a range of frames that is reversed; None is the end of a take.
+
+    Raises:
+        OptionError: It is, or an end is not finite (SCN013).
+    """
+    ends = [
+        exact(end, name)
+        for end, name in ((first, "first"), (last, "last"))
+        if end is not None
+    ]
+    if ends != sorted(ends):
+        message = f"the range from {first:g} to {last:g} is reversed"
+        hint = f"write first: {last:g}, last: {first:g}"
+        raise frame_refusal(message, hint)
 
 
 def frame_refusal(message: str, hint: str | None = None) -> OptionError:

@@ -24,13 +24,14 @@ def joint_index(rig: Rig, name: str, option: str) -> int:
 
 
 def joints_matching(
-    rig: Rig, patterns: Sequence[str], *, children: bool = False
+    rig: Rig, patterns: str | Sequence[str], *, children: bool = False
 ) -> list[int]:
     """Return the joints that names or glob patterns choose, ascending.
 
     Args:
         rig: J joints.
-        patterns: Such as ``LeftArm`` or ``Left*``; letters must agree in case.
+        patterns: One or several, such as ``LeftArm`` or ``Left*``; letters must agree
+            in case.
         children: Take everything below a chosen joint too.
 
     Raises:
@@ -42,7 +43,7 @@ def joints_matching(
     [0, 1]
     """
     chosen = [False] * len(rig.joints)
-    for pattern in patterns:
+    for pattern in [patterns] if isinstance(patterns, str) else patterns:
         matches = [fnmatchcase(name, pattern) for name in rig.names]
         if not any(matches):
             raise _unknown(rig, pattern, "joints")

@@ -10,6 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.edit.choices import chosen
 from animtool.errors import Fault, OptionError
 from animtool.maths.curves import cubic_curves, evaluate
 from animtool.maths.tangents import auto_clamped
@@ -57,17 +58,21 @@ def keyed(
     times: FloatArray,
     values: FloatArray,
     at: FloatArray,
-    interpolation: Interpolation = Interpolation.LINEAR,
+    interpolation: Interpolation | str = Interpolation.LINEAR,
 ) -> FloatArray:
     """Return a curve at some times ``(F,)``, held outside its keys.
 
     The slopes of ``smooth`` are those of `animtool.maths.tangents.auto_clamped`.
 
+    Raises:
+        OptionError: There is no such interpolation (SCN025).
+
     >>> ramp = np.array([0.0, 2.0]), np.array([0.0, 1.0])
     >>> keyed(*ramp, np.array([-1.0, 1.0])).tolist()
     [0.0, 0.5]
     """
-    if interpolation is Interpolation.LINEAR or len(times) < 2:
+    how = chosen(Interpolation, interpolation, "interpolation")
+    if how is Interpolation.LINEAR or len(times) < 2:
         return np.asarray(np.interp(at, times, values))
     # Handles lie at thirds of the segments beside a key.
     slopes = auto_clamped(times, values[:, None])
@@ -81,7 +86,7 @@ def keyed(
 def weights_at(
     weight: Weight,
     at: FloatArray,
-    interpolation: Interpolation = Interpolation.LINEAR,
+    interpolation: Interpolation | str = Interpolation.LINEAR,
     *,
     bounded: bool = True,
 ) -> FloatArray:
@@ -95,11 +100,12 @@ def weights_at(
 
     Raises:
         OptionError: A weight is not finite or out of bounds (SCN014), or a curve is
-            malformed (SCN015).
+            malformed (SCN015) or runs in no such way (SCN025).
 
     >>> weights_at(0.5, np.arange(2.0)).tolist()
     [0.5, 0.5]
     """
+    chosen(Interpolation, interpolation, "interpolation")
     if isinstance(weight, (int, float)):
         _check_weight(float(weight), bounded)
         return np.full(len(at), float(weight))

@@ -8,8 +8,11 @@ from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
 
+import numpy as np
+
 from animtool._types import FloatArray
 from animtool.edit.additive import add
+from animtool.edit.choices import chosen
 from animtool.edit.combine import Strength, check_same_rig
 from animtool.edit.frames import exact
 from animtool.edit.joint_names import joints_matching
@@ -17,7 +20,7 @@ from animtool.edit.keyed import Interpolation, Weight, weights_at
 from animtool.edit.mix import mix
 from animtool.edit.other_take import other_frames
 from animtool.edit.signs import continuous
-from animtool.passes import Pass, PassContext, Scope
+from animtool.passes import OptionChecks, Pass, PassContext, Scope, named_take
 from animtool.rig.skeleton import Rig
 from animtool.take import Motion, Take, TakeStream, time_codes
 
@@ -61,10 +64,10 @@ def layer(
     take: Take,
     other: Take,
     *,
-    mode: LayerMode = LayerMode.OVERRIDE,
+    mode: LayerMode | str = LayerMode.OVERRIDE,
     weight: Weight = 1.0,
-    interpolation: Interpolation = Interpolation.LINEAR,
-    joints: Sequence[str] = (),
+    interpolation: Interpolation | str = Interpolation.LINEAR,
+    joints: str | Sequence[str] = (),
     children: bool = False,
     delay: float = 0.0,
 ) -> Take:
@@ -75,16 +78,21 @@ def layer(
 
     Raises:
         OptionError: A joint is not in the rig (SCN012), a weight is not finite or
-            out of bounds (SCN014), its curve malformed (SCN015), or the rigs differ
-            (SCN017).
+            out of bounds (SCN014), its curve malformed (SCN015), the rigs differ
+            (SCN017), or a mode or interpolation is none (SCN025).
     """
     plan = _Plan(
-        other, mode, weight, interpolation, _chosen(take.rig, joints, children), delay
+        other,
+        chosen(LayerMode, mode, "mode"),
+        weight,
+        chosen(Interpolation, interpolation, "interpolation"),
+        _limited(take.rig, joints, children),
+        delay,
     )
     return plan.over(TakeStream.of(take)).collect()
 
 
-def _chosen(rig: Rig, joints: Sequence[str], children: bool) -> list[int] | None:
+def _limited(rig: Rig, joints: str | Sequence[str], children: bool) -> list[int] | None:
     return joints_matching(rig, joints, children=children) if joints else None
 
 
@@ -126,13 +134,24 @@ class _Plan:
 def _run(stream: TakeStream, options: LayerOptions, context: PassContext) -> TakeStream:
     plan = _Plan(
         context.take(options.take),
-        options.mode,
+        chosen(LayerMode, options.mode, "mode"),
         options.weight,
-        options.interpolation,
-        _chosen(stream.rig, options.joints, options.children),
+        chosen(Interpolation, options.interpolation, "interpolation"),
+        _limited(stream.rig, options.joints, options.children),
         options.delay,
     )
     return plan.over(stream)
 
 
-PASS = Pass("layer", "Put another take on top", LayerOptions, Scope.FRAME, _run)
+def _checks(options: LayerOptions) -> OptionChecks:
+    bounded = options.mode is LayerMode.OVERRIDE
+    return {
+        "take": lambda: named_take(options.take),
+        "weight": lambda: weights_at(options.weight, np.zeros(0), bounded=bounded),
+        "delay": lambda: exact(options.delay, "delay"),
+    }
+
+
+PASS = Pass(
+    "layer", "Put another take on top", LayerOptions, Scope.FRAME, _run, _checks
+)

@@ -8,13 +8,13 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.edit.cycle import Cycle, find_cycle, measure_cycle
-from animtool.edit.frames import check_count, frame_index
+from animtool.edit.frames import check_count, check_range, frame_index
 from animtool.edit.seam import Onward, SeamBlend, closed_lines, closed_turns
 from animtool.edit.signs import continuous
 from animtool.edit.travel import Travel, travel_of
 from animtool.errors import Fault, OptionError, Severity
 from animtool.maths import so3
-from animtool.passes import Pass, PassContext, Scope
+from animtool.passes import OptionChecks, Pass, PassContext, Scope
 from animtool.take import Channel, Motion, Take
 
 __all__ = ["PASS", "LoopOptions", "loop"]
@@ -74,9 +74,11 @@ def loop(
         return take
     i = 0 if first is None else frame_index(clock, first, "first")
     j = clock.count - 1 if last is None else frame_index(clock, last, "last")
-    if j <= i or repeats < 1 or blend < 0:
-        message = f"{j - i} frames, {repeats} repeats and a blend of {blend}"
-        raise OptionError(Fault("SCN018", f"no cycle can be made of {message}"))
+    if j <= i:
+        message = f"no cycle can be made of {j - i} frames"
+        raise OptionError(Fault("SCN018", message))
+    _check_least(repeats, 1, "repeats")
+    _check_least(blend, 0, "blend")
     length = j - i
     check_count(length * repeats)
     before, behind = int(i > 0), int(j < clock.count - 1)
@@ -138,6 +140,20 @@ class _Cycling:
         return np.concatenate(parts)
 
 
+def _check_least(number: int, least: int, name: str) -> None:
+    if number < least:
+        message = f"{name} is {number}; it must be {least} or more"
+        raise OptionError(Fault("SCN018", message))
+
+
+def _checks(options: LoopOptions) -> OptionChecks:
+    return {
+        "last": lambda: check_range(options.first, options.last),
+        "repeats": lambda: _check_least(options.repeats, 1, "repeats"),
+        "blend": lambda: _check_least(options.blend, 0, "blend"),
+    }
+
+
 def _run(take: Take, options: LoopOptions, context: PassContext) -> Take:
     first, last = options.first, options.last
     if options.find:
@@ -170,4 +186,4 @@ def _said(cycle: Cycle, *, found: bool) -> list[Fault]:
     return said
 
 
-PASS = Pass("loop", "Make and repeat a cycle", LoopOptions, Scope.CLIP, _run)
+PASS = Pass("loop", "Make and repeat a cycle", LoopOptions, Scope.CLIP, _run, _checks)

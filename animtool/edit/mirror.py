@@ -11,6 +11,7 @@ from typing import TypeAlias
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
+from animtool.edit.choices import chosen
 from animtool.edit.joint_names import joint_index
 from animtool.errors import Fault, OptionError
 from animtool.maths import so3
@@ -47,7 +48,7 @@ class MirrorOptions:
 
 
 def mirror(
-    take: Take, axis: Axis = Axis.X, pairs: Sequence[Sequence[str]] = ()
+    take: Take, axis: Axis | str = Axis.X, pairs: Sequence[Sequence[str]] = ()
 ) -> Take:
     """Return the take seen in a mirror, on the same rig.
 
@@ -61,9 +62,10 @@ def mirror(
 
     Raises:
         OptionError: A pair names no joint (SCN012), or partners do not hang from
-            partners (SCN019).
+            partners (SCN019), or there is no such axis (SCN025).
     """
-    return _mirrored(TakeStream.of(take), MirrorOptions(axis, _tuples(pairs))).collect()
+    options = MirrorOptions(chosen(Axis, axis, "axis"), _tuples(pairs))
+    return _mirrored(TakeStream.of(take), options).collect()
 
 
 def _tuples(pairs: Sequence[Sequence[str]]) -> tuple[tuple[str, str], ...]:
@@ -120,13 +122,33 @@ def _mirrored(
 ) -> TakeStream:
     rig = stream.rig
     partners = mirror_pairs(rig.names, _stated(rig, _tuples(options.pairs)))
+    _check_stated(rig, options.pairs, partners)
     _check_tree(rig, partners)
-    glass = _Glass.of(rig, partners, "XYZ".index(options.axis))
+    glass = _Glass.of(rig, partners, "XYZ".index(chosen(Axis, options.axis, "axis")))
     swaps = [
         mirror_pairs([part.name for part in getattr(rig, kind, ())])
         for kind in ("shapes", "controls")
     ]
     return replace(stream, blocks=_blocks(stream, glass, swaps))
+
+
+def _check_stated(rig: Rig, pairs: Sequence[Sequence[str]], partners: IntArray) -> None:
+    """Refuse stated pairs whose parents are no partners."""
+    faults = []
+    for a, b in pairs:
+        above = [rig.joints[rig.index(name)].parent for name in (a, b)]
+        if min(above) < 0 and above[0] != above[1]:
+            low, top = (a, b) if above[0] >= 0 else (b, a)
+            faults.append(f"{top!r} hangs from no joint, {low!r} does")
+        elif min(above) >= 0 and partners[above[0]] != above[1]:
+            one, two = (repr(rig.names[parent]) for parent in above)
+            faults.append(f"they hang from {one} and {two}, which are no partners")
+        else:
+            continue
+        faults[-1] = f"pairs: {a!r} and {b!r} cannot change places: {faults[-1]}"
+    if faults:
+        hint = "pair their parents too, or name other joints"
+        raise OptionError([Fault("SCN019", text, hint=hint) for text in faults])
 
 
 def _check_tree(rig: Rig, partners: IntArray) -> None:

@@ -12,8 +12,8 @@ from animtool._types import FloatArray, IntArray
 from animtool.edit.frames import check_count
 from animtool.edit.places import Places, even_places
 from animtool.errors import Fault, OptionError
-from animtool.passes import Pass, PassContext, Scope
-from animtool.rates import parse_rate
+from animtool.passes import OptionChecks, Pass, PassContext, Scope
+from animtool.rates import rate_option
 from animtool.take import MOST_FRAMES, Clock, Motion, Take, time_codes
 
 __all__ = [
@@ -165,12 +165,18 @@ def sample(take: Take, times: SampleTimes) -> Iterator[tuple[FloatArray, Motion]
         yield times.codes[part], motion.map(at.blend)
 
 
-def resampled(take: Take, fps: Fraction) -> Take:
+def resampled(take: Take, fps: Fraction | float | str) -> Take:
     """Return the take with a sample on every time code at another rate.
 
+    Args:
+        take: F frames.
+        fps: Frames a second, such as 24, ``"23.976"`` or ``Fraction(24000, 1001)``.
+
     Raises:
-        OptionError: There would be more than 10 million (SCN021).
+        OptionError: It is no rate (SCN022), or there would be more than 10 million
+            samples (SCN021).
     """
+    fps = rate_option(fps, "SCN022")
     check_count(1 + int((take.clock.count - 1) * fps / take.clock.rate))
     times = plan_samples(take.clock, fps, take.clock.start)
     motion = Motion.concatenate([block for _, block in sample(take, times)])
@@ -191,13 +197,16 @@ class ResampleOptions:
 
 
 def _run(take: Take, options: ResampleOptions, _: PassContext) -> Take:
+    return take if options.fps is None else resampled(take, options.fps)
+
+
+def _checks(options: ResampleOptions) -> OptionChecks:
     if options.fps is None:
-        return take
-    try:
-        fps = parse_rate(str(options.fps))
-    except ValueError as error:
-        raise OptionError(Fault("SCN022", f"fps: {error}")) from error
-    return resampled(take, fps)
+        return {}
+    fps = options.fps
+    return {"fps": lambda: rate_option(fps, "SCN022")}
 
 
-PASS = Pass("resample", "Sample at another rate", ResampleOptions, Scope.CLIP, _run)
+PASS = Pass(
+    "resample", "Sample at another rate", ResampleOptions, Scope.CLIP, _run, _checks
+)

@@ -14,13 +14,14 @@ from animtool.edit.chain import (
     rest_rotation,
     twist,
 )
+from animtool.edit.choices import chosen
 from animtool.edit.joint_names import joint_index
 from animtool.edit.signs import continuous
 from animtool.edit.travel import traveller
 from animtool.edit.tree import Placing, inserted, removed, set_joint
 from animtool.errors import Fault, OptionError
 from animtool.maths import so3
-from animtool.passes import Pass, PassContext, Scope
+from animtool.passes import OptionChecks, Pass, PassContext, Scope
 from animtool.take import Channel, Take
 
 __all__ = ["PASS", "RootMode", "RootMotionOptions", "extract_root", "recompose_root"]
@@ -70,8 +71,7 @@ def extract_root(
         OptionError: No joint is named so (SCN012); an axis is none, the root joint
             is not above the hips, or its scale does not allow it (SCN020).
     """
-    if not set(axes.lower()) <= set("xyz"):
-        raise _refusal(f"axes {axes!r} are not of x, y and z", "write xz, for one")
+    _check_axes(axes)
     rig = take.rig
     hip = _hips(take, root, hips)
     if root not in rig.names:
@@ -110,6 +110,15 @@ def recompose_root(take: Take, root: str = "root", *, keep: bool = False) -> Tak
         still = Placing(np.array([entry.translation]), np.array([entry.rotation]))
     done = set_joint(take, joint, still)
     return _compact(done if keep else removed(done, joint))
+
+
+def _check_axes(axes: str) -> None:
+    if not set(axes.lower()) <= set("xyz"):
+        raise _refusal(f"axes {axes!r} are not of x, y and z", "write xz, for one")
+
+
+def _checks(options: RootMotionOptions) -> OptionChecks:
+    return {"axes": lambda: _check_axes(options.axes)}
 
 
 def _refusal(message: str, hint: str) -> OptionError:
@@ -155,7 +164,7 @@ def _compact(take: Take) -> Take:
 
 
 def _run(take: Take, options: RootMotionOptions, _: PassContext) -> Take:
-    if options.mode is RootMode.RECOMPOSE:
+    if chosen(RootMode, options.mode, "mode") is RootMode.RECOMPOSE:
         return recompose_root(take, options.root, keep=options.keep)
     return extract_root(
         take, options.root, options.axes, yaw=options.yaw, hips=options.hips
@@ -163,5 +172,10 @@ def _run(take: Take, options: RootMotionOptions, _: PassContext) -> Take:
 
 
 PASS = Pass(
-    "root_motion", "Move travel to a root joint", RootMotionOptions, Scope.CLIP, _run
+    "root_motion",
+    "Move travel to a root joint",
+    RootMotionOptions,
+    Scope.CLIP,
+    _run,
+    _checks,
 )

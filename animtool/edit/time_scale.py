@@ -11,7 +11,7 @@ from animtool.edit.frames import check_count, exact, frame_refusal
 from animtool.edit.places import even_places
 from animtool.edit.signs import continuous
 from animtool.errors import Fault, OptionError
-from animtool.passes import Pass, PassContext, Scope
+from animtool.passes import OptionChecks, Pass, PassContext, Scope
 from animtool.take import Channel, Take
 
 __all__ = ["PASS", "TimeScaleOptions", "time_scale"]
@@ -41,9 +41,7 @@ def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
         OptionError: The speed is 0 or not finite (SCN016), no frame of the grid is
             left (SCN013), or there would be more than 10 million (SCN021).
     """
-    if not math.isfinite(speed) or speed == 0:
-        message = f"speed is {speed}; it must be finite and not 0"
-        raise OptionError(Fault("SCN016", message))
+    _check_speed(speed)
     clock = take.clock
     rate = exact(speed, "speed")
     fixed = clock.start if pivot is None else exact(pivot, "pivot")
@@ -64,8 +62,20 @@ def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
     )
 
 
+def _check_speed(speed: float) -> None:
+    if not math.isfinite(speed) or speed == 0:
+        message = f"speed is {speed}; it must be finite and not 0"
+        raise OptionError(Fault("SCN016", message))
+
+
+def _checks(options: TimeScaleOptions) -> OptionChecks:
+    return {"speed": lambda: _check_speed(options.speed)}
+
+
 def _run(take: Take, options: TimeScaleOptions, _: PassContext) -> Take:
     return time_scale(take, options.speed, options.pivot)
 
 
-PASS = Pass("time_scale", "Play at another speed", TimeScaleOptions, Scope.CLIP, _run)
+PASS = Pass(
+    "time_scale", "Play at another speed", TimeScaleOptions, Scope.CLIP, _run, _checks
+)

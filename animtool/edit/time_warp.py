@@ -12,7 +12,7 @@ from animtool.edit.frames import check_count, exact, frame_refusal
 from animtool.edit.keyed import Interpolation, Keys, key_arrays, keyed
 from animtool.edit.places import nearby_places
 from animtool.edit.signs import continuous
-from animtool.passes import Pass, PassContext, Scope
+from animtool.passes import OptionChecks, Pass, PassContext, Scope
 from animtool.take import Channel, Clock, Take
 
 __all__ = ["PASS", "TimeWarpOptions", "time_warp"]
@@ -33,7 +33,9 @@ class TimeWarpOptions:
 
 
 def time_warp(
-    take: Take, curve: Keys, interpolation: Interpolation = Interpolation.LINEAR
+    take: Take,
+    curve: Keys,
+    interpolation: Interpolation | str = Interpolation.LINEAR,
 ) -> Take:
     """Return the take retimed, from the curve's first frame to its last.
 
@@ -80,4 +82,10 @@ def _run(take: Take, options: TimeWarpOptions, _: PassContext) -> Take:
     return time_warp(take, options.curve, options.interpolation)
 
 
-PASS = Pass("time_warp", "Retime by a curve", TimeWarpOptions, Scope.CLIP, _run)
+def _checks(options: TimeWarpOptions) -> OptionChecks:
+    return {"curve": lambda: options.curve and key_arrays(options.curve, "curve")}
+
+
+PASS = Pass(
+    "time_warp", "Retime by a curve", TimeWarpOptions, Scope.CLIP, _run, _checks
+)

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
-from animtool.edit.frames import exact, frame_refusal
-from animtool.passes import Pass, PassContext, Scope
+from animtool.edit.frames import check_range, exact, frame_refusal
+from animtool.passes import OptionChecks, Pass, PassContext, Scope
 from animtool.take import Motion, Take, TakeStream
 
 __all__ = ["PASS", "TrimOptions", "trim"]
@@ -45,6 +45,7 @@ def trim(take: Take, first: float | None = None, last: float | None = None) -> T
 def _trimmed(
     stream: TakeStream, options: TrimOptions, _: PassContext | None = None
 ) -> TakeStream:
+    check_range(options.first, options.last)
     start = Fraction(1) if stream.start is None else stream.start
     low, high = 0, None
     if options.first is not None:
@@ -59,6 +60,10 @@ def _trimmed(
         )
     moved = stream.start if low == 0 else start + low * stream.step
     return replace(stream, start=moved, blocks=_kept(stream, low, high, start))
+
+
+def _checks(options: TrimOptions) -> OptionChecks:
+    return {"last": lambda: check_range(options.first, options.last)}
 
 
 def _shown(frame: float | None, start: Fraction) -> str:
@@ -84,4 +89,6 @@ def _kept(
         )
 
 
-PASS = Pass("trim", "Keep a range of frames", TrimOptions, Scope.FRAME, _trimmed)
+PASS = Pass(
+    "trim", "Keep a range of frames", TrimOptions, Scope.FRAME, _trimmed, _checks
+)

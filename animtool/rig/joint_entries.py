@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -144,6 +144,11 @@ def _entries(
     for i, model in enumerate(models):
         if model.mirror is None or entries[model.name].index != i:
             continue
+        if model.mirror == model.name:
+            message = f"{model.name!r} mirrors itself"
+            hint = "mirror names the joint of the other side"
+            document.add("RIG010", ("joints", i, "mirror"), message, hint)
+            continue
         if model.mirror in entries:
             message = f"mirror {model.mirror!r} is a joint already"
             hint = "mirror writes that joint; leave the other out"
@@ -222,6 +227,7 @@ def _joint(
     rotation = quaternion(document, (*at, "rotate"), model.rotate)
     x, y, z = (value * units.length for value in model.translate)
     tips = tuple(_scaled(tip, units.length) for tip in model.tips)
+    _refuse_repeats(document, (*at, "channels"), model.channels or [])
     joint = Joint(
         model.name,
         parent,
@@ -240,6 +246,13 @@ def _joint(
         limit = _ball_limit(document, (*at, "limits"), model.limits, units)
         joint = replace(joint, limits=limit)
     return joint
+
+
+def _refuse_repeats(document: Document, at: Location, channels: Sequence[str]) -> None:
+    for k, name in enumerate(channels):
+        if name in channels[:k]:
+            message = f"channel {name!r} stands twice"
+            document.add("RIG028", (*at, k), message, "a joint has each once")
 
 
 def _scaled(values: list[float], unit: float) -> Vector:
@@ -329,6 +342,8 @@ def _refuse_chains(
             entry = entries[joint.name]
             if not entry.mirrored:
                 message = f"{joint.mimic.joint!r} follows another joint itself"
+                if joint.mimic.joint == joint.name:
+                    message = f"{joint.name!r} follows itself"
                 hint = "name the joint that is moved"
                 at = ("joints", entry.index, "mimic", "joint")
                 document.add("RIG009", at, message, hint)

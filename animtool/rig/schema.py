@@ -11,6 +11,7 @@ from annotated_types import Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
+from animtool.rig.skeleton import ChannelName
 
 __all__ = ["JointModel", "RigModel", "UnitsModel"]
 
@@ -114,7 +115,7 @@ class _JointBase(FileModel):
         "End Sites of a BVH.",
         examples=[[[0.0, 0.17, 0.0]]],
     )
-    channels: list[str] | None = Field(
+    channels: list[ChannelName] | None = Field(
         default=None,
         description="Order of the joint's channels in a BVH; nothing else uses it.",
         examples=[["Zrotation", "Xrotation", "Yrotation"]],

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
-from typing import cast
+from typing import Literal, TypeAlias, cast, get_args
 
 import numpy as np
 
@@ -28,7 +28,21 @@ from animtool.rig.parts import (
 )
 from animtool.units import UpAxis, unit_name
 
-__all__ = ["Joint", "JointType", "Mimic", "Pose", "Rig"]
+__all__ = [
+    "CHANNEL_NAMES",
+    "ChannelName",
+    "Joint",
+    "JointType",
+    "Mimic",
+    "Pose",
+    "Rig",
+]
+
+# As BVH calls the numbers of a joint.
+ChannelName: TypeAlias = Literal[
+    "Xposition", "Yposition", "Zposition", "Xrotation", "Yrotation", "Zrotation"
+]
+CHANNEL_NAMES: tuple[str, ...] = get_args(ChannelName)
 
 Quaternion = tuple[float, float, float, float]
 

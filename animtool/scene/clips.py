@@ -36,8 +36,8 @@ def open_clip_source(
         OptionError: No rig is named.
     """
     file = open_clip(path)
+    loaded = load_rig_of(file, rig)
     named = rig or file.needed_rig()
-    loaded = load_rig_of(file, named)
     clip = load_clip(file, loaded)
     with _named(path):
         count = clip.frame_count()

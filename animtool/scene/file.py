@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 from pathlib import Path
@@ -11,19 +13,36 @@ from pydantic import TypeAdapter, ValidationError
 
 from animtool.config import project_roots
 from animtool.documents.arrays import referred
-from animtool.documents.check import check_version, nearest, validated
-from animtool.documents.document import Document, Location, read_document
+from animtool.documents.check import check_version, nearest, validated, wrong_values
+from animtool.documents.document import Document, Location, read_document, spelled
 from animtool.edit.resample import FrameRange
-from animtool.errors import AnimtoolError
+from animtool.errors import AnimtoolError, FormatError, OptionError
 from animtool.passes import Pass, PassContext, apply_pass, find_pass
 from animtool.rates import parse_rate
 from animtool.scene.options import BakeOptions
 from animtool.scene.schema import SceneModel
 from animtool.scene.sources import SourceOptions, open_source, takes_option
-from animtool.take import Take, TakeStream
+from animtool.take import Motion, Take, TakeStream
 from animtool.units import LengthUnit, UpAxis, parse_length
 
-__all__ = ["Scene", "load_scene"]
+__all__ = ["Scene", "ScenePass", "load_scene"]
+
+
+@dataclass(frozen=True, slots=True)
+class ScenePass:
+    """One entry of a scene's passes.
+
+    Attributes:
+        pass_: What to do.
+        options: Its own record.
+        place: 1-based line and column of the entry.
+        where: The entry in the file, such as ``passes[1].trim``.
+    """
+
+    pass_: Pass
+    options: Any
+    place: tuple[int, int]
+    where: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +53,7 @@ class Scene:
         path: The file.
         source: The source's file.
         options: How to open it.
-        passes: What to do to it, each with its options, in order.
+        passes: What to do to it, in order.
         output: The file to write; None where it names none.
         bake: Options of the bake that it sets.
     """
@@ -42,20 +61,53 @@ class Scene:
     path: Path
     source: Path
     options: SourceOptions
-    passes: tuple[tuple[Pass, Any], ...]
+    passes: tuple[ScenePass, ...]
     output: Path | None
     bake: BakeOptions
 
     def open(self) -> TakeStream:
-        """Return the source with every pass applied."""
+        """Return the source with every pass applied.
+
+        Raises:
+            FormatError: The source is malformed, or a pass cannot be applied to it,
+                with the pass's place; the blocks may raise it too.
+            OptionError: An option does not apply to the source.
+        """
         stream = open_source(self.source, self.options)
         context = PassContext(self._take, self.path.resolve().parent)
-        for pass_, options in self.passes:
+        for entry in self.passes:
             notices, details = stream.notices, stream.details
-            stream = apply_pass(stream, pass_, options, context)
-            stream = replace(stream, notices=notices, details=details)
+            with self._placed(entry):
+                stream = apply_pass(stream, entry.pass_, entry.options, context)
+            blocks = self._read(entry, stream.blocks)
+            stream = replace(stream, notices=notices, details=details, blocks=blocks)
         stream.notices += context.notices
         return stream
+
+    def _read(self, entry: ScenePass, blocks: Iterator[Motion]) -> Iterator[Motion]:
+        with self._placed(entry):
+            yield from blocks
+
+    @contextmanager
+    def _placed(self, entry: ScenePass) -> Iterator[None]:
+        """Give faults that have no file those of the pass that found them."""
+        try:
+            yield
+        except OptionError as error:
+            line, column = entry.place
+            faults = [
+                replace(
+                    fault,
+                    path=str(self.path),
+                    lines=(line,),
+                    column=column,
+                    where=entry.where,
+                )
+                if fault.path is None
+                else fault
+                for fault in error.faults
+            ]
+            raise FormatError(faults) from error
 
     def _take(self, path: Path) -> Take:
         options = (
@@ -159,9 +211,7 @@ class _SceneReader:
             self.document.add("SCN003", at, str(error))
             return None
 
-    def _pass(
-        self, at: Location, name: str, given: dict[str, Any]
-    ) -> tuple[Pass, Any] | None:
+    def _pass(self, at: Location, name: str, given: dict[str, Any]) -> ScenePass | None:
         try:
             found = find_pass(name)
         except AnimtoolError as error:
@@ -177,8 +227,30 @@ class _SceneReader:
         try:
             options = TypeAdapter(found.options).validate_python(known)
         except ValidationError as error:
-            for wrong in error.errors(include_url=False):
-                message = f"{wrong['msg'][0].lower()}{wrong['msg'][1:]}"
-                self.document.add("SCN002", (*at, *wrong["loc"]), message)
+            for place, message in wrong_values(known, error):
+                self.document.add("SCN002", (*at, *place), message)
             return None
-        return None if unknown else (found, options)
+        self._check(at, found, options)
+        if unknown:
+            return None
+        line, column = self.document.place(at)
+        return ScenePass(found, options, (line, column), spelled(at))
+
+    def _check(self, at: Location, found: Pass, options: Any) -> None:
+        """Note what is wrong with options whatever the take is."""
+        for option, check in found.checks(options).items():
+            try:
+                check()
+            except OptionError as error:
+                for fault in error.faults:
+                    place = (*at, option)
+                    self.document.add(fault.code, place, fault.message, fault.hint)
+        for field in fields(found.options):
+            value = getattr(options, field.name)
+            if isinstance(value, Path):
+                self._exists((*at, field.name), str(value))
+
+    def _exists(self, at: Location, name: str) -> None:
+        """Refuse a file to read that is not there."""
+        if not (self.document.path.resolve().parent / name).exists():
+            self.document.add("SCN005", at, f"{name!r} does not exist")

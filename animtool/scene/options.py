@@ -9,6 +9,7 @@ from pathlib import Path
 
 from animtool.edit.resample import FrameRange
 from animtool.errors import Fault, OptionError
+from animtool.rates import rate_option
 from animtool.scene.sources import SourceOptions
 from animtool.units import LengthUnit, UpAxis
 
@@ -37,7 +38,8 @@ class BakeOptions:
         bones: Add geometry that shows the joints.
         strip_namespace: Leading ``ns:`` parts of joint names to drop.
         rest_frame: Frame whose pose becomes the rest pose; None keeps the source's.
-        fps: Frames a second of the output; None is the rig layer's or the source's.
+        fps: Frames a second of the output; a number or text such as ``23.976``
+            becomes a fraction. None is the rig layer's or the source's.
         frame_range: Frames to write.
         start: Time code of the first frame; None is the rig layer's, the
             project's, or 1.
@@ -58,6 +60,9 @@ class BakeOptions:
         chunk: Samples of point caches in each of several files; None is one file.
         strict: Take warnings for errors.
         overwrite: Replace outputs that exist.
+
+    Raises:
+        OptionError: fps is no rate (CLI006).
     """
 
     source: SourceOptions = field(default_factory=SourceOptions)
@@ -85,6 +90,11 @@ class BakeOptions:
     chunk: int | None = None
     strict: bool = False
     overwrite: bool = False
+
+    def __post_init__(self) -> None:
+        """Take the rate as it is written."""
+        if self.fps is not None:
+            object.__setattr__(self, "fps", rate_option(self.fps, "CLI006"))
 
 
 def merged(options: BakeOptions, others: BakeOptions) -> BakeOptions:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import cast
 
 from animtool.errors import AnimtoolError, Fault, OptionError
+from animtool.rates import rate_option
 from animtool.readers import READERS, USD, find_reader
 from animtool.take import TakeStream
 from animtool.units import LengthUnit, UpAxis
@@ -43,11 +44,15 @@ class SourceOptions:
     Attributes:
         unit: Unit of its lengths; None is what the file says, centimetres for BVH.
         up: Its up axis; None is what the file says, Y for BVH.
-        fps: Its real frame rate; None is what the file says.
+        fps: Its real frame rate; a number or text becomes a fraction. None is what
+            the file says.
         prim_path: The character, where a stage has several.
         rig: Rig of a clip, in place of the one that it names.
         clamp: Bring a clip's controls into their ranges, and joints into limits.
         take: Which take of a clip library; None is the one that it selects.
+
+    Raises:
+        OptionError: fps is no rate (CLI006).
     """
 
     unit: LengthUnit | None = None
@@ -57,6 +62,11 @@ class SourceOptions:
     rig: Path | None = None
     clamp: bool = False
     take: str | None = None
+
+    def __post_init__(self) -> None:
+        """Take the rate as it is written."""
+        if self.fps is not None:
+            object.__setattr__(self, "fps", rate_option(self.fps, "CLI006"))
 
 
 def is_usd(path: Path) -> bool:
@@ -127,6 +137,10 @@ def open_source(
             apply to it.
     """
     path, options = Path(path), options or SourceOptions()
+    if is_scene(path):
+        message = "is a scene, and no take is read from scenes"
+        hint = "animtool bake bakes it; its source is a file that can be read"
+        raise OptionError(Fault("IO002", message, str(path), (), hint))
     reader = find_reader(path)
     usual = SourceOptions()
     given = {

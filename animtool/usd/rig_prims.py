@@ -15,7 +15,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError, Severity, excerpt, listed
 from animtool.maths import so3
-from animtool.rig.skeleton import Joint, Pose, Rig
+from animtool.rig.skeleton import CHANNEL_NAMES, Joint, Pose, Rig
 from animtool.units import UpAxis
 from animtool.usd.layers import check_prim_path, find_layer, usd_errors
 
@@ -288,8 +288,9 @@ def _joint_extras(entry: dict[str, Any]) -> dict[str, Any]:
     channels, tips = entry.get("channels"), entry.get("tips", ())
     if channels is not None:
         channels = tuple(channels)
-        if not all(isinstance(name, str) for name in channels):
-            raise TypeError("channels are names")
+        known = [name for name in CHANNEL_NAMES if name in channels]
+        if len(known) != len(channels):
+            raise ValueError(f"channels are some of {', '.join(CHANNEL_NAMES)}")
     points = [(float(x), float(y), float(z)) for x, y, z in tips]
     if not all(map(math.isfinite, sum(points, ()))):
         raise ValueError("a tip is not finite")

@@ -141,3 +141,19 @@ def test_completion(shell: str) -> None:
     done = animtool("completion", shell)
     assert done.code == 0
     assert "_ANIMTOOL_COMPLETE" in done.stdout
+
+
+def test_an_interrupt_while_loading_is_one() -> None:
+    code = (
+        "import sys\n"
+        "class Stop:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'animtool.cli.main': raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Stop())\n"
+        "from animtool.__main__ import main\n"
+        "main()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (130, "interrupted\n")

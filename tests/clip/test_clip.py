@@ -3,6 +3,7 @@ from __future__ import annotations
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -111,3 +112,21 @@ def test_a_short_repr(tmp_path: Path) -> None:
     clip, _ = loaded(tmp_path, CURL)
     assert repr(clip) == "<Clip 'shot': 1 channel, 2 keys, frames 1 to 9 at 24 fps>"
     assert repr(clip.channels[0]) == "<ClipChannel 'control/curl': 2 keys>"
+
+
+def test_the_rig_may_be_a_path(tmp_path: Path) -> None:
+    rig = hero(tmp_path)
+    path = write_clip(tmp_path, CURL)
+    (channel,) = Clip.load(path, tmp_path / "hero.rig.yaml").channels
+    assert repr(channel) == repr(Clip.load(path, rig).channels[0])
+    with pytest.raises(AnimtoolError) as caught:
+        Clip.load(path, str(tmp_path / "none.rig.yaml"))
+    assert caught.value.code == "IO001"
+
+
+@pytest.mark.parametrize("fps", [0, -1, "none", [24], float("inf")])
+def test_a_range_is_not_counted_at_a_rate_that_is_none(fps: Any) -> None:
+    clip = Clip("nod", Fraction(24), Fraction(1), Fraction(5), ())
+    with pytest.raises(AnimtoolError) as caught:
+        clip.frame_count(fps)
+    assert caught.value.code == "CLIP008"

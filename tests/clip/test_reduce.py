@@ -223,17 +223,6 @@ def test_an_unreachable_tolerance_is_said() -> None:
     assert 0 < reduction.error < 1e-12
 
 
-@pytest.mark.parametrize("where", ["rotations", "translations"])
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_what_is_not_finite_is_refused(where: str, value: float) -> None:
-    take = take_of(arm(), swing(20))
-    channel = getattr(take.motion, where).dense()
-    channel[7, 1, 0] = value
-    motion = replace(take.motion, **{where: Channel.from_dense(channel)})
-    with pytest.raises(ValueError, match=where):
-        reduce_motion(replace(take, motion=motion), 1e-3)
-
-
 @pytest.mark.parametrize(
     "options",
     [

@@ -12,9 +12,9 @@ from support.bvh import read_reference
 from support.data import data_files
 from support.usd import joint_positions, open_stage, skeleton_query, validation_errors
 
-from animtool.formats.bvh.hierarchy import CHANNEL_NAMES
 from animtool.rates import rate_from_frame_time
 from animtool.report.compare import compare_takes
+from animtool.rig.skeleton import CHANNEL_NAMES
 from animtool.scene.bake import BakeReport, bake
 from animtool.scene.convert import convert
 from animtool.scene.options import BakeOptions

@@ -66,7 +66,7 @@ def test_a_sound_document(tmp_path: Path) -> None:
         ("items:\n- {type: squar, side: 1}", "DOC022", 3, "squar"),
         ("items:\n- {type: square, side: x}", "DOC022", 3, "'x' is not a number"),
         ("items:\n- {type: square, side: '1'}", "DOC022", 3, "not a number"),
-        ("items:\n- {type: square, side: [1]}", "DOC022", 3, "1 items where 2"),
+        ("items:\n- {type: square, side: [1]}", "DOC022", 3, "1 item where 2"),
         ("items:\n- {type: square}", "DOC021", 3, "'side' is missing"),
         ("items:\n- {type: square, sid: 1, side: 1}", "DOC020", 3, "'side'"),
         ("items:\n- {type: square, side: 1, count: 1.5}", "DOC022", 3, "1.5"),
@@ -103,6 +103,9 @@ def test_all_that_is_missing(tmp_path: Path) -> None:
         ("rig: 1", "DOC009", "allowed: animtool/1"),
         ("rig: [animtool/1]", "DOC009", "allowed: animtool/1"),
         ("rig: animtool/2", "DOC012", "newer"),
+        ("rig: animtool/0", "DOC012", "allowed: animtool/1"),
+        ("rig: animtool/x", "DOC012", "allowed: animtool/1"),
+        ("clip: animtool/1\nrig: hero.rig.yaml", "DOC009", "looks like a clip file"),
     ],
 )
 def test_versions(tmp_path: Path, text: str, code: str, words: str) -> None:

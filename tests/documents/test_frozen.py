@@ -48,7 +48,7 @@ def test_clip_1() -> None:
 def test_scene_1(tmp_path: Path) -> None:
     scene = load_scene(FROZEN / "scene-1.scene.yaml")
     assert scene.source.name == "clip-1.clip.yaml"
-    assert [found.name for found, _ in scene.passes] == ["trim", "loop"]
+    assert [entry.pass_.name for entry in scene.passes] == ["trim", "loop"]
     layer = load_scene(FROZEN / "scene-1-bvh.scene.yaml")
     assert (layer.options.prim_path, layer.bake.form) == ("/hero", "layer")
     shutil.copytree(FROZEN, tmp_path / "frozen")

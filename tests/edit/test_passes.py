@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
+from support.small_takes import content, small
 
 from animtool.errors import OptionError
 from animtool.formats.bvh import read_bvh
-from animtool.maths import so3
 from animtool.passes import PASSES, PassContext, apply_pass, find_pass
-from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Channel, Clock, Motion, Take, TakeStream
+from animtool.take import Take, TakeStream
 
 OPTIONS: dict[str, dict[str, Any]] = {
     "trim": {"first": 1, "last": 9},
@@ -29,20 +27,6 @@ OPTIONS: dict[str, dict[str, Any]] = {
 }
 
 
-def small(count: int = 12) -> Take:
-    """Return three joints, of which the last never moves."""
-    rng = np.random.default_rng(3)
-    turns = so3.exp(np.cumsum(rng.normal(0, 0.1, (count, 3, 3)), axis=0))
-    turns[:, 2] = so3.IDENTITY
-    slides = np.cumsum(rng.normal(0, 0.1, (count, 3, 3)), axis=0)
-    slides[:, 1:] = [0.0, 0.5, 0.0]
-    rig = Rig("small", (Joint("hips", -1), Joint("arm_l", 0), Joint("arm_r", 0)))
-    motion = Motion(
-        Channel.from_dense(slides), Channel.from_dense(so3.align_signs(turns))
-    )
-    return Take(rig, Clock(Fraction(30), Fraction(1), Fraction(1), count), motion)
-
-
 def run(name: str, take: Take, /, blocks: int = 1, **options: Any) -> Take:
     """Return a take with a pass of the table applied, the other being itself."""
     context = PassContext(lambda _: take, Path())
@@ -52,14 +36,6 @@ def run(name: str, take: Take, /, blocks: int = 1, **options: Any) -> Take:
     stream.blocks = iter([take.motion.select(part) for part in parts if len(part)])
     settings = found.options(**(OPTIONS.get(name, {}) | options))
     return apply_pass(stream, found, settings, context).collect()
-
-
-def content(take: Take) -> bytes:
-    return b"".join(
-        part.tobytes()
-        for channel in (take.motion.translations, take.motion.rotations)
-        for part in (channel.rest, channel.animated, channel.values)
-    )
 
 
 @pytest.fixture(params=["small", "walk"])

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from animtool.edit.resample import FrameRange, plan_samples, sample
+from animtool.edit.resample import FrameRange, plan_samples, resampled, sample
 from animtool.errors import OptionError
 from animtool.maths import so3
 from animtool.rig.skeleton import Joint, Rig
@@ -138,3 +139,14 @@ def test_far_too_many_samples(frames: FrameRange | None) -> None:
     slow = clock(100, Fraction(1, 100))
     with pytest.raises(OptionError, match="frames"):
         plan_samples(slow, Fraction(100_000), Fraction(1), frame_range=frames)
+
+
+@pytest.mark.parametrize("fps", [0, Fraction(0), -24, "none", float("nan"), True, [24]])
+def test_a_rate_that_is_none_is_refused(fps: Any) -> None:
+    with pytest.raises(OptionError, match="rate"):
+        resampled(spin(3, Fraction(30)), fps)
+
+
+@pytest.mark.parametrize("fps", [23.976, "23.976", "24000/1001"])
+def test_rates_are_taken_as_they_are_written(fps: float | str) -> None:
+    assert resampled(spin(3, Fraction(30)), fps).clock.fps == Fraction(24000, 1001)

@@ -138,6 +138,7 @@ CASES = {
         "SCN023", "difference", {"base": OTHER}, other=lambda: crouched((1, 1, 0))
     ),
     "no other take": Case("SCN024", "layer", {}),
+    "no such mode": Case("SCN025", "layer", {"take": OTHER, "mode": "foo"}),
     "a poor seam": Case("SCN101", "loop", {}),
     "a cycle found": Case("SCN102", "loop", {"find": True}),
 }
@@ -167,6 +168,7 @@ SCENES = {
     "a range that is reversed": ("SCN003", "range: [9, 1]"),
     "a rate that is none": ("SCN003", "fps: fast"),
     "a file outside the project": ("SCN004", "output: {file: ../../out.usda}"),
+    "a file that is not there": ("SCN005", "passes: [{layer: {take: no.bvh}}]"),
     "no such pass": ("SCN010", "passes: [{trm: }]"),
     "a plug-in that breaks": ("SCN011", "passes: [{broken: }]"),
     "a plug-in that is no pass": ("SCN011", "passes: [{number: }]"),

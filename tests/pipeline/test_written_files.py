@@ -91,6 +91,7 @@ SCENES = [
     ("fps: 24", "fps: 0", "SCN003", 2),
     ("file: good.clip.yaml", "file: /good.clip.yaml", "SCN004", 4),
     ("file: shot.usda", "file: ../shot.usda", "SCN004", 8),
+    ("loop: {}", "layer: {take: no.bvh}", "SCN005", 7),
     ("loop:", "lop:", "SCN010", 7),
 ]
 

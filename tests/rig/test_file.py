@@ -223,6 +223,8 @@ FAULTS = [
     ("joint: claw_l, gain", "joint: mast, gain", "RIG009", 10),
     ("joint: claw_l, gain", "joint: pump, gain", "RIG009", 10),
     ("mirror: claw_r", "mirror: hook", "RIG010", 6),
+    ("type: ball", "type: ball, channels: [Zrotation, bla]", "DOC022", 8),
+    ("type: ball", "type: ball, channels: [Zrotation, Zrotation]", "RIG028", 8),
     ("mirror: claw_r", "mirror: claw_l", "RIG010", 6),
     ("name: bulge", "name: dent", "RIG011", 17),
     ("name: wear", "name: grip", "RIG011", 21),

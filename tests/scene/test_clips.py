@@ -11,6 +11,7 @@ from animtool.clip.sample import sample_clip
 from animtool.errors import AnimtoolError
 from animtool.rig.skeleton import Rig
 from animtool.scene.clips import open_clip_source
+from animtool.scene.sources import open_source
 
 CURL = """\
 - {target: control/curl, keys: [{t: 1, v: 0}, {t: 9, v: 2}]}
@@ -80,3 +81,24 @@ def test_what_is_no_rig(tmp_path: Path, name: str, code: str) -> None:
     with pytest.raises(AnimtoolError) as caught:
         Rig.load(tmp_path / name)
     assert caught.value.code == code
+
+
+def test_a_missing_rig_has_its_place_in_the_clip(tmp_path: Path) -> None:
+    path = tmp_path / "nod.clip.yaml"
+    path.write_text(
+        "clip: animtool/1\nrig: none.rig.yaml\nfps: 24\nchannels: []\nrange: [9, 1]\n",
+        encoding="utf-8",
+    )
+    with pytest.raises(AnimtoolError) as caught:
+        open_source(path)
+    found = [(f.code, f.lines[0], f.column) for f in caught.value.faults]
+    assert found == [("CLIP012", 2, 6), ("CLIP006", 5, 8)]
+    assert caught.value.faults[0].message == "'none.rig.yaml' does not exist"
+
+
+def test_no_take_is_read_from_a_scene(tmp_path: Path) -> None:
+    path = tmp_path / "shot.scene.yaml"
+    path.write_text("scene: animtool/1\nsource: {file: walk.bvh}\n", encoding="utf-8")
+    with pytest.raises(AnimtoolError, match="bake") as caught:
+        open_source(path)
+    assert caught.value.code == "IO002"

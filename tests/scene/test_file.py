@@ -156,3 +156,59 @@ def test_a_source_that_is_missing_hides_nothing(shot: Path) -> None:
         load_scene(shot)
     said = [(f.code, f.lines[0]) for f in caught.value.faults]
     assert said == [("DOC021", 1), ("SCN010", 4)]
+
+
+MANY = """scene: animtool/1
+source: {file: walk.bvh, units: cm}
+passes:
+- trim: {first: 50, last: 5}
+- time_scale: {speed: 0}
+- loop: {repeats: -1}
+- layer: {take: nope.bvh, weight: 3}
+- blend: {weight: [[1, 0], [1]]}
+- resample: {fps: 0}
+- root_motion: {axes: q}
+- time_warp: {curve: [[2, 1], [1, 1]]}
+"""
+
+
+def test_options_are_checked_before_there_is_a_take(shot: Path) -> None:
+    shot.write_text(MANY, "utf-8")
+    done = animtool("bake", shot, "-o", shot.parent / "o.usda")
+    assert done.code == 3
+    said = [line.removeprefix(f"{shot}:").split() for line in done.stderr.splitlines()]
+    assert [(c, int(at.split(":")[0])) for at, c, *_ in said] == [
+        ("SCN013", 4),
+        ("SCN016", 5),
+        ("SCN018", 6),
+        ("SCN005", 7),
+        ("SCN014", 7),
+        ("SCN002", 8),
+        ("SCN022", 9),
+        ("SCN020", 10),
+        ("SCN015", 11),
+    ]
+    assert "tuple" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("entry", "code"),
+    [
+        ("trim: {first: 100, last: 200}", "SCN013"),
+        ("loop: {first: 100}", "SCN013"),
+        ("mirror: {pairs: [[LeftLeg, RightArm]]}", "SCN019"),
+        ("layer: {take: walk.bvh, joints: [Nose]}", "SCN012"),
+    ],
+)
+def test_what_a_pass_finds_in_a_take_has_the_place_of_the_pass(
+    shot: Path, entry: str, code: str
+) -> None:
+    # Two others behind it read its blocks, and are not to blame.
+    text = GOOD.replace("trim: {first: 5, last: 20}", f"{entry}\n- mirror:\n- loop:")
+    shot.write_text(text, "utf-8")
+    with pytest.raises(FormatError) as caught:
+        load_scene(shot).open().collect()
+    [fault] = caught.value.faults
+    name = entry.partition(":")[0]
+    assert (fault.code, fault.path) == (code, str(shot))
+    assert (fault.lines, fault.where) == ((5,), f"passes[1].{name}")

@@ -2,12 +2,13 @@ from __future__ import annotations
 
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support.bvh import random_rows, small_bvh
 
 from animtool.edit.resample import FrameRange
-from animtool.errors import AnimtoolError
+from animtool.errors import AnimtoolError, OptionError
 from animtool.scene.bake import run_bake
 from animtool.scene.options import (
     BakeOptions,
@@ -16,7 +17,7 @@ from animtool.scene.options import (
     parse_offsets,
 )
 from animtool.scene.plan import plan_bake
-from animtool.scene.sources import open_source
+from animtool.scene.sources import SourceOptions, open_source
 
 
 @pytest.fixture
@@ -92,3 +93,13 @@ def test_no_source_is_an_option_error(tmp_path: Path) -> None:
     with pytest.raises(AnimtoolError) as caught:
         plan_bake([], tmp_path / "o.usda")
     assert caught.value.code == "CLI002"
+
+
+@pytest.mark.parametrize("record", [BakeOptions, SourceOptions])
+def test_rates_are_taken_as_they_are_written(record: Any) -> None:
+    for fps in (23.976, "23.976", "24000/1001", Fraction(24000, 1001)):
+        assert record(fps=fps).fps == Fraction(24000, 1001)
+    for fps in (0, Fraction(0), -24, "none", True, [24]):
+        with pytest.raises(OptionError) as caught:
+            record(fps=fps)
+        assert caught.value.faults[0].code == "CLI006"

@@ -8,17 +8,10 @@ from dataclasses import dataclass, field
 from animtool.errors import Fault, Severity, excerpt, listed
 from animtool.formats.bvh.lines import HeaderLines
 from animtool.rates import RateChoice, RateKind, rate_from_frame_time, rate_label
+from animtool.rig.skeleton import CHANNEL_NAMES
 
-__all__ = ["CHANNEL_NAMES", "BvhHeader", "BvhJoint", "read_header"]
+__all__ = ["BvhHeader", "BvhJoint", "read_header"]
 
-CHANNEL_NAMES = (
-    "Xposition",
-    "Yposition",
-    "Zposition",
-    "Xrotation",
-    "Yrotation",
-    "Zrotation",
-)
 _CHANNELS = {name.lower(): name for name in CHANNEL_NAMES}
 
 # Slower than stop motion on sixes, or faster than any capture system: rather a

@@ -1,0 +1,34 @@
+"""Options of which there are a few, by the words that scenes write for them."""
+
+from __future__ import annotations
+
+import difflib
+from enum import StrEnum
+from typing import TypeVar
+
+from animtool.errors import Fault, OptionError, excerpt
+
+__all__ = ["chosen"]
+
+Choice = TypeVar("Choice", bound=StrEnum)
+
+
+def chosen(choices: type[Choice], given: str, option: str) -> Choice:
+    """Return a choice by its word, or as it is.
+
+    Raises:
+        OptionError: There is none of that word (SCN025).
+
+    >>> class Side(StrEnum):
+    ...     LEFT = "left"
+    >>> chosen(Side, "left", "side")
+    <Side.LEFT: 'left'>
+    """
+    try:
+        return choices(given)
+    except ValueError as error:
+        words = [str(choice) for choice in choices]
+        message = f"{option} is {excerpt(str(given))}; it is one of {', '.join(words)}"
+        near = difflib.get_close_matches(str(given), words, 1)
+        hint = f"did you mean {near[0]}?" if near else None
+        raise OptionError(Fault("SCN025", message, hint=hint)) from error
