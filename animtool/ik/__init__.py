@@ -1,0 +1,17 @@
+"""Inverse kinematics: poses that bring joints to goals, limits kept."""
+
+from animtool.ik.goals import Goal, Targets
+from animtool.ik.problem import Problem, build
+from animtool.ik.result import IkResult, IkStatus
+from animtool.ik.solve import IkOptions, solve
+
+__all__ = [
+    "Goal",
+    "IkOptions",
+    "IkResult",
+    "IkStatus",
+    "Problem",
+    "Targets",
+    "build",
+    "solve",
+]

@@ -1,0 +1,241 @@
+// Descents from the start and, where they end short of the goals, from elsewhere.
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+
+#include "ik_step.h"
+
+namespace animtool::ik {
+
+struct Settings {
+  double length_tolerance;  // of the chain's length
+  double angle_tolerance;   // [rad]
+  double damping;           // of the first step
+  int iterations;           // of all descents of one problem
+  int restarts;
+  std::uint64_t seed;
+  double seconds;  // 0 is no bound
+};
+
+enum class Status { REACHED = 0, NEAREST = 1, BUDGET = 2, BROKEN = 3 };
+
+struct Outcome {
+  Status status = Status::BUDGET;
+  int iterations = 0;
+  int descents = 0;
+};
+
+// splitmix64 (S. Vigna): small, and the same numbers everywhere.
+class Random {
+ public:
+  explicit Random(std::uint64_t seed) : state_(seed) {}
+
+  // In [low, high).
+  double between(double low, double high) {
+    std::uint64_t z = (state_ += 0x9e3779b97f4a7c15ull);
+    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9ull;
+    z = (z ^ (z >> 27)) * 0x94d049bb133111ebull;
+    z ^= z >> 31;
+    return low + (high - low) * (static_cast<double>(z >> 11) * 0x1.0p-53);
+  }
+
+ private:
+  std::uint64_t state_;
+};
+
+class Search {
+ public:
+  Search(const Task& task, const Settings& settings)
+      : task_(task), settings_(settings), linear_(task), stepper_(task), now_(task), next_(task),
+        best_(task), delta_(task.chain.dofs), pull_(task.chain.dofs) {}
+
+  // Fills in `q` (Q,), whatever comes of it.
+  Outcome run(const double* start, const double* targets, const double* rest, double* q) {
+    targets_ = targets;
+    rest_ = rest;
+    outcome_ = {};
+    random_ = Random(settings_.seed);
+    began_ = std::chrono::steady_clock::now();
+    std::fill(delta_.begin(), delta_.end(), 0.0);
+    stepper_.move(start, delta_.data(), best_.q.data());
+    evaluate(best_);
+    if (!std::isfinite(best_.cost)) {
+      std::copy(start, start + task_.chain.coordinates, q);
+      outcome_.status = Status::BROKEN;
+      return outcome_;
+    }
+    outcome_.status = look();
+    std::copy(best_.q.begin(), best_.q.end(), q);
+    return outcome_;
+  }
+
+  const State& best() const { return best_; }
+
+ private:
+  enum class End { REACHED, STILL, SLOW, BUDGET };
+
+  static constexpr double SHAKE = 0.05;  // [rad]
+  static constexpr int SAMPLES = 4;
+  static constexpr int PATIENCE = 6;
+  static constexpr double LEAST_DAMPING = 1e-12;
+  static constexpr double MOST_DAMPING = 1e8;
+
+  Status look() {
+    State first = best_;
+    now_ = best_;
+    End end = descend(settings_.damping, true);
+    if (keep() == End::REACHED) return Status::REACHED;
+    int agreeing = 0;
+    for (int i = 0; i < settings_.restarts && !spent(); ++i) {
+      const double before = best_.cost;
+      if (i == 0 && end == End::STILL) {
+        now_ = best_;
+        shake();
+      } else {
+        scatter(i % 2 ? best_ : first);
+      }
+      end = descend(1e-3, false);
+      if (keep() == End::REACHED) return Status::REACHED;
+      if (end == End::STILL && now_.cost < before * (1 + 1e-6) + 1e-18) ++agreeing;
+      if (best_.cost < before * (1 - 1e-6)) agreeing = 0;
+      if (agreeing >= AGREEING) break;
+    }
+    if (spent()) return Status::BUDGET;
+    now_ = best_;
+    end = descend(1e-6, true, true);
+    if (keep() == End::REACHED) return Status::REACHED;
+    return end == End::BUDGET ? Status::BUDGET : Status::NEAREST;
+  }
+  static constexpr int AGREEING = 3;
+
+  bool spent() const {
+    if (outcome_.iterations >= settings_.iterations) return true;
+    if (!(settings_.seconds > 0)) return false;
+    const std::chrono::duration<double> taken = std::chrono::steady_clock::now() - began_;
+    return taken.count() > settings_.seconds;
+  }
+
+  void evaluate(State& state) {
+    forward(task_.chain, state.q.data(), state.frames);
+    measure(task_, targets_, state);
+    state.cost += rest_pull(task_, state.q.data(), rest_, pull_.data());
+  }
+
+  bool reached(const State& state) const {
+    for (std::size_t i = 0; i < state.misses.size(); ++i) {
+      const double tolerance =
+          i % PARTS == 0 ? settings_.length_tolerance : settings_.angle_tolerance;
+      if (state.misses[i] > tolerance) return false;
+    }
+    return true;
+  }
+
+  End keep() {
+    if (now_.cost < best_.cost || reached(now_)) std::swap(now_, best_);
+    return reached(best_) ? End::REACHED : End::STILL;
+  }
+
+  void shake() {
+    for (double& d : delta_) d = random_.between(-SHAKE, SHAKE);
+    stepper_.move(now_.q.data(), delta_.data(), next_.q.data());
+    std::swap(now_, next_);
+    evaluate(now_);
+  }
+
+  // The best of some random poses. Where a joint has no limits near by, about `home`.
+  void scatter(const State& home) {
+    double least = std::numeric_limits<double>::infinity();
+    for (int i = 0; i < SAMPLES; ++i) {
+      sample(home, next_.q.data());
+      evaluate(next_);
+      if (!(next_.cost < least)) continue;
+      least = next_.cost;
+      std::swap(now_, next_);
+    }
+  }
+
+  void sample(const State& home, double* q) {
+    for (const Node& node : task_.chain.nodes) {
+      if (node.follows) continue;
+      double* own = q + node.coordinate;
+      const double* l = node.limit;
+      const double middle = home.q[node.coordinate];
+      if (node.kind == Kind::BALL) {
+        SwingTwist parts;
+        const double reach = std::sqrt(random_.between(0, 1));
+        const double angle = random_.between(0, TURN);
+        parts.swing[0] = reach * std::min(l[0], TURN / 2) * std::cos(angle);
+        parts.swing[1] = reach * std::min(l[1], TURN / 2) * std::sin(angle);
+        parts.twist = random_.between(std::max(l[2], -TURN / 2), std::min(l[3], TURN / 2));
+        join(parts, own);
+        clamp_ball(own, l);
+      } else if (l[1] - l[0] < TURN) {
+        own[0] = random_.between(l[0], l[1]);
+      } else {
+        const double half = node.kind == Kind::PIN ? TURN / 2 : 1;
+        own[0] = std::clamp(middle + random_.between(-half, half), l[0], l[1]);
+      }
+    }
+  }
+
+  // Levenberg-Marquardt from now_, which it moves. Not `thorough`, it gives up where
+  // progress is slow, for another start is then the better use of time.
+  End descend(double damping, bool curving, bool thorough = false) {
+    ++outcome_.descents;
+    bool fresh = true, curved = false;
+    double grow = 2, marked = now_.cost;
+    int slow = 0;
+    for (int since = 0;; ++since) {
+      if (reached(now_)) return End::REACHED;
+      if (spent()) return End::BUDGET;
+      if (fresh) linearize(task_, targets_, rest_, now_, linear_);
+      fresh = false;
+      ++outcome_.iterations;
+      curved = (curving && now_.cost > FAR) || (thorough && slow > 1);
+      const bool solved = stepper_.step(now_, linear_, damping, curved, delta_.data());
+      const double gain =
+          solved ? stepper_.predicted(now_, linear_, curved, delta_.data()) : -1;
+      if (solved && std::fabs(gain) <= STILL_GAIN * now_.cost) return End::STILL;
+      if (solved && gain > 0) {
+        stepper_.move(now_.q.data(), delta_.data(), next_.q.data());
+        evaluate(next_);
+        const double ratio = (now_.cost - next_.cost) / gain;
+        if (next_.cost < now_.cost && ratio > 1e-4) {
+          slow = next_.cost > 0.5 * now_.cost ? slow + 1 : 0;
+          std::swap(now_, next_);
+          fresh = true;
+          damping = ratio > 0.75 ? std::max(damping * 0.1, LEAST_DAMPING)
+                    : ratio < 0.25 ? damping * 3
+                                   : damping;
+          grow = 2;
+        }
+      }
+      if (!fresh) {
+        damping = std::max(damping, 1e-9) * grow;
+        grow *= 2;
+        if (damping > MOST_DAMPING) return End::STILL;
+      }
+      if (since % PATIENCE == PATIENCE - 1) {
+        if (!thorough && !(curving && curved) && now_.cost > 0.3 * marked) return End::SLOW;
+        marked = now_.cost;
+      }
+    }
+  }
+  static constexpr double FAR = 0.5;
+  static constexpr double STILL_GAIN = 1e-15;
+
+  const Task& task_;
+  const Settings& settings_;
+  Linearized linear_;
+  Stepper stepper_;
+  State now_, next_, best_;
+  std::vector<double> delta_, pull_;
+  Random random_{0};
+  Outcome outcome_;
+  const double* targets_ = nullptr;
+  const double* rest_ = nullptr;
+  std::chrono::steady_clock::time_point began_;
+};
+
+}  // namespace animtool::ik
