@@ -4,6 +4,7 @@
 #include <chrono>
 #include <cstdint>
 
+#include "ik_reach.h"
 #include "ik_step.h"
 
 namespace animtool::ik {
@@ -48,7 +49,7 @@ class Search {
  public:
   Search(const Task& task, const Settings& settings)
       : task_(task), settings_(settings), linear_(task), stepper_(task), now_(task), next_(task),
-        best_(task), delta_(task.chain.dofs), pull_(task.chain.dofs) {}
+        best_(task), first_(task), delta_(task.chain.dofs), pull_(task.chain.dofs) {}
 
   // Fills in `q` (Q,), whatever comes of it.
   Outcome run(const double* start, const double* targets, const double* rest, double* q) {
@@ -75,39 +76,62 @@ class Search {
  private:
   enum class End { REACHED, STILL, SLOW, BUDGET };
 
+  // After so many starts the best is followed to its end.
+  static constexpr int POLISHED = 8;
+  static constexpr double COLD = 1e-3;
   static constexpr double SHAKE = 0.05;  // [rad]
   static constexpr int SAMPLES = 4;
   static constexpr int PATIENCE = 6;
   static constexpr double LEAST_DAMPING = 1e-12;
   static constexpr double MOST_DAMPING = 1e8;
 
+  // How many other starts must end where the best did before it is taken for the
+  // nearest that can be reached.
+  static constexpr int AGREEING = 16;
+  // With so many times more degrees of freedom than rows, a descent that is slow is
+  // worth its end: there are hardly any minima that it could be stuck in.
+  static constexpr int REDUNDANT = 4;
+
   Status look() {
-    State first = best_;
-    now_ = best_;
-    End end = descend(settings_.damping, true);
-    if (keep() == End::REACHED) return Status::REACHED;
+    floor_ = nearest_cost(task_, targets_, best_.frames);
+    const bool sure = floor_ > 0 || task_.chain.dofs >= REDUNDANT * task_.rows;
+    first_.q = best_.q;
+    begin(best_);
+    End end = descend(settings_.damping, sure);
+    if (keep()) return Status::REACHED;
     int agreeing = 0;
-    for (int i = 0; i < settings_.restarts && !spent(); ++i) {
-      const double before = best_.cost;
+    for (int i = 0; i < settings_.restarts && !spent() && !nearest(); ++i) {
       if (i == 0 && end == End::STILL) {
-        now_ = best_;
+        begin(best_);
         shake();
+      } else if (i == POLISHED) {
+        begin(best_);
+      } else if (i == 1) {
+        straighten();
       } else {
-        scatter(i % 2 ? best_ : first);
+        scatter(i % 2 ? best_ : first_);
       }
-      end = descend(1e-3, false);
-      if (keep() == End::REACHED) return Status::REACHED;
-      if (end == End::STILL && now_.cost < before * (1 + 1e-6) + 1e-18) ++agreeing;
-      if (best_.cost < before * (1 - 1e-6)) agreeing = 0;
+      descend(COLD, sure || i == POLISHED);
+      const double before = best_.cost;
+      if (now_.cost < before * (1 - 1e-3)) agreeing = 0;
+      else if (now_.cost < before * (1 + 1e-2)) ++agreeing;
+      if (keep()) return Status::REACHED;
       if (agreeing >= AGREEING) break;
     }
     if (spent()) return Status::BUDGET;
-    now_ = best_;
-    end = descend(1e-6, true, true);
-    if (keep() == End::REACHED) return Status::REACHED;
+    begin(best_);
+    end = descend(COLD, true);
+    if (keep()) return Status::REACHED;
     return end == End::BUDGET ? Status::BUDGET : Status::NEAREST;
   }
-  static constexpr int AGREEING = 3;
+
+  void begin(const State& state) {
+    now_.q = state.q;
+    evaluate(now_);
+  }
+
+  // Nothing can be nearer.
+  bool nearest() const { return floor_ > 0 && best_.cost <= floor_ * (1 + 1e-9); }
 
   bool spent() const {
     if (outcome_.iterations >= settings_.iterations) return true;
@@ -131,9 +155,10 @@ class Search {
     return true;
   }
 
-  End keep() {
+  // Keeps the better of the two; whether it reaches the goals.
+  bool keep() {
     if (now_.cost < best_.cost || reached(now_)) std::swap(now_, best_);
-    return reached(best_) ? End::REACHED : End::STILL;
+    return reached(best_);
   }
 
   void shake() {
@@ -141,6 +166,16 @@ class Search {
     stepper_.move(now_.q.data(), delta_.data(), next_.q.data());
     std::swap(now_, next_);
     evaluate(now_);
+  }
+
+  // The pose without motion, or what the limits leave of it.
+  void straighten() {
+    for (const Node& node : task_.chain.nodes) {
+      double* own = &now_.q[node.coordinate];
+      std::fill(own, own + (node.kind == Kind::BALL ? 4 : 1), 0.0);
+      if (node.kind == Kind::BALL) own[3] = 1;
+    }
+    shake();
   }
 
   // The best of some random poses. Where a joint has no limits near by, about `home`.
@@ -179,49 +214,59 @@ class Search {
     }
   }
 
-  // Levenberg-Marquardt from now_, which it moves. Not `thorough`, it gives up where
-  // progress is slow, for another start is then the better use of time.
-  End descend(double damping, bool curving, bool thorough = false) {
+  // Moves now_ downhill: Levenberg-Marquardt, and with the whole Hessian in a region of
+  // trust where the goals are far or progress is slow. Not `thorough`, it gives up
+  // there, for another start is then the better use of time.
+  End descend(double damping, bool thorough) {
     ++outcome_.descents;
-    bool fresh = true, curved = false;
-    double grow = 2, marked = now_.cost;
+    bool fresh = true;
+    double grow = 2, marked = now_.cost, trusted = LONGEST_TURN;
     int slow = 0;
     for (int since = 0;; ++since) {
       if (reached(now_)) return End::REACHED;
       if (spent()) return End::BUDGET;
       if (fresh) linearize(task_, targets_, rest_, now_, linear_);
-      fresh = false;
       ++outcome_.iterations;
-      curved = (curving && now_.cost > FAR) || (thorough && slow > 1);
-      const bool solved = stepper_.step(now_, linear_, damping, curved, delta_.data());
-      const double gain =
-          solved ? stepper_.predicted(now_, linear_, curved, delta_.data()) : -1;
-      if (solved && std::fabs(gain) <= STILL_GAIN * now_.cost) return End::STILL;
-      if (solved && gain > 0) {
-        stepper_.move(now_.q.data(), delta_.data(), next_.q.data());
-        evaluate(next_);
-        const double ratio = (now_.cost - next_.cost) / gain;
-        if (next_.cost < now_.cost && ratio > 1e-4) {
-          slow = next_.cost > 0.5 * now_.cost ? slow + 1 : 0;
-          std::swap(now_, next_);
-          fresh = true;
-          damping = ratio > 0.75 ? std::max(damping * 0.1, LEAST_DAMPING)
-                    : ratio < 0.25 ? damping * 3
-                                   : damping;
-          grow = 2;
-        }
-      }
-      if (!fresh) {
+      const bool curved = thorough && (now_.cost > FAR || slow > 1);
+      const double gain = try_step(curved ? LEAST_DAMPING : damping, curved, trusted);
+      if (std::fabs(gain) <= STILL_GAIN * now_.cost) return End::STILL;
+      const double ratio = gain > 0 ? (now_.cost - next_.cost) / gain : 0;
+      fresh = ratio > LEAST_RATIO && next_.cost < now_.cost;
+      if (curved)
+        trusted = ratio < 0.25  ? 0.3 * stepper_.turn()
+                  : ratio > 0.5 ? std::min(2.5 * trusted, LONGEST_TURN)
+                                : trusted;
+      else if (fresh)
+        damping = ratio > 0.75   ? std::max(damping * 0.1, LEAST_DAMPING)
+                  : ratio < 0.25 ? damping * 3
+                                 : damping;
+      else
         damping = std::max(damping, 1e-9) * grow;
-        grow *= 2;
-        if (damping > MOST_DAMPING) return End::STILL;
+      grow = fresh ? 2 : grow * 2;
+      if (damping > MOST_DAMPING || trusted < LEAST_TURN) return End::STILL;
+      if (fresh) {
+        slow = next_.cost > 0.5 * now_.cost ? slow + 1 : 0;
+        std::swap(now_, next_);
       }
       if (since % PATIENCE == PATIENCE - 1) {
-        if (!thorough && !(curving && curved) && now_.cost > 0.3 * marked) return End::SLOW;
+        if (!thorough && now_.cost > 0.3 * marked) return End::SLOW;
         marked = now_.cost;
       }
     }
   }
+
+  // What the model promises of the step to next_; less than 0 where there is none.
+  double try_step(double damping, bool curved, double trusted) {
+    if (!stepper_.step(now_, linear_, damping, curved, trusted, delta_.data())) return -1;
+    const double gain = stepper_.predicted(now_, linear_, curved, delta_.data());
+    if (!(gain > 0)) return gain;
+    stepper_.move(now_.q.data(), delta_.data(), next_.q.data());
+    evaluate(next_);
+    return gain;
+  }
+
+  static constexpr double LEAST_RATIO = 1e-4;
+  static constexpr double LEAST_TURN = 1e-10;
   static constexpr double FAR = 0.5;
   static constexpr double STILL_GAIN = 1e-15;
 
@@ -229,10 +274,11 @@ class Search {
   const Settings& settings_;
   Linearized linear_;
   Stepper stepper_;
-  State now_, next_, best_;
+  State now_, next_, best_, first_;
   std::vector<double> delta_, pull_;
   Random random_{0};
   Outcome outcome_;
+  double floor_ = 0;  // no pose costs less
   const double* targets_ = nullptr;
   const double* rest_ = nullptr;
   std::chrono::steady_clock::time_point began_;

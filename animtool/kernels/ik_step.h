@@ -117,22 +117,26 @@ class Stepper {
         search_(task.chain.dofs), rest_(task.chain.dofs), product_(task.chain.dofs) {
     fixed_.reserve(2 * task.chain.nodes.size() + 8);
     pinned_.resize(task.chain.nodes.size());
+    turned_.resize(3 * task.chain.nodes.size());
   }
 
   // Fills in the step; `curved` uses the whole Hessian in place of J^T J. False where
   // the damping is too small for it.
   bool step(const State& state, const Linearized& linear, double damping, bool curved,
-            double* out) {
+            double longest, double* out) {
     shut(state);
     for (int pass = 0; pass < MOST_PASSES; ++pass) {
       if (!(curved ? solve_curved(state, linear, damping, out)
                    : solve_dual(state, linear, damping, out)))
         return false;
-      shorten(out);
+      shorten(state, curved, longest, out);
       if (!fix_violations(state, out)) return true;
     }
     return true;
   }
+
+  // How far the last step turns a joint or, curved, anything in the world [rad].
+  double turn() const { return turn_; }
 
   // What the model says the step gains, without the damping.
   double predicted(const State& state, const Linearized& linear, bool curved,
@@ -283,15 +287,27 @@ class Stepper {
     return true;
   }
 
-  void shorten(double* step) const {
+  // Joints turn by no more than a bound; where second derivatives are trusted, what
+  // turns in the world does not either, for these are far off once it has.
+  void shorten(const State& state, bool curved, double most, double* step) {
     double longest = 0;
-    for (const Node& node : task_.chain.nodes) {
-      if (node.kind == Kind::SLIDE) continue;
+    for (std::size_t n = 0; n < task_.chain.nodes.size(); ++n) {
+      const Node& node = task_.chain.nodes[n];
       const double* by = step + node.dof;
-      longest = std::max(longest, node.kind == Kind::BALL ? length(by) : std::fabs(by[0]));
+      double* turned = &turned_[3 * n];
+      if (node.kind != Kind::SLIDE)
+        longest = std::max(longest, node.kind == Kind::BALL ? length(by) : std::fabs(by[0]));
+      if (!curved) continue;
+      for (int i = 0; i < 3; ++i) turned[i] = node.parent < 0 ? 0 : turned_[3 * node.parent + i];
+      if (node.kind == Kind::SLIDE) continue;
+      for (int k = 0; k < node.width(); ++k)
+        for (int i = 0; i < 3; ++i)
+          turned[i] += node.gain * by[k] * state.frames.axes[9 * n + 3 * k + i];
+      longest = std::max(longest, length(turned));
     }
-    if (longest <= LONGEST_TURN) return;
-    for (int d = 0; d < task_.chain.dofs; ++d) step[d] *= LONGEST_TURN / longest;
+    turn_ = std::min(longest, most);
+    if (longest <= most) return;
+    for (int d = 0; d < task_.chain.dofs; ++d) step[d] *= most / longest;
   }
 
   static double along(const Fixed& fixed, const double* v) {
@@ -393,7 +409,8 @@ class Stepper {
 
   const Task& task_;
   Curvature curvature_;
-  std::vector<double> matrix_, right_, image_, free_, search_, rest_, product_;
+  std::vector<double> matrix_, right_, image_, free_, search_, rest_, product_, turned_;
+  double turn_ = 0;
   std::vector<Fixed> fixed_;
   std::vector<Pinned> pinned_;
 };
