@@ -126,7 +126,7 @@ class Stepper {
             double longest, double* out) {
     shut(state);
     for (int pass = 0; pass < MOST_PASSES; ++pass) {
-      if (!(curved ? solve_curved(state, linear, damping, out)
+      if (!(curved ? solve_curved(state, linear, damping, longest, out)
                    : solve_dual(state, linear, damping, out)))
         return false;
       shorten(state, curved, longest, out);
@@ -185,6 +185,7 @@ class Stepper {
 
  private:
   static constexpr int MOST_PASSES = 12;
+  static constexpr int MOST_ROUNDS = 300;
   static constexpr double LOOSE = 1e-2;
 
   struct Pinned {
@@ -290,24 +291,36 @@ class Stepper {
   // Joints turn by no more than a bound; where second derivatives are trusted, what
   // turns in the world does not either, for these are far off once it has.
   void shorten(const State& state, bool curved, double most, double* step) {
+    const double longest = curved ? turning(state, step) : turning(step);
+    turn_ = std::min(longest, most);
+    if (longest <= most) return;
+    for (int d = 0; d < task_.chain.dofs; ++d) step[d] *= most / longest;
+  }
+
+  double turning(const double* step) const {
     double longest = 0;
+    for (const Node& node : task_.chain.nodes) {
+      if (node.kind == Kind::SLIDE) continue;
+      const double* by = step + node.dof;
+      longest = std::max(longest, node.kind == Kind::BALL ? length(by) : std::fabs(by[0]));
+    }
+    return longest;
+  }
+
+  double turning(const State& state, const double* step) {
+    double longest = turning(step);
     for (std::size_t n = 0; n < task_.chain.nodes.size(); ++n) {
       const Node& node = task_.chain.nodes[n];
-      const double* by = step + node.dof;
       double* turned = &turned_[3 * n];
-      if (node.kind != Kind::SLIDE)
-        longest = std::max(longest, node.kind == Kind::BALL ? length(by) : std::fabs(by[0]));
-      if (!curved) continue;
       for (int i = 0; i < 3; ++i) turned[i] = node.parent < 0 ? 0 : turned_[3 * node.parent + i];
       if (node.kind == Kind::SLIDE) continue;
       for (int k = 0; k < node.width(); ++k)
         for (int i = 0; i < 3; ++i)
-          turned[i] += node.gain * by[k] * state.frames.axes[9 * n + 3 * k + i];
+          turned[i] +=
+              node.gain * step[node.dof + k] * state.frames.axes[9 * n + 3 * k + i];
       longest = std::max(longest, length(turned));
     }
-    turn_ = std::min(longest, most);
-    if (longest <= most) return;
-    for (int d = 0; d < task_.chain.dofs; ++d) step[d] *= most / longest;
+    return longest;
   }
 
   static double along(const Fixed& fixed, const double* v) {
@@ -372,7 +385,8 @@ class Stepper {
 
   // Conjugate gradients, stopped where the cost bends downwards (T. Steihaug, The
   // conjugate gradient method and trust regions in large scale optimization, 1983).
-  bool solve_curved(const State& state, const Linearized& linear, double damping, double* out) {
+  bool solve_curved(const State& state, const Linearized& linear, double damping, double most,
+                    double* out) {
     const int dofs = task_.chain.dofs;
     std::fill(out, out + dofs, 0.0);
     for (const Fixed& fixed : fixed_) add(fixed, fixed.value, out);
@@ -382,7 +396,8 @@ class Stepper {
     double size = 0;
     for (int d = 0; d < dofs; ++d) search_[d] = rest_[d], size += rest_[d] * rest_[d];
     const double enough = size * LOOSE * LOOSE * std::min(1.0, size);
-    for (int round = 0; round < 2 * dofs + 10 && size > enough && size > 1e-300; ++round) {
+    const int rounds = std::min(2 * dofs + 10, MOST_ROUNDS);
+    for (int round = 0; round < rounds && size > enough && size > 1e-300; ++round) {
       hessian(state, linear, true, damping, search_.data(), product_.data());
       project(product_.data());
       double bend = 0, norm = 0;
@@ -403,6 +418,7 @@ class Stepper {
       }
       for (int d = 0; d < dofs; ++d) search_[d] = rest_[d] + next / size * search_[d];
       size = next;
+      if (turning(state, out) > most) break;
     }
     return true;
   }
