@@ -3,10 +3,11 @@
 from animtool.ik.goals import Goal, Targets
 from animtool.ik.problem import Problem, build
 from animtool.ik.result import IkResult, IkStatus
-from animtool.ik.solve import IkOptions, solve
+from animtool.ik.solve import IkMethod, IkOptions, solve
 
 __all__ = [
     "Goal",
+    "IkMethod",
     "IkOptions",
     "IkResult",
     "IkStatus",

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import ArrayLike, FloatArray
+from animtool._types import ArrayLike, FloatArray, IntArray
 from animtool.errors import Fault, OptionError
 from animtool.ik.goals import Targets, pack
 from animtool.ik.problem import Problem, rest_pose
 from animtool.ik.result import IkResult, IkStatus
+from animtool.ik.two_bone import fits, solve_limb
 from animtool.maths import so3
 
-__all__ = ["IkOptions", "solve"]
+__all__ = ["IkMethod", "IkOptions", "solve"]
 
 _STATUSES = (
     IkStatus.CONVERGED,
@@ -26,11 +28,20 @@ _STATUSES = (
 COLD_DAMPING, WARM_DAMPING = 1e-3, 1e-6
 
 
+class IkMethod(StrEnum):
+    """Which solver."""
+
+    AUTO = "auto"
+    DAMPED = "damped"
+
+
 @dataclass(frozen=True, slots=True)
 class IkOptions:
     """How to solve.
 
     Attributes:
+        method: ``auto`` takes the closed form where a limb of two bones fits it, else
+            damped least squares.
         tolerance: A position is reached within this share of the problem's length.
         angle_tolerance: An orientation, aim or pole is reached within this [rad].
         iterations: Most steps for one problem, restarts included.
@@ -39,8 +50,11 @@ class IkOptions:
         seconds: Most time for one problem [s]; 0 is no bound. With a bound, what is
             found depends on the machine.
         warm: Each problem starts where the one before it ended, as frames of a clip.
+        soft: Share of a two-bone limb's reach over which its extension eases out, so that
+            it does not snap straight; from 0 to less than 1. Others are not eased.
     """
 
+    method: IkMethod = IkMethod.AUTO
     tolerance: float = 1e-6
     angle_tolerance: float = 1e-6
     iterations: int = 5000
@@ -48,6 +62,7 @@ class IkOptions:
     seed: int = 0
     seconds: float = 0.0
     warm: bool = False
+    soft: float = 0.0
 
 
 def solve(
@@ -95,14 +110,51 @@ def solve(
     chain = problem.chain
     packed[:, :, [0, 1, 2, 7, 8, 9, 10, 11, 12]] /= chain.length
     packed[:, :, 3:7] = so3.multiply(packed[:, :, 3:7], so3.conjugate(chain.goal_frames))
-    solved, misses, reports, seconds = _kernels.solve_ik(
+    own, wished = chain.from_rig(starts), chain.from_rig(wished)
+    if options.method is IkMethod.AUTO and fits(problem):
+        found = _limbs(problem, own, packed, wished, options)
+    else:
+        found = _damped(problem, own, packed, wished, options)
+    return IkResult(
+        problem,
+        chain.into_rig(found.coordinates, starts),
+        tuple(_STATUSES[status] for status in found.reports[:, 0]),
+        found.reports[:, 1],
+        found.reports[:, 2],
+        found.seconds,
+        found.misses[:, :, 0] * chain.length,
+        found.misses[:, :, 1],
+        found.misses[:, :, 2],
+        found.misses[:, :, 3],
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """What a solver found: chain coordinates, misses, reports, seconds."""
+
+    coordinates: FloatArray
+    misses: FloatArray
+    reports: IntArray
+    seconds: FloatArray
+
+
+def _damped(
+    problem: Problem,
+    starts: FloatArray,
+    targets: FloatArray,
+    wished: FloatArray,
+    options: IkOptions,
+) -> _Found:
+    chain = problem.chain
+    solved = _kernels.solve_ik(
         chain.nodes,
         chain.numbers,
         chain.goals,
         chain.goal_numbers,
-        chain.from_rig(starts),
-        packed,
-        chain.from_rig(wished),
+        starts,
+        targets,
+        wished,
         problem.rest_weight,
         options.tolerance,
         options.angle_tolerance,
@@ -113,18 +165,31 @@ def solve(
         options.seconds,
         options.warm,
     )
-    return IkResult(
-        problem,
-        chain.into_rig(solved, starts),
-        tuple(_STATUSES[status] for status in reports[:, 0]),
-        reports[:, 1],
-        reports[:, 2],
-        seconds,
-        misses[:, :, 0] * chain.length,
-        misses[:, :, 1],
-        misses[:, :, 2],
-        misses[:, :, 3],
-    )
+    return _Found(*solved)
+
+
+def _limbs(
+    problem: Problem,
+    starts: FloatArray,
+    targets: FloatArray,
+    wished: FloatArray,
+    options: IkOptions,
+) -> _Found:
+    """Solve limbs in closed form, and those that their limits stop by descent."""
+    limbs = solve_limb(problem, starts, targets, options.soft)
+    tolerances = [options.tolerance, *[options.angle_tolerance] * 3]
+    short = (limbs.misses > tolerances).any(axis=(1, 2))
+    reports = np.zeros((len(starts), 3), np.int64)
+    reports[:, 0] = np.where(short, 1, 0)
+    found = _Found(limbs.coordinates, limbs.misses, reports, np.zeros(len(starts)))
+    rest = np.flatnonzero(~limbs.valid)
+    if len(rest):
+        other = _damped(problem, starts[rest], targets[rest], wished[rest], options)
+        found.coordinates[rest] = other.coordinates
+        found.misses[rest] = other.misses
+        found.reports[rest] = other.reports
+        found.seconds[rest] = other.seconds
+    return found
 
 
 def _check(options: IkOptions) -> None:
@@ -138,6 +203,9 @@ def _check(options: IkOptions) -> None:
         for name in ("restarts", "seed", "seconds")
         if not getattr(options, name) >= 0
     ]
+    if not 0 <= options.soft < 1:
+        message = f"soft must be from 0 to less than 1, not {options.soft}"
+        faults.append(Fault("IK014", message))
     if faults:
         raise OptionError(faults)
 
