@@ -226,7 +226,7 @@ def _leader(rig: Rig, joint: int) -> tuple[int, float, float]:
 
 
 def _range(rig: Rig, leader: int) -> tuple[float, float]:
-    """Return how far a coordinate may go so that its followers keep their limits too."""
+    """Return how far a coordinate may go, its followers' limits kept too."""
     low, high = -np.inf, np.inf
     for j, joint in enumerate(rig.joints):
         if not isinstance(joint.limits, RangeLimit):
@@ -370,9 +370,7 @@ def _finish(
     )
 
 
-def _length(
-    builder: _Builder, ends: list[_Frame], points: list[FloatArray]
-) -> float:
+def _length(builder: _Builder, ends: list[_Frame], points: list[FloatArray]) -> float:
     """Return the longest way along the bones to a goal, or of the slides, or 1."""
     ways = np.zeros(len(builder.nodes))
     for n, (_, parent, _, _) in enumerate(builder.nodes):

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from animtool._types import ArrayLike, FloatArray, IntArray, as_floats
+from animtool._types import ArrayLike, FloatArray, as_floats
 from animtool.errors import Fault, OptionError
 from animtool.ik.chain import Chain, assemble
 from animtool.ik.goals import Goal, goal_faults
@@ -15,7 +15,7 @@ from animtool.rig.joints import coordinate_slices
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import JointType, Rig
 
-__all__ = ["Problem", "build"]
+__all__ = ["Problem", "build", "rest_pose"]
 
 
 @dataclass(frozen=True)
@@ -162,11 +162,6 @@ def _moving(
                 found.add(j)
             j = joint.parent
     return found
-
-
-def active_columns(problem: Problem) -> IntArray:
-    """Return which coordinates of the rig the problem decides."""
-    return problem.chain.columns
 
 
 def rest_pose(problem: Problem) -> FloatArray:

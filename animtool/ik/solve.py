@@ -50,8 +50,8 @@ class IkOptions:
         seconds: Most time for one problem [s]; 0 is no bound. With a bound, what is
             found depends on the machine.
         warm: Each problem starts where the one before it ended, as frames of a clip.
-        soft: Share of a two-bone limb's reach over which its extension eases out, so that
-            it does not snap straight; from 0 to less than 1. Others are not eased.
+        soft: Share of a two-bone limb's reach over which its extension eases out, so
+            that it does not snap straight; from 0 to less than 1. Others are not eased.
     """
 
     method: IkMethod = IkMethod.AUTO
@@ -77,8 +77,8 @@ def solve(
 
     Args:
         problem: E goals over a rig of Q coordinates.
-        start: ``(Q,)`` for all, or ``(B, Q)``; None is the rest pose. Brought inside the
-            limits first.
+        start: ``(Q,)`` for all, or ``(B, Q)``; None is the rest pose. Brought inside
+            the limits first.
         targets: Of B problems.
         options: Tolerances, budget, seed.
         prefer: Pose ``(Q,)`` or ``(B, Q)`` that the problem's ``rest_weight`` draws
@@ -109,7 +109,9 @@ def solve(
     wished = starts if prefer is None else _rows(problem, prefer, len(packed), "prefer")
     chain = problem.chain
     packed[:, :, [0, 1, 2, 7, 8, 9, 10, 11, 12]] /= chain.length
-    packed[:, :, 3:7] = so3.multiply(packed[:, :, 3:7], so3.conjugate(chain.goal_frames))
+    packed[:, :, 3:7] = so3.multiply(
+        packed[:, :, 3:7], so3.conjugate(chain.goal_frames)
+    )
     own, wished = chain.from_rig(starts), chain.from_rig(wished)
     if options.method is IkMethod.AUTO and fits(problem):
         found = _limbs(problem, own, packed, wished, options)

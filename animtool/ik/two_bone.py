@@ -45,22 +45,23 @@ def fits(problem: Problem) -> bool:
     if len(problem.goals) != 1 or len(chain.nodes) != 2 or problem.rest_weight > 0:
         return False
     goal = problem.goals[0]
-    if not goal.position > 0 or goal.orientation > 0 or goal.aim > 0:
-        return False
-    (first, root, *_), (second, parent, _, follows) = chain.nodes.tolist()
-    if first != BALL or root != -1 or parent != 0 or follows:
-        return False
-    if not _unlimited(chain.numbers[0]):
-        return False
+    placed = goal.position > 0 and not goal.orientation > 0 and not goal.aim > 0
+    (first, root, *_), (_, parent, _, follows) = chain.nodes.tolist()
+    hangs = first == BALL and root == -1 and parent == 0 and not follows
+    return placed and hangs and _unlimited(chain.numbers[0]) and _bends(chain)
+
+
+def _bends(chain: Chain) -> bool:
+    """Return whether the elbow opens and closes the limb all the way."""
     upper, lower = _bones(chain)
     if min(np.linalg.norm(upper), np.linalg.norm(lower)) < NO_LENGTH:
         return False
-    if second == BALL:
+    if chain.nodes[1, 0] == BALL:
         return _unlimited(chain.numbers[1])
     axis = _rest(chain, 1)[:, 2]
     across = max(abs(axis @ upper), abs(lower[2]))
-    plain = bool(chain.numbers[1, 12] == 1 and chain.numbers[1, 13] == 0)
-    return second == PIN and plain and bool(across < ACROSS)
+    plain = chain.numbers[1, 12] == 1 and chain.numbers[1, 13] == 0
+    return bool(chain.nodes[1, 0] == PIN and plain and across < ACROSS)
 
 
 def soft_distance(distance: FloatArray, reach: float, soft: float) -> FloatArray:
@@ -158,10 +159,12 @@ def _open_elbow(
         offset = np.arctan2(lower[1], lower[0]) - np.arctan2(across[1], across[0])
         side = np.where(np.sin(q[:, 4] + offset) < 0, -1.0, 1.0)
         low, high = chain.numbers[1, 14:16]
-        first, other = (_nearest_turn(s * bend - offset, q[:, 4]) for s in (side, -side))
+        first, other = (
+            _nearest_turn(s * bend - offset, q[:, 4]) for s in (side, -side)
+        )
         inside = (first >= low) & (first <= high)
         q[:, 4] = np.where(inside, first, other)
-        return inside | ((other >= low) & (other <= high))
+        return np.asarray(inside | ((other >= low) & (other <= high)), np.bool_)
     own = q[:, 4:8]
     direction = so3.rotate(own, np.broadcast_to(lower, (len(q), 3)))
     across_rest = np.broadcast_to(rest.T @ upper, direction.shape)
@@ -219,7 +222,11 @@ def _turn_shoulder(
 
 
 def _turn_to_pole(
-    chain: Chain, q: FloatArray, upper: FloatArray, towards: FloatArray, pole: FloatArray
+    chain: Chain,
+    q: FloatArray,
+    upper: FloatArray,
+    towards: FloatArray,
+    pole: FloatArray,
 ) -> None:
     world = _world(chain, q)
     elbow = so3.rotate(world, np.broadcast_to(upper, towards.shape))

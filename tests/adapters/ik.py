@@ -150,7 +150,7 @@ def read_clip(path: Path) -> Clip:
     with np.load(path.parent / document["arrays"]) as arrays:
         positions = arrays["pos"].astype(np.float64)
         rotations = arrays["quat"].astype(np.float64)[..., [1, 2, 3, 0]]
-        start = from_file(model, arrays["q0"])
+        start = from_file(model, arrays["q0"])[0]
     goals = read_goals(effectors, [{"pos": 1, "quat": 1}] * len(effectors))
     problem = build(read_rig(model), goals)
     return Clip(model, problem, start, Targets(positions, rotations))

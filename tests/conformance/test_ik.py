@@ -56,6 +56,8 @@ class Tally:
                     self.worst = max(self.worst, float((miss / tolerance).max()))
                     if (miss > tolerance).any():
                         faults.append(f"{part} {got} in place of {want}")
+                if part == "tip" and _tip_miss(group, world, b, want) > 1:
+                    faults.append("the tip is elsewhere")
                 if part == "q":
                     q = to_file(group.model, result.coordinates[b : b + 1])[0]
                     if np.abs(q - want).max() > ANGLE_TOLERANCE:
@@ -103,6 +105,18 @@ def _residuals(group: Group, world: WorldTransforms, b: int, part: str) -> Float
             sine = np.linalg.norm(np.cross(axis, wanted))
             found.append(np.arctan2(sine, axis @ wanted))
     return np.array(found)
+
+
+def _tip_miss(
+    group: Group, world: WorldTransforms, b: int, tips: list[list[float]]
+) -> float:
+    """Return the largest distance of a tip from its place, in tolerances."""
+    misses = [0.0]
+    for goal, tip in zip(group.problem.goals, tips, strict=False):
+        j = group.problem.rig.index(goal.joint)
+        point = world.positions[b, j] + world.linear[b, j] @ np.asarray(goal.offset)
+        misses.append(float(np.linalg.norm(point - tip)))
+    return max(misses) / (LENGTH_TOLERANCE * group.problem.length)
 
 
 def _beyond_limits(group: Group, coordinates: FloatArray) -> FloatArray:
