@@ -31,6 +31,7 @@ Chain read_chain(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers)
     std::copy(values + 9, values + 12, node.offset);
     node.gain = values[12], node.shift = values[13];
     std::copy(values + 14, values + 18, node.limit);
+    if (node.kind == Kind::BALL) prepare(node);
     node.coordinate = static_cast<int>(row[2]);
     if (node.follows) {
       if (row[2] < 0 || row[2] >= coordinates || dof_of[row[2]] < 0)

@@ -20,6 +20,7 @@ struct Node {
   double gain, shift;  // of pins and slides
   bool follows;       // the coordinate belongs to an earlier node
   double limit[4];    // low, high; of a ball swing about x, swing about y, twist low, high
+  double quick[5];    // of the limits of a ball, see prepare
   int coordinate;     // first of 1 or 4
   int dof;            // first of 1 or 3
 

@@ -14,6 +14,8 @@ namespace animtool::ik {
 constexpr double SHUT = 1e-9;
 // What rounding alone puts outside [rad] or lengths of the chain.
 constexpr double ROUNDING = 1e-13;
+// Nearer to a limit than this, it is looked at in full [1].
+constexpr double SURE = 1e-9;
 constexpr double TURN = 6.283185307179586476925;
 
 struct SwingTwist {
@@ -55,6 +57,31 @@ inline bool limited(const Node& node) {
   const double* l = node.limit;
   if (node.kind != Kind::BALL) return l[0] > -1e300 || l[1] < 1e300;
   return l[0] < 1e300 || l[1] < 1e300 || l[2] > -1e300 || l[3] < 1e300;
+}
+
+// Whether a ball's motion is inside for sure, told without inverse functions: most
+// are, most of the time.
+inline bool well_inside(const Node& node, const double* q) {
+  const double* quick = node.quick;
+  if (q[0] * q[0] + q[1] * q[1] > quick[0]) return false;
+  const double sign = q[3] < 0 ? -1 : 1;
+  const double sine = sign * q[2], cosine = sign * q[3];
+  // sin(half twist - half low) and sin(half high - half twist)
+  return sine * quick[2] - cosine * quick[1] > SURE &&
+         cosine * quick[3] - sine * quick[4] > SURE;
+}
+
+// What `well_inside` compares with: sines and cosines of half the limits. Unlimited
+// and narrow or reaching past half a turn, nothing is for sure.
+inline void prepare(Node& node) {
+  const double* l = node.limit;
+  const double least = std::min(l[0], l[1]);
+  const double sine = least < TURN / 2 ? std::sin(least / 2) : 1;
+  const double low = std::max(l[2], -TURN / 2), high = std::min(l[3], TURN / 2);
+  const bool known = (l[2] >= -TURN / 2 && l[3] <= TURN / 2) || (l[2] < -1e300 && l[3] > 1e300);
+  node.quick[0] = known ? sine * sine * (1 - SURE) : -1;
+  node.quick[1] = std::sin(low / 2), node.quick[2] = std::cos(low / 2);
+  node.quick[3] = std::sin(high / 2), node.quick[4] = std::cos(high / 2);
 }
 
 // Which of the limits a motion exceeds.

@@ -15,24 +15,22 @@ namespace animtool::ik {
 constexpr double LONGEST_TURN = 1.0;
 
 // Solves A x = b in place for a symmetric positive definite A (m, m), of which the
-// lower triangle is read and overwritten. False where it is not.
-inline bool solve_cholesky(double* a, double* b, int m) {
+// lower triangle is read and overwritten. False where it is not. By columns, so that
+// every inner loop adds to what lies side by side; `column` holds m numbers.
+inline bool solve_cholesky(double* a, double* b, double* column, int m) {
   for (int j = 0; j < m; ++j) {
-    double* aj = a + j * m;
-    for (int k = 0; k < j; ++k) {
-      const double* ak = a + k * m;
-      double sum = aj[k];
-      for (int i = 0; i < k; ++i) sum -= aj[i] * ak[i];
-      aj[k] = sum * ak[k];
-    }
-    double pivot = aj[j];
-    for (int i = 0; i < j; ++i) pivot -= aj[i] * aj[i];
+    const double pivot = a[j * m + j];
     if (!(pivot > 0)) return false;
-    aj[j] = 1 / std::sqrt(pivot);  // its inverse
-  }
-  for (int j = 0; j < m; ++j) {
-    for (int i = 0; i < j; ++i) b[j] -= a[j * m + i] * b[i];
-    b[j] *= a[j * m + j];
+    const double inverse = 1 / std::sqrt(pivot);
+    a[j * m + j] = inverse;
+    for (int i = j + 1; i < m; ++i) column[i] = a[i * m + j] *= inverse;
+    b[j] *= inverse;
+    for (int i = j + 1; i < m; ++i) {
+      const double at = column[i];
+      double* row = a + i * m;
+      for (int k = j + 1; k <= i; ++k) row[k] -= at * column[k];
+    }
+    for (int i = j + 1; i < m; ++i) b[i] -= b[j] * column[i];
   }
   for (int j = m; j-- > 0;) {
     b[j] *= a[j * m + j];
@@ -141,21 +139,23 @@ class Stepper {
   // What the model says the step gains, without the damping.
   double predicted(const State& state, const Linearized& linear, bool curved,
                    const double* step) {
-    hessian(state, linear, curved, 0.0, step, product_.data());
-    double gain = 0;
+    map(linear, step);
+    double gain = 0, squares = 0;
+    for (const double x : image_) squares += x * x;
     for (int d = 0; d < task_.chain.dofs; ++d)
-      gain += step[d] * (linear.downhill[d] - product_[d] / 2);
+      gain += step[d] * (linear.downhill[d] - task_.rest_weight * step[d] / 2);
+    gain -= squares / 2;
+    if (!curved) return gain;
+    std::fill(product_.begin(), product_.end(), 0.0);
+    curvature_.add(task_, state, step, product_.data());
+    for (int d = 0; d < task_.chain.dofs; ++d) gain -= step[d] * product_[d] / 2;
     return gain;
   }
 
   void hessian(const State& state, const Linearized& linear, bool curved, double damping,
                const double* v, double* out) {
     const int m = task_.rows;
-    std::fill(image_.begin(), image_.end(), 0.0);
-    for (int d = 0; d < task_.chain.dofs; ++d) {
-      const double* column = &linear.columns[static_cast<std::size_t>(d) * m];
-      for (int i = linear.first[d]; i < linear.last[d]; ++i) image_[i] += column[i] * v[d];
-    }
+    map(linear, v);
     for (int d = 0; d < task_.chain.dofs; ++d) {
       const double* column = &linear.columns[static_cast<std::size_t>(d) * m];
       double sum = (damping + task_.rest_weight) * v[d];
@@ -176,7 +176,7 @@ class Stepper {
         exponential(by, turn);
         product(turn, now, next);
         normalize(next);
-        if (limited(node)) clamp_ball(next, node.limit);
+        if (limited(node) && !well_inside(node, next)) clamp_ball(next, node.limit);
       } else {
         next[0] = std::clamp(now[0] + by[0], node.limit[0], node.limit[1]);
       }
@@ -191,6 +191,15 @@ class Stepper {
   struct Pinned {
     bool swing = false, twist = false, box = false;
   };
+
+  // image_ = J v
+  void map(const Linearized& linear, const double* v) {
+    std::fill(image_.begin(), image_.end(), 0.0);
+    for (int d = 0; d < task_.chain.dofs; ++d) {
+      const double* column = &linear.columns[static_cast<std::size_t>(d) * task_.rows];
+      for (int i = linear.first[d]; i < linear.last[d]; ++i) image_[i] += column[i] * v[d];
+    }
+  }
 
   // Directions that limits of no width leave no room for.
   void shut(const State& state) {
@@ -261,6 +270,7 @@ class Stepper {
     double turn[4], next[4];
     exponential(step, turn);
     product(turn, q, next);
+    if (well_inside(node, next)) return false;
     const Beyond out = beyond(split(next, node.limit), node.limit);
     const bool swing = out.swing && !pinned.swing, twist = out.twist && !pinned.twist;
     if (!swing && !twist) return false;
@@ -355,7 +365,7 @@ class Stepper {
       }
     }
     for (const Fixed& fixed : fixed_) take_out(fixed, linear);
-    if (!solve_cholesky(matrix_.data(), right_.data(), m)) return false;
+    if (!solve_cholesky(matrix_.data(), right_.data(), image_.data(), m)) return false;
     for (int d = 0; d < dofs; ++d) {
       const double* column = &linear.columns[static_cast<std::size_t>(d) * m];
       double sum = drawn ? free_[d] : 0;
