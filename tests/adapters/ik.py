@@ -135,12 +135,18 @@ def read_groups(path: Path) -> Iterator[Group]:
 
 @dataclass(frozen=True)
 class Clip:
-    """A clip of targets."""
+    """A clip of targets.
+
+    Attributes:
+        reachable: Whether every frame is known to be: there is a witness, or feet
+            that are locked on steps planned for this.
+    """
 
     model: Record
     problem: Problem
     start: FloatArray
     targets: Targets
+    reachable: bool
 
 
 def read_clip(path: Path) -> Clip:
@@ -150,7 +156,8 @@ def read_clip(path: Path) -> Clip:
     with np.load(path.parent / document["arrays"]) as arrays:
         positions = arrays["pos"].astype(np.float64)
         rotations = arrays["quat"].astype(np.float64)[..., [1, 2, 3, 0]]
+        reachable = bool({"q_witness", "lock"} & set(arrays.files))
         start = from_file(model, arrays["q0"])[0]
     goals = read_goals(effectors, [{"pos": 1, "quat": 1}] * len(effectors))
     problem = build(read_rig(model), goals)
-    return Clip(model, problem, start, Targets(positions, rotations))
+    return Clip(model, problem, start, Targets(positions, rotations), reachable)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from adapters.ik import Group, from_file, read_groups, to_file
+from adapters.ik import Group, from_file, read_clip, read_groups, to_file
 from support.data import data_files
 
 from animtool._types import FloatArray
@@ -19,6 +19,7 @@ from animtool.maths import so3
 from animtool.rig.joints import coordinate_slices, local_from_coordinates
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.skeleton import Rig
 
 # The data's own: of the chain's length, [rad], and [rad] or [m].
 LENGTH_TOLERANCE, ANGLE_TOLERANCE, LIMIT_TOLERANCE = 1e-4, 1e-3, 1e-6
@@ -40,7 +41,7 @@ class Tally:
     def add(self, group: Group, result: IkResult) -> None:
         """Count a solved group."""
         world = _world(group, result.coordinates)
-        over = _beyond_limits(group, result.coordinates)
+        over = _beyond_limits(group.problem.rig, result.coordinates)
         self.seconds += result.seconds.tolist()
         self.iterations += result.iterations.tolist()
         self.statuses.update(map(str, result.statuses))
@@ -119,8 +120,7 @@ def _tip_miss(
     return max(misses) / (LENGTH_TOLERANCE * group.problem.length)
 
 
-def _beyond_limits(group: Group, coordinates: FloatArray) -> FloatArray:
-    rig = group.problem.rig
+def _beyond_limits(rig: Rig, coordinates: FloatArray) -> FloatArray:
     worst = np.zeros(len(coordinates))
     for joint, place in zip(rig.joints, coordinate_slices(rig), strict=True):
         own = coordinates[:, place]
@@ -189,6 +189,26 @@ def test_our_kinematics_agree_with_the_witnesses(path: Path) -> None:
                     for goal in group.problem.goals
                 ]
                 assert (got[asked] < WITNESS_TOLERANCE * scale).all()
+
+
+@pytest.mark.parametrize("path", data_files("ik", "clip_*.json"))
+def test_clips_are_followed_frame_by_frame(
+    path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clip = read_clip(path)
+    result = solve(clip.problem, clip.start, clip.targets, IkOptions(warm=True))
+    tally = Tally(seconds=result.seconds.tolist(), iterations=list(result.iterations))
+    tally.statuses.update(map(str, result.statuses))
+    if clip.reachable:
+        near = result.positions.max(axis=1) < LENGTH_TOLERANCE * clip.problem.length
+        near &= result.orientations.max(axis=1) < ANGLE_TOLERANCE
+        tally.failures += [f"frame {f}" for f in np.flatnonzero(~near)]
+    with capsys.disabled():
+        print(f"\n{HEADER}\n{tally.line(path.stem)}")  # noqa: T201
+    assert not tally.failures, tally.failures[:5]
+    assert np.isfinite(result.coordinates).all()
+    beyond = _beyond_limits(clip.problem.rig, result.coordinates)
+    assert beyond.max() <= LIMIT_TOLERANCE
 
 
 def test_the_adapter_reads_what_it_writes(tmp_path: Path) -> None:
