@@ -45,7 +45,8 @@ struct State {
   std::vector<double> residuals;  // (M,), weighted
   std::vector<double> points;     // (E, 3)
   std::vector<double> misses;     // (E, 4), not weighted: lengths and angles
-  double cost = 0;                // of the goals, and of the rest preference
+  double cost = 0;                // of the goals, and of the rest preference:
+  double drawn = 0;               // its part
 
   explicit State(const Task& task)
       : q(task.chain.coordinates), frames(task.chain.nodes.size()), residuals(task.rows),

@@ -76,15 +76,22 @@ class Search {
  private:
   enum class End { REACHED, STILL, SLOW, BUDGET };
 
+  // Damping of a descent from a new start, and the bounds of all.
+  static constexpr double COLD = 1e-3, LEAST_DAMPING = 1e-12, MOST_DAMPING = 1e8;
+  // How far a pose is moved where the slope is zero, but maybe not the least [rad].
+  static constexpr double SHAKE = 0.05;
+  // Random poses, of which the best is a new start.
+  static constexpr int SAMPLES = 4;
+  // Over so many steps a descent has to bring the cost down to this share.
+  static constexpr int PATIENCE = 6;
+  static constexpr double PROGRESS = 0.3;
+  // Above this cost the whole Hessian is worth its price: goals are a length away.
+  static constexpr double FAR = 0.5;
+  // A step is taken that brings this share of what it promised, and none is left that
+  // promises this share of the cost, or turns by less [rad].
+  static constexpr double LEAST_RATIO = 1e-4, STILL_GAIN = 1e-15, LEAST_TURN = 1e-10;
   // After so many starts the best is followed to its end.
   static constexpr int POLISHED = 8;
-  static constexpr double COLD = 1e-3;
-  static constexpr double SHAKE = 0.05;  // [rad]
-  static constexpr int SAMPLES = 4;
-  static constexpr int PATIENCE = 6;
-  static constexpr double LEAST_DAMPING = 1e-12;
-  static constexpr double MOST_DAMPING = 1e8;
-
   // How many other starts must end where the best did before it is taken for the
   // nearest that can be reached.
   static constexpr int AGREEING = 16;
@@ -94,33 +101,45 @@ class Search {
 
   Status look() {
     floor_ = nearest_cost(task_, targets_, best_.frames);
-    const bool sure = floor_ > 0 || task_.chain.dofs >= REDUNDANT * task_.rows;
+    const bool drawn = task_.rest_weight > 0;
+    const bool sure = floor_ > 0 || drawn || task_.chain.dofs >= REDUNDANT * task_.rows;
     first_.q = best_.q;
     begin(best_);
-    End end = descend(settings_.damping, sure);
+    const End end = descend(settings_.damping, sure);
     if (keep()) return Status::REACHED;
     int agreeing = 0;
-    for (int i = 0; i < settings_.restarts && !spent() && !nearest(); ++i) {
-      if (i == 0 && end == End::STILL) {
-        begin(best_);
-        shake();
-      } else if (i == POLISHED) {
-        begin(best_);
-      } else if (i == 1) {
-        straighten();
-      } else {
-        scatter(i % 2 ? best_ : first_);
-      }
+    for (int i = 0; i < settings_.restarts && !spent() && !settled(); ++i) {
+      restart(i, end == End::STILL);
       descend(COLD, sure || i == POLISHED);
       const double before = best_.cost;
-      if (now_.cost < before * (1 - 1e-3)) agreeing = 0;
-      else if (now_.cost < before * (1 + 1e-2)) ++agreeing;
+      if (now_.cost < before * (1 - 1e-3))
+        agreeing = 0;
+      else if (now_.cost < before * (1 + 1e-2))
+        ++agreeing;
       if (keep()) return Status::REACHED;
       if (agreeing >= AGREEING) break;
     }
+    return polish();
+  }
+
+  void restart(int i, bool still) {
+    if (i == 0 && still) {
+      begin(best_);
+      shake();
+    } else if (i == POLISHED) {
+      begin(best_);
+    } else if (i == 1) {
+      straighten();
+    } else {
+      scatter(i % 2 ? best_ : first_);
+    }
+  }
+
+  // Follows the best to its end.
+  Status polish() {
     if (spent()) return Status::BUDGET;
     begin(best_);
-    end = descend(COLD, true);
+    const End end = descend(COLD, true);
     if (keep()) return Status::REACHED;
     return end == End::BUDGET ? Status::BUDGET : Status::NEAREST;
   }
@@ -130,8 +149,11 @@ class Search {
     evaluate(now_);
   }
 
-  // Nothing can be nearer.
-  bool nearest() const { return floor_ > 0 && best_.cost <= floor_ * (1 + 1e-9); }
+  // Nothing can be nearer, or the goals miss only what the rest preference takes.
+  bool settled() const {
+    if (floor_ > 0 && best_.cost <= floor_ * (1 + 1e-9)) return true;
+    return best_.drawn > 0 && best_.cost <= 2 * best_.drawn;
+  }
 
   bool spent() const {
     if (outcome_.iterations >= settings_.iterations) return true;
@@ -143,7 +165,8 @@ class Search {
   void evaluate(State& state) {
     forward(task_.chain, state.q.data(), state.frames);
     measure(task_, targets_, state);
-    state.cost += rest_pull(task_, state.q.data(), rest_, pull_.data());
+    state.drawn = rest_pull(task_, state.q.data(), rest_, pull_.data());
+    state.cost += state.drawn;
   }
 
   bool reached(const State& state) const {
@@ -157,7 +180,7 @@ class Search {
 
   // Keeps the better of the two; whether it reaches the goals.
   bool keep() {
-    if (now_.cost < best_.cost || reached(now_)) std::swap(now_, best_);
+    if (now_.cost < best_.cost || (reached(now_) && !reached(best_))) std::swap(now_, best_);
     return reached(best_);
   }
 
@@ -223,7 +246,7 @@ class Search {
     double grow = 2, marked = now_.cost, trusted = LONGEST_TURN;
     int slow = 0;
     for (int since = 0;; ++since) {
-      if (reached(now_)) return End::REACHED;
+      if (!(task_.rest_weight > 0) && reached(now_)) return End::REACHED;
       if (spent()) return End::BUDGET;
       if (fresh) linearize(task_, targets_, rest_, now_, linear_);
       ++outcome_.iterations;
@@ -249,7 +272,7 @@ class Search {
         std::swap(now_, next_);
       }
       if (since % PATIENCE == PATIENCE - 1) {
-        if (!thorough && now_.cost > 0.3 * marked) return End::SLOW;
+        if (!thorough && now_.cost > PROGRESS * marked) return End::SLOW;
         marked = now_.cost;
       }
     }
@@ -264,11 +287,6 @@ class Search {
     evaluate(next_);
     return gain;
   }
-
-  static constexpr double LEAST_RATIO = 1e-4;
-  static constexpr double LEAST_TURN = 1e-10;
-  static constexpr double FAR = 0.5;
-  static constexpr double STILL_GAIN = 1e-15;
 
   const Task& task_;
   const Settings& settings_;

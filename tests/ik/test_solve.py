@@ -200,6 +200,16 @@ def test_the_pose_preferred_decides_what_the_goals_leave_open() -> None:
     np.testing.assert_allclose(result.coordinates, wanted, atol=1e-2)
 
 
+def test_a_preference_is_sought_from_a_start_that_reaches_the_goals_too() -> None:
+    goals = [Goal("b5", (0.2, 0.0, 0.0))]
+    problem = build(arm(6), goals, rest_weight=1e-6)
+    start, wanted = random_pose(problem, 9), np.zeros(6)
+    targets = reached_by(problem, start)
+    result = solve(problem, start, targets, prefer=wanted)
+    assert np.linalg.norm(result.coordinates) < 0.9 * np.linalg.norm(start)
+    assert result.positions.max() < 1e-4
+
+
 def test_limits_that_hold_are_named() -> None:
     problem = build(arm(3, limit=0.1), [Goal("b2", (0.4, 0.0, 0.0))])
     result = solve(problem, None, Targets([[[0.2, 0.9, 0.0]]]))
