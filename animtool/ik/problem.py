@@ -155,11 +155,17 @@ def _moving(
     found: set[int] = set()
     for goal in goals:
         j = rig.index(goal.joint)
+        # A joint does not move a point that it turns about.
+        pivots = goal.orientation <= 0 and goal.aim <= 0 and not any(goal.offset)
         while j >= 0:
             joint = rig.joints[j]
+            turns = joint.type in {JointType.PIN, JointType.BALL}
             allowed = joints is None or joint.name in joints
-            if joint.type is not JointType.FIXED and allowed:
+            moves = joint.type is not JointType.FIXED and not (pivots and turns)
+            if moves and allowed:
                 found.add(j)
+            slides = joint.type in {JointType.FREE, JointType.PRISMATIC}
+            pivots = pivots and not slides and not any(joint.translation)
             j = joint.parent
     return found
 

@@ -25,12 +25,20 @@ def test_joints_that_move_no_goal_are_not_in_the_problem() -> None:
     assert set(problem.limits) == {"spine", "elbow"}
 
 
+def test_joints_that_turn_about_the_point_are_not_in_the_problem() -> None:
+    problem = build(mixed_rig(), [Goal("hand")])
+    assert problem.joints == ("root", "spine", "elbow", "piston")
+    problem = build(mixed_rig(), [Goal("hand", orientation=1.0)])
+    assert problem.joints[-1] == "hand"
+
+
 def test_rows_are_those_asked_for() -> None:
     assert build(mixed_rig(), every_goal()).rows == 6 + 5 + 1
 
 
 def test_only_the_joints_named_move() -> None:
-    problem = build(mixed_rig(), [Goal("hand")], joints=["elbow", "hand"])
+    goal = Goal("hand", (0.1, 0.0, 0.0))
+    problem = build(mixed_rig(), [goal], joints=["elbow", "hand"])
     assert problem.joints == ("elbow", "hand")
     assert problem.degrees == 4
 
@@ -69,10 +77,12 @@ def test_a_goal_that_asks_for_nothing_or_no_number_is_refused(goal: Goal) -> Non
 
 
 def test_a_goal_that_nothing_moves_is_refused() -> None:
-    rig = Rig("post", (Joint("a", -1, JointType.FIXED),))
-    with pytest.raises(OptionError) as caught:
-        build(rig, [Goal("a")])
-    assert codes(caught) == ["IK003"]
+    post = Rig("post", (Joint("a", -1, JointType.FIXED),))
+    pivot = Rig("pivot", (Joint("a", -1, JointType.PIN),))
+    for rig in (post, pivot):
+        with pytest.raises(OptionError) as caught:
+            build(rig, [Goal("a")])
+        assert codes(caught) == ["IK003"]
 
 
 def test_a_pole_needs_two_bones() -> None:

@@ -159,8 +159,10 @@ def test_out_of_reach_is_the_nearest_point_with_the_distance_left() -> None:
 
 def test_bones_without_length_are_answered() -> None:
     joints = tuple(Joint(f"b{i}", i - 1, JointType.PIN) for i in range(4))
-    problem = build(Rig("point", joints), [Goal("b3")])
-    result = solve(problem, None, Targets([[[1.0, 0.0, 0.0]], [[0.0, 0.0, 0.0]]]))
+    goal = Goal("b3", orientation=1.0)
+    problem = build(Rig("point", joints), [goal])
+    targets = Targets([[[1.0, 0.0, 0.0]], [[0.0] * 3]], [[[0.0, 0.0, 0.0, 1.0]]] * 2)
+    result = solve(problem, None, targets)
     assert result.statuses == (IkStatus.NEAREST, IkStatus.CONVERGED)
     assert np.isfinite(result.coordinates).all()
 
