@@ -6,6 +6,7 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from animtool import ik as ik
     from animtool import usd as usd
     from animtool.clip.clip import Clip as Clip
     from animtool.errors import AnimtoolError as AnimtoolError
@@ -38,6 +39,7 @@ _PUBLIC = {
     "compare": "animtool.report.compare",
     "convert": "animtool.scene.convert",
     "describe": "animtool.report.describe",
+    "ik": "animtool.ik",
     "open_source": "animtool.scene.sources",
     "read_bvh": "animtool.formats.bvh",
     "usd": "animtool.usd",

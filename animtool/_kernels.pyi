@@ -138,3 +138,30 @@ def round_points(points: Annotated[NDArray[numpy.float64], dict(shape=(None, Non
     Returns ``(rounded, error, frame, vertex)``: what is beyond float32 is its largest
     number; the largest distance of a point from where it was, times ``unit``, and where.
     """
+
+def solve_ik(nodes: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], numbers: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], goals: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], goal_numbers: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], starts: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], targets: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], rests: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], rest_weight: float, length_tolerance: float, angle_tolerance: float, damping: float, iterations: int, restarts: int, seed: int, seconds: float, warm: bool) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]:
+    """
+    Solve B inverse kinematics problems of one chain.
+
+    ``nodes`` ``(N, 4)``: kind (0 pin, 1 slide, 2 ball), parent, first coordinate, whether
+    that belongs to an earlier node. ``numbers`` ``(N, 18)``: rest rotation by rows, offset,
+    gain, shift, limits (low, high; of a ball two swings, twist low, high). A pin turns about
+    its z, a slide goes along it, a ball twists about it. ``goals`` ``(E, 3)``: node, root and
+    middle of its limb, or -1. ``goal_numbers`` ``(E, 10)``: offset, aim axis, weights of
+    position, orientation, aim and pole. ``targets`` ``(B, E, 13)``: position, quaternion,
+    point to aim at, pole. Lengths are shares of the chain's. ``warm`` starts each problem
+    where the one before it ended.
+
+    Returns ``(coordinates, misses, reports, seconds)``: ``(B, Q)``; what each goal misses
+    ``(B, E, 4)``; status (0 reached, 1 nearest, 2 budget, 3 not finite), iterations and
+    descents ``(B, 3)``; time of each ``(B,)``.
+    """
+
+def linearize_ik(nodes: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], numbers: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], goals: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], goal_numbers: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], starts: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], targets: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], steps: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]:
+    """
+    Take steps ``(B, D)`` and look at the cost there, arrays as for `solve_ik`.
+
+    Returns ``(coordinates, residuals, Jacobians, curvatures)``: ``(B, Q)``; what is missing,
+    weighted ``(B, M)``; minus its derivatives ``(B, M, D)``; and the Hessian of half the
+    squared residual there, times the step ``(B, D)``.
+    """

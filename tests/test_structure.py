@@ -25,6 +25,7 @@ LAYERS = [
     {"passes", "reorient"},
     {"clip"},
     {"skin"},
+    {"ik"},
     {"formats"},
     {"usd"},
     {"edit"},

@@ -27,6 +27,11 @@ using Stretched = std::tuple<Out<double, 3>, Out<double, 4>>;
 // rounded, error, frame, vertex
 using RoundedPoints = std::tuple<Out<float, 3>, double, std::size_t, std::size_t>;
 
+// coordinates, misses, reports, seconds
+using IkSolved = std::tuple<Out<double, 2>, Out<double, 3>, Out<std::int64_t, 2>, Out<double, 1>>;
+// coordinates, residuals, Jacobians, curvatures
+using IkLinearized = std::tuple<Out<double, 2>, Out<double, 2>, Out<double, 3>, Out<double, 2>>;
+
 BvhRows parse_bvh_rows(nb::bytes text, std::size_t columns, std::size_t limit, bool final);
 
 nb::bytes format_bvh_rows(In<double, 2> values, In<std::int64_t, 1> decimals);
@@ -72,6 +77,16 @@ Stretched split_stretch(In<double, 4> linear);
 void add_sparse(In<double, 3> points, In<double, 2> weights, In<std::int64_t, 1> first,
                 In<std::int32_t, 1> columns, In<double, 2> offsets,
                 Filled<double, 3> out);
+
+IkSolved solve_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int64_t, 2> goals,
+                  In<double, 2> goal_numbers, In<double, 2> starts, In<double, 3> targets,
+                  In<double, 2> rests, double rest_weight, double length_tolerance,
+                  double angle_tolerance, double damping, int iterations, int restarts,
+                  std::uint64_t seed, double seconds, bool warm);
+
+IkLinearized linearize_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
+                          In<std::int64_t, 2> goals, In<double, 2> goal_numbers,
+                          In<double, 2> starts, In<double, 3> targets, In<double, 2> steps);
 
 Out<double, 3> point_extents(In<double, 3> points);
 

@@ -119,4 +119,30 @@ stretch.)");
 
 Returns ``(rounded, error, frame, vertex)``: what is beyond float32 is its largest
 number; the largest distance of a point from where it was, times ``unit``, and where.)");
+
+  m.def("solve_ik", &solve_ik, "nodes"_a, "numbers"_a, "goals"_a, "goal_numbers"_a, "starts"_a,
+        "targets"_a, "rests"_a, "rest_weight"_a, "length_tolerance"_a, "angle_tolerance"_a,
+        "damping"_a, "iterations"_a, "restarts"_a, "seed"_a, "seconds"_a, "warm"_a,
+        R"(Solve B inverse kinematics problems of one chain.
+
+``nodes`` ``(N, 4)``: kind (0 pin, 1 slide, 2 ball), parent, first coordinate, whether
+that belongs to an earlier node. ``numbers`` ``(N, 18)``: rest rotation by rows, offset,
+gain, shift, limits (low, high; of a ball two swings, twist low, high). A pin turns about
+its z, a slide goes along it, a ball twists about it. ``goals`` ``(E, 3)``: node, root and
+middle of its limb, or -1. ``goal_numbers`` ``(E, 10)``: offset, aim axis, weights of
+position, orientation, aim and pole. ``targets`` ``(B, E, 13)``: position, quaternion,
+point to aim at, pole. Lengths are shares of the chain's. ``warm`` starts each problem
+where the one before it ended.
+
+Returns ``(coordinates, misses, reports, seconds)``: ``(B, Q)``; what each goal misses
+``(B, E, 4)``; status (0 reached, 1 nearest, 2 budget, 3 not finite), iterations and
+descents ``(B, 3)``; time of each ``(B,)``.)");
+
+  m.def("linearize_ik", &linearize_ik, "nodes"_a, "numbers"_a, "goals"_a, "goal_numbers"_a,
+        "starts"_a, "targets"_a, "steps"_a,
+        R"(Take steps ``(B, D)`` and look at the cost there, arrays as for `solve_ik`.
+
+Returns ``(coordinates, residuals, Jacobians, curvatures)``: ``(B, Q)``; what is missing,
+weighted ``(B, M)``; minus its derivatives ``(B, M, D)``; and the Hessian of half the
+squared residual there, times the step ``(B, D)``.)");
 }

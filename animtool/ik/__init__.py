@@ -1,0 +1,18 @@
+"""Inverse kinematics: poses that bring joints to goals, limits kept."""
+
+from animtool.ik.goals import Goal, Targets
+from animtool.ik.problem import Problem, build
+from animtool.ik.result import IkResult, IkStatus
+from animtool.ik.solve import IkMethod, IkOptions, solve
+
+__all__ = [
+    "Goal",
+    "IkMethod",
+    "IkOptions",
+    "IkResult",
+    "IkStatus",
+    "Problem",
+    "Targets",
+    "build",
+    "solve",
+]

@@ -1,0 +1,153 @@
+"""What may be asked of a joint, and where it should be."""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import ArrayLike, FloatArray
+from animtool.errors import Fault, OptionError, excerpt
+from animtool.maths import so3
+from animtool.rig.parts import Vector
+from animtool.rig.skeleton import Rig
+
+__all__ = ["Goal", "Targets"]
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """What a joint, or a point that it carries, is to reach.
+
+    The weights multiply what is missing before it is squared and summed: positions in
+    shares of the problem's length, the others in radians. 0 asks for nothing.
+
+    Attributes:
+        joint: Whose frame it is.
+        offset: The point, in that frame [m].
+        position: Weight of the point's position.
+        orientation: Weight of the frame's rotation.
+        aim: Weight of ``aim_axis`` pointing from the point to a target.
+        aim_axis: Unit, in the joint's frame.
+        pole: Weight of the limb's middle joint lying towards a point: in the half
+            plane of the limb's root, its tip (the goal's point) and that point.
+    """
+
+    joint: str
+    offset: Vector = (0.0, 0.0, 0.0)
+    position: float = 1.0
+    orientation: float = 0.0
+    aim: float = 0.0
+    aim_axis: Vector = (0.0, 0.0, 1.0)
+    pole: float = 0.0
+
+    @property
+    def weights(self) -> tuple[float, float, float, float]:
+        """Weights of position, orientation, aim and pole."""
+        return (self.position, self.orientation, self.aim, self.pole)
+
+    @property
+    def rows(self) -> int:
+        """How many residuals it has."""
+        counts = zip((3, 3, 2, 1), self.weights, strict=True)
+        return sum(count for count, weight in counts if weight > 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Targets:
+    """Where the goals are, for B problems, in the world.
+
+    What no goal asks for may be left out.
+
+    Attributes:
+        positions: ``(B, E, 3)`` [m].
+        rotations: Quaternions ``(B, E, 4)``, x y z w; brought to length 1.
+        aims: Points to aim at ``(B, E, 3)`` [m].
+        poles: Points that the limbs' middle joints lie towards ``(B, E, 3)`` [m].
+    """
+
+    positions: ArrayLike | None = None
+    rotations: ArrayLike | None = None
+    aims: ArrayLike | None = None
+    poles: ArrayLike | None = None
+
+
+PARTS = ("positions", "rotations", "aims", "poles")
+_PLACES = (slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13))
+
+
+def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
+    """Return what is wrong with a goal by itself."""
+    faults = []
+    if goal.joint not in rig.names:
+        near = difflib.get_close_matches(goal.joint, rig.names, 1)
+        hint = f"did you mean {near[0]}?" if near else None
+        message = f"no joint of {rig.name!r} is {excerpt(goal.joint)}"
+        faults.append(Fault("IK001", message, where=where, hint=hint))
+    weights = np.array(goal.weights, np.float64)
+    if not (np.isfinite(weights).all() and (weights >= 0).all() and weights.any()):
+        message = "weights are numbers from 0, one of them more than 0"
+        faults.append(Fault("IK002", message, where=where))
+    if not np.isfinite(goal.offset).all():
+        faults.append(Fault("IK002", "its offset is not finite", where=where))
+    if goal.aim > 0 and not abs(np.linalg.norm(goal.aim_axis) - 1) < 1e-6:
+        faults.append(Fault("IK002", "its aim axis is not of length 1", where=where))
+    return faults
+
+
+def pack(targets: Targets, goals: tuple[Goal, ...]) -> FloatArray:
+    """Return targets as the kernel takes them ``(B, E, 13)``, lengths in metres.
+
+    Raises:
+        OptionError: What a goal asks for is missing or of another shape (IK010), or
+            not finite (IK011), with every such fault.
+    """
+    faults: list[Fault] = []
+    found: list[FloatArray | None] = []
+    for i, (name, place) in enumerate(zip(PARTS, _PLACES, strict=True)):
+        asked = [e for e, goal in enumerate(goals) if goal.weights[i] > 0]
+        given = getattr(targets, name)
+        width = place.stop - place.start
+        found.append(_part(name, given, (len(goals), width), asked, faults))
+    batches = {len(part) for part in found if part is not None}
+    if len(batches) > 1:
+        faults.append(Fault("IK010", f"targets of {sorted(batches)} problems at once"))
+    if faults:
+        raise OptionError(faults)
+    packed = np.zeros((batches.pop() if batches else 0, len(goals), 13))
+    packed[:, :, 6] = 1.0
+    for part, place in zip(found, _PLACES, strict=True):
+        if part is not None:
+            packed[:, :, place] = np.where(np.isfinite(part), part, 0.0)
+    packed[:, :, 3:7] = so3.normalize(packed[:, :, 3:7])
+    return packed
+
+
+def _part(
+    name: str,
+    given: ArrayLike | None,
+    shape: tuple[int, int],
+    asked: list[int],
+    faults: list[Fault],
+) -> FloatArray | None:
+    if given is None:
+        if asked:
+            faults.append(Fault("IK010", f"goal {asked[0]} asks for {name}"))
+        return None
+    array = np.asarray(given, np.float64)
+    if array.ndim != 3 or array.shape[1:] != shape:
+        message = f"{name} must have shape (B, {shape[0]}, {shape[1]})"
+        faults.append(Fault("IK010", f"{message}, not {array.shape}"))
+        return None
+    wanted = array[:, asked]
+    bad = ~np.isfinite(wanted).all(axis=2)
+    if shape[1] == 4:
+        bad |= ~wanted.any(axis=2)
+    if bad.any():
+        b, e = (int(i) for i in np.argwhere(bad)[0])
+        message = f"{name}[{b}, {asked[e]}] are no finite numbers"
+        if shape[1] == 4:
+            message = f"{name}[{b}, {asked[e]}] is no rotation"
+        faults.append(Fault("IK011", message))
+    return array

@@ -1,0 +1,181 @@
+"""An inverse kinematics problem: goals, and the joints that can serve them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from animtool._types import ArrayLike, FloatArray, as_floats
+from animtool.errors import Fault, OptionError
+from animtool.ik.chain import Chain, assemble
+from animtool.ik.goals import Goal, goal_faults
+from animtool.rig.joints import coordinate_slices
+from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.skeleton import JointType, Rig
+
+__all__ = ["Problem", "build", "rest_pose"]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is to be solved: look at it, then hand it to `solve`.
+
+    Attributes:
+        rig: Whose joints they are.
+        goals: E of them.
+        joints: Names of the joints that move a goal, parents first; no others are in
+            the problem.
+        degrees: Degrees of freedom D: 1 of a pin or prismatic joint, 3 of a ball, 6 of
+            a free one; none of a joint that follows another.
+        rows: Residuals M: 3 a position, 3 an orientation, 2 an aim, 1 a pole.
+        length: What lengths are divided by inside: the longest way along the bones
+            to a goal [m].
+        rest_weight: Of the preference for a pose, in the sum of squares.
+        chain: The joints as the solver takes them.
+    """
+
+    rig: Rig
+    goals: tuple[Goal, ...]
+    joints: tuple[str, ...]
+    degrees: int
+    rows: int
+    length: float
+    rest_weight: float
+    chain: Chain = field(repr=False)
+
+    @property
+    def coordinates(self) -> int:
+        """Width Q of a row of joint coordinates of the whole rig."""
+        slices = coordinate_slices(self.rig)
+        return slices[-1].stop if slices else 0
+
+    @property
+    def limits(self) -> dict[str, RangeLimit | BallLimit]:
+        """Limits by the name of the joint; joints that turn freely have none."""
+        joints = (self.rig.joints[self.rig.index(name)] for name in self.joints)
+        return {joint.name: joint.limits for joint in joints if joint.limits}
+
+
+def build(
+    rig: Rig,
+    goals: Sequence[Goal],
+    *,
+    joints: Collection[str] | None = None,
+    pose: ArrayLike | None = None,
+    rest_weight: float = 0.0,
+) -> Problem:
+    """Return the problem of bringing a rig's joints to goals.
+
+    Args:
+        rig: J joints, Q coordinates.
+        goals: What is asked for; at least one.
+        joints: Names of those that may move; None is every one that moves a goal.
+        pose: Coordinates ``(Q,)`` of the joints that do not move; None is rest.
+        rest_weight: How strongly the pose given to `solve` as ``prefer`` is kept: the
+            weight of the squared angles and shares of length from it. The goals then
+            give way by about as much.
+
+    Raises:
+        OptionError: With every fault: a joint that the rig lacks (IK001), a goal that
+            asks for nothing or in numbers that are not finite (IK002), a goal that no
+            joint moves (IK003), a pole without a limb of two bones (IK004), reversed
+            limits (IK005), no goals (IK006).
+        ValueError: ``pose`` does not fit the rig.
+
+    >>> from animtool.rig.skeleton import Joint, JointType
+    >>> upper = Joint("upper", -1, JointType.PIN)
+    >>> lower = Joint("lower", 0, JointType.PIN, translation=(1, 0, 0))
+    >>> other = Joint("other", 0, JointType.PIN, translation=(0, 1, 0))
+    >>> rig = Rig("arm", (upper, lower, other))
+    >>> problem = build(rig, [Goal("lower", offset=(1, 0, 0))])
+    >>> problem.joints, problem.degrees, problem.length
+    (('upper', 'lower'), 2, 2.0)
+    """
+    faults = _faults(rig, goals, joints, rest_weight)
+    if faults:
+        raise OptionError(faults)
+    width = sum(place.stop - place.start for place in coordinate_slices(rig))
+    at = np.zeros(width) if pose is None else as_floats(pose, (width,), "pose")
+    moving = _moving(rig, goals, joints)
+    chain, faults = assemble(rig, goals, moving, at)
+    if faults:
+        raise OptionError(faults)
+    return Problem(
+        rig,
+        tuple(goals),
+        tuple(rig.joints[j].name for j in sorted(moving)),
+        chain.degrees,
+        sum(goal.rows for goal in goals),
+        chain.length,
+        rest_weight,
+        chain,
+    )
+
+
+def _faults(
+    rig: Rig,
+    goals: Sequence[Goal],
+    joints: Collection[str] | None,
+    rest_weight: float,
+) -> list[Fault]:
+    """Return what is wrong with the wishes, before any geometry."""
+    faults = [] if goals else [Fault("IK006", "there are no goals")]
+    names = set(rig.names)
+    for i, goal in enumerate(goals):
+        faults += goal_faults(goal, rig, f"goals[{i}]")
+    for name in joints or ():
+        if name not in names:
+            faults.append(Fault("IK001", f"no joint of {rig.name!r} is {name!r}"))
+    if not (np.isfinite(rest_weight) and rest_weight >= 0):
+        message = f"rest_weight must be at least 0, not {rest_weight}"
+        faults.append(Fault("IK002", message))
+    for joint in rig.joints:
+        if _reversed(joint.limits):
+            message = f"the limits of {joint.name!r} are reversed or not numbers"
+            faults.append(Fault("IK005", message))
+    return faults
+
+
+def _reversed(limits: RangeLimit | BallLimit | None) -> bool:
+    match limits:
+        case RangeLimit(low, high):
+            return not low <= high
+        case BallLimit(swing, twist):
+            wide = swing is None or min(swing) >= 0
+            return not (wide and (twist is None or twist[0] <= twist[1]))
+    return False
+
+
+def _moving(
+    rig: Rig, goals: Sequence[Goal], joints: Collection[str] | None
+) -> set[int]:
+    """Return the joints that move a goal and may."""
+    found: set[int] = set()
+    for goal in goals:
+        j = rig.index(goal.joint)
+        # A joint does not move a point that it turns about.
+        pivots = goal.orientation <= 0 and goal.aim <= 0 and not any(goal.offset)
+        while j >= 0:
+            joint = rig.joints[j]
+            turns = joint.type in {JointType.PIN, JointType.BALL}
+            allowed = joints is None or joint.name in joints
+            moves = joint.type is not JointType.FIXED and not (pivots and turns)
+            if moves and allowed:
+                found.add(j)
+            slides = joint.type in {JointType.FREE, JointType.PRISMATIC}
+            pivots = pivots and not slides and not any(joint.translation)
+            j = joint.parent
+    return found
+
+
+def rest_pose(problem: Problem) -> FloatArray:
+    """Return the coordinates ``(Q,)`` of the rest pose."""
+    q = np.zeros(problem.coordinates)
+    for joint, place in zip(
+        problem.rig.joints, coordinate_slices(problem.rig), strict=True
+    ):
+        if joint.type in {JointType.BALL, JointType.FREE}:
+            q[place.stop - 1] = 1.0
+    return q

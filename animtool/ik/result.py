@@ -1,0 +1,95 @@
+"""What a solve achieved."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.ik.problem import Problem
+from animtool.rig.joints import coordinate_slices
+from animtool.rig.limits import BallLimit, RangeLimit
+
+__all__ = ["IkResult", "IkStatus"]
+
+# A coordinate this near to its limit is on it [rad] or [m].
+ON_LIMIT = 1e-9
+
+
+class IkStatus(StrEnum):
+    """How a solve ended."""
+
+    CONVERGED = "converged"
+    NEAREST = "at the nearest reachable"
+    BUDGET = "out of budget"
+    NOT_FINITE = "numbers beyond range"
+
+
+@dataclass(frozen=True)
+class IkResult:
+    """Poses for B problems, and how near to the goals they are.
+
+    Attributes:
+        problem: What was asked.
+        coordinates: Of the whole rig ``(B, Q)``; limits are kept.
+        statuses: ``(B,)``.
+        iterations: ``(B,)``.
+        descents: Starts tried ``(B,)``.
+        seconds: Time of each ``(B,)`` [s], 0 of a closed form; the one part that
+            differs between runs.
+        positions: What each goal misses ``(B, E)`` [m]; 0 where it asks for none.
+        orientations: ``(B, E)`` [rad].
+        aims: ``(B, E)`` [rad].
+        poles: ``(B, E)`` [rad].
+    """
+
+    problem: Problem
+    coordinates: FloatArray
+    statuses: tuple[IkStatus, ...]
+    iterations: IntArray
+    descents: IntArray
+    seconds: FloatArray
+    positions: FloatArray
+    orientations: FloatArray
+    aims: FloatArray
+    poles: FloatArray
+
+    @property
+    def converged(self) -> BoolArray:
+        """Which problems reached every goal within the tolerance ``(B,)``."""
+        return np.array([s is IkStatus.CONVERGED for s in self.statuses], np.bool_)
+
+    def limits_active(self, index: int = 0) -> list[str]:
+        """Return the joints that stand on a limit in one of the poses."""
+        rig, row = self.problem.rig, self.coordinates[index]
+        names = set(self.problem.joints)
+        found = []
+        for joint, place in zip(rig.joints, coordinate_slices(rig), strict=True):
+            if joint.name not in names or joint.limits is None:
+                continue
+            if _on_limit(joint.limits, row[place]):
+                found.append(joint.name)
+        return found
+
+    def __repr__(self) -> str:
+        """Return how many ended how, and the worst miss."""
+        counts = Counter(map(str, self.statuses))
+        ends = ", ".join(f"{count} {status}" for status, count in counts.items())
+        worst = float(self.positions.max(initial=0.0))
+        return f"<IkResult: {ends}; worst position {worst:.3g} m>"
+
+
+def _on_limit(limit: RangeLimit | BallLimit, own: FloatArray) -> bool:
+    if isinstance(limit, RangeLimit):
+        return bool(min(own[0] - limit.low, limit.high - own[0]) <= ON_LIMIT)
+    # What a limit a little narrower takes back stands on the true one.
+    swing, twist = limit.swing, limit.twist
+    if swing is not None:
+        swing = (max(swing[0] - ON_LIMIT, 0.0), max(swing[1] - ON_LIMIT, 0.0))
+    if twist is not None and twist[1] - twist[0] > 2 * ON_LIMIT:
+        twist = (twist[0] + ON_LIMIT, twist[1] - ON_LIMIT)
+    inner = BallLimit(swing, twist, limit.twist_axis)
+    return bool(inner.excess(own[None, -4:])[0] > ON_LIMIT / 10)

@@ -1,0 +1,226 @@
+"""From a problem, starts and targets to poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from animtool import _kernels
+from animtool._types import ArrayLike, FloatArray, IntArray
+from animtool.errors import Fault, OptionError
+from animtool.ik.goals import Targets, pack
+from animtool.ik.problem import Problem, rest_pose
+from animtool.ik.result import IkResult, IkStatus
+from animtool.ik.two_bone import fits, solve_limb
+from animtool.maths import so3
+
+__all__ = ["IkMethod", "IkOptions", "solve"]
+
+_STATUSES = (
+    IkStatus.CONVERGED,
+    IkStatus.NEAREST,
+    IkStatus.BUDGET,
+    IkStatus.NOT_FINITE,
+)
+# Damping of the first step: far from the goals, and beside them.
+COLD_DAMPING, WARM_DAMPING = 1e-3, 1e-6
+
+
+class IkMethod(StrEnum):
+    """Which solver."""
+
+    AUTO = "auto"
+    DAMPED = "damped"
+
+
+@dataclass(frozen=True, slots=True)
+class IkOptions:
+    """How to solve.
+
+    Attributes:
+        method: ``auto`` takes the closed form where a limb of two bones fits it, else
+            damped least squares.
+        tolerance: A position is reached within this share of the problem's length.
+        angle_tolerance: An orientation, aim or pole is reached within this [rad].
+        iterations: Most steps for one problem, restarts included.
+        restarts: Most new starts where a descent ends short of the goals.
+        seed: Of the new starts; the same seed gives the same poses.
+        seconds: Most time for one problem [s]; 0 is no bound. With a bound, what is
+            found depends on the machine.
+        warm: Each problem starts where the one before it ended, as frames of a clip.
+        soft: Share of a two-bone limb's reach over which its extension eases out, so
+            that it does not snap straight; from 0 to less than 1. Others are not eased.
+    """
+
+    method: IkMethod = IkMethod.AUTO
+    tolerance: float = 1e-6
+    angle_tolerance: float = 1e-6
+    iterations: int = 5000
+    restarts: int = 200
+    seed: int = 0
+    seconds: float = 0.0
+    warm: bool = False
+    soft: float = 0.0
+
+
+def solve(
+    problem: Problem,
+    start: ArrayLike | None,
+    targets: Targets,
+    options: IkOptions | None = None,
+    *,
+    prefer: ArrayLike | None = None,
+) -> IkResult:
+    """Return poses that come as near to the goals as the joints and limits let them.
+
+    Args:
+        problem: E goals over a rig of Q coordinates.
+        start: ``(Q,)`` for all, or ``(B, Q)``; None is the rest pose. Brought inside
+            the limits first.
+        targets: Of B problems.
+        options: Tolerances, budget, seed.
+        prefer: Pose ``(Q,)`` or ``(B, Q)`` that the problem's ``rest_weight`` draws
+            to; None is the start.
+
+    Raises:
+        OptionError: Targets are missing, of another shape (IK010) or not finite
+            (IK011); a start is of another shape (IK012) or not finite (IK013); an
+            option makes no sense (IK014).
+
+    Limits of the method: a goal that no descent reached is answered with the best pose
+    found, which need not be the best there is.
+
+    >>> from animtool.ik.goals import Goal
+    >>> from animtool.ik.problem import build
+    >>> from animtool.rig.skeleton import Joint, JointType, Rig
+    >>> upper = Joint("upper", -1, JointType.PIN)
+    >>> lower = Joint("lower", 0, JointType.PIN, translation=(1, 0, 0))
+    >>> problem = build(Rig("arm", (upper, lower)), [Goal("lower", offset=(1, 0, 0))])
+    >>> result = solve(problem, None, Targets(positions=[[[1, 1, 0]]]))
+    >>> result.statuses[0], bool(result.positions.max() < 2e-6)
+    (<IkStatus.CONVERGED: 'converged'>, True)
+    """
+    options = options or IkOptions()
+    _check(options)
+    packed = pack(targets, problem.goals)
+    starts = _rows(problem, start, len(packed), "start")
+    wished = starts if prefer is None else _rows(problem, prefer, len(packed), "prefer")
+    chain = problem.chain
+    packed[:, :, [0, 1, 2, 7, 8, 9, 10, 11, 12]] /= chain.length
+    packed[:, :, 3:7] = so3.multiply(
+        packed[:, :, 3:7], so3.conjugate(chain.goal_frames)
+    )
+    own, wished = chain.from_rig(starts), chain.from_rig(wished)
+    if options.method is IkMethod.AUTO and fits(problem):
+        found = _limbs(problem, own, packed, wished, options)
+    else:
+        found = _damped(problem, own, packed, wished, options)
+    return IkResult(
+        problem,
+        chain.into_rig(found.coordinates, starts),
+        tuple(_STATUSES[status] for status in found.reports[:, 0]),
+        found.reports[:, 1],
+        found.reports[:, 2],
+        found.seconds,
+        found.misses[:, :, 0] * chain.length,
+        found.misses[:, :, 1],
+        found.misses[:, :, 2],
+        found.misses[:, :, 3],
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """What a solver found: chain coordinates, misses, reports, seconds."""
+
+    coordinates: FloatArray
+    misses: FloatArray
+    reports: IntArray
+    seconds: FloatArray
+
+
+def _damped(
+    problem: Problem,
+    starts: FloatArray,
+    targets: FloatArray,
+    wished: FloatArray,
+    options: IkOptions,
+) -> _Found:
+    chain = problem.chain
+    solved = _kernels.solve_ik(
+        chain.nodes,
+        chain.numbers,
+        chain.goals,
+        chain.goal_numbers,
+        starts,
+        targets,
+        wished,
+        problem.rest_weight,
+        options.tolerance,
+        options.angle_tolerance,
+        WARM_DAMPING if options.warm else COLD_DAMPING,
+        options.iterations,
+        options.restarts,
+        options.seed,
+        options.seconds,
+        options.warm,
+    )
+    return _Found(*solved)
+
+
+def _limbs(
+    problem: Problem,
+    starts: FloatArray,
+    targets: FloatArray,
+    wished: FloatArray,
+    options: IkOptions,
+) -> _Found:
+    """Solve limbs in closed form, and those that their limits stop by descent."""
+    limbs = solve_limb(problem, starts, targets, options.soft)
+    tolerances = [options.tolerance, *[options.angle_tolerance] * 3]
+    short = (limbs.misses > tolerances).any(axis=(1, 2))
+    reports = np.zeros((len(starts), 3), np.int64)
+    reports[:, 0] = np.where(short, 1, 0)
+    found = _Found(limbs.coordinates, limbs.misses, reports, np.zeros(len(starts)))
+    rest = np.flatnonzero(~limbs.valid)
+    if len(rest):
+        other = _damped(problem, starts[rest], targets[rest], wished[rest], options)
+        found.coordinates[rest] = other.coordinates
+        found.misses[rest] = other.misses
+        found.reports[rest] = other.reports
+        found.seconds[rest] = other.seconds
+    return found
+
+
+def _check(options: IkOptions) -> None:
+    faults = [
+        Fault("IK014", f"{name} must be more than 0, not {getattr(options, name)}")
+        for name in ("tolerance", "angle_tolerance", "iterations")
+        if not getattr(options, name) > 0
+    ]
+    faults += [
+        Fault("IK014", f"{name} must be at least 0, not {getattr(options, name)}")
+        for name in ("restarts", "seed", "seconds")
+        if not getattr(options, name) >= 0
+    ]
+    if not 0 <= options.soft < 1:
+        message = f"soft must be from 0 to less than 1, not {options.soft}"
+        faults.append(Fault("IK014", message))
+    if faults:
+        raise OptionError(faults)
+
+
+def _rows(
+    problem: Problem, given: ArrayLike | None, batch: int, name: str
+) -> FloatArray:
+    """Return poses ``(B, Q)``, one for all repeated."""
+    width = problem.coordinates
+    rows = rest_pose(problem) if given is None else np.asarray(given, np.float64)
+    if rows.shape not in {(width,), (batch, width)}:
+        message = f"{name} must have shape ({width},) or ({batch}, {width})"
+        raise OptionError(Fault("IK012", f"{message}, not {rows.shape}"))
+    if not np.isfinite(rows).all():
+        raise OptionError(Fault("IK013", f"{name} is not finite"))
+    return np.array(np.broadcast_to(rows, (batch, width)))

@@ -1,0 +1,259 @@
+"""The limb of two bones, in closed form: a ball, then a pin across both, or two balls.
+
+The elbow opens until the tip is as far from the root as its target is, then the
+shoulder turns it there by the shortest way, and about the line to the target until the
+elbow lies towards the pole.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray
+from animtool.ik.chain import BALL, PIN, Chain
+from animtool.ik.problem import Problem
+from animtool.maths import so3
+
+__all__ = ["LimbSolution", "fits", "soft_distance", "solve_limb"]
+
+# A pin is across a bone within this [1].
+ACROSS = 1e-12
+# Lengths below this share of the limb's are none.
+NO_LENGTH = 1e-12
+
+
+@dataclass(frozen=True, slots=True)
+class LimbSolution:
+    """Poses of a limb, lengths in shares of the problem's.
+
+    Attributes:
+        coordinates: Of the chain ``(B, C)``.
+        misses: Of position, orientation, aim and pole ``(B, 1, 4)``.
+        valid: Rows that keep the limits ``(B,)``; the others need another solver.
+    """
+
+    coordinates: FloatArray
+    misses: FloatArray
+    valid: BoolArray
+
+
+def fits(problem: Problem) -> bool:
+    """Return whether a problem is a limb of two bones with one position to reach."""
+    chain = problem.chain
+    if len(problem.goals) != 1 or len(chain.nodes) != 2 or problem.rest_weight > 0:
+        return False
+    goal = problem.goals[0]
+    placed = goal.position > 0 and not goal.orientation > 0 and not goal.aim > 0
+    (first, root, *_), (_, parent, _, follows) = chain.nodes.tolist()
+    hangs = first == BALL and root == -1 and parent == 0 and not follows
+    return placed and hangs and _unlimited(chain.numbers[0]) and _bends(chain)
+
+
+def _bends(chain: Chain) -> bool:
+    """Return whether the elbow opens and closes the limb all the way."""
+    upper, lower = _bones(chain)
+    if min(np.linalg.norm(upper), np.linalg.norm(lower)) < NO_LENGTH:
+        return False
+    if chain.nodes[1, 0] == BALL:
+        return _unlimited(chain.numbers[1])
+    axis = _rest(chain, 1)[:, 2]
+    across = max(abs(axis @ upper), abs(lower[2]))
+    plain = chain.numbers[1, 12] == 1 and chain.numbers[1, 13] == 0
+    return bool(chain.nodes[1, 0] == PIN and plain and across < ACROSS)
+
+
+def soft_distance(distance: FloatArray, reach: float, soft: float) -> FloatArray:
+    """Return how far a limb extends towards a target at a distance.
+
+    Up to ``(1 - soft) reach`` as far as the target; beyond, ever closer to its full
+    reach without a kink in speed, so that it never snaps straight.
+
+    References:
+        A. Nicholas, Soft IK, 2009 (the exponential ease).
+
+    >>> soft_distance(np.array([0.5, 1.0]), 1.0, 0.2).round(3).tolist()
+    [0.5, 0.926]
+    """
+    if soft <= 0:
+        return np.minimum(distance, reach)
+    start, width = (1 - soft) * reach, soft * reach
+    beyond = np.maximum(distance - start, 0.0)
+    return np.where(
+        distance > start, start + width * -np.expm1(-beyond / width), distance
+    )
+
+
+def solve_limb(
+    problem: Problem, starts: FloatArray, targets: FloatArray, soft: float = 0.0
+) -> LimbSolution:
+    """Return the poses of limbs from the chain's coordinates and packed targets.
+
+    Args:
+        problem: One that `fits`.
+        starts: ``(B, C)``: the side to which a pin bends, and the way a limb without
+            pole is turned.
+        targets: ``(B, 1, 13)``.
+        soft: Share of the reach over which extension eases out.
+
+    Limits of the method: a target within 1e-12 of the root, or one exactly behind the
+    start's direction, leaves the plane of the limb open without a pole; a pole on the
+    line from root to target leaves it as it was.
+    """
+    chain = problem.chain
+    base = chain.numbers[0, 9:12]
+    upper, lower = _bones(chain)
+    q = starts.copy()
+    towards = targets[:, 0, :3] - base
+    distance = np.linalg.norm(towards, axis=1)
+    bend = _bend(upper, lower, distance, soft)
+    valid = _open_elbow(chain, q, upper, lower, bend)
+    tip = _tip(chain, q, upper, lower)
+    _turn_shoulder(chain, q, tip, towards)
+    if problem.goals[0].pole > 0:
+        _turn_to_pole(chain, q, upper, towards, targets[:, 0, 10:13] - base)
+    misses = np.zeros((len(q), 1, 4))
+    reached = so3.rotate(_world(chain, q), tip)
+    misses[:, 0, 0] = np.linalg.norm(towards - reached, axis=1)
+    if problem.goals[0].pole > 0:
+        elbow = so3.rotate(_world(chain, q), np.broadcast_to(upper, tip.shape))
+        pole = targets[:, 0, 10:13] - base
+        misses[:, 0, 3] = np.abs(_angle_about(reached, elbow, pole))
+    return LimbSolution(q, misses, valid)
+
+
+def _unlimited(numbers: FloatArray) -> bool:
+    low_side = np.array([np.inf, np.inf, -np.inf, np.inf])
+    return bool((numbers[14:18] == low_side).all())
+
+
+def _rest(chain: Chain, node: int) -> FloatArray:
+    return chain.numbers[node, :9].reshape(3, 3)
+
+
+def _bones(chain: Chain) -> tuple[FloatArray, FloatArray]:
+    """Return the upper bone in the shoulder's frame, the lower in the elbow's."""
+    return chain.numbers[1, 9:12], chain.goal_numbers[0, :3]
+
+
+def _bend(
+    upper: FloatArray, lower: FloatArray, distance: FloatArray, soft: float
+) -> FloatArray:
+    """Return the angle between the bones' directions ``(B,)``, 0 where straight."""
+    a, b = float(np.linalg.norm(upper)), float(np.linalg.norm(lower))
+    reach = np.clip(soft_distance(distance, a + b, soft), abs(a - b), a + b)
+    # The half-angle form keeps its digits at both ends.
+    short = (a + b - reach) * (a + b + reach)
+    long = (reach - (a - b)) * (reach + (a - b))
+    return 2 * np.arctan2(np.sqrt(np.maximum(short, 0)), np.sqrt(np.maximum(long, 0)))
+
+
+def _open_elbow(
+    chain: Chain, q: FloatArray, upper: FloatArray, lower: FloatArray, bend: FloatArray
+) -> BoolArray:
+    """Set the elbow; return where its limits allow it."""
+    rest = _rest(chain, 1)
+    if chain.nodes[1, 0] == PIN:
+        across = rest.T @ upper
+        offset = np.arctan2(lower[1], lower[0]) - np.arctan2(across[1], across[0])
+        side = np.where(np.sin(q[:, 4] + offset) < 0, -1.0, 1.0)
+        low, high = chain.numbers[1, 14:16]
+        first, other = (
+            _nearest_turn(s * bend - offset, q[:, 4]) for s in (side, -side)
+        )
+        inside = (first >= low) & (first <= high)
+        q[:, 4] = np.where(inside, first, other)
+        return np.asarray(inside | ((other >= low) & (other <= high)), np.bool_)
+    own = q[:, 4:8]
+    direction = so3.rotate(own, np.broadcast_to(lower, (len(q), 3)))
+    across_rest = np.broadcast_to(rest.T @ upper, direction.shape)
+    axis = _unit(np.cross(across_rest, direction), _perpendicular(rest.T @ upper))
+    now = np.arctan2(
+        np.sum(axis * np.cross(across_rest, direction), axis=1),
+        np.sum(across_rest * direction, axis=1),
+    )
+    turned = so3.multiply(so3.from_axis_angle(axis, bend - now), own)
+    q[:, 4:8] = so3.normalize(turned)
+    return np.ones(len(q), np.bool_)
+
+
+def _nearest_turn(angle: FloatArray, to: FloatArray) -> FloatArray:
+    return np.asarray(angle + 2 * np.pi * np.round((to - angle) / (2 * np.pi)))
+
+
+def _tip(
+    chain: Chain, q: FloatArray, upper: FloatArray, lower: FloatArray
+) -> FloatArray:
+    """Return the tip in the shoulder's frame ``(B, 3)``."""
+    if chain.nodes[1, 0] == PIN:
+        motion = so3.from_axis_angle([0.0, 0.0, 1.0], q[:, 4])
+    else:
+        motion = q[:, 4:8]
+    turned = so3.rotate(motion, np.broadcast_to(lower, (len(q), 3)))
+    return np.asarray(upper + turned @ _rest(chain, 1).T)
+
+
+def _world(chain: Chain, q: FloatArray) -> FloatArray:
+    """Return the shoulder's rotation in the world ``(B, 4)``."""
+    return so3.multiply(so3.from_matrix(_rest(chain, 0)), q[:, :4])
+
+
+def _set_world(chain: Chain, q: FloatArray, world: FloatArray) -> None:
+    back = so3.conjugate(so3.from_matrix(_rest(chain, 0)))
+    q[:, :4] = so3.normalize(so3.multiply(back, world))
+
+
+def _turn_shoulder(
+    chain: Chain, q: FloatArray, tip: FloatArray, towards: FloatArray
+) -> None:
+    """Turn the tip to its target by the shortest way."""
+    world = _world(chain, q)
+    # Twice: the first turn leaves what rounding makes of a half turn.
+    for _ in range(2):
+        now = so3.rotate(world, tip)
+        axis = _unit(np.cross(now, towards), _perpendicular(now))
+        angle = np.arctan2(
+            np.linalg.norm(np.cross(now, towards), axis=1),
+            np.sum(now * towards, axis=1),
+        )
+        world = so3.normalize(so3.multiply(so3.from_axis_angle(axis, angle), world))
+    _set_world(chain, q, world)
+
+
+def _turn_to_pole(
+    chain: Chain,
+    q: FloatArray,
+    upper: FloatArray,
+    towards: FloatArray,
+    pole: FloatArray,
+) -> None:
+    world = _world(chain, q)
+    elbow = so3.rotate(world, np.broadcast_to(upper, towards.shape))
+    axis = _unit(towards, _perpendicular(towards))
+    turn = so3.from_axis_angle(axis, _angle_about(towards, elbow, pole))
+    _set_world(chain, q, so3.multiply(turn, world))
+
+
+def _angle_about(line: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the signed angle from a to b, seen along a line; 0 where it is open."""
+    axis = _unit(line, np.zeros_like(line))
+    a = a - np.sum(a * axis, axis=1, keepdims=True) * axis
+    b = b - np.sum(b * axis, axis=1, keepdims=True) * axis
+    open_ = np.minimum(np.linalg.norm(a, axis=1), np.linalg.norm(b, axis=1)) < 1e-9
+    angle = np.arctan2(np.sum(axis * np.cross(a, b), axis=1), np.sum(a * b, axis=1))
+    return np.where(open_, 0.0, angle)
+
+
+def _unit(vectors: FloatArray, otherwise: FloatArray) -> FloatArray:
+    size = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    found = vectors / np.where(size > 0, size, 1.0)
+    return np.where(size > NO_LENGTH**2, found, otherwise)
+
+
+def _perpendicular(vectors: FloatArray) -> FloatArray:
+    """Return unit vectors at right angles to others ``(..., 3)``."""
+    least = np.argmin(np.abs(vectors), axis=-1)
+    found = np.cross(vectors, np.eye(3)[least])
+    size = np.linalg.norm(found, axis=-1, keepdims=True)
+    return np.where(size > 0, found / np.where(size > 0, size, 1.0), [1.0, 0.0, 0.0])

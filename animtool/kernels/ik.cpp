@@ -1,0 +1,175 @@
+// Inverse kinematics: the arrays of a problem to its task, and the search over them.
+#include <chrono>
+#include <cmath>
+#include <stdexcept>
+
+#include "ik_search.h"
+#include "kernels.h"
+
+namespace animtool {
+
+namespace {
+
+using namespace ik;
+
+Chain read_chain(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers) {
+  if (nodes.shape(1) != 4 || numbers.shape(1) != 18 || nodes.shape(0) != numbers.shape(0))
+    throw std::invalid_argument("nodes are (N, 4), their numbers (N, 18)");
+  Chain chain;
+  int coordinates = 0, dofs = 0;
+  std::vector<int> dof_of;
+  for (std::size_t n = 0; n < nodes.shape(0); ++n) {
+    const std::int64_t* row = nodes.data() + 4 * n;
+    const double* values = numbers.data() + 18 * n;
+    Node node{};
+    if (row[0] < 0 || row[0] > 2 || row[1] < -1 || row[1] >= static_cast<std::int64_t>(n))
+      throw std::invalid_argument("a node's parent precedes it");
+    node.kind = static_cast<Kind>(row[0]);
+    node.parent = static_cast<int>(row[1]);
+    node.follows = row[3] != 0;
+    std::copy(values, values + 9, node.rest);
+    std::copy(values + 9, values + 12, node.offset);
+    node.gain = values[12], node.shift = values[13];
+    std::copy(values + 14, values + 18, node.limit);
+    if (node.kind == Kind::BALL) prepare(node);
+    node.coordinate = static_cast<int>(row[2]);
+    if (node.follows) {
+      if (row[2] < 0 || row[2] >= coordinates || dof_of[row[2]] < 0)
+        throw std::invalid_argument("a node follows one before it");
+      node.dof = dof_of[row[2]];
+    } else {
+      if (row[2] != coordinates) throw std::invalid_argument("coordinates are in order");
+      const int size = node.kind == Kind::BALL ? 4 : 1;
+      node.dof = dofs;
+      dof_of.insert(dof_of.end(), size, -1);
+      dof_of[coordinates] = node.kind == Kind::BALL ? -1 : dofs;
+      coordinates += size;
+      dofs += node.width();
+    }
+    chain.nodes.push_back(node);
+  }
+  chain.coordinates = coordinates;
+  chain.dofs = dofs;
+  return chain;
+}
+
+Task read_task(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
+               const In<std::int64_t, 2>& goals, const In<double, 2>& goal_numbers,
+               double rest_weight) {
+  if (goals.shape(1) != 3 || goal_numbers.shape(1) != 10 ||
+      goals.shape(0) != goal_numbers.shape(0))
+    throw std::invalid_argument("goals are (E, 3), their numbers (E, 10)");
+  Task task;
+  task.chain = read_chain(nodes, numbers);
+  task.rest_weight = rest_weight;
+  const std::int64_t count = static_cast<std::int64_t>(task.chain.nodes.size());
+  for (std::size_t e = 0; e < goals.shape(0); ++e) {
+    const std::int64_t* row = goals.data() + 3 * e;
+    const double* values = goal_numbers.data() + 10 * e;
+    if (row[0] < 0 || row[0] >= count || row[1] >= count || row[2] >= count)
+      throw std::invalid_argument("a goal is on a node");
+    Goal goal;
+    goal.node = static_cast<int>(row[0]);
+    goal.root = static_cast<int>(row[1]);
+    goal.middle = static_cast<int>(row[2]);
+    std::copy(values, values + 3, goal.offset);
+    std::copy(values + 3, values + 6, goal.aim_axis);
+    std::copy(values + 6, values + 10, goal.weights);
+    if (goal.weights[3] > 0 && (row[1] < 0 || row[2] < 0))
+      throw std::invalid_argument("a pole needs a limb");
+    goal.row = task.rows;
+    for (int n = goal.node; n >= 0; n = task.chain.nodes[n].parent) goal.path.push_back(n);
+    std::reverse(goal.path.begin(), goal.path.end());
+    task.rows += rows_of(goal);
+    task.goals.push_back(goal);
+  }
+  return task;
+}
+
+void check_batch(const Task& task, const In<double, 2>& starts, const In<double, 3>& targets,
+                 const In<double, 2>& rests) {
+  const std::size_t q = task.chain.coordinates, e = task.goals.size();
+  if (starts.shape(1) != q || rests.shape(1) != q || rests.shape(0) != starts.shape(0))
+    throw std::invalid_argument("starts and rests are (B, Q)");
+  if (targets.shape(0) != starts.shape(0) || targets.shape(1) != e ||
+      targets.shape(2) != TARGET_WIDTH)
+    throw std::invalid_argument("targets are (B, E, 13)");
+}
+
+}  // namespace
+
+IkSolved solve_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int64_t, 2> goals,
+                  In<double, 2> goal_numbers, In<double, 2> starts, In<double, 3> targets,
+                  In<double, 2> rests, double rest_weight, double length_tolerance,
+                  double angle_tolerance, double damping, int iterations, int restarts,
+                  std::uint64_t seed, double seconds, bool warm) {
+  const Task task = read_task(nodes, numbers, goals, goal_numbers, rest_weight);
+  check_batch(task, starts, targets, rests);
+  const Settings settings{length_tolerance, angle_tolerance, damping, iterations,
+                          restarts,         seed,            seconds};
+  const std::size_t batch = starts.shape(0), width = starts.shape(1), e = goals.shape(0);
+  Buffer<double> solved(batch * width), misses(batch * e * PARTS), taken(batch);
+  Buffer<std::int64_t> reports(batch * 3);
+  {
+    nb::gil_scoped_release release;
+    Search search(task, settings);
+    for (std::size_t b = 0; b < batch; ++b) {
+      const auto began = std::chrono::steady_clock::now();
+      const double* start =
+          warm && b > 0 ? solved.get() + (b - 1) * width : starts.data() + b * width;
+      const Outcome outcome = search.run(start, targets.data() + b * e * TARGET_WIDTH,
+                                         rests.data() + b * width, solved.get() + b * width);
+      const std::chrono::duration<double> spent = std::chrono::steady_clock::now() - began;
+      taken.get()[b] = spent.count();
+      const State& best = search.best();
+      std::copy(best.misses.begin(), best.misses.end(), misses.get() + b * e * PARTS);
+      std::int64_t* report = reports.get() + 3 * b;
+      report[0] = static_cast<std::int64_t>(outcome.status);
+      report[1] = outcome.iterations;
+      report[2] = outcome.descents;
+    }
+  }
+  const std::size_t by_coordinate[2] = {batch, width}, by_goal[3] = {batch, e, PARTS};
+  const std::size_t by_report[2] = {batch, 3}, by_problem[1] = {batch};
+  return {solved.release(by_coordinate), misses.release(by_goal), reports.release(by_report),
+          taken.release(by_problem)};
+}
+
+IkLinearized linearize_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
+                          In<std::int64_t, 2> goals, In<double, 2> goal_numbers,
+                          In<double, 2> starts, In<double, 3> targets, In<double, 2> steps) {
+  const Task task = read_task(nodes, numbers, goals, goal_numbers, 0);
+  check_batch(task, starts, targets, starts);
+  const std::size_t batch = starts.shape(0), width = starts.shape(1), d = task.chain.dofs;
+  const std::size_t m = task.rows;
+  if (steps.shape(0) != batch || steps.shape(1) != d)
+    throw std::invalid_argument("steps are (B, D)");
+  Buffer<double> moved(batch * width), residuals(batch * m), jacobians(batch * m * d),
+      curvatures(batch * d);
+  {
+    nb::gil_scoped_release release;
+    Stepper stepper(task);
+    State state(task);
+    Linearized linear(task);
+    for (std::size_t b = 0; b < batch; ++b) {
+      const double* step = steps.data() + b * d;
+      stepper.move(starts.data() + b * width, step, moved.get() + b * width);
+      std::copy(moved.get() + b * width, moved.get() + (b + 1) * width, state.q.begin());
+      forward(task.chain, state.q.data(), state.frames);
+      measure(task, targets.data() + b * goals.shape(0) * TARGET_WIDTH, state);
+      linearize(task, targets.data() + b * goals.shape(0) * TARGET_WIDTH, state.q.data(), state,
+                linear);
+      std::copy(state.residuals.begin(), state.residuals.end(), residuals.get() + b * m);
+      for (std::size_t i = 0; i < m; ++i)
+        for (std::size_t j = 0; j < d; ++j)
+          jacobians.get()[(b * m + i) * d + j] = linear.columns[j * m + i];
+      stepper.hessian(state, linear, true, 0.0, step, curvatures.get() + b * d);
+    }
+  }
+  const std::size_t by_coordinate[2] = {batch, width}, by_row[2] = {batch, m};
+  const std::size_t by_entry[3] = {batch, m, d}, by_dof[2] = {batch, d};
+  return {moved.release(by_coordinate), residuals.release(by_row), jacobians.release(by_entry),
+          curvatures.release(by_dof)};
+}
+
+}  // namespace animtool

@@ -1,0 +1,444 @@
+// One damped step that keeps the limits.
+//
+// min |r - J d|^2 / 2 + damping |d|^2 / 2 over steps inside the limits, by fixing what
+// would go beyond at the limit and solving again for the rest.
+#pragma once
+
+#include <vector>
+
+#include "ik_goals.h"
+#include "ik_limits.h"
+
+namespace animtool::ik {
+
+// Most that a joint turns in one step [rad].
+constexpr double LONGEST_TURN = 1.0;
+
+// Solves A x = b in place for a symmetric positive definite A (m, m), of which the
+// lower triangle is read and overwritten. False where it is not. By columns, so that
+// every inner loop adds to what lies side by side; `column` holds m numbers.
+inline bool solve_cholesky(double* a, double* b, double* column, int m) {
+  for (int j = 0; j < m; ++j) {
+    const double pivot = a[j * m + j];
+    if (!(pivot > 0)) return false;
+    const double inverse = 1 / std::sqrt(pivot);
+    a[j * m + j] = inverse;
+    for (int i = j + 1; i < m; ++i) column[i] = a[i * m + j] *= inverse;
+    b[j] *= inverse;
+    for (int i = j + 1; i < m; ++i) {
+      const double at = column[i];
+      double* row = a + i * m;
+      for (int k = j + 1; k <= i; ++k) row[k] -= at * column[k];
+    }
+    for (int i = j + 1; i < m; ++i) b[i] -= b[j] * column[i];
+  }
+  for (int j = m; j-- > 0;) {
+    b[j] *= a[j * m + j];
+    for (int i = 0; i < j; ++i) b[i] -= a[j * m + i] * b[j];
+  }
+  return true;
+}
+
+// The cost around a pose: columns of the Jacobian, their Gram matrix, the gradient.
+struct Linearized {
+  std::vector<double> columns;   // (D, M)
+  std::vector<double> gram;      // (M, M), lower triangle: J J^T
+  std::vector<double> downhill;  // (D,): minus the gradient, rest preference included
+  std::vector<double> pull;      // (D,): the part of the rest preference
+  std::vector<int> first, last;  // (D,): rows that a degree of freedom moves
+
+  explicit Linearized(const Task& task)
+      : columns(static_cast<std::size_t>(task.chain.dofs) * task.rows),
+        gram(static_cast<std::size_t>(task.rows) * task.rows), downhill(task.chain.dofs),
+        pull(task.chain.dofs), first(task.chain.dofs, task.rows), last(task.chain.dofs, 0) {
+    for (const Goal& goal : task.goals)
+      for (const int n : goal.path) {
+        const Node& node = task.chain.nodes[n];
+        for (int d = node.dof; d < node.dof + node.width(); ++d) {
+          first[d] = std::min(first[d], goal.row);
+          last[d] = std::max(last[d], goal.row + rows_of(goal));
+        }
+      }
+  }
+};
+
+// Where the rest preference draws each degree of freedom, and its part of the cost.
+inline double rest_pull(const Task& task, const double* q, const double* rest, double* pull) {
+  double cost = 0;
+  std::fill(pull, pull + task.chain.dofs, 0.0);
+  if (!(task.rest_weight > 0)) return 0;
+  for (const Node& node : task.chain.nodes) {
+    if (node.follows) continue;
+    const double *now = q + node.coordinate, *home = rest + node.coordinate;
+    double away[3];
+    if (node.kind == Kind::BALL) {
+      const double back[4] = {-now[0], -now[1], -now[2], now[3]};
+      double turn[4];
+      product(home, back, turn);
+      logarithm(turn, away);
+    } else {
+      away[0] = home[0] - now[0];
+    }
+    for (int k = 0; k < node.width(); ++k) {
+      cost += task.rest_weight * away[k] * away[k] / 2;
+      pull[node.dof + k] = task.rest_weight * away[k];
+    }
+  }
+  return cost;
+}
+
+inline void linearize(const Task& task, const double* targets, const double* rest,
+                      const State& state, Linearized& out) {
+  const int m = task.rows;
+  differentiate(task, targets, state, out.columns);
+  rest_pull(task, state.q.data(), rest, out.pull.data());
+  std::fill(out.gram.begin(), out.gram.end(), 0.0);
+  for (int d = 0; d < task.chain.dofs; ++d) {
+    const double* column = &out.columns[static_cast<std::size_t>(d) * m];
+    double sum = out.pull[d];
+    for (int i = out.first[d]; i < out.last[d]; ++i) {
+      const double at = column[i];
+      sum += at * state.residuals[i];
+      if (at == 0) continue;
+      double* row = &out.gram[static_cast<std::size_t>(i) * m];
+      for (int j = out.first[d]; j <= i; ++j) row[j] += at * column[j];
+    }
+    out.downhill[d] = sum;
+  }
+}
+
+class Stepper {
+ public:
+  explicit Stepper(const Task& task)
+      : task_(task), curvature_(task), matrix_(static_cast<std::size_t>(task.rows) * task.rows),
+        right_(task.rows), image_(task.rows), free_(task.chain.dofs),
+        search_(task.chain.dofs), rest_(task.chain.dofs), product_(task.chain.dofs) {
+    fixed_.reserve(2 * task.chain.nodes.size() + 8);
+    pinned_.resize(task.chain.nodes.size());
+    turned_.resize(3 * task.chain.nodes.size());
+  }
+
+  // Fills in the step; `curved` uses the whole Hessian in place of J^T J. False where
+  // the damping is too small for it.
+  bool step(const State& state, const Linearized& linear, double damping, bool curved,
+            double longest, double* out) {
+    shut(state);
+    for (int pass = 0; pass < MOST_PASSES; ++pass) {
+      if (!(curved ? solve_curved(state, linear, damping, longest, out)
+                   : solve_dual(state, linear, damping, out)))
+        return false;
+      shorten(state, curved, longest, out);
+      if (!fix_violations(state, out)) return true;
+    }
+    return true;
+  }
+
+  // How far the last step turns a joint or, curved, anything in the world [rad].
+  double turn() const { return turn_; }
+
+  // What the model says the step gains, without the damping.
+  double predicted(const State& state, const Linearized& linear, bool curved,
+                   const double* step) {
+    map(linear, step);
+    double gain = 0, squares = 0;
+    for (const double x : image_) squares += x * x;
+    for (int d = 0; d < task_.chain.dofs; ++d)
+      gain += step[d] * (linear.downhill[d] - task_.rest_weight * step[d] / 2);
+    gain -= squares / 2;
+    if (!curved) return gain;
+    std::fill(product_.begin(), product_.end(), 0.0);
+    curvature_.add(task_, state, step, product_.data());
+    for (int d = 0; d < task_.chain.dofs; ++d) gain -= step[d] * product_[d] / 2;
+    return gain;
+  }
+
+  void hessian(const State& state, const Linearized& linear, bool curved, double damping,
+               const double* v, double* out) {
+    const int m = task_.rows;
+    map(linear, v);
+    for (int d = 0; d < task_.chain.dofs; ++d) {
+      const double* column = &linear.columns[static_cast<std::size_t>(d) * m];
+      double sum = (damping + task_.rest_weight) * v[d];
+      for (int i = linear.first[d]; i < linear.last[d]; ++i) sum += column[i] * image_[i];
+      out[d] = sum;
+    }
+    if (curved) curvature_.add(task_, state, v, out);
+  }
+
+  // Takes a step, limits kept to the last bit.
+  void move(const double* q, const double* step, double* out) const {
+    for (const Node& node : task_.chain.nodes) {
+      if (node.follows) continue;
+      const double *now = q + node.coordinate, *by = step + node.dof;
+      double* next = out + node.coordinate;
+      if (node.kind == Kind::BALL) {
+        double turn[4];
+        exponential(by, turn);
+        product(turn, now, next);
+        normalize(next);
+        if (limited(node) && !well_inside(node, next)) clamp_ball(next, node.limit);
+      } else {
+        next[0] = std::clamp(now[0] + by[0], node.limit[0], node.limit[1]);
+      }
+    }
+  }
+
+ private:
+  static constexpr int MOST_PASSES = 12;
+  static constexpr int MOST_ROUNDS = 300;
+  static constexpr double LOOSE = 1e-2;
+
+  struct Pinned {
+    bool swing = false, twist = false, box = false;
+  };
+
+  // image_ = J v
+  void map(const Linearized& linear, const double* v) {
+    std::fill(image_.begin(), image_.end(), 0.0);
+    for (int d = 0; d < task_.chain.dofs; ++d) {
+      const double* column = &linear.columns[static_cast<std::size_t>(d) * task_.rows];
+      for (int i = linear.first[d]; i < linear.last[d]; ++i) image_[i] += column[i] * v[d];
+    }
+  }
+
+  // Directions that limits of no width leave no room for.
+  void shut(const State& state) {
+    fixed_.clear();
+    std::fill(pinned_.begin(), pinned_.end(), Pinned{});
+    for (std::size_t n = 0; n < task_.chain.nodes.size(); ++n) {
+      const Node& node = task_.chain.nodes[n];
+      if (node.kind != Kind::BALL || !limited(node)) continue;
+      const double* limit = node.limit;
+      const bool narrow[2] = {limit[0] < SHUT, limit[1] < SHUT};
+      const bool straight = limit[3] - limit[2] < SHUT;
+      if (!narrow[0] && !narrow[1] && !straight) continue;
+      const double* q = &state.q[node.coordinate];
+      const SwingTwist parts = split(q, limit);
+      const SwingTwistGradients slopes = gradients(q, parts);
+      for (int k = 0; k < 2; ++k)
+        if (narrow[k]) fix(static_cast<int>(n), slopes.swing[k], 0.0);
+      if (narrow[0] && narrow[1]) pinned_[n].swing = true;
+      if (straight) fix(static_cast<int>(n), slopes.twist, 0.0), pinned_[n].twist = true;
+    }
+  }
+
+  // Fixes the part of a ball's step along a direction, less what is fixed already.
+  void fix(int n, const double* normal, double value) {
+    const Node& node = task_.chain.nodes[n];
+    double direction[3] = {normal[0], normal[1], normal[2]};
+    double size = length(direction);
+    if (!(size > 0)) return;
+    value /= size;
+    for (double& x : direction) x /= size;
+    for (const Fixed& other : fixed_) {
+      if (other.node != n) continue;
+      const double shared = dot(direction, other.direction);
+      for (int i = 0; i < 3; ++i) direction[i] -= shared * other.direction[i];
+      value -= shared * other.value;
+    }
+    size = length(direction);
+    if (size < 1e-3) return;
+    for (double& x : direction) x /= size;
+    fixed_.push_back({node.dof, 3, {direction[0], direction[1], direction[2]}, value / size, n});
+  }
+
+  bool fix_violations(const State& state, const double* step) {
+    bool found = false;
+    for (std::size_t n = 0; n < task_.chain.nodes.size(); ++n) {
+      const Node& node = task_.chain.nodes[n];
+      if (!limited(node)) continue;
+      const double* q = &state.q[node.coordinate];
+      if (node.kind == Kind::BALL) {
+        found = fix_ball(static_cast<int>(n), q, step + node.dof) || found;
+        continue;
+      }
+      if (pinned_[n].box) continue;
+      const double next = q[0] + step[node.dof];
+      if (next >= node.limit[0] - ROUNDING && next <= node.limit[1] + ROUNDING) continue;
+      const double bound = next < node.limit[0] ? node.limit[0] : node.limit[1];
+      fixed_.push_back({node.dof, 1, {1, 0, 0}, bound - q[0], static_cast<int>(n)});
+      pinned_[n].box = true;
+      found = true;
+    }
+    return found;
+  }
+
+  bool fix_ball(int n, const double* q, const double* step) {
+    const Node& node = task_.chain.nodes[n];
+    Pinned& pinned = pinned_[n];
+    if (pinned.swing && pinned.twist) return false;
+    double turn[4], next[4];
+    exponential(step, turn);
+    product(turn, q, next);
+    if (well_inside(node, next)) return false;
+    const Beyond out = beyond(split(next, node.limit), node.limit);
+    const bool swing = out.swing && !pinned.swing, twist = out.twist && !pinned.twist;
+    if (!swing && !twist) return false;
+    // The tangent of the limit where the step would be brought back to it.
+    clamp_ball(next, node.limit);
+    const double back[4] = {-q[0], -q[1], -q[2], q[3]};
+    double between[4], towards[3];
+    product(next, back, between);
+    logarithm(between, towards);
+    const SwingTwist parts = split(next, node.limit);
+    const SwingTwistGradients slopes = gradients(next, parts);
+    if (swing) {
+      const double a = std::max(node.limit[0], SHUT), b = std::max(node.limit[1], SHUT);
+      double normal[3];
+      for (int i = 0; i < 3; ++i)
+        normal[i] = parts.swing[0] / (a * a) * slopes.swing[0][i] +
+                    parts.swing[1] / (b * b) * slopes.swing[1][i];
+      fix(n, normal, dot(normal, towards));
+      pinned.swing = true;
+    }
+    if (twist) {
+      fix(n, slopes.twist, dot(slopes.twist, towards));
+      pinned.twist = true;
+    }
+    return true;
+  }
+
+  // Joints turn by no more than a bound; where second derivatives are trusted, what
+  // turns in the world does not either, for these are far off once it has.
+  void shorten(const State& state, bool curved, double most, double* step) {
+    const double longest = curved ? turning(state, step) : turning(step);
+    turn_ = std::min(longest, most);
+    if (longest <= most) return;
+    for (int d = 0; d < task_.chain.dofs; ++d) step[d] *= most / longest;
+  }
+
+  double turning(const double* step) const {
+    double longest = 0;
+    for (const Node& node : task_.chain.nodes) {
+      if (node.kind == Kind::SLIDE) continue;
+      const double* by = step + node.dof;
+      longest = std::max(longest, node.kind == Kind::BALL ? length(by) : std::fabs(by[0]));
+    }
+    return longest;
+  }
+
+  double turning(const State& state, const double* step) {
+    double longest = turning(step);
+    for (std::size_t n = 0; n < task_.chain.nodes.size(); ++n) {
+      const Node& node = task_.chain.nodes[n];
+      double* turned = &turned_[3 * n];
+      for (int i = 0; i < 3; ++i) turned[i] = node.parent < 0 ? 0 : turned_[3 * node.parent + i];
+      if (node.kind == Kind::SLIDE) continue;
+      for (int k = 0; k < node.width(); ++k)
+        for (int i = 0; i < 3; ++i)
+          turned[i] +=
+              node.gain * step[node.dof + k] * state.frames.axes[9 * n + 3 * k + i];
+      longest = std::max(longest, length(turned));
+    }
+    return longest;
+  }
+
+  static double along(const Fixed& fixed, const double* v) {
+    double sum = 0;
+    for (int k = 0; k < fixed.width; ++k) sum += fixed.direction[k] * v[fixed.dof + k];
+    return sum;
+  }
+
+  static void add(const Fixed& fixed, double amount, double* v) {
+    for (int k = 0; k < fixed.width; ++k) v[fixed.dof + k] += amount * fixed.direction[k];
+  }
+
+  void project(double* v) const {
+    for (const Fixed& fixed : fixed_) add(fixed, -along(fixed, v), v);
+  }
+
+  // (J J^T + D) z = r - J c / D, d = J^T z + c / D: as large as the residual, not as
+  // the chain.
+  bool solve_dual(const State& state, const Linearized& linear, double damping, double* out) {
+    const int m = task_.rows, dofs = task_.chain.dofs;
+    const double diagonal = damping + task_.rest_weight;
+    std::copy(linear.gram.begin(), linear.gram.end(), matrix_.begin());
+    std::copy(state.residuals.begin(), state.residuals.end(), right_.begin());
+    for (int i = 0; i < m; ++i) matrix_[i * m + i] += diagonal;
+    const bool drawn = task_.rest_weight > 0;
+    if (drawn) {
+      for (int d = 0; d < dofs; ++d) free_[d] = linear.pull[d] / diagonal;
+      project(free_.data());
+      for (int d = 0; d < dofs; ++d) {
+        const double* column = &linear.columns[static_cast<std::size_t>(d) * m];
+        for (int i = linear.first[d]; i < linear.last[d]; ++i) right_[i] -= column[i] * free_[d];
+      }
+    }
+    for (const Fixed& fixed : fixed_) take_out(fixed, linear);
+    if (!solve_cholesky(matrix_.data(), right_.data(), image_.data(), m)) return false;
+    for (int d = 0; d < dofs; ++d) {
+      const double* column = &linear.columns[static_cast<std::size_t>(d) * m];
+      double sum = drawn ? free_[d] : 0;
+      for (int i = linear.first[d]; i < linear.last[d]; ++i) sum += column[i] * right_[i];
+      out[d] = sum;
+    }
+    project(out);
+    for (const Fixed& fixed : fixed_) add(fixed, fixed.value, out);
+    return true;
+  }
+
+  void take_out(const Fixed& fixed, const Linearized& linear) {
+    const int m = task_.rows;
+    const int first = linear.first[fixed.dof], last = linear.last[fixed.dof];
+    for (int i = first; i < last; ++i) {
+      image_[i] = 0;
+      for (int k = 0; k < fixed.width; ++k)
+        image_[i] +=
+            linear.columns[static_cast<std::size_t>(fixed.dof + k) * m + i] * fixed.direction[k];
+    }
+    for (int i = first; i < last; ++i) {
+      right_[i] -= image_[i] * fixed.value;
+      double* row = &matrix_[static_cast<std::size_t>(i) * m];
+      for (int j = first; j <= i; ++j) row[j] -= image_[i] * image_[j];
+    }
+  }
+
+  // Conjugate gradients, stopped where the cost bends downwards (T. Steihaug, The
+  // conjugate gradient method and trust regions in large scale optimization, 1983).
+  bool solve_curved(const State& state, const Linearized& linear, double damping, double most,
+                    double* out) {
+    const int dofs = task_.chain.dofs;
+    std::fill(out, out + dofs, 0.0);
+    for (const Fixed& fixed : fixed_) add(fixed, fixed.value, out);
+    hessian(state, linear, true, damping, out, product_.data());
+    for (int d = 0; d < dofs; ++d) rest_[d] = linear.downhill[d] - product_[d];
+    project(rest_.data());
+    double size = 0;
+    for (int d = 0; d < dofs; ++d) search_[d] = rest_[d], size += rest_[d] * rest_[d];
+    const double enough = size * LOOSE * LOOSE * std::min(1.0, size);
+    const int rounds = std::min(2 * dofs + 10, MOST_ROUNDS);
+    for (int round = 0; round < rounds && size > enough && size > 1e-300; ++round) {
+      hessian(state, linear, true, damping, search_.data(), product_.data());
+      project(product_.data());
+      double bend = 0, norm = 0;
+      for (int d = 0; d < dofs; ++d)
+        bend += search_[d] * product_[d], norm += search_[d] * search_[d];
+      if (bend <= 1e-14 * norm) {
+        if (round > 0) break;
+        const double far = LONGEST_TURN / std::sqrt(norm);
+        for (int d = 0; d < dofs; ++d) out[d] += far * search_[d];
+        break;
+      }
+      const double amount = size / bend;
+      double next = 0;
+      for (int d = 0; d < dofs; ++d) {
+        out[d] += amount * search_[d];
+        rest_[d] -= amount * product_[d];
+        next += rest_[d] * rest_[d];
+      }
+      for (int d = 0; d < dofs; ++d) search_[d] = rest_[d] + next / size * search_[d];
+      size = next;
+      if (turning(state, out) > most) break;
+    }
+    return true;
+  }
+
+  const Task& task_;
+  Curvature curvature_;
+  std::vector<double> matrix_, right_, image_, free_, search_, rest_, product_, turned_;
+  double turn_ = 0;
+  std::vector<Fixed> fixed_;
+  std::vector<Pinned> pinned_;
+};
+
+}  // namespace animtool::ik

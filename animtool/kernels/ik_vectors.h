@@ -1,0 +1,106 @@
+// Vectors, row-major 3x3 matrices and quaternions (x, y, z, w) of the IK kernel.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+
+namespace animtool::ik {
+
+inline double dot(const double* a, const double* b) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+inline double length(const double* a) { return std::sqrt(dot(a, a)); }
+
+inline void cross(const double* a, const double* b, double* c) {
+  c[0] = a[1] * b[2] - a[2] * b[1];
+  c[1] = a[2] * b[0] - a[0] * b[2];
+  c[2] = a[0] * b[1] - a[1] * b[0];
+}
+
+inline double triple(const double* a, const double* b, const double* c) {
+  double bc[3];
+  cross(b, c, bc);
+  return dot(a, bc);
+}
+
+inline void rotate(const double* m, const double* v, double* out) {
+  for (int i = 0; i < 3; ++i) out[i] = dot(m + 3 * i, v);
+}
+
+inline void multiply(const double* a, const double* b, double* c) {
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j)
+      c[3 * i + j] = a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j];
+}
+
+inline void to_matrix(const double* q, double* m) {
+  const double x = q[0], y = q[1], z = q[2], w = q[3];
+  m[0] = 1 - 2 * (y * y + z * z), m[1] = 2 * (x * y - w * z), m[2] = 2 * (x * z + w * y);
+  m[3] = 2 * (x * y + w * z), m[4] = 1 - 2 * (x * x + z * z), m[5] = 2 * (y * z - w * x);
+  m[6] = 2 * (x * z - w * y), m[7] = 2 * (y * z + w * x), m[8] = 1 - 2 * (x * x + y * y);
+}
+
+inline void product(const double* a, const double* b, double* c) {
+  const double x = a[3] * b[0] + a[0] * b[3] + a[1] * b[2] - a[2] * b[1];
+  const double y = a[3] * b[1] - a[0] * b[2] + a[1] * b[3] + a[2] * b[0];
+  const double z = a[3] * b[2] + a[0] * b[1] - a[1] * b[0] + a[2] * b[3];
+  const double w = a[3] * b[3] - a[0] * b[0] - a[1] * b[1] - a[2] * b[2];
+  c[0] = x, c[1] = y, c[2] = z, c[3] = w;
+}
+
+inline void normalize(double* q) {
+  const double n = std::sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
+  for (int i = 0; i < 4; ++i) q[i] /= n;
+}
+
+inline void exponential(const double* v, double* q) {
+  const double angle = length(v);
+  const double factor = angle < 1e-5 ? 0.5 - angle * angle / 48 : std::sin(angle / 2) / angle;
+  for (int i = 0; i < 3; ++i) q[i] = factor * v[i];
+  q[3] = std::cos(angle / 2);
+}
+
+// The shortest rotation vector.
+inline void logarithm(const double* q, double* v) {
+  const double sine = length(q), sign = q[3] < 0 ? -1 : 1;
+  const double factor =
+      sine < 1e-12 ? 2 * sign : sign * 2 * std::atan2(sine, std::fabs(q[3])) / sine;
+  for (int i = 0; i < 3; ++i) v[i] = factor * q[i];
+}
+
+// The rotation vector of a matrix; near half a turn by its largest column.
+inline void logarithm_of_matrix(const double* m, double* v) {
+  const double cosine = (m[0] + m[4] + m[8] - 1) / 2;
+  v[0] = (m[7] - m[5]) / 2, v[1] = (m[2] - m[6]) / 2, v[2] = (m[3] - m[1]) / 2;
+  const double sine = length(v);
+  if (cosine > -0.9) {
+    const double factor = sine < 1e-9 ? 1.0 : std::atan2(sine, cosine) / sine;
+    for (int i = 0; i < 3; ++i) v[i] *= factor;
+    return;
+  }
+  int i = m[4] > m[0] ? 1 : 0;
+  if (m[8] > m[4 * i]) i = 2;
+  const int j = (i + 1) % 3, k = (i + 2) % 3;
+  double q[4];
+  q[i] = 1 + m[4 * i] - m[4 * j] - m[4 * k];
+  q[j] = m[3 * i + j] + m[3 * j + i];
+  q[k] = m[3 * i + k] + m[3 * k + i];
+  q[3] = m[3 * k + j] - m[3 * j + k];
+  normalize(q);
+  logarithm(q, v);
+}
+
+// Two unit vectors at right angles to a unit one and to each other.
+inline void across(const double* a, double* u, double* v) {
+  int least = std::fabs(a[1]) < std::fabs(a[0]) ? 1 : 0;
+  if (std::fabs(a[2]) < std::fabs(a[least])) least = 2;
+  double unit[3] = {0, 0, 0};
+  unit[least] = 1;
+  cross(a, unit, u);
+  const double n = length(u);
+  for (int i = 0; i < 3; ++i) u[i] /= n;
+  cross(a, u, v);
+}
+
+}  // namespace animtool::ik

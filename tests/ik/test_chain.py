@@ -1,0 +1,155 @@
+"""The kernel's view of a rig: kinematics, Jacobians and curvature."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.ik import every_goal, mixed_rig, random_pose, reached_by
+
+from animtool import _kernels
+from animtool._types import FloatArray
+from animtool.ik import Goal, Problem, Targets, build
+from animtool.ik.goals import pack
+from animtool.maths import so3
+from animtool.rig.limits import RangeLimit
+from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
+
+
+def packed(problem: Problem, targets: Targets) -> FloatArray:
+    """Return targets as the kernel takes them."""
+    found = pack(targets, problem.goals)
+    found[:, :, [0, 1, 2, 7, 8, 9, 10, 11, 12]] /= problem.length
+    undo = so3.conjugate(problem.chain.goal_frames)
+    found[:, :, 3:7] = so3.multiply(found[:, :, 3:7], undo)
+    return found
+
+
+def look(
+    problem: Problem, start: FloatArray, targets: FloatArray, step: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return coordinates, residual, Jacobian and curvature after a step."""
+    chain = problem.chain
+    found = _kernels.linearize_ik(
+        chain.nodes,
+        chain.numbers,
+        chain.goals,
+        chain.goal_numbers,
+        chain.from_rig(start),
+        targets,
+        step[None],
+    )
+    q, residual, jacobian, curvature = (part[0] for part in found)
+    return q, residual, jacobian, curvature
+
+
+def cost(
+    problem: Problem, start: FloatArray, targets: FloatArray, step: FloatArray
+) -> float:
+    residual = look(problem, start, targets, step)[1]
+    return float(residual @ residual / 2)
+
+
+# Limits would stop the steps of finite differences.
+def free_problem(goals: list[Goal]) -> Problem:
+    rig = mixed_rig()
+    joints = [
+        Joint(j.name, j.parent, j.type, j.translation, j.rotation, j.axis)
+        for j in rig.joints
+    ]
+    return build(Rig("free", tuple(joints)), goals)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_poses_have_no_residual_at_their_own_targets(seed: int) -> None:
+    problem = build(mixed_rig(), every_goal()[:2])
+    pose = random_pose(problem, seed)
+    targets = packed(problem, reached_by(problem, pose))
+    residual = look(problem, pose, targets, np.zeros(problem.degrees))[1]
+    assert np.abs(residual).max() < 1e-7
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_jacobian_is_minus_the_derivative_near_the_goals(seed: int) -> None:
+    problem = free_problem(every_goal()[:2])
+    pose = random_pose(problem, seed)
+    targets = packed(problem, reached_by(problem, pose))
+    jacobian = look(problem, pose, targets, np.zeros(problem.degrees))[2]
+    for d, direction in enumerate(np.eye(problem.degrees)):
+        ahead = look(problem, pose, targets, 1e-6 * direction)[1]
+        behind = look(problem, pose, targets, -1e-6 * direction)[1]
+        slope = (ahead - behind) / 2e-6
+        # The two rows of an aim stand on any basis across it: the length is theirs.
+        plain = [*range(9)]
+        np.testing.assert_allclose(slope[plain], -jacobian[plain, d], atol=1e-8)
+        aimed = np.linalg.norm(jacobian[9:11, d])
+        assert abs(np.linalg.norm(slope[9:11]) - aimed) < 1e-6 or aimed < 1e-6
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_gradient_is_exact_far_from_the_goals(seed: int) -> None:
+    problem = free_problem(every_goal())
+    pose, other = random_pose(problem, seed), random_pose(problem, seed + 50)
+    targets = packed(problem, reached_by(problem, other))
+    still = np.zeros(problem.degrees)
+    _, residual, jacobian, _ = look(problem, pose, targets, still)
+    gradient = -jacobian.T @ residual
+    for d, direction in enumerate(np.eye(problem.degrees)):
+        ahead = cost(problem, pose, targets, 1e-6 * direction)
+        behind = cost(problem, pose, targets, -1e-6 * direction)
+        assert abs((ahead - behind) / 2e-6 - gradient[d]) < 1e-8
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_curvature_of_poses_is_exact(seed: int) -> None:
+    problem = free_problem([every_goal()[0], Goal("other", orientation=0.6)])
+    pose, other = random_pose(problem, seed), random_pose(problem, seed + 50)
+    targets = packed(problem, reached_by(problem, other))
+    step = np.random.default_rng(seed).normal(size=problem.degrees) * 1e-4
+    middle = cost(problem, pose, targets, np.zeros(problem.degrees))
+    ahead, behind = (cost(problem, pose, targets, s * step) for s in (1, -1))
+    # Beside the pose, curvature differs from that at the pose by the step's length.
+    bend = step @ look(problem, pose, targets, 0.0 * step + step)[3]
+    back = step @ -look(problem, pose, targets, -step)[3]
+    assert abs((ahead - 2 * middle + behind) - (bend + back) / 2) < 1e-4 * abs(bend)
+
+
+def test_coordinates_come_back_as_they_went() -> None:
+    problem = build(mixed_rig(), every_goal())
+    pose = random_pose(problem, 3, frames=5)
+    chain = problem.chain
+    np.testing.assert_allclose(
+        chain.into_rig(chain.from_rig(pose), pose), pose, atol=1e-15
+    )
+
+
+def test_a_follower_moves_with_its_leader_within_both_limits() -> None:
+    rig = Rig(
+        "gripper",
+        (
+            Joint("a", -1, JointType.PIN, limits=RangeLimit(-2.0, 2.0)),
+            Joint(
+                "b",
+                0,
+                JointType.PIN,
+                translation=(1.0, 0.0, 0.0),
+                limits=RangeLimit(-0.5, 0.5),
+                mimic=Mimic("a", gain=-0.5, offset=0.1),
+            ),
+        ),
+    )
+    problem = build(rig, [Goal("b", (1.0, 0.0, 0.0))])
+    assert problem.degrees == 1
+    low, high = problem.chain.numbers[0, 14:16]
+    np.testing.assert_allclose([low, high], [-0.8, 1.2])
+    jacobian = look(
+        problem,
+        np.array([[0.4, 0.0]]),
+        packed(problem, Targets(np.ones((1, 1, 3)))),
+        np.zeros(1),
+    )[2]
+    # d/da of (cos a + cos(a + b), sin a + sin(a + b)) with b = 0.1 - a / 2, over 2 m
+    a, b = 0.4, -0.1
+    expected = np.array(
+        [-np.sin(a) - np.sin(a + b) / 2, np.cos(a) + np.cos(a + b) / 2, 0.0]
+    )
+    np.testing.assert_allclose(jacobian[:, 0], expected / problem.length, atol=1e-12)

@@ -1,0 +1,42 @@
+"""Targets that do not fit their goals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from animtool.errors import OptionError
+from animtool.ik import Goal, Targets
+from animtool.ik.goals import pack
+
+GOALS = (Goal("a", orientation=1.0), Goal("b", position=0.0, aim=1.0))
+
+
+def test_what_is_asked_for_must_be_there() -> None:
+    with pytest.raises(OptionError) as caught:
+        pack(Targets(), GOALS)
+    assert [fault.code for fault in caught.value.faults] == ["IK010"] * 3
+
+
+def test_shapes_and_counts_must_agree() -> None:
+    targets = Targets(np.zeros((2, 2, 3)), np.ones((3, 2, 4)), np.zeros((2, 3)))
+    with pytest.raises(OptionError) as caught:
+        pack(targets, GOALS)
+    assert [fault.code for fault in caught.value.faults] == ["IK010"] * 2
+
+
+@pytest.mark.parametrize(
+    ("part", "value"), [(0, np.nan), (0, np.inf), (1, np.nan), (1, 0.0), (2, np.nan)]
+)
+def test_numbers_must_be_finite_and_rotations_not_zero(part: int, value: float) -> None:
+    parts = [np.zeros((1, 2, 3)), np.ones((1, 2, 4)), np.zeros((1, 2, 3))]
+    parts[part][:] = value
+    with pytest.raises(OptionError) as caught:
+        pack(Targets(*parts), GOALS)
+    assert [fault.code for fault in caught.value.faults] == ["IK011"]
+
+
+def test_what_is_not_asked_for_may_be_anything() -> None:
+    positions = np.array([[[1.0, 2.0, 3.0], [np.nan] * 3]])
+    packed = pack(Targets(positions, np.ones((1, 2, 4)), np.zeros((1, 2, 3))), GOALS)
+    assert np.isfinite(packed).all()

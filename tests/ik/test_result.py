@@ -1,0 +1,34 @@
+"""What a result says of the limits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from animtool.ik import Goal, Targets, build, solve
+from animtool.rig.limits import BallLimit
+from animtool.rig.skeleton import Joint, JointType, Rig
+
+
+def neck(swing: tuple[float, float], twist: tuple[float, float]) -> Rig:
+    limits = BallLimit(swing, twist, (0.0, 0.0, 1.0))
+    return Rig("neck", (Joint("neck", -1, JointType.BALL, limits=limits),))
+
+
+@pytest.mark.parametrize(("angle", "missed"), [(0.3, 0.0), (1.3, 0.5)])
+def test_an_aim_beyond_the_cone_stops_on_it(angle: float, missed: float) -> None:
+    problem = build(
+        neck((0.8, 0.8), (-0.1, 0.1)), [Goal("neck", position=0.0, aim=1.0)]
+    )
+    point = [np.sin(angle), 0.0, np.cos(angle)]
+    result = solve(problem, None, Targets(aims=[[point]]))
+    assert abs(result.aims[0, 0] - missed) < 1e-6
+    assert result.limits_active() == (["neck"] if missed else [])
+
+
+def test_an_ellipse_is_wider_one_way() -> None:
+    problem = build(neck((0.2, 0.9), (0.0, 0.0)), [Goal("neck", position=0.0, aim=1.0)])
+    # About y, the second axis after z, it swings towards x.
+    far = [[[np.sin(1.2), 0.0, np.cos(1.2)]], [[0.0, np.sin(1.2), np.cos(1.2)]]]
+    result = solve(problem, None, Targets(aims=far))
+    np.testing.assert_allclose(result.aims[:, 0], [0.3, 1.0], atol=1e-6)

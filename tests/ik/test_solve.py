@@ -1,0 +1,236 @@
+"""Laws of solving, and inputs that must not break it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.ik import arm, every_goal, mixed_rig, random_pose, reached_by
+
+from animtool.errors import OptionError
+from animtool.ik import Goal, IkOptions, IkStatus, Problem, Targets, build, solve
+from animtool.maths import so3
+from animtool.rig.joints import coordinate_slices
+from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.skeleton import Joint, JointType, Rig
+
+SEEDS = st.integers(0, 2**32 - 1)
+FEW = settings(max_examples=25)
+
+
+def beyond_limits(problem: Problem, coordinates: np.ndarray) -> float:
+    worst = 0.0
+    rig = problem.rig
+    for joint, place in zip(rig.joints, coordinate_slices(rig), strict=True):
+        own = coordinates[:, place]
+        if isinstance(joint.limits, RangeLimit):
+            worst = max(worst, float(np.abs(joint.limits.excess(own[:, 0])).max()))
+        elif isinstance(joint.limits, BallLimit):
+            worst = max(worst, float(joint.limits.excess(own).max()))
+    return worst
+
+
+@FEW
+@given(SEEDS)
+def test_poses_that_exist_are_found_within_the_limits(seed: int) -> None:
+    problem = build(mixed_rig(), every_goal()[:2])
+    start, wanted = random_pose(problem, seed), random_pose(problem, seed ^ 1)
+    result = solve(problem, start, reached_by(problem, wanted))
+    assert result.statuses == (IkStatus.CONVERGED,)
+    assert beyond_limits(problem, result.coordinates) == 0.0
+
+
+@FEW
+@given(SEEDS)
+def test_limits_are_kept_where_the_goals_are_out_of_reach(seed: int) -> None:
+    problem = build(mixed_rig(), every_goal()[:2], joints=["spine", "elbow", "hand"])
+    targets = Targets(
+        np.random.default_rng(seed).normal(size=(1, 2, 3)) * 3,
+        np.ones((1, 2, 4)),
+        np.zeros((1, 2, 3)),
+    )
+    result = solve(problem, None, targets, IkOptions(restarts=10))
+    assert beyond_limits(problem, result.coordinates) == 0.0
+    assert np.isfinite(result.coordinates).all()
+
+
+@FEW
+@given(SEEDS, st.sampled_from([1e-4, 0.37, 1e4]))
+def test_the_scale_of_the_world_does_not_matter(seed: int, scale: float) -> None:
+    rig = arm(5, limit=2.0)
+    large = Rig(
+        "large",
+        tuple(
+            replace(j, translation=tuple(scale * x for x in j.translation))
+            for j in rig.joints
+        ),
+    )
+    small = build(rig, [Goal("b4", (0.3, 0.0, 0.0))])
+    problem = build(large, [Goal("b4", (0.3 * scale, 0.0, 0.0))])
+    start, wanted = random_pose(small, seed), random_pose(small, seed ^ 1)
+    reference = solve(small, start, reached_by(small, wanted))
+    result = solve(problem, start, reached_by(problem, wanted))
+    assert result.statuses == reference.statuses
+    tolerance = IkOptions().tolerance * problem.length
+    if reference.converged.all():
+        assert result.positions.max() <= tolerance
+
+
+@FEW
+@given(SEEDS)
+def test_moving_the_world_moves_the_answer_along(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    turn, shift = so3.exp(rng.uniform(-2, 2, 3)), rng.uniform(-5, 5, 3)
+    rig = arm(6, limit=2.5)
+    first = rig.joints[0]
+    moved = Rig(
+        "moved",
+        (
+            replace(first, translation=tuple(shift), rotation=tuple(turn)),
+            *rig.joints[1:],
+        ),
+    )
+    goals = [Goal("b5", (0.3, 0.0, 0.0), orientation=1.0)]
+    at_home, away = build(rig, goals), build(moved, goals)
+    start, wanted = random_pose(at_home, seed), random_pose(at_home, seed ^ 1)
+    targets = reached_by(at_home, wanted)
+    here = solve(at_home, start, targets)
+    there = solve(
+        away,
+        start,
+        Targets(
+            so3.rotate(turn, targets.positions) + shift,
+            so3.multiply(turn, targets.rotations),
+        ),
+    )
+    assert here.statuses == there.statuses
+    if here.iterations[0] < 15:
+        np.testing.assert_allclose(here.coordinates, there.coordinates, atol=1e-4)
+
+
+def test_the_order_of_joints_does_not_matter() -> None:
+    # A tree with its branches told in two orders.
+    trunk = Joint("trunk", -1, JointType.BALL)
+    left = Joint("left", 0, JointType.PIN, translation=(0.5, 1.0, 0.0))
+    right = Joint("right", 0, JointType.PIN, translation=(-0.5, 1.0, 0.0))
+    goals = [Goal("left", (0.4, 0, 0)), Goal("right", (-0.4, 0, 0))]
+    one = build(Rig("one", (trunk, left, right)), goals)
+    two = build(Rig("two", (trunk, right, left)), goals)
+    pose = np.array([[*so3.exp([0.2, 0.3, -0.4]), 0.5, -0.8]])
+    targets = reached_by(one, pose)
+    first, second = solve(one, None, targets), solve(two, None, targets)
+    assert first.converged.all()
+    swapped = second.coordinates[:, [0, 1, 2, 3, 5, 4]]
+    np.testing.assert_allclose(first.coordinates, swapped, atol=1e-9)
+
+
+def test_the_same_seed_gives_the_same_bytes_alone_or_in_a_batch() -> None:
+    problem = build(arm(6, limit=1.2), [Goal("b5", (0.2, 0, 0), orientation=1.0)])
+    start = random_pose(problem, 1, frames=20)
+    targets = reached_by(problem, random_pose(problem, 2, frames=20))
+    whole = solve(problem, start, targets)
+    again = solve(problem, start, targets)
+    assert whole.coordinates.tobytes() == again.coordinates.tobytes()
+    for b in range(20):
+        alone = solve(
+            problem,
+            start[b],
+            Targets(targets.positions[b : b + 1], targets.rotations[b : b + 1]),
+        )
+        assert alone.coordinates.tobytes() == whole.coordinates[b].tobytes()
+
+
+def test_a_straight_arm_bends_to_a_target_on_its_own_line() -> None:
+    problem = build(arm(3), [Goal("b2", (0.4, 0.0, 0.0))])
+    result = solve(problem, None, Targets([[[0.5, 0.0, 0.0]]]))
+    assert result.statuses == (IkStatus.CONVERGED,)
+
+
+def test_out_of_reach_is_the_nearest_point_with_the_distance_left() -> None:
+    problem = build(arm(3), [Goal("b2", (0.4, 0.0, 0.0))])
+    result = solve(problem, None, Targets([[[2.0, 0.7, 0.0]]]))
+    assert result.statuses == (IkStatus.NEAREST,)
+    distance = np.linalg.norm([2.0, 0.7, 0.0])
+    assert abs(result.positions[0, 0] - (distance - 1.2)) < 1e-9
+
+
+def test_bones_without_length_are_answered() -> None:
+    joints = tuple(Joint(f"b{i}", i - 1, JointType.PIN) for i in range(4))
+    goal = Goal("b3", orientation=1.0)
+    problem = build(Rig("point", joints), [goal])
+    targets = Targets([[[1.0, 0.0, 0.0]], [[0.0] * 3]], [[[0.0, 0.0, 0.0, 1.0]]] * 2)
+    result = solve(problem, None, targets)
+    assert result.statuses == (IkStatus.NEAREST, IkStatus.CONVERGED)
+    assert np.isfinite(result.coordinates).all()
+
+
+def test_a_budget_ends_the_search() -> None:
+    problem = build(arm(6, limit=0.3), [Goal("b5", orientation=1.0)])
+    targets = Targets([[[-1.0, 0.2, 0.1]]], [[[1.0, 0.0, 0.0, 0.0]]])
+    result = solve(problem, None, targets, IkOptions(iterations=3))
+    assert result.statuses == (IkStatus.BUDGET,)
+    assert result.iterations[0] == 3
+
+
+def test_targets_beyond_the_range_of_numbers_have_a_status() -> None:
+    problem = build(arm(3), [Goal("b2", (0.4, 0.0, 0.0))])
+    result = solve(problem, None, Targets([[[1e300, 0.0, 0.0]]]))
+    assert result.statuses == (IkStatus.NOT_FINITE,)
+    assert np.isfinite(result.coordinates).all()
+
+
+def test_warm_frames_start_where_the_last_ended() -> None:
+    problem = build(arm(6), [Goal("b5", (0.2, 0.0, 0.0), orientation=1.0)])
+    pose = random_pose(problem, 4)
+    path = pose + np.linspace(0, 0.5, 50)[:, None]
+    result = solve(problem, pose[0], reached_by(problem, path), IkOptions(warm=True))
+    assert result.converged.all()
+    assert np.abs(np.diff(result.coordinates, axis=0)).max() < 0.1
+    assert result.iterations.max() <= 5
+
+
+def test_the_pose_preferred_decides_what_the_goals_leave_open() -> None:
+    rig = arm(6)
+    goals = [Goal("b5", (0.2, 0.0, 0.0))]
+    wanted = random_pose(build(rig, goals), 7)
+    problem = build(rig, goals, rest_weight=1e-4)
+    start = random_pose(problem, 8)
+    result = solve(problem, start, reached_by(problem, wanted), prefer=wanted)
+    np.testing.assert_allclose(result.coordinates, wanted, atol=1e-2)
+
+
+def test_a_preference_is_sought_from_a_start_that_reaches_the_goals_too() -> None:
+    goals = [Goal("b5", (0.2, 0.0, 0.0))]
+    problem = build(arm(6), goals, rest_weight=1e-6)
+    start, wanted = random_pose(problem, 9), np.zeros(6)
+    targets = reached_by(problem, start)
+    result = solve(problem, start, targets, prefer=wanted)
+    assert np.linalg.norm(result.coordinates) < 0.9 * np.linalg.norm(start)
+    assert result.positions.max() < 1e-4
+
+
+def test_limits_that_hold_are_named() -> None:
+    problem = build(arm(3, limit=0.1), [Goal("b2", (0.4, 0.0, 0.0))])
+    result = solve(problem, None, Targets([[[0.2, 0.9, 0.0]]]))
+    assert result.limits_active() == ["b0", "b1", "b2"]
+    assert "nearest" in repr(result)
+
+
+@pytest.mark.parametrize("start", [np.zeros(2), np.full(3, np.nan), np.zeros((2, 3))])
+def test_starts_that_do_not_fit_are_refused(start: np.ndarray) -> None:
+    problem = build(arm(3), [Goal("b2")])
+    with pytest.raises(OptionError) as caught:
+        solve(problem, start, Targets(np.zeros((1, 1, 3))))
+    expected = "IK013" if start.shape == (3,) else "IK012"
+    assert caught.value.code == expected
+
+
+def test_options_are_checked_all_at_once() -> None:
+    problem = build(arm(3), [Goal("b2")])
+    options = IkOptions(tolerance=0.0, restarts=-1, soft=1.0)
+    with pytest.raises(OptionError) as caught:
+        solve(problem, None, Targets(np.zeros((1, 1, 3))), options)
+    assert [fault.code for fault in caught.value.faults] == ["IK014"] * 3

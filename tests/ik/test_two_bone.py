@@ -1,0 +1,106 @@
+"""The closed form of a limb against geometry and against damped steps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.ik import limb, random_pose, reached_by
+
+from animtool.ik import Goal, IkMethod, IkOptions, IkStatus, Targets, build, solve
+from animtool.ik.two_bone import fits, soft_distance
+from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.skeleton import JointType, Rig
+
+GOAL = Goal("elbow", (0.27, 0.0, 0.0))
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def with_elbow(**changes: object) -> Rig:
+    shoulder, elbow = limb().joints
+    return Rig("limb", (shoulder, replace(elbow, **changes)))
+
+
+@settings(max_examples=50)
+@given(SEEDS, st.sampled_from([JointType.PIN, JointType.BALL]))
+def test_points_in_reach_are_reached_to_rounding(seed: int, kind: JointType) -> None:
+    problem = build(with_elbow(type=kind), [replace(GOAL, pole=1.0)])
+    assert fits(problem)
+    start, wanted = random_pose(problem, seed), random_pose(problem, seed ^ 1)
+    result = solve(problem, start, reached_by(problem, wanted))
+    assert result.positions.max() < 1e-12
+    assert result.poles.max() < 1e-9
+
+
+@pytest.mark.parametrize("target", [[9.0, 0.0, 1.0], [0.11, 1.2, 0.0], [0.1, 1.2, 0.0]])
+def test_points_out_of_reach_are_approached_as_near_as_can_be(
+    target: list[float],
+) -> None:
+    problem = build(limb(), [GOAL])
+    result = solve(problem, None, Targets([[target]]))
+    distance = np.linalg.norm(np.array(target) - [0.1, 1.2, 0.0])
+    nearest = max(distance - 0.59, 0.05 - distance)
+    assert abs(result.positions[0, 0] - nearest) < 1e-12
+    assert result.statuses == (IkStatus.NEAREST,)
+
+
+def test_the_elbow_keeps_its_limits_and_what_they_forbid_is_solved_by_steps() -> None:
+    bent = build(with_elbow(limits=RangeLimit(0.0, 2.0)), [GOAL])
+    # On the other side at first, and too near for the elbow's range.
+    targets = Targets([[[0.5, 1.4, 0.0]], [[0.2, 1.2, 0.0]]])
+    result = solve(bent, [0.0, 0.0, 0.0, 1.0, 0.5], targets)
+    assert result.statuses == (IkStatus.CONVERGED, IkStatus.NEAREST)
+    assert 0 <= result.coordinates[:, 4].min() <= result.coordinates[:, 4].max() <= 2
+    assert abs(result.coordinates[1, 4] - 2) < 1e-6
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [
+        build(limb(), [replace(GOAL, orientation=1.0)]),
+        build(with_elbow(axis=(1.0, 0.0, 0.0)), [GOAL]),
+        build(with_elbow(type=JointType.BALL, limits=BallLimit((1.0, 1.0))), [GOAL]),
+        build(limb(), [Goal("elbow")]),
+        build(limb(), [GOAL], rest_weight=0.1),
+        build(limb(), [GOAL], joints=["elbow"]),
+    ],
+)
+def test_other_problems_do_not_fit(problem: object) -> None:
+    assert not fits(problem)  # type: ignore[arg-type]
+
+
+def test_the_start_decides_the_side_and_the_way_it_turns() -> None:
+    problem = build(limb(), [GOAL])
+    target = Targets([[[0.5, 1.3, 0.1]]])
+    for bend in (-1.0, 1.0):
+        result = solve(problem, [0.0, 0.0, 0.0, 1.0, bend], target)
+        assert np.sign(result.coordinates[0, 4]) == bend
+
+
+def test_soft_extension_never_snaps_straight() -> None:
+    distances = np.linspace(0.0, 2.0, 2001)
+    eased = soft_distance(distances, 1.0, 0.1)
+    speed = np.diff(eased) / np.diff(distances)
+    assert eased.max() < 1.0
+    assert (np.diff(eased) > 0).all()
+    assert np.abs(np.diff(speed)).max() < 0.011
+    np.testing.assert_allclose(eased[distances <= 0.9], distances[distances <= 0.9])
+
+
+def test_soft_limbs_say_what_they_leave() -> None:
+    problem = build(limb(), [GOAL])
+    target = Targets([[[0.1 + 0.59, 1.2, 0.0]]])
+    result = solve(problem, None, target, IkOptions(soft=0.1))
+    assert result.statuses == (IkStatus.NEAREST,)
+    assert 0.01 < result.positions[0, 0] < 0.059
+
+
+def test_damped_steps_agree() -> None:
+    problem = build(limb(), [replace(GOAL, pole=1.0)])
+    start = random_pose(problem, 5, frames=20)
+    targets = reached_by(problem, random_pose(problem, 6, frames=20))
+    result = solve(problem, start, targets, IkOptions(IkMethod.DAMPED))
+    assert result.converged.all()
