@@ -231,4 +231,5 @@ def test_a_still_joint_with_no_rotation_is_refused() -> None:
 
 def test_rotations_of_half_precision_are_a_take() -> None:
     rig = Rig("arm", (Joint("a", -1), Joint("b", 0)))
-    Take(rig, Clock(Fraction(24), Fraction(1), Fraction(1), 3), values_of("half"))
+    clock = Clock(Fraction(24), Fraction(1), Fraction(1), 3)
+    assert Take(rig, clock, values_of("half")).motion.frames == 3

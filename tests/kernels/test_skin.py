@@ -55,8 +55,10 @@ def test_sparse_adds_in_place() -> None:
 
 
 def test_no_frames() -> None:
-    none = {"transforms": np.ones((0, 2, 3, 4)), "out": np.zeros((0, 2, 3))}
-    _kernels.skin_linear(**{**LINEAR, **none})
+    out = np.zeros((0, 2, 3))
+    none = {"transforms": np.ones((0, 2, 3, 4)), "out": out}
+    assert _kernels.skin_linear(**{**LINEAR, **none}) is None
+    assert out.shape == (0, 2, 3)
 
 
 def test_a_result_of_another_kind_is_refused() -> None:
