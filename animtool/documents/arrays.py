@@ -6,7 +6,8 @@ import math
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -104,33 +105,8 @@ def array_header(path: Path, key: str) -> ArrayHeader:
     Raises:
         ValueError: There is no such file or array, or it holds Python objects.
     """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            files = [n for n in archive.namelist() if n.endswith(".npy")]
-            names = [name.removesuffix(".npy") for name in files]
-            if key not in names:
-                shown = ", ".join(names[:12]) or "nothing"
-                raise ValueError(f"{path.name} has no array {key!r}; it holds {shown}")
-            stored = archive.getinfo(f"{key}.npy").file_size
-            with archive.open(f"{key}.npy") as file:
-                version = npy.read_magic(file)
-                read = (
-                    npy.read_array_header_1_0
-                    if version == (1, 0)
-                    else npy.read_array_header_2_0
-                )
-                shape, _, dtype = read(file)
-                stored -= file.tell()
-    except _UNREADABLE as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise ValueError(f"{path.name} cannot be read: {reason}") from error
-    if dtype.hasobject:
-        raise ValueError(f"{path.name}#{key} holds pickled Python objects")
-    if dtype.kind not in "fiub":
-        raise ValueError(f"{path.name}#{key} holds {dtype}, not numbers")
-    if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > stored:
-        raise ValueError(f"{path.name}#{key} is shorter than its shape {shape}")
-    return ArrayHeader(tuple(shape), dtype.kind)
+    with _archive(path) as archive:
+        return _header(archive, path, key)
 
 
 def stored_array(path: Path, key: str) -> npt.NDArray[Any]:
@@ -139,12 +115,47 @@ def stored_array(path: Path, key: str) -> npt.NDArray[Any]:
     Raises:
         ValueError: There is no such file or array, or it holds Python objects.
     """
-    array_header(path, key)
+    with _archive(path) as archive:
+        _header(archive, path, key)
+        with archive.open(f"{key}.npy") as file:
+            values: npt.NDArray[Any] = npy.read_array(file, allow_pickle=False)
+            return values
+
+
+@contextmanager
+def _archive(path: Path) -> Iterator[zipfile.ZipFile]:
+    """Open an archive; what it and what is done with it raise becomes ValueError."""
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            return np.asarray(archive[key])
+        with zipfile.ZipFile(path) as archive:
+            yield archive
     except _UNREADABLE as error:
-        raise ValueError(f"{path.name}#{key} cannot be read: {error}") from error
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ValueError(f"{path.name} cannot be read: {reason}") from error
+
+
+def _header(archive: zipfile.ZipFile, path: Path, key: str) -> ArrayHeader:
+    files = [n for n in archive.namelist() if n.endswith(".npy")]
+    names = [name.removesuffix(".npy") for name in files]
+    if key not in names:
+        shown = ", ".join(names[:12]) or "nothing"
+        raise ValueError(f"{path.name} has no array {key!r}; it holds {shown}")
+    stored = archive.getinfo(f"{key}.npy").file_size
+    with archive.open(f"{key}.npy") as file:
+        version = npy.read_magic(file)
+        read = (
+            npy.read_array_header_1_0
+            if version == (1, 0)
+            else npy.read_array_header_2_0
+        )
+        shape, _, dtype = read(file)
+        stored -= file.tell()
+    if dtype.hasobject:
+        raise ValueError(f"{path.name}#{key} holds pickled Python objects")
+    if dtype.kind not in "fiub":
+        raise ValueError(f"{path.name}#{key} holds {dtype}, not numbers")
+    if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > stored:
+        raise ValueError(f"{path.name}#{key} is shorter than its shape {shape}")
+    return ArrayHeader(tuple(shape), dtype.kind)
 
 
 def load_array(path: Path, key: str) -> FloatArray:
