@@ -17,7 +17,7 @@ from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, FormatError, Severity, excerpt, listed
 from animtool.maths import so3
 from animtool.rates import rate_from_float
-from animtool.rig.parts import Shape
+from animtool.rig.parts import AttachKind, Shape
 from animtool.rig.skeleton import Rig
 from animtool.take import Channel, Clock, Motion, Take, TakeStream
 from animtool.units import unit_name
@@ -150,9 +150,11 @@ def _join_stored(
     names = [shape.name for shape in joined.shapes]
     places = np.array([names.index(s.name) for s in stream.rig.shapes], np.int64)
     stream.blocks = _among(stream.blocks, places, len(names))
-    # Meshes stay where they are, and with them what hangs on them (USD119).
-    stream.rig = replace(joined, meshes=())
-    stream.notices += [notice for notice in notices if notice.code != "USD119"]
+    # Meshes and curves stay where they are, and with them cloth and strands.
+    held = {AttachKind.CLOTH, AttachKind.STRANDS}
+    attach = tuple(entry for entry in joined.attach if entry.kind not in held)
+    stream.rig = replace(joined, meshes=(), attach=attach)
+    stream.notices += notices
 
 
 def _among(blocks: Iterator[Motion], places: IntArray, count: int) -> Iterator[Motion]:

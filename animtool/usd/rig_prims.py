@@ -111,7 +111,7 @@ def read_whole_rig(path: Path) -> tuple[Rig, list[Fault]]:
             _fail("USD008", "holds no Skeleton", str(path))
         found = skeleton_rig(skeletons[0], path)
         from animtool.usd.mesh_read import read_meshes
-        from animtool.usd.stored_rig import joined_rig
+        from animtool.usd.stored_rig import joined_rig, with_attachments
         from animtool.usd.strand_read import read_strands
 
         skeleton = skeletons[0]
@@ -126,15 +126,17 @@ def read_whole_rig(path: Path) -> tuple[Rig, list[Fault]]:
             shapes=shapes,
             attach=read_strands(skeleton, found, str(path)),
         )
-        joined, more = joined_rig(
+        data = skeleton.GetPrim().GetCustomDataByKey("animtool") or {}
+        joined, edits = joined_rig(
             rig,
-            skeleton.GetPrim().GetCustomDataByKey("animtool") or {},
+            data,
             found.tokens,
             array_value(skeleton.GetRestTransformsAttr()),
             array_value(skeleton.GetBindTransformsAttr()),
             path,
         )
-        return joined, notices + more
+        whole, losses = with_attachments(joined, rig, data, path)
+        return whole, notices + edits + losses
 
 
 def _bind_poses(skeleton: Any, found: SkeletonRig) -> dict[str, Pose]:

@@ -17,7 +17,7 @@ from animtool.rig.skeleton import Joint, Rig
 from animtool.usd.skeleton import skeleton_hash
 from animtool.usd.stored_attach import joined_attachments
 
-__all__ = ["joined_rig"]
+__all__ = ["joined_rig", "with_attachments"]
 
 # Rest transforms nearer than this [m], [1] are the same but for rounding.
 SAME = 1e-9
@@ -36,7 +36,7 @@ def joined_rig(
     Where the Skeleton is what it was when it was written, joints are exactly those of
     the rig that it was written from. Else USD's own tree, rest and bind count, what
     names joints that are gone is left out, and a warning says so (USD117). Cloth and
-    strands are left out where USD lost or broke their mesh or curves (USD119).
+    strands have no arrays yet; see `with_attachments`.
 
     Args:
         read: As USD says.
@@ -73,16 +73,35 @@ def joined_rig(
         whole, notices = _edited(whole, read, str(path))
     names = dict(zip(read.names, whole.names, strict=True))
     meshes = tuple(_renamed(mesh, names) for mesh in whole.meshes)
+    return replace(whole, meshes=meshes), notices
+
+
+def with_attachments(
+    joined: Rig, read: Rig, data: dict[str, Any], path: Path
+) -> tuple[Rig, list[Fault]]:
+    """Return a joined rig whose cloth and strands have what USD holds of them.
+
+    Those whose mesh or curves USD lost or broke are left out, and named (USD119).
+
+    Args:
+        joined: As `joined_rig` returns it.
+        read: As USD says, its joints in the same order.
+        data: The Skeleton's customData ``animtool``.
+        path: The file.
+    """
+    if not data.get("rig"):
+        return joined, []
+    names = dict(zip(read.names, joined.names, strict=True))
     strands = {
         entry.name: replace(entry, joints=tuple(names[name] for name in entry.joints))
         for entry in read.attach
     }
-    attach, lost = joined_attachments(whole, strands, data.get("pins", {}))
-    if lost:
-        message = f"attachments whose mesh or curves are gone or edited: {listed(lost)}"
-        place = str(path)
-        notices.append(Fault("USD119", message, place, severity=Severity.WARNING))
-    return replace(whole, meshes=meshes, attach=attach), notices
+    attach, lost = joined_attachments(joined, strands, data.get("pins", {}))
+    rig = replace(joined, attach=attach)
+    if not lost:
+        return rig, []
+    message = f"attachments whose mesh or curves are gone or edited: {listed(lost)}"
+    return rig, [Fault("USD119", message, str(path), severity=Severity.WARNING)]
 
 
 def _renamed(mesh: Mesh, names: dict[str, str]) -> Mesh:
