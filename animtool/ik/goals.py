@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import ArrayLike, FloatArray
+from animtool._types import ArrayLike, BoolArray, FloatArray
 from animtool.errors import Fault, OptionError, excerpt
 from animtool.maths import so3
 from animtool.rig.parts import Vector
@@ -32,6 +32,8 @@ class Goal:
         aim_axis: Unit, in the joint's frame.
         pole: Weight of the limb's middle joint lying towards a point: in the half
             plane of the limb's root, its tip (the goal's point) and that point.
+        root: Topmost joint that this goal moves, the joint itself or one above it; None
+            is the topmost of the rig. Joints above it move only for goals of their own.
     """
 
     joint: str
@@ -41,6 +43,7 @@ class Goal:
     aim: float = 0.0
     aim_axis: Vector = (0.0, 0.0, 1.0)
     pole: float = 0.0
+    root: str | None = None
 
     @property
     def weights(self) -> tuple[float, float, float, float]:
@@ -65,12 +68,16 @@ class Targets:
         rotations: Quaternions ``(B, E, 4)``, x y z w; brought to length 1.
         aims: Points to aim at ``(B, E, 3)`` [m].
         poles: Points that the limbs' middle joints lie towards ``(B, E, 3)`` [m].
+        weights: What the goals' weights of position, orientation, aim and pole are
+            multiplied by ``(B, E, 4)``; None is 1. What is multiplied by 0 is not
+            asked in that problem, and its target may be anything.
     """
 
     positions: ArrayLike | None = None
     rotations: ArrayLike | None = None
     aims: ArrayLike | None = None
     poles: ArrayLike | None = None
+    weights: ArrayLike | None = None
 
 
 PARTS = ("positions", "rotations", "aims", "poles")
@@ -85,6 +92,7 @@ def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
         hint = f"did you mean {near[0]}?" if near else None
         message = f"no joint of {rig.name!r} is {excerpt(goal.joint)}"
         faults.append(Fault("IK001", message, where=where, hint=hint))
+    faults += _root_faults(goal, rig, where)
     weights = np.array(goal.weights, np.float64)
     if not (np.isfinite(weights).all() and (weights >= 0).all() and weights.any()):
         message = "weights are numbers from 0, one of them more than 0"
@@ -96,58 +104,105 @@ def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
     return faults
 
 
+def _root_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
+    if goal.root is None:
+        return []
+    if goal.root not in rig.names:
+        message = f"no joint of {rig.name!r} is {excerpt(goal.root)}"
+        return [Fault("IK001", message, where=where)]
+    j = rig.index(goal.joint) if goal.joint in rig.names else -1
+    while j >= 0 and rig.joints[j].name != goal.root:
+        j = rig.joints[j].parent
+    if j >= 0 or goal.joint not in rig.names:
+        return []
+    message = f"its root {goal.root!r} is not above {goal.joint!r}"
+    return [Fault("IK007", message, where=where)]
+
+
 def pack(targets: Targets, goals: tuple[Goal, ...]) -> FloatArray:
-    """Return targets as the kernel takes them ``(B, E, 13)``, lengths in metres.
+    """Return targets as the kernel takes them ``(B, E, 17)``, lengths in metres.
 
     Raises:
-        OptionError: What a goal asks for is missing or of another shape (IK010), or
-            not finite (IK011), with every such fault.
+        OptionError: What a goal asks for is missing or of another shape (IK010), not
+            finite, or a weight is less than 0 (IK011), with every such fault.
     """
     faults: list[Fault] = []
+    weights = _weights(targets.weights, len(goals), faults)
+    asked = np.array([goal.weights for goal in goals]) > 0
+    asked = asked if weights is None else asked & (weights > 0)
     found: list[FloatArray | None] = []
     for i, (name, place) in enumerate(zip(PARTS, _PLACES, strict=True)):
-        asked = [e for e, goal in enumerate(goals) if goal.weights[i] > 0]
         given = getattr(targets, name)
         width = place.stop - place.start
-        found.append(_part(name, given, (len(goals), width), asked, faults))
-    batches = {len(part) for part in found if part is not None}
+        shape = (len(goals), width)
+        found.append(_part(name, given, shape, asked[..., i], faults))
+    batches = {len(part) for part in (*found, weights) if part is not None}
     if len(batches) > 1:
         faults.append(Fault("IK010", f"targets of {sorted(batches)} problems at once"))
     if faults:
         raise OptionError(faults)
-    packed = np.zeros((batches.pop() if batches else 0, len(goals), 13))
+    packed = np.zeros((batches.pop() if batches else 0, len(goals), 17))
     packed[:, :, 6] = 1.0
     for part, place in zip(found, _PLACES, strict=True):
         if part is not None:
             packed[:, :, place] = np.where(np.isfinite(part), part, 0.0)
-    packed[:, :, 3:7] = so3.normalize(packed[:, :, 3:7])
+    packed[:, :, 3:7] = _rotations(packed[:, :, 3:7])
+    packed[:, :, 13:] = 1.0 if weights is None else weights
     return packed
+
+
+def _rotations(given: FloatArray) -> FloatArray:
+    """Return quaternions of length 1; those without length turn nothing."""
+    none = ~given.any(axis=-1, keepdims=True)
+    return so3.normalize(np.where(none, so3.IDENTITY, given))
+
+
+def _weights(
+    given: ArrayLike | None, goals: int, faults: list[Fault]
+) -> FloatArray | None:
+    if given is None:
+        return None
+    weights = np.asarray(given, np.float64)
+    if weights.ndim != 3 or weights.shape[1:] != (goals, 4):
+        message = f"weights must have shape (B, {goals}, 4), not {weights.shape}"
+        faults.append(Fault("IK010", message))
+        return None
+    bad = ~(np.isfinite(weights) & (weights >= 0)).all(axis=2)
+    if bad.any():
+        b, e = (int(i) for i in np.argwhere(bad)[0])
+        message = f"weights[{b}, {e}] are no finite numbers from 0"
+        faults.append(Fault("IK011", message))
+    return weights
 
 
 def _part(
     name: str,
     given: ArrayLike | None,
     shape: tuple[int, int],
-    asked: list[int],
+    asked: BoolArray,
     faults: list[Fault],
 ) -> FloatArray | None:
+    """Return the targets of one part; ``asked`` is ``(E,)`` or ``(B, E)``."""
     if given is None:
-        if asked:
-            faults.append(Fault("IK010", f"goal {asked[0]} asks for {name}"))
+        if asked.any():
+            goal = int(np.flatnonzero(asked.reshape(-1, shape[0]).any(axis=0))[0])
+            faults.append(Fault("IK010", f"goal {goal} asks for {name}"))
         return None
     array = np.asarray(given, np.float64)
     if array.ndim != 3 or array.shape[1:] != shape:
         message = f"{name} must have shape (B, {shape[0]}, {shape[1]})"
         faults.append(Fault("IK010", f"{message}, not {array.shape}"))
         return None
-    wanted = array[:, asked]
-    bad = ~np.isfinite(wanted).all(axis=2)
+    if asked.ndim == 2 and len(asked) != len(array):
+        return array
+    bad = ~np.isfinite(array).all(axis=2)
     if shape[1] == 4:
-        bad |= ~wanted.any(axis=2)
+        bad |= ~array.any(axis=2)
+    bad &= asked
     if bad.any():
         b, e = (int(i) for i in np.argwhere(bad)[0])
-        message = f"{name}[{b}, {asked[e]}] are no finite numbers"
+        message = f"{name}[{b}, {e}] are no finite numbers"
         if shape[1] == 4:
-            message = f"{name}[{b}, {asked[e]}] is no rotation"
+            message = f"{name}[{b}, {e}] is no rotation"
         faults.append(Fault("IK011", message))
     return array

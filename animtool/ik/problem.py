@@ -81,7 +81,8 @@ def build(
         OptionError: With every fault: a joint that the rig lacks (IK001), a goal that
             asks for nothing or in numbers that are not finite (IK002), a goal that no
             joint moves (IK003), a pole without a limb of two bones (IK004), reversed
-            limits (IK005), no goals (IK006).
+            limits (IK005), no goals (IK006), a goal's root that is not above its joint
+            (IK007).
         ValueError: ``pose`` does not fit the rig.
 
     >>> from animtool.rig.skeleton import Joint, JointType
@@ -166,7 +167,7 @@ def _moving(
                 found.add(j)
             slides = joint.type in {JointType.FREE, JointType.PRISMATIC}
             pivots = pivots and not slides and not any(joint.translation)
-            j = joint.parent
+            j = -1 if joint.name == goal.root else joint.parent
     return found
 
 

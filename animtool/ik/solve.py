@@ -8,12 +8,12 @@ from enum import StrEnum
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import ArrayLike, FloatArray, IntArray
+from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, OptionError
 from animtool.ik.goals import Targets, pack
 from animtool.ik.problem import Problem, rest_pose
 from animtool.ik.result import IkResult, IkStatus
-from animtool.ik.two_bone import fits, solve_limb
+from animtool.ik.two_bone import asked, fits, solve_limb
 from animtool.maths import so3
 
 __all__ = ["IkMethod", "IkOptions", "solve"]
@@ -191,7 +191,16 @@ def _limbs(
         found.misses[rest] = other.misses
         found.reports[rest] = other.reports
         found.seconds[rest] = other.seconds
+    if options.warm:
+        _stay(found, ~np.logical_or(*asked(problem, targets)))
     return found
+
+
+def _stay(found: _Found, idle: BoolArray) -> None:
+    """Leave limbs of which a frame asks nothing where the last frame left them."""
+    rows = np.arange(len(idle))
+    last = np.maximum.accumulate(np.where(idle, -1, rows))
+    found.coordinates[last >= 0] = found.coordinates[last[last >= 0]]
 
 
 def _check(options: IkOptions) -> None:

@@ -16,7 +16,7 @@ from animtool.ik.chain import BALL, PIN, Chain
 from animtool.ik.problem import Problem
 from animtool.maths import so3
 
-__all__ = ["LimbSolution", "fits", "soft_distance", "solve_limb"]
+__all__ = ["LimbSolution", "asked", "fits", "soft_distance", "solve_limb"]
 
 # A pin is across a bone within this [1].
 ACROSS = 1e-12
@@ -94,7 +94,7 @@ def solve_limb(
         problem: One that `fits`.
         starts: ``(B, C)``: the side to which a pin bends, and the way a limb without
             pole is turned.
-        targets: ``(B, 1, 13)``.
+        targets: ``(B, 1, 17)``.
         soft: Share of the reach over which extension eases out.
 
     Limits of the method: a target within 1e-12 of the root, or one exactly behind the
@@ -105,22 +105,32 @@ def solve_limb(
     base = chain.numbers[0, 9:12]
     upper, lower = _bones(chain)
     q = starts.copy()
+    # A pole by itself is no matter of reach: another solver turns the limb to it.
+    placed, poled = asked(problem, targets)
     towards = targets[:, 0, :3] - base
     distance = np.linalg.norm(towards, axis=1)
     bend = _bend(upper, lower, distance, soft)
     valid = _open_elbow(chain, q, upper, lower, bend)
     tip = _tip(chain, q, upper, lower)
     _turn_shoulder(chain, q, tip, towards)
-    if problem.goals[0].pole > 0:
-        _turn_to_pole(chain, q, upper, towards, targets[:, 0, 10:13] - base)
+    if poled.any():
+        pole = targets[:, 0, 10:13] - base
+        _turn_to_pole(chain, q, upper, towards, np.where(poled[:, None], pole, 0.0))
+    q[~placed] = starts[~placed]
     misses = np.zeros((len(q), 1, 4))
     reached = so3.rotate(_world(chain, q), tip)
-    misses[:, 0, 0] = np.linalg.norm(towards - reached, axis=1)
-    if problem.goals[0].pole > 0:
+    misses[:, 0, 0] = np.where(placed, np.linalg.norm(towards - reached, axis=1), 0.0)
+    if poled.any():
         elbow = so3.rotate(_world(chain, q), np.broadcast_to(upper, tip.shape))
-        pole = targets[:, 0, 10:13] - base
-        misses[:, 0, 3] = np.abs(_angle_about(reached, elbow, pole))
-    return LimbSolution(q, misses, valid)
+        angle = np.abs(_angle_about(reached, elbow, pole))
+        misses[:, 0, 3] = np.where(poled, angle, 0.0)
+    return LimbSolution(q, misses, np.where(placed, valid, ~poled))
+
+
+def asked(problem: Problem, targets: FloatArray) -> tuple[BoolArray, BoolArray]:
+    """Return where the limb's position and its pole are asked for ``(B,)`` each."""
+    goal = problem.goals[0]
+    return goal.position * targets[:, 0, 13] > 0, goal.pole * targets[:, 0, 16] > 0
 
 
 def _unlimited(numbers: FloatArray) -> bool:

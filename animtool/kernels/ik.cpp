@@ -93,7 +93,7 @@ void check_batch(const Task& task, const In<double, 2>& starts, const In<double,
     throw std::invalid_argument("starts and rests are (B, Q)");
   if (targets.shape(0) != starts.shape(0) || targets.shape(1) != e ||
       targets.shape(2) != TARGET_WIDTH)
-    throw std::invalid_argument("targets are (B, E, 13)");
+    throw std::invalid_argument("targets are (B, E, 17)");
 }
 
 }  // namespace

@@ -22,9 +22,14 @@ struct Goal {
   std::vector<int> path;  // nodes that move it, from the root
 };
 
-// Of one goal: position, quaternion, point to aim at, pole.
-constexpr int TARGET_WIDTH = 13;
+// Of one goal: position, quaternion, point to aim at, pole, and what its weights are
+// multiplied by: where that is 0, the rows are there but ask for nothing.
+constexpr int TARGET_WIDTH = 17;
 constexpr int PARTS = 4;
+
+inline double weight_of(const Goal& goal, const double* target, int part) {
+  return goal.weights[part] * target[13 + part];
+}
 
 struct Task {
   Chain chain;
@@ -38,6 +43,15 @@ inline int rows_of(const Goal& goal) {
          (goal.weights[3] > 0);
 }
 
+inline int rows_asked(const Task& task, const double* targets) {
+  constexpr int rows[PARTS] = {3, 3, 2, 1};
+  int count = 0;
+  for (std::size_t e = 0; e < task.goals.size(); ++e)
+    for (int part = 0; part < PARTS; ++part)
+      count += rows[part] * (weight_of(task.goals[e], targets + TARGET_WIDTH * e, part) > 0);
+  return count;
+}
+
 // A pose of the chain and how far it is from the goals.
 struct State {
   std::vector<double> q;
@@ -45,12 +59,14 @@ struct State {
   std::vector<double> residuals;  // (M,), weighted
   std::vector<double> points;     // (E, 3)
   std::vector<double> misses;     // (E, 4), not weighted: lengths and angles
+  std::vector<double> weights;    // (E, 4), with those of the targets
   double cost = 0;                // of the goals, and of the rest preference:
   double drawn = 0;               // its part
 
   explicit State(const Task& task)
       : q(task.chain.coordinates), frames(task.chain.nodes.size()), residuals(task.rows),
-        points(3 * task.goals.size()), misses(PARTS * task.goals.size()) {}
+        points(3 * task.goals.size()), misses(PARTS * task.goals.size()),
+        weights(PARTS * task.goals.size()) {}
 };
 
 // The half plane of a limb and that of its pole, seen along the limb.
@@ -119,50 +135,60 @@ inline Aim look_at(const Goal& goal, const State& state, const double* point,
   return aim;
 }
 
+inline void measure_position(double weight, const double* point, const double* target, double* r,
+                             double* miss) {
+  for (int i = 0; i < 3; ++i) r[i] = target[i] - point[i];
+  *miss = length(r);
+  for (int i = 0; i < 3; ++i) r[i] *= weight;
+}
+
+inline void measure_orientation(double weight, const double* rotation, const double* target,
+                                double* r, double* miss) {
+  double wanted[9], transposed[9], turn[9];
+  to_matrix(target + 3, wanted);
+  for (int i = 0; i < 9; ++i) transposed[i] = rotation[3 * (i % 3) + i / 3];
+  multiply(wanted, transposed, turn);
+  logarithm_of_matrix(turn, r);
+  *miss = length(r);
+  for (int i = 0; i < 3; ++i) r[i] *= weight;
+}
+
+inline void measure_aim(double weight, const Aim& aim, double* r, double* miss) {
+  double u[3], v[3];
+  across(aim.direction, u, v);
+  *miss = aim.angle;
+  r[0] = weight * aim.angle * dot(aim.axis, u);
+  r[1] = weight * aim.angle * dot(aim.axis, v);
+}
+
 inline void measure(const Task& task, const double* targets, State& state) {
-  state.cost = 0;
-  double* r = state.residuals.data();
-  const double* start = r;
+  std::fill(state.residuals.begin(), state.residuals.end(), 0.0);
+  std::fill(state.misses.begin(), state.misses.end(), 0.0);
   for (std::size_t e = 0; e < task.goals.size(); ++e) {
     const Goal& goal = task.goals[e];
     const double* target = targets + TARGET_WIDTH * e;
     const double* rotation = &state.frames.rotations[9 * goal.node];
     double* point = &state.points[3 * e];
     double* miss = &state.misses[PARTS * e];
+    double* weights = &state.weights[PARTS * e];
+    double* r = &state.residuals[goal.row];
+    for (int part = 0; part < PARTS; ++part) weights[part] = weight_of(goal, target, part);
     rotate(rotation, goal.offset, point);
     for (int i = 0; i < 3; ++i) point[i] += state.frames.origins[3 * goal.node + i];
-    if (goal.weights[0] > 0) {
-      for (int i = 0; i < 3; ++i) r[i] = target[i] - point[i];
-      miss[0] = length(r);
-      for (int i = 0; i < 3; ++i) r[i] *= goal.weights[0];
-      r += 3;
-    }
-    if (goal.weights[1] > 0) {
-      double wanted[9], transposed[9], turn[9];
-      to_matrix(target + 3, wanted);
-      for (int i = 0; i < 9; ++i) transposed[i] = rotation[3 * (i % 3) + i / 3];
-      multiply(wanted, transposed, turn);
-      logarithm_of_matrix(turn, r);
-      miss[1] = length(r);
-      for (int i = 0; i < 3; ++i) r[i] *= goal.weights[1];
-      r += 3;
-    }
-    if (goal.weights[2] > 0) {
-      const Aim aim = look_at(goal, state, point, target);
-      double u[3], v[3];
-      across(aim.direction, u, v);
-      miss[2] = aim.angle;
-      r[0] = goal.weights[2] * aim.angle * dot(aim.axis, u);
-      r[1] = goal.weights[2] * aim.angle * dot(aim.axis, v);
-      r += 2;
-    }
-    if (goal.weights[3] > 0) {
+    if (weights[0] > 0) measure_position(weights[0], point, target, r, miss);
+    r += 3 * (goal.weights[0] > 0);
+    if (weights[1] > 0) measure_orientation(weights[1], rotation, target, r, miss + 1);
+    r += 3 * (goal.weights[1] > 0);
+    if (weights[2] > 0) measure_aim(weights[2], look_at(goal, state, point, target), r, miss + 2);
+    r += 2 * (goal.weights[2] > 0);
+    if (weights[3] > 0) {
       const Limb limb = limb_of(goal, state, point, target);
       miss[3] = limb.known ? std::fabs(limb.angle) : 0;
-      *r++ = limb.known ? goal.weights[3] * limb.angle : 0;
+      r[0] = limb.known ? weights[3] * limb.angle : 0;
     }
   }
-  for (const double* x = start; x < r; ++x) state.cost += *x * *x;
+  state.cost = 0;
+  for (const double x : state.residuals) state.cost += x * x;
   state.cost /= 2;
 }
 
@@ -195,15 +221,17 @@ inline void differentiate(const Task& task, const double* targets, const State& 
     const Goal& goal = task.goals[e];
     const double* target = targets + TARGET_WIDTH * e;
     const double* point = &state.points[3 * e];
+    const double* weights = &state.weights[PARTS * e];
+    if (std::all_of(weights, weights + PARTS, [](double w) { return !(w > 0); })) continue;
     Aim aim{};
     Limb limb{};
     LimbGradients turning{};
-    double u[3], v[3];
-    if (goal.weights[2] > 0) {
+    double u[3] = {}, v[3] = {};
+    if (weights[2] > 0) {
       aim = look_at(goal, state, point, target);
       across(aim.direction, u, v);
     }
-    if (goal.weights[3] > 0) {
+    if (weights[3] > 0) {
       limb = limb_of(goal, state, point, target);
       if (limb.known) turning = gradients(limb);
     }
@@ -217,22 +245,22 @@ inline void differentiate(const Task& task, const double* targets, const State& 
         velocity(node, axis, origin, point, linear, angular);
         const double gain = node.gain;
         if (goal.weights[0] > 0) {
-          for (int i = 0; i < 3; ++i) column[i] += gain * goal.weights[0] * linear[i];
+          for (int i = 0; i < 3; ++i) column[i] += gain * weights[0] * linear[i];
           column += 3;
         }
         if (goal.weights[1] > 0) {
-          for (int i = 0; i < 3; ++i) column[i] += gain * goal.weights[1] * angular[i];
+          for (int i = 0; i < 3; ++i) column[i] += gain * weights[1] * angular[i];
           column += 3;
         }
-        if (goal.weights[2] > 0) {
+        if (weights[2] > 0) {
           double turned[3];
           cross(aim.wanted, linear, turned);
           for (int i = 0; i < 3; ++i) turned[i] = angular[i] + turned[i] / aim.distance;
-          column[0] += gain * goal.weights[2] * dot(turned, u);
-          column[1] += gain * goal.weights[2] * dot(turned, v);
-          column += 2;
+          column[0] += gain * weights[2] * dot(turned, u);
+          column[1] += gain * weights[2] * dot(turned, v);
         }
-        if (goal.weights[3] > 0 && limb.known) {
+        column += 2 * (goal.weights[2] > 0);
+        if (limb.known) {
           double rate = dot(turning.tip, linear);
           if (n <= goal.middle) {
             velocity(node, axis, origin, &state.frames.origins[3 * goal.middle], linear, angular);
@@ -242,7 +270,7 @@ inline void differentiate(const Task& task, const double* targets, const State& 
             velocity(node, axis, origin, &state.frames.origins[3 * goal.root], linear, angular);
             rate += dot(turning.root, linear);
           }
-          column[0] -= gain * goal.weights[3] * rate;
+          column[0] -= gain * weights[3] * rate;
         }
       }
     }
@@ -269,13 +297,14 @@ class Curvature {
     const Goal& goal = task.goals[e];
     const double* point = &state.points[3 * e];
     const double* residual = &state.residuals[goal.row];
+    const double* weights = &state.weights[PARTS * e];
     double force[3] = {0, 0, 0}, torque[3] = {0, 0, 0}, shrink = 0, axis[3] = {0, 0, 0};
     if (goal.weights[0] > 0) {
-      for (int i = 0; i < 3; ++i) force[i] = goal.weights[0] * residual[i];
+      for (int i = 0; i < 3; ++i) force[i] = weights[0] * residual[i];
       residual += 3;
     }
-    if (goal.weights[1] > 0) {
-      const double w = goal.weights[1], angle = length(residual) / w;
+    if (weights[1] > 0) {
+      const double w = weights[1], angle = length(residual) / w;
       for (int i = 0; i < 3; ++i) {
         torque[i] = w * residual[i];
         axis[i] = angle > 1e-9 ? residual[i] / (w * angle) : 0;

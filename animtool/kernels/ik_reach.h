@@ -31,14 +31,15 @@ inline double nearest_cost(const Task& task, const double* targets, const Frames
     const Goal& goal = task.goals[e];
     bool slides = false;
     for (const int n : goal.path) slides = slides || task.chain.nodes[n].kind == Kind::SLIDE;
-    if (slides || !(goal.weights[0] > 0)) continue;
-    const double* base = &frames.origins[3 * goal.path[0]];
     const double* target = targets + TARGET_WIDTH * e;
+    const double weight = weight_of(goal, target, 0);
+    if (slides || !(weight > 0)) continue;
+    const double* base = &frames.origins[3 * goal.path[0]];
     const double away[3] = {target[0] - base[0], target[1] - base[1], target[2] - base[2]};
     const Reach reach = reach_of(task, goal);
     const double distance = length(away);
     const double gap = std::max({0.0, distance - reach.outer, reach.inner - distance});
-    cost += goal.weights[0] * goal.weights[0] * gap * gap / 2;
+    cost += weight * weight * gap * gap / 2;
   }
   // What rounding alone makes of a target on the edge of the reach.
   return cost > 1e-16 ? cost : 0;

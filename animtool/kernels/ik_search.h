@@ -102,7 +102,7 @@ class Search {
   Status look() {
     floor_ = nearest_cost(task_, targets_, best_.frames);
     const bool drawn = task_.rest_weight > 0;
-    const bool sure = floor_ > 0 || drawn || task_.chain.dofs >= REDUNDANT * task_.rows;
+    const bool sure = floor_ > 0 || drawn || task_.chain.dofs >= REDUNDANT * rows_asked(task_, targets_);
     first_.q = best_.q;
     begin(best_);
     const End end = descend(settings_.damping, sure);

@@ -130,8 +130,8 @@ that belongs to an earlier node. ``numbers`` ``(N, 18)``: rest rotation by rows,
 gain, shift, limits (low, high; of a ball two swings, twist low, high). A pin turns about
 its z, a slide goes along it, a ball twists about it. ``goals`` ``(E, 3)``: node, root and
 middle of its limb, or -1. ``goal_numbers`` ``(E, 10)``: offset, aim axis, weights of
-position, orientation, aim and pole. ``targets`` ``(B, E, 13)``: position, quaternion,
-point to aim at, pole. Lengths are shares of the chain's. ``warm`` starts each problem
+position, orientation, aim and pole. ``targets`` ``(B, E, 17)``: position, quaternion,
+point to aim at, pole, and what the four weights are multiplied by. Lengths are shares of the chain's. ``warm`` starts each problem
 where the one before it ended.
 
 Returns ``(coordinates, misses, reports, seconds)``: ``(B, Q)``; what each goal misses

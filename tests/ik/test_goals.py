@@ -40,3 +40,32 @@ def test_what_is_not_asked_for_may_be_anything() -> None:
     positions = np.array([[[1.0, 2.0, 3.0], [np.nan] * 3]])
     packed = pack(Targets(positions, np.ones((1, 2, 4)), np.zeros((1, 2, 3))), GOALS)
     assert np.isfinite(packed).all()
+
+
+def test_weights_must_fit_the_goals_and_be_numbers_from_zero() -> None:
+    parts = [np.zeros((2, 2, 3)), np.ones((2, 2, 4)), np.zeros((2, 2, 3)), None]
+    for weights, code in [
+        (np.ones((2, 2)), "IK010"),
+        (np.ones((3, 2, 4)), "IK010"),
+        (np.full((2, 2, 4), -1.0), "IK011"),
+        (np.full((2, 2, 4), np.nan), "IK011"),
+    ]:
+        with pytest.raises(OptionError) as caught:
+            pack(Targets(*parts, weights), GOALS)
+        assert caught.value.code == code
+
+
+def test_a_target_may_be_anything_in_the_frames_that_do_not_ask_for_it() -> None:
+    positions = np.zeros((2, 2, 3))
+    positions[1] = np.nan
+    rotations = np.ones((2, 2, 4))
+    rotations[1] = 0.0
+    aims, weights = np.zeros((2, 2, 3)), np.ones((2, 2, 4))
+    weights[1, :, :2] = 0.0
+    packed = pack(Targets(positions, rotations, aims, None, weights), GOALS)
+    assert np.isfinite(packed).all()
+    np.testing.assert_array_equal(packed[..., 13:], weights)
+    weights[1, 0, 0] = 0.5
+    with pytest.raises(OptionError) as caught:
+        pack(Targets(positions, rotations, aims, None, weights), GOALS)
+    assert caught.value.code == "IK011"

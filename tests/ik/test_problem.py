@@ -43,6 +43,21 @@ def test_only_the_joints_named_move() -> None:
     assert problem.degrees == 4
 
 
+def test_a_goal_with_a_root_moves_the_joints_from_there() -> None:
+    hand = Goal("hand", (0.1, 0.0, 0.0), root="elbow")
+    assert build(mixed_rig(), [hand]).joints == ("elbow", "piston", "hand")
+    other = Goal("other", (0.0, 0.2, 0.0), root="spine")
+    both = build(mixed_rig(), [hand, other])
+    assert both.joints == ("spine", "elbow", "piston", "hand", "other")
+
+
+@pytest.mark.parametrize(("root", "code"), [("hnd", "IK001"), ("other", "IK007")])
+def test_a_root_is_above_its_joint(root: str, code: str) -> None:
+    with pytest.raises(OptionError) as caught:
+        build(mixed_rig(), [Goal("hand", (0.1, 0.0, 0.0), root=root)])
+    assert codes(caught) == [code]
+
+
 def test_the_length_is_the_longest_way_along_the_bones() -> None:
     assert math.isclose(build(arm(3), [Goal("b2", (0.3, 0, 0))]).length, 1.1)
 

@@ -192,6 +192,68 @@ def test_warm_frames_start_where_the_last_ended() -> None:
     assert result.iterations.max() <= 5
 
 
+@FEW
+@given(SEEDS)
+def test_what_a_frame_does_not_ask_for_is_as_if_the_goal_had_no_such_weight(
+    seed: int,
+) -> None:
+    goals = every_goal()[:2]
+    problem = build(mixed_rig(), goals)
+    start, wanted = random_pose(problem, seed), random_pose(problem, seed ^ 1)
+    targets = reached_by(problem, wanted)
+    weights = np.ones((1, 2, 4))
+    weights[0, 0, 1] = weights[0, 1, 2] = 0.0
+    without = build(
+        mixed_rig(),
+        [replace(goals[0], orientation=0.0), replace(goals[1], aim=0.0)],
+        joints=problem.joints,
+    )
+    less = solve(problem, start, replace(targets, weights=weights))
+    plain = solve(without, start, replace(targets, rotations=None, aims=None))
+    assert less.statuses == plain.statuses == (IkStatus.CONVERGED,)
+    np.testing.assert_allclose(less.coordinates, plain.coordinates, atol=1e-9)
+    assert not less.orientations.any()
+    assert not less.aims.any()
+
+
+def test_weights_of_a_frame_multiply_those_of_the_goal() -> None:
+    # Out of reach both ways: the weights decide where it stands between.
+    goals = [Goal("b0", (1.0, 0.0, 0.0)), Goal("b0", (1.0, 0.0, 0.0), position=0.5)]
+    targets = Targets([[[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]])
+    heavy = [replace(goals[0], position=0.3), replace(goals[1], position=1.0)]
+    expected = solve(build(arm(1), heavy), [0.3], targets).coordinates
+    weights = np.array([[[0.3] * 4, [2.0] * 4]])
+    got = solve(build(arm(1), goals), [0.3], replace(targets, weights=weights))
+    np.testing.assert_allclose(got.coordinates, expected, atol=1e-9)
+
+
+def test_a_frame_that_asks_for_nothing_stays_where_it_is() -> None:
+    problem = build(arm(6), [Goal("b5", (0.2, 0.0, 0.0), orientation=1.0)])
+    pose = random_pose(problem, 4)
+    path = pose + np.linspace(0, 0.5, 9)[:, None]
+    targets = reached_by(problem, path)
+    weights = np.ones((9, 1, 4))
+    weights[3:6] = 0.0
+    positions = np.array(targets.positions)
+    positions[3:6] = np.nan
+    idle = replace(targets, positions=positions, weights=weights)
+    result = solve(problem, pose[0], idle, IkOptions(warm=True))
+    assert result.converged.all()
+    stayed = np.broadcast_to(result.coordinates[2], (3, 6))
+    np.testing.assert_array_equal(result.coordinates[3:6], stayed)
+    assert not result.iterations[3:6].any()
+
+
+def test_a_goal_with_a_root_leaves_what_is_above_it() -> None:
+    problem = build(arm(6), [Goal("b5", (0.2, 0.0, 0.0), root="b3")])
+    start, wanted = random_pose(problem, 1), random_pose(problem, 2)
+    wanted[:, :3] = start[:, :3]
+    frozen = build(arm(6), [Goal("b5", (0.2, 0.0, 0.0), root="b3")], pose=start[0])
+    result = solve(frozen, start, reached_by(frozen, wanted))
+    assert result.converged.all()
+    np.testing.assert_array_equal(result.coordinates[:, :3], start[:, :3])
+
+
 def test_the_pose_preferred_decides_what_the_goals_leave_open() -> None:
     rig = arm(6)
     goals = [Goal("b5", (0.2, 0.0, 0.0))]

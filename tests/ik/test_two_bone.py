@@ -104,3 +104,26 @@ def test_damped_steps_agree() -> None:
     targets = reached_by(problem, random_pose(problem, 6, frames=20))
     result = solve(problem, start, targets, IkOptions(IkMethod.DAMPED))
     assert result.converged.all()
+
+
+def test_limbs_leave_out_what_a_frame_does_not_ask_for() -> None:
+    problem = build(limb(), [replace(GOAL, pole=1.0)])
+    start = random_pose(problem, 5, frames=4)
+    targets = reached_by(problem, random_pose(problem, 6, frames=4))
+    targets = replace(targets, poles=np.full((4, 1, 3), 0.7))
+    weights = np.ones((4, 1, 4))
+    weights[1, 0, 3] = 0.0  # no pole
+    weights[2, 0, 0] = 0.0  # the pole alone
+    weights[3] = 0.0
+    result = solve(problem, start, replace(targets, weights=weights))
+    assert result.converged.all()
+    unpoled = build(limb(), [GOAL])
+    plain = solve(unpoled, start[1], Targets(np.array(targets.positions)[1:2]))
+    np.testing.assert_allclose(result.coordinates[1], plain.coordinates[0], atol=1e-12)
+    assert result.iterations[2] > 0
+    assert (result.coordinates[2] != start[2]).any()
+    np.testing.assert_allclose(result.coordinates[3], start[3], atol=1e-15)
+    warm = solve(
+        problem, start[0], replace(targets, weights=weights), IkOptions(warm=True)
+    )
+    np.testing.assert_array_equal(warm.coordinates[3], warm.coordinates[2])
