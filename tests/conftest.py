@@ -24,6 +24,19 @@ def pytest_report_header() -> str:
     return f"ANIMTOOL_DATA: {os.environ.get('ANIMTOOL_DATA') or 'not set'}"
 
 
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Print the tables whose rows tests recorded under the table's heading."""
+    tables: dict[str, list[str]] = {}
+    for outcome in ("passed", "failed"):
+        for report in terminalreporter.getreports(outcome):
+            for heading, row in report.user_properties:
+                tables.setdefault(heading, []).append(str(row))
+    for heading, rows in tables.items():
+        terminalreporter.write_line(heading)
+        for row in sorted(rows):
+            terminalreporter.write_line(row)
+
+
 @pytest.fixture(scope="session")
 def root() -> Path:
     """The checkout."""

@@ -110,6 +110,7 @@ class _Builder:
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
         self.slices = coordinate_slices(rig)
+        self.ranges = _ranges(rig)
         self.nodes: list[list[int]] = []
         self.rests: list[FloatArray] = []
         self.offsets: list[FloatArray] = []
@@ -173,7 +174,7 @@ class _Builder:
             return self._node(
                 kind, frame, turn, place, follows=True, gain=(gain, shift)
             )
-        low, high = _range(self.rig, leader)
+        low, high = self.ranges.get(leader, (-np.inf, np.inf))
         lead = self.rig.joints[leader]
         length = lead.type is JointType.PRISMATIC
         place = self.places[leader] = len(self.columns)
@@ -225,22 +226,23 @@ def _leader(rig: Rig, joint: int) -> tuple[int, float, float]:
     return joint, gain, shift
 
 
-def _range(rig: Rig, leader: int) -> tuple[float, float]:
-    """Return how far a coordinate may go, its followers' limits kept too."""
-    low, high = -np.inf, np.inf
+def _ranges(rig: Rig) -> dict[int, tuple[float, float]]:
+    """Return how far coordinates may go, by joint, their followers' limits kept too."""
+    ranges: dict[int, tuple[float, float]] = {}
     for j, joint in enumerate(rig.joints):
         if not isinstance(joint.limits, RangeLimit):
             continue
         if joint.type not in {JointType.PIN, JointType.PRISMATIC}:
             continue
-        found, gain, shift = _leader(rig, j)
-        if found != leader or gain == 0:
+        leader, gain, shift = _leader(rig, j)
+        if gain == 0:
             continue
         ends = sorted(
             [(joint.limits.low - shift) / gain, (joint.limits.high - shift) / gain]
         )
-        low, high = max(low, ends[0]), min(high, ends[1])
-    return low, max(low, high)
+        low, high = ranges.get(leader, (-np.inf, np.inf))
+        ranges[leader] = max(low, ends[0]), min(high, ends[1])
+    return {leader: (low, max(low, high)) for leader, (low, high) in ranges.items()}
 
 
 def assemble(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from head_mesh import (
@@ -24,7 +25,7 @@ LEAST_ANGLE = 2e-4
 BROW_HOLDERS = 6  # points of the skin that hold one of a brow
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Sculptor:
     """The neutral face and what shapes ask about it.
 
@@ -161,18 +162,23 @@ class Sculptor:
         )
         return share, np.asarray(up), weight
 
-    def with_brows(self, move: Array) -> Array:
-        """Return a move in which the brows go with the skin beneath them."""
+    @cached_property
+    def brow_holders(self) -> tuple[Ints, Ints, Array]:
+        """Points of the left brow ``(B,)``, skin that holds each, and its share."""
         skin = np.flatnonzero(self.part == "skin")
         left = np.flatnonzero((self.part == "brow") & (self.points[:, 0] > 0))
         away = length(self.points[left][:, None] - self.points[skin][None])
         near = np.argsort(away, axis=1, kind="stable")[:, :BROW_HOLDERS]
         share = 1 / (np.take_along_axis(away, near, axis=1) + 1e-4) ** 2
-        share /= share.sum(1, keepdims=True)
+        return left, skin[near], share / share.sum(1, keepdims=True)
+
+    def with_brows(self, move: Array) -> Array:
+        """Return a move in which the brows go with the skin beneath them."""
+        left, holders, share = self.brow_holders
         made = move.copy()
         for brow, held in (
-            (left, skin[near]),
-            (self.mirror[left], self.mirror[skin[near]]),
+            (left, holders),
+            (self.mirror[left], self.mirror[holders]),
         ):
             made[brow] = np.einsum("bk,bkc->bc", share, move[held])
         return made

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -113,8 +114,13 @@ def read_targets(targets: list[list[Record]]) -> Targets:
     )
 
 
-def read_groups(path: Path) -> Iterator[Group]:
+@cache
+def read_groups(path: Path) -> tuple[Group, ...]:
     """Return the problems of a file, those of one model together."""
+    return tuple(_groups(path))
+
+
+def _groups(path: Path) -> Iterator[Group]:
     document = json.loads(path.read_text("utf-8"))
     for case in document.get("cases", [document]):
         model, effectors = case["model"], case["effectors"]

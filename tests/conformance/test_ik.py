@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -144,11 +145,10 @@ FILES = [*data_files("ik", "[!c]*.json")]
 
 @pytest.mark.parametrize("path", FILES)
 def test_every_problem_is_solved(
-    path: Path, capsys: pytest.CaptureFixture[str]
+    path: Path, record_property: Callable[[str, object], None]
 ) -> None:
     tally = _tally(path, IkOptions())
-    with capsys.disabled():
-        print(f"\n{HEADER}\n{tally.line(path.stem)}")  # noqa: T201
+    record_property(HEADER, tally.line(path.stem))
     assert not tally.failures, "\n".join(tally.failures)
 
 
@@ -193,7 +193,7 @@ def test_our_kinematics_agree_with_the_witnesses(path: Path) -> None:
 
 @pytest.mark.parametrize("path", data_files("ik", "clip_*.json"))
 def test_clips_are_followed_frame_by_frame(
-    path: Path, capsys: pytest.CaptureFixture[str]
+    path: Path, record_property: Callable[[str, object], None]
 ) -> None:
     clip = read_clip(path)
     result = solve(clip.problem, clip.start, clip.targets, IkOptions(warm=True))
@@ -203,8 +203,7 @@ def test_clips_are_followed_frame_by_frame(
         near = result.positions.max(axis=1) < LENGTH_TOLERANCE * clip.problem.length
         near &= result.orientations.max(axis=1) < ANGLE_TOLERANCE
         tally.failures += [f"frame {f}" for f in np.flatnonzero(~near)]
-    with capsys.disabled():
-        print(f"\n{HEADER}\n{tally.line(path.stem)}")  # noqa: T201
+    record_property(HEADER, tally.line(path.stem))
     assert not tally.failures, tally.failures[:5]
     assert np.isfinite(result.coordinates).all()
     beyond = _beyond_limits(clip.problem.rig, result.coordinates)
