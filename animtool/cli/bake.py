@@ -183,7 +183,7 @@ Examples:
 )
 @click.option(
     "--normals/--no-normals",
-    default=True,
+    default=None,
     help="With --deform, whether meshes keep normals, which are half of the file.  "
     "[default: normals]",
 )

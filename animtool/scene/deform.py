@@ -96,7 +96,7 @@ def open_character(take: TakePlan, target: RigTarget | None) -> Character:
             origin, found = str(source), source_meshes(source, options.source.prim_path)
         take.notices.extend(found.notices)
         surfaces, bind = _turned(found.surfaces, rig.up, found.up), found.bind
-    if not options.normals:
+    if options.normals is False:
         surfaces = tuple(replace(surface, normals=None) for surface in surfaces)
     if not surfaces:
         message = "there is no mesh to deform"

@@ -177,6 +177,10 @@ class _SceneReader:
                 for name, text in output.reduce_at.items()
                 if (length := self._length(("output", "reduce_at", name), text))
             ),
+            deform=output.deform,
+            velocities=output.velocities,
+            normals=output.normals,
+            chunk=output.chunk,
         )
         passes = [
             made

@@ -55,8 +55,8 @@ class BakeOptions:
         reduce_at: Other tolerances for some joints: names or patterns, and [m].
         deform: Write deformed meshes as point caches, in place of a skinned character.
         velocities: Of points too, per second.
-        normals: Deform the normals of meshes that have them; False leaves meshes
-            without.
+        normals: Of meshes that have them: None and True deform these too, False leaves
+            meshes without.
         chunk: Samples of point caches in each of several files; None is one file.
         strict: Take warnings for errors.
         overwrite: Replace outputs that exist.
@@ -86,7 +86,7 @@ class BakeOptions:
     reduce_at: tuple[tuple[str, float], ...] = ()
     deform: bool = False
     velocities: bool = False
-    normals: bool = True
+    normals: bool | None = None
     chunk: int | None = None
     strict: bool = False
     overwrite: bool = False
@@ -240,7 +240,7 @@ def _deform_clashes(
     if not options.deform:
         return [
             (options.velocities, "--velocities goes with --deform"),
-            (not options.normals, "--no-normals goes with --deform"),
+            (options.normals is False, "--no-normals goes with --deform"),
             (options.chunk is not None, "--chunk goes with --deform"),
         ]
     joints = "--deform writes points, no joints"
@@ -248,6 +248,10 @@ def _deform_clashes(
         (
             options.chunk is not None and to_stdout,
             "--chunk writes several files, not stdout",
+        ),
+        (
+            options.chunk is not None and options.chunk < 1,
+            f"--chunk needs 1 sample a file or more, not {options.chunk}",
         ),
         (form == "split", f"{joints}: no --split"),
         (options.bones, f"{joints}: no --bones"),

@@ -191,7 +191,7 @@ def _layer_job(
         span,
         plan.target.skeleton.rig.meters_per_unit,
         plan.target.up,
-        normals=plan.options.normals,
+        normals=plan.options.normals is not False,
         target=target,
     )
     character = character.only([mesh.name for mesh in target.meshes])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from annotated_types import Len
+from annotated_types import Ge, Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
@@ -113,6 +113,28 @@ class OutputModel(FileModel):
         default={},
         description="Other tolerances, by joint or pattern.",
         examples=[{"hand_*": "0.1mm"}],
+    )
+    deform: bool = Field(
+        default=False,
+        description="Write the meshes deformed, as point caches, in place of a skinned "
+        "character.",
+        examples=[True],
+    )
+    velocities: bool = Field(
+        default=False,
+        description="With `deform`: write how fast points move, per second, too.",
+        examples=[True],
+    )
+    normals: bool | None = Field(
+        default=None,
+        description="With `deform`: whether meshes keep normals. Not given: they do.",
+        examples=[False],
+    )
+    chunk: Annotated[int, Ge(1)] | None = Field(
+        default=None,
+        description="With `deform`: a file for every so many samples. Not given: one "
+        "file.",
+        examples=[500],
     )
 
 

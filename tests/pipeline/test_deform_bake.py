@@ -14,6 +14,9 @@ from support.point_caches import bindings, layered, skinned_points, world_points
 from support.skinned_rig import VERTICES, write_pair
 from support.usd import validation_errors
 
+from animtool import BakeOptions, bake
+from animtool.errors import OptionError
+
 # What float32 joints, weights and points leave, as a share of the size.
 TOLERANCE = 2e-6
 CODES = [float(code) for code in range(1, 10)]
@@ -128,6 +131,50 @@ def test_normals_can_be_left_out(tmp_path: Path) -> None:
     for prim in stage.Traverse():
         if prim.IsA(UsdGeom.Mesh):
             assert not UsdGeom.Mesh(prim).GetNormalsAttr().Get(5)
+
+
+def write_scene(folder: Path, output: str) -> str:
+    write_pair(folder)
+    text = f"scene: animtool/1\nsource: {{file: pair.clip.yaml}}\noutput: {output}\n"
+    (folder / "pair.scene.yaml").write_text(text, "utf-8")
+    return "pair.scene.yaml"
+
+
+def test_a_scene_asks_for_points(tmp_path: Path) -> None:
+    output = "{deform: true, velocities: true, normals: false, chunk: 4}"
+    scene = write_scene(tmp_path, output)
+    for folder, source, options in (
+        ("asked", "pair.clip.yaml", ("--velocities", "--no-normals", "--chunk", 4)),
+        ("scene", scene, ()),
+    ):
+        (tmp_path / folder).mkdir()
+        more = ["--deform", *options] if options else []
+        baked(tmp_path, f"{folder}/o.usdc", *more, source=source)
+    asked, found = (
+        {path.name: path.read_bytes() for path in (tmp_path / name).iterdir()}
+        for name in ("asked", "scene")
+    )
+    assert len(asked) == 5
+    assert found == asked
+
+
+def test_the_command_line_comes_before_what_a_scene_asks(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path, "{deform: true, normals: false, chunk: 4}")
+    options = ("--normals", "--chunk", "9")
+    stage = baked(tmp_path, "o.usdc", *options, source=scene)
+    assert len(list(tmp_path.glob("o.points.*"))) == 1
+    body = UsdGeom.Mesh(stage.GetPrimAtPath("/pair/Rig/body"))
+    assert body.GetNormalsAttr().Get(5)
+
+
+def test_a_scene_whose_chunks_are_empty_is_refused(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path, "{deform: true, chunk: 0}")
+    done = animtool("bake", scene, cwd=tmp_path)
+    assert done.code == 3
+    assert "pair.scene.yaml:3" in done.stderr
+    assert "DOC022" in done.stderr
+    with pytest.raises(OptionError):
+        bake(tmp_path / "pair.clip.yaml", None, BakeOptions(deform=True, chunk=0))
 
 
 def rig_layer(folder: Path) -> Path:

@@ -146,8 +146,10 @@ def _value(spec: dict[str, Any]) -> str:
     if isinstance(named, dict) and ("$ref" in named or named.get("type")):
         return f"{_value(named)}, by name"
     word = _WORDS.get(spec.get("type", "object"), "keys")
-    if "minimum" in spec or "exclusiveMinimum" in spec:
-        word += ", 0 or more" if "minimum" in spec else " above 0"
+    if "minimum" in spec:
+        word += f", {spec['minimum']:g} or more"
+    elif "exclusiveMinimum" in spec:
+        word += " above 0"
     return word
 
 
