@@ -173,8 +173,8 @@ Examples:
 @click.option(
     "--deform",
     is_flag=True,
-    help="Write the meshes of the rig deformed, as point caches, in place of a skinned "
-    "character: points, extent, and normals of meshes that have them.",
+    help="Write the meshes and strands of the rig deformed, as point caches, in place "
+    "of a skinned character: points, extent, and normals of meshes that have them.",
 )
 @click.option(
     "--velocities",

@@ -1,4 +1,4 @@
-"""What became of each mesh of a bake, in words and in JSON."""
+"""What became of each mesh and of strands of a bake, in words and in JSON."""
 
 from __future__ import annotations
 
@@ -21,9 +21,12 @@ def mesh_text(take: TakeReport, meters_per_unit: float) -> list[str]:
         take: What became of it.
         meters_per_unit: Unit of the output [m].
     """
-    meshes = counted(len(take.meshes), "mesh", "meshes")
+    strands = sum(mesh.strands for mesh in take.meshes)
+    shown = counted(len(take.meshes) - strands, "mesh", "meshes")
+    if strands:
+        shown += f" and {counted(strands, 'set', 'sets')} of strands"
     return [
-        f"  {meshes} of {take.meshes_of}, deformed",
+        f"  {shown} of {take.meshes_of}, deformed",
         *(_line(mesh, meters_per_unit) for mesh in take.meshes),
     ]
 
@@ -53,6 +56,7 @@ def mesh_json(take: TakeReport) -> list[dict[str, object]]:
     return [
         {
             "mesh": mesh.name,
+            "kind": "strands" if mesh.strands else "mesh",
             "prim": mesh.written.path,
             "of": take.meshes_of,
             "vertices": mesh.written.vertices,

@@ -1,7 +1,8 @@
-"""The meshes of a bake, deformed: which, by what, and frame by frame."""
+"""The meshes and strands of a bake, deformed: which, by what, and frame by frame."""
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,13 +15,18 @@ from animtool.errors import Fault, FormatError
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms, bind_world, forward
 from animtool.rig.skeleton import Rig
+from animtool.rig.strands import Strands, strands_of
 from animtool.rig.surfaces import Surface, surfaces_of
 from animtool.scene.sources import is_usd
-from animtool.skin.character import CharacterMesh, character_meshes
+from animtool.skin.character import (
+    CharacterMesh,
+    character_meshes,
+    character_strands,
+)
 from animtool.skin.deform import Deformed, block_frames, deform, deform_blocks
 from animtool.take import Motion
 from animtool.units import UpAxis, up_from_up
-from animtool.usd.point_cache import PointBlock, round_points
+from animtool.usd.point_cache import PointBlock, PointSpace, round_points
 
 if TYPE_CHECKING:
     from animtool.scene.plan import TakePlan
@@ -41,50 +47,53 @@ class Character:
     Attributes:
         rig: The joints that carry the meshes.
         surfaces: The meshes.
+        strands: What single joints carry.
         mapping: How the take's joints stand in the rig; None where they are its own.
-        meshes: The meshes, ready to follow.
+        meshes: The meshes, then the strands, ready to follow.
         origin: Whose meshes they are, for reports.
     """
 
     rig: Rig
     surfaces: tuple[Surface, ...]
+    strands: tuple[Strands, ...]
     mapping: JointMap | None
     meshes: tuple[CharacterMesh, ...]
     origin: str
 
-    def only(self, names: Sequence[str]) -> Character:
-        """Return the character with some of its meshes, in the order given."""
-        surfaces = {surface.name: surface for surface in self.surfaces}
-        meshes = {mesh.name: mesh for mesh in self.meshes}
+    def only(self, surfaces: Sequence[str], strands: Sequence[str]) -> Character:
+        """Return the character with some of its meshes and strands, in its order."""
+        kept = [part.name in surfaces for part in self.surfaces]
+        kept += [part.name in strands for part in self.strands]
         return replace(
             self,
-            surfaces=tuple(surfaces[name] for name in names),
-            meshes=tuple(meshes[name] for name in names),
+            surfaces=tuple(part for part in self.surfaces if part.name in surfaces),
+            strands=tuple(part for part in self.strands if part.name in strands),
+            meshes=tuple(itertools.compress(self.meshes, kept)),
         )
 
 
 def open_character(take: TakePlan, target: RigTarget | None) -> Character:
     """Return what a take deforms.
 
-    That is the meshes of its own rig; without, those of the rig layer; without one,
-    those of the USD file that the take is from.
+    That is the meshes and strands of its own rig where this has meshes; else those of
+    the rig layer, else those of the USD file that the take is from.
 
     Args:
         take: The take, on the up axis of the output; its notices get what is odd.
         target: The rig layer.
 
     Raises:
-        FormatError: There are no meshes (USD040), or their arrays do not fit.
+        FormatError: There are neither meshes nor strands (USD040), or their arrays do
+            not fit.
     """
     stream, source, mapping = take.stream, take.source, take.mapping
     options = take.options
     rig = stream.rig
-    surfaces: tuple[Surface, ...] = ()
     shapes = tuple(shape.name for shape in rig.shapes)
-    if rig.meshes:
-        surfaces, bind = surfaces_of(rig), _bind(rig)
+    if rig.meshes or (target is None and not is_usd(source)):
+        surfaces, strands, bind = surfaces_of(rig), strands_of(rig), _bind(rig)
         origin, mapping = f"rig {rig.name!r} of the take", None
-    elif target is not None or is_usd(source):
+    else:
         from animtool.usd.characters import source_meshes, target_meshes
 
         if target is not None:
@@ -95,15 +104,17 @@ def open_character(take: TakePlan, target: RigTarget | None) -> Character:
         else:
             origin, found = str(source), source_meshes(source, options.source.prim_path)
         take.notices.extend(found.notices)
-        surfaces, bind = _turned(found.surfaces, rig.up, found.up), found.bind
+        surfaces = _turned(found.surfaces, rig.up, found.up)
+        strands, bind = found.strands, found.bind
     if options.normals is False:
         surfaces = tuple(replace(surface, normals=None) for surface in surfaces)
-    if not surfaces:
+    if not surfaces and not strands:
         message = "there is no mesh to deform"
         hint = "name a rig that has meshes: in the clip, or with --rig or --rig-layer"
         raise FormatError(Fault("USD040", message, str(source), (), hint))
     meshes = character_meshes(surfaces, rig.names, bind, shapes)
-    return Character(rig, tuple(surfaces), mapping, tuple(meshes), origin)
+    meshes += character_strands(strands, rig.names, bind)
+    return Character(rig, surfaces, strands, mapping, tuple(meshes), origin)
 
 
 def _bind(rig: Rig) -> FloatArray:
@@ -179,8 +190,7 @@ class PointStream:
         character: What deforms.
         meters_per_unit: Unit of the output [m].
         rate: Time codes a second.
-        placements: Mesh from skeleton space, of each mesh, in the output's unit; None
-            where these are the same.
+        spaces: Where the points of each mesh are written.
         velocities: Find how fast points move.
         seconds: Spent on each mesh so far, joints left out [s].
     """
@@ -188,7 +198,7 @@ class PointStream:
     character: Character
     meters_per_unit: float
     rate: float
-    placements: Sequence[FloatArray | None]
+    spaces: Sequence[PointSpace]
     velocities: bool = False
     seconds: list[float] = field(default_factory=list)
 
@@ -219,8 +229,8 @@ class PointStream:
             done += len(part.points)
             if not len(at):
                 continue
-            placement = self.placements[mesh]
-            block = round_points(mesh, at, kept, self.meters_per_unit, placement)
+            space = self.spaces[mesh]
+            block = round_points(mesh, at, kept, self.meters_per_unit, space)
             self.seconds[mesh] += time.perf_counter() - began
             yield block
             began = time.perf_counter()

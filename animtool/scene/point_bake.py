@@ -22,28 +22,37 @@ from animtool.usd.animation import Rounding
 from animtool.usd.jobs import UsdResult, WrittenTake
 from animtool.usd.layers import save_layer
 from animtool.usd.names import legal_name
-from animtool.usd.point_cache import CachedMesh, CacheJob, author_cache, mesh_paths
+from animtool.usd.point_cache import (
+    CachedMesh,
+    CacheJob,
+    PointSpace,
+    author_cache,
+    mesh_paths,
+)
 from animtool.usd.point_chunks import write_chunks
 from animtool.usd.skeleton import RigPaths
+from animtool.usd.strands import WIDTH
 
 __all__ = ["MeshReport", "run_point_bake"]
 
 
 @dataclass(frozen=True, slots=True)
 class MeshReport:
-    """What became of a mesh.
+    """What became of a mesh, or of strands.
 
     Attributes:
         name: As the rig names it.
         written: What was written of it.
         seconds: Spent on deforming and rounding it [s].
         frames: How many frames that was for.
+        strands: Whether it is strands.
     """
 
     name: str
     written: CachedMesh
     seconds: float
     frames: int
+    strands: bool
 
 
 class _Frames:
@@ -80,12 +89,12 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
     stream, frames = take.stream, _Frames()
     counted = replace(stream, blocks=frames.of_source(stream.blocks))
     timed, span, _ = timed_blocks(take, counted)
-    job, character, placements = _job(plan, character, span)
+    job, character, spaces = _job(plan, character, span)
     points = PointStream(
         character,
         job.meters_per_unit,
         float(plan.fps),
-        placements,
+        spaces,
         plan.options.velocities,
     )
 
@@ -112,7 +121,7 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
     result = _result(job, layer, written, frames.samples, outputs, size)
     seconds["total"] = time.perf_counter() - began
     seconds["save"] = seconds["total"] - seconds["author"]
-    names = [mesh.name for mesh in character.meshes]
+    surfaces = len(character.surfaces)
     report = TakeReport(
         take.source,
         result.takes[0],
@@ -123,8 +132,10 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
         take.source.stat().st_size,
         stream.details,
         meshes=[
-            MeshReport(name, mesh, spent, frames.samples)
-            for name, mesh, spent in zip(names, written, points.seconds, strict=True)
+            MeshReport(mesh.name, made, spent, frames.samples, i >= surfaces)
+            for i, (mesh, made, spent) in enumerate(
+                zip(character.meshes, written, points.seconds, strict=True)
+            )
         ],
         meshes_of=character.origin,
     )
@@ -144,30 +155,33 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
 
 def _job(
     plan: BakePlan, character: Character, span: tuple[Fraction, Fraction] | None
-) -> tuple[CacheJob, Character, Sequence[FloatArray | None]]:
+) -> tuple[CacheJob, Character, Sequence[PointSpace]]:
     """Return what the writer is to do, with which meshes, and where these stand."""
     options, rig = plan.options, plan.takes[0].stream.rig
     if plan.target is not None:
         return _layer_job(plan, character, span)
     model = options.prim_path or f"/{legal_name(rig.name)}"
     paths = RigPaths.below(model)
-    unit = options.to_units
+    unit = rig.meters_per_unit if options.to_units is None else options.to_units.meters
     job = CacheJob(
         plan.output,
         paths,
-        mesh_paths(character.surfaces, paths),
+        mesh_paths(character.surfaces, character.strands, paths),
         plan.fps,
         span,
-        rig.meters_per_unit if unit is None else unit.meters,
+        unit,
         rig.up,
         character.surfaces,
+        character.strands,
     )
-    return job, character, [None] * len(character.meshes)
+    spaces = [PointSpace()] * len(character.surfaces)
+    spaces += [PointSpace(margin=WIDTH / unit / 2)] * len(character.strands)
+    return job, character, spaces
 
 
 def _layer_job(
     plan: BakePlan, character: Character, span: tuple[Fraction, Fraction] | None
-) -> tuple[CacheJob, Character, Sequence[FloatArray | None]]:
+) -> tuple[CacheJob, Character, Sequence[PointSpace]]:
     from animtool.usd.cache_target import open_cache_target
 
     assert plan.target is not None
@@ -177,16 +191,17 @@ def _layer_job(
         for surface in character.surfaces
         if surface.skin is not None or surface.shapes
     }
-    target = open_cache_target(plan.target, wanted)
+    strands = {entry.name: entry.points.shape[:2] for entry in character.strands}
+    target = open_cache_target(plan.target, wanted, strands)
     plan.notices.extend(target.notices)
-    if not target.meshes:
+    if not target.prims:
         message = "no mesh of the take is in the rig layer"
         where = str(plan.target.path)
         raise FormatError(Fault("USD040", message, where, (), "nothing would deform"))
     job = CacheJob(
         plan.output,
         plan.target.paths,
-        tuple(mesh.path for mesh in target.meshes),
+        tuple(part.path for part in target.prims),
         plan.fps,
         span,
         plan.target.skeleton.rig.meters_per_unit,
@@ -194,8 +209,10 @@ def _layer_job(
         normals=plan.options.normals is not False,
         target=target,
     )
-    character = character.only([mesh.name for mesh in target.meshes])
-    return job, character, [mesh.placement for mesh in target.meshes]
+    character = character.only(
+        [mesh.name for mesh in target.meshes], [part.name for part in target.strands]
+    )
+    return job, character, [part.space for part in target.prims]
 
 
 def _result(

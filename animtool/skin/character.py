@@ -9,17 +9,18 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, FormatError
+from animtool.rig.strands import Strands
 from animtool.rig.surfaces import Surface, SurfaceShape
 from animtool.skin.deform import DeformedMesh
 from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas, prepare_shapes
 from animtool.skin.skinning import Binding, SkinMethod, prepare_skin
 
-__all__ = ["CharacterMesh", "character_meshes"]
+__all__ = ["CharacterMesh", "character_meshes", "character_strands"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CharacterMesh:
-    """A mesh of a rig, and which shape weights of the rig are its own.
+    """A mesh or strands of a rig, and which shape weights of the rig are its own.
 
     Attributes:
         name: As the rig names it.
@@ -75,6 +76,41 @@ def character_meshes(
             continue
         own = [_column(surface, shape, columns) for shape in surface.shapes]
         made.append(CharacterMesh(surface.name, mesh, np.array(own, np.int64)))
+    if faults:
+        raise FormatError(faults)
+    return made
+
+
+def character_strands(
+    strands: Sequence[Strands], joints: Sequence[str], bind: FloatArray
+) -> list[CharacterMesh]:
+    """Return strands ready to follow the joint that carries each as a whole.
+
+    Args:
+        strands: ``(S, K, 3)`` points each, which become one row of vertices.
+        joints: Names of the J joints that carry them.
+        bind: Their world transforms at bind time ``(J, 4, 4)`` [m].
+
+    Raises:
+        FormatError: A bind transform has no inverse, or is not finite (SKIN003,
+            SKIN005).
+    """
+    made, faults = [], []
+    none = np.zeros(0, np.int64)
+    for entry in strands:
+        points = entry.points.reshape(-1, 3)
+        carrier = np.array([joints.index(entry.joint)])
+        try:
+            binding = Binding([[0]], [[1.0]], bind, carrier)
+            skin = prepare_skin(binding, len(points))
+        except FormatError as error:
+            faults += [
+                replace(fault, message=f"strands {entry.name!r}: {fault.message}")
+                for fault in error.faults
+            ]
+            continue
+        mesh = DeformedMesh(np.ascontiguousarray(points), skin=skin)
+        made.append(CharacterMesh(entry.name, mesh, none))
     if faults:
         raise FormatError(faults)
     return made

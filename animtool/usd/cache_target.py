@@ -1,4 +1,4 @@
-"""The meshes of a rig layer that a point cache goes over."""
+"""The meshes and strands of a rig layer that a point cache goes over."""
 
 from __future__ import annotations
 
@@ -12,9 +12,12 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError, OutputError, Severity, listed
+from animtool.rig.parts import Attachment
 from animtool.units import UpAxis
 from animtool.usd.layers import attribute, prim
 from animtool.usd.mesh_read import bound_meshes
+from animtool.usd.point_cache import PointSpace
+from animtool.usd.strand_read import bound_strands
 from animtool.usd.target import MOST_NAMED, RigTarget, compose_check
 
 __all__ = ["CacheTarget", "TargetMesh", "open_cache_target"]
@@ -25,37 +28,43 @@ SAME = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class TargetMesh:
-    """A mesh of a rig layer.
+    """A mesh of a rig layer, or strands.
 
     Attributes:
         name: As the rig names it.
         path: Its prim, as a layer over the rig names it.
-        placement: Mesh from skeleton space, in the rig's unit ``(4, 4)``; None where
-            these are the same.
+        space: Where its points are, in the rig's unit.
         normals: Whether it has normals that a cache can replace.
         blocked: Attributes whose values do not hold for deformed points.
     """
 
     name: str
     path: str
-    placement: FloatArray | None
+    space: PointSpace
     normals: bool
     blocked: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class CacheTarget:
-    """A rig whose meshes a cache deforms in UsdSkel's place.
+    """A rig whose meshes and strands a cache moves in UsdSkel's place.
 
     Attributes:
         rig: The rig's stage.
         meshes: Those that the cache has points of.
+        strands: Likewise.
         notices: What is odd.
     """
 
     rig: RigTarget
     meshes: tuple[TargetMesh, ...]
+    strands: tuple[TargetMesh, ...]
     notices: tuple[Fault, ...]
+
+    @property
+    def prims(self) -> tuple[TargetMesh, ...]:
+        """The meshes, then the strands."""
+        return self.meshes + self.strands
 
     @property
     def unit(self) -> float:
@@ -68,7 +77,7 @@ class CacheTarget:
         return self.rig.up
 
     def author(self, layer: Any, *, normals: bool) -> Mapping[str, Any]:
-        """Write the overs; return those of the meshes by path."""
+        """Write the overs; return those of the meshes and strands by path."""
         # As UsdSkel.BakeSkinning does it: outside a SkelRoot nothing is skinned.
         root = prim(layer, self.rig.paths.root, "Xform", over=True)
         if self.rig.moves:
@@ -76,7 +85,7 @@ class CacheTarget:
             kind = Sdf.ValueTypeNames.TokenArray
             attribute(root, "xformOpOrder", kind, order, uniform=True)
         specs = {}
-        for mesh in self.meshes:
+        for mesh in self.prims:
             spec = prim(layer, mesh.path, over=True)
             blocked = mesh.blocked
             if mesh.normals and not normals:
@@ -102,7 +111,7 @@ class CacheTarget:
         wrong = []
         if root.IsA(UsdSkel.Root):
             wrong.append(str(root.GetPath()))
-        for mesh in self.meshes:
+        for mesh in self.prims:
             found = stage.GetPrimAtPath(mesh.path)
             if found.IsInstanceProxy():
                 wrong.append(mesh.path)
@@ -119,47 +128,78 @@ class CacheTarget:
             raise OutputError(Fault("USD042", message, where, (), hint))
 
 
-def open_cache_target(rig: RigTarget, wanted: Mapping[str, int]) -> CacheTarget:
-    """Find the meshes of a rig by the names that a cache has for them.
+def open_cache_target(
+    rig: RigTarget, wanted: Mapping[str, int], curves: Mapping[str, tuple[int, ...]]
+) -> CacheTarget:
+    """Find the meshes and strands of a rig by the names that a cache has for them.
 
     Args:
         rig: The rig.
         wanted: Number of points of each mesh that deforms, by name.
+        curves: How many strands of how many points, by name.
 
     Raises:
-        FormatError: A mesh has another number of points (USD041), or moves below its
-            skeleton by itself (USD043); with every such mesh.
+        FormatError: A mesh or strands have another number of points (USD041), or move
+            below their skeleton by themselves (USD043); with every such prim.
     """
     at = rig.stage.GetPrimAtPath(rig.on_stage(rig.paths.skeleton))
     skeleton = UsdSkel.Skeleton(at)
     root = UsdSkel.Root.Find(at).GetPrim()
     found = {name: query.GetPrim() for name, query in bound_meshes(skeleton)}
-    faults, meshes = [], []
+    faults, meshes, strands = [], [], []
     for name, count in wanted.items():
         if name not in found:
             continue
         mesh = UsdGeom.Mesh(found[name])
-        faults += _misfits(mesh, name, count, skeleton, rig)
+        faults += _misfits(mesh, name, count, rig) + _moving(mesh, skeleton, rig)
         meshes.append(_mesh(mesh, name, skeleton, rig))
+    carried = {
+        entry.name: (entry, source)
+        for entry, source in bound_strands(skeleton, rig.skeleton, str(rig.path))
+    }
+    for name, shape in curves.items():
+        if name not in carried:
+            continue
+        entry, source = carried[name]
+        made = UsdGeom.BasisCurves(source)
+        faults += _uneven(made, entry, shape, rig) + _moving(made, skeleton, rig)
+        strands.append(_strands(made, name, skeleton, rig))
     if faults:
         raise FormatError(faults)
     missing = [name for name in wanted if name not in found]
+    missing += [name for name in curves if name not in carried]
     notices = _missing_notice(missing, rig.path)
     deformed = {found[mesh.name].GetPath() for mesh in meshes}
+    deformed |= {carried[entry.name][1].GetPath() for entry in strands}
     notices += _left_notice(root, deformed, rig.path)
-    notices += _normals_notice(meshes, rig.path)
-    return CacheTarget(rig, tuple(meshes), tuple(notices))
+    notices += _normals_notice([*meshes, *strands], rig.path)
+    return CacheTarget(rig, tuple(meshes), tuple(strands), tuple(notices))
 
 
-def _misfits(
-    mesh: Any, name: str, count: int, skeleton: Any, rig: RigTarget
-) -> list[Fault]:
-    where, faults = f"{rig.path}<{mesh.GetPath()}>", []
+def _misfits(mesh: Any, name: str, count: int, rig: RigTarget) -> list[Fault]:
     points = mesh.GetPointsAttr().Get(Usd.TimeCode.EarliestTime()) or ()
-    if len(points) != count:
-        message = f"mesh {name!r} has {len(points)} points here, and {count} in the rig"
-        hint = "the cache would not fit its faces"
-        faults.append(Fault("USD041", message, where, (), hint))
+    if len(points) == count:
+        return []
+    message = f"mesh {name!r} has {len(points)} points here, and {count} in the rig"
+    hint = "the cache would not fit its faces"
+    return [Fault("USD041", message, f"{rig.path}<{mesh.GetPath()}>", (), hint)]
+
+
+def _uneven(
+    curves: Any, entry: Attachment, shape: tuple[int, ...], rig: RigTarget
+) -> list[Fault]:
+    assert entry.points is not None
+    here = entry.points.load().shape[:2]
+    if here == shape:
+        return []
+    message = f"{entry.name!r} has {here[0]} strands of {here[1]} points here, and "
+    message += f"{shape[0]} of {shape[1]} in the rig"
+    hint = "the cache would not fit its curves"
+    return [Fault("USD041", message, f"{rig.path}<{curves.GetPath()}>", (), hint)]
+
+
+def _moving(mesh: Any, skeleton: Any, rig: RigTarget) -> list[Fault]:
+    where, faults = f"{rig.path}<{mesh.GetPath()}>", []
     between = mesh.GetPrim()
     while between.GetPath().HasPrefix(Sdf.Path("/")) and between:
         if skeleton.GetPath().HasPrefix(between.GetPath()):
@@ -175,30 +215,51 @@ def _misfits(
 def _mesh(mesh: Any, name: str, skeleton: Any, rig: RigTarget) -> TargetMesh:
     binding = UsdSkel.BindingAPI(mesh.GetPrim())
     skinned = binding.GetJointIndicesPrimvar().HasAuthoredValue()
+    normals = mesh.GetNormalsAttr().HasAuthoredValue()
+    followed = normals and mesh.GetNormalsInterpolation() == UsdGeom.Tokens.vertex
+    return TargetMesh(
+        name,
+        rig.on_layer(mesh.GetPath()),
+        PointSpace(_placement(mesh, skeleton) if skinned else None),
+        followed,
+        _blocked(mesh, followed=followed),
+    )
+
+
+def _strands(curves: Any, name: str, skeleton: Any, rig: RigTarget) -> TargetMesh:
+    widths = curves.GetWidthsAttr().Get(Usd.TimeCode.EarliestTime()) or (0.0,)
+    return TargetMesh(
+        name,
+        rig.on_layer(curves.GetPath()),
+        PointSpace(_placement(curves, skeleton), max(widths) / 2),
+        False,
+        _blocked(curves, followed=False),
+    )
+
+
+def _placement(mesh: Any, skeleton: Any) -> FloatArray | None:
     cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
     world = cache.GetLocalToWorldTransform(skeleton.GetPrim())
     own = cache.GetLocalToWorldTransform(mesh.GetPrim())
     placement = np.array(world * own.GetInverse(), np.float64).T
-    normals = mesh.GetNormalsAttr().HasAuthoredValue()
-    followed = normals and mesh.GetNormalsInterpolation() == UsdGeom.Tokens.vertex
-    blocked = ["normals"] if normals and not followed else []
+    return None if np.abs(placement - np.eye(4)).max() <= SAME else placement
+
+
+def _blocked(mesh: Any, *, followed: bool) -> tuple[str, ...]:
+    """Return the normals of a prim that would not fit points which move."""
+    blocked = []
+    if mesh.GetNormalsAttr().HasAuthoredValue() and not followed:
+        blocked.append("normals")
     primvar = mesh.GetPrim().GetAttribute("primvars:normals")
     if primvar and primvar.HasAuthoredValue():
         blocked.append("primvars:normals")
-    same = np.abs(placement - np.eye(4)).max() <= SAME
-    return TargetMesh(
-        name,
-        rig.on_layer(mesh.GetPath()),
-        None if same or not skinned else placement,
-        followed,
-        tuple(blocked),
-    )
+    return tuple(blocked)
 
 
 def _missing_notice(missing: Sequence[str], path: Path) -> list[Fault]:
     if not missing:
         return []
-    message = f"{len(missing)} meshes of the take are not in the rig layer: "
+    message = f"{len(missing)} meshes or strands of the take are not in the rig layer: "
     message += listed(missing, MOST_NAMED)
     hint = "they are left out"
     return [Fault("USD141", message, str(path), (), hint, Severity.WARNING)]

@@ -1,4 +1,4 @@
-"""The meshes that a stage's Skeleton deforms, with its exact bind transforms."""
+"""What a stage's Skeleton deforms, with its exact bind transforms."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pxr import UsdSkel
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError
+from animtool.rig.strands import Strands, strands_of
 from animtool.rig.surfaces import Surface, surfaces_of
 from animtool.units import UpAxis
 from animtool.usd.layers import usd_errors
@@ -23,6 +24,7 @@ from animtool.usd.rig_prims import (
     prim_below,
     skeleton_rig,
 )
+from animtool.usd.strand_read import read_strands
 from animtool.usd.target import RigTarget
 
 __all__ = ["StageMeshes", "source_meshes", "target_meshes"]
@@ -30,10 +32,11 @@ __all__ = ["StageMeshes", "source_meshes", "target_meshes"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StageMeshes:
-    """Meshes of a Skeleton.
+    """Meshes and strands of a Skeleton.
 
     Attributes:
         surfaces: The meshes [m].
+        strands: The curves that single joints carry [m].
         bind: World transforms of the Skeleton's J joints at bind time, scale and shear
             included, for column vectors ``(J, 4, 4)`` [m].
         up: Up axis of all of it.
@@ -41,6 +44,7 @@ class StageMeshes:
     """
 
     surfaces: tuple[Surface, ...]
+    strands: tuple[Strands, ...]
     bind: FloatArray
     up: UpAxis
     notices: list[Fault]
@@ -56,7 +60,7 @@ def source_meshes(path: Path, prim_path: str | None) -> StageMeshes:
         stage = open_stage(path)
         skeletons = find_skeletons(stage, prim_below(stage, prim_path))
         if not skeletons:
-            return StageMeshes((), np.zeros((0, 4, 4)), UpAxis.Y, [])
+            return StageMeshes((), (), np.zeros((0, 4, 4)), UpAxis.Y, [])
         return _meshes(skeletons[0], skeleton_rig(skeletons[0], path), path)
 
 
@@ -73,12 +77,13 @@ def target_meshes(target: RigTarget) -> StageMeshes:
 
 def _meshes(skeleton: Any, found: SkeletonRig, path: Path) -> StageMeshes:
     meshes, shapes, notices = read_meshes(skeleton, found, str(path))
-    rig = replace(found.rig, meshes=meshes, shapes=shapes)
-    if not meshes:
-        return StageMeshes((), np.zeros((0, 4, 4)), rig.up, notices)
+    strands = read_strands(skeleton, found, str(path))
+    rig = replace(found.rig, meshes=meshes, shapes=shapes, attach=strands)
+    if not meshes and not strands:
+        return StageMeshes((), (), np.zeros((0, 4, 4)), rig.up, notices)
     bind = _bind(skeleton, len(rig.joints), f"{path}<{skeleton.GetPath()}>")
     bind[:, :3, 3] *= rig.meters_per_unit
-    return StageMeshes(surfaces_of(rig), bind, rig.up, notices)
+    return StageMeshes(surfaces_of(rig), strands_of(rig), bind, rig.up, notices)
 
 
 def _bind(skeleton: Any, joints: int, where: str) -> FloatArray:

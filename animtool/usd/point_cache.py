@@ -1,4 +1,4 @@
-"""Authoring deformed meshes as point caches: a stage of them, or overs on a rig."""
+"""Authoring deformed points as point caches: a stage of meshes, or overs on a rig."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from pxr import Sdf, Vt
 
 from animtool import _kernels
 from animtool._types import Float32Array, FloatArray
+from animtool.rig.strands import Strands
 from animtool.rig.surfaces import Surface
 from animtool.skin.deform import Deformed
 from animtool.units import UpAxis
@@ -25,6 +26,7 @@ from animtool.usd.layers import (
 from animtool.usd.meshes import author_meshes, mesh_names
 from animtool.usd.samples import Samples
 from animtool.usd.skeleton import RigPaths
+from animtool.usd.strands import author_strands, strand_paths
 
 if TYPE_CHECKING:
     from animtool.usd.cache_target import CacheTarget
@@ -34,6 +36,7 @@ __all__ = [
     "CachedMesh",
     "MeshWriter",
     "PointBlock",
+    "PointSpace",
     "author_cache",
     "author_prims",
     "cache_metadata",
@@ -47,13 +50,13 @@ _TYPES = Sdf.ValueTypeNames
 
 @dataclass(frozen=True, slots=True)
 class PointBlock:
-    """Frames of one mesh as the layer will hold them, in its unit.
+    """Frames of one mesh, or of strands, as the layer will hold them, in its unit.
 
     Attributes:
         mesh: The mesh's place in the job.
         codes: Time codes ``(F,)``.
         points: ``(F, V, 3)`` float32, in the mesh's own space.
-        extents: Bounds of the points ``(F, 2, 3)`` float32.
+        extents: Bounds of the points, or of curves about them ``(F, 2, 3)`` float32.
         normals: ``(F, V, 3)`` float32; None where they are not written.
         velocities: ``(F, V, 3)`` float32, per second; None likewise.
         error: Largest distance that rounding moved a point [m].
@@ -84,18 +87,34 @@ class PointBlock:
 
 
 @dataclass(frozen=True, slots=True)
+class PointSpace:
+    """Where the points of a mesh are written.
+
+    Attributes:
+        placement: Mesh from skeleton space, in the layer's unit ``(4, 4)``; None where
+            these are the same.
+        margin: How far what is drawn reaches beyond the points, in the layer's unit:
+            half the width of curves.
+    """
+
+    placement: FloatArray | None = None
+    margin: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class CacheJob:
     """What `author_cache` needs beside the blocks.
 
     Attributes:
         output: The file; None is usda for stdout.
         paths: The character's prims.
-        meshes: Paths of the meshes' prims, in the order that blocks count them.
+        meshes: Paths of the prims of meshes, then of strands, as the blocks count them.
         fps: Time codes a second.
         frames: First and last time code; None takes those of the samples.
         meters_per_unit: Unit of the layer's numbers [m].
         up: Up axis of a stage.
-        surfaces: Of a stage, the meshes, as the blocks count them.
+        surfaces: Of a stage, the meshes.
+        strands: Of a stage, likewise.
         normals: Of a layer, whether the blocks have those of meshes that have them;
             False blocks those of the rig.
         target: Of a layer, the rig; None is a stage.
@@ -109,13 +128,14 @@ class CacheJob:
     meters_per_unit: float
     up: UpAxis
     surfaces: tuple[Surface, ...] = ()
+    strands: tuple[Strands, ...] = ()
     normals: bool = True
     target: CacheTarget | None = None
 
 
 @dataclass(slots=True)
 class CachedMesh:
-    """What was written of a mesh.
+    """What was written of a mesh, or of strands.
 
     Attributes:
         path: Its prim.
@@ -146,9 +166,11 @@ class CachedMesh:
             self.error_vertex = block.error_vertex
 
 
-def mesh_paths(surfaces: Sequence[Surface], paths: RigPaths) -> tuple[str, ...]:
-    """Return where a stage has meshes: where a stage with a skeleton has them too."""
-    return tuple(mesh_names(surfaces, paths)[0])
+def mesh_paths(
+    surfaces: Sequence[Surface], strands: Sequence[Strands], paths: RigPaths
+) -> tuple[str, ...]:
+    """Return where a stage has meshes, then strands: as a stage with a skeleton."""
+    return (*mesh_names(surfaces, paths)[0], *strand_paths(strands, paths))
 
 
 def round_points(
@@ -156,7 +178,7 @@ def round_points(
     codes: FloatArray,
     deformed: Deformed,
     meters_per_unit: float,
-    placement: FloatArray | None = None,
+    space: PointSpace,
 ) -> PointBlock:
     """Return frames of a mesh rounded to what USD holds, and what the rounding did.
 
@@ -165,11 +187,11 @@ def round_points(
         codes: Time codes ``(F,)``.
         deformed: Its frames [m].
         meters_per_unit: Unit of the layer [m].
-        placement: Mesh from skeleton space, in the layer's unit ``(4, 4)``; None
-            where these are the same.
+        space: Where they are written.
     """
     points, extents = deformed.points, deformed.extents
     velocities, normals = deformed.velocities, deformed.normals
+    placement = space.placement
     if placement is not None:
         linear, shift = placement[:3, :3], placement[:3, 3] * meters_per_unit
         points = points @ linear.T + shift
@@ -181,7 +203,7 @@ def round_points(
         mesh,
         codes,
         rounded,
-        _rounded(extents, meters_per_unit),
+        _widened(_rounded(extents, meters_per_unit), space.margin),
         None if normals is None else _rounded(normals, 1.0),
         None if velocities is None else _rounded(velocities, meters_per_unit),
         error,
@@ -192,6 +214,11 @@ def round_points(
 
 def _rounded(values: FloatArray, unit: float) -> Float32Array:
     return _kernels.round_points(values, unit)[0]
+
+
+def _widened(extents: Float32Array, margin: float) -> Float32Array:
+    """Return bounds of what is drawn about points, as `UsdGeom.Curves` has them."""
+    return extents + np.array([[-margin], [margin]], np.float32)
 
 
 def _turned(normals: FloatArray, linear: FloatArray) -> FloatArray:
@@ -206,9 +233,9 @@ def author_cache(
     """Author a layer in memory; nothing is written yet.
 
     A stage has ``Xform`` prims where one with a skeleton has the model and the
-    SkelRoot, and the meshes at the same paths, bound to nothing. A layer makes the
-    SkelRoot of its rig an ``Xform``, so that UsdSkel does not deform what is deformed
-    already.
+    SkelRoot, and meshes and strands at the same paths, bound to nothing. A layer makes
+    the SkelRoot of its rig an ``Xform``, so that UsdSkel does not deform what is
+    deformed already.
 
     Raises:
         OutputError: The rig's own opinions would win (USD042).
@@ -252,7 +279,9 @@ def _author_stage(layer: Any, job: CacheJob) -> Mapping[str, Any]:
             kind = "component" if ancestor == model else "group"
             prim(layer, str(ancestor), "Xform").SetInfo("kind", kind)
     prim(layer, job.paths.root, "Xform")
-    author_meshes(layer, job.surfaces, job.paths, {}, job.meters_per_unit, bound=False)
+    unit = job.meters_per_unit
+    author_meshes(layer, job.surfaces, job.paths, {}, unit, bound=False)
+    author_strands(layer, job.strands, job.paths, {}, unit, bound=False)
     return {path: layer.GetPrimAtPath(path) for path in job.meshes}
 
 

@@ -84,10 +84,11 @@ def author_rig(
     attribute(spec, "bindTransforms", matrices, bind, uniform=True)
     attribute(spec, "restTransforms", matrices, rest, uniform=True)
     if any(entry.points is not None for entry in rig.attach):
+        from animtool.rig.strands import strands_of
         from animtool.usd.strands import author_strands
 
         named = dict(zip(rig.names, map(str, tokens), strict=True))
-        author_strands(layer, rig, paths.root, named, meters_per_unit)
+        author_strands(layer, strands_of(rig), paths, named, meters_per_unit)
     data: dict[str, Any] = {}
     if says_more(rig):
         data["rig"] = rig_text(stripped(rig))

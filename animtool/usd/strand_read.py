@@ -19,7 +19,7 @@ from animtool.usd.skinned import (
     unique_name,
 )
 
-__all__ = ["read_strands"]
+__all__ = ["bound_strands", "read_strands"]
 
 
 def read_strands(skeleton: Any, rig: SkeletonRig, where: str) -> tuple[Attachment, ...]:
@@ -37,7 +37,18 @@ def read_strands(skeleton: Any, rig: SkeletonRig, where: str) -> tuple[Attachmen
         FormatError: A number is not finite (USD017), or a joint is none of the
             Skeleton (USD018).
     """
-    made: list[Attachment] = []
+    return tuple(entry for entry, _ in bound_strands(skeleton, rig, where))
+
+
+def bound_strands(
+    skeleton: Any, rig: SkeletonRig, where: str
+) -> list[tuple[Attachment, Any]]:
+    """Return what `read_strands` does, each with its prim.
+
+    Raises:
+        FormatError: As for `read_strands`.
+    """
+    made: list[tuple[Attachment, Any]] = []
     used: set[str] = set()
     for query in skinned_prims(skeleton, UsdGeom.BasisCurves):
         source = query.GetPrim()
@@ -47,8 +58,8 @@ def read_strands(skeleton: Any, rig: SkeletonRig, where: str) -> tuple[Attachmen
         if joint is not None and points is not None:
             name = unique_name(prim_name(source), used)
             kind, held = AttachKind.STRANDS.value, HeldArray(points)
-            made.append(Attachment(name, kind, (joint,), points=held))
-    return tuple(made)
+            made.append((Attachment(name, kind, (joint,), points=held), source))
+    return made
 
 
 def _carrier(query: Any, rig: SkeletonRig, at: str) -> str | None:

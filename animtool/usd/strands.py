@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from pxr import Sdf, UsdGeom, Vt
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, FormatError
-from animtool.rig.parts import Attachment
-from animtool.rig.skeleton import Rig
+from animtool.rig.strands import Strands
 from animtool.usd.layers import attribute, prim
 from animtool.usd.names import distinct_names
+from animtool.usd.skeleton import RigPaths
 
-__all__ = ["SCOPE", "author_strands"]
+__all__ = ["SCOPE", "WIDTH", "author_strands", "strand_paths"]
 
 # Below the SkelRoot, what holds the curves.
 SCOPE = "Strands"
@@ -24,46 +23,42 @@ WIDTH = 4e-4
 _TYPES = Sdf.ValueTypeNames
 
 
+def strand_paths(strands: Sequence[Strands], paths: RigPaths) -> tuple[str, ...]:
+    """Return paths of the strands' prims."""
+    wanted = [entry.name for entry in strands]
+    names = distinct_names(wanted, wanted, wanted).names
+    return tuple(f"{paths.root}/{SCOPE}/{name}" for name in names)
+
+
 def author_strands(
     layer: Any,
-    rig: Rig,
-    root: str,
+    strands: Sequence[Strands],
+    paths: RigPaths,
     tokens: Mapping[str, str],
     meters_per_unit: float,
+    *,
+    bound: bool = True,
 ) -> None:
     """Write strands as linear curves below the SkelRoot, each bound to its joint.
 
     Args:
         layer: Where to.
-        rig: What has them.
-        root: Path of the SkelRoot.
+        strands: What to write.
+        paths: The character's prims.
         tokens: Path of each joint of the Skeleton, by the joint's name.
         meters_per_unit: Unit of the layer [m].
-
-    Raises:
-        FormatError: An array of the rig cannot be read any more (RIG018).
+        bound: Bind them; False writes curves alone.
     """
-    found = [entry for entry in rig.attach if entry.points is not None]
-    if not found:
+    if not strands:
         return
-    prim(layer, f"{root}/{SCOPE}", "Scope")
-    wanted = [entry.name for entry in found]
-    names = distinct_names(wanted, wanted, wanted).names
-    for entry, name in zip(found, names, strict=True):
-        points = _loaded(entry) * (rig.meters_per_unit / meters_per_unit)
-        spec = prim(layer, f"{root}/{SCOPE}/{name}", "BasisCurves")
-        if name != entry.name:
+    prim(layer, f"{paths.root}/{SCOPE}", "Scope")
+    for entry, path in zip(strands, strand_paths(strands, paths), strict=True):
+        spec = prim(layer, path, "BasisCurves")
+        if Sdf.Path(path).name != entry.name:
             spec.SetInfo("customData", {"animtool": {"name": entry.name}})
-        _curves(spec, points, WIDTH / meters_per_unit)
-        _bound(spec, tokens[entry.joints[0]])
-
-
-def _loaded(entry: Attachment) -> FloatArray:
-    assert entry.points is not None
-    try:
-        return entry.points.load()
-    except ValueError as error:
-        raise FormatError(Fault("RIG018", f"{entry.name!r}: {error}")) from error
+        _curves(spec, entry.points / meters_per_unit, WIDTH / meters_per_unit)
+        if bound:
+            _bound(spec, tokens[entry.joint])
 
 
 def _curves(spec: Any, points: FloatArray, width: float) -> None:

@@ -11,7 +11,7 @@ import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom
 from support.cli import animtool, animtool_process
 from support.point_caches import bindings, layered, skinned_points, world_points
-from support.skinned_rig import VERTICES, write_pair
+from support.skinned_rig import STRANDS, VERTICES, write_pair
 from support.usd import validation_errors
 
 from animtool import BakeOptions, bake
@@ -21,6 +21,7 @@ from animtool.errors import OptionError
 TOLERANCE = 2e-6
 CODES = [float(code) for code in range(1, 10)]
 MOVING = ["body", "face", "sleeve"]
+HAIR = "Strands/hair"
 
 methods = pytest.mark.parametrize("method", ["linear", "dual_quaternion"])
 
@@ -53,7 +54,7 @@ def test_points_are_where_the_skinned_stage_has_them(
     cache = baked(tmp_path, "cache.usdc", "--deform", *options)
     baked(tmp_path, "skinned.usdc", *options)
     truth = skinned_points(tmp_path / "skinned.usdc", CODES)
-    assert len(truth) == 4
+    assert len(truth) == 5
     for path, points in truth.items():
         assert near(world_points(cache, path, CODES), points), path
     assert not bindings(cache)
@@ -90,9 +91,9 @@ def test_what_follows_nothing_that_moves_has_a_default_alone(tmp_path: Path) -> 
     write_pair(tmp_path)
     cache = baked(tmp_path, "cache.usda", "--deform", "--velocities")
     for prim in cache.Traverse():
-        if not prim.IsA(UsdGeom.Mesh):
+        if not prim.IsA(UsdGeom.PointBased):
             continue
-        mesh = UsdGeom.Mesh(prim)
+        mesh = UsdGeom.PointBased(prim)
         samples = [
             attr.GetNumTimeSamples()
             for attr in (mesh.GetPointsAttr(), mesh.GetExtentAttr())
@@ -103,6 +104,9 @@ def test_what_follows_nothing_that_moves_has_a_default_alone(tmp_path: Path) -> 
         for code in CODES:
             points = mesh.GetPointsAttr().Get(code)
             extent = UsdGeom.PointBased.ComputeExtent(points)
+            if prim.IsA(UsdGeom.Curves):
+                widths = UsdGeom.Curves(prim).GetWidthsAttr().Get()
+                extent = UsdGeom.Curves.ComputeExtent(points, widths)
             assert mesh.GetExtentAttr().Get(code) == extent
 
 
@@ -113,8 +117,8 @@ def test_velocities_are_differences_of_points_a_second(
     write_pair(tmp_path)
     more = [] if samples is None else [f"--samples={samples}"]
     cache = baked(tmp_path, "cache.usdc", "--deform", "--velocities", *more)
-    for name in MOVING:
-        mesh = UsdGeom.Mesh(cache.GetPrimAtPath(f"/pair/Rig/{name}"))
+    for name in [*MOVING, HAIR]:
+        mesh = UsdGeom.PointBased(cache.GetPrimAtPath(f"/pair/Rig/{name}"))
         codes = mesh.GetPointsAttr().GetTimeSamples()
         assert mesh.GetVelocitiesAttr().GetTimeSamples() == codes
         assert len(codes) == (9 if samples is None else 27)
@@ -196,7 +200,7 @@ def test_a_layer_shows_in_a_shot_what_the_skinned_layer_shows(
     baked(tmp_path, "skinned.usdc", *over)
     truth = skinned_points(layered(tmp_path, tmp_path / "skinned.usdc", rig), CODES)
     shot = Usd.Stage.Open(str(layered(tmp_path, tmp_path / "cache.usdc", rig)))
-    assert set(truth) == {f"/pair/Rig/{name}" for name in [*MOVING, "rock"]}
+    assert set(truth) == {f"/pair/Rig/{name}" for name in [*MOVING, "rock", HAIR]}
     for path, points in truth.items():
         assert near(world_points(shot, path, CODES), points), path
     assert not bindings(shot)
@@ -217,7 +221,7 @@ def test_a_layer_holds_overs_alone(tmp_path: Path) -> None:
     assert {str(spec.path) for spec in specs} == {
         "/pair",
         "/pair/Rig",
-        *(f"/pair/Rig/{name}" for name in [*MOVING, "rock"]),
+        *(f"/pair/Rig/{name}" for name in [*MOVING, "rock", "Strands", HAIR]),
     }
     assert all(spec.specifier == Sdf.SpecifierOver for spec in specs)
     assert layer.GetPrimAtPath("/pair/Rig").typeName == "Xform"
@@ -321,6 +325,61 @@ def test_meshes_that_the_rig_layer_lacks_are_named(tmp_path: Path) -> None:
     assert "sleeve" in notices["USD141"]
 
 
+def test_strands_that_the_rig_layer_lacks_are_named(tmp_path: Path) -> None:
+    write_pair(tmp_path)
+    rig = rig_layer(tmp_path)
+    stage = Usd.Stage.Open(str(rig))
+    stage.RemovePrim(f"/pair/Rig/{HAIR}")
+    stage.GetRootLayer().Save()
+    done = animtool(
+        *("bake", "pair.clip.yaml", "-o", "cache.usdc", "--rig-layer", rig, "--deform"),
+        cwd=tmp_path,
+    )
+    assert done.code == 0, done.stderr
+    assert "USD141" in done.stderr
+    assert "hair" in done.stderr
+
+
+def test_curves_of_the_rig_layer_have_their_own_width_and_lose_normals(
+    tmp_path: Path,
+) -> None:
+    write_pair(tmp_path)
+    rig = rig_layer(tmp_path)
+    stage = Usd.Stage.Open(str(rig))
+    curves = UsdGeom.BasisCurves(stage.GetPrimAtPath(f"/pair/Rig/{HAIR}"))
+    curves.GetWidthsAttr().Set([3.0])
+    curves.GetNormalsAttr().Set([(0, 1, 0)] * (STRANDS[0] * STRANDS[1]))
+    curves.AddTranslateOp().Set((3, 4, 5))
+    stage.GetRootLayer().Save()
+    baked(tmp_path, "cache.usdc", "--rig-layer", rig, "--deform")
+    baked(tmp_path, "skinned.usdc", "--rig-layer", rig)
+    truth = skinned_points(layered(tmp_path, tmp_path / "skinned.usdc", rig), CODES)
+    shot = Usd.Stage.Open(str(layered(tmp_path, tmp_path / "cache.usdc", rig)))
+    path = f"/pair/Rig/{HAIR}"
+    assert near(world_points(shot, path, CODES), truth[path])
+    found = UsdGeom.BasisCurves(shot.GetPrimAtPath(path))
+    extent = UsdGeom.Curves.ComputeExtent(found.GetPointsAttr().Get(3), [3.0])
+    assert found.GetExtentAttr().Get(3) == extent
+    assert not found.GetNormalsAttr().Get(3)
+
+
+def test_a_rig_of_strands_alone(tmp_path: Path) -> None:
+    write_pair(tmp_path)
+    path = tmp_path / "pair.rig.yaml"
+    text = path.read_text("utf-8")
+    meshes, attach = text.index("meshes:"), text.index("attach:")
+    path.write_text(text[:meshes] + text[attach:], "utf-8")
+    clip = tmp_path / "pair.clip.yaml"
+    lines = clip.read_text("utf-8").splitlines(keepends=True)
+    clip.write_text("".join(x for x in lines if "shape/" not in x), "utf-8")
+    cache = baked(tmp_path, "cache.usdc", "--deform")
+    baked(tmp_path, "skinned.usdc")
+    truth = skinned_points(tmp_path / "skinned.usdc", CODES)
+    assert set(truth) == {f"/pair/Rig/{HAIR}"}
+    for where, points in truth.items():
+        assert near(world_points(cache, where, CODES), points)
+
+
 def test_what_stops_following_is_named(tmp_path: Path) -> None:
     write_pair(tmp_path)
     rig = rig_layer(tmp_path)
@@ -338,27 +397,37 @@ def test_what_stops_following_is_named(tmp_path: Path) -> None:
     assert "/pair/Rig/beard" in notices["USD142"]
 
 
-def fewer_points(mesh: UsdGeom.Mesh) -> None:
+def fewer_points(mesh: UsdGeom.PointBased) -> None:
     mesh.GetPointsAttr().Set([(0, 0, 0)] * 3)
 
 
-def moving(mesh: UsdGeom.Mesh) -> None:
+def longer_strands(curves: UsdGeom.PointBased) -> None:
+    counts = [STRANDS[0]] * STRANDS[1]
+    UsdGeom.Curves(curves.GetPrim()).GetCurveVertexCountsAttr().Set(counts)
+
+
+def moving(mesh: UsdGeom.PointBased) -> None:
     operation = mesh.AddTranslateOp()
     operation.Set((1, 2, 3), 1)
     operation.Set((2, 2, 3), 5)
 
 
 @pytest.mark.parametrize(
-    ("edit", "code"), [(fewer_points, "USD041"), (moving, "USD043")]
+    ("name", "edit", "code"),
+    [
+        ("body", fewer_points, "USD041"),
+        ("body", moving, "USD043"),
+        (HAIR, longer_strands, "USD041"),
+        (HAIR, moving, "USD043"),
+    ],
 )
 def test_a_rig_layer_that_does_not_fit(
-    edit: Callable[[UsdGeom.Mesh], None], code: str, tmp_path: Path
+    name: str, edit: Callable[[UsdGeom.PointBased], None], code: str, tmp_path: Path
 ) -> None:
     write_pair(tmp_path)
     rig = rig_layer(tmp_path)
     stage = Usd.Stage.Open(str(rig))
-    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/pair/Rig/body"))
-    edit(mesh)
+    edit(UsdGeom.PointBased(stage.GetPrimAtPath(f"/pair/Rig/{name}")))
     stage.GetRootLayer().Save()
     before = sorted(tmp_path.iterdir())
     done = animtool(
@@ -464,7 +533,9 @@ def test_the_report(tmp_path: Path) -> None:
         cwd=tmp_path,
     )
     meshes = {mesh["mesh"]: mesh for mesh in json.loads(done.stdout)["meshes"]}
-    assert set(meshes) == {*MOVING, "rock"}
+    assert set(meshes) == {*MOVING, "rock", "hair"}
+    assert {m["mesh"] for m in meshes.values() if m["kind"] == "strands"} == {"hair"}
+    assert meshes["hair"]["animated"] == ["points", "extent"]
     body = meshes["body"]
     assert body["vertices"] == VERTICES
     assert body["samples"] == 9

@@ -28,11 +28,13 @@ def bake(folder: Path, name: str, *options: object) -> Path:
     return folder / name
 
 
-def meshes(stage: Usd.Stage) -> list[UsdGeom.Mesh]:
-    return [UsdGeom.Mesh(p) for p in stage.Traverse() if p.IsA(UsdGeom.Mesh)]
+def meshes(stage: Usd.Stage) -> list[UsdGeom.PointBased]:
+    return [
+        UsdGeom.PointBased(p) for p in stage.Traverse() if p.IsA(UsdGeom.PointBased)
+    ]
 
 
-def same(one: UsdGeom.Mesh, other: UsdGeom.Mesh, code: float) -> None:
+def same(one: UsdGeom.PointBased, other: UsdGeom.PointBased, code: float) -> None:
     for name in NAMES:
         values = [m.GetPrim().GetAttribute(name).Get(code) for m in (one, other)]
         assert (values[0] is None) == (values[1] is None), name

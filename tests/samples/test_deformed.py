@@ -11,6 +11,7 @@ from support.point_caches import skinned_points, world_points
 from support.usd import open_stage, validation_errors
 
 from animtool.rig.skeleton import Rig
+from animtool.rig.strands import strands_of
 from animtool.rig.surfaces import surfaces_of
 
 ROOT = Path(__file__).parents[2]
@@ -35,8 +36,9 @@ def test_points_are_those_of_usdskel(name: str, tmp_path: Path) -> None:
     assert validation_errors(stage) == []
     codes = [1.0 + 5 * i for i in range(FRAMES)]
     expected = skinned_points(skinned, codes)
-    meshes = surfaces_of(Rig.load(ROOT / SAMPLES[name]))
-    assert len(expected) == len(meshes)
+    rig = Rig.load(ROOT / SAMPLES[name])
+    meshes = surfaces_of(rig)
+    assert len(expected) == len(meshes) + len(strands_of(rig))
     size = max(float(np.ptp(mesh.points, axis=0).max()) for mesh in meshes)
     for path, points in expected.items():
         found = world_points(stage, path, codes)

@@ -12,8 +12,8 @@ Array = npt.NDArray[np.float64]
 
 
 def world_points(stage: Usd.Stage, path: str, codes: list[float]) -> Array:
-    """Return authored points of a mesh in the world ``(F, V, 3)``."""
-    mesh = UsdGeom.Mesh(stage.GetPrimAtPath(path))
+    """Return authored points of a mesh or curves in the world ``(F, V, 3)``."""
+    mesh = UsdGeom.PointBased(stage.GetPrimAtPath(path))
     frames = []
     for code in codes:
         cache = UsdGeom.XformCache(Usd.TimeCode(code))
@@ -24,7 +24,7 @@ def world_points(stage: Usd.Stage, path: str, codes: list[float]) -> Array:
 
 
 def skinned_points(path: Path, codes: list[float]) -> dict[str, Array]:
-    """Return what UsdSkel bakes of a stage, by the paths of its meshes."""
+    """Return what UsdSkel bakes of a stage, by the paths of meshes and curves."""
     stage = Usd.Stage.Open(Usd.Stage.Open(str(path)).Flatten())
     roots = [p for p in stage.Traverse() if p.IsA(UsdSkel.Root)]
     assert roots
@@ -34,7 +34,7 @@ def skinned_points(path: Path, codes: list[float]) -> dict[str, Array]:
     return {
         str(p.GetPath()): world_points(stage, str(p.GetPath()), codes)
         for p in stage.Traverse()
-        if p.IsA(UsdGeom.Mesh)
+        if p.IsA(UsdGeom.Mesh) or p.IsA(UsdGeom.BasisCurves)
     }
 
 

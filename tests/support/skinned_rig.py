@@ -1,4 +1,4 @@
-"""A rig with two skinned meshes, a shaped one and a still one, and a clip of it."""
+"""A rig of two skinned meshes, a shaped one, a still one and hair, and its clip."""
 
 from __future__ import annotations
 
@@ -35,6 +35,8 @@ shapes:
    inbetweens: [{{at: .5, deltas: pair.npz#h}}]}}
 - {{name: bulge, mesh: body, deltas: pair.npz#t}}
 - {{name: both, mesh: body, deltas: pair.npz#s, combine: [smile, bulge]}}
+attach:
+- {{name: hair, kind: strands, joint: chest, points: pair.npz#g}}
 """
 CLIP = """\
 clip: animtool/1
@@ -53,6 +55,8 @@ channels:
 - {target: shape/bulge, keys: [{t: 1, v: .2}, {t: 9, v: .9}]}
 """
 VERTICES = 12
+# How many, and of how many points.
+STRANDS = (5, 3)
 
 
 def write_pair(folder: Path, method: str = "linear") -> Path:
@@ -80,6 +84,7 @@ def write_pair(folder: Path, method: str = "linear") -> Path:
         s=floats(VERTICES, 3) * 0.1,
         h=floats(VERTICES, 3) * 0.1,
         t=floats(VERTICES, 3) * 0.1,
+        g=floats(*STRANDS, 3),
     )
     (folder / "pair.rig.yaml").write_text(RIG.format(method=method), "utf-8")
     path = folder / "pair.clip.yaml"
