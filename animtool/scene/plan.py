@@ -200,11 +200,9 @@ def _outputs(path: Path, form: Form, options: BakeOptions) -> list[Path]:
     """Return the files to write; of a cache in chunks, those that it may replace."""
     if options.chunk is None:
         return output_paths(path, form)
-    from animtool.usd.point_chunks import chunk_paths
+    from animtool.usd.point_chunks import chunk_files, manifest_path
 
-    pattern, manifest = chunk_paths(path)
-    there = sorted(path.parent.glob(pattern)) if path.parent.is_dir() else []
-    return [path, manifest, *there]
+    return [path, manifest_path(path), *chunk_files(path)]
 
 
 def _character(take: TakePlan, target: RigTarget | None) -> Character:

@@ -6,8 +6,9 @@ three are in memory, however long the take.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -27,19 +28,25 @@ from animtool.usd.point_cache import (
     empty_attribute,
 )
 
-__all__ = ["chunk_paths", "write_chunks"]
+__all__ = ["chunk_files", "manifest_path", "write_chunks"]
 
 CLIP_SET = "points"
 
 
-def chunk_paths(output: Path) -> tuple[str, Path]:
-    """Return a pattern of the names of chunks, and the manifest of their attributes.
+def manifest_path(output: Path) -> Path:
+    """Return the manifest of the attributes that chunks have.
 
-    >>> chunk_paths(Path("shot.usdc"))[1].name
+    >>> manifest_path(Path("shot.usdc")).name
     'shot.manifest.usda'
     """
-    manifest = output.with_name(f"{output.stem}.manifest.usda")
-    return f"{output.stem}.points.*.usdc", manifest
+    return output.with_name(f"{output.stem}.manifest.usda")
+
+
+def chunk_files(output: Path) -> list[Path]:
+    """Return the chunks of an output that are there, in order."""
+    name = re.compile(rf"{re.escape(output.stem)}\.points\.\d{{4,}}\.usdc")
+    there = output.parent.iterdir() if output.parent.is_dir() else ()
+    return sorted(path for path in there if name.fullmatch(path.name))
 
 
 def _chunk_path(output: Path, number: int) -> Path:
@@ -52,7 +59,8 @@ def write_chunks(
     """Write a cache as a layer, and its points in files of some samples each.
 
     Every file also has the first sample of the next, for what lies between them.
-    Nothing is there under its name before all is written, the layer last.
+    Nothing is there under its name before all is written, the layer last. Only then do
+    chunks go that an earlier, longer bake left: a layer always has its own.
 
     Args:
         job: What to write; with an output.
@@ -72,8 +80,8 @@ def write_chunks(
     with ExitStack() as stack:
         # Left in the reverse order: the layer gets its name last.
         whole = stack.enter_context(replacing(output))
-        manifest_path = chunk_paths(output)[1]
-        manifest = stack.enter_context(replacing(manifest_path))
+        described = manifest_path(output)
+        manifest = stack.enter_context(replacing(described))
         layer = new_layer(output)
         with Sdf.ChangeBlock():
             specs = author_prims(layer, job)
@@ -84,14 +92,22 @@ def write_chunks(
         with Sdf.ChangeBlock():
             _author_still(specs, job, chunks)
             author_metadata(layer, chunks.metadata())
-            _author_clips(layer, job, chunks, manifest_path)
+            _author_clips(layer, job, chunks, described)
         if job.target is not None:
             job.target.check(layer, points=False)
         check(layer)
-        export_layer(_manifest(job, chunks), manifest, manifest_path)
+        export_layer(_manifest(job, chunks), manifest, described)
         export_layer(layer, whole, output)
-    files = [*chunks.paths, manifest_path, output]
+    _remove_others(output, chunks.paths)
+    files = [*chunks.paths, described, output]
     return files, chunks.reports, layer
+
+
+def _remove_others(output: Path, kept: list[Path]) -> None:
+    for path in set(chunk_files(output)) - set(kept):
+        # What cannot be removed is in nobody's way.
+        with suppress(OSError):
+            path.unlink()
 
 
 class _Chunk:
@@ -230,7 +246,7 @@ def _author_clips(layer: Any, job: CacheJob, chunks: _Chunks, manifest: Path) ->
 
 
 def _manifest(job: CacheJob, chunks: _Chunks) -> Any:
-    layer = new_layer(chunk_paths(job.output or Path())[1])
+    layer = new_layer(manifest_path(job.output or Path()))
     with Sdf.ChangeBlock():
         for path, names, still in zip(
             job.meshes, chunks.names, chunks.still, strict=True
