@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
@@ -99,6 +99,7 @@ class Clip:
         first: First frame of the range.
         last: Last frame of the range, not before the first.
         channels: One a target.
+        notices: What is odd about the file that it was read from; not compared.
     """
 
     name: str
@@ -106,6 +107,7 @@ class Clip:
     first: Fraction
     last: Fraction
     channels: tuple[ClipChannel, ...]
+    notices: tuple[Fault, ...] = field(default=(), repr=False, compare=False)
 
     @classmethod
     def load(cls, path: Path | str, rig: Rig | Path | str | None = None) -> Clip:

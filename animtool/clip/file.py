@@ -139,7 +139,7 @@ def _note_missing(file: ClipFile) -> NoReturn:
 
 
 def load_clip(file: ClipFile, rig: Rig) -> Clip:
-    """Return the clip of a file, for a rig; warnings are left in its document.
+    """Return the clip of a file, for a rig.
 
     Args:
         file: Its content.
@@ -192,7 +192,8 @@ class _ClipReader:
         first, last = self._range(channels)
         self.document.check()
         name = self.model.name or self.document.path.name.partition(".")[0]
-        return Clip(name, fps, first, last, tuple(channels))
+        notices = tuple(self.document.notices)
+        return Clip(name, fps, first, last, tuple(channels), notices)
 
     def _fps(self) -> Fraction:
         try:

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.clip.file import load_clip, load_rig_of, open_clip
+from animtool.clip.clip import Clip
+from animtool.clip.file import ClipFile, load_clip, load_rig_of, open_clip
 from animtool.clip.sample import sample_clip
 from animtool.clip.segments import curves_of
 from animtool.errors import FormatError
@@ -39,10 +40,9 @@ def open_clip_source(
     loaded = load_rig_of(file, rig)
     named = rig or file.needed_rig()
     clip = load_clip(file, loaded)
-    with _named(path):
-        count = clip.frame_count()
+    count = _frame_count(file, clip)
     stream = TakeStream(loaded, clip.fps, clip.first, Fraction(1), iter(()))
-    stream.notices += [*loaded.notices, *file.document.notices]
+    stream.notices += [*loaded.notices, *clip.notices]
     stream.details = {
         "format": "clip",
         "rig": str(named),
@@ -66,6 +66,21 @@ def open_clip_source(
         if channel.target.startswith("control/")
     }
     return stream
+
+
+def _frame_count(file: ClipFile, clip: Clip) -> int:
+    """Return how many frames a clip has; faults have their place in its file."""
+    try:
+        return clip.frame_count()
+    except FormatError as error:
+        at = ("channels",) if file.model.range is None else ("range",)
+        line, column = file.document.place(at)
+        path = str(file.document.path)
+        faults = [
+            replace(fault, path=path, lines=(line,), column=column, where=at[0])
+            for fault in error.faults
+        ]
+        raise FormatError(faults) from error
 
 
 @contextmanager

@@ -8,7 +8,7 @@ import pytest
 from support.cli import animtool
 from support.clips import RIG, hero, loaded, write_clip, write_rig
 
-from animtool.clip.clip import Interp, Parametrization, Tangent
+from animtool.clip.clip import Clip, Interp, Parametrization, Tangent
 from animtool.clip.file import check_clip, load_clip, open_clip
 from animtool.errors import FormatError
 from animtool.maths.extrapolation import Extrapolation
@@ -345,6 +345,7 @@ def test_keys_that_do_nothing_are_pointed_out(
     assert [fault.code for fault in found] == ["CLIP104"] * len(places)
     assert [fault.where.split(".")[-1] for fault in found if fault.where] == places
     assert all(fault.lines == (5,) for fault in found)
+    assert Clip.load(file.document.path, rig).notices == tuple(found)
 
 
 def test_keys_that_do_nothing_are_errors_where_warnings_are(tmp_path: Path) -> None:

@@ -48,7 +48,17 @@ def test_a_range_of_days_is_refused_before_the_work(tmp_path: Path) -> None:
     path = write_clip(tmp_path, CURL, "fps: 24\nrange: [0, 9.0e8]")
     with pytest.raises(AnimtoolError) as caught:
         open_clip_source(path)
-    assert caught.value.code == "CLIP006"
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.path, fault.lines) == ("CLIP006", str(path), (4,))
+
+
+def test_keys_that_are_days_apart_have_their_place(tmp_path: Path) -> None:
+    hero(tmp_path)
+    path = write_clip(tmp_path, CURL.replace("t: 9,", "t: 9.0e8,"))
+    with pytest.raises(AnimtoolError) as caught:
+        open_clip_source(path)
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.lines, fault.where) == ("CLIP006", (5,), "channels")
 
 
 def test_an_expression_without_a_value_names_the_clip(tmp_path: Path) -> None:
