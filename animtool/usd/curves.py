@@ -46,7 +46,7 @@ from animtool.maths.extrapolation import Extrapolation
 from animtool.usd.layers import attribute
 from animtool.usd.names import distinct_names
 
-__all__ = ["CONTROL", "CurveReport", "author_controls", "author_curve", "read_curve"]
+__all__ = ["CONTROL", "CurveReport", "author_controls", "author_curve"]
 
 # What the attributes of controls begin with.
 CONTROL = "animtool:control:"
@@ -70,8 +70,6 @@ _EXTRAPOLATION = {
     Extrapolation.CYCLE_OFFSET: Ts.ExtrapLoopRepeat,
     Extrapolation.OSCILLATE: Ts.ExtrapLoopOscillate,
 }
-_EXTRAPOLATION_OF = {mode: name for name, mode in _EXTRAPOLATION.items()}
-_EXTRAPOLATION_OF[Ts.ExtrapLinear] = Extrapolation.LINEAR
 
 Evaluate = Callable[[FloatArray], FloatArray]
 
@@ -310,47 +308,3 @@ def _measure(
     if curves.post[0] in {Extrapolation.CYCLE, Extrapolation.OSCILLATE}:
         return apart(at), last
     return max(apart(at), last), 0.0
-
-
-def read_curve(attribute: Any) -> Curves:
-    """Return the spline of an attribute as a curve.
-
-    The times are time codes. A segment whose handles are a third of it long is CUBIC.
-    Loops within, jumps and blocked values are no part of a curve and are left out.
-
-    Args:
-        attribute: A `Usd.Attribute` or an attribute spec, with a spline.
-    """
-    spline = attribute.GetSpline()
-    knots = list(spline.GetKnots().values())
-    times = np.array([knot.GetTime() for knot in knots])
-    before = np.array([[k.GetPreTanWidth(), k.GetPreTanSlope()] for k in knots])
-    behind = np.array([[k.GetPostTanWidth(), k.GetPostTanSlope()] for k in knots])
-    ins, outs = (
-        np.stack([sign * tangents[:, 0], sign * tangents[:, 0] * tangents[:, 1]], 1)
-        for sign, tangents in ((-1.0, before), (1.0, behind))
-    )
-    kinds = np.full(len(knots), int(SegmentKind.HOLD), np.int64)
-    for i, knot in enumerate(knots[:-1]):
-        third = (times[i + 1] - times[i]) / 3
-        if knot.GetNextInterpolation() == Ts.InterpLinear:
-            kinds[i] = SegmentKind.LINEAR
-        elif knot.GetNextInterpolation() == Ts.InterpCurve:
-            even = np.allclose([behind[i, 0], before[i + 1, 0]], third, rtol=1e-9)
-            kinds[i] = SegmentKind.CUBIC if even else SegmentKind.BEZIER
-    return Curves(
-        np.array([0, len(knots)]),
-        times,
-        np.array([knot.GetValue() for knot in knots]),
-        kinds,
-        ins,
-        outs,
-        (_EXTRAPOLATION_OF.get(_mode(spline, -1), Extrapolation.HOLD),),
-        (_EXTRAPOLATION_OF.get(_mode(spline, 1), Extrapolation.HOLD),),
-    )
-
-
-def _mode(spline: Any, side: int) -> Any:
-    if side < 0:
-        return spline.GetPreExtrapolation().mode
-    return spline.GetPostExtrapolation().mode

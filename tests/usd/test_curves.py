@@ -14,12 +14,53 @@ from pxr import Sdf, Ts, Usd
 
 from animtool.maths.curves import Curves, SegmentKind
 from animtool.maths.extrapolation import Extrapolation, fold
-from animtool.usd.curves import author_curve, read_curve
+from animtool.usd.curves import author_curve
 
 Floats = npt.NDArray[np.float64]
 PRIM = "/hero/Rig/Anim"
 NAME = "animtool:control:smile"
 TOLERANCE = 1e-12  # of the largest value
+
+
+MODES = {
+    Ts.ExtrapHeld: Extrapolation.HOLD,
+    Ts.ExtrapLinear: Extrapolation.LINEAR,
+    Ts.ExtrapSloped: Extrapolation.LINEAR,
+    Ts.ExtrapLoopReset: Extrapolation.CYCLE,
+    Ts.ExtrapLoopRepeat: Extrapolation.CYCLE_OFFSET,
+    Ts.ExtrapLoopOscillate: Extrapolation.OSCILLATE,
+}
+
+
+def curve_of(attribute: Any) -> Curves:
+    """Return the spline of an attribute; handles a third of a segment make it CUBIC."""
+    spline = attribute.GetSpline()
+    knots = list(spline.GetKnots().values())
+    times = np.array([knot.GetTime() for knot in knots])
+    before = np.array([[k.GetPreTanWidth(), k.GetPreTanSlope()] for k in knots])
+    behind = np.array([[k.GetPostTanWidth(), k.GetPostTanSlope()] for k in knots])
+    ins, outs = (
+        np.stack([sign * tangents[:, 0], sign * tangents[:, 0] * tangents[:, 1]], 1)
+        for sign, tangents in ((-1.0, before), (1.0, behind))
+    )
+    kinds = np.full(len(knots), int(SegmentKind.HOLD), np.int64)
+    for i, knot in enumerate(knots[:-1]):
+        third = (times[i + 1] - times[i]) / 3
+        if knot.GetNextInterpolation() == Ts.InterpLinear:
+            kinds[i] = SegmentKind.LINEAR
+        elif knot.GetNextInterpolation() == Ts.InterpCurve:
+            even = np.allclose([behind[i, 0], before[i + 1, 0]], third, rtol=1e-9)
+            kinds[i] = SegmentKind.CUBIC if even else SegmentKind.BEZIER
+    return Curves(
+        np.array([0, len(knots)]),
+        times,
+        np.array([knot.GetValue() for knot in knots]),
+        kinds,
+        ins,
+        outs,
+        (MODES[spline.GetPreExtrapolation().mode],),
+        (MODES[spline.GetPostExtrapolation().mode],),
+    )
 
 
 def curve(
@@ -214,7 +255,7 @@ def test_a_curve_comes_back(
     path = str(tmp_path / f"o.{suffix}")
     stage.GetRootLayer().Export(path)
     opened = Usd.Stage.Open(path)
-    back = read_curve(control(opened))
+    back = curve_of(control(opened))
     assert_allclose(back.times, curves.times)
     assert_allclose(back.values, curves.values)
     assert back.kinds[:2].tolist() == curves.kinds[:2].tolist()
