@@ -352,14 +352,15 @@ class _Reader:
             kind = type(event)
             if kind is yaml.ScalarEvent:
                 place = self._place(event)
-                stack[-1].put(self._scalar(event, place), place, self)
+                plain = event.value if event.implicit[0] else ""
+                stack[-1].put(self._scalar(event, place), place, self, plain)
             elif kind is yaml.MappingStartEvent or kind is yaml.SequenceStartEvent:
                 place = self._place(event)
                 made: Any = {} if kind is yaml.MappingStartEvent else []
                 if len(stack) > DEEPEST:
                     self._stop("DOC005", f"is nested deeper than {DEEPEST}", place)
                 stack[-1].put(made, place, self)
-                stack.append(_Open(made, place))
+                stack.append(_Open(made, place, flow=bool(event.flow_style)))
             elif kind is yaml.MappingEndEvent or kind is yaml.SequenceEndEvent:
                 stack.pop()
             elif kind is yaml.AliasEvent:
@@ -413,14 +414,22 @@ class _Open:
     begun: tuple[int, int] | None
     key: str | None = None
     keys: dict[str, int] = field(default_factory=dict)
+    flow: bool = False
+    pieces: list[tuple[str, tuple[int, int]]] = field(default_factory=list)
 
-    def put(self, value: Any, place: tuple[int, int], reader: _Reader) -> None:
+    def put(
+        self, value: Any, place: tuple[int, int], reader: _Reader, plain: str = ""
+    ) -> None:
         if isinstance(self.made, list):
             self.made.append(value)
             return
         if self.key is not None:
             self.made[self.key] = value
             self.key = None
+            if self.pieces and value is None and not plain:
+                self._join(reader)
+            elif self.flow:
+                self.pieces = [(plain, place)] if _open_brackets(plain) else []
             return
         if not isinstance(value, str):
             shown = "a collection" if isinstance(value, dict | list) else repr(value)
@@ -432,3 +441,25 @@ class _Open:
             reader.fault("DOC004", message, place, hint)
         self.keys.setdefault(value, place[0])
         self.key = value
+        if self.pieces:
+            self.pieces.append((plain, place))
+
+    def _join(self, reader: _Reader) -> None:
+        """Put a text together that commas cut into a value and keys without any."""
+        whole = ", ".join(text for text, _ in self.pieces)
+        if _open_brackets(whole):
+            return
+        spots = {place for _, place in self.pieces}
+        reader.faults = [
+            fault
+            for fault in reader.faults
+            if (*fault.lines, fault.column) not in spots
+        ]
+        begun, first = self.pieces[0]
+        message = f"{excerpt(begun)} ends at a comma"
+        reader.fault("DOC010", message, first, f'quote all of it: "{whole}"')
+        self.pieces = []
+
+
+def _open_brackets(text: str) -> bool:
+    return text.count("(") > text.count(")")

@@ -89,6 +89,20 @@ def test_scalars_of_the_core_schema(tmp_path: Path, text: str, wanted: object) -
     assert type(found) is type(wanted)
 
 
+@pytest.mark.parametrize(
+    "text", ["{e: f(x, y: 2}", "{e: f(x, y): 2}", "{e: 'f(x', y)}", "{e: (, y}"]
+)
+def test_brackets_that_are_not_of_one_text(tmp_path: Path, text: str) -> None:
+    assert set(value(tmp_path, f"a: {text}")["a"]) > {"e"}
+
+
+def test_a_text_that_a_comma_cuts_is_put_together(tmp_path: Path) -> None:
+    with pytest.raises(FormatError) as caught:
+        value(tmp_path, "a: {expr: clamp(x, 0, 1)}")
+    (fault,) = caught.value.faults
+    assert (fault.column, fault.hint) == (11, 'quote all of it: "clamp(x, 0, 1)"')
+
+
 def test_not_a_number(tmp_path: Path) -> None:
     assert math.isnan(value(tmp_path, "a: .nan")["a"])
 
@@ -116,6 +130,12 @@ TRAPS = {
     "nothing as key": ("~: 1", [("DOC010", 1)]),
     "a list as key": ("? [1, 2]\n: 3", [("DOC010", 1)]),
     "a mapping as key": ("{a: 1}: 3", [("DOC010", 1)]),
+    "a text that a comma cuts": ("a: {e: f(x, y), b: 1}", [("DOC010", 1)]),
+    "one that commas cut": ("a:\n- {e: f(x, 0, 1)}", [("DOC010", 2)]),
+    "one of several lines": (
+        "a: {e: max(min(x, 1),\n  0, 0), 2: 1}",
+        [("DOC010", 1), ("DOC010", 2)],
+    ),
     "flow depth": ("a: " + "[" * 10_000 + "]" * 10_000, [("DOC005", 1)]),
     "flow depth of keys": ("a: " + "{b: " * 10_000, [("DOC005", 1)]),
     "block depth": ("a:\n  " + "- " * 10_000 + "1", [("DOC005", 2)]),
