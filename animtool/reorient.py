@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError
 from animtool.maths import so3
-from animtool.rig.parts import Attachment, HeldArray, Mesh
+from animtool.rig.parts import Attachment, HeldArray, IkChain, Mesh
 from animtool.rig.skeleton import Pose, Rig
 from animtool.take import Channel, Motion, TakeStream
 from animtool.units import UpAxis, up_from_up
@@ -21,8 +21,8 @@ __all__ = ["reorient"]
 def reorient(stream: TakeStream, up: UpAxis) -> TakeStream:
     """Return the take with its roots, at rest and in motion, turned to an up axis.
 
-    Everything below the roots is in their frames and stays as it is; strands are in
-    the world.
+    Everything below the roots is in their frames and stays as it is; strands, and the
+    pole directions of chains that begin at a root, are in the world.
 
     Raises:
         FormatError: An array of the rig cannot be read any more (RIG018).
@@ -57,7 +57,13 @@ def _turned_rig(rig: Rig, turn: FloatArray, up: UpAxis) -> Rig:
     meshes = tuple(_turned_mesh(mesh, turn) for mesh in rig.meshes)
     attach = tuple(_turned_strands(entry, turn) for entry in rig.attach)
     return replace(
-        rig, joints=tuple(joints), up=up, bind=bind, meshes=meshes, attach=attach
+        rig,
+        joints=tuple(joints),
+        up=up,
+        bind=bind,
+        meshes=meshes,
+        ik=tuple(_turned_chain(chain, turn, roots) for chain in rig.ik),
+        attach=attach,
     )
 
 
@@ -65,6 +71,14 @@ def _turned_pose(pose: Pose, turn: FloatArray) -> Pose:
     x, y, z = so3.rotate(turn, pose.translation).tolist()
     a, b, c, w = so3.multiply(turn, pose.rotation).tolist()
     return Pose((x, y, z), (a, b, c, w))
+
+
+def _turned_chain(chain: IkChain, turn: FloatArray, roots: Set[str]) -> IkChain:
+    """Return a chain whose pole direction is turned where it is in the world."""
+    if chain.pole_dir is None or chain.root not in roots:
+        return chain
+    x, y, z = so3.rotate(turn, chain.pole_dir).tolist()
+    return replace(chain, pole_dir=(x, y, z))
 
 
 def _turned_mesh(mesh: Mesh, turn: FloatArray) -> Mesh:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,9 @@ from support.bvh import random_rows, small_bvh
 from animtool.formats.bvh import read_bvh
 from animtool.reorient import reorient
 from animtool.rig.kinematics import forward, rest_world
-from animtool.take import Take
+from animtool.rig.parts import Capsule, Collider, IkChain
+from animtool.rig.skeleton import Joint, Rig
+from animtool.take import Take, TakeStream
 from animtool.units import UpAxis
 
 
@@ -42,3 +45,34 @@ def test_nothing_to_do(tmp_path: Path) -> None:
     path.write_text(small_bvh(random_rows(2)))
     stream = read_bvh(path)
     assert reorient(stream, UpAxis.Y) is stream
+
+
+def test_pole_directions_in_the_world_are_turned() -> None:
+    rig = Rig(
+        "hero",
+        (Joint("a", -1), Joint("b", 0, translation=(0, 1, 0)), Joint("c", 1)),
+        ik=(
+            IkChain("whole", "a", "c", pole_dir=(0.0, 0.6, 0.8)),
+            IkChain("upper", "b", "c", pole_dir=(0.0, 0.6, 0.8)),
+            IkChain("free", "a", "c"),
+        ),
+    )
+    stream = TakeStream(rig, Fraction(24), None, Fraction(1), iter(()))
+    whole, upper, free = reorient(stream, UpAxis.Z).rig.ik
+    assert_allclose(whole.pole_dir, [0, -0.8, 0.6], atol=1e-15)
+    # The parent of its root turns with the rig.
+    assert upper == rig.ik[1]
+    assert free == rig.ik[2]
+
+
+def test_colliders_go_with_their_joints() -> None:
+    capsule = Capsule(0.1, 0.5, (0.0, 0.0, 1.0), (0.0, 0.2, 0.3))
+    rig = Rig("hero", (Joint("a", -1),), colliders=(Collider("a", capsule),))
+    stream = TakeStream(rig, Fraction(24), None, Fraction(1), iter(()))
+    turned = reorient(stream, UpAxis.Z).rig
+    (collider,) = turned.colliders
+    for vector in (capsule.axis, capsule.offset):
+        x, y, z = rest_world(rig).linear[0, 0] @ vector
+        found = rest_world(turned).linear[0, 0] @ vector
+        assert_allclose(found, [x, -z, y], atol=1e-15)
+    assert collider.capsule == capsule

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 
 from animtool.documents.check import nearest
 from animtool.documents.document import Document, Location
@@ -21,6 +22,8 @@ _KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     AttachKind.CLOTH: (("mesh",), ("pins",)),
     AttachKind.STRANDS: (("joint", "points"), ()),
 }
+# A name this near to that of a known kind is a slip, and no kind of somebody's own.
+SLIP = 0.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +77,11 @@ class AttachmentReader:
         given = [key for key in every if getattr(entry, key) is not None]
         hint = f"it has {', '.join((*wants, *takes))}"
         if entry.kind not in _KEYS:
-            hint = nearest(entry.kind, [str(kind) for kind in AttachKind])
+            kinds = [str(kind) for kind in AttachKind]
+            hint = nearest(entry.kind, kinds)
+            if get_close_matches(entry.kind, kinds, 1, SLIP):
+                message = f"no known kind of attachment is called {entry.kind!r}"
+                self.document.warn("RIG102", (*at, "kind"), message, hint)
         for key in wants:
             sure = not self.document.doubtful((*at, key))
             if key not in given and sure and "attach" not in self.document.partial:

@@ -190,3 +190,16 @@ def test_arrays_in_memory_go_to_a_file(
                 assert (a is None) is (b is None)
                 if a is not None and b is not None:
                     assert_array_equal(a.load(), b.load())
+
+
+@pytest.mark.parametrize(
+    ("kind", "near"),
+    [("spring_chian", "spring_chain"), ("spring-chain", "spring_chain"), ("soft", "")],
+)
+def test_a_slip_in_a_kind_is_pointed_out(yard: Path, kind: str, near: str) -> None:
+    rig = rig_of_document(
+        document_of(RIG.replace("kind: soft", f"kind: {kind}"), yard / "x.rig.yaml")
+    )
+    assert rig.attach[-1].kind == kind
+    said = [(note.code, note.lines, note.hint) for note in rig.notices]
+    assert said == ([("RIG102", (13,), f"did you mean {near!r}?")] if near else [])
