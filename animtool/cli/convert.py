@@ -143,6 +143,7 @@ def _rig(console: Console, source: Path, output: Path, given: dict[str, Any]) ->
     report = convert_rig(
         source,
         output,
+        prim_path=given["prim_path"],
         physics=given["physics"],
         overwrite=given["overwrite"],
         strict=given["strict"],

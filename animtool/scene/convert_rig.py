@@ -69,6 +69,7 @@ def convert_rig(
     source: Path | str,
     output: Path | str,
     *,
+    prim_path: str | None = None,
     physics: bool = False,
     overwrite: bool = False,
     strict: bool = False,
@@ -78,6 +79,7 @@ def convert_rig(
     Args:
         source: A rig file, a USD file with a Skeleton, or a BVH.
         output: A USD file, or ``.rig.yaml``.
+        prim_path: The character, where a USD file has several.
         physics: Write ``NAME.physics.usda`` beside a USD file too, with joint types
             and limits.
         overwrite: Replace outputs that exist.
@@ -85,7 +87,8 @@ def convert_rig(
 
     Raises:
         FormatError: The source is malformed.
-        OptionError: The output's suffix is unknown, or it exists.
+        OptionError: The output's suffix is unknown, or it exists, or ``prim_path`` is
+            given for another file (CLI004).
         OutputError: The output cannot be written.
         StrictError: There were warnings, and ``strict`` is on.
     """
@@ -94,9 +97,9 @@ def convert_rig(
         if physics:
             message = "--physics is for a USD file, and this is none"
             raise OptionError(Fault("CLI004", message, str(output)))
-        return _to_file(source, output, overwrite, strict)
+        return _to_file(source, output, prim_path, overwrite, strict)
     if output.suffix.lower() in {".usd", ".usda", ".usdc"}:
-        return _to_usd(source, output, physics, overwrite, strict)
+        return _to_usd(source, output, prim_path, physics, overwrite, strict)
     message = f"suffix {output.suffix!r} holds no rig"
     hint = "allowed: .rig.yaml, .usd, .usda, .usdc"
     raise OptionError(Fault("OUT004", message, str(output), (), hint))
@@ -111,17 +114,25 @@ def rig_outputs(output: Path, *, physics: bool = False) -> list[Path]:
     return [output, *beside]
 
 
-def open_rig(path: Path) -> tuple[Rig, list[Fault]]:
+def open_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[Fault]]:
     """Return a rig, wherever it lives, and what there is to say of it.
+
+    Args:
+        path: The file.
+        prim_path: The character, where a USD file has several.
 
     Raises:
         FormatError: It cannot be read or is malformed.
-        OptionError: Its suffix is none that animtool reads.
+        OptionError: Its suffix is none that animtool reads, or there are no prims in
+            it (CLI004).
     """
     if path.is_file() and find_reader(path) is USD:
         from animtool.usd.rig_prims import read_whole_rig
 
-        return read_whole_rig(path)
+        return read_whole_rig(path, prim_path)
+    if prim_path is not None:
+        message = "--prim-path is for USD files, and this is none"
+        raise OptionError(Fault("CLI004", message, str(path)))
     rig = Rig.load(path)
     return rig, list(rig.notices)
 
@@ -133,12 +144,14 @@ def _report(
     return RigReport(outputs, *counts, physics, notices)
 
 
-def _to_file(source: Path, output: Path, overwrite: bool, strict: bool) -> RigReport:
+def _to_file(
+    source: Path, output: Path, prim_path: str | None, overwrite: bool, strict: bool
+) -> RigReport:
     stem = output.name
     for suffix in RIG_SUFFIXES:
         stem = stem.removesuffix(suffix)
     arrays_path = output.with_name(f"{stem}.npz")
-    rig, notices = open_rig(source)
+    rig, notices = open_rig(source, prim_path)
     moved = source.resolve().parent != output.resolve().parent
     rig, arrays = with_file(rig, arrays_path, moved=moved)
     outputs = [arrays_path, output] if arrays else [output]
@@ -154,14 +167,15 @@ def _to_file(source: Path, output: Path, overwrite: bool, strict: bool) -> RigRe
     return _report(rig, outputs, notices)
 
 
-def _motion_left_out(source: Path, output: Path) -> list[Fault]:
+def _motion_left_out(source: Path, output: Path, prim_path: str | None) -> list[Fault]:
     """Say so where a source has motion: a rig holds none."""
     if is_rig(source):
         return []
-    from animtool.scene.sources import open_source
+    from animtool.scene.sources import SourceOptions, open_source
 
     try:
-        frames = sum(block.frames for block in open_source(source).blocks)
+        stream = open_source(source, SourceOptions(prim_path=prim_path))
+        frames = sum(block.frames for block in stream.blocks)
     except AnimtoolError:
         # A rig without animation; whatever else is wrong was said of it as a rig.
         return []
@@ -187,12 +201,17 @@ def write_arrays(path: Path, arrays: StoredArrays) -> None:
 
 
 def _to_usd(
-    source: Path, output: Path, physics: bool, overwrite: bool, strict: bool
+    source: Path,
+    output: Path,
+    prim_path: str | None,
+    physics: bool,
+    overwrite: bool,
+    strict: bool,
 ) -> RigReport:
     outputs = rig_outputs(output, physics=physics)
     check_outputs(outputs, [source], overwrite=overwrite)
-    rig, notices = open_rig(source)
-    notices = notices + _motion_left_out(source, output)
+    rig, notices = open_rig(source, prim_path)
+    notices = notices + _motion_left_out(source, output, prim_path)
     from animtool.usd.rig_layer import write_physics_layer, write_rig_layer
 
     refuse_warnings(notices, strict=strict)

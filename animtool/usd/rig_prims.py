@@ -95,20 +95,26 @@ def read_rig(path: Path) -> Rig:
     return read_whole_rig(path)[0]
 
 
-def read_whole_rig(path: Path) -> tuple[Rig, list[Fault]]:
+def read_whole_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[Fault]]:
     """Return the rig of a USD file's Skeleton, that of its default prim first.
 
     With bind pose, meshes, shapes and strands, and what its customData holds beyond
     USD.
 
+    Args:
+        path: The file.
+        prim_path: The character, where there are several.
+
     Raises:
-        FormatError: It is no USD file or holds no sound Skeleton.
+        FormatError: It is no USD file or holds no sound Skeleton there.
+        OptionError: The path is no prim path.
     """
     with usd_errors(path):
         stage = open_stage(path)
-        skeletons = find_skeletons(stage, prim_below(stage, None))
+        skeletons = find_skeletons(stage, prim_below(stage, prim_path))
         if not skeletons:
-            _fail("USD008", "holds no Skeleton", str(path))
+            below = "" if prim_path is None else f" at {prim_path}"
+            _fail("USD008", f"holds no Skeleton{below}", str(path))
         found = skeleton_rig(skeletons[0], path)
         from animtool.usd.mesh_read import read_meshes
         from animtool.usd.stored_rig import joined_rig, with_attachments
@@ -116,7 +122,7 @@ def read_whole_rig(path: Path) -> tuple[Rig, list[Fault]]:
 
         skeleton = skeletons[0]
         meshes, shapes, notices = read_meshes(skeleton, found, str(path))
-        notices += others_notice(skeletons, str(path))
+        notices += others_notice(skeletons, str(path), "--prim-path names one")
         notices += composition_notices(stage, str(path))
         bind = _bind_poses(skeleton, found)
         rig = replace(

@@ -285,3 +285,42 @@ def test_a_stage_of_ours_is_read_without_a_word(tmp_path: Path) -> None:
     done = animtool("info", stage)
     assert done.code == 0
     assert done.stderr == ""
+
+
+def test_one_of_several_characters_by_its_prim(tmp_path: Path) -> None:
+    for name in ("arm", "ball"):
+        rig = ROOT / f"rigs/{name}/{name}.rig.yaml"
+        assert animtool("convert", rig, tmp_path / f"{name}.usda").code == 0
+    shot = Usd.Stage.CreateNew(str(tmp_path / "shot.usda"))
+    UsdGeom.SetStageMetersPerUnit(shot, 1.0)
+    UsdGeom.SetStageUpAxis(shot, "Y")
+    for name in ("arm", "ball"):
+        prim = UsdGeom.Xform.Define(shot, f"/World/{name}").GetPrim()
+        prim.GetReferences().AddReference(f"./{name}.usda")
+    shot.Save()
+    for name in ("arm", "ball"):
+        for suffix in ("rig.yaml", "usdc"):
+            output = tmp_path / f"{name}_again.{suffix}"
+            options = ("--prim-path", f"/World/{name}")
+            more = ("--physics",) if suffix == "usdc" else ()
+            shown = tmp_path / "shot.usda"
+            done = animtool("convert", shown, output, *options, *more)
+            assert done.code == 0, done.stderr
+            assert "USD107" not in done.stderr
+            names = Rig.load(ROOT / f"rigs/{name}/{name}.rig.yaml").names
+            assert Rig.load(output).names == names
+
+
+def test_a_prim_without_a_character_is_refused(tmp_path: Path) -> None:
+    rig = ROOT / "rigs/ball/ball.rig.yaml"
+    usd = tmp_path / "ball.usda"
+    assert animtool("convert", rig, usd).code == 0
+    for source, path, code, number in (
+        (usd, "/nowhere", "USD008", 3),
+        (usd, "no path", "CLI003", 2),
+        (rig, "/ball", "CLI004", 2),
+    ):
+        output = tmp_path / "o.rig.yaml"
+        done = animtool("convert", source, output, "--prim-path", path)
+        assert (done.code, code in done.stderr) == (number, True), done.stderr
+        assert not output.exists()
