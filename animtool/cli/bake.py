@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -20,6 +21,9 @@ from animtool.cli.options import (
     source_options_record,
     take_option,
 )
+
+if TYPE_CHECKING:
+    from animtool.scene.file import Scene
 
 __all__ = ["bake"]
 
@@ -232,8 +236,9 @@ def bake(
         return
     if output is None and len(sources) > 1:
         raise click.UsageError("Several sources make one library: name it with -o.")
-    path = None if to_stdout else output or _output_beside(sources[0])
-    if path is not None and _skips(sources, path, given):
+    opened = [_opened(source) for source in sources]
+    path = None if to_stdout else output or _output_beside(opened[0])
+    if path is not None and _skips(opened, path, given):
         console.say(f"{path} exists: skipped")
         if as_json:
             console.result_json({"bake": "animtool/1", "skipped": str(path)})
@@ -243,7 +248,7 @@ def bake(
 
     label = sources[0].name if len(sources) == 1 else f"{len(sources)} takes"
     with console.progress(f"bake {label}", stdout=to_stdout) as progress:
-        report = run_bake(sources, path, _options(given), progress=progress)
+        report = run_bake(opened, path, _options(given), progress=progress)
     console.faults(report.notices)
     from animtool.cli.summary import bake_details, bake_json, bake_text
 
@@ -256,7 +261,18 @@ def bake(
         console.detail(line)
 
 
-def _skips(sources: tuple[Path, ...], path: Path, given: dict[str, Any]) -> bool:
+def _opened(source: Path) -> Path | Scene:
+    """Return a source, loaded where it is a scene."""
+    from animtool.scene.sources import is_scene
+
+    if not is_scene(source):
+        return source
+    from animtool.scene.file import load_scene
+
+    return load_scene(source)
+
+
+def _skips(sources: Sequence[Path | Scene], path: Path, given: dict[str, Any]) -> bool:
     if not given["skip_existing"]:
         return False
     from animtool.scene.plan import bake_outputs
@@ -291,16 +307,14 @@ def _table(
     console.result("\n".join(table_text(table)))
 
 
-def _output_beside(source: Path) -> Path:
+def _output_beside(source: Path | Scene) -> Path:
     """Return the file that a scene names, else the source's own name as usdc."""
-    from animtool.scene.sources import is_scene, source_stem
+    from animtool.scene.sources import source_stem
 
-    if is_scene(source):
-        from animtool.scene.file import load_scene
-
-        named = load_scene(source).output
-        if named is not None:
-            return named
+    if not isinstance(source, Path):
+        if source.output is not None:
+            return source.output
+        source = source.path
     return source.with_name(f"{source_stem(source)}.usdc")
 
 

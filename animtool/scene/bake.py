@@ -20,7 +20,7 @@ from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
 from animtool.scene.frames import moving_joints, timed_blocks
 from animtool.scene.options import BakeOptions
-from animtool.scene.plan import BakePlan, TakePlan, plan_bake
+from animtool.scene.plan import BakePlan, Source, TakePlan, plan_bake
 from animtool.scene.sources import source_stem
 from animtool.take import Motion
 from animtool.usd.animation import WrittenBlock, round_blocks
@@ -111,7 +111,7 @@ class BakeReport:
 
 
 def bake(
-    source: Path | str | Sequence[Path | str],
+    source: Source | Sequence[Source],
     output: Path | str | None,
     options: BakeOptions | None = None,
     *,
@@ -120,7 +120,8 @@ def bake(
     """Bake a BVH, USD file, clip or scene to a USD animation, or several to a library.
 
     Args:
-        source: The file to read; or several, each to be a take of a clip library.
+        source: The file to read, or a scene that is loaded already; or several, each to
+            be a take of a clip library.
         output: The file to write, ``.usda``, ``.usdc`` or ``.usd``; None writes
             usda to stdout.
         options: How.

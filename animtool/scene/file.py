@@ -138,8 +138,8 @@ class _SceneReader:
 
     def scene(self) -> Scene:
         model, output = self.model, self.model.output
-        source = self._file(("source", "file"), model.source.file)
-        rig = None if model.rig is None else self._file(("rig",), model.rig)
+        source = self._input(("source", "file"), model.source.file)
+        rig = None if model.rig is None else self._input(("rig",), model.rig)
         fps = self._rate(("fps",), model.fps)
         options = SourceOptions(
             None if model.source.units is None else LengthUnit(model.source.units),
@@ -163,7 +163,7 @@ class _SceneReader:
             form=output.form,
             rig_layer=None
             if layer is None
-            else self._file(("output", "rig_layer"), layer),
+            else self._input(("output", "rig_layer"), layer),
             prim_path=output.prim_path,
             fps=fps,
             frame_range=frames,
@@ -195,6 +195,13 @@ class _SceneReader:
 
     def _file(self, at: Location, name: str) -> Path:
         found = referred(self.document, at, name, self.roots, "SCN004")
+        return Path(name) if found is None else found
+
+    def _input(self, at: Location, name: str) -> Path:
+        """Return a file to read, which must be there."""
+        found = referred(self.document, at, name, self.roots, "SCN004")
+        if found is not None and not found.exists():
+            self._missing(at, name)
         return Path(name) if found is None else found
 
     def _rate(self, at: Location, given: float | str | None) -> Fraction | None:
@@ -257,4 +264,7 @@ class _SceneReader:
     def _exists(self, at: Location, name: str) -> None:
         """Refuse a file to read that is not there."""
         if not (self.document.path.resolve().parent / name).exists():
-            self.document.add("SCN005", at, f"{name!r} does not exist")
+            self._missing(at, name)
+
+    def _missing(self, at: Location, name: str) -> None:
+        self.document.add("SCN005", at, f"{name!r} does not exist")

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias, cast
 
 from animtool.config import find_config
 from animtool.errors import AnimtoolError, Fault, OptionError, Severity
@@ -24,9 +24,10 @@ if TYPE_CHECKING:
     from animtool.scene.file import Scene
     from animtool.usd.target import JointMap, RigTarget
 
-__all__ = ["BakePlan", "TakePlan", "bake_outputs", "plan_bake"]
+__all__ = ["BakePlan", "Source", "TakePlan", "bake_outputs", "plan_bake"]
 
 Progress = Callable[[float], None] | None
+Source: TypeAlias = "Path | str | Scene"
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +85,7 @@ class BakePlan:
 
 
 def plan_bake(
-    source: Path | str | Sequence[Path | str],
+    source: Source | Sequence[Source],
     output: Path | str | None,
     options: BakeOptions | None = None,
     *,
@@ -99,11 +100,11 @@ def plan_bake(
         OutputError: The output cannot be written.
     """
     options = options or BakeOptions()
-    given = [source] if isinstance(source, (Path, str)) else source
-    sources = [Path(path) for path in given]
-    _check_count(sources, options)
+    alone = isinstance(source, str) or not isinstance(source, Sequence)
+    given = cast("Sequence[Source]", [source] if alone else source)
+    _check_count(len(given), options)
     path = None if output is None else Path(output)
-    scenes = _scenes(sources)
+    sources, scenes = _opened(given)
     notices: list[Fault] = []
     if len(sources) == 1 and sources[0] in scenes:
         options = merged(options, scenes[sources[0]].bake)
@@ -168,26 +169,26 @@ def plan_bake(
     )
 
 
-def _check_count(sources: Sequence[Path], options: BakeOptions) -> None:
+def _check_count(count: int, options: BakeOptions) -> None:
     message = ""
-    if not sources:
+    if not count:
         message = "there is no source to bake"
-    elif options.deform and len(sources) > 1:
+    elif options.deform and count > 1:
         message = "--deform writes the points of one take, and there are several"
     if message:
         raise OptionError(Fault("CLI002", message))
 
 
 def bake_outputs(
-    sources: Sequence[Path], output: Path, options: BakeOptions
+    given: Sequence[Source], output: Path, options: BakeOptions
 ) -> list[Path]:
     """Return the files that a bake writes, ``output`` among them.
 
     Raises:
         FormatError: The source is a scene, and malformed.
     """
-    if len(sources) == 1:
-        scenes = _scenes(sources)
+    if len(given) == 1:
+        sources, scenes = _opened(given)
         options = merged(options, scenes[sources[0]].bake) if scenes else options
     return _outputs(output, _form(options), options)
 
@@ -211,15 +212,22 @@ def _character(take: TakePlan, target: RigTarget | None) -> Character:
     return open_character(take, target)
 
 
-def _scenes(sources: Sequence[Path]) -> dict[Path, Scene]:
-    """Return what the scene files among the sources say."""
-    found: dict[Path, Scene] = {}
-    for path in sources:
+def _opened(given: Sequence[Source]) -> tuple[list[Path], dict[Path, Scene]]:
+    """Return the sources' files, and what the scenes among them say."""
+    paths: list[Path] = []
+    scenes: dict[Path, Scene] = {}
+    for source in given:
+        if not isinstance(source, (Path, str)):
+            scenes[source.path] = source
+            paths.append(source.path)
+            continue
+        path = Path(source)
+        paths.append(path)
         if is_scene(path):
             from animtool.scene.file import load_scene
 
-            found[path] = load_scene(path)
-    return found
+            scenes[path] = load_scene(path)
+    return paths, scenes
 
 
 def _unused(scenes: dict[Path, Scene]) -> list[Fault]:

@@ -16,6 +16,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.clip.points import SHELL, carried_points, point_errors
 from animtool.clip.reduce import reduce_motion
+from animtool.errors import Fault, OptionError
 from animtool.rates import rate_label
 from animtool.rig.kinematics import WorldTransforms, forward, rest_size
 from animtool.rig.skeleton import Rig
@@ -152,7 +153,11 @@ class _Truth:
 
 
 def _truth(source: Path, options: BakeOptions) -> tuple[_Truth, Take]:
-    stream = plan_bake(source, None, options).takes[0].stream
+    plan = plan_bake(source, None, options)
+    if plan.character is not None:
+        message = "--table measures joints, and the scene writes deformed points"
+        raise OptionError(Fault("CLI002", message, str(source)))
+    stream = plan.takes[0].stream
     take = stream.collect()
     clock = take.clock
     per_frame = FINE if stream.curve is not None else 1

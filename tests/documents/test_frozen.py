@@ -46,12 +46,16 @@ def test_clip_1() -> None:
 
 
 def test_scene_1(tmp_path: Path) -> None:
-    scene = load_scene(FROZEN / "scene-1.scene.yaml")
+    folder = tmp_path / "frozen"
+    shutil.copytree(FROZEN, folder)
+    # What a scene reads must be there.
+    for name in ("walk.bvh", "hero.usda"):
+        (folder / name).touch()
+    scene = load_scene(folder / "scene-1.scene.yaml")
     assert scene.source.name == "clip-1.clip.yaml"
     assert [entry.pass_.name for entry in scene.passes] == ["trim", "loop"]
-    layer = load_scene(FROZEN / "scene-1-bvh.scene.yaml")
+    layer = load_scene(folder / "scene-1-bvh.scene.yaml")
     assert (layer.options.prim_path, layer.bake.form) == ("/hero", "layer")
-    shutil.copytree(FROZEN, tmp_path / "frozen")
-    done = animtool("bake", tmp_path / "frozen/scene-1.scene.yaml")
+    done = animtool("bake", folder / "scene-1.scene.yaml")
     assert done.code == 0, done.stderr
-    assert (tmp_path / "frozen/scene-1.usda").is_file()
+    assert (folder / "scene-1.usda").is_file()

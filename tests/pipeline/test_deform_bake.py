@@ -171,6 +171,13 @@ def test_the_command_line_comes_before_what_a_scene_asks(tmp_path: Path) -> None
     assert body.GetNormalsAttr().Get(5)
 
 
+def test_a_table_of_a_scene_of_points_is_refused(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path, "{deform: true}")
+    done = animtool("bake", scene, "--table", cwd=tmp_path)
+    assert done.code == 2
+    assert "CLI002" in done.stderr
+
+
 def test_a_scene_whose_chunks_are_empty_is_refused(tmp_path: Path) -> None:
     scene = write_scene(tmp_path, "{deform: true, chunk: 0}")
     done = animtool("bake", scene, cwd=tmp_path)

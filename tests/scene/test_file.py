@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from support.cli import animtool
 
-from animtool import open_source
+from animtool import bake, open_source
 from animtool.edit.mirror import mirror
 from animtool.edit.trim import trim
 from animtool.errors import FormatError
-from animtool.scene.file import load_scene
+from animtool.scene.file import Scene, load_scene
 
 GOOD = """scene: animtool/1
 source: {file: walk.bvh, units: cm}
@@ -50,6 +50,29 @@ def test_a_scene_bakes_to_the_file_it_names(shot: Path) -> None:
     assert "endTimeCode = 1016\n" in text
 
 
+def test_a_bake_reads_its_scene_once(
+    shot: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read: list[Path] = []
+
+    def counted(path: Path | str) -> Scene:
+        read.append(Path(path))
+        return load_scene(path)
+
+    monkeypatch.setattr("animtool.scene.file.load_scene", counted)
+    assert animtool("bake", shot, "--skip-existing").code == 0
+    assert read == [shot]
+
+
+def test_a_scene_that_is_loaded_is_baked(shot: Path) -> None:
+    scene = load_scene(shot)
+    report = bake(scene, shot.parent / "one.usda")
+    assert report.takes[0].source == shot
+    assert animtool("bake", shot).code == 0
+    one, other = (shot.parent / name for name in ("one.usda", "shot.usda"))
+    assert one.read_bytes() == other.read_bytes()
+
+
 def test_the_command_line_comes_first(shot: Path, tmp_path: Path) -> None:
     done = animtool("bake", shot, "-o", tmp_path / "mine.usda", "--start", "1")
     assert done.code == 0, done.stderr
@@ -61,6 +84,7 @@ FAULTS = {
     "SCN001": ("first: 5", "frist: 5", 5),
     "SCN002": ("last: 20", "last: [x]", 5),
     "SCN004": ("file: walk.bvh", "file: ../../walk.bvh", 2),
+    "SCN005": ("file: walk.bvh", "file: none.bvh", 2),
     "DOC004": ("output:", "passes:", 6),
     "DOC009": ("scene:", "rig:", 1),
     "DOC020": ("output:", "outptu:", 6),
@@ -88,6 +112,22 @@ def test_time_that_makes_no_sense(shot: Path, line: str, code: str) -> None:
     with pytest.raises(FormatError) as caught:
         load_scene(shot)
     assert caught.value.code == code
+
+
+def test_every_file_to_read_must_be_there(shot: Path) -> None:
+    text = (
+        "scene: animtool/1\nrig: none.rig.yaml\nsource: {file: nod.clip.yaml}\n"
+        "output: {file: new.usda, rig_layer: none.usda}\n"
+    )
+    shot.write_text(text, "utf-8")
+    with pytest.raises(FormatError) as caught:
+        load_scene(shot)
+    said = [(f.code, f.lines[0], f.where) for f in caught.value.faults]
+    assert said == [
+        ("SCN005", 2, "rig"),
+        ("SCN005", 3, "source.file"),
+        ("SCN005", 4, "output.rig_layer"),
+    ]
 
 
 def test_two_faults_are_said_at_once(shot: Path) -> None:
@@ -125,6 +165,7 @@ output: {file: shot.usda, start: now}
 """
 MIXED_FAULTS = [
     ("DOC020", 2),
+    ("SCN005", 2),
     ("SCN003", 3),
     ("SCN003", 4),
     ("SCN004", 5),
