@@ -68,8 +68,10 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
     )
     inherited_bind = {} if base is None else base.bind
     bind = bind_of(document, model.bind, joints, units, inherited_bind)
-    controls = parts.controls(shape.name for shape in (*inherited, *shapes))
-    chains, colliders = parts.ik(), parts.colliders()
+    names = [shape.name for shape in (*inherited, *shapes)]
+    controls = parts.controls(names, () if base is None else base.controls)
+    chains = parts.ik(() if base is None else base.ik)
+    colliders = parts.colliders(() if base is None else base.colliders)
     attached = parts.attach(meshes, () if base is None else base.attach)
     document.check()
     return Rig(
@@ -123,7 +125,7 @@ def _added(document: Document, model: RigModel, units: FileUnits) -> FileJoints:
 
 def _alone(document: Document, model: RigModel, units: FileUnits) -> FileJoints:
     """Return the joints of a sidecar whose base cannot be read: there may be more."""
-    document.partial |= {"joints", "meshes", "shapes"}
+    document.partial |= {"joints", "meshes", "shapes", "controls"}
     found = _added(document, model, units)
     return replace(found, adrift=frozenset(joint.name for joint in found.joints))
 

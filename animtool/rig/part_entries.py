@@ -61,6 +61,7 @@ class PartReader:
         vertices: Number of points of each mesh, as far as known.
         arrays: Looks at the arrays that the file refers to.
         joints: The rig's joints, by name.
+        names: Of the rig's controls.
     """
 
     document: Document
@@ -71,6 +72,7 @@ class PartReader:
     vertices: dict[str, int] = field(default_factory=dict)
     arrays: ArrayReader = field(init=False)
     joints: dict[str, Joint] = field(init=False)
+    names: list[str] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:
         """Index the joints."""
@@ -142,27 +144,61 @@ class PartReader:
             self.document.add("RIG026", ("shapes", place, "combine"), message)
         return tuple(made)
 
-    def controls(self, shapes: Iterable[str]) -> tuple[Control, ...]:
-        """Return the controls, what they drive and read known, without circles."""
+    def controls(
+        self, shapes: Iterable[str], inherited: Sequence[Control] = ()
+    ) -> tuple[Control, ...]:
+        """Return the controls, what they drive and read known, without circles.
+
+        Args:
+            shapes: Names of the rig's shapes.
+            inherited: Those that the rig has already; one of the same name in the file
+                takes the place of its own.
+        """
         self._distinct("controls", "control")
-        known = list(shapes)
-        made = tuple(
-            self._control(("controls", i), control, known)
-            for i, control in enumerate(self.model.controls)
+        known, own = list(shapes), [control.name for control in self.model.controls]
+        kept = [control for control in inherited if control.name not in own]
+        self.names = [*(control.name for control in kept), *own]
+        for control in kept:
+            self._still_drives(control)
+        made = (
+            *kept,
+            *(
+                self._control(("controls", i), control, known)
+                for i, control in enumerate(self.model.controls)
+            ),
         )
         try:
             evaluation_order(made)
         except ControlCycleError as error:
-            names = [control.name for control in made]
-            at = ("controls", names.index(error.cycle[0]))
+            first = next(name for name in error.cycle if name in own)
             message = f"controls drive each other in a circle: {error}"
-            self.document.add("RIG014", at, message)
+            self.document.add("RIG014", ("controls", own.index(first)), message)
         return made
 
-    def ik(self) -> tuple[IkChain, ...]:
-        """Return the chains, each tip below its root."""
+    def _still_drives(self, control: Control) -> None:
+        """Note a control that drives what a joint has no longer."""
+        for drive in control.drives:
+            name, part = split_part(drive.target.removeprefix("joint/"), DRIVEN_PARTS)
+            if not part or name in self.found.untyped:
+                continue
+            kind = self.joints[name].type
+            if kind not in DRIVEN_PARTS[part]:
+                message = (
+                    f"its control {control.name!r} drives {name}.{part}, and a {kind} "
+                    f"joint has no {part}"
+                )
+                hint = "leave the joint's type, or write a control of that name"
+                self.document.add("RIG023", ("from",), message, hint)
+
+    def ik(self, inherited: Sequence[IkChain] = ()) -> tuple[IkChain, ...]:
+        """Return the chains, each tip below its root.
+
+        Args:
+            inherited: As for `controls`.
+        """
         self._distinct("ik", "chain")
-        made = []
+        own = {chain.name for chain in self.model.ik}
+        made = [chain for chain in inherited if chain.name not in own]
         for i, chain in enumerate(self.model.ik):
             at = ("ik", i)
             known = [
@@ -189,9 +225,8 @@ class PartReader:
 
         Args:
             meshes: The rig's.
-            inherited: Those that the rig has already; one of the same name in the file
-                takes the place of its own. Of them only strands stay, which are its
-                geometry.
+            inherited: As for `controls`. Cloth goes where the file has meshes, which
+                take the place of the rig's.
         """
         self._distinct("attach", "attachment")
         counts = {mesh.name: self._count(mesh) for mesh in meshes}
@@ -207,7 +242,7 @@ class PartReader:
             *(
                 entry
                 for entry in inherited
-                if entry.points is not None and entry.name not in own
+                if entry.name not in own and not (entry.mesh and self.model.meshes)
             ),
             *(
                 reader.attachment(("attach", i), entry)
@@ -223,9 +258,15 @@ class PartReader:
             return self.arrays.rows(mesh.points)
         return len(mesh.points.load())
 
-    def colliders(self) -> tuple[Collider, ...]:
-        """Return the colliders."""
-        made = []
+    def colliders(self, inherited: Sequence[Collider] = ()) -> tuple[Collider, ...]:
+        """Return the colliders.
+
+        Args:
+            inherited: Those that the rig has already; those of a joint that the file
+                has some of are replaced.
+        """
+        own = {entry.joint for entry in self.model.colliders}
+        made = [collider for collider in inherited if collider.joint not in own]
         for i, entry in enumerate(self.model.colliders):
             at = ("colliders", i)
             self._known((*at, "joint"), entry.joint, self.joints, "joint")
@@ -340,9 +381,8 @@ class PartReader:
         except ValueError as error:
             self.document.add("RIG013", at, str(error))
             return None
-        names = [control.name for control in self.model.controls]
         for name in expression.names:
-            self._known(at, name, names, "control")
+            self._known(at, name, self.names, "control")
         return expression
 
     def _target(
@@ -350,8 +390,8 @@ class PartReader:
     ) -> tuple[str, float]:
         name = str(getattr(model, kind))
         if kind != "joint":
-            names = [control.name for control in self.model.controls]
-            self._known(at, name, shapes if kind == "shape" else names, kind)
+            names = shapes if kind == "shape" else self.names
+            self._known(at, name, names, kind)
             return f"{kind}/{name}", 1.0
         joint, part = split_part(name, DRIVEN_PARTS)
         if not part:

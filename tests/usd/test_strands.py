@@ -252,11 +252,15 @@ def test_a_sidecar_takes_strands_and_pins_a_mesh(tmp_path: Path) -> None:
     path = tmp_path / "hero.rig.yaml"
     path.write_text(text + cloth, "utf-8")
     rig = load_rig(path)
-    assert [entry.name for entry in rig.attach] == ["hair", "a b", "cloak"]
+    names = [entry.name for entry in rig.attach]
+    assert names == ["hair", "tail", "bare", "a b", "jelly", "cloak"]
+    assert rig.attach[-1].pins is not None
+    assert rig.attach[-1].pins.load().tolist() == [39, 0]
     own = "- {name: hair, kind: spring_chain, joints: [hand]}\n"
     path.write_text(text + own, "utf-8")
-    kinds = [(entry.name, entry.kind) for entry in load_rig(path).attach]
-    assert kinds == [("a b", "strands"), ("hair", "spring_chain")]
+    kinds = {entry.name: entry.kind for entry in load_rig(path).attach}
+    assert kinds["hair"] == "spring_chain"
+    assert kinds["cloak"] == "cloth"
     np.savez(tmp_path / "pins.npz", pins=np.array([40]))
     path.write_text(text + cloth, "utf-8")
     with pytest.raises(FormatError) as caught:
