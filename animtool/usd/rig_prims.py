@@ -40,6 +40,8 @@ __all__ = [
 SMALLEST_METADATA, LARGEST_METADATA = 1e-9, 1e9
 # A bind pose nearer to rest [rad], [1] is rest with the rounding of other tools.
 BIND_TOLERANCE = 1e-6
+# A scale this near to 1 is that, with the rounding of other tools.
+SCALE_TOLERANCE = 1e-4
 LARGEST_REST = float(np.finfo(np.float32).max)
 
 
@@ -91,8 +93,9 @@ def _check_metadata(stage: Any, where: str) -> None:
 
 
 def read_rig(path: Path) -> Rig:
-    """Return the rig of a USD file, without what there is to say of it."""
-    return read_whole_rig(path)[0]
+    """Return the rig of a USD file, with what there is to say of it as its notices."""
+    rig, notices = read_whole_rig(path)
+    return replace(rig, notices=tuple(notices))
 
 
 def read_whole_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[Fault]]:
@@ -124,7 +127,8 @@ def read_whole_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[
         meshes, shapes, notices = read_meshes(skeleton, found, str(path))
         notices += others_notice(skeletons, str(path), "--prim-path names one")
         notices += composition_notices(stage, str(path))
-        bind = _bind_poses(skeleton, found)
+        bind, bind_scales = _bind_poses(skeleton, found)
+        notices += _scale_notice(found, bind_scales, str(path))
         rig = replace(
             found.rig,
             bind=bind,
@@ -145,28 +149,42 @@ def read_whole_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[
         return whole, notices + edits + losses
 
 
-def _bind_poses(skeleton: Any, found: SkeletonRig) -> dict[str, Pose]:
-    """Return the local bind transforms that are not those of rest.
+def _bind_poses(
+    skeleton: Any, found: SkeletonRig
+) -> tuple[dict[str, Pose], FloatArray]:
+    """Return the local bind transforms that are not those of rest, and their scales.
 
-    Scale of the bind transforms is left out.
+    The scales ``(J, 3)`` are no part of the poses.
     """
     matrices = array_value(skeleton.GetBindTransformsAttr())
     rig = found.rig
     world = np.array(matrices, np.float64).reshape(-1, 4, 4)
     if len(world) != len(rig.joints) or not (np.abs(world) <= LARGEST_REST).all():
-        return {}
+        return {}, np.ones((len(rig.joints), 3))
     above = np.where((rig.parents < 0)[:, None, None], np.eye(4), world[rig.parents])
     if (np.linalg.det(above) == 0).any():
-        return {}
-    places, turns, _ = decompose(world @ np.linalg.inv(above))
+        return {}, np.ones((len(rig.joints), 3))
+    places, turns, scales = decompose(world @ np.linalg.inv(above))
     places = places * rig.meters_per_unit
     moved = np.abs(places - rig.rest_translations).max(axis=1)
     moved = moved > BIND_TOLERANCE * np.abs(rig.rest_translations).max()
     moved |= so3.angle_between(turns, rig.rest_rotations) > BIND_TOLERANCE
-    return {
+    poses = {
         rig.names[j]: Pose(tuple(places[j].tolist()), tuple(turns[j].tolist()))
         for j in np.flatnonzero(moved).tolist()
     }
+    return poses, scales
+
+
+def _scale_notice(found: SkeletonRig, bind: FloatArray, where: str) -> list[Fault]:
+    """Name the joints whose scale at rest or at bind time a rig does not hold."""
+    apart = np.abs(np.stack([found.rest_scales, bind]) - 1.0).max(axis=(0, 2))
+    names = [found.rig.names[j] for j in np.flatnonzero(apart > SCALE_TOLERANCE)]
+    if not names:
+        return []
+    message = f"the scale of rest or bind transforms is left out: {listed(names)}"
+    hint = "a rig has none; a take of the file itself, and its meshes, keep it"
+    return [Fault("USD120", message, where, (), hint, Severity.WARNING)]
 
 
 def find_skeletons(stage: Any, below: str = "/") -> list[Any]:

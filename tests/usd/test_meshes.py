@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 from support.surfaces import held, shaped_rig
 from support.usd import open_stage, validation_errors
 
 from animtool.maths import so3
+from animtool.rig.file import load_rig
 from animtool.rig.kinematics import WorldTransforms, bind_world, forward
 from animtool.rig.parts import Mesh
 from animtool.rig.skeleton import Rig
@@ -195,6 +196,26 @@ def test_weights_are_normalised_and_it_is_said(tmp_path: Path) -> None:
     again = read_rig(tmp_path / "x.usda").meshes[0].skin
     assert again is not None
     np.testing.assert_allclose(again.weights.load().sum(axis=1), 1, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["bindTransforms", "restTransforms"])
+def test_a_scale_that_rigs_do_not_hold_is_said(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "x.usda"
+    write_rig_layer(shaped_rig(), path)
+    assert read_rig(path).notices == ()
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    spec = layer.GetAttributeAtPath(f"/hero/Rig/Skel.{name}")
+    spec.default = Vt.Matrix4dArray(
+        [Gf.Matrix4d().SetScale(2.0) * matrix for matrix in spec.default[:1]]
+        + list(spec.default[1:])
+    )
+    del layer.GetPrimAtPath("/hero/Rig/Skel").customData["animtool"]
+    layer.Save()
+    (tmp_path / "x.rig.yaml").write_text("rig: animtool/1\nname: x\nfrom: x.usda\n")
+    for rig in (read_rig(path), load_rig(tmp_path / "x.rig.yaml")):
+        (notice,) = rig.notices
+        assert notice.code == "USD120"
+        assert "root" in notice.message
 
 
 FAULTS = [
