@@ -36,6 +36,7 @@ DEEPEST = 50
 MOST_FAULTS = 100
 # Python refuses to read more digits, and no float has as many.
 MOST_DIGITS = 400
+LONGEST_HINT = 200
 
 _NUMBERS: list[tuple[re.Pattern[str], Callable[[str], float]]] = [
     (re.compile(r"[-+]?[0-9]+"), int),
@@ -346,7 +347,7 @@ class _Reader:
     def read(self, text: str) -> Any:
         parser = cast("Any", yaml.CSafeLoader(text))
         root: list[Any] = []
-        stack: list[_Open] = [_Open(root, None)]
+        stack: list[_Open] = [_Open(root)]
         documents = 0
         while (event := parser.get_event()) is not None:
             kind = type(event)
@@ -360,7 +361,7 @@ class _Reader:
                 if len(stack) > DEEPEST:
                     self._stop("DOC005", f"is nested deeper than {DEEPEST}", place)
                 stack[-1].put(made, place, self)
-                stack.append(_Open(made, place, flow=bool(event.flow_style)))
+                stack.append(_Open(made, flow=bool(event.flow_style)))
             elif kind is yaml.MappingEndEvent or kind is yaml.SequenceEndEvent:
                 stack.pop()
             elif kind is yaml.AliasEvent:
@@ -408,14 +409,28 @@ class _Reader:
 
 @dataclass(slots=True)
 class _Open:
-    """A mapping or list that is not at its end yet."""
+    """A mapping or list that is not at its end yet.
+
+    Attributes:
+        made: What there is of it.
+        key: Of a mapping, the one whose value comes next.
+        keys: Line of each key.
+        flow: Whether it stands between brackets.
+        pieces: What commas may have cut a text into: a value with an open bracket, and
+            the keys behind it.
+        brackets: How many are open in the pieces.
+        spot: Where the first of them is.
+        faults: How many there were before.
+    """
 
     made: Any
-    begun: tuple[int, int] | None
     key: str | None = None
     keys: dict[str, int] = field(default_factory=dict)
     flow: bool = False
-    pieces: list[tuple[str, tuple[int, int]]] = field(default_factory=list)
+    pieces: list[str] = field(default_factory=list)
+    brackets: int = 0
+    spot: tuple[int, int] = (1, 1)
+    faults: int = 0
 
     def put(
         self, value: Any, place: tuple[int, int], reader: _Reader, plain: str = ""
@@ -426,10 +441,8 @@ class _Open:
         if self.key is not None:
             self.made[self.key] = value
             self.key = None
-            if self.pieces and value is None and not plain:
-                self._join(reader)
-            elif self.flow:
-                self.pieces = [(plain, place)] if _open_brackets(plain) else []
+            if self.flow:
+                self._piece(value, place, reader, plain)
             return
         if not isinstance(value, str):
             shown = "a collection" if isinstance(value, dict | list) else repr(value)
@@ -442,24 +455,25 @@ class _Open:
         self.keys.setdefault(value, place[0])
         self.key = value
         if self.pieces:
-            self.pieces.append((plain, place))
+            self.pieces.append(plain)
+            self.brackets += _open_brackets(plain)
 
-    def _join(self, reader: _Reader) -> None:
+    def _piece(
+        self, value: Any, place: tuple[int, int], reader: _Reader, plain: str
+    ) -> None:
         """Put a text together that commas cut into a value and keys without any."""
-        whole = ", ".join(text for text, _ in self.pieces)
-        if _open_brackets(whole):
-            return
-        spots = {place for _, place in self.pieces}
-        reader.faults = [
-            fault
-            for fault in reader.faults
-            if (*fault.lines, fault.column) not in spots
-        ]
-        begun, first = self.pieces[0]
-        message = f"{excerpt(begun)} ends at a comma"
-        reader.fault("DOC010", message, first, f'quote all of it: "{whole}"')
-        self.pieces = []
+        if value is not None or plain or not self.pieces:
+            self.brackets = _open_brackets(plain)
+            self.pieces = [plain] if self.brackets > 0 else []
+            self.spot, self.faults = place, len(reader.faults)
+        elif self.brackets <= 0:
+            # What is wrong with the keys is that they are none.
+            del reader.faults[self.faults :]
+            message = f"{excerpt(self.pieces[0])} ends at a comma"
+            hint = f'quote all of it: "{", ".join(self.pieces)}"'
+            reader.fault("DOC010", message, self.spot, hint[:LONGEST_HINT])
+            self.pieces = []
 
 
-def _open_brackets(text: str) -> bool:
-    return text.count("(") > text.count(")")
+def _open_brackets(text: str) -> int:
+    return text.count("(") - text.count(")")
