@@ -110,7 +110,9 @@ def evaluate_rotations(
     if not len(at):
         return np.zeros((0, 4))
     folded = fold(at, curve.times[0], curve.times[-1], pre, post)
-    velocities = curve.velocities()
+    velocities = np.zeros((len(curve.times), 3))
+    if curve.bends or Extrapolation.LINEAR in {pre, post}:
+        velocities = curve.velocities()
     q = curve.evaluate(folded.times, velocities)
     for mode, side, edge in (
         (pre, folded.beyond < 0, 0),
@@ -135,26 +137,27 @@ class _Curve:
     keys: FloatArray
     kinds: IntArray
 
+    @property
+    def bends(self) -> bool:
+        """Whether any segment asks for the velocities at its ends."""
+        return bool((self.kinds >= RotationKind.SQUAD).any())
+
     def velocities(self) -> FloatArray:
         """Return the angular velocity in body space [rad per time] ``(K, 3)``."""
         spans = np.diff(self.times)[:, None]
         secants = rotation_between(self.keys[:-1], self.keys[1:]) / spans
-        pad = ((1, 0), (0, 0)), ((0, 1), (0, 0))
-        before, after = (np.pad(secants, side) for side in pad)
+        before, after = _sides(secants)
         # The weight of the secant before is the span after; at ends neither counts.
-        span_before, span_after = (
-            np.pad(spans, side, constant_values=1.0) for side in pad
-        )
+        span_before, span_after = _sides(spans, 1.0)
         share = span_after / (span_before + span_after)
         blend = share * before + (1 - share) * after
         # Which side has its say: a slerp above all, a step or none at all last.
-        rank = np.array([0, 2, 1, 1])[self.kinds[:-1], None]
-        above = np.pad(rank, pad[0]) - np.pad(rank, pad[1])
-        chosen = np.where(above > 0, before, np.where(above < 0, after, blend))
-        silent = (np.pad(rank, pad[0]) == 0) & (np.pad(rank, pad[1]) == 0)
-        return _limited(
-            np.where(silent, 0.0, chosen), *(np.pad(spans, side) for side in pad)
+        first, second = _sides(np.array([0.0, 2.0, 1.0, 1.0])[self.kinds[:-1], None])
+        chosen = np.where(
+            first > second, before, np.where(first < second, after, blend)
         )
+        silent = (first == 0) & (second == 0)
+        return _limited(np.where(silent, 0.0, chosen), *_sides(spans))
 
     def evaluate(self, times: FloatArray, velocities: FloatArray) -> FloatArray:
         """Return rotations at times within those of the keys ``(F, 4)``."""
@@ -177,6 +180,12 @@ class _Curve:
             turns = span[:, None] * velocities[[low, low + 1]]
             q[chosen] = segment(ends, turns, u)
         return q
+
+
+def _sides(values: FloatArray, end: float = 0.0) -> tuple[FloatArray, FloatArray]:
+    """Return the values ``(K - 1, D)`` before and behind each key, or what ends have."""
+    none = np.full((1, values.shape[1]), end)
+    return np.concatenate([none, values]), np.concatenate([values, none])
 
 
 def _limited(velocities: FloatArray, *spans: FloatArray) -> FloatArray:
