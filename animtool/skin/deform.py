@@ -23,9 +23,11 @@ __all__ = [
     "extents",
 ]
 
-# Points of a block of frames [bytes]: large enough that the products of matrices run
-# at full speed, small enough to stay a small part of memory.
-BLOCK_BYTES = 2**24
+# Points of a block of frames [bytes]: small enough for the processor's caches to pass
+# it from step to step, and to a thread that writes; of large meshes, as many frames as
+# products of matrices need to run near full speed.
+BLOCK_BYTES = 2**22
+FEWEST_FRAMES = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,17 +150,38 @@ def _deform(
     world: WorldTransforms | None,
     normals: bool,
     times: FloatArray | None,
-    scratch: FloatArray | None,
+    space: _Space | None,
 ) -> Deformed:
-    """Return what `deform` does; shaped points pass through ``(≥ F, V, 3)`` scratch."""
+    """Return what `deform` does, in the space if there is one."""
     frames = _frames(values, world)
-    points = _points(mesh, values, world, frames, scratch)
+    points = _points(mesh, values, world, frames, space)
     return Deformed(
         points,
         extents(points),
-        _normals(mesh, values, world, frames) if normals else None,
+        _normals(mesh, values, world, frames, space) if normals else None,
         None if times is None else _velocities(points, times),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Space:
+    """Memory that one block of frames after the other is worked out in.
+
+    Attributes:
+        shaped: Points or normals that the skin is yet to move ``(F, V, 3)``.
+        points: ``(F, V, 3)``.
+        normals: ``(F, N, 3)``.
+    """
+
+    shaped: FloatArray
+    points: FloatArray
+    normals: FloatArray
+
+    @classmethod
+    def of(cls, mesh: DeformedMesh, frames: int, *, normals: bool) -> _Space:
+        count = 0 if mesh.normals is None or not normals else len(mesh.normals)
+        shape = (frames, *mesh.points.shape)
+        return cls(np.zeros(shape), np.zeros(shape), np.zeros((frames, count, 3)))
 
 
 def deform_blocks(
@@ -178,7 +201,10 @@ def deform_blocks(
         world: As for `deform`.
         normals: As for `deform`.
         times: As for `deform`.
-        block: Frames a block; None is as many as fit 16 MB.
+        block: Frames a block; None is as many as fit 4 MB.
+
+    Returns:
+        Blocks that share their memory: each is to be used before the next is made.
 
     Raises:
         ValueError: As for `deform`.
@@ -189,9 +215,7 @@ def deform_blocks(
     # Central differences need the frame on either side.
     seconds = _seconds(times)
     margin = 0 if seconds is None else 1
-    scratch = None
-    if mesh.shapes is not None and mesh.skin is not None and world is not None:
-        scratch = np.zeros((min(frames, size + 2 * margin), *mesh.points.shape))
+    space = _Space.of(mesh, min(frames, size + 2 * margin), normals=normals)
     for begin in range(0, frames, size):
         end = min(begin + size, frames)
         low, high = max(begin - margin, 0), min(end + margin, frames)
@@ -203,18 +227,19 @@ def deform_blocks(
             else WorldTransforms(world.positions[low:high], world.linear[low:high]),
             normals,
             None if seconds is None else seconds[low:high],
-            scratch,
+            space,
         )
         yield made.select(slice(begin - low, end - low))
 
 
 def block_frames(vertices: int) -> int:
-    """Return how many frames of a mesh fit 16 MB, two at least, an even number.
+    """Return how many frames of a mesh fit 4 MB: a multiple of 4, and 4 at least.
 
     >>> block_frames(10_000)
-    68
+    16
     """
-    return max(2, BLOCK_BYTES // max(24 * vertices, 1) // 2 * 2)
+    fitting = BLOCK_BYTES // max(24 * vertices, 1)
+    return max(FEWEST_FRAMES, fitting // FEWEST_FRAMES * FEWEST_FRAMES)
 
 
 def extents(points: ArrayLike) -> FloatArray:
@@ -242,14 +267,16 @@ def _points(
     weights: FloatArray | None,
     world: WorldTransforms | None,
     frames: int,
-    scratch: FloatArray | None,
+    space: _Space | None,
 ) -> FloatArray:
     points = mesh.points[None]
+    skinned = mesh.skin is not None and world is not None
+    out = None if space is None else space.points[:frames]
     if mesh.shapes is not None and weights is not None and weights.any():
-        out = None if scratch is None else scratch[:frames]
-        points = blend_points(mesh.shapes, weights, out=out)
+        shaped = space.shaped[:frames] if skinned and space is not None else out
+        points = blend_points(mesh.shapes, weights, out=shaped)
     if mesh.skin is not None and world is not None:
-        return skin_points(mesh.skin, points, world)
+        return skin_points(mesh.skin, points, world, out=out)
     return np.ascontiguousarray(np.broadcast_to(points, (frames, *points.shape[1:])))
 
 
@@ -258,6 +285,7 @@ def _normals(
     weights: FloatArray | None,
     world: WorldTransforms | None,
     frames: int,
+    space: _Space | None,
 ) -> FloatArray:
     if mesh.normals is None:
         raise ValueError("the mesh has no normals")
@@ -266,9 +294,13 @@ def _normals(
     shaped = shapes is not None and shapes.normals is not None
     if shaped and weights is not None and weights.any():
         assert shapes is not None
-        normals = blend_normals(shapes, weights)
+        shaped_out = None if space is None else space.shaped[:frames]
+        normals = blend_normals(shapes, weights, out=shaped_out)
     if mesh.skin is not None and world is not None:
-        return skin_normals(mesh.skin, normals, world, vertices=mesh.normal_vertices)
+        out = None if space is None else space.normals[:frames]
+        return skin_normals(
+            mesh.skin, normals, world, vertices=mesh.normal_vertices, out=out
+        )
     length = np.linalg.norm(normals, axis=-1, keepdims=True)
     normals = normals / np.where(length > 0, length, 1.0)
     return np.ascontiguousarray(np.broadcast_to(normals, (frames, *normals.shape[1:])))

@@ -203,20 +203,23 @@ def blend_points(
     return _blend(shapes.points, column_weights(shapes, weights), out)
 
 
-def blend_normals(shapes: PreparedShapes, weights: ArrayLike) -> FloatArray:
+def blend_normals(
+    shapes: PreparedShapes, weights: ArrayLike, *, out: FloatArray | None = None
+) -> FloatArray:
     """Return the normals of a mesh under its shapes ``(F, V, 3)``, not normalised.
 
     Args:
         shapes: S shapes, prepared with normals.
         weights: ``(F, S)`` [1], products of combined shapes included.
+        out: ``(F, V, 3)``, filled in and returned in place of a new array.
 
     Raises:
         ValueError: The shapes were prepared without normals, or have another number
-            of weights.
+            of weights, or another ``out``.
     """
     if shapes.normals is None:
         raise ValueError("the shapes were prepared without normals")
-    return _blend(shapes.normals, column_weights(shapes, weights), None)
+    return _blend(shapes.normals, column_weights(shapes, weights), out)
 
 
 def _blend(

@@ -165,6 +165,7 @@ def skin_normals(
     world: WorldTransforms,
     *,
     vertices: IntArray | None = None,
+    out: FloatArray | None = None,
 ) -> FloatArray:
     """Return unit normals as their joints turn them ``(F, N, 3)``.
 
@@ -178,6 +179,8 @@ def skin_normals(
         world: Of the skeleton's J joints.
         vertices: The vertex of each normal ``(N,)``, for normals of face corners;
             None is one a vertex.
+        out: ``(F, N, 3)``, filled in and returned in place of a new array. Not to
+            overlap the normals.
 
     Raises:
         FormatError: A joint's transform is not finite (SKIN003).
@@ -185,7 +188,7 @@ def skin_normals(
     """
     influences = skin.influences if vertices is None else skin.influences.rows(vertices)
     source = as_floats(normals, ("F", influences.vertices, 3), "normals")
-    return _skin(skin, influences, source, world, None, normals=True)
+    return _skin(skin, influences, source, world, out, normals=True)
 
 
 def _skin(
