@@ -183,7 +183,7 @@ class _Curve:
 
 
 def _sides(values: FloatArray, end: float = 0.0) -> tuple[FloatArray, FloatArray]:
-    """Return the values ``(K - 1, D)`` before and behind each key, or what ends have."""
+    """Return values ``(K - 1, D)`` before and behind each key, or what ends have."""
     none = np.full((1, values.shape[1]), end)
     return np.concatenate([none, values]), np.concatenate([values, none])
 

@@ -10,12 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from animtool.documents.arrays import (
-    array_header,
-    referred,
-    split_reference,
-    stored_array,
-)
+from animtool.documents.arrays import Archives, referred, split_reference
 from animtool.documents.document import Document, Location
 from animtool.rig.parts import ArrayRef
 
@@ -38,10 +33,12 @@ class ArrayReader:
     Attributes:
         document: The file.
         roots: Folders that references may lead into.
+        archives: Opens the files, for as long as arrays are looked at.
     """
 
     document: Document
     roots: Sequence[Path]
+    archives: Archives
 
     def array(
         self, at: Location, text: str, role: str, shape: Shape, count: int | None = None
@@ -64,7 +61,7 @@ class ArrayReader:
         ref = ArrayRef(text, path, key)
         try:
             if self._fits(at, ref, role, shape):
-                message = _value_fault(role, stored_array(path, key), count)
+                message = _value_fault(role, self.archives.stored(path, key), count)
                 if message is not None:
                     self.document.add("RIG027", at, f"{text!r} {message}")
         except ValueError as error:
@@ -80,12 +77,12 @@ class ArrayReader:
     def shape(self, ref: ArrayRef) -> tuple[int, ...] | None:
         """Return the shape of an array; None where it cannot be read."""
         try:
-            return array_header(ref.path, ref.key).shape
+            return self.archives.header(ref.path, ref.key).shape
         except ValueError:
             return None
 
     def _fits(self, at: Location, ref: ArrayRef, role: str, shape: Shape) -> bool:
-        header = array_header(ref.path, ref.key)
+        header = self.archives.header(ref.path, ref.key)
         fits = len(header.shape) == len(shape) and all(
             want is None or want == got
             for want, got in zip(shape, header.shape, strict=True)

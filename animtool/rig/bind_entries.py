@@ -72,6 +72,8 @@ def _mirrored(
 ) -> dict[str, Pose]:
     """Return the bind poses of joints that a mirror wrote, parents before children."""
     made: dict[str, Pose] = {}
+    if not found.mirrored - given or not bind:
+        return made
     world: list[Transform] = []
     places = {joint.name: i for i, joint in enumerate(found.joints)}
     for joint in found.joints:

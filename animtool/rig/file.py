@@ -7,11 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from animtool.config import project_roots
-from animtool.documents.arrays import referred
+from animtool.documents.arrays import Archives, referred
 from animtool.documents.check import check_version, nearest, validated
 from animtool.documents.document import Document, read_document
 from animtool.errors import AnimtoolError
 from animtool.readers import DOCUMENT, find_reader
+from animtool.rig.array_entries import ArrayReader
 from animtool.rig.bind_entries import bind_of
 from animtool.rig.joint_entries import FileJoints, FileUnits, joints_of
 from animtool.rig.part_entries import PartReader
@@ -60,19 +61,21 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
         )
     if not joints.joints and not joints.unnamed:
         document.add("RIG004", ("joints",), "the rig has no joints")
-    parts = PartReader(document, model, units, joints, roots)
-    meshes = parts.meshes() or (base.meshes if base is not None else ())
-    inherited = base.shapes if base is not None else ()
-    shapes = parts.shapes(
-        [mesh.name for mesh in meshes], [shape.name for shape in inherited]
-    )
-    inherited_bind = {} if base is None else base.bind
-    bind = bind_of(document, model.bind, joints, units, inherited_bind)
-    names = [shape.name for shape in (*inherited, *shapes)]
-    controls = parts.controls(names, () if base is None else base.controls)
-    chains = parts.ik(() if base is None else base.ik)
-    colliders = parts.colliders(() if base is None else base.colliders)
-    attached = parts.attach(meshes, () if base is None else base.attach)
+    with Archives() as archives:
+        reader = ArrayReader(document, roots, archives)
+        parts = PartReader(document, model, units, joints, reader)
+        meshes = parts.meshes() or (base.meshes if base is not None else ())
+        inherited = base.shapes if base is not None else ()
+        shapes = parts.shapes(
+            [mesh.name for mesh in meshes], [shape.name for shape in inherited]
+        )
+        inherited_bind = {} if base is None else base.bind
+        bind = bind_of(document, model.bind, joints, units, inherited_bind)
+        names = [shape.name for shape in (*inherited, *shapes)]
+        controls = parts.controls(names, () if base is None else base.controls)
+        chains = parts.ik(() if base is None else base.ik)
+        colliders = parts.colliders(() if base is None else base.colliders)
+        attached = parts.attach(meshes, () if base is None else base.attach)
     document.check()
     return Rig(
         model.name,

@@ -83,11 +83,20 @@ class _Entry:
 
 @dataclass(slots=True)
 class _Tree:
-    """Joints made so far, parents first."""
+    """Joints made so far, parents first; where they are once a mirror image asks."""
 
     made: list[Joint] = field(default_factory=list)
     places: dict[str, int] = field(default_factory=dict)
     world: list[Transform] = field(default_factory=list)
+
+    def at(self, joint: int) -> Transform:
+        """Return where a joint is at rest, the world for none."""
+        if joint < 0:
+            return ORIGIN
+        for made in self.made[len(self.world) : joint + 1]:
+            parent = self.world[made.parent] if made.parent >= 0 else ORIGIN
+            self.world.append(placed(parent, Pose(made.translation, made.rotation)))
+        return self.world[joint]
 
 
 def joints_of(
@@ -100,11 +109,10 @@ def joints_of(
     for name in _parents_first(document, entries):
         entry = entries[name]
         parent = -1 if entry.parent is None else tree.places.get(entry.parent, -1)
-        parent_world = tree.world[parent] if parent >= 0 else ORIGIN
         if entry.mirrored:
-            source = tree.places[entry.source]
+            source, parent_world = tree.places[entry.source], tree.at(parent)
             joint = mirrored_joint(
-                tree.made[source], tree.world[source], parent, parent_world
+                tree.made[source], tree.at(source), parent, parent_world
             )
             if parent >= 0 and tree.made[source].parent == parent:
                 _note_off_middle(document, entry, joint, parent_world, tree.made)
@@ -112,7 +120,6 @@ def joints_of(
             joint = _joint(document, entry.index, models[entry.index], units, parent)
         tree.places[name] = len(tree.made)
         tree.made.append(joint)
-        tree.world.append(placed(parent_world, Pose(joint.translation, joint.rotation)))
     found = FileJoints(
         tuple(tree.made),
         frozenset(name for name, entry in entries.items() if entry.adrift),

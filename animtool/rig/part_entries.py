@@ -5,7 +5,6 @@ from __future__ import annotations
 import keyword
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from animtool.documents.check import nearest
@@ -57,9 +56,8 @@ class PartReader:
         model: Its content.
         units: What its numbers count.
         found: The rig's joints.
-        roots: Folders that references may lead into.
-        vertices: Number of points of each mesh, as far as known.
         arrays: Looks at the arrays that the file refers to.
+        vertices: Number of points of each mesh, as far as known.
         joints: The rig's joints, by name.
         names: Of the rig's controls.
     """
@@ -68,15 +66,13 @@ class PartReader:
     model: RigModel
     units: FileUnits
     found: FileJoints
-    roots: Sequence[Path]
+    arrays: ArrayReader
     vertices: dict[str, int] = field(default_factory=dict)
-    arrays: ArrayReader = field(init=False)
     joints: dict[str, Joint] = field(init=False)
     names: list[str] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:
         """Index the joints."""
-        self.arrays = ArrayReader(self.document, self.roots)
         self.joints = {joint.name: joint for joint in self.found.joints}
 
     def meshes(self) -> tuple[Mesh, ...]:

@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.documents.arrays import load_array
+from animtool.documents.arrays import Archives, load_array
 
 __all__ = [
     "ArrayRef",
@@ -45,13 +45,18 @@ class ArrayRef:
     path: Path
     key: str
 
-    def load(self) -> FloatArray:
-        """Return the array.
+    def load(self, archives: Archives | None = None) -> FloatArray:
+        """Return the array, not to be written to.
+
+        Args:
+            archives: Opens the file, which is quicker for several arrays of one.
 
         Raises:
             ValueError: It cannot be read, or holds a value that is not finite.
         """
-        return load_array(self.path, self.key)
+        if archives is None:
+            return load_array(self.path, self.key)
+        return archives.load(self.path, self.key)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +69,7 @@ class HeldArray:
 
     values: FloatArray
 
-    def load(self) -> FloatArray:
+    def load(self, _archives: Archives | None = None) -> FloatArray:
         """Return the array."""
         return self.values
 

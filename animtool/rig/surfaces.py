@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
+from animtool.documents.arrays import Archives
 from animtool.errors import Fault, FormatError
 from animtool.rig.parts import Mesh, Shape, Skin, Subdivision
 from animtool.rig.skeleton import Rig
@@ -106,14 +107,15 @@ def surfaces_of(rig: Rig) -> tuple[Surface, ...]:
         FormatError: An array cannot be read any more (RIG018).
     """
     try:
-        return tuple(_surface(rig, mesh) for mesh in rig.meshes)
+        with Archives() as archives:
+            return tuple(_surface(rig, mesh, archives) for mesh in rig.meshes)
     except ValueError as error:
         raise FormatError(Fault("RIG018", f"{rig.name!r}: {error}")) from error
 
 
-def _surface(rig: Rig, mesh: Mesh) -> Surface:
+def _surface(rig: Rig, mesh: Mesh, archives: Archives) -> Surface:
     unit = rig.meters_per_unit
-    faces = mesh.faces.load().astype(np.int64)
+    faces = mesh.faces.load(archives).astype(np.int64)
     within = faces >= 0
     bind = np.eye(4)
     if mesh.geom_bind is not None:
@@ -121,14 +123,14 @@ def _surface(rig: Rig, mesh: Mesh) -> Surface:
         bind[:3, 3] *= unit
     return Surface(
         mesh.name,
-        mesh.points.load() * unit,
+        mesh.points.load(archives) * unit,
         within.sum(axis=1),
         faces[within],
-        None if mesh.normals is None else mesh.normals.load(),
+        None if mesh.normals is None else mesh.normals.load(archives),
         bind,
-        None if mesh.skin is None else _skin(mesh.skin),
+        None if mesh.skin is None else _skin(mesh.skin, archives),
         tuple(
-            _shape(shape, unit)
+            _shape(shape, unit, archives)
             for shape in rig.shapes
             if shape.mesh == mesh.name and shape.deltas is not None
         ),
@@ -143,24 +145,25 @@ def _subdivision(mesh: Mesh) -> Subdivision:
     return Subdivision.CATMULL_CLARK if smooth else Subdivision.NONE
 
 
-def _skin(skin: Skin) -> SurfaceSkin:
-    indices = skin.indices.load().astype(np.int64)
-    return SurfaceSkin(skin.method, skin.joints, indices, skin.weights.load())
+def _skin(skin: Skin, archives: Archives) -> SurfaceSkin:
+    indices = skin.indices.load(archives).astype(np.int64)
+    return SurfaceSkin(skin.method, skin.joints, indices, skin.weights.load(archives))
 
 
-def _shape(shape: Shape, unit: float) -> SurfaceShape:
+def _shape(shape: Shape, unit: float, archives: Archives) -> SurfaceShape:
     if shape.deltas is None:
         raise ValueError(f"shape {shape.name!r} has no deltas")
+    vertices = None if shape.vertices is None else shape.vertices.load(archives)
     return SurfaceShape(
         shape.name,
-        shape.deltas.load() * unit,
-        None if shape.vertices is None else shape.vertices.load().astype(np.int64),
-        None if shape.normals is None else shape.normals.load(),
+        shape.deltas.load(archives) * unit,
+        None if vertices is None else vertices.astype(np.int64),
+        None if shape.normals is None else shape.normals.load(archives),
         tuple(
             SurfaceInbetween(
                 step.at,
-                step.deltas.load() * unit,
-                None if step.normals is None else step.normals.load(),
+                step.deltas.load(archives) * unit,
+                None if step.normals is None else step.normals.load(archives),
             )
             for step in shape.inbetweens
         ),

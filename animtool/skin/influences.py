@@ -134,14 +134,27 @@ def _merged(
 
     By vertex, the strongest first; ties in the order read, as UsdSkel's pivot.
     """
-    rows, position = np.nonzero(values)
-    strengths = values[rows, position]
-    order = np.lexsort((position, -strengths, rows))
-    pairs = rows[order] * joints + numbers[rows, position][order]
+    order = np.argsort(-values, axis=1, kind="stable")
+    strengths = np.take_along_axis(values, order, axis=1)
+    found = np.take_along_axis(numbers, order, axis=1)
+    kept = strengths != 0
+    rows = np.nonzero(kept)[0]
+    found, strengths = found[kept], strengths[kept]
+    if not _repeats(numbers, values):
+        return rows, found, strengths
+    pairs = rows * joints + found
     unique, at, inverse = np.unique(pairs, return_index=True, return_inverse=True)
-    sums = np.bincount(inverse, strengths[order], len(unique)).astype(np.float64)
+    sums = np.bincount(inverse, strengths, len(unique)).astype(np.float64)
     order = np.argsort(at)
     return unique[order] // joints, unique[order] % joints, sums[order]
+
+
+def _repeats(numbers: IntArray, values: FloatArray) -> bool:
+    """Return whether a vertex names a joint twice, with weight."""
+    # Those without weight differ from all others.
+    apart = -1 - np.arange(numbers.shape[1])
+    ordered = np.sort(np.where(values != 0, numbers, apart), axis=1)
+    return bool((ordered[:, 1:] == ordered[:, :-1]).any())
 
 
 def _firsts(rows: IntArray, count: int) -> IntArray:

@@ -297,10 +297,14 @@ def _columns(
     table = np.zeros((1 + int(dense.sum()), *rest.shape))
     table[0] = rest
     for row, i in enumerate(np.flatnonzero(dense), 1):
-        np.add.at(table[row], moved[i][0], moved[i][1])
+        at, values = moved[i]
+        if (at[1:] > at[:-1]).all():
+            table[row, at] = values
+        else:
+            np.add.at(table[row], at, values)
     sparse = np.flatnonzero(~dense)
     vertices = np.concatenate([np.zeros(0, np.int64), *(moved[i][0] for i in sparse)])
-    values = np.concatenate([np.zeros((0, 3)), *(moved[i][1] for i in sparse)])
+    added = np.concatenate([np.zeros((0, 3)), *(moved[i][1] for i in sparse)])
     numbers = np.repeat(sparse, [len(moved[i][0]) for i in sparse]).astype(np.int32)
     order = np.argsort(vertices, kind="stable")
     counts = np.bincount(vertices, minlength=len(rest))
@@ -310,7 +314,7 @@ def _columns(
         table.reshape(len(table), -1),
         np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
         numbers[order],
-        values[order],
+        added[order],
     )
 
 
@@ -332,7 +336,10 @@ def _moved(
         return np.zeros(0, np.int64), np.zeros((0, 3))
     offsets = np.asarray(values, np.float64)
     at = np.arange(count) if shape.indices is None else np.asarray(shape.indices)
-    moves = offsets.any(axis=1)
+    x, y, z = offsets.T
+    moves = (x != 0) | (y != 0) | (z != 0)
+    if moves.all():
+        return at.astype(np.int64), offsets
     return at[moves].astype(np.int64), offsets[moves]
 
 
@@ -368,11 +375,11 @@ def _offset_faults(name: str, values: ArrayLike, length: int) -> list[Fault]:
     if array.shape != (length, 3):
         message = f"{name} are {array.shape}, and must be ({length}, 3)"
         return [Fault("SKIN001", message)]
-    wrong = np.flatnonzero(~np.isfinite(array).all(axis=1)).tolist()
-    if wrong:
-        message = f"{name} are not finite in rows {listed(wrong)}"
-        return [Fault("SKIN003", message)]
-    return []
+    finite = np.isfinite(array)
+    if finite.all():
+        return []
+    wrong = np.flatnonzero(~finite.all(axis=1)).tolist()
+    return [Fault("SKIN003", f"{name} are not finite in rows {listed(wrong)}")]
 
 
 def _knot_faults(where: str, shape: ShapeDeltas) -> list[Fault]:
