@@ -26,6 +26,9 @@ __all__ = ["Sampled", "sample_clip"]
 # Beyond a limit by less is rounding [rad], [m], [1].
 LIMIT_TOLERANCE = 1e-9
 
+# Rotations worked out at once: enough to make few calls, few enough to take 1 MB.
+ROTATIONS_AT_ONCE = 2**15
+
 Parts = dict[str, FloatArray]
 
 
@@ -99,20 +102,15 @@ def _evaluate(clip: Clip, times: FloatArray) -> dict[str, FloatArray]:
     """Return the value of every target ``(F, D)``, ``(1, D)`` where it never moves."""
     values: dict[str, FloatArray] = {}
     curves: list[ClipChannel] = []
+    turning: list[ClipChannel] = []
     for channel in clip.channels:
         if _is_static(channel):
             values[channel.target] = _turned(channel, channel.values[:1])
         elif channel.values.shape[1] == 4:
-            values[channel.target] = evaluate_rotations(
-                channel.times,
-                channel.values,
-                rotation_kinds(channel),
-                times,
-                channel.pre,
-                channel.post,
-            )
+            turning.append(channel)
         else:
             curves.append(channel)
+    values |= _rotations(turning, times)
     if curves:
         rows = evaluate(curves_of(curves), times)
         begin = 0
@@ -120,6 +118,34 @@ def _evaluate(clip: Clip, times: FloatArray) -> dict[str, FloatArray]:
             end = begin + channel.values.shape[1]
             values[channel.target] = _turned(channel, rows[begin:end].T)
             begin = end
+    return {channel.target: values[channel.target] for channel in clip.channels}
+
+
+def _rotations(channels: list[ClipChannel], times: FloatArray) -> dict[str, FloatArray]:
+    """Return the rotations ``(F, 4)`` of every target, those keyed alike at once."""
+    alike: dict[tuple[object, ...], list[ClipChannel]] = {}
+    for channel in channels:
+        how = channel.interps, channel.pre, channel.post
+        alike.setdefault((channel.times.tobytes(), *how), []).append(channel)
+    size = max(1, ROTATIONS_AT_ONCE // max(len(times), 1))
+    values: dict[str, FloatArray] = {}
+    groups = (
+        same[begin : begin + size]
+        for same in alike.values()
+        for begin in range(0, len(same), size)
+    )
+    for group in groups:
+        first = group[0]
+        made = evaluate_rotations(
+            first.times,
+            np.stack([channel.values for channel in group], axis=1),
+            rotation_kinds(first),
+            times,
+            first.pre,
+            first.post,
+        )
+        rows = np.ascontiguousarray(made.swapaxes(0, 1))
+        values |= {c.target: own for c, own in zip(group, rows, strict=True)}
     return values
 
 

@@ -81,7 +81,8 @@ def evaluate_rotations(
 
     Args:
         times: Of the keys, strictly ascending ``(K,)``, K ≥ 1.
-        keys: Quaternions of any length but zero ``(K, 4)``.
+        keys: Quaternions of any length but zero ``(K, 4)``, or ``(K, C, 4)`` for C
+            curves with keys at the same times.
         kinds: `RotationKind` of the segment after each key ``(K,)``, or one for all;
             that of the last key says nothing.
         at: Where to evaluate, in any order ``(F,)``.
@@ -89,8 +90,8 @@ def evaluate_rotations(
         post: How it goes on behind its last.
 
     Returns:
-        Unit quaternions ``(F, 4)``, of continuous sign in the order of ``at``. At its
-        own time a key is returned as it is, normalized.
+        Unit quaternions ``(F, 4)`` or ``(F, C, 4)``, of continuous sign in the order
+        of ``at``. At its own time a key is returned as it is, normalized.
 
     Raises:
         ValueError: A shape does not fit, times do not ascend, a number is not finite,
@@ -108,9 +109,9 @@ def evaluate_rotations(
     curve = _checked(times, keys, kinds)
     at = _finite(at, ("F",), "at")
     if not len(at):
-        return np.zeros((0, 4))
+        return np.zeros((0, *curve.keys.shape[1:]))
     folded = fold(at, curve.times[0], curve.times[-1], pre, post)
-    velocities = np.zeros((len(curve.times), 3))
+    velocities = np.zeros((*curve.keys.shape[:-1], 3))
     if curve.bends or Extrapolation.LINEAR in {pre, post}:
         velocities = curve.velocities()
     q = curve.evaluate(folded.times, velocities)
@@ -119,19 +120,19 @@ def evaluate_rotations(
         (post, folded.beyond > 0, -1),
     ):
         if mode is Extrapolation.LINEAR and side.any():
-            turn = folded.beyond[side, None] * velocities[edge]
+            turn = curve.column(folded.beyond[side]) * velocities[edge]
             q[side] = so3.normalize(so3.multiply(q[side], so3.exp(turn)))
     around = folded.cycles != 0
     if around.any():
         rise = so3.multiply(curve.keys[-1], so3.conjugate(curve.keys[0]))
-        turn = folded.cycles[around, None] * so3.log(rise)
+        turn = curve.column(folded.cycles[around]) * so3.log(rise)
         q[around] = so3.normalize(so3.multiply(so3.exp(turn), q[around]))
     return so3.align_signs(q, q[0])
 
 
 @dataclass(frozen=True, slots=True)
 class _Curve:
-    """Checked keys: ascending times, aligned unit quaternions, kinds."""
+    """Checked keys: ascending times, aligned unit quaternions ``(K, …, 4)``, kinds."""
 
     times: FloatArray
     keys: FloatArray
@@ -142,9 +143,13 @@ class _Curve:
         """Whether any segment asks for the velocities at its ends."""
         return bool((self.kinds >= RotationKind.SQUAD).any())
 
+    def column(self, values: FloatArray) -> FloatArray:
+        """Return values ``(N,)`` such that they multiply rows ``(N, …, D)``."""
+        return values.reshape(len(values), *[1] * (self.keys.ndim - 1))
+
     def velocities(self) -> FloatArray:
-        """Return the angular velocity in body space [rad per time] ``(K, 3)``."""
-        spans = np.diff(self.times)[:, None]
+        """Return the angular velocity in body space [rad per time] ``(K, …, 3)``."""
+        spans = self.column(np.diff(self.times))
         secants = rotation_between(self.keys[:-1], self.keys[1:]) / spans
         before, after = _sides(secants)
         # The weight of the secant before is the span after; at ends neither counts.
@@ -152,7 +157,8 @@ class _Curve:
         share = span_after / (span_before + span_after)
         blend = share * before + (1 - share) * after
         # Which side has its say: a slerp above all, a step or none at all last.
-        first, second = _sides(np.array([0.0, 2.0, 1.0, 1.0])[self.kinds[:-1], None])
+        ranks = np.array([0.0, 2.0, 1.0, 1.0])[self.kinds[:-1]]
+        first, second = _sides(self.column(ranks))
         chosen = np.where(
             first > second, before, np.where(first < second, after, blend)
         )
@@ -160,7 +166,7 @@ class _Curve:
         return _limited(np.where(silent, 0.0, chosen), *_sides(spans))
 
     def evaluate(self, times: FloatArray, velocities: FloatArray) -> FloatArray:
-        """Return rotations at times within those of the keys ``(F, 4)``."""
+        """Return rotations at times within those of the keys ``(F, …, 4)``."""
         index = np.searchsorted(self.times, times, side="right") - 1
         q = self.keys[index]
         # At a key the key stands; the rest lies strictly within a segment.
@@ -171,20 +177,20 @@ class _Curve:
                 continue
             low = index[chosen]
             span = self.times[low + 1] - self.times[low]
-            u = (times[chosen] - self.times[low]) / span
+            u = self.column((times[chosen] - self.times[low]) / span)[..., 0]
             ends = self.keys[[low, low + 1]]
             if kind is RotationKind.SLERP:
                 q[chosen] = so3.slerp(ends[0], ends[1], u)
                 continue
             segment = squad_by_velocities if kind is RotationKind.SQUAD else hermite
-            turns = span[:, None] * velocities[[low, low + 1]]
+            turns = self.column(span) * velocities[[low, low + 1]]
             q[chosen] = segment(ends, turns, u)
         return q
 
 
 def _sides(values: FloatArray, end: float = 0.0) -> tuple[FloatArray, FloatArray]:
-    """Return values ``(K - 1, D)`` before and behind each key, or what ends have."""
-    none = np.full((1, values.shape[1]), end)
+    """Return values ``(K - 1, …)`` before and behind each key, or what ends have."""
+    none = np.full((1, *values.shape[1:]), end)
     return np.concatenate([none, values]), np.concatenate([values, none])
 
 

@@ -26,13 +26,14 @@ __all__ = [
 
 
 def aligned_keys(keys: ArrayLike, count: int | str = "K") -> FloatArray:
-    """Return keys ``(K, 4)`` at unit length, signs such that arcs go the short way.
+    """Return keys at unit length, signs such that arcs go the short way.
 
     The first keeps its sign. Neighbours exactly half a turn apart keep their signs
     relative to each other.
 
     Args:
-        keys: Quaternions of any length but zero ``(K, 4)``.
+        keys: Quaternions of any length but zero ``(K, 4)``, or ``(K, C, 4)`` of C
+            curves.
         count: How many there must be; a letter where any number will do.
 
     Raises:
@@ -41,13 +42,14 @@ def aligned_keys(keys: ArrayLike, count: int | str = "K") -> FloatArray:
     >>> aligned_keys([[0, 0, 0, 2], [0, 0, 0, -1]]).tolist()
     [[0.0, 0.0, 0.0, 1.0], [-0.0, -0.0, -0.0, 1.0]]
     """
-    q = as_floats(keys, (count, 4), "keys")
+    several = np.ndim(keys) == 3
+    q = as_floats(keys, (count, "C", 4) if several else (count, 4), "keys")
     for fault, rows in (
         ("is not finite", ~np.isfinite(q).all(axis=-1)),
         ("is zero: no rotation", ~q.any(axis=-1)),
     ):
         if rows.any():
-            raise ValueError(f"key {int(rows.argmax())} {fault}")
+            raise ValueError(f"key {int(np.argwhere(rows)[0, 0])} {fault}")
     q = so3.normalize(q)
     return so3.align_signs(q, q[0]) if len(q) else q
 

@@ -272,6 +272,20 @@ def test_log_of_cover_near_a_whole_turn() -> None:
         assert_allclose(log_of_cover(so3.exp(vector)), vector, atol=1e-11)
 
 
+@given(seeds, st.sampled_from(Extrapolation), st.data())
+def test_curves_at_once_are_those_one_by_one(
+    seed: int, mode: Extrapolation, data: st.DataObject
+) -> None:
+    times, _ = keyed(seed)
+    keys = np.stack([keyed(seed + i)[1] for i in range(3)], axis=1)
+    kinds = data.draw(st.lists(st.sampled_from(RotationKind), min_size=6, max_size=6))
+    at = np.linspace(times[0] - 20, times[-1] + 20, 57)
+    made = evaluate_rotations(times, keys, kinds, at, mode, mode)
+    for i in range(3):
+        alone = evaluate_rotations(times, keys[:, i], kinds, at, mode, mode)
+        assert_allclose(made[:, i], alone, rtol=0, atol=1e-14)
+
+
 def test_no_times_no_rotations() -> None:
     assert evaluate_rotations([0], [[0, 0, 0, 1]], SLERP, []).shape == (0, 4)
 
