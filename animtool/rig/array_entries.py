@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -34,11 +34,13 @@ class ArrayReader:
         document: The file.
         roots: Folders that references may lead into.
         archives: Opens the files, for as long as arrays are looked at.
+        paths: Where names of files lead that have been followed.
     """
 
     document: Document
     roots: Sequence[Path]
     archives: Archives
+    paths: dict[str, Path] = field(default_factory=dict)
 
     def array(
         self, at: Location, text: str, role: str, shape: Shape, count: int | None = None
@@ -55,9 +57,11 @@ class ArrayReader:
             count: Of what its indices count; None where that is not known.
         """
         name, key = split_reference(text, _KEYS.get(role, role))
-        path = referred(self.document, at, name, self.roots, "RIG021")
+        path = self.paths.get(name)
+        path = path or referred(self.document, at, name, self.roots, "RIG021")
         if path is None:
             return ArrayRef(text, Path(name), key)
+        self.paths[name] = path
         ref = ArrayRef(text, path, key)
         try:
             if self._fits(at, ref, role, shape):
