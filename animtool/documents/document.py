@@ -8,7 +8,7 @@ are refused. JSON is nearly a part of YAML and is read the same way.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NoReturn, cast
@@ -38,12 +38,13 @@ MOST_FAULTS = 100
 MOST_DIGITS = 400
 LONGEST_HINT = 200
 
-_NUMBERS: list[tuple[re.Pattern[str], Callable[[str], float]]] = [
-    (re.compile(r"[-+]?[0-9]+"), int),
-    (re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?"), float),
-    (re.compile(r"0o[0-7]+"), lambda text: int(text[2:], 8)),
-    (re.compile(r"0x[0-9a-fA-F]+"), lambda text: int(text[2:], 16)),
-]
+# Groups say what kind of number it is: no group, a whole one.
+_NUMBER = re.compile(
+    r"[-+]?(?:[0-9]+(\.[0-9]*)?|(\.[0-9]+))([eE][-+]?[0-9]+)?"
+    r"|0o(?P<octal>[0-7]+)|0x(?P<hexadecimal>[0-9a-fA-F]+)"
+)
+_BASES = {"octal": 8, "hexadecimal": 16}
+_NUMERIC = frozenset("+-.0123456789")
 _NAMED = {
     **dict.fromkeys(("", "~", "null", "Null", "NULL")),
     **dict.fromkeys(("true", "True", "TRUE"), True),
@@ -315,14 +316,14 @@ def plain_scalar(text: str) -> Any:
     """
     if text in _NAMED:
         return _NAMED[text]
-    if not (text[0].isdigit() or text[0] in "+-."):
+    if text[0] not in _NUMERIC or not (found := _NUMBER.fullmatch(text)):
         return text
-    for pattern, make in _NUMBERS:
-        if pattern.fullmatch(text):
-            if len(text) > MOST_DIGITS:
-                raise OverflowError
-            return make(text)
-    return text
+    if len(text) > MOST_DIGITS:
+        raise OverflowError
+    kind = found.lastgroup
+    if kind is not None:
+        return int(found[kind], _BASES[kind])
+    return int(text) if found.lastindex is None else float(text)
 
 
 class _Reader:
@@ -383,7 +384,8 @@ class _Reader:
 
     @staticmethod
     def _spot(event: Any) -> tuple[int, int]:
-        return event.start_mark.line + 1, event.start_mark.column + 1
+        mark = event.start_mark
+        return mark.line + 1, mark.column + 1
 
     def _place(self, event: Any) -> tuple[int, int]:
         place = self._spot(event)
