@@ -4,20 +4,13 @@
 #include <stdexcept>
 #include <vector>
 
+#include "blend.h"
 #include "kernels.h"
 #include "pair.h"
 
 namespace animtool {
 
 namespace {
-
-// Rows of influences: those of vertex v are first[v] to first[v + 1].
-struct Influences {
-  std::size_t vertices;
-  const std::int64_t* first;
-  const std::int32_t* joints;
-  const double* weights;
-};
 
 Influences influences_of(In<std::int64_t, 1> first, In<std::int32_t, 1> joints,
                          In<double, 1> weights, std::size_t joint_count) {
@@ -73,40 +66,26 @@ void interleave(const double* a, const double* b, std::size_t count, Pair* out) 
   for (std::size_t i = 0; i < count; ++i) out[i] = Pair{a[i], b[i]};
 }
 
-// Frames that linear blending works on at once.
-constexpr std::size_t FRAMES = 4;
-
-// The transforms of four frames, (rows, 12) each, the frames of a number together.
-void interleave_four(const double* const (&tables)[FRAMES], std::size_t count, Pair* out) {
-  for (std::size_t i = 0; i < count; ++i, out += 2) {
-    out[0] = Pair{tables[0][i], tables[1][i]};
-    out[1] = Pair{tables[2][i], tables[3][i]};
-  }
+// The transforms of four frames, (U, 12) each, the frames of a number together.
+void interleave_four(const double* const (&tables)[FRAMES], std::size_t count, double* out) {
+  for (std::size_t i = 0; i < count; ++i)
+    for (std::size_t l = 0; l < FRAMES; ++l) *out++ = tables[l][i];
 }
 
-// Still points share the products with their weights between all frames.
-template <bool Still>
-void linear_frames(const Influences& in, const Pair* palette,
-                   const double* const (&points)[FRAMES], double* const (&out)[FRAMES],
-                   bool normalize) {
-  for (std::size_t v = 0; v < in.vertices; ++v) {
-    const Vector p[2] = {load(points[0] + 3 * v, points[1] + 3 * v),
-                         load(points[2] + 3 * v, points[3] + 3 * v)};
-    Vector sum[2] = {};
-    for (std::int64_t k = in.first[v]; k < in.first[v + 1]; ++k) {
-      const Pair w = both(in.weights[k]);
-      const Pair* a = palette + 24 * in.joints[k];
-      for (int h = 0; h < 2; ++h) {
-        const Vector& q = p[Still ? 0 : h];
-        const Pair x = w * q.x, y = w * q.y, z = w * q.z;
-        sum[h].x += x * a[h] + y * a[2 + h] + z * a[4 + h] + w * a[6 + h];
-        sum[h].y += x * a[8 + h] + y * a[10 + h] + z * a[12 + h] + w * a[14 + h];
-        sum[h].z += x * a[16 + h] + y * a[18 + h] + z * a[20 + h] + w * a[22 + h];
-      }
-    }
-    for (int h = 0; h < 2; ++h)
-      store(sum[h], out[2 * h] + 3 * v, out[2 * h + 1] + 3 * v, normalize);
+// What every processor has.
+struct Pairs {
+  using Lanes = Pair;
+
+  static Pair spread(double value) { return both(value); }
+  static Pair fetch(const double* from) { return Pair{from[0], from[1]}; }
+  static Pair gather(const double* const* rows, std::size_t at) {
+    return Pair{rows[0][at], rows[1][at]};
   }
+};
+
+BlendFrames widest_blend(bool still) {
+  if (const BlendFrames quads = blend_in_quads(still)) return quads;
+  return still ? blend_frames<Pairs, true> : blend_frames<Pairs, false>;
 }
 
 // Rotation x y z w, then the dual part x y z w, of each joint.
@@ -184,8 +163,8 @@ void skin_linear(In<double, 3> points, In<std::int64_t, 1> first,
   double* const result = out.data();
   {
     nb::gil_scoped_release release;
-    std::vector<Pair> palette(2 * width);
-    const auto blend = points.shape(0) == 1 ? linear_frames<true> : linear_frames<false>;
+    std::vector<double> palette(FRAMES * width);
+    const BlendFrames blend = widest_blend(points.shape(0) == 1);
     for (std::size_t f = 0; f < frames; f += FRAMES) {
       const double *tables[FRAMES], *sources[FRAMES];
       double* targets[FRAMES];
@@ -196,7 +175,9 @@ void skin_linear(In<double, 3> points, In<std::int64_t, 1> first,
         targets[l] = result + g * row;
       }
       interleave_four(tables, width, palette.data());
-      blend(in, palette.data(), sources, targets, normalize);
+      blend(in, palette.data(), sources, targets);
+      for (std::size_t g = f; normalize && g < std::min(f + FRAMES, frames); ++g)
+        for (std::size_t v = 0; v < in.vertices; ++v) unit(result + g * row + 3 * v);
     }
   }
 }
