@@ -39,14 +39,18 @@ void clamp_strip(const double* p, std::size_t count, double unit, float* out,
   }
 }
 
-// The largest sum of three squares in a row.
+constexpr double UNBOUNDED = std::numeric_limits<double>::infinity();
+
+// The largest sum of three squares in a row; infinite where one is no finite number.
 double largest_sum(const double* s, std::size_t vertices) {
   double worst[2] = {0, 0};
+  bool finite = true;
   for (std::size_t i = 0; i < vertices; ++i, s += 3) {
     const double sum = s[0] + s[1] + s[2];
     worst[i % 2] = sum > worst[i % 2] ? sum : worst[i % 2];
+    finite &= sum < UNBOUNDED;
   }
-  return std::max(worst[0], worst[1]);
+  return finite ? std::max(worst[0], worst[1]) : UNBOUNDED;
 }
 
 }  // namespace
@@ -69,7 +73,7 @@ RoundedPoints round_points(In<double, 3> points, double unit) {
       const std::size_t count = std::min(STRIP, total - v);
       round(p, count * 3, unit, out, squares);
       double worst = largest_sum(squares, count);
-      if (worst == std::numeric_limits<double>::infinity()) {
+      if (worst == UNBOUNDED) {
         clamp_strip(p, count * 3, unit, out, squares);
         worst = largest_sum(squares, count);
       }
@@ -77,7 +81,7 @@ RoundedPoints round_points(In<double, 3> points, double unit) {
       if (worst > largest) {
         largest = worst;
         const double* s = squares;
-        for (at = v; s[0] + s[1] + s[2] != worst; ++at) s += 3;
+        for (at = v; s[0] + s[1] + s[2] < worst; ++at) s += 3;
       }
     }
   }

@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from animtool.documents.arrays import array_header, load_array, reference
+from animtool.documents.arrays import (
+    MOST_OPEN,
+    Archives,
+    array_header,
+    load_array,
+    reference,
+)
 
 
 def saved(folder: Path) -> Path:
@@ -160,3 +166,45 @@ def test_a_scalar(tmp_path: Path) -> None:
     path = tmp_path / "s.npz"
     path.write_bytes(buffer.getvalue())
     assert load_array(path, "x") == 2
+
+
+def test_an_archive_is_opened_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.npz"
+    rng = np.random.default_rng(2)
+    arrays = {
+        "x": rng.normal(size=(5, 3)),
+        "y": np.asfortranarray(rng.normal(size=(4, 2))),
+        "big": np.arange(6, dtype=">i4"),
+        "none": np.zeros((0, 3)),
+        "one": np.array(2.5),
+    }
+    np.savez_compressed(path, **arrays)
+    opened = []
+    whole = zipfile.ZipFile
+
+    class Counted(whole):  # type: ignore[misc, valid-type]
+        def __init__(self, *given: object) -> None:
+            super().__init__(*given)
+            opened.append(self)
+
+    monkeypatch.setattr(zipfile, "ZipFile", Counted)
+    with Archives() as archives:
+        for name, values in arrays.items():
+            assert archives.header(path, name).shape == values.shape
+            np.testing.assert_array_equal(archives.load(path, name), values)
+    assert len(opened) == 1
+    assert opened[0].fp is None
+
+
+def test_few_archives_are_open_at_once(tmp_path: Path) -> None:
+    paths = [tmp_path / f"{i}.npz" for i in range(MOST_OPEN + 3)]
+    for i, path in enumerate(paths):
+        np.savez(path, x=np.full(2, float(i)))
+    with Archives() as archives:
+        for _ in range(2):
+            for i, path in enumerate(paths):
+                assert archives.load(path, "x").tolist() == [i, i]
+        assert len(archives._open) == MOST_OPEN
+    assert not archives._open

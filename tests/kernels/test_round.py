@@ -35,6 +35,25 @@ def test_what_float32_does_not_hold_is_its_largest_number() -> None:
     assert rounded.ravel().tolist() == [LARGEST, -LARGEST, 1.0]
 
 
+def test_the_worst_of_many_points_is_found() -> None:
+    rng = np.random.default_rng(3)
+    points = rng.normal(size=(3, 1000, 3)).astype(np.float32).astype(np.float64)
+    points[2, 777] += [0.0, 3e-9, 0.0]
+    points[0, 5] += [1e-9, 0.0, 0.0]
+    rounded, error, frame, vertex = _kernels.round_points(points, 1.0)
+    assert (frame, vertex) == (2, 777)
+    assert error == np.linalg.norm(rounded[2, 777] - points[2, 777])
+
+
+def test_one_point_beyond_float32_leaves_the_others() -> None:
+    points = np.ones((1, 600, 3))
+    points[0, 300] = [1e300, 0.1, -np.inf]
+    rounded, _, frame, vertex = _kernels.round_points(points, 0.5)
+    assert rounded[0, 300].tolist() == [LARGEST, np.float32(0.2), -LARGEST]
+    assert (np.delete(rounded, 300, axis=1) == 2).all()
+    assert (frame, vertex) == (0, 300)
+
+
 @pytest.mark.parametrize("shape", [(0, 4, 3), (2, 0, 3)])
 def test_nothing(shape: tuple[int, ...]) -> None:
     rounded, error, _, _ = _kernels.round_points(np.zeros(shape), 1.0)
