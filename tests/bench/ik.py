@@ -1,0 +1,454 @@
+"""How fast and how surely animtool's inverse kinematics reaches, beside other tools.
+
+Every tool gets the same problems in a process of its own, in turn, on one thread where
+it lets itself be held to one; see README.md beside this file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from types import ModuleType
+from typing import IO, Any
+
+import numpy as np
+from figures import HERE, Row, Wanted, machine, run, table, verdicts, write_csv
+from ik_problems import Array, Case, Flags, read_cases
+from ik_serve import Asked
+
+OWN, SINGLE = "animtool", "animtool, a call each"
+TOOLBOX, TRAC, MINK, PINK = "roboticstoolbox", "TRAC-IK", "mink", "Pink"
+ARMS = ("panda", "ur5", "iiwa14", "xarm7", "puma560")
+SOLVED, MEDIAN, NINETY_FIVE = "solved [%]", "median [us]", "95 % [us]"
+MEAN, RATIO, COUNT = "mean [us]", "median / animtool [x]", "problems"
+# The success of the data, limits included; hard problems count lengths in chains.
+NEAR, LIMITS = Asked(1e-4, 1e-3, 50, 1.0), 1e-6
+# Of one pose of a clip.
+CLOSE = 1e-6
+# Steps of a descent where the best is out of reach.
+STEPS, PATIENCE = 100, 10
+# TRAC-IK ends by time alone.
+TRAC_SECONDS = 0.02
+SAME_PLACES = 1e-9
+TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
+ALL = 10**9
+WARM_UP = 30
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a tool made of a case: poses ``(B, Q)`` and their seconds ``(B,)``."""
+
+    case: Case
+    poses: Array
+    seconds: Array
+
+    def missed(self) -> Array:
+        """Return the largest miss of each problem ``(B,)``, [m] or [rad]."""
+        found = list(self.case.misses(self.poses).values())
+        return np.asarray(np.max([rows.max(axis=1) for rows in found], axis=0))
+
+    def solved(self, position: float, angle: float) -> Flags:
+        """Return which problems miss what the best pose misses, within limits."""
+        good = self.case.beyond_limits(self.poses) <= LIMITS
+        good &= np.isfinite(self.poses).all(axis=1)
+        for part, rows in self.case.misses(self.poses).items():
+            bound = position if part == "pos" else angle
+            if part in self.case.expected:
+                good &= (np.abs(rows - self.case.expected[part]) <= bound).all(axis=1)
+        return good
+
+
+@dataclass
+class Tool:
+    """A tool's process, and what it can be asked.
+
+    Attributes:
+        name: In the tables.
+        command: Starts it.
+        trees: Takes models of any shape and goals of a part; else chains to one pose.
+        balls: Keeps limits of ball joints.
+        aims: Takes goals to aim.
+    """
+
+    name: str
+    command: list[str]
+    trees: bool = True
+    balls: bool = False
+    aims: bool = False
+    jobs: IO[str] = field(init=False, repr=False)
+    answers: IO[str] = field(init=False, repr=False)
+
+    def takes(self, case: Case) -> bool:
+        """Return whether it can be asked this."""
+        if "aim" in case.targets and not self.aims:
+            return False
+        if not self.balls and any(
+            joint["type"] == "ball" and joint.get("limits") for joint in case.joints
+        ):
+            return False
+        pose = len(case.effectors) == 1 and set(case.targets) == {"pos", "rot"}
+        return self.trees or pose
+
+    def ask(self, file: Path, folder: Path, **job: Any) -> dict[str, Array]:
+        """Return the arrays that answer a job."""
+        out = folder / "answer.npz"
+        job |= {"file": str(file), "out": str(out)}
+        try:
+            self.jobs.write(json.dumps(job) + "\n")
+            self.jobs.flush()
+            line = self.answers.readline()
+        except BrokenPipeError:
+            line = ""
+        if not line:
+            sys.exit(f"{self.name} ended; what it said is above")
+        with np.load(out) as arrays:
+            return dict(arrays)
+
+
+@contextmanager
+def started(tool: Tool) -> Iterator[Tool]:
+    """Run a tool's process."""
+    paths = os.pathsep.join([str(HERE), str(HERE.parent)])
+    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    pipe = subprocess.PIPE
+    environment = os.environ | threads | {"PYTHONPATH": paths}
+    command = tool.command
+    with subprocess.Popen(
+        command, stdin=pipe, stdout=pipe, text=True, env=environment
+    ) as process:
+        assert process.stdin
+        assert process.stdout
+        tool.jobs, tool.answers = process.stdin, process.stdout
+        yield tool
+
+
+def tools(peer_python: str | None) -> list[Tool]:
+    """Return the tools; those of others only with an interpreter that has them."""
+    folder = HERE / "peers"
+    own = [sys.executable, str(folder / "ik_animtool.py")]
+    made = [Tool(OWN, own, balls=True, aims=True), Tool(SINGLE, [*own, "single"])]
+    if peer_python is None:
+        print("  peers skipped: no --peer-python", file=sys.stderr)
+        return made
+    others = {TOOLBOX: "toolbox", TRAC: "trac", MINK: "mink", PINK: "pink"}
+    return made + [
+        Tool(
+            name,
+            [peer_python, str(folder / f"ik_{script}.py")],
+            trees=name in (MINK, PINK),
+        )
+        for name, script in others.items()
+    ]
+
+
+def reference_kinematics(data: Path) -> ModuleType:
+    """Return the data's own module of kinematics."""
+    source = data / "reference_fk.py"
+    spec = importlib.util.spec_from_file_location(source.stem, source)
+    assert spec
+    assert spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@dataclass
+class Bench:
+    """The tools, the data, and how much of it is asked.
+
+    Attributes:
+        running: Tools whose processes run.
+        data: Folder of the problem sets.
+        folder: For answers.
+        runs: Of each section that is timed.
+        most: Problems of a file.
+        frames: Of a clip.
+        trials: Problems for each tolerance.
+    """
+
+    running: list[Tool]
+    data: Path
+    folder: Path
+    runs: int
+    most: int
+    frames: int
+    trials: int
+    checked: set[tuple[str, str, str]] = field(default_factory=set)
+
+    def path(self, name: str) -> Path:
+        """Return a file of the data."""
+        return self.data / f"{name}.json"
+
+    def cases(self, name: str) -> list[Case]:
+        """Return a file's cases."""
+        return read_cases(self.path(name))
+
+    def able(self, case: Case, names: set[str] | None = None) -> list[Tool]:
+        """Return the tools that can be asked a case, by names that count."""
+        return [
+            tool
+            for tool in self.running
+            if tool.takes(case) and (names is None or tool.name in names)
+        ]
+
+    def answer(
+        self, tool: Tool, name: str, index: int, case: Case, asked: Asked
+    ) -> Answer:
+        """Return what a tool makes of a case, after a look at its kinematics."""
+        self._same_places(tool, name, index, case)
+        if tool.name == TRAC:
+            asked = replace(asked, seconds=TRAC_SECONDS)
+        clip = len(case.starts) == 1 < case.problems
+        found = tool.ask(
+            self.path(name),
+            self.folder,
+            case=index,
+            what="follow" if clip else "solve",
+            count=case.problems,
+            asked=asdict(asked),
+        )
+        return Answer(case, found["poses"], found["seconds"])
+
+    def _same_places(self, tool: Tool, name: str, index: int, case: Case) -> None:
+        """Compare effectors in random poses with the data's own kinematics."""
+        if (tool.name, name, case.name) in self.checked:
+            return
+        found = tool.ask(self.path(name), self.folder, case=index, what="places")
+        reference = reference_kinematics(self.data)
+        turns, points = case.effector_poses(found["poses"])
+        for b, pose in enumerate(found["poses"]):
+            frames = reference.fk(case.model, pose)
+            for e, effector in enumerate(case.effectors):
+                turn, point = reference.effector_pose(
+                    case.model, effector, pose, frames
+                )
+                for other in (turns[b, e], found["turns"][b, e]):
+                    assert np.abs(turn - other).max() < SAME_PLACES, tool.name
+                for other in (points[b, e], found["points"][b, e]):
+                    far = np.abs(point - other).max() / max(case.length, 1)
+                    assert far < SAME_PLACES, (tool.name, case.name, far)
+        self.checked.add((tool.name, name, case.name))
+
+    def timed(self, name: str, case: Case, asked: Asked) -> dict[str, list[Answer]]:
+        """Return every tool's answers, the tools in turn."""
+        found: dict[str, list[Answer]] = {}
+        for _ in range(self.runs):
+            for tool in self.able(case):
+                # A process that slept is slow at first, which short batches show.
+                self.answer(tool, name, 0, case.first(WARM_UP), asked)
+                answer = self.answer(tool, name, 0, case, asked)
+                found.setdefault(tool.name, []).append(answer)
+        return found
+
+
+def rows_of(
+    section: str,
+    answers: dict[str, list[Answer]],
+    reached: tuple[float, float],
+    wanted: dict[tuple[str, str], Wanted],
+) -> list[Row]:
+    """Return the figures of every tool, one value a run."""
+    rows = []
+    medians = {
+        name: statistics.median(np.median(a.seconds) for a in found)
+        for name, found in answers.items()
+    }
+    for name, found in answers.items():
+        values: dict[str, list[float]] = {
+            SOLVED: [100 * float(a.solved(*reached).mean()) for a in found],
+            MEDIAN: [1e6 * float(np.median(a.seconds)) for a in found],
+            NINETY_FIVE: [1e6 * float(np.percentile(a.seconds, 95)) for a in found],
+            MEAN: [1e6 * float(a.seconds.mean()) for a in found],
+            RATIO: [medians[name] / medians[OWN]],
+        }
+        rows += [
+            Row(section, name, measure, figures, wanted.get((name, measure)))
+            for measure, figures in values.items()
+        ]
+    return rows
+
+
+def arms(bench: Bench) -> Iterator[list[Row]]:
+    """Poses of arms, from a start that has nothing to do with them."""
+    wanted = {(OWN, SOLVED): Wanted(True, 100)}
+    wanted |= {(name, RATIO): Wanted(True, 1) for name in (TOOLBOX, TRAC)}
+    for arm in ARMS:
+        name = f"arm_{arm}"
+        case = bench.cases(name)[0].first(bench.most)
+        answers = bench.timed(name, case, NEAR)
+        yield rows_of(f"{arm}, far start", answers, (1e-4, 1e-3), wanted)
+
+
+def bodies(bench: Bench) -> Iterator[list[Row]]:
+    """Five effectors of a body, from a T pose."""
+    wanted = {(OWN, SOLVED): Wanted(True, 100), (OWN, MEDIAN): Wanted(False, 500)}
+    for kind in ("pin3", "ball"):
+        name = f"humanoid_{kind}"
+        case = bench.cases(name)[0].first(bench.most)
+        answers = bench.timed(name, case, NEAR)
+        yield rows_of(f"humanoid, {kind}", answers, (1e-4, 1e-3), wanted)
+
+
+def clips(bench: Bench) -> Iterator[list[Row]]:
+    """Frames of clips, each from the one before."""
+    for section, name, times in (
+        ("clip of panda", "clip_panda", 30),
+        ("clip of humanoid, pin3", "clip_humanoid_pin3", 12),
+    ):
+        wanted = {(tool, RATIO): Wanted(True, times) for tool in (MINK, PINK)}
+        wanted[OWN, SOLVED] = Wanted(True, 100)
+        case = bench.cases(name)[0].first(bench.frames)
+        asked = replace(NEAR, position=CLOSE, angle=CLOSE)
+        answers = bench.timed(name, case, asked)
+        answers.pop(SINGLE, None)
+        yield rows_of(section, answers, (CLOSE, CLOSE), wanted)
+
+
+def hard(bench: Bench) -> Iterator[list[Row]]:
+    """Singular, unreachable, contradictory problems and long chains, once."""
+    for name in ("hard", "hard_arm_limits", "hard_snake1000"):
+        # A step of a quadratic program over a thousand joints takes seconds.
+        only = {OWN} if name == "hard_snake1000" else {OWN, MINK, PINK}
+        found: dict[str, list[bool]] = {}
+        for index, whole in enumerate(bench.cases(name)):
+            case = whole.first(bench.most)
+            # A chain that only turns in place has no length.
+            near = NEAR.position * (case.length or 1.0)
+            for tool in bench.able(case, only):
+                # The best of what is out of reach is found by going on.
+                share = 1e-2 if tool.name == OWN else 1.0
+                asked = replace(
+                    NEAR,
+                    position=near * share,
+                    angle=NEAR.angle * share,
+                    steps=STEPS,
+                    patience=PATIENCE,
+                )
+                answer = bench.answer(tool, name, index, case, asked)
+                good = answer.solved(near, NEAR.angle).tolist()
+                found.setdefault(tool.name, []).extend(good)
+        wanted = {OWN: Wanted(True, 100)}
+        yield [
+            row
+            for tool, good in found.items()
+            for row in (
+                Row(name, tool, SOLVED, [100 * float(np.mean(good))], wanted.get(tool)),
+                Row(name, tool, COUNT, [len(good)]),
+            )
+        ]
+
+
+def tolerances(bench: Bench) -> Iterator[list[Row]]:
+    """Time and error over tolerances: what the plot shows."""
+    for title, name in (
+        ("panda", "arm_panda"),
+        ("humanoid", "humanoid_pin3"),
+        ("clip of panda", "clip_panda"),
+        ("clip of humanoid", "clip_humanoid_pin3"),
+    ):
+        whole = bench.cases(name)[0]
+        case = whole.first(bench.trials * (4 if len(whole.starts) == 1 else 1))
+        rows: dict[str, list[Row]] = {}
+        for tolerance in TOLERANCES:
+            asked = replace(NEAR, position=tolerance, angle=tolerance)
+            answers = bench.timed(name, case, asked)
+            answers.pop(SINGLE, None)
+            column = f"{tolerance:.0e}"
+            for tool, found in answers.items():
+                for what, values in (
+                    ("time [us]", [1e6 * float(np.median(a.seconds)) for a in found]),
+                    ("error", [float(np.median(a.missed())) for a in found]),
+                    (
+                        "within [%]",
+                        [
+                            100 * float(a.solved(tolerance, tolerance).mean())
+                            for a in found
+                        ],
+                    ),
+                ):
+                    row = Row(f"{title}: {what}", tool, column, values)
+                    rows.setdefault(what, []).append(row)
+        yield from rows.values()
+
+
+SECTIONS = {
+    "arms": arms,
+    "bodies": bodies,
+    "clips": clips,
+    "hard": hard,
+    "tolerances": tolerances,
+}
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the options."""
+    made = argparse.ArgumentParser(
+        description=__doc__.splitlines()[0] if __doc__ else None,
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    add = made.add_argument
+    add("--peer-python", help="interpreter with the other tools; without it they rest")
+    add("--runs", type=int, default=3, help="runs of each tool; the median counts")
+    add("--sections", nargs="+", choices=list(SECTIONS), default=list(SECTIONS))
+    add("--quick", action="store_true", help="a part of the problems, once; no files")
+    add("--csv", type=Path, default=HERE / "results" / "ik.csv")
+    return made
+
+
+def main() -> None:
+    """Measure, print the tables, write the CSV and the plot."""
+    options = parser().parse_args()
+    if "ANIMTOOL_DATA" not in os.environ:
+        sys.exit("ANIMTOOL_DATA names no folder")
+    peers = "mink mujoco pin-pink pin daqp qpsolvers roboticstoolbox-python pytracik"
+    about = machine(
+        (sys.executable, ["animtool", "numpy"]),
+        (options.peer_python, [*peers.split(), "numpy"]),
+    )
+    rows: list[Row] = []
+    with ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory("animtool-bench"))
+        running = [
+            stack.enter_context(started(tool)) for tool in tools(options.peer_python)
+        ]
+        bench = Bench(
+            running,
+            Path(os.environ["ANIMTOOL_DATA"]) / "ik",
+            Path(folder),
+            runs=1 if options.quick else options.runs,
+            most=40 if options.quick else ALL,
+            frames=200 if options.quick else ALL,
+            trials=20 if options.quick else 100,
+        )
+        for name in options.sections:
+            for found in SECTIONS[name](bench):
+                print("\n".join([*table(found), ""]), flush=True)
+                rows += found
+    print("\n".join([*about, "", *verdicts(rows)]))
+    if not options.quick:
+        write_csv(options.csv, about, rows)
+        draw(options)
+
+
+def draw(options: argparse.Namespace) -> None:
+    """Draw the curves of the CSV, where a peer brings what that needs."""
+    if options.peer_python and "tolerances" in options.sections:
+        plot = options.csv.with_suffix(".svg")
+        script = str(HERE / "peers" / "ik_plot.py")
+        command = [options.peer_python, script, str(options.csv), str(plot)]
+        run(command, report=False)
+
+
+if __name__ == "__main__":
+    main()

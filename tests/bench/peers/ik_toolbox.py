@@ -1,0 +1,96 @@
+"""roboticstoolbox: its compiled Levenberg-Marquardt, restarts within it."""
+
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import roboticstoolbox as rtb
+from ik_problems import Array, Case, matrices
+from ik_serve import Asked, Solver, serve
+
+# Chosen on the arms: the quickest of its methods and gains that loses no problem.
+METHOD, GAIN, STEPS = "chan", 0.1, 30
+
+
+def chain(case: Case) -> rtb.ETS:
+    """Return a chain of one effector as elementary transforms."""
+    joints, at = [], case.owners[0]
+    while at >= 0:
+        joints.append(case.joints[at])
+        at = joints[-1]["parent"]
+    made = rtb.ETS()
+    for joint in reversed(joints):
+        placed = np.eye(4)
+        placed[:3, :3], placed[:3, 3] = matrices(joint["offset_r"]), joint["offset_t"]
+        if joint["type"] == "fixed":
+            made = made * rtb.ET.SE3(placed)
+            continue
+        turned = np.eye(4)
+        turned[:3, :3] = _from_z(np.array(joint["axis"], float))
+        moved = rtb.ET.Rz if joint["type"] == "pin" else rtb.ET.tz
+        made = made * rtb.ET.SE3(placed @ turned) * moved(qlim=joint["limits"])
+        made = made * rtb.ET.SE3(turned.T)
+    end = np.eye(4)
+    end[:3, 3] = case.effectors[0]["offset"]
+    return (made * rtb.ET.SE3(end)).compile()
+
+
+def _from_z(axis: Array) -> Array:
+    """Return a rotation that brings z to an axis."""
+    other = np.eye(3)[np.argmin(np.abs(axis))]
+    x = np.cross(other, axis)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(axis, x), axis], 1)
+
+
+class Toolbox:
+    """One chain of roboticstoolbox."""
+
+    def __init__(self, case: Case) -> None:
+        self.chain = chain(case)
+        points, turns = case.targets["pos"], case.targets["rot"]
+        self.targets = np.tile(np.eye(4), (len(points), 1, 1))
+        self.targets[:, :3, :3], self.targets[:, :3, 3] = turns[:, 0], points[:, 0]
+
+    def places(self, pose: Array) -> tuple[Array, Array]:
+        found = np.asarray(self.chain.eval(pose))
+        return found[None, :3, :3], found[None, :3, 3]
+
+    def solve(
+        self, starts: Array, frames: range, asked: Asked
+    ) -> Iterator[tuple[Array, float]]:
+        for start, frame in zip(starts, frames, strict=True):
+            yield self._one(start, frame, asked)
+
+    def follow(
+        self, start: Array, frames: range, asked: Asked
+    ) -> Iterator[tuple[Array, float]]:
+        pose = start
+        for frame in frames:
+            pose, seconds = self._one(pose, frame, asked)
+            yield pose, seconds
+
+    def _one(self, start: Array, frame: int, asked: Asked) -> tuple[Array, float]:
+        # It stops by half the sum of squares of both, so by the smaller tolerance.
+        bound = min(asked.position, asked.angle) ** 2 / 2
+        began = time.perf_counter()
+        found = self.chain.ik_LM(
+            self.targets[frame],
+            q0=start,
+            ilimit=STEPS,
+            slimit=asked.restarts + 1,
+            tol=bound,
+            joint_limits=True,
+            k=GAIN,
+            method=METHOD,
+        )
+        seconds = time.perf_counter() - began
+        return np.asarray(found.q), seconds
+
+
+def build(case: Case) -> Solver:
+    return Toolbox(case)
+
+
+if __name__ == "__main__":
+    serve(build)
