@@ -34,8 +34,7 @@ def matrices(quaternions: npt.ArrayLike) -> Array:
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
-    made: Array = np.moveaxis(np.array(rows), (0, 1), (-2, -1))
-    return made
+    return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
 def angles(rotations: Array) -> Array:
@@ -43,7 +42,7 @@ def angles(rotations: Array) -> Array:
     skew = rotations - np.swapaxes(rotations, -1, -2)
     sine = np.sqrt((skew**2).sum((-1, -2)) / 8)
     cosine = (np.trace(rotations, axis1=-2, axis2=-1) - 1) / 2
-    return np.arctan2(sine, cosine)
+    return np.asarray(np.arctan2(sine, cosine))
 
 
 @dataclass(frozen=True)
