@@ -135,7 +135,7 @@ class Case:
             turn = turn @ matrices(joint["offset_r"])
             own = coordinates[:, place]
             if joint["type"] == "pin":
-                turn = turn @ _about(joint["axis"], own[:, 0])
+                turn = turn @ about(joint["axis"], own[:, 0])
             elif joint["type"] == "prismatic":
                 point = point + (turn @ np.asarray(joint["axis"], np.float64)) * own
             elif joint["type"] == "ball":
@@ -185,7 +185,8 @@ class Case:
         return worst
 
 
-def _about(axis: npt.ArrayLike, radians: Array) -> Array:
+def about(axis: npt.ArrayLike, radians: Array) -> Array:
+    """Return turns ``(B, 3, 3)`` about a unit axis."""
     x, y, z = np.asarray(axis, np.float64)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     sine, cosine = np.sin(radians)[:, None, None], np.cos(radians)[:, None, None]

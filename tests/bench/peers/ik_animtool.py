@@ -14,6 +14,8 @@ from animtool.maths import so3
 from animtool.rig.joints import local_from_coordinates
 from animtool.rig.kinematics import forward
 
+CALLS = 3
+
 
 class Animtool:
     """One problem of animtool's, with its rig."""
@@ -57,18 +59,22 @@ class Animtool:
         """Yield what one call for all frames gives.
 
         A problem's seconds are those that the solver counted for it, and an even
-        share of those that the call took beside.
+        share of those that the call took beside, of the call with the least of these.
         """
         given = from_file(self.case.model, starts)
+        given = given if starts.ndim > 1 else given[0]
         targets = self._targets(slice(frames.start, frames.stop))
-        began = time.perf_counter()
-        result = solve(
-            self.problem, given if starts.ndim > 1 else given[0], targets, options
-        )
-        seconds = time.perf_counter() - began
-        rest = (seconds - result.seconds.sum()) / len(frames)
-        poses = to_file(self.case.model, result.coordinates)
-        yield from zip(poses, (result.seconds + rest).tolist(), strict=True)
+        least = np.inf
+        # A pause in the rest of a call would fall on every problem of it.
+        for _ in range(CALLS if len(frames) > 1 else 1):
+            began = time.perf_counter()
+            result = solve(self.problem, given, targets, options)
+            seconds = time.perf_counter() - began
+            rest = (seconds - result.seconds.sum()) / len(frames)
+            if rest < least:
+                least, best = rest, result
+        poses = to_file(self.case.model, best.coordinates)
+        yield from zip(poses, (best.seconds + least).tolist(), strict=True)
 
     def _targets(self, rows: slice) -> Targets:
         return Targets(
