@@ -28,7 +28,6 @@ from ik_serve import Asked
 OWN, SINGLE = "animtool", "animtool, a call each"
 TOOLBOX, TRAC, MINK, PINK = "roboticstoolbox", "TRAC-IK", "mink", "Pink"
 BLENDER = "Blender"
-ARMS = ("panda", "ur5", "iiwa14", "xarm7", "puma560")
 SOLVED, MEDIAN, NINETY_FIVE = "solved [%]", "median [us]", "95 % [us]"
 MEAN, RATIO, COUNT = "mean [us]", "median / animtool [x]", "problems"
 # The success of the data, limits included; hard problems count lengths in chains.
@@ -37,11 +36,10 @@ NEAR, LIMITS = Asked(1e-4, 1e-3, 50, 1.0), 1e-6
 CLOSE = 1e-6
 # Steps of a descent where the best is out of reach.
 STEPS, PATIENCE = 100, 10
-# TRAC-IK ends by time alone.
-TRAC_SECONDS = 0.02
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 ALL = 10**9
 WARM_UP = 30
+TRAC_SECONDS = 0.02
 # A run of so long is not repeated [s].
 SLOW = 3.0
 
@@ -82,6 +80,7 @@ class Tool:
         aims: Takes goals to aim.
         places: How near its kinematics are to the data's own [m], in matrices too.
         finest: The least tolerance that its numbers allow.
+        seconds: Most time for one problem [s].
     """
 
     name: str
@@ -91,6 +90,7 @@ class Tool:
     aims: bool = False
     places: float = 1e-9
     finest: float = 0.0
+    seconds: float = NEAR.seconds
     jobs: IO[str] = field(init=False, repr=False)
     answers: IO[str] = field(init=False, repr=False)
 
@@ -151,7 +151,10 @@ def tools(peer_python: str | None, bpy_python: str | None) -> list[Tool]:
     else:
         for name, script in others.items():
             command = [peer_python, str(folder / f"ik_{script}.py")]
-            made.append(Tool(name, command, trees=name in (MINK, PINK)))
+            # TRAC-IK ends by time alone.
+            seconds = TRAC_SECONDS if name == TRAC else NEAR.seconds
+            trees = name in (MINK, PINK)
+            made.append(Tool(name, command, trees=trees, seconds=seconds))
     if bpy_python is None:
         print("  Blender skipped: no --bpy-python", file=sys.stderr)
     else:
@@ -217,8 +220,7 @@ class Bench:
     ) -> Answer:
         """Return what a tool makes of a case, after a look at its kinematics."""
         self._same_places(tool, name, index, case)
-        if tool.name == TRAC:
-            asked = replace(asked, seconds=TRAC_SECONDS)
+        asked = replace(asked, seconds=tool.seconds)
         clip = len(case.starts) == 1 < case.problems
         found = tool.ask(
             self.path(name),
@@ -293,11 +295,11 @@ def arms(bench: Bench) -> Iterator[list[Row]]:
     """Poses of arms, from a start that has nothing to do with them."""
     wanted = {(OWN, SOLVED): Wanted(True, 100)}
     wanted |= {(name, RATIO): Wanted(True, 1) for name in (TOOLBOX, TRAC)}
-    for arm in ARMS:
-        name = f"arm_{arm}"
-        case = bench.cases(name)[0].first(bench.most)
-        answers = bench.timed(name, case, NEAR)
-        yield rows_of(f"{arm}, far start", answers, (1e-4, 1e-3), wanted)
+    for path in sorted(bench.data.glob("arm_*.json")):
+        case = bench.cases(path.stem)[0].first(bench.most)
+        answers = bench.timed(path.stem, case, NEAR)
+        section = f"{path.stem.removeprefix('arm_')}, far start"
+        yield rows_of(section, answers, (NEAR.position, NEAR.angle), wanted)
 
 
 def bodies(bench: Bench) -> Iterator[list[Row]]:
@@ -307,7 +309,8 @@ def bodies(bench: Bench) -> Iterator[list[Row]]:
         name = f"humanoid_{kind}"
         case = bench.cases(name)[0].first(bench.most)
         answers = bench.timed(name, case, NEAR)
-        yield rows_of(f"humanoid, {kind}", answers, (1e-4, 1e-3), wanted)
+        reached = (NEAR.position, NEAR.angle)
+        yield rows_of(f"humanoid, {kind}", answers, reached, wanted)
 
 
 def clips(bench: Bench) -> Iterator[list[Row]]:
