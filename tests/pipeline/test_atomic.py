@@ -81,9 +81,11 @@ def test_a_bake_asked_to_stop_cleans_up(
     long_take: Path, tmp_path: Path, number: signal.Signals
 ) -> None:
     output = tmp_path / "o.usdc"
-    # The child stops itself in the middle of its work, at a place that is known.
+    # The child stops itself in the middle of its work, at a place that is known. A
+    # shell lets jobs in the background ignore interrupts, and they hand that down.
     script = (
-        "import os, sys\n"
+        "import os, signal, sys\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "from animtool.usd import author\n"
         "from animtool.cli.main import run\n"
         "save = author.save_layer\n"
