@@ -118,7 +118,8 @@ IkSolved solve_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int6
       const double* start =
           warm && b > 0 ? solved.get() + (b - 1) * width : starts.data() + b * width;
       const Outcome outcome = search.run(start, targets.data() + b * e * TARGET_WIDTH,
-                                         rests.data() + b * width, solved.get() + b * width);
+                                         rests.data() + b * width, warm && b > 0,
+                                         solved.get() + b * width);
       const std::chrono::duration<double> spent = std::chrono::steady_clock::now() - began;
       taken.get()[b] = spent.count();
       const State& best = search.best();

@@ -51,12 +51,17 @@ class Search {
       : task_(task), settings_(settings), linear_(task), stepper_(task), now_(task), next_(task),
         best_(task), first_(task), delta_(task.chain.dofs), pull_(task.chain.dofs) {}
 
-  // Fills in `q` (Q,), whatever comes of it.
-  Outcome run(const double* start, const double* targets, const double* rest, double* q) {
+  // Fills in `q` (Q,), whatever comes of it. `next` is the frame after the last run,
+  // from whose end it starts.
+  Outcome run(const double* start, const double* targets, const double* rest, bool next,
+              double* q) {
+    short_ = next && outcome_.status == Status::NEAREST;
+    last_cost_ = best_.cost;
     targets_ = targets;
     rest_ = rest;
     outcome_ = {};
-    random_ = Random(settings_.seed);
+    // Frames that go on searching look elsewhere each time.
+    if (!short_) random_ = Random(settings_.seed);
     began_ = std::chrono::steady_clock::now();
     std::fill(delta_.begin(), delta_.end(), 0.0);
     stepper_.move(start, delta_.data(), best_.q.data());
@@ -95,6 +100,11 @@ class Search {
   // How many other starts must end where the best did before it is taken for the
   // nearest that can be reached.
   static constexpr int AGREEING = 16;
+  // A start that ends below this share of the cost is a better one.
+  static constexpr double BETTER = 1 - 1e-3;
+  // So many in a frame whose cost is within a factor of that of the frame before it.
+  static constexpr int RESTARTS_NEXT = 2;
+  static constexpr double SAME = 1.25;
   // With so many times more degrees of freedom than rows, a descent that is slow is
   // worth its end: there are hardly any minima that it could be stuck in.
   static constexpr int REDUNDANT = 4;
@@ -105,14 +115,23 @@ class Search {
     const bool sure = floor_ > 0 || drawn || task_.chain.dofs >= REDUNDANT * rows_asked(task_, targets_);
     first_.q = best_.q;
     begin(best_);
-    const End end = descend(settings_.damping, sure);
+    const End end = descend(settings_.damping, sure || short_);
     if (keep()) return Status::REACHED;
+    if (same(end)) {
+      const double before = best_.cost;
+      for (int i = 0; i < std::min(RESTARTS_NEXT, settings_.restarts) && !settled() && !spent(); ++i) {
+        scatter(i % 2 ? best_ : first_);
+        descend(COLD, sure);
+        if (keep()) return Status::REACHED;
+      }
+      if (best_.cost >= before * BETTER) return Status::NEAREST;
+    }
     int agreeing = 0;
     for (int i = 0; i < settings_.restarts && !spent() && !settled(); ++i) {
       restart(i, end == End::STILL);
       descend(COLD, sure || i == POLISHED);
       const double before = best_.cost;
-      if (now_.cost < before * (1 - 1e-3))
+      if (now_.cost < before * BETTER)
         agreeing = 0;
       else if (now_.cost < before * (1 + 1e-2))
         ++agreeing;
@@ -120,6 +139,13 @@ class Search {
       if (agreeing >= AGREEING) break;
     }
     return polish();
+  }
+
+  // Whether the frame is as far from the goals as the one before it, whose search was
+  // in vain: it need not be made again.
+  bool same(End end) const {
+    return short_ && end == End::STILL && best_.cost < SAME * last_cost_ &&
+           last_cost_ < SAME * best_.cost;
   }
 
   void restart(int i, bool still) {
@@ -297,6 +323,8 @@ class Search {
   Random random_{0};
   Outcome outcome_;
   double floor_ = 0;  // no pose costs less
+  bool short_ = false;  // the frame before ended short of the goals, at this cost:
+  double last_cost_ = 0;
   const double* targets_ = nullptr;
   const double* rest_ = nullptr;
   std::chrono::steady_clock::time_point began_;

@@ -192,6 +192,22 @@ def test_warm_frames_start_where_the_last_ended() -> None:
     assert result.iterations.max() <= 5
 
 
+def test_frames_out_of_reach_follow_the_nearest_branch_without_a_search_each() -> None:
+    problem = build(arm(4, limit=0.5), [Goal("b3", (0.4, 0.0, 0.0))])
+    turn = np.linspace(0, 2 * np.pi, 400)
+    path = np.stack([np.cos(turn), np.sin(turn), 0.4 * np.sin(3 * turn)], axis=-1)
+    targets = Targets(1.3 * path[:, None])
+    warm = solve(problem, None, targets, IkOptions(warm=True))
+    cold = solve(problem, None, targets)
+    assert set(warm.statuses) == {IkStatus.NEAREST}
+    assert np.median(warm.descents) <= 3
+    assert np.median(warm.iterations) < np.median(cold.iterations) / 4
+    worse = warm.positions[:, 0] > 1.01 * cold.positions[:, 0]
+    gaps = np.diff(np.flatnonzero(np.concatenate([[True], ~worse, [True]])))
+    assert gaps.max() <= 8
+    assert worse.mean() < 0.05
+
+
 @FEW
 @given(SEEDS)
 def test_what_a_frame_does_not_ask_for_is_as_if_the_goal_had_no_such_weight(
