@@ -34,7 +34,7 @@ class Chain:
         nodes: Kind, parent, coordinate, whether it follows ``(N, 4)``.
         numbers: Rest rotation and offset, gain, shift, limits ``(N, 18)``, lengths in
             shares of ``length``.
-        goals: Node, root and middle of the limb ``(E, 3)``.
+        goals: Node, root and middle of the limb, level ``(E, 4)``.
         goal_numbers: Offset, aim axis, weights ``(E, 10)``.
         goal_frames: node_from_joint quaternions ``(E, 4)`` of the goals' joints.
         columns: Of the rig's coordinates, those of the chain, in its order.
@@ -359,7 +359,11 @@ def _finish(
         nodes,
         np.ascontiguousarray(numbers),
         np.array(
-            [[end.node, *limb] for end, limb in zip(ends, limbs, strict=True)], np.int64
+            [
+                [end.node, *limb, level]
+                for end, limb, level in zip(ends, limbs, _levels(goals), strict=True)
+            ],
+            np.int64,
         ),
         np.array(goal_numbers, np.float64),
         np.array([end.rotation for end in ends]),
@@ -370,6 +374,12 @@ def _finish(
         sum(widths[kind] for kind, _, _, follows in builder.nodes if not follows),
         length,
     )
+
+
+def _levels(goals: Sequence[Goal]) -> list[int]:
+    """Return the ranks of the goals' priorities, from 0 without gaps."""
+    ranks = sorted({goal.priority for goal in goals})
+    return [ranks.index(goal.priority) for goal in goals]
 
 
 def _length(builder: _Builder, ends: list[_Frame], points: list[FloatArray]) -> float:
@@ -397,7 +407,7 @@ def _length(builder: _Builder, ends: list[_Frame], points: list[FloatArray]) -> 
 _EMPTY = Chain(
     np.zeros((0, 4), np.int64),
     np.zeros((0, 18)),
-    np.zeros((0, 3), np.int64),
+    np.zeros((0, 4), np.int64),
     np.zeros((0, 10)),
     np.zeros((0, 4)),
     np.zeros(0, np.int64),

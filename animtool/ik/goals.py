@@ -34,6 +34,8 @@ class Goal:
             plane of the limb's root, its tip (the goal's point) and that point.
         root: Topmost joint that this goal moves, the joint itself or one above it; None
             is the topmost of the rig. Joints above it move only for goals of their own.
+        priority: From 0, hard. Goals of higher numbers give way: among the poses that
+            are best for those before them, the ones that are best for them are taken.
     """
 
     joint: str
@@ -44,6 +46,7 @@ class Goal:
     aim_axis: Vector = (0.0, 0.0, 1.0)
     pole: float = 0.0
     root: str | None = None
+    priority: int = 0
 
     @property
     def weights(self) -> tuple[float, float, float, float]:
@@ -96,6 +99,9 @@ def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
     weights = np.array(goal.weights, np.float64)
     if not (np.isfinite(weights).all() and (weights >= 0).all() and weights.any()):
         message = "weights are numbers from 0, one of them more than 0"
+        faults.append(Fault("IK002", message, where=where))
+    if not (isinstance(goal.priority, int) and goal.priority >= 0):
+        message = f"its priority is a whole number from 0, not {goal.priority!r}"
         faults.append(Fault("IK002", message, where=where))
     if not np.isfinite(goal.offset).all():
         faults.append(Fault("IK002", "its offset is not finite", where=where))

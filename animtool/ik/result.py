@@ -20,10 +20,24 @@ ON_LIMIT = 1e-9
 
 
 class IkStatus(StrEnum):
-    """How a solve ended."""
+    """How a solve ended.
+
+    Attributes:
+        CONVERGED: Every goal is reached.
+        NEAREST: A goal that is missed is out of reach by itself too, as far as descent
+            from the pose found tells.
+        YIELDED: Goals are missed only for harder ones, for the pose preferred, or for
+            an extension that eases out.
+        CONFLICT: Every goal can be reached, but not those of one priority together:
+            the pose has the least sum of squares.
+        BUDGET: Steps or time ran out on the way.
+        NOT_FINITE: A target is so far that its distance is no number.
+    """
 
     CONVERGED = "converged"
     NEAREST = "at the nearest reachable"
+    YIELDED = "given way to what is preferred"
+    CONFLICT = "between goals that contradict each other"
     BUDGET = "out of budget"
     NOT_FINITE = "numbers beyond range"
 
@@ -44,6 +58,7 @@ class IkResult:
         orientations: ``(B, E)`` [rad].
         aims: ``(B, E)`` [rad].
         poles: ``(B, E)`` [rad].
+        reached: Which goals are, within the tolerances ``(B, E)``.
     """
 
     problem: Problem
@@ -56,11 +71,21 @@ class IkResult:
     orientations: FloatArray
     aims: FloatArray
     poles: FloatArray
+    reached: BoolArray
 
     @property
     def converged(self) -> BoolArray:
         """Which problems reached every goal within the tolerance ``(B,)``."""
         return np.array([s is IkStatus.CONVERGED for s in self.statuses], np.bool_)
+
+    @property
+    def missed(self) -> list[tuple[int, int]]:
+        """Return problem and goal of every goal that is not reached.
+
+        At the status NEAREST, what they miss in ``positions`` is the distance from the
+        nearest point that can be reached.
+        """
+        return [(int(b), int(e)) for b, e in np.argwhere(~self.reached)]
 
     def limits_active(self, index: int = 0) -> list[str]:
         """Return the joints that stand on a limit in one of the poses."""
@@ -79,7 +104,8 @@ class IkResult:
         counts = Counter(map(str, self.statuses))
         ends = ", ".join(f"{count} {status}" for status, count in counts.items())
         worst = float(self.positions.max(initial=0.0))
-        return f"<IkResult: {ends}; worst position {worst:.3g} m>"
+        missed = f"; goals missed: {len(self.missed)}" if self.missed else ""
+        return f"<IkResult: {ends}{missed}; worst position {worst:.3g} m>"
 
 
 def _on_limit(limit: RangeLimit | BallLimit, own: FloatArray) -> bool:

@@ -23,6 +23,8 @@ _STATUSES = (
     IkStatus.NEAREST,
     IkStatus.BUDGET,
     IkStatus.NOT_FINITE,
+    IkStatus.YIELDED,
+    IkStatus.CONFLICT,
 )
 # Damping of the first step: far from the goals, and beside them.
 COLD_DAMPING, WARM_DAMPING = 1e-3, 1e-6
@@ -117,6 +119,7 @@ def solve(
         found = _limbs(problem, own, packed, wished, options)
     else:
         found = _damped(problem, own, packed, wished, options)
+    tolerances = [options.tolerance, *[options.angle_tolerance] * 3]
     return IkResult(
         problem,
         chain.into_rig(found.coordinates, starts),
@@ -128,6 +131,7 @@ def solve(
         found.misses[:, :, 1],
         found.misses[:, :, 2],
         found.misses[:, :, 3],
+        (found.misses <= tolerances).all(axis=2),
     )
 
 

@@ -3,7 +3,7 @@
 #include <cmath>
 #include <stdexcept>
 
-#include "ik_search.h"
+#include "ik_levels.h"
 #include "kernels.h"
 
 namespace animtool {
@@ -56,15 +56,15 @@ Chain read_chain(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers)
 Task read_task(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
                const In<std::int64_t, 2>& goals, const In<double, 2>& goal_numbers,
                double rest_weight) {
-  if (goals.shape(1) != 3 || goal_numbers.shape(1) != 10 ||
+  if (goals.shape(1) != 4 || goal_numbers.shape(1) != 10 ||
       goals.shape(0) != goal_numbers.shape(0))
-    throw std::invalid_argument("goals are (E, 3), their numbers (E, 10)");
+    throw std::invalid_argument("goals are (E, 4), their numbers (E, 10)");
   Task task;
   task.chain = read_chain(nodes, numbers);
   task.rest_weight = rest_weight;
   const std::int64_t count = static_cast<std::int64_t>(task.chain.nodes.size());
   for (std::size_t e = 0; e < goals.shape(0); ++e) {
-    const std::int64_t* row = goals.data() + 3 * e;
+    const std::int64_t* row = goals.data() + 4 * e;
     const double* values = goal_numbers.data() + 10 * e;
     if (row[0] < 0 || row[0] >= count || row[1] >= count || row[2] >= count)
       throw std::invalid_argument("a goal is on a node");
@@ -75,6 +75,10 @@ Task read_task(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
     std::copy(values, values + 3, goal.offset);
     std::copy(values + 3, values + 6, goal.aim_axis);
     std::copy(values + 6, values + 10, goal.weights);
+    goal.level = static_cast<int>(row[3]);
+    if (row[3] < 0 || row[3] >= static_cast<std::int64_t>(goals.shape(0)))
+      throw std::invalid_argument("levels are counted from 0");
+    task.levels = std::max(task.levels, goal.level + 1);
     if (goal.weights[3] > 0 && (row[1] < 0 || row[2] < 0))
       throw std::invalid_argument("a pole needs a limb");
     goal.row = task.rows;
@@ -112,17 +116,20 @@ IkSolved solve_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int6
   Buffer<std::int64_t> reports(batch * 3);
   {
     nb::gil_scoped_release release;
-    Search search(task, settings);
+    Levels solver(task, settings);
     for (std::size_t b = 0; b < batch; ++b) {
       const auto began = std::chrono::steady_clock::now();
       const double* start =
           warm && b > 0 ? solved.get() + (b - 1) * width : starts.data() + b * width;
-      const Outcome outcome = search.run(start, targets.data() + b * e * TARGET_WIDTH,
-                                         rests.data() + b * width, warm && b > 0,
-                                         solved.get() + b * width);
+      const Outcome outcome = solver.run(start, targets.data() + b * e * TARGET_WIDTH,
+                                         rests.data() + b * width, warm && b > 0);
       const std::chrono::duration<double> spent = std::chrono::steady_clock::now() - began;
       taken.get()[b] = spent.count();
-      const State& best = search.best();
+      const State& best = solver.best();
+      if (outcome.status == Status::BROKEN)
+        std::copy(start, start + width, solved.get() + b * width);
+      else
+        std::copy(best.q.begin(), best.q.end(), solved.get() + b * width);
       std::copy(best.misses.begin(), best.misses.end(), misses.get() + b * e * PARTS);
       std::int64_t* report = reports.get() + 3 * b;
       report[0] = static_cast<std::int64_t>(outcome.status);

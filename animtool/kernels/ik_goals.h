@@ -17,6 +17,7 @@ struct Goal {
   double offset[3];  // of its point, in the node's frame
   double aim_axis[3];
   double weights[4];  // position, orientation, aim, pole; 0 is not asked for
+  int level = 0;      // 0 is hard; higher ones give way to those below
   int root = -1, middle = -1;  // of the limb that has a pole
   int row = 0;
   std::vector<int> path;  // nodes that move it, from the root
@@ -35,6 +36,7 @@ struct Task {
   Chain chain;
   std::vector<Goal> goals;
   int rows = 0;
+  int levels = 1;
   double rest_weight = 0;
 };
 
@@ -161,7 +163,9 @@ inline void measure_aim(double weight, const Aim& aim, double* r, double* miss) 
   r[1] = weight * aim.angle * dot(aim.axis, v);
 }
 
-inline void measure(const Task& task, const double* targets, State& state) {
+// `shift` (M,) is added to the residuals, or null.
+inline void measure(const Task& task, const double* targets, State& state,
+                    const double* shift = nullptr) {
   std::fill(state.residuals.begin(), state.residuals.end(), 0.0);
   std::fill(state.misses.begin(), state.misses.end(), 0.0);
   for (std::size_t e = 0; e < task.goals.size(); ++e) {
@@ -187,6 +191,8 @@ inline void measure(const Task& task, const double* targets, State& state) {
       r[0] = limb.known ? weights[3] * limb.angle : 0;
     }
   }
+  if (shift)
+    for (int i = 0; i < task.rows; ++i) state.residuals[i] += shift[i];
   state.cost = 0;
   for (const double x : state.residuals) state.cost += x * x;
   state.cost /= 2;

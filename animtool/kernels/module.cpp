@@ -128,15 +128,15 @@ number; the largest distance of a point from where it was, times ``unit``, and w
 ``nodes`` ``(N, 4)``: kind (0 pin, 1 slide, 2 ball), parent, first coordinate, whether
 that belongs to an earlier node. ``numbers`` ``(N, 18)``: rest rotation by rows, offset,
 gain, shift, limits (low, high; of a ball two swings, twist low, high). A pin turns about
-its z, a slide goes along it, a ball twists about it. ``goals`` ``(E, 3)``: node, root and
-middle of its limb, or -1. ``goal_numbers`` ``(E, 10)``: offset, aim axis, weights of
+its z, a slide goes along it, a ball twists about it. ``goals`` ``(E, 4)``: node, root and
+middle of its limb, or -1; level, 0 before all others. ``goal_numbers`` ``(E, 10)``: offset, aim axis, weights of
 position, orientation, aim and pole. ``targets`` ``(B, E, 17)``: position, quaternion,
 point to aim at, pole, and what the four weights are multiplied by. Lengths are shares of the chain's. ``warm`` starts each problem
 where the one before it ended.
 
 Returns ``(coordinates, misses, reports, seconds)``: ``(B, Q)``; what each goal misses
-``(B, E, 4)``; status (0 reached, 1 nearest, 2 budget, 3 not finite), iterations and
-descents ``(B, 3)``; time of each ``(B,)``.)");
+``(B, E, 4)``; status (0 reached, 1 nearest, 2 budget, 3 not finite, 4 given way to harder goals or the
+rest, 5 goals that contradict each other), iterations and descents ``(B, 3)``; time of each ``(B,)``.)");
 
   m.def("linearize_ik", &linearize_ik, "nodes"_a, "numbers"_a, "goals"_a, "goal_numbers"_a,
         "starts"_a, "targets"_a, "steps"_a,

@@ -24,6 +24,7 @@ def test_an_aim_beyond_the_cone_stops_on_it(angle: float, missed: float) -> None
     result = solve(problem, None, Targets(aims=[[point]]))
     assert abs(result.aims[0, 0] - missed) < 1e-6
     assert result.limits_active() == (["neck"] if missed else [])
+    assert result.missed == ([(0, 0)] if missed else [])
 
 
 def test_an_ellipse_is_wider_one_way() -> None:
