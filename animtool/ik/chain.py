@@ -35,7 +35,8 @@ class Chain:
         numbers: Rest rotation and offset, gain, shift, limits ``(N, 18)``, lengths in
             shares of ``length``.
         goals: Node, root and middle of the limb, level ``(E, 4)``.
-        goal_numbers: Offset, aim axis, weights ``(E, 10)``.
+        goal_numbers: Offset in the node's frame, of the joint and from the joint, aim
+            axis, weights ``(E, 13)``.
         goal_frames: node_from_joint quaternions ``(E, 4)`` of the goals' joints.
         columns: Of the rig's coordinates, those of the chain, in its order.
         scales: What each of them is divided by.
@@ -323,10 +324,11 @@ def _finish(
     limbs: list[tuple[int, int]],
 ) -> Chain:
     ends = [frames[rig.index(goal.joint)] for goal in goals]
-    points = [
-        end.translation + so3.rotate(end.rotation, np.asarray(goal.offset, np.float64))
+    tools = [
+        so3.rotate(end.rotation, np.asarray(goal.offset, np.float64))
         for goal, end in zip(goals, ends, strict=True)
     ]
+    points = [end.translation + tool for end, tool in zip(ends, tools, strict=True)]
     length = _length(builder, ends, points)
     nodes = np.array(builder.nodes, np.int64).reshape(-1, 4)
     scales = np.where(builder.lengths, length, 1.0)
@@ -348,11 +350,12 @@ def _finish(
     )
     goal_numbers = [
         [
-            *(point / length),
+            *(end.translation / length),
+            *(tool / length),
             *so3.rotate(end.rotation, np.asarray(goal.aim_axis, np.float64)),
             *goal.weights,
         ]
-        for goal, end, point in zip(goals, ends, points, strict=True)
+        for goal, end, tool in zip(goals, ends, tools, strict=True)
     ]
     widths = {PIN: 1, SLIDE: 1, BALL: 3}
     return Chain(
@@ -408,7 +411,7 @@ _EMPTY = Chain(
     np.zeros((0, 4), np.int64),
     np.zeros((0, 18)),
     np.zeros((0, 4), np.int64),
-    np.zeros((0, 10)),
+    np.zeros((0, 13)),
     np.zeros((0, 4)),
     np.zeros(0, np.int64),
     np.zeros(0),

@@ -36,6 +36,11 @@ class Goal:
             is the topmost of the rig. Joints above it move only for goals of their own.
         priority: From 0, hard. Goals of higher numbers give way: among the poses that
             are best for those before them, the ones that are best for them are taken.
+        soft: Share of the limb's reach, from its root to the point, over which its
+            extension eases out, so that it does not snap straight; from 0 to less
+            than 1.
+        stretch: Share of their length that the limb's bones may grow by, all by as
+            much, to reach what is too far.
     """
 
     joint: str
@@ -47,6 +52,8 @@ class Goal:
     pole: float = 0.0
     root: str | None = None
     priority: int = 0
+    soft: float = 0.0
+    stretch: float = 0.0
 
     @property
     def weights(self) -> tuple[float, float, float, float]:
@@ -102,6 +109,12 @@ def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
         faults.append(Fault("IK002", message, where=where))
     if not (isinstance(goal.priority, int) and goal.priority >= 0):
         message = f"its priority is a whole number from 0, not {goal.priority!r}"
+        faults.append(Fault("IK002", message, where=where))
+    if not 0 <= goal.soft < 1:
+        message = f"soft must be from 0 to less than 1, not {goal.soft}"
+        faults.append(Fault("IK002", message, where=where))
+    if not (goal.stretch >= 0 and np.isfinite(goal.stretch)):
+        message = f"stretch must be a number from 0, not {goal.stretch}"
         faults.append(Fault("IK002", message, where=where))
     if not np.isfinite(goal.offset).all():
         faults.append(Fault("IK002", "its offset is not finite", where=where))

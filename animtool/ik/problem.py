@@ -11,6 +11,7 @@ from animtool._types import ArrayLike, FloatArray, as_floats
 from animtool.errors import Fault, OptionError
 from animtool.ik.chain import Chain, assemble
 from animtool.ik.goals import Goal, goal_faults
+from animtool.ik.limbs import Limb, find_limbs
 from animtool.rig.joints import coordinate_slices
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import JointType, Rig
@@ -34,6 +35,7 @@ class Problem:
             to a goal [m].
         rest_weight: Of the preference for a pose, in the sum of squares.
         chain: The joints as the solver takes them.
+        limbs: Those that ease out or stretch.
     """
 
     rig: Rig
@@ -44,6 +46,7 @@ class Problem:
     length: float
     rest_weight: float
     chain: Chain = field(repr=False)
+    limbs: tuple[Limb, ...] = field(default=(), repr=False)
 
     @property
     def coordinates(self) -> int:
@@ -82,7 +85,8 @@ def build(
             asks for nothing or in numbers that are not finite (IK002), a goal that no
             joint moves (IK003), a pole without a limb of two bones (IK004), reversed
             limits (IK005), no goals (IK006), a goal's root that is not above its joint
-            (IK007).
+            (IK007), a limb that is soft or stretches but slides, has a root that is
+            moved, or shares its bones with another that stretches (IK008).
         ValueError: ``pose`` does not fit the rig.
 
     >>> from animtool.rig.skeleton import Joint, JointType
@@ -101,6 +105,9 @@ def build(
     at = np.zeros(width) if pose is None else as_floats(pose, (width,), "pose")
     moving = _moving(rig, goals, joints)
     chain, faults = assemble(rig, goals, moving, at)
+    limbs: tuple[Limb, ...] = ()
+    if not faults:
+        limbs, faults = find_limbs(rig, goals, moving, chain)
     if faults:
         raise OptionError(faults)
     return Problem(
@@ -112,6 +119,7 @@ def build(
         chain.length,
         rest_weight,
         chain,
+        limbs,
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.ik.problem import Problem
-from animtool.rig.joints import coordinate_slices
+from animtool.rig.joints import coordinate_slices, local_from_coordinates
 from animtool.rig.limits import BallLimit, RangeLimit
 
 __all__ = ["IkResult", "IkStatus"]
@@ -59,6 +59,8 @@ class IkResult:
         aims: ``(B, E)`` [rad].
         poles: ``(B, E)`` [rad].
         reached: Which goals are, within the tolerances ``(B, E)``.
+        stretches: What the bones of each goal's limb are multiplied by ``(B, E)``: 1
+            where none stretch.
     """
 
     problem: Problem
@@ -72,6 +74,7 @@ class IkResult:
     aims: FloatArray
     poles: FloatArray
     reached: BoolArray
+    stretches: FloatArray
 
     @property
     def converged(self) -> BoolArray:
@@ -86,6 +89,18 @@ class IkResult:
         nearest point that can be reached.
         """
         return [(int(b), int(e)) for b, e in np.argwhere(~self.reached)]
+
+    def local_translations(self) -> FloatArray:
+        """Return the joints' translations, stretched ``(B, J, 3)`` [m], from parents.
+
+        With the rotations of ``coordinates`` they put the goals' points where the
+        solver had them.
+        """
+        rig = self.problem.rig
+        local = local_from_coordinates(rig, self.coordinates).translations.copy()
+        for limb in self.problem.limbs:
+            local[:, list(limb.joints)] *= self.stretches[:, limb.goal, None, None]
+        return local
 
     def limits_active(self, index: int = 0) -> list[str]:
         """Return the joints that stand on a limit in one of the poses."""

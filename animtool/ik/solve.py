@@ -11,9 +11,10 @@ from animtool import _kernels
 from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, OptionError
 from animtool.ik.goals import Targets, pack
+from animtool.ik.limbs import Extension, extend
 from animtool.ik.problem import Problem, rest_pose
 from animtool.ik.result import IkResult, IkStatus
-from animtool.ik.two_bone import asked, fits, solve_limb
+from animtool.ik.two_bone import fits, solve_limb, wanted
 from animtool.maths import so3
 
 __all__ = ["IkMethod", "IkOptions", "solve"]
@@ -52,8 +53,6 @@ class IkOptions:
         seconds: Most time for one problem [s]; 0 is no bound. With a bound, what is
             found depends on the machine.
         warm: Each problem starts where the one before it ended, as frames of a clip.
-        soft: Share of a two-bone limb's reach over which its extension eases out, so
-            that it does not snap straight; from 0 to less than 1. Others are not eased.
     """
 
     method: IkMethod = IkMethod.AUTO
@@ -64,7 +63,6 @@ class IkOptions:
     seed: int = 0
     seconds: float = 0.0
     warm: bool = False
-    soft: float = 0.0
 
 
 def solve(
@@ -114,12 +112,18 @@ def solve(
     packed[:, :, 3:7] = so3.multiply(
         packed[:, :, 3:7], so3.conjugate(chain.goal_frames)
     )
-    own, wished = chain.from_rig(starts), chain.from_rig(wished)
+    asked = _Asked(
+        packed,
+        extend(problem.limbs, packed),
+        chain.from_rig(starts),
+        chain.from_rig(wished),
+    )
     if options.method is IkMethod.AUTO and fits(problem):
-        found = _limbs(problem, own, packed, wished, options)
+        found = _limbs(problem, asked, options)
     else:
-        found = _damped(problem, own, packed, wished, options)
-    tolerances = [options.tolerance, *[options.angle_tolerance] * 3]
+        found = _damped(problem, asked, options)
+    reached = np.asarray((found.misses <= _tolerances(options)).all(axis=2), np.bool_)
+    _explain(found, asked, reached)
     return IkResult(
         problem,
         chain.into_rig(found.coordinates, starts),
@@ -131,7 +135,8 @@ def solve(
         found.misses[:, :, 1],
         found.misses[:, :, 2],
         found.misses[:, :, 3],
-        (found.misses <= tolerances).all(axis=2),
+        reached,
+        asked.limbs.scales,
     )
 
 
@@ -145,22 +150,46 @@ class _Found:
     seconds: FloatArray
 
 
-def _damped(
-    problem: Problem,
-    starts: FloatArray,
-    targets: FloatArray,
-    wished: FloatArray,
-    options: IkOptions,
-) -> _Found:
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """What B problems ask of the chain, as the solvers take it."""
+
+    targets: FloatArray
+    limbs: Extension
+    starts: FloatArray
+    wished: FloatArray
+
+    def __getitem__(self, rows: IntArray) -> _Asked:
+        """Return some of the problems."""
+        targets, limbs = self.targets[rows], self.limbs[rows]
+        return _Asked(targets, limbs, self.starts[rows], self.wished[rows])
+
+
+def _tolerances(options: IkOptions) -> list[float]:
+    return [options.tolerance, *[options.angle_tolerance] * 3]
+
+
+def _explain(found: _Found, asked: _Asked, reached: BoolArray) -> None:
+    """Say of targets that were brought into reach whether they were out of it."""
+    status = found.reports[:, 0]
+    short = (status == _STATUSES.index(IkStatus.CONVERGED)) & ~reached.all(axis=1)
+    only_eased = (reached | asked.limbs.eased).all(axis=1)
+    status[short] = _STATUSES.index(IkStatus.NEAREST)
+    status[short & only_eased] = _STATUSES.index(IkStatus.YIELDED)
+
+
+def _damped(problem: Problem, asked: _Asked, options: IkOptions) -> _Found:
     chain = problem.chain
     solved = _kernels.solve_ik(
         chain.nodes,
         chain.numbers,
         chain.goals,
         chain.goal_numbers,
-        starts,
-        targets,
-        wished,
+        asked.starts,
+        asked.targets,
+        asked.limbs.sought,
+        asked.limbs.scales,
+        asked.wished,
         problem.rest_weight,
         options.tolerance,
         options.angle_tolerance,
@@ -174,29 +203,23 @@ def _damped(
     return _Found(*solved)
 
 
-def _limbs(
-    problem: Problem,
-    starts: FloatArray,
-    targets: FloatArray,
-    wished: FloatArray,
-    options: IkOptions,
-) -> _Found:
+def _limbs(problem: Problem, asked: _Asked, options: IkOptions) -> _Found:
     """Solve limbs in closed form, and those that their limits stop by descent."""
-    limbs = solve_limb(problem, starts, targets, options.soft)
-    tolerances = [options.tolerance, *[options.angle_tolerance] * 3]
-    short = (limbs.misses > tolerances).any(axis=(1, 2))
-    reports = np.zeros((len(starts), 3), np.int64)
-    reports[:, 0] = np.where(short, 1, 0)
-    found = _Found(limbs.coordinates, limbs.misses, reports, np.zeros(len(starts)))
+    limbs = solve_limb(
+        problem, asked.starts, asked.targets, asked.limbs.sought, asked.limbs.scales
+    )
+    reports = np.zeros((len(asked.starts), 3), np.int64)
+    seconds = np.zeros(len(reports))
+    found = _Found(limbs.coordinates, limbs.misses, reports, seconds)
     rest = np.flatnonzero(~limbs.valid)
     if len(rest):
-        other = _damped(problem, starts[rest], targets[rest], wished[rest], options)
+        other = _damped(problem, asked[rest], options)
         found.coordinates[rest] = other.coordinates
         found.misses[rest] = other.misses
         found.reports[rest] = other.reports
         found.seconds[rest] = other.seconds
     if options.warm:
-        _stay(found, ~np.logical_or(*asked(problem, targets)))
+        _stay(found, ~np.logical_or(*wanted(problem, asked.targets)))
     return found
 
 
@@ -218,9 +241,6 @@ def _check(options: IkOptions) -> None:
         for name in ("restarts", "seed", "seconds")
         if not getattr(options, name) >= 0
     ]
-    if not 0 <= options.soft < 1:
-        message = f"soft must be from 0 to less than 1, not {options.soft}"
-        faults.append(Fault("IK014", message))
     if faults:
         raise OptionError(faults)
 

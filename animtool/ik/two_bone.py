@@ -16,7 +16,7 @@ from animtool.ik.chain import BALL, PIN, Chain
 from animtool.ik.problem import Problem
 from animtool.maths import so3
 
-__all__ = ["LimbSolution", "asked", "fits", "soft_distance", "solve_limb"]
+__all__ = ["LimbSolution", "fits", "solve_limb", "wanted"]
 
 # A pin is across a bone within this [1].
 ACROSS = 1e-12
@@ -53,40 +53,24 @@ def fits(problem: Problem) -> bool:
 
 def _bends(chain: Chain) -> bool:
     """Return whether the elbow opens and closes the limb all the way."""
-    upper, lower = _bones(chain)
+    upper, lower = (bone[0] for bone in _bones(chain, np.ones((1, 1))))
     if min(np.linalg.norm(upper), np.linalg.norm(lower)) < NO_LENGTH:
         return False
     if chain.nodes[1, 0] == BALL:
         return _unlimited(chain.numbers[1])
     axis = _rest(chain, 1)[:, 2]
-    across = max(abs(axis @ upper), abs(lower[2]))
+    bone, tool = chain.goal_numbers[0, 2], chain.goal_numbers[0, 5]
+    across = max(abs(axis @ upper), abs(bone), abs(tool))
     plain = chain.numbers[1, 12] == 1 and chain.numbers[1, 13] == 0
     return bool(chain.nodes[1, 0] == PIN and plain and across < ACROSS)
 
 
-def soft_distance(distance: FloatArray, reach: float, soft: float) -> FloatArray:
-    """Return how far a limb extends towards a target at a distance.
-
-    Up to ``(1 - soft) reach`` as far as the target; beyond, ever closer to its full
-    reach without a kink in speed, so that it never snaps straight.
-
-    References:
-        A. Nicholas, Soft IK, 2009 (the exponential ease).
-
-    >>> soft_distance(np.array([0.5, 1.0]), 1.0, 0.2).round(3).tolist()
-    [0.5, 0.926]
-    """
-    if soft <= 0:
-        return np.minimum(distance, reach)
-    start, width = (1 - soft) * reach, soft * reach
-    beyond = np.maximum(distance - start, 0.0)
-    return np.where(
-        distance > start, start + width * -np.expm1(-beyond / width), distance
-    )
-
-
 def solve_limb(
-    problem: Problem, starts: FloatArray, targets: FloatArray, soft: float = 0.0
+    problem: Problem,
+    starts: FloatArray,
+    targets: FloatArray,
+    sought: FloatArray,
+    scales: FloatArray,
 ) -> LimbSolution:
     """Return the poses of limbs from the chain's coordinates and packed targets.
 
@@ -94,8 +78,9 @@ def solve_limb(
         problem: One that `fits`.
         starts: ``(B, C)``: the side to which a pin bends, and the way a limb without
             pole is turned.
-        targets: ``(B, 1, 17)``.
-        soft: Share of the reach over which extension eases out.
+        targets: ``(B, 1, 17)``, that misses are told of.
+        sought: The same, brought into reach where extension eases out.
+        scales: What the bones are multiplied by ``(B, 1)``.
 
     Limits of the method: a target within 1e-12 of the root, or one exactly behind the
     start's direction, leaves the plane of the limb open without a pole; a pole on the
@@ -103,13 +88,13 @@ def solve_limb(
     """
     chain = problem.chain
     base = chain.numbers[0, 9:12]
-    upper, lower = _bones(chain)
+    upper, lower = _bones(chain, scales)
     q = starts.copy()
     # A pole by itself is no matter of reach: another solver turns the limb to it.
-    placed, poled = asked(problem, targets)
-    towards = targets[:, 0, :3] - base
+    placed, poled = wanted(problem, targets)
+    towards = sought[:, 0, :3] - base
     distance = np.linalg.norm(towards, axis=1)
-    bend = _bend(upper, lower, distance, soft)
+    bend = _bend(upper, lower, distance)
     valid = _open_elbow(chain, q, upper, lower, bend)
     tip = _tip(chain, q, upper, lower)
     _turn_shoulder(chain, q, tip, towards)
@@ -119,15 +104,15 @@ def solve_limb(
     q[~placed] = starts[~placed]
     misses = np.zeros((len(q), 1, 4))
     reached = so3.rotate(_world(chain, q), tip)
-    misses[:, 0, 0] = np.where(placed, np.linalg.norm(towards - reached, axis=1), 0.0)
+    away = np.linalg.norm(targets[:, 0, :3] - base - reached, axis=1)
+    misses[:, 0, 0] = np.where(placed, away, 0.0)
     if poled.any():
-        elbow = so3.rotate(_world(chain, q), np.broadcast_to(upper, tip.shape))
-        angle = np.abs(_angle_about(reached, elbow, pole))
-        misses[:, 0, 3] = np.where(poled, angle, 0.0)
+        angle = _angle_about(reached, so3.rotate(_world(chain, q), upper), pole)
+        misses[:, 0, 3] = np.where(poled, np.abs(angle), 0.0)
     return LimbSolution(q, misses, np.where(placed, valid, ~poled))
 
 
-def asked(problem: Problem, targets: FloatArray) -> tuple[BoolArray, BoolArray]:
+def wanted(problem: Problem, targets: FloatArray) -> tuple[BoolArray, BoolArray]:
     """Return where the limb's position and its pole are asked for ``(B,)`` each."""
     goal = problem.goals[0]
     return goal.position * targets[:, 0, 13] > 0, goal.pole * targets[:, 0, 16] > 0
@@ -142,31 +127,31 @@ def _rest(chain: Chain, node: int) -> FloatArray:
     return chain.numbers[node, :9].reshape(3, 3)
 
 
-def _bones(chain: Chain) -> tuple[FloatArray, FloatArray]:
-    """Return the upper bone in the shoulder's frame, the lower in the elbow's."""
-    return chain.numbers[1, 9:12], chain.goal_numbers[0, :3]
+def _bones(chain: Chain, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the upper bones in the shoulder's frame, the lower in the elbow's."""
+    bone, tool = chain.goal_numbers[0, :3], chain.goal_numbers[0, 3:6]
+    return scales * chain.numbers[1, 9:12], scales * bone + tool
 
 
-def _bend(
-    upper: FloatArray, lower: FloatArray, distance: FloatArray, soft: float
-) -> FloatArray:
+def _bend(upper: FloatArray, lower: FloatArray, distance: FloatArray) -> FloatArray:
     """Return the angle between the bones' directions ``(B,)``, 0 where straight."""
-    a, b = float(np.linalg.norm(upper)), float(np.linalg.norm(lower))
-    reach = np.clip(soft_distance(distance, a + b, soft), abs(a - b), a + b)
+    a, b = np.linalg.norm(upper, axis=1), np.linalg.norm(lower, axis=1)
+    reach = np.clip(distance, np.abs(a - b), a + b)
     # The half-angle form keeps its digits at both ends.
     short = (a + b - reach) * (a + b + reach)
     long = (reach - (a - b)) * (reach + (a - b))
-    return 2 * np.arctan2(np.sqrt(np.maximum(short, 0)), np.sqrt(np.maximum(long, 0)))
+    tangent = np.sqrt(np.maximum(short, 0)), np.sqrt(np.maximum(long, 0))
+    return np.asarray(2 * np.arctan2(*tangent))
 
 
 def _open_elbow(
     chain: Chain, q: FloatArray, upper: FloatArray, lower: FloatArray, bend: FloatArray
 ) -> BoolArray:
     """Set the elbow; return where its limits allow it."""
-    rest = _rest(chain, 1)
+    across = upper @ _rest(chain, 1)
     if chain.nodes[1, 0] == PIN:
-        across = rest.T @ upper
-        offset = np.arctan2(lower[1], lower[0]) - np.arctan2(across[1], across[0])
+        lower_angle = np.arctan2(lower[:, 1], lower[:, 0])
+        offset = lower_angle - np.arctan2(across[:, 1], across[:, 0])
         side = np.where(np.sin(q[:, 4] + offset) < 0, -1.0, 1.0)
         low, high = chain.numbers[1, 14:16]
         first, other = (
@@ -176,12 +161,11 @@ def _open_elbow(
         q[:, 4] = np.where(inside, first, other)
         return np.asarray(inside | ((other >= low) & (other <= high)), np.bool_)
     own = q[:, 4:8]
-    direction = so3.rotate(own, np.broadcast_to(lower, (len(q), 3)))
-    across_rest = np.broadcast_to(rest.T @ upper, direction.shape)
-    axis = _unit(np.cross(across_rest, direction), _perpendicular(rest.T @ upper))
+    direction = so3.rotate(own, lower)
+    axis = _unit(np.cross(across, direction), _perpendicular(across))
     now = np.arctan2(
-        np.sum(axis * np.cross(across_rest, direction), axis=1),
-        np.sum(across_rest * direction, axis=1),
+        np.sum(axis * np.cross(across, direction), axis=1),
+        np.sum(across * direction, axis=1),
     )
     turned = so3.multiply(so3.from_axis_angle(axis, bend - now), own)
     q[:, 4:8] = so3.normalize(turned)
@@ -200,7 +184,7 @@ def _tip(
         motion = so3.from_axis_angle([0.0, 0.0, 1.0], q[:, 4])
     else:
         motion = q[:, 4:8]
-    turned = so3.rotate(motion, np.broadcast_to(lower, (len(q), 3)))
+    turned = so3.rotate(motion, lower)
     return np.asarray(upper + turned @ _rest(chain, 1).T)
 
 
@@ -239,7 +223,7 @@ def _turn_to_pole(
     pole: FloatArray,
 ) -> None:
     world = _world(chain, q)
-    elbow = so3.rotate(world, np.broadcast_to(upper, towards.shape))
+    elbow = so3.rotate(world, upper)
     axis = _unit(towards, _perpendicular(towards))
     turn = so3.from_axis_angle(axis, _angle_about(towards, elbow, pole))
     _set_world(chain, q, so3.multiply(turn, world))

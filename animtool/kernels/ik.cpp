@@ -56,25 +56,27 @@ Chain read_chain(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers)
 Task read_task(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
                const In<std::int64_t, 2>& goals, const In<double, 2>& goal_numbers,
                double rest_weight) {
-  if (goals.shape(1) != 4 || goal_numbers.shape(1) != 10 ||
+  if (goals.shape(1) != 4 || goal_numbers.shape(1) != 13 ||
       goals.shape(0) != goal_numbers.shape(0))
-    throw std::invalid_argument("goals are (E, 4), their numbers (E, 10)");
+    throw std::invalid_argument("goals are (E, 4), their numbers (E, 13)");
   Task task;
   task.chain = read_chain(nodes, numbers);
   task.rest_weight = rest_weight;
   const std::int64_t count = static_cast<std::int64_t>(task.chain.nodes.size());
   for (std::size_t e = 0; e < goals.shape(0); ++e) {
     const std::int64_t* row = goals.data() + 4 * e;
-    const double* values = goal_numbers.data() + 10 * e;
+    const double* values = goal_numbers.data() + 13 * e;
     if (row[0] < 0 || row[0] >= count || row[1] >= count || row[2] >= count)
       throw std::invalid_argument("a goal is on a node");
     Goal goal;
     goal.node = static_cast<int>(row[0]);
     goal.root = static_cast<int>(row[1]);
     goal.middle = static_cast<int>(row[2]);
-    std::copy(values, values + 3, goal.offset);
-    std::copy(values + 3, values + 6, goal.aim_axis);
-    std::copy(values + 6, values + 10, goal.weights);
+    std::copy(values, values + 3, goal.bone);
+    std::copy(values + 3, values + 6, goal.tool);
+    for (int i = 0; i < 3; ++i) goal.offset[i] = goal.bone[i] + goal.tool[i];
+    std::copy(values + 6, values + 9, goal.aim_axis);
+    std::copy(values + 9, values + 13, goal.weights);
     goal.level = static_cast<int>(row[3]);
     if (row[3] < 0 || row[3] >= static_cast<std::int64_t>(goals.shape(0)))
       throw std::invalid_argument("levels are counted from 0");
@@ -104,14 +106,18 @@ void check_batch(const Task& task, const In<double, 2>& starts, const In<double,
 
 IkSolved solve_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int64_t, 2> goals,
                   In<double, 2> goal_numbers, In<double, 2> starts, In<double, 3> targets,
-                  In<double, 2> rests, double rest_weight, double length_tolerance,
-                  double angle_tolerance, double damping, int iterations, int restarts,
-                  std::uint64_t seed, double seconds, bool warm) {
+                  In<double, 3> sought, In<double, 2> stretches, In<double, 2> rests,
+                  double rest_weight, double length_tolerance, double angle_tolerance,
+                  double damping, int iterations, int restarts, std::uint64_t seed,
+                  double seconds, bool warm) {
   const Task task = read_task(nodes, numbers, goals, goal_numbers, rest_weight);
   check_batch(task, starts, targets, rests);
+  check_batch(task, starts, sought, rests);
   const Settings settings{length_tolerance, angle_tolerance, damping, iterations,
                           restarts,         seed,            seconds};
   const std::size_t batch = starts.shape(0), width = starts.shape(1), e = goals.shape(0);
+  if (stretches.shape(0) != batch || stretches.shape(1) != e)
+    throw std::invalid_argument("stretches are (B, E)");
   Buffer<double> solved(batch * width), misses(batch * e * PARTS), taken(batch);
   Buffer<std::int64_t> reports(batch * 3);
   {
@@ -119,17 +125,17 @@ IkSolved solve_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int6
     Levels solver(task, settings);
     for (std::size_t b = 0; b < batch; ++b) {
       const auto began = std::chrono::steady_clock::now();
-      const double* start =
-          warm && b > 0 ? solved.get() + (b - 1) * width : starts.data() + b * width;
-      const Outcome outcome = solver.run(start, targets.data() + b * e * TARGET_WIDTH,
-                                         rests.data() + b * width, warm && b > 0);
+      const std::size_t at = b * e * TARGET_WIDTH;
+      const bool next = warm && b > 0;
+      const double* start = next ? solved.get() + (b - 1) * width : starts.data() + b * width;
+      const Request request{targets.data() + at, sought.data() + at, rests.data() + b * width,
+                            stretches.data() + b * e};
+      const Outcome outcome = solver.run(start, request, next);
       const std::chrono::duration<double> spent = std::chrono::steady_clock::now() - began;
       taken.get()[b] = spent.count();
       const State& best = solver.best();
-      if (outcome.status == Status::BROKEN)
-        std::copy(start, start + width, solved.get() + b * width);
-      else
-        std::copy(best.q.begin(), best.q.end(), solved.get() + b * width);
+      const double* q = outcome.status == Status::BROKEN ? start : best.q.data();
+      std::copy(q, q + width, solved.get() + b * width);
       std::copy(best.misses.begin(), best.misses.end(), misses.get() + b * e * PARTS);
       std::int64_t* report = reports.get() + 3 * b;
       report[0] = static_cast<std::int64_t>(outcome.status);

@@ -26,14 +26,35 @@ struct Outcome {
   int descents = 0;
 };
 
+// What is asked of one problem.
+struct Request {
+  const double* targets;    // (E, TARGET_WIDTH)
+  const double* sought;     // the same, brought into reach where extension eases out
+  const double* rest;       // (Q,)
+  const double* stretches;  // (E,): what the bones of the goals' limbs are multiplied by
+};
+
+// Scales the bones on the way to the goals, from their first joint.
+inline void stretch(const Chain& plain, const double* stretches, Task& task) {
+  for (std::size_t e = 0; e < task.goals.size(); ++e) {
+    Goal& goal = task.goals[e];
+    if (stretches[e] == goal.stretched) continue;
+    goal.stretched = stretches[e];
+    for (std::size_t at = 1; at < goal.path.size(); ++at)
+      for (int i = 0; i < 3; ++i)
+        task.chain.nodes[goal.path[at]].offset[i] =
+            goal.stretched * plain.nodes[goal.path[at]].offset[i];
+    for (int i = 0; i < 3; ++i) goal.offset[i] = goal.stretched * goal.bone[i] + goal.tool[i];
+  }
+}
+
 // A way of solving, from problem to problem.
 class Solver {
  public:
   virtual ~Solver() = default;
 
   // Finds the best pose; `next` is the frame after the last run, from whose end it starts.
-  virtual Outcome run(const double* start, const double* targets, const double* rest,
-                      bool next) = 0;
+  virtual Outcome run(const double* start, const Request& request, bool next) = 0;
   virtual const State& best() const = 0;
 };
 

@@ -14,9 +14,11 @@ namespace animtool::ik {
 
 struct Goal {
   int node;
-  double offset[3];  // of its point, in the node's frame
+  double offset[3];  // of its point, in the node's frame: what stretches with the limb,
+  double bone[3], tool[3];  // and what does not
   double aim_axis[3];
   double weights[4];  // position, orientation, aim, pole; 0 is not asked for
+  double stretched = 1;
   int level = 0;      // 0 is hard; higher ones give way to those below
   int root = -1, middle = -1;  // of the limb that has a pole
   int row = 0;

@@ -80,9 +80,10 @@ void add_sparse(In<double, 3> points, In<double, 2> weights, In<std::int64_t, 1>
 
 IkSolved solve_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int64_t, 2> goals,
                   In<double, 2> goal_numbers, In<double, 2> starts, In<double, 3> targets,
-                  In<double, 2> rests, double rest_weight, double length_tolerance,
-                  double angle_tolerance, double damping, int iterations, int restarts,
-                  std::uint64_t seed, double seconds, bool warm);
+                  In<double, 3> sought, In<double, 2> stretches, In<double, 2> rests,
+                  double rest_weight, double length_tolerance, double angle_tolerance,
+                  double damping, int iterations, int restarts, std::uint64_t seed,
+                  double seconds, bool warm);
 
 IkLinearized linearize_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
                           In<std::int64_t, 2> goals, In<double, 2> goal_numbers,

@@ -121,7 +121,7 @@ Returns ``(rounded, error, frame, vertex)``: what is beyond float32 is its large
 number; the largest distance of a point from where it was, times ``unit``, and where.)");
 
   m.def("solve_ik", &solve_ik, "nodes"_a, "numbers"_a, "goals"_a, "goal_numbers"_a, "starts"_a,
-        "targets"_a, "rests"_a, "rest_weight"_a, "length_tolerance"_a, "angle_tolerance"_a,
+        "targets"_a, "sought"_a, "stretches"_a, "rests"_a, "rest_weight"_a, "length_tolerance"_a, "angle_tolerance"_a,
         "damping"_a, "iterations"_a, "restarts"_a, "seed"_a, "seconds"_a, "warm"_a,
         R"(Solve B inverse kinematics problems of one chain.
 
@@ -129,9 +129,11 @@ number; the largest distance of a point from where it was, times ``unit``, and w
 that belongs to an earlier node. ``numbers`` ``(N, 18)``: rest rotation by rows, offset,
 gain, shift, limits (low, high; of a ball two swings, twist low, high). A pin turns about
 its z, a slide goes along it, a ball twists about it. ``goals`` ``(E, 4)``: node, root and
-middle of its limb, or -1; level, 0 before all others. ``goal_numbers`` ``(E, 10)``: offset, aim axis, weights of
-position, orientation, aim and pole. ``targets`` ``(B, E, 17)``: position, quaternion,
-point to aim at, pole, and what the four weights are multiplied by. Lengths are shares of the chain's. ``warm`` starts each problem
+middle of its limb, or -1; level, 0 before all others. ``goal_numbers`` ``(E, 13)``: offset in two parts, of which the
+first is a bone of its limb, aim axis, weights of position, orientation, aim and pole. ``targets`` ``(B, E, 17)``: position, quaternion,
+point to aim at, pole, and what the four weights are multiplied by; those ``sought`` ``(B, E, 17)`` may be others
+than misses are told of. ``stretches`` ``(B, E)`` scale the bones on the way to a goal.
+Lengths are shares of the chain's. ``warm`` starts each problem
 where the one before it ended.
 
 Returns ``(coordinates, misses, reports, seconds)``: ``(B, Q)``; what each goal misses

@@ -308,7 +308,7 @@ def test_starts_that_do_not_fit_are_refused(start: np.ndarray) -> None:
 
 def test_options_are_checked_all_at_once() -> None:
     problem = build(arm(3), [Goal("b2")])
-    options = IkOptions(tolerance=0.0, restarts=-1, soft=1.0)
+    options = IkOptions(tolerance=0.0, restarts=-1, seconds=-1.0)
     with pytest.raises(OptionError) as caught:
         solve(problem, None, Targets(np.zeros((1, 1, 3))), options)
     assert [fault.code for fault in caught.value.faults] == ["IK014"] * 3

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from support.ik import limb, random_pose, reached_by
 
 from animtool.ik import Goal, IkMethod, IkOptions, IkStatus, Targets, build, solve
-from animtool.ik.two_bone import fits, soft_distance
+from animtool.ik.two_bone import fits
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import JointType, Rig
 
@@ -78,24 +78,6 @@ def test_the_start_decides_the_side_and_the_way_it_turns() -> None:
     for bend in (-1.0, 1.0):
         result = solve(problem, [0.0, 0.0, 0.0, 1.0, bend], target)
         assert np.sign(result.coordinates[0, 4]) == bend
-
-
-def test_soft_extension_never_snaps_straight() -> None:
-    distances = np.linspace(0.0, 2.0, 2001)
-    eased = soft_distance(distances, 1.0, 0.1)
-    speed = np.diff(eased) / np.diff(distances)
-    assert eased.max() < 1.0
-    assert (np.diff(eased) > 0).all()
-    assert np.abs(np.diff(speed)).max() < 0.011
-    np.testing.assert_allclose(eased[distances <= 0.9], distances[distances <= 0.9])
-
-
-def test_soft_limbs_say_what_they_leave() -> None:
-    problem = build(limb(), [GOAL])
-    target = Targets([[[0.1 + 0.59, 1.2, 0.0]]])
-    result = solve(problem, None, target, IkOptions(soft=0.1))
-    assert result.statuses == (IkStatus.NEAREST,)
-    assert 0.01 < result.positions[0, 0] < 0.059
 
 
 def test_damped_steps_agree() -> None:

@@ -1,0 +1,203 @@
+"""How far limbs extend: their reach, its soft end, and what their bones stretch by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.errors import Fault
+from animtool.ik.chain import SLIDE, Chain
+from animtool.ik.goals import Goal
+from animtool.rig.skeleton import Rig
+
+__all__ = ["Extension", "Limb", "extend", "find_limbs", "soft_distance"]
+
+# Lengths below this share of the problem's are none.
+NO_LENGTH = 1e-12
+
+
+@dataclass(frozen=True, slots=True)
+class Limb:
+    """The way from a joint that stays in its place to a goal's point.
+
+    Attributes:
+        goal: Which of the problem's goals.
+        joints: Those whose translations are its bones.
+        origin: Of its root, in shares of the problem's length ``(3,)``.
+        reach: Its length when straight, in such shares.
+        bones: By how much that grows while the bones grow by 1 of their length.
+        soft: Share of the reach over which its extension eases out.
+        stretch: Most that its bones grow by.
+    """
+
+    goal: int
+    joints: tuple[int, ...]
+    origin: FloatArray
+    reach: float
+    bones: float
+    soft: float
+    stretch: float
+
+
+def find_limbs(
+    rig: Rig, goals: Sequence[Goal], moving: set[int], chain: Chain
+) -> tuple[tuple[Limb, ...], list[Fault]]:
+    """Return the limbs of goals that are soft or stretch, and what is wrong with them.
+
+    A fault is a limb whose root is moved, that slides, has no bones to stretch, or
+    shares them with another that stretches (IK008).
+    """
+    limbs, faults = [], []
+    stretched: set[int] = set()
+    for e, goal in enumerate(goals):
+        if not (goal.soft > 0 or goal.stretch > 0):
+            continue
+        limb = _limb(rig, goal, e, moving, chain)
+        message = _fault(rig, goal, limb, moving, chain)
+        if goal.stretch > 0 and stretched & set(limb.joints):
+            message = "bones that it stretches are another goal's to stretch too"
+        if goal.stretch > 0:
+            stretched |= set(limb.joints)
+        if message:
+            faults.append(Fault("IK008", message, where=f"goals[{e}]"))
+        limbs.append(limb)
+    return tuple(limbs), faults
+
+
+def _limb(rig: Rig, goal: Goal, e: int, moving: set[int], chain: Chain) -> Limb:
+    path = _path(chain, e)
+    above = _above(rig, goal)
+    top = max(i for i, j in enumerate(above) if j in moving)
+    bone, tool = chain.goal_numbers[e, :3], chain.goal_numbers[e, 3:6]
+    between = float(np.linalg.norm(chain.numbers[path[1:], 9:12], axis=1).sum())
+    end = bone + tool
+    length = float(np.linalg.norm(end))
+    along = max(float(bone @ end) / length, 0.0) if length > NO_LENGTH else 0.0
+    return Limb(
+        e,
+        tuple(above[:top]),
+        chain.numbers[path[0], 9:12],
+        between + length,
+        between + along,
+        goal.soft,
+        goal.stretch,
+    )
+
+
+def _fault(
+    rig: Rig, goal: Goal, limb: Limb, moving: set[int], chain: Chain
+) -> str | None:
+    what = "a limb that eases out or stretches"
+    if not goal.position > 0:
+        return f"{what} has a position to reach"
+    if (chain.nodes[_path(chain, limb.goal), 0] == SLIDE).any():
+        return f"{what} has joints that turn only, and a root that stays in its place"
+    above = _above(rig, goal)
+    if goal.root is not None:
+        own = above[: above.index(rig.index(goal.root)) + 1]
+        others = [j for j in above if j in moving and j not in own]
+        if others:
+            name = rig.joints[others[0]].name
+            return f"{what} has a root that stays in its place, but {name!r} moves it"
+    if goal.stretch > 0 and limb.bones <= NO_LENGTH:
+        return "it has no bones to stretch"
+    return None
+
+
+def _above(rig: Rig, goal: Goal) -> list[int]:
+    """Return a goal's joint and those above it."""
+    found, j = [], rig.index(goal.joint)
+    while j >= 0:
+        found.append(j)
+        j = rig.joints[j].parent
+    return found
+
+
+def _path(chain: Chain, e: int) -> list[int]:
+    """Return the nodes that move a goal, from the root."""
+    path, node = [], int(chain.goals[e, 0])
+    while node >= 0:
+        path.append(node)
+        node = int(chain.nodes[node, 1])
+    return path[::-1]
+
+
+def soft_distance(distance: FloatArray, reach: float, soft: float) -> FloatArray:
+    """Return how far a limb extends towards a target at a distance.
+
+    Up to ``(1 - soft) reach`` as far as the target; beyond, ever closer to its full
+    reach without a kink in speed, so that it never snaps straight.
+
+    References:
+        A. Nicholas, Soft IK, 2009 (the exponential ease).
+
+    >>> soft_distance(np.array([0.5, 1.0]), 1.0, 0.2).round(3).tolist()
+    [0.5, 0.926]
+    """
+    if soft <= 0:
+        return np.minimum(distance, reach)
+    start, width = (1 - soft) * reach, soft * reach
+    beyond = np.maximum(distance - start, 0.0)
+    return np.where(
+        distance > start, start + width * -np.expm1(-beyond / width), distance
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Extension:
+    """How far the limbs of B problems go.
+
+    Attributes:
+        sought: Targets ``(B, E, 17)``, packed, as far as the limbs extend.
+        scales: What their bones are multiplied by ``(B, E)``.
+        eased: Where ease alone keeps one from its target ``(B, E)``.
+    """
+
+    sought: FloatArray
+    scales: FloatArray
+    eased: BoolArray
+
+    def __getitem__(self, rows: IntArray) -> Extension:
+        """Return those of some of the problems."""
+        return Extension(self.sought[rows], self.scales[rows], self.eased[rows])
+
+
+def extend(limbs: Sequence[Limb], targets: FloatArray) -> Extension:
+    """Return the targets that limbs can seek, and what their bones are multiplied by.
+
+    The bones grow by what the eased extension lacks of the distance, and no more than
+    they may; the target sought is as far as the limb then extends.
+
+    Args:
+        limbs: Of E goals.
+        targets: As packed ``(B, E, 17)``, in shares of the problem's length.
+
+    Limits of the method: the reach is that of the straight limb, whatever limits keep
+    it from that.
+    """
+    scales: FloatArray = np.ones((len(targets), targets.shape[1]))
+    eased: BoolArray = np.zeros((len(targets), targets.shape[1]), np.bool_)
+    sought = targets.copy()
+    for limb in limbs:
+        e = limb.goal
+        asked = targets[:, e, 13] > 0
+        towards = targets[:, e, :3] - limb.origin
+        distance = np.where(asked, np.linalg.norm(towards, axis=1), 0.0)
+        extent = soft_distance(distance, limb.reach, limb.soft)
+        if limb.stretch > 0:
+            grown = np.clip((distance - extent) / limb.bones, 0.0, limb.stretch)
+            scales[:, e] += grown
+            extent = np.minimum(extent + grown * limb.bones, distance)
+        short = distance > extent
+        if limb.soft > 0:
+            most = limb.reach + limb.stretch * limb.bones
+            eased[:, e] = short & (distance <= most)
+        elif limb.stretch <= 0:
+            continue
+        share = np.where(short, extent / np.where(short, distance, 1.0), 1.0)
+        moved = limb.origin + towards * share[:, None]
+        sought[:, e, :3] = np.where(short[:, None], moved, targets[:, e, :3])
+    return Extension(sought, scales, eased)
