@@ -139,7 +139,7 @@ def round_points(points: Annotated[NDArray[numpy.float64], dict(shape=(None, Non
     number; the largest distance of a point from where it was, times ``unit``, and where.
     """
 
-def solve_ik(nodes: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], numbers: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], goals: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], goal_numbers: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], starts: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], targets: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], sought: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], stretches: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], rests: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], rest_weight: float, length_tolerance: float, angle_tolerance: float, damping: float, iterations: int, restarts: int, seed: int, seconds: float, warm: bool) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]:
+def solve_ik(nodes: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], numbers: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], goals: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], goal_numbers: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], starts: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], targets: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], sought: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], stretches: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], rests: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], rest_weight: float, length_tolerance: float, angle_tolerance: float, damping: float, iterations: int, restarts: int, seed: int, seconds: float, warm: bool, method: int) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]:
     """
     Solve B inverse kinematics problems of one chain.
 
@@ -147,16 +147,19 @@ def solve_ik(nodes: Annotated[NDArray[numpy.int64], dict(shape=(None, None), ord
     that belongs to an earlier node. ``numbers`` ``(N, 18)``: rest rotation by rows, offset,
     gain, shift, limits (low, high; of a ball two swings, twist low, high). A pin turns about
     its z, a slide goes along it, a ball twists about it. ``goals`` ``(E, 4)``: node, root and
-    middle of its limb, or -1; level, 0 before all others. ``goal_numbers`` ``(E, 13)``: offset in two parts, of which the
-    first is a bone of its limb, aim axis, weights of position, orientation, aim and pole. ``targets`` ``(B, E, 17)``: position, quaternion,
-    point to aim at, pole, and what the four weights are multiplied by; those ``sought`` ``(B, E, 17)`` may be others
-    than misses are told of. ``stretches`` ``(B, E)`` scale the bones on the way to a goal.
-    Lengths are shares of the chain's. ``warm`` starts each problem
-    where the one before it ended.
+    middle of its limb, or -1; level, of which 0 comes first. ``goal_numbers`` ``(E, 13)``:
+    offset in two parts, of which the first is a bone of its limb, aim axis, weights of
+    position, orientation, aim and pole. ``targets`` ``(B, E, 17)``, which misses are told of:
+    position, quaternion, point to aim at, pole, and what the four weights are multiplied by;
+    ``sought``, the same or nearer by. ``stretches`` ``(B, E)`` scale the bones on the way to
+    a goal. Lengths are shares of the chain's. ``warm`` starts each problem where the one
+    before it ended. ``method``: 0 damped least squares, 1 gradient descent, 2 Newton, 3 CCD,
+    4 FABRIK; only the first heeds levels, the last two no rest.
 
     Returns ``(coordinates, misses, reports, seconds)``: ``(B, Q)``; what each goal misses
-    ``(B, E, 4)``; status (0 reached, 1 nearest, 2 budget, 3 not finite, 4 given way to harder goals or the
-    rest, 5 goals that contradict each other), iterations and descents ``(B, 3)``; time of each ``(B,)``.
+    ``(B, E, 4)``; status (0 reached, 1 nearest, 2 budget, 3 not finite, 4 given way to harder
+    goals or the rest, 5 goals that contradict each other, 6 a method without headway),
+    iterations and descents ``(B, 3)``; time of each ``(B,)``.
     """
 
 def linearize_ik(nodes: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], numbers: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], goals: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], goal_numbers: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], starts: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], targets: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], steps: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]:

@@ -30,6 +30,8 @@ class IkStatus(StrEnum):
             an extension that eases out.
         CONFLICT: Every goal can be reached, but not those of one priority together:
             the pose has the least sum of squares.
+        STALLED: A method for comparison made no more headway; nothing is known of what
+            can be reached.
         BUDGET: Steps or time ran out on the way.
         NOT_FINITE: A target is so far that its distance is no number.
     """
@@ -38,6 +40,7 @@ class IkStatus(StrEnum):
     NEAREST = "at the nearest reachable"
     YIELDED = "given way to what is preferred"
     CONFLICT = "between goals that contradict each other"
+    STALLED = "stopped on the way"
     BUDGET = "out of budget"
     NOT_FINITE = "numbers beyond range"
 

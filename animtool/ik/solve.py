@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, OptionError
 from animtool.ik.goals import Targets, pack
 from animtool.ik.limbs import Extension, extend
+from animtool.ik.methods import KERNEL_METHODS, IkMethod, check_method
 from animtool.ik.problem import Problem, rest_pose
 from animtool.ik.result import IkResult, IkStatus
 from animtool.ik.two_bone import fits, solve_limb, wanted
@@ -26,16 +26,12 @@ _STATUSES = (
     IkStatus.NOT_FINITE,
     IkStatus.YIELDED,
     IkStatus.CONFLICT,
+    IkStatus.STALLED,
 )
+# Methods that may take the closed form.
+_CLOSED = {IkMethod.AUTO, IkMethod.TWO_BONE}
 # Damping of the first step: far from the goals, and beside them.
 COLD_DAMPING, WARM_DAMPING = 1e-3, 1e-6
-
-
-class IkMethod(StrEnum):
-    """Which solver."""
-
-    AUTO = "auto"
-    DAMPED = "damped"
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,11 +40,11 @@ class IkOptions:
 
     Attributes:
         method: ``auto`` takes the closed form where a limb of two bones fits it, else
-            damped least squares.
+            damped least squares; see `IkMethod`.
         tolerance: A position is reached within this share of the problem's length.
         angle_tolerance: An orientation, aim or pole is reached within this [rad].
         iterations: Most steps for one problem, restarts included.
-        restarts: Most new starts where a descent ends short of the goals.
+        restarts: Most new starts where damped steps end short of the goals.
         seed: Of the new starts; the same seed gives the same poses.
         seconds: Most time for one problem [s]; 0 is no bound. With a bound, what is
             found depends on the machine.
@@ -87,7 +83,8 @@ def solve(
     Raises:
         OptionError: Targets are missing, of another shape (IK010) or not finite
             (IK011); a start is of another shape (IK012) or not finite (IK013); an
-            option makes no sense (IK014).
+            option makes no sense (IK014), or the method is not for this problem
+            (IK015).
 
     Limits of the method: a goal that no descent reached is answered with the best pose
     found, which need not be the best there is.
@@ -104,6 +101,7 @@ def solve(
     """
     options = options or IkOptions()
     _check(options)
+    check_method(problem, options.method)
     packed = pack(targets, problem.goals)
     starts = _rows(problem, start, len(packed), "start")
     wished = starts if prefer is None else _rows(problem, prefer, len(packed), "prefer")
@@ -118,7 +116,7 @@ def solve(
         chain.from_rig(starts),
         chain.from_rig(wished),
     )
-    if options.method is IkMethod.AUTO and fits(problem):
+    if options.method in _CLOSED and fits(problem):
         found = _limbs(problem, asked, options)
     else:
         found = _damped(problem, asked, options)
@@ -199,6 +197,7 @@ def _damped(problem: Problem, asked: _Asked, options: IkOptions) -> _Found:
         options.seed,
         options.seconds,
         options.warm,
+        KERNEL_METHODS[options.method],
     )
     return _Found(*solved)
 

@@ -16,7 +16,7 @@ from animtool.ik.chain import BALL, PIN, Chain
 from animtool.ik.problem import Problem
 from animtool.maths import so3
 
-__all__ = ["LimbSolution", "fits", "solve_limb", "wanted"]
+__all__ = ["LimbSolution", "fits", "misfit", "solve_limb", "wanted"]
 
 # A pin is across a bone within this [1].
 ACROSS = 1e-12
@@ -39,30 +39,46 @@ class LimbSolution:
     valid: BoolArray
 
 
+def misfit(problem: Problem) -> str | None:
+    """Return why a problem is no limb of two bones with one position to reach."""
+    chain = problem.chain
+    if len(problem.goals) != 1:
+        return "there is more than one goal"
+    goal = problem.goals[0]
+    if not goal.position > 0 or goal.orientation > 0 or goal.aim > 0:
+        return "the goal is not a position, with a pole or without"
+    if problem.rest_weight > 0:
+        return "a pose is preferred"
+    if len(chain.nodes) != 2:
+        return "it has not two joints that move"
+    (first, root, *_), (_, parent, _, follows) = chain.nodes.tolist()
+    if not (first == BALL and root == -1 and parent == 0 and not follows):
+        return "it is not a ball and a joint that hangs on it"
+    if not _unlimited(chain.numbers[0]):
+        return "its first joint has limits"
+    return _stiffness(chain)
+
+
 def fits(problem: Problem) -> bool:
     """Return whether a problem is a limb of two bones with one position to reach."""
-    chain = problem.chain
-    if len(problem.goals) != 1 or len(chain.nodes) != 2 or problem.rest_weight > 0:
-        return False
-    goal = problem.goals[0]
-    placed = goal.position > 0 and not goal.orientation > 0 and not goal.aim > 0
-    (first, root, *_), (_, parent, _, follows) = chain.nodes.tolist()
-    hangs = first == BALL and root == -1 and parent == 0 and not follows
-    return placed and hangs and _unlimited(chain.numbers[0]) and _bends(chain)
+    return misfit(problem) is None
 
 
-def _bends(chain: Chain) -> bool:
-    """Return whether the elbow opens and closes the limb all the way."""
+def _stiffness(chain: Chain) -> str | None:
+    """Return why the elbow does not open and close the limb all the way."""
     upper, lower = (bone[0] for bone in _bones(chain, np.ones((1, 1))))
     if min(np.linalg.norm(upper), np.linalg.norm(lower)) < NO_LENGTH:
-        return False
+        return "a bone has no length"
     if chain.nodes[1, 0] == BALL:
-        return _unlimited(chain.numbers[1])
+        limited = not _unlimited(chain.numbers[1])
+        return "its second joint is a ball with limits" if limited else None
     axis = _rest(chain, 1)[:, 2]
     bone, tool = chain.goal_numbers[0, 2], chain.goal_numbers[0, 5]
     across = max(abs(axis @ upper), abs(bone), abs(tool))
     plain = chain.numbers[1, 12] == 1 and chain.numbers[1, 13] == 0
-    return bool(chain.nodes[1, 0] == PIN and plain and across < ACROSS)
+    if chain.nodes[1, 0] == PIN and plain and across < ACROSS:
+        return None
+    return "its second joint does not turn across both bones"
 
 
 def solve_limb(

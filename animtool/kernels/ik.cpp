@@ -1,9 +1,13 @@
 // Inverse kinematics: the arrays of a problem to its task, and the search over them.
 #include <chrono>
 #include <cmath>
+#include <memory>
 #include <stdexcept>
 
+#include "ik_ccd.h"
+#include "ik_fabrik.h"
 #include "ik_levels.h"
+#include "ik_slopes.h"
 #include "kernels.h"
 
 namespace animtool {
@@ -102,6 +106,36 @@ void check_batch(const Task& task, const In<double, 2>& starts, const In<double,
     throw std::invalid_argument("targets are (B, E, 17)");
 }
 
+// Scales the bones on the way to the goals, from their first joint.
+void stretch(const Chain& plain, const double* stretches, Task& task) {
+  for (std::size_t e = 0; e < task.goals.size(); ++e) {
+    Goal& goal = task.goals[e];
+    if (stretches[e] == goal.stretched) continue;
+    goal.stretched = stretches[e];
+    for (std::size_t at = 1; at < goal.path.size(); ++at)
+      for (int i = 0; i < 3; ++i)
+        task.chain.nodes[goal.path[at]].offset[i] =
+            goal.stretched * plain.nodes[goal.path[at]].offset[i];
+    for (int i = 0; i < 3; ++i) goal.offset[i] = goal.stretched * goal.bone[i] + goal.tool[i];
+  }
+}
+
+std::unique_ptr<Solver> make_solver(int method, Task& task, const Settings& settings) {
+  switch (method) {
+    case 0:
+      return std::make_unique<Levels>(task, settings);
+    case 1:
+      return std::make_unique<Gradient>(task, settings);
+    case 2:
+      return std::make_unique<Newton>(task, settings);
+    case 3:
+      return std::make_unique<Cyclic>(task, settings);
+    case 4:
+      return std::make_unique<Fabrik>(task, settings);
+  }
+  throw std::invalid_argument("methods are 0 to 4");
+}
+
 }  // namespace
 
 IkSolved solve_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int64_t, 2> goals,
@@ -109,8 +143,9 @@ IkSolved solve_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int6
                   In<double, 3> sought, In<double, 2> stretches, In<double, 2> rests,
                   double rest_weight, double length_tolerance, double angle_tolerance,
                   double damping, int iterations, int restarts, std::uint64_t seed,
-                  double seconds, bool warm) {
-  const Task task = read_task(nodes, numbers, goals, goal_numbers, rest_weight);
+                  double seconds, bool warm, int method) {
+  Task task = read_task(nodes, numbers, goals, goal_numbers, rest_weight);
+  const Chain plain = task.chain;
   check_batch(task, starts, targets, rests);
   check_batch(task, starts, sought, rests);
   const Settings settings{length_tolerance, angle_tolerance, damping, iterations,
@@ -122,18 +157,20 @@ IkSolved solve_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int6
   Buffer<std::int64_t> reports(batch * 3);
   {
     nb::gil_scoped_release release;
-    Levels solver(task, settings);
+    const std::unique_ptr<Solver> solver = make_solver(method, task, settings);
     for (std::size_t b = 0; b < batch; ++b) {
       const auto began = std::chrono::steady_clock::now();
       const std::size_t at = b * e * TARGET_WIDTH;
       const bool next = warm && b > 0;
       const double* start = next ? solved.get() + (b - 1) * width : starts.data() + b * width;
-      const Request request{targets.data() + at, sought.data() + at, rests.data() + b * width,
-                            stretches.data() + b * e};
-      const Outcome outcome = solver.run(start, request, next);
+      const double* given = targets.data() + at;
+      stretch(plain, stretches.data() + b * e, task);
+      const Outcome outcome =
+          solver->run(start, sought.data() + at, rests.data() + b * width, next);
+      if (!std::equal(given, given + e * TARGET_WIDTH, sought.data() + at)) solver->review(given);
       const std::chrono::duration<double> spent = std::chrono::steady_clock::now() - began;
       taken.get()[b] = spent.count();
-      const State& best = solver.best();
+      const State& best = solver->best();
       const double* q = outcome.status == Status::BROKEN ? start : best.q.data();
       std::copy(q, q + width, solved.get() + b * width);
       std::copy(best.misses.begin(), best.misses.end(), misses.get() + b * e * PARTS);

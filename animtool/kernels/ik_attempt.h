@@ -4,6 +4,7 @@
 #include <chrono>
 #include <cstdint>
 
+#include "ik_sample.h"
 #include "ik_step.h"
 
 namespace animtool::ik {
@@ -18,7 +19,15 @@ struct Settings {
   double seconds;  // 0 is no bound
 };
 
-enum class Status { REACHED = 0, NEAREST = 1, BUDGET = 2, BROKEN = 3, YIELDED = 4, CONFLICT = 5 };
+enum class Status {
+  REACHED = 0,
+  NEAREST = 1,
+  BUDGET = 2,
+  BROKEN = 3,
+  YIELDED = 4,
+  CONFLICT = 5,
+  STALLED = 6
+};
 
 struct Outcome {
   Status status = Status::BUDGET;
@@ -26,35 +35,16 @@ struct Outcome {
   int descents = 0;
 };
 
-// What is asked of one problem.
-struct Request {
-  const double* targets;    // (E, TARGET_WIDTH)
-  const double* sought;     // the same, brought into reach where extension eases out
-  const double* rest;       // (Q,)
-  const double* stretches;  // (E,): what the bones of the goals' limbs are multiplied by
-};
-
-// Scales the bones on the way to the goals, from their first joint.
-inline void stretch(const Chain& plain, const double* stretches, Task& task) {
-  for (std::size_t e = 0; e < task.goals.size(); ++e) {
-    Goal& goal = task.goals[e];
-    if (stretches[e] == goal.stretched) continue;
-    goal.stretched = stretches[e];
-    for (std::size_t at = 1; at < goal.path.size(); ++at)
-      for (int i = 0; i < 3; ++i)
-        task.chain.nodes[goal.path[at]].offset[i] =
-            goal.stretched * plain.nodes[goal.path[at]].offset[i];
-    for (int i = 0; i < 3; ++i) goal.offset[i] = goal.stretched * goal.bone[i] + goal.tool[i];
-  }
-}
-
 // A way of solving, from problem to problem.
 class Solver {
  public:
   virtual ~Solver() = default;
 
   // Finds the best pose; `next` is the frame after the last run, from whose end it starts.
-  virtual Outcome run(const double* start, const Request& request, bool next) = 0;
+  virtual Outcome run(const double* start, const double* targets, const double* rest,
+                      bool next) = 0;
+  // Measures it by other targets.
+  virtual void review(const double* targets) = 0;
   virtual const State& best() const = 0;
 };
 
@@ -106,12 +96,20 @@ class Attempt {
   void evaluate(State& state) {
     forward(task_.chain, state.q.data(), state.frames);
     measure(task_, targets_, state, shift_);
-    state.drawn = rest_pull(task_, state.q.data(), rest_, pull_.data());
+    state.drawn = rest_pull(task_, state.q.data(), rest_, task_.rest_weight, pull_.data());
     state.cost += state.drawn;
   }
 
   void begin(const State& state) {
     now_.q = state.q;
+    evaluate(now_);
+  }
+
+  // Moves now_ a little: where the slope is zero, it may not be at its least.
+  void shake() {
+    for (double& d : delta_) d = random_.between(-SHAKE, SHAKE);
+    stepper_.move(now_.q.data(), delta_.data(), next_.q.data());
+    std::swap(now_, next_);
     evaluate(now_);
   }
 
@@ -121,8 +119,11 @@ class Attempt {
     return reached(best_);
   }
 
+  static constexpr double SHAKE = 0.05;  // [rad]
+
   const Task& task_;
   const Settings& settings_;
+  Random random_{0};
   Linearized linear_;
   Stepper stepper_;
   State now_, next_, best_;

@@ -52,8 +52,10 @@ inline void turn_about_z(const double* r, double angle, double* out) {
   }
 }
 
-inline void forward(const Chain& chain, const double* q, Frames& frames) {
-  for (std::size_t n = 0; n < chain.nodes.size(); ++n) {
+// Of the nodes from `first` to before `end`, those before them being known.
+inline void forward(const Chain& chain, const double* q, std::size_t first, std::size_t end,
+                    Frames& frames) {
+  for (std::size_t n = first; n < end; ++n) {
     const Node& node = chain.nodes[n];
     double still[9];
     double* origin = &frames.origins[3 * n];
@@ -86,6 +88,10 @@ inline void forward(const Chain& chain, const double* q, Frames& frames) {
       for (int i = 0; i < 3; ++i) origin[i] += axes[i] * value;
     }
   }
+}
+
+inline void forward(const Chain& chain, const double* q, Frames& frames) {
+  forward(chain, q, 0, chain.nodes.size(), frames);
 }
 
 // How a point and a frame carried by a node move with one of its axes.

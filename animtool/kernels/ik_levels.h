@@ -14,27 +14,27 @@ namespace animtool::ik {
 
 class Levels : public Solver {
  public:
-  Levels(const Task& task, const Settings& settings)
-      : plain_(task.chain), task_(task), rest_weight_(task.rest_weight), search_(task_, settings),
+  // Changes the task's rest weight as it goes.
+  Levels(Task& task, const Settings& settings)
+      : task_(task), rest_weight_(task.rest_weight), search_(task_, settings),
         scaled_(TARGET_WIDTH * task.goals.size()), shift_(task.rows), held_(task.levels),
         ratio_(std::max(STEP, std::pow(LEAST_SCALE, 1.0 / std::max(1, task.levels - 1)))) {}
 
-  Outcome run(const double* start, const Request& request, bool next) override {
-    targets_ = request.sought;
-    stretch(plain_, request.stretches, task_);
+  Outcome run(const double* start, const double* targets, const double* rest,
+              bool next) override {
+    targets_ = targets;
     const int last = task_.levels - 1;
     weigh(last, SOUGHT);
-    Status status = search_.run(start, scaled_.data(), request.rest, next);
+    Status status = search_.run(start, scaled_.data(), rest, next);
     if (status == Status::NEAREST && last > 0) status = settle(next && short_);
     short_ = last > 0 && !within(0);
     if (status == Status::NEAREST) status = explain();
-    const double* end = request.targets + scaled_.size();
-    if (!std::equal(request.targets, end, request.sought)) search_.review(request.targets);
     Outcome outcome = search_.outcome();
     outcome.status = status;
     return outcome;
   }
 
+  void review(const double* targets) override { search_.review(targets); }
   const State& best() const override { return search_.best(); }
 
  private:
@@ -174,8 +174,7 @@ class Levels : public Solver {
     return found;
   }
 
-  const Chain& plain_;
-  Task task_;
+  Task& task_;
   const double rest_weight_;
   Search search_;
   std::vector<double> scaled_, shift_;

@@ -3,7 +3,6 @@
 
 #include "ik_descent.h"
 #include "ik_reach.h"
-#include "ik_sample.h"
 
 namespace animtool::ik {
 
@@ -59,8 +58,6 @@ class Search : public Descent {
  private:
   // Damping of the first step from a new start, and of one beside the goals.
   static constexpr double COLD = 1e-3, WARM = 1e-6;
-  // How far a pose is moved where the slope is zero, but maybe not the least [rad].
-  static constexpr double SHAKE = 0.05;
   // Random poses, of which the best is a new start.
   static constexpr int SAMPLES = 4;
   // After so many starts the best is followed to its end.
@@ -151,13 +148,6 @@ class Search : public Descent {
     return best_.drawn > 0 && best_.cost <= 2 * best_.drawn;
   }
 
-  void shake() {
-    for (double& d : delta_) d = random_.between(-SHAKE, SHAKE);
-    stepper_.move(now_.q.data(), delta_.data(), next_.q.data());
-    std::swap(now_, next_);
-    evaluate(now_);
-  }
-
   // The pose without motion, or what the limits leave of it.
   void straighten() {
     for (const Node& node : task_.chain.nodes) {
@@ -181,7 +171,6 @@ class Search : public Descent {
   }
 
   State first_;
-  Random random_{0};
   double floor_ = 0;  // no pose costs less
   bool short_ = false;  // the frame before ended short of the goals, at this cost:
   double last_cost_ = 0;

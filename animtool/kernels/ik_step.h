@@ -62,11 +62,12 @@ struct Linearized {
   }
 };
 
-// Where the rest preference draws each degree of freedom, and its part of the cost.
-inline double rest_pull(const Task& task, const double* q, const double* rest, double* pull) {
+// Where a preference for another pose draws each degree of freedom, and its cost.
+inline double rest_pull(const Task& task, const double* q, const double* rest, double weight,
+                        double* pull) {
   double cost = 0;
   std::fill(pull, pull + task.chain.dofs, 0.0);
-  if (!(task.rest_weight > 0)) return 0;
+  if (!(weight > 0)) return 0;
   for (const Node& node : task.chain.nodes) {
     if (node.follows) continue;
     const double *now = q + node.coordinate, *home = rest + node.coordinate;
@@ -80,8 +81,8 @@ inline double rest_pull(const Task& task, const double* q, const double* rest, d
       away[0] = home[0] - now[0];
     }
     for (int k = 0; k < node.width(); ++k) {
-      cost += task.rest_weight * away[k] * away[k] / 2;
-      pull[node.dof + k] = task.rest_weight * away[k];
+      cost += weight * away[k] * away[k] / 2;
+      pull[node.dof + k] = weight * away[k];
     }
   }
   return cost;
@@ -91,7 +92,7 @@ inline void linearize(const Task& task, const double* targets, const double* res
                       const State& state, Linearized& out) {
   const int m = task.rows;
   differentiate(task, targets, state, out.columns);
-  rest_pull(task, state.q.data(), rest, out.pull.data());
+  rest_pull(task, state.q.data(), rest, task.rest_weight, out.pull.data());
   std::fill(out.gram.begin(), out.gram.end(), 0.0);
   for (int d = 0; d < task.chain.dofs; ++d) {
     const double* column = &out.columns[static_cast<std::size_t>(d) * m];
@@ -167,19 +168,20 @@ class Stepper {
 
   // Takes a step, limits kept to the last bit.
   void move(const double* q, const double* step, double* out) const {
-    for (const Node& node : task_.chain.nodes) {
-      if (node.follows) continue;
-      const double *now = q + node.coordinate, *by = step + node.dof;
-      double* next = out + node.coordinate;
-      if (node.kind == Kind::BALL) {
-        double turn[4];
-        exponential(by, turn);
-        product(turn, now, next);
-        normalize(next);
-        if (limited(node) && !well_inside(node, next)) clamp_ball(next, node.limit);
-      } else {
-        next[0] = std::clamp(now[0] + by[0], node.limit[0], node.limit[1]);
-      }
+    for (const Node& node : task_.chain.nodes)
+      if (!node.follows) move(node, q + node.coordinate, step + node.dof, out + node.coordinate);
+  }
+
+  static void move(const Node& node, const double* now, const double* by, double* next) {
+    if (node.kind == Kind::BALL) {
+      double turn[4], turned[4];
+      exponential(by, turn);
+      product(turn, now, turned);
+      normalize(turned);
+      if (limited(node) && !well_inside(node, turned)) clamp_ball(turned, node.limit);
+      std::copy(turned, turned + 4, next);
+    } else {
+      next[0] = std::clamp(now[0] + by[0], node.limit[0], node.limit[1]);
     }
   }
 

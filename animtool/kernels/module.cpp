@@ -121,24 +121,28 @@ Returns ``(rounded, error, frame, vertex)``: what is beyond float32 is its large
 number; the largest distance of a point from where it was, times ``unit``, and where.)");
 
   m.def("solve_ik", &solve_ik, "nodes"_a, "numbers"_a, "goals"_a, "goal_numbers"_a, "starts"_a,
-        "targets"_a, "sought"_a, "stretches"_a, "rests"_a, "rest_weight"_a, "length_tolerance"_a, "angle_tolerance"_a,
-        "damping"_a, "iterations"_a, "restarts"_a, "seed"_a, "seconds"_a, "warm"_a,
+        "targets"_a, "sought"_a, "stretches"_a, "rests"_a, "rest_weight"_a,
+        "length_tolerance"_a, "angle_tolerance"_a, "damping"_a, "iterations"_a, "restarts"_a,
+        "seed"_a, "seconds"_a, "warm"_a, "method"_a,
         R"(Solve B inverse kinematics problems of one chain.
 
 ``nodes`` ``(N, 4)``: kind (0 pin, 1 slide, 2 ball), parent, first coordinate, whether
 that belongs to an earlier node. ``numbers`` ``(N, 18)``: rest rotation by rows, offset,
 gain, shift, limits (low, high; of a ball two swings, twist low, high). A pin turns about
 its z, a slide goes along it, a ball twists about it. ``goals`` ``(E, 4)``: node, root and
-middle of its limb, or -1; level, 0 before all others. ``goal_numbers`` ``(E, 13)``: offset in two parts, of which the
-first is a bone of its limb, aim axis, weights of position, orientation, aim and pole. ``targets`` ``(B, E, 17)``: position, quaternion,
-point to aim at, pole, and what the four weights are multiplied by; those ``sought`` ``(B, E, 17)`` may be others
-than misses are told of. ``stretches`` ``(B, E)`` scale the bones on the way to a goal.
-Lengths are shares of the chain's. ``warm`` starts each problem
-where the one before it ended.
+middle of its limb, or -1; level, of which 0 comes first. ``goal_numbers`` ``(E, 13)``:
+offset in two parts, of which the first is a bone of its limb, aim axis, weights of
+position, orientation, aim and pole. ``targets`` ``(B, E, 17)``, which misses are told of:
+position, quaternion, point to aim at, pole, and what the four weights are multiplied by;
+``sought``, the same or nearer by. ``stretches`` ``(B, E)`` scale the bones on the way to
+a goal. Lengths are shares of the chain's. ``warm`` starts each problem where the one
+before it ended. ``method``: 0 damped least squares, 1 gradient descent, 2 Newton, 3 CCD,
+4 FABRIK; only the first heeds levels, the last two no rest.
 
 Returns ``(coordinates, misses, reports, seconds)``: ``(B, Q)``; what each goal misses
-``(B, E, 4)``; status (0 reached, 1 nearest, 2 budget, 3 not finite, 4 given way to harder goals or the
-rest, 5 goals that contradict each other), iterations and descents ``(B, 3)``; time of each ``(B,)``.)");
+``(B, E, 4)``; status (0 reached, 1 nearest, 2 budget, 3 not finite, 4 given way to harder
+goals or the rest, 5 goals that contradict each other, 6 a method without headway),
+iterations and descents ``(B, 3)``; time of each ``(B,)``.)");
 
   m.def("linearize_ik", &linearize_ik, "nodes"_a, "numbers"_a, "goals"_a, "goal_numbers"_a,
         "starts"_a, "targets"_a, "steps"_a,

@@ -1,0 +1,96 @@
+"""The ways of solving, and which problems each can serve."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+from animtool.errors import Fault, OptionError
+from animtool.ik.chain import SLIDE
+from animtool.ik.problem import Problem
+from animtool.ik.two_bone import misfit
+
+__all__ = ["IkMethod", "check_method", "serving"]
+
+
+class IkMethod(StrEnum):
+    """Which solver.
+
+    Attributes:
+        AUTO: The closed form where a limb of two bones fits it, else damped steps.
+        DAMPED: Damped least squares with restarts: for every problem, and the only one
+            that heeds priorities.
+        TWO_BONE: The closed form of a limb of two bones; damped steps where the elbow's
+            limits stop it.
+        GRADIENT: Steepest descent with backtracking.
+        NEWTON: Newton's method, with second derivatives of positions and orientations,
+            in a region of trust.
+        CCD: Cyclic coordinate descent, joint by joint.
+        FABRIK: Points drawn to their targets bone by bone, which the joints follow;
+            positions only.
+
+    The last four are for comparison: from the start only, without restarts, one step
+    or sweep an iteration.
+    """
+
+    AUTO = "auto"
+    DAMPED = "damped"
+    TWO_BONE = "two_bone"
+    GRADIENT = "gradient"
+    NEWTON = "newton"
+    CCD = "ccd"
+    FABRIK = "fabrik"
+
+
+# Numbers of the methods in the kernel.
+KERNEL_METHODS = {
+    IkMethod.AUTO: 0,
+    IkMethod.DAMPED: 0,
+    IkMethod.TWO_BONE: 0,
+    IkMethod.GRADIENT: 1,
+    IkMethod.NEWTON: 2,
+    IkMethod.CCD: 3,
+    IkMethod.FABRIK: 4,
+}
+
+
+def serving(problem: Problem) -> list[IkMethod]:
+    """Return the methods that can serve a problem."""
+    return [method for method in IkMethod if _obstacle(problem, method) is None]
+
+
+def check_method(problem: Problem, method: IkMethod) -> None:
+    """Raise where a method cannot serve a problem.
+
+    Raises:
+        OptionError: Why it cannot, and which methods can (IK015).
+    """
+    obstacle = _obstacle(problem, method)
+    if obstacle is None:
+        return
+    hint = f"methods for this problem: {', '.join(serving(problem))}"
+    raise OptionError(Fault("IK015", f"{method} {obstacle}", hint=hint))
+
+
+def _obstacle(problem: Problem, method: IkMethod) -> str | None:
+    """Return what of a problem a method cannot serve."""
+    if method in {IkMethod.AUTO, IkMethod.DAMPED}:
+        return None
+    if method is IkMethod.TWO_BONE:
+        reason = misfit(problem)
+        return None if reason is None else f"does not fit: {reason}"
+    if problem.chain.goals[:, 3].any():
+        return "heeds no priorities"
+    if method in {IkMethod.GRADIENT, IkMethod.NEWTON}:
+        return None
+    goals = problem.goals
+    if problem.rest_weight > 0:
+        return "heeds no preference for a pose"
+    if any(goal.pole > 0 for goal in goals):
+        return "heeds no poles"
+    if method is IkMethod.CCD:
+        return None
+    if any(goal.orientation > 0 or goal.aim > 0 for goal in goals):
+        return "is for positions only"
+    if (problem.chain.nodes[:, 0] == SLIDE).any():
+        return "is for joints that turn only"
+    return None
