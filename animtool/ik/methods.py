@@ -73,24 +73,20 @@ def check_method(problem: Problem, method: IkMethod) -> None:
 
 def _obstacle(problem: Problem, method: IkMethod) -> str | None:
     """Return what of a problem a method cannot serve."""
-    if method in {IkMethod.AUTO, IkMethod.DAMPED}:
-        return None
     if method is IkMethod.TWO_BONE:
         reason = misfit(problem)
-        return None if reason is None else f"does not fit: {reason}"
-    if problem.chain.goals[:, 3].any():
-        return "heeds no priorities"
-    if method in {IkMethod.GRADIENT, IkMethod.NEWTON}:
-        return None
+        return reason and f"does not fit: {reason}"
     goals = problem.goals
-    if problem.rest_weight > 0:
-        return "heeds no preference for a pose"
-    if any(goal.pole > 0 for goal in goals):
-        return "heeds no poles"
-    if method is IkMethod.CCD:
-        return None
-    if any(goal.orientation > 0 or goal.aim > 0 for goal in goals):
-        return "is for positions only"
-    if (problem.chain.nodes[:, 0] == SLIDE).any():
-        return "is for joints that turn only"
-    return None
+    plain = {IkMethod.CCD, IkMethod.FABRIK}
+    turned = any(goal.orientation > 0 or goal.aim > 0 for goal in goals)
+    slides = bool((problem.chain.nodes[:, 0] == SLIDE).any())
+    levels = bool(problem.chain.goals[:, 3].any())
+    rules = [
+        (levels, {*plain, IkMethod.GRADIENT, IkMethod.NEWTON}, "heeds no priorities"),
+        (problem.rest_weight > 0, plain, "heeds no preference for a pose"),
+        (any(goal.pole > 0 for goal in goals), plain, "heeds no poles"),
+        (turned, {IkMethod.FABRIK}, "is for positions only"),
+        (slides, {IkMethod.FABRIK}, "is for joints that turn only"),
+    ]
+    found = (why for holds, methods, why in rules if holds and method in methods)
+    return next(found, None)

@@ -41,22 +41,17 @@ class LimbSolution:
 
 def misfit(problem: Problem) -> str | None:
     """Return why a problem is no limb of two bones with one position to reach."""
-    chain = problem.chain
+    nodes, goal = problem.chain.nodes, problem.goals[0]
     if len(problem.goals) != 1:
         return "there is more than one goal"
-    goal = problem.goals[0]
     if not goal.position > 0 or goal.orientation > 0 or goal.aim > 0:
         return "the goal is not a position, with a pole or without"
     if problem.rest_weight > 0:
         return "a pose is preferred"
-    if len(chain.nodes) != 2:
-        return "it has not two joints that move"
-    (first, root, *_), (_, parent, _, follows) = chain.nodes.tolist()
-    if not (first == BALL and root == -1 and parent == 0 and not follows):
-        return "it is not a ball and a joint that hangs on it"
-    if not _unlimited(chain.numbers[0]):
-        return "its first joint has limits"
-    return _stiffness(chain)
+    # A ball that hangs on nothing, and a joint of its own on it.
+    if nodes[:, :2].tolist() != [[BALL, -1], [nodes[-1, 0], 0]] or nodes[1, 3]:
+        return "the joints that move are not a ball and another that hangs on it"
+    return _stiffness(problem.chain)
 
 
 def fits(problem: Problem) -> bool:
@@ -65,7 +60,9 @@ def fits(problem: Problem) -> bool:
 
 
 def _stiffness(chain: Chain) -> str | None:
-    """Return why the elbow does not open and close the limb all the way."""
+    """Return why the joints do not open, close and turn the limb all the way."""
+    if not _unlimited(chain.numbers[0]):
+        return "its first joint has limits"
     upper, lower = (bone[0] for bone in _bones(chain, np.ones((1, 1))))
     if min(np.linalg.norm(upper), np.linalg.norm(lower)) < NO_LENGTH:
         return "a bone has no length"

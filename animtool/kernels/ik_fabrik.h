@@ -14,23 +14,29 @@ class Fabrik : public Method {
   Fabrik(const Task& task, const Settings& settings)
       : Method(task, settings), wanted_(3 * task.chain.nodes.size()), tips_(3 * task.goals.size()),
         asking_(task.chain.nodes.size()), bones_(task.chain.nodes.size()),
-        grips_(task.chain.nodes.size()) {}
+        next_(task.chain.nodes.size()), grips_(task.chain.nodes.size()) {}
 
  protected:
-  // Which points each joint holds: the next on every branch that are not in its own place.
+  // Which points each joint turns: of a ball the next on every branch that are not in
+  // its own place, which it can point at; of a pin some behind them as well, for the next
+  // may be on its axis. So for the twist of a ball that carries a pin.
   void prepare() override {
     const std::vector<Node>& nodes = task_.chain.nodes;
-    for (std::vector<Grip>& grips : grips_) grips.clear();
+    for (std::vector<Grip>& next : next_) next.clear();
     for (std::size_t e = 0; e < task_.goals.size(); ++e)
-      grips_[task_.goals[e].node].push_back({static_cast<int>(e), true});
+      next_[task_.goals[e].node].push_back({static_cast<int>(e), true});
     for (std::size_t n = nodes.size(); n-- > 0;) {
       bones_[n] = nodes[n].parent < 0 ? 0 : length(nodes[n].offset);
       if (nodes[n].parent < 0) continue;
-      std::vector<Grip>& held = grips_[nodes[n].parent];
+      std::vector<Grip>& held = next_[nodes[n].parent];
       if (bones_[n] > NO_LENGTH)
         held.push_back({static_cast<int>(n), false});
       else
-        held.insert(held.end(), grips_[n].begin(), grips_[n].end());
+        held.insert(held.end(), next_[n].begin(), next_[n].end());
+    }
+    for (std::size_t n = 0; n < nodes.size(); ++n) {
+      grips_[n].clear();
+      hold(n, AHEAD, grips_[n]);
     }
   }
 
@@ -45,11 +51,20 @@ class Fabrik : public Method {
 
  private:
   static constexpr double NO_LENGTH = 1e-9;
+  // How many points along each branch a pin looks at.
+  static constexpr int AHEAD = 8;
 
   struct Grip {
     int index;
     bool tip;  // of a goal, or else the origin of a node
   };
+
+  void hold(std::size_t n, int ahead, std::vector<Grip>& held) const {
+    for (const Grip& grip : next_[n]) {
+      held.push_back(grip);
+      if (!grip.tip && ahead > 1) hold(grip.index, ahead - 1, held);
+    }
+  }
 
   // `from` as far from `to` as the bone is long.
   static void draw(const double* from, const double* to, double bone, double* out) {
@@ -98,33 +113,66 @@ class Fabrik : public Method {
   // Turns a joint so that the points it holds lie towards where they were drawn.
   void turn(int n) {
     const Node& node = task_.chain.nodes[n];
-    Frames& frames = now_.frames;
+    update(n);
+    if (node.follows || node.gain == 0) return;
+    const double* axes = &now_.frames.axes[9 * n];
+    double step[3] = {0, 0, 0};
+    const bool ball = node.kind == Kind::BALL;
+    std::fill_n(&delta_[node.dof], node.width(), 0.0);
+    follow(node, axes, pull(n, ball ? next_[n] : grips_[n]), delta_.data());
+    std::copy_n(&delta_[node.dof], node.width(), step);
+    apply(n, step);
+    double axis[3];
+    if (!ball) return;
+    update(n);
+    if (!twists(n, axis)) return;
+    const double angle = pull(n, grips_[n]).angle(axis);
+    for (int k = 0; k < 3; ++k) step[k] = angle * dot(axis, axes + 3 * k);
+    apply(n, step);
+  }
+
+  void apply(int n, const double* step) {
+    const Node& node = task_.chain.nodes[n];
+    double* own = &now_.q[node.coordinate];
+    Stepper::move(node, own, step, own);
+    forward(task_.chain, now_.q.data(), n, n + 1, now_.frames);
+  }
+
+  // The frames of the points that a joint holds.
+  void update(int n) {
     std::size_t end = n + 1;
     for (const Grip& grip : grips_[n])
       end = std::max<std::size_t>(end, (grip.tip ? task_.goals[grip.index].node : grip.index) + 1);
-    forward(task_.chain, now_.q.data(), n, end, frames);
-    if (node.follows || node.gain == 0) return;
-    Pull pull;
-    for (const Grip& grip : grips_[n]) {
-      double point[3];
+    forward(task_.chain, now_.q.data(), n, end, now_.frames);
+  }
+
+  Pull pull(int n, const std::vector<Grip>& grips) const {
+    const double* origin = &now_.frames.origins[3 * n];
+    Pull sum;
+    for (const Grip& grip : grips) {
+      double point[3], from[3], to[3];
       const double* wanted = grip.tip ? &tips_[3 * grip.index] : &wanted_[3 * grip.index];
-      if (!hold(grip, point)) continue;
-      double from[3], to[3];
-      for (int i = 0; i < 3; ++i) {
-        from[i] = point[i] - frames.origins[3 * n + i];
-        to[i] = wanted[i] - frames.origins[3 * n + i];
-      }
-      pull.add(1, from, to);
+      if (!find(grip, point)) continue;
+      for (int i = 0; i < 3; ++i) from[i] = point[i] - origin[i], to[i] = wanted[i] - origin[i];
+      sum.add(1, from, to);
     }
-    std::fill_n(&delta_[node.dof], node.width(), 0.0);
-    follow(node, &frames.axes[9 * n], pull, delta_.data());
-    double* own = &now_.q[node.coordinate];
-    Stepper::move(node, own, &delta_[node.dof], own);
-    forward(task_.chain, now_.q.data(), n, n + 1, frames);
+    return sum;
+  }
+
+  // The bone about which a ball that carries a pin twists.
+  bool twists(int n, double* axis) const {
+    if (next_[n].size() != 1 || next_[n][0].tip) return false;
+    const int next = next_[n][0].index;
+    if (task_.chain.nodes[next].kind != Kind::PIN) return false;
+    for (int i = 0; i < 3; ++i)
+      axis[i] = now_.frames.origins[3 * next + i] - now_.frames.origins[3 * n + i];
+    const double size = length(axis);
+    for (int i = 0; i < 3; ++i) axis[i] /= size;
+    return true;
   }
 
   // Where a point is now; false where nothing is asked of it.
-  bool hold(const Grip& grip, double* point) const {
+  bool find(const Grip& grip, double* point) const {
     if (!grip.tip) {
       std::copy_n(&now_.frames.origins[3 * grip.index], 3, point);
       return asking_[grip.index] > 0;
@@ -139,7 +187,7 @@ class Fabrik : public Method {
   std::vector<double> tips_;    // (E, 3): and the goals' points
   std::vector<int> asking_;     // (N,): how many ask something of it
   std::vector<double> bones_;   // (N,): lengths from the parent
-  std::vector<std::vector<Grip>> grips_;
+  std::vector<std::vector<Grip>> next_, grips_;
 };
 
 }  // namespace animtool::ik
