@@ -19,8 +19,12 @@ class Descent : public Attempt {
   // Above this cost the whole Hessian is worth its price: goals are a length away.
   static constexpr double FAR = 0.5;
   // A step is taken that brings this share of what it promised, and none is left that
-  // promises this share of the cost, or turns by less [rad].
-  static constexpr double LEAST_RATIO = 1e-4, STILL_GAIN = 1e-15, LEAST_TURN = 1e-10;
+  // turns by less [rad].
+  static constexpr double LEAST_RATIO = 1e-4, LEAST_TURN = 1e-10;
+  // Nor one that promises this share of the cost: what rounding leaves, unless less will
+  // do.
+  static constexpr double ROUNDED = 1e-15;
+  double still_gain_ = ROUNDED;
 
   // Moves now_ downhill: Levenberg-Marquardt, and with the whole Hessian in a region of
   // trust where the goals are far or progress is slow. Not `thorough`, it gives up
@@ -37,7 +41,7 @@ class Descent : public Attempt {
       ++outcome_.iterations;
       const bool curved = thorough && (now_.cost > FAR || slow > 1);
       const double gain = try_step(curved ? LEAST_DAMPING : damping, curved, trusted);
-      if (std::fabs(gain) <= STILL_GAIN * now_.cost) return End::STILL;
+      if (std::fabs(gain) <= still_gain_ * now_.cost) return End::STILL;
       const double ratio = gain > 0 ? (now_.cost - next_.cost) / gain : 0;
       fresh = ratio > LEAST_RATIO && next_.cost < now_.cost;
       if (curved)

@@ -45,6 +45,8 @@ class Levels : public Solver {
   // Shifts of one level at most, and the share of the tolerance that ends them.
   static constexpr int SHIFTS = 8;
   static constexpr double HELD = 0.1;
+  // What a level may miss its least cost by, about.
+  static constexpr double EXACT = 1e-5;
 
   // The goals up to a level, each level with a share of the weight of the one before it;
   // the rest preference is as soft as the softest.
@@ -95,7 +97,7 @@ class Levels : public Solver {
     for (int level = 0; level < task_.levels && !search_.spent(); ++level) {
       weigh(level, ratio_);
       for (int i = 0; i < SHIFTS; ++i) {
-        search_.refine(scaled_.data(), shift_.data());
+        search_.refine(scaled_.data(), shift_.data(), EXACT * std::pow(ratio_, 2 * level));
         if (search_.spent() || !shift()) break;
       }
       if (level == 0 && !known && !within(0)) search_.search(scaled_.data());
@@ -129,7 +131,7 @@ class Levels : public Solver {
       slack = slack || (held_[level] && !within(level));
       if (!held_[level]) scale(level, 0);
     }
-    if (slack) search_.refine(scaled_.data(), nullptr);
+    if (slack) search_.refine(scaled_.data(), nullptr, 0);
   }
 
   // Why goals are missed: they are out of reach, or give way to others, to harder ones or

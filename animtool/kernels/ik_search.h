@@ -22,8 +22,9 @@ class Search : public Descent {
   }
 
   // Goes on from the best pose to other targets, and stays with what comes of it.
-  void refine(const double* targets, const double* shift) {
+  void refine(const double* targets, const double* shift, double still_gain) {
     aim(targets, shift);
+    still_gain_ = std::max(still_gain, ROUNDED);
     begin(best_);
     descend(WARM, true);
     std::swap(now_, best_);
@@ -60,6 +61,9 @@ class Search : public Descent {
   static constexpr double COLD = 1e-3, WARM = 1e-6;
   // Random poses, of which the best is a new start.
   static constexpr int SAMPLES = 4;
+  // What a descent may leave, in shares of the cost: where levels follow, and where a
+  // preference for a pose keeps the cost from 0.
+  static constexpr double ROUGH = 1e-6, FINE = 1e-12;
   // After so many starts the best is followed to its end.
   static constexpr int POLISHED = 8;
   // How many other starts must end where the best did before it is taken for the
@@ -82,6 +86,7 @@ class Search : public Descent {
   Status look() {
     floor_ = nearest_cost(task_, targets_, best_.frames);
     const bool mixed = task_.rest_weight > 0 || task_.levels > 1;
+    still_gain_ = task_.levels > 1 ? ROUGH : mixed ? FINE : ROUNDED;
     const bool sure =
         floor_ > 0 || mixed || task_.chain.dofs >= REDUNDANT * rows_asked(task_, targets_);
     first_.q = best_.q;
