@@ -71,8 +71,10 @@ class Search : public Descent {
   static constexpr int AGREEING = 16;
   // A start that ends below this share of the cost is a better one.
   static constexpr double BETTER = 1 - 1e-3;
-  // So many in a frame whose cost is within a factor of that of the frame before it.
+  // So many in a frame whose cost is within a factor of that of the frame before it; it
+  // leaves its branch for one of this share of the cost.
   static constexpr int RESTARTS_NEXT = 2;
+  static constexpr double JUMP = 0.98;
   static constexpr double SAME = 1.25;
   // With so many times more degrees of freedom than rows, a descent that is slow is
   // worth its end: there are hardly any minima that it could be stuck in.
@@ -95,13 +97,14 @@ class Search : public Descent {
     if (keep()) return Status::REACHED;
     if (same(end)) {
       const double before = best_.cost;
-      const int restarts = std::min(RESTARTS_NEXT, settings_.restarts);
+      const int restarts = task_.levels > 1 ? 0 : std::min(RESTARTS_NEXT, settings_.restarts);
       for (int i = 0; i < restarts && !spent() && !settled(); ++i) {
         scatter(i % 2 ? best_ : first_);
         descend(COLD, sure);
+        if (now_.cost > before * JUMP && !reached(now_)) continue;
         if (keep()) return Status::REACHED;
       }
-      if (best_.cost >= before * BETTER) return Status::NEAREST;
+      if (best_.cost == before) return Status::NEAREST;
     }
     int agreeing = 0;
     for (int i = 0; i < settings_.restarts && !spent() && !settled(); ++i) {

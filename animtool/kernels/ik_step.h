@@ -14,29 +14,37 @@ namespace animtool::ik {
 // Most that a joint turns in one step [rad].
 constexpr double LONGEST_TURN = 1.0;
 
-// Solves A x = b in place for a symmetric positive definite A (m, m), of which the
-// lower triangle is read and overwritten. False where it is not. By columns, so that
-// every inner loop adds to what lies side by side; `column` holds m numbers.
-inline bool solve_cholesky(double* a, double* b, double* column, int m) {
+// Factors a symmetric positive definite A (m, m) in place, of which the lower triangle is
+// read and overwritten; the inverse of the diagonal is kept. False where it is not. By
+// columns, so that every inner loop adds to what lies side by side; `column` holds m.
+inline bool factor_cholesky(double* a, double* column, int m) {
   for (int j = 0; j < m; ++j) {
     const double pivot = a[j * m + j];
     if (!(pivot > 0)) return false;
     const double inverse = 1 / std::sqrt(pivot);
     a[j * m + j] = inverse;
     for (int i = j + 1; i < m; ++i) column[i] = a[i * m + j] *= inverse;
-    b[j] *= inverse;
     for (int i = j + 1; i < m; ++i) {
       const double at = column[i];
       double* row = a + i * m;
       for (int k = j + 1; k <= i; ++k) row[k] -= at * column[k];
     }
-    for (int i = j + 1; i < m; ++i) b[i] -= b[j] * column[i];
+  }
+  return true;
+}
+
+// Solves A x = b in place with the factor of A.
+inline void solve_factored(const double* a, double* b, int m) {
+  for (int i = 0; i < m; ++i) {
+    const double* row = a + i * m;
+    double sum = b[i];
+    for (int j = 0; j < i; ++j) sum -= row[j] * b[j];
+    b[i] = sum * row[i];
   }
   for (int j = m; j-- > 0;) {
     b[j] *= a[j * m + j];
     for (int i = 0; i < j; ++i) b[i] -= a[j * m + i] * b[j];
   }
-  return true;
 }
 
 // The cost around a pose: columns of the Jacobian, their Gram matrix, the gradient.
@@ -189,6 +197,7 @@ class Stepper {
   static constexpr int MOST_PASSES = 12;
   static constexpr int MOST_ROUNDS = 300;
   static constexpr double LOOSE = 1e-2;
+  static constexpr double LEAST_FLOOR = 1e-9;
 
   struct Pinned {
     bool swing = false, twist = false, box = false;
@@ -367,7 +376,8 @@ class Stepper {
       }
     }
     for (const Fixed& fixed : fixed_) take_out(fixed, linear);
-    if (!solve_cholesky(matrix_.data(), right_.data(), image_.data(), m)) return false;
+    if (!factor_cholesky(matrix_.data(), image_.data(), m)) return false;
+    solve_factored(matrix_.data(), right_.data(), m);
     for (int d = 0; d < dofs; ++d) {
       const double* column = &linear.columns[static_cast<std::size_t>(d) * m];
       double sum = drawn ? free_[d] : 0;
@@ -396,17 +406,24 @@ class Stepper {
   }
 
   // Conjugate gradients, stopped where the cost bends downwards (T. Steihaug, The
-  // conjugate gradient method and trust regions in large scale optimization, 1983).
+  // conjugate gradient method and trust regions in large scale optimization, 1983), in the
+  // measure of J^T J and about what second derivatives add to it.
   bool solve_curved(const State& state, const Linearized& linear, double damping, double most,
                     double* out) {
     const int dofs = task_.chain.dofs;
+    const double floor = damping + task_.rest_weight + bending(state);
+    if (!prepare_measure(linear, floor)) return false;
     std::fill(out, out + dofs, 0.0);
     for (const Fixed& fixed : fixed_) add(fixed, fixed.value, out);
     hessian(state, linear, true, damping, out, product_.data());
     for (int d = 0; d < dofs; ++d) rest_[d] = linear.downhill[d] - product_[d];
     project(rest_.data());
-    double size = 0;
-    for (int d = 0; d < dofs; ++d) search_[d] = rest_[d], size += rest_[d] * rest_[d];
+    measure_rest(linear, floor);
+    double size = 0, along = 0;
+    for (int d = 0; d < dofs; ++d) {
+      search_[d] = free_[d];
+      size += rest_[d] * rest_[d], along += rest_[d] * free_[d];
+    }
     const double enough = size * LOOSE * LOOSE * std::min(1.0, size);
     const int rounds = std::min(2 * dofs + 10, MOST_ROUNDS);
     for (int round = 0; round < rounds && size > enough && size > 1e-300; ++round) {
@@ -421,18 +438,56 @@ class Stepper {
         for (int d = 0; d < dofs; ++d) out[d] += far * search_[d];
         break;
       }
-      const double amount = size / bend;
-      double next = 0;
+      const double amount = along / bend;
       for (int d = 0; d < dofs; ++d) {
         out[d] += amount * search_[d];
         rest_[d] -= amount * product_[d];
-        next += rest_[d] * rest_[d];
       }
-      for (int d = 0; d < dofs; ++d) search_[d] = rest_[d] + next / size * search_[d];
-      size = next;
       if (turning(state, out) > most) break;
+      measure_rest(linear, floor);
+      double next = 0;
+      size = 0;
+      for (int d = 0; d < dofs; ++d)
+        next += rest_[d] * free_[d], size += rest_[d] * rest_[d];
+      for (int d = 0; d < dofs; ++d) search_[d] = free_[d] + next / along * search_[d];
+      along = next;
     }
     return true;
+  }
+
+  // How much second derivatives may bend the cost: forces and torques on the goals.
+  double bending(const State& state) const {
+    double sum = 0;
+    for (std::size_t e = 0; e < task_.goals.size(); ++e) {
+      const double* weights = &state.weights[PARTS * e];
+      const double* misses = &state.misses[PARTS * e];
+      for (int part = 0; part < PARTS; ++part)
+        sum += weights[part] * weights[part] * misses[part];
+    }
+    return std::max(sum, LEAST_FLOOR);
+  }
+
+  // The factor of J J^T + floor, what is fixed taken out.
+  bool prepare_measure(const Linearized& linear, double floor) {
+    const int m = task_.rows;
+    std::copy(linear.gram.begin(), linear.gram.end(), matrix_.begin());
+    for (int i = 0; i < m; ++i) matrix_[i * m + i] += floor;
+    for (const Fixed& fixed : fixed_) take_out(fixed, linear);
+    return factor_cholesky(matrix_.data(), image_.data(), m);
+  }
+
+  // free_ = (J^T J + floor)^-1 rest_
+  void measure_rest(const Linearized& linear, double floor) {
+    const int m = task_.rows;
+    map(linear, rest_.data());
+    solve_factored(matrix_.data(), image_.data(), m);
+    for (int d = 0; d < task_.chain.dofs; ++d) {
+      const double* column = &linear.columns[static_cast<std::size_t>(d) * m];
+      double sum = rest_[d];
+      for (int i = linear.first[d]; i < linear.last[d]; ++i) sum -= column[i] * image_[i];
+      free_[d] = sum / floor;
+    }
+    project(free_.data());
   }
 
   const Task& task_;
