@@ -106,7 +106,8 @@ class Fabrik : public Method {
     }
     for (std::size_t e = 0; e < task_.goals.size(); ++e) {
       const Goal& goal = task_.goals[e];
-      draw(targets_ + TARGET_WIDTH * e, &wanted_[3 * goal.node], length(goal.offset), &tips_[3 * e]);
+      const double* target = targets_ + TARGET_WIDTH * e;
+      draw(target, &wanted_[3 * goal.node], length(goal.offset), &tips_[3 * e]);
     }
   }
 

@@ -103,9 +103,10 @@ class Levels : public Solver {
       if (level == 0 && !known && !within(0)) search_.search(scaled_.data());
       held_[level] = within(level);
     }
-    if (search_.spent()) return Status::BUDGET;
-    restore();
+    const bool spent = search_.spent();
+    if (!spent) restore();
     search_.review(targets_);
+    if (spent) return Status::BUDGET;
     return search_.reached(best()) ? Status::REACHED : Status::NEAREST;
   }
 

@@ -165,6 +165,18 @@ def test_a_goal_missed_for_the_pose_preferred_is_not_out_of_reach() -> None:
     assert result.positions[0, 0] > 1e-5
 
 
+@pytest.mark.parametrize("iterations", [1, 5, 20, 100, 400])
+def test_a_budget_that_ends_between_priorities_hides_no_miss(iterations: int) -> None:
+    problem = build(arm(6, LIMIT), [TIP, MIDDLE, TURNED])
+    targets = wishes(problem, 2, 0.7)
+    result = solve(problem, None, targets, IkOptions(iterations=iterations))
+    lacking = missing(problem, result.coordinates[0], targets, MIDDLE.priority)
+    miss = np.linalg.norm(lacking[:3]) * problem.length
+    assert abs(result.positions[0, 1] - miss) < 1e-9
+    assert (0, 1) in result.missed
+    assert IkStatus.CONVERGED not in result.statuses
+
+
 def test_warm_frames_hold_the_hard_goal() -> None:
     problem = build(
         mixed_rig(), [Goal("hand", (0.1, 0.0, 0.0)), Goal("other", priority=1)]
