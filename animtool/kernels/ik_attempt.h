@@ -54,11 +54,14 @@ class Attempt {
   const State& best() const { return best_; }
   const Outcome& outcome() const { return outcome_; }
 
+  // The share of the budget that may be spent from here on.
+  void allow(double share) { allowance_ = share; }
+
   bool spent() const {
-    if (outcome_.iterations >= settings_.iterations) return true;
+    if (outcome_.iterations >= allowance_ * settings_.iterations) return true;
     if (!(settings_.seconds > 0)) return false;
     const std::chrono::duration<double> taken = std::chrono::steady_clock::now() - began_;
-    return taken.count() > settings_.seconds;
+    return taken.count() > allowance_ * settings_.seconds;
   }
 
   // Whether a goal's misses are within a share of the tolerances.
@@ -129,6 +132,7 @@ class Attempt {
   State now_, next_, best_;
   std::vector<double> delta_, pull_;
   Outcome outcome_;
+  double allowance_ = 1;
   const double* targets_ = nullptr;
   const double* rest_ = nullptr;
   const double* shift_ = nullptr;  // (M,), added to the residuals

@@ -25,8 +25,14 @@ class Levels : public Solver {
     targets_ = targets;
     const int last = task_.levels - 1;
     weigh(last, SOUGHT);
+    search_.allow(last > 0 ? SEARCHED : 1);
     Status status = search_.run(start, scaled_.data(), rest, next);
-    if (status == Status::NEAREST && last > 0) status = settle(next && short_);
+    search_.allow(1);
+    if ((status == Status::NEAREST || status == Status::BUDGET) && last > 0) {
+      const bool cut = status == Status::BUDGET;
+      status = settle(next && short_);
+      if (cut && status == Status::NEAREST) status = Status::BUDGET;
+    }
     short_ = last > 0 && !within(0);
     if (status == Status::NEAREST) status = explain();
     Outcome outcome = search_.outcome();
@@ -40,7 +46,9 @@ class Levels : public Solver {
  private:
   // Share of the weight from level to level where all are sought at once.
   static constexpr double SOUGHT = 0.1;
-  // The same where they are told apart, and the share of the last at least.
+  // Share of the budget for that.
+  static constexpr double SEARCHED = 0.5;
+  // Share of the weight where they are told apart, and the share of the last at least.
   static constexpr double STEP = 1e-3, LEAST_SCALE = 1e-6;
   // Shifts of one level at most, and the share of the tolerance that ends them.
   static constexpr int SHIFTS = 8;
