@@ -54,7 +54,16 @@ KERNEL_METHODS = {
 
 
 def serving(problem: Problem) -> list[IkMethod]:
-    """Return the methods that can serve a problem."""
+    """Return the methods that can serve a problem.
+
+    >>> from animtool.ik.goals import Goal
+    >>> from animtool.ik.problem import build
+    >>> from animtool.rig.skeleton import Joint, JointType, Rig
+    >>> door = Rig("door", (Joint("hinge", -1, JointType.PIN),))
+    >>> problem = build(door, [Goal("hinge", position=0.0, orientation=1.0)])
+    >>> [str(method) for method in serving(problem)]
+    ['auto', 'damped', 'gradient', 'newton', 'ccd']
+    """
     return [method for method in IkMethod if _obstacle(problem, method) is None]
 
 
