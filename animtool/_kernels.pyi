@@ -170,3 +170,25 @@ def linearize_ik(nodes: Annotated[NDArray[numpy.int64], dict(shape=(None, None),
     weighted ``(B, M)``; minus its derivatives ``(B, M, D)``; and the Hessian of half the
     squared residual there, times the step ``(B, D)``.
     """
+
+def smooth_ik(nodes: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], numbers: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], goals: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], goal_numbers: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], path: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], targets: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], sought: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], stretches: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], drifts: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], anchor: float, speed: float, acceleration: float, first: int, end: int, length_tolerance: float, angle_tolerance: float, damping: float, rounds: int) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], int, float, float]:
+    """
+    Make a path ``(F, Q)`` of one chain smoother, arrays as for `solve_ik`.
+
+    Frames from ``first`` to ``end`` move, in at most ``rounds`` steps of all at once, so that
+    ``anchor |q - path|^2 + speed |v|^2 + acceleration |a|^2`` summed over the frames goes
+    down: v is the motion to the next frame less ``drifts`` ``(F - 1, D)``, a its change.
+    Goals that are reached stay so; where one is missed, all stay where the frame has them.
+
+    Returns ``(coordinates, misses, rounds, before, after)``: ``(F, Q)``, ``(F, E, 4)``, steps
+    taken, and half the sum before and after them.
+    """
+
+def cheapest_ik_path(nodes: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], numbers: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], paths: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], costs: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], drifts: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], easy: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], closed: bool) -> Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')]:
+    """
+    Which of K paths ``(K, L, Q)`` of a chain to be on in each frame ``(L,)``.
+
+    The way begins on the first path, and ends there if ``closed``; the sum of the squared
+    steps from frame to frame, less ``drifts`` ``(L - 1, D)``, and of ``costs`` ``(K, L)`` is
+    the least. Joints that go farther than ``easy`` ``(L - 1,)`` cost a hundred times more.
+    """

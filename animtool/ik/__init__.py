@@ -1,19 +1,25 @@
 """Inverse kinematics: poses that bring joints to goals, limits kept."""
 
+from animtool.ik.follow import FollowOptions, follow
 from animtool.ik.goals import Goal, Targets
 from animtool.ik.methods import IkMethod
 from animtool.ik.problem import Problem, build
-from animtool.ik.result import IkResult, IkStatus
+from animtool.ik.result import IkResult, IkStatus, Jump
+from animtool.ik.smooth import smooth
 from animtool.ik.solve import IkOptions, solve
 
 __all__ = [
+    "FollowOptions",
     "Goal",
     "IkMethod",
     "IkOptions",
     "IkResult",
     "IkStatus",
+    "Jump",
     "Problem",
     "Targets",
     "build",
+    "follow",
+    "smooth",
     "solve",
 ]

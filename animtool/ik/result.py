@@ -13,7 +13,7 @@ from animtool.ik.problem import Problem
 from animtool.rig.joints import coordinate_slices, local_from_coordinates
 from animtool.rig.limits import BallLimit, RangeLimit
 
-__all__ = ["IkResult", "IkStatus"]
+__all__ = ["IkResult", "IkStatus", "Jump"]
 
 # A coordinate this near to its limit is on it [rad] or [m].
 ON_LIMIT = 1e-9
@@ -45,6 +45,21 @@ class IkStatus(StrEnum):
     NOT_FINITE = "numbers beyond range"
 
 
+@dataclass(frozen=True, slots=True)
+class Jump:
+    """Where a clip is not followed without a jump.
+
+    Attributes:
+        frame: Index of the frame that is jumped to.
+        joint: The one that moves most.
+        size: By how much [rad], or share of the problem's length.
+    """
+
+    frame: int
+    joint: str
+    size: float
+
+
 @dataclass(frozen=True)
 class IkResult:
     """Poses for B problems, and how near to the goals they are.
@@ -64,6 +79,7 @@ class IkResult:
         reached: Which goals are, within the tolerances ``(B, E)``.
         stretches: What the bones of each goal's limb are multiplied by ``(B, E)``: 1
             where none stretch.
+        jumps: Of a clip that was followed.
     """
 
     problem: Problem
@@ -78,6 +94,7 @@ class IkResult:
     poles: FloatArray
     reached: BoolArray
     stretches: FloatArray
+    jumps: tuple[Jump, ...] = ()
 
     @property
     def converged(self) -> BoolArray:

@@ -102,14 +102,12 @@ def solve(
     options = options or IkOptions()
     _check(options)
     check_method(problem, options.method)
-    packed = pack(targets, problem.goals)
-    starts = _rows(problem, start, len(packed), "start")
-    wished = starts if prefer is None else _rows(problem, prefer, len(packed), "prefer")
+    packed = chain_targets(problem, targets)
+    starts = pose_rows(problem, start, len(packed), "start")
+    wished = starts
+    if prefer is not None:
+        wished = pose_rows(problem, prefer, len(packed), "prefer")
     chain = problem.chain
-    packed[:, :, [0, 1, 2, 7, 8, 9, 10, 11, 12]] /= chain.length
-    packed[:, :, 3:7] = so3.multiply(
-        packed[:, :, 3:7], so3.conjugate(chain.goal_frames)
-    )
     asked = _Asked(
         packed,
         extend(problem.limbs, packed),
@@ -136,6 +134,17 @@ def solve(
         reached,
         asked.limbs.scales,
     )
+
+
+def chain_targets(problem: Problem, targets: Targets) -> FloatArray:
+    """Return targets of a problem's goals as its chain takes them ``(B, E, 17)``."""
+    packed = pack(targets, problem.goals)
+    chain = problem.chain
+    packed[:, :, [0, 1, 2, 7, 8, 9, 10, 11, 12]] /= chain.length
+    packed[:, :, 3:7] = so3.multiply(
+        packed[:, :, 3:7], so3.conjugate(chain.goal_frames)
+    )
+    return packed
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,7 +253,7 @@ def _check(options: IkOptions) -> None:
         raise OptionError(faults)
 
 
-def _rows(
+def pose_rows(
     problem: Problem, given: ArrayLike | None, batch: int, name: str
 ) -> FloatArray:
     """Return poses ``(B, Q)``, one for all repeated."""

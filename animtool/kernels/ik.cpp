@@ -7,7 +7,9 @@
 #include "ik_ccd.h"
 #include "ik_fabrik.h"
 #include "ik_levels.h"
+#include "ik_path.h"
 #include "ik_slopes.h"
+#include "ik_stretch.h"
 #include "kernels.h"
 
 namespace animtool {
@@ -104,20 +106,6 @@ void check_batch(const Task& task, const In<double, 2>& starts, const In<double,
   if (targets.shape(0) != starts.shape(0) || targets.shape(1) != e ||
       targets.shape(2) != TARGET_WIDTH)
     throw std::invalid_argument("targets are (B, E, 17)");
-}
-
-// Scales the bones on the way to the goals, from their first joint.
-void stretch(const Chain& plain, const double* stretches, Task& task) {
-  for (std::size_t e = 0; e < task.goals.size(); ++e) {
-    Goal& goal = task.goals[e];
-    if (stretches[e] == goal.stretched) continue;
-    goal.stretched = stretches[e];
-    for (std::size_t at = 1; at < goal.path.size(); ++at)
-      for (int i = 0; i < 3; ++i)
-        task.chain.nodes[goal.path[at]].offset[i] =
-            goal.stretched * plain.nodes[goal.path[at]].offset[i];
-    for (int i = 0; i < 3; ++i) goal.offset[i] = goal.stretched * goal.bone[i] + goal.tool[i];
-  }
 }
 
 std::unique_ptr<Solver> make_solver(int method, Task& task, const Settings& settings) {
@@ -221,6 +209,68 @@ IkLinearized linearize_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
   const std::size_t by_entry[3] = {batch, m, d}, by_dof[2] = {batch, d};
   return {moved.release(by_coordinate), residuals.release(by_row), jacobians.release(by_entry),
           curvatures.release(by_dof)};
+}
+
+IkSmoothed smooth_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
+                     In<std::int64_t, 2> goals, In<double, 2> goal_numbers, In<double, 2> path,
+                     In<double, 3> targets, In<double, 3> sought, In<double, 2> stretches,
+                     In<double, 2> drifts, double anchor, double speed, double acceleration,
+                     std::size_t first, std::size_t end, double length_tolerance,
+                     double angle_tolerance, double damping, int rounds) {
+  Task task = read_task(nodes, numbers, goals, goal_numbers, 0);
+  const Chain plain = task.chain;
+  check_batch(task, path, targets, path);
+  check_batch(task, path, sought, path);
+  const std::size_t frames = path.shape(0), width = path.shape(1), e = goals.shape(0);
+  if (stretches.shape(0) != frames || stretches.shape(1) != e)
+    throw std::invalid_argument("stretches are (F, E)");
+  if (first > end || end > frames) throw std::invalid_argument("0 <= first <= end <= F");
+  if (drifts.shape(0) + 1 < frames || static_cast<int>(drifts.shape(1)) != task.chain.dofs)
+    throw std::invalid_argument("drifts are (F - 1, D)");
+  const Settings settings{length_tolerance, angle_tolerance, damping, 1, 0, 0, 0};
+  const PathSettings over{{anchor, speed, acceleration},
+                          static_cast<int>(first), static_cast<int>(end), rounds};
+  Buffer<double> smoothed(frames * width), misses(frames * e * PARTS);
+  PathOutcome outcome;
+  {
+    nb::gil_scoped_release release;
+    std::copy(path.data(), path.data() + frames * width, smoothed.get());
+    PathSmoother smoother(task, settings, over, static_cast<int>(frames), sought.data(),
+                          stretches.data(), drifts.data());
+    outcome = smoother.run(smoothed.get());
+    State state(task);
+    for (std::size_t t = 0; t < frames; ++t) {
+      std::copy(smoothed.get() + t * width, smoothed.get() + (t + 1) * width, state.q.begin());
+      stretch(plain, stretches.data() + t * e, task);
+      forward(task.chain, state.q.data(), state.frames);
+      measure(task, targets.data() + t * e * TARGET_WIDTH, state);
+      std::copy(state.misses.begin(), state.misses.end(), misses.get() + t * e * PARTS);
+    }
+  }
+  const std::size_t by_coordinate[2] = {frames, width}, by_goal[3] = {frames, e, PARTS};
+  return {smoothed.release(by_coordinate), misses.release(by_goal), outcome.rounds,
+          outcome.before, outcome.after};
+}
+
+Out<std::int64_t, 1> cheapest_ik_path(In<std::int64_t, 2> nodes, In<double, 2> numbers,
+                                      In<double, 3> paths, In<double, 2> costs,
+                                      In<double, 2> drifts, In<double, 1> easy, bool closed) {
+  const Chain chain = read_chain(nodes, numbers);
+  const std::size_t count = paths.shape(0), length = paths.shape(1);
+  if (static_cast<int>(paths.shape(2)) != chain.coordinates || costs.shape(0) != count ||
+      costs.shape(1) != length)
+    throw std::invalid_argument("paths are (K, L, Q), costs (K, L)");
+  if (drifts.shape(0) + 1 < length || static_cast<int>(drifts.shape(1)) != chain.dofs)
+    throw std::invalid_argument("drifts are (L - 1, D)");
+  if (easy.shape(0) + 1 < length) throw std::invalid_argument("easy is (L - 1,)");
+  Buffer<std::int64_t> chosen(length);
+  {
+    nb::gil_scoped_release release;
+    cheapest(chain, paths.data(), costs.data(), drifts.data(), easy.data(), count, length,
+             closed, chosen.get());
+  }
+  const std::size_t shape[1] = {length};
+  return chosen.release(shape);
 }
 
 }  // namespace animtool

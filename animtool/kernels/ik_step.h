@@ -25,6 +25,26 @@ class Stepper {
     turned_.resize(3 * task.chain.nodes.size());
   }
 
+  // Which limits of a node a step is fixed at.
+  struct Pinned {
+    bool swing = false, twist = false, box = false;
+  };
+
+  // As those of a step, for a caller that keeps what is fixed: directions that limits
+  // of no width leave no room for, and those that a step of its own violates.
+  void shut(const State& state, std::vector<Fixed>& fixed, std::vector<Pinned>& pinned) {
+    shut(state);
+    fixed = fixed_, pinned = pinned_;
+  }
+
+  bool fix_violations(const State& state, const double* step, std::vector<Fixed>& fixed,
+                      std::vector<Pinned>& pinned) {
+    fixed_.swap(fixed), pinned_.swap(pinned);
+    const bool found = fix_violations(state, step);
+    fixed_.swap(fixed), pinned_.swap(pinned);
+    return found;
+  }
+
   // Fills in the step; `curved` uses the whole Hessian in place of J^T J. False where
   // the damping is too small for it.
   bool step(const State& state, const Linearized& linear, double damping, bool curved,
@@ -96,10 +116,6 @@ class Stepper {
   static constexpr int MOST_ROUNDS = 300;
   static constexpr double LOOSE = 1e-2;
   static constexpr double LEAST_FLOOR = 1e-9;
-
-  struct Pinned {
-    bool swing = false, twist = false, box = false;
-  };
 
   // image_ = J v
   void map(const Linearized& linear, const double* v) {

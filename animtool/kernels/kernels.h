@@ -32,6 +32,9 @@ using IkSolved = std::tuple<Out<double, 2>, Out<double, 3>, Out<std::int64_t, 2>
 // coordinates, residuals, Jacobians, curvatures
 using IkLinearized = std::tuple<Out<double, 2>, Out<double, 2>, Out<double, 3>, Out<double, 2>>;
 
+// coordinates, misses, rounds, cost before and after
+using IkSmoothed = std::tuple<Out<double, 2>, Out<double, 3>, int, double, double>;
+
 BvhRows parse_bvh_rows(nb::bytes text, std::size_t columns, std::size_t limit, bool final);
 
 nb::bytes format_bvh_rows(In<double, 2> values, In<std::int64_t, 1> decimals);
@@ -88,6 +91,17 @@ IkSolved solve_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int6
 IkLinearized linearize_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
                           In<std::int64_t, 2> goals, In<double, 2> goal_numbers,
                           In<double, 2> starts, In<double, 3> targets, In<double, 2> steps);
+
+IkSmoothed smooth_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
+                     In<std::int64_t, 2> goals, In<double, 2> goal_numbers, In<double, 2> path,
+                     In<double, 3> targets, In<double, 3> sought, In<double, 2> stretches,
+                     In<double, 2> drifts, double anchor, double speed, double acceleration,
+                     std::size_t first, std::size_t end, double length_tolerance,
+                     double angle_tolerance, double damping, int rounds);
+
+Out<std::int64_t, 1> cheapest_ik_path(In<std::int64_t, 2> nodes, In<double, 2> numbers,
+                                      In<double, 3> paths, In<double, 2> costs,
+                                      In<double, 2> drifts, In<double, 1> easy, bool closed);
 
 Out<double, 3> point_extents(In<double, 3> points);
 

@@ -151,4 +151,25 @@ iterations and descents ``(B, 3)``; time of each ``(B,)``.)");
 Returns ``(coordinates, residuals, Jacobians, curvatures)``: ``(B, Q)``; what is missing,
 weighted ``(B, M)``; minus its derivatives ``(B, M, D)``; and the Hessian of half the
 squared residual there, times the step ``(B, D)``.)");
+
+  m.def("smooth_ik", &smooth_ik, "nodes"_a, "numbers"_a, "goals"_a, "goal_numbers"_a, "path"_a,
+        "targets"_a, "sought"_a, "stretches"_a, "drifts"_a, "anchor"_a, "speed"_a, "acceleration"_a, "first"_a, "end"_a,
+        "length_tolerance"_a, "angle_tolerance"_a, "damping"_a, "rounds"_a,
+        R"(Make a path ``(F, Q)`` of one chain smoother, arrays as for `solve_ik`.
+
+Frames from ``first`` to ``end`` move, in at most ``rounds`` steps of all at once, so that
+``anchor |q - path|^2 + speed |v|^2 + acceleration |a|^2`` summed over the frames goes
+down: v is the motion to the next frame less ``drifts`` ``(F - 1, D)``, a its change.
+Goals that are reached stay so; where one is missed, all stay where the frame has them.
+
+Returns ``(coordinates, misses, rounds, before, after)``: ``(F, Q)``, ``(F, E, 4)``, steps
+taken, and half the sum before and after them.)");
+
+  m.def("cheapest_ik_path", &cheapest_ik_path, "nodes"_a, "numbers"_a, "paths"_a, "costs"_a,
+        "drifts"_a, "easy"_a, "closed"_a,
+        R"(Which of K paths ``(K, L, Q)`` of a chain to be on in each frame ``(L,)``.
+
+The way begins on the first path, and ends there if ``closed``; the sum of the squared
+steps from frame to frame, less ``drifts`` ``(L - 1, D)``, and of ``costs`` ``(K, L)`` is
+the least. Joints that go farther than ``easy`` ``(L - 1,)`` cost a hundred times more.)");
 }

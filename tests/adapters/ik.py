@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool._types import BoolArray, FloatArray
 from animtool.ik import Goal, Problem, Targets, build
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
@@ -144,15 +144,26 @@ class Clip:
     """A clip of targets.
 
     Attributes:
-        reachable: Whether every frame is known to be: there is a witness, or feet
-            that are locked on steps planned for this.
+        fps: Frames a second.
+        witness: Poses that reach every frame ``(F, Q)``, if there are some.
+        lock: Where goals stand still ``(F, E)``, if the file says it.
     """
 
     model: Record
     problem: Problem
     start: FloatArray
     targets: Targets
-    reachable: bool
+    fps: float
+    witness: FloatArray | None
+    lock: BoolArray | None
+
+    @property
+    def reachable(self) -> bool:
+        """Whether every frame is known to be.
+
+        There is a witness, or feet that are locked on steps planned for this.
+        """
+        return self.witness is not None or self.lock is not None
 
 
 def read_clip(path: Path) -> Clip:
@@ -162,8 +173,13 @@ def read_clip(path: Path) -> Clip:
     with np.load(path.parent / document["arrays"]) as arrays:
         positions = arrays["pos"].astype(np.float64)
         rotations = arrays["quat"].astype(np.float64)[..., [1, 2, 3, 0]]
-        reachable = bool({"q_witness", "lock"} & set(arrays.files))
         start = from_file(model, arrays["q0"])[0]
+        witness = lock = None
+        if "q_witness" in arrays.files:
+            witness = from_file(model, arrays["q_witness"])
+        if "lock" in arrays.files:
+            lock = arrays["lock"]
     goals = read_goals(effectors, [{"pos": 1, "quat": 1}] * len(effectors))
     problem = build(read_rig(model), goals)
-    return Clip(model, problem, start, Targets(positions, rotations), reachable)
+    targets = Targets(positions, rotations)
+    return Clip(model, problem, start, targets, document["fps"], witness, lock)

@@ -11,21 +11,31 @@ from typing import Any
 
 import numpy as np
 import pytest
-from adapters.ik import Group, from_file, read_clip, read_groups, to_file
+from adapters.ik import Clip, Group, from_file, read_clip, read_groups, to_file
 from support.data import data_files
 
-from animtool._types import FloatArray
-from animtool.ik import IkMethod, IkOptions, IkResult, solve
+from animtool._types import BoolArray, FloatArray
+from animtool.ik import (
+    FollowOptions,
+    IkMethod,
+    IkOptions,
+    IkResult,
+    follow,
+    smooth,
+    solve,
+)
 from animtool.maths import so3
 from animtool.rig.joints import coordinate_slices, local_from_coordinates
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.limits import BallLimit, RangeLimit
-from animtool.rig.skeleton import Rig
+from animtool.rig.skeleton import JointType, Rig
 
 # The data's own: of the chain's length, [rad], and [rad] or [m].
 LENGTH_TOLERANCE, ANGLE_TOLERANCE, LIMIT_TOLERANCE = 1e-4, 1e-3, 1e-6
 # Witnesses are float32 in some files.
 WITNESS_TOLERANCE = 1e-6
+# Of locked goals, from frame to frame [m]; time over which clips are smoothed [s].
+SLIDE, SMOOTH = 1e-5, 0.1
 PARTS = {"pos": "positions", "rot": "rotations", "aim": "aims"}
 
 
@@ -191,23 +201,109 @@ def test_our_kinematics_agree_with_the_witnesses(path: Path) -> None:
                 assert (got[asked] < WITNESS_TOLERANCE * scale).all()
 
 
-@pytest.mark.parametrize("path", data_files("ik", "clip_*.json"))
-def test_clips_are_followed_frame_by_frame(
-    path: Path, record_property: Callable[[str, object], None]
+@pytest.fixture(scope="module", params=data_files("ik", "clip_*.json"))
+def followed(request: pytest.FixtureRequest) -> tuple[str, Clip, IkResult]:
+    """A clip and the poses that follow it."""
+    clip = read_clip(request.param)
+    options = FollowOptions(fps=clip.fps)
+    result = follow(clip.problem, clip.start, clip.targets, options)
+    return request.param.stem, clip, result
+
+
+def test_clips_are_followed_in_every_frame(
+    followed: tuple[str, Clip, IkResult],
+    record_property: Callable[[str, object], None],
 ) -> None:
-    clip = read_clip(path)
-    result = solve(clip.problem, clip.start, clip.targets, IkOptions(warm=True))
+    name, clip, result = followed
     tally = Tally(seconds=result.seconds.tolist(), iterations=list(result.iterations))
     tally.statuses.update(map(str, result.statuses))
     if clip.reachable:
-        near = result.positions.max(axis=1) < LENGTH_TOLERANCE * clip.problem.length
-        near &= result.orientations.max(axis=1) < ANGLE_TOLERANCE
-        tally.failures += [f"frame {f}" for f in np.flatnonzero(~near)]
-    record_property(HEADER, tally.line(path.stem))
+        tally.failures += [f"frame {f}" for f in np.flatnonzero(~_near(clip, result))]
+    record_property(HEADER, tally.line(name))
     assert not tally.failures, tally.failures[:5]
     assert np.isfinite(result.coordinates).all()
     beyond = _beyond_limits(clip.problem.rig, result.coordinates)
     assert beyond.max() <= LIMIT_TOLERANCE
+
+
+def test_clips_are_followed_without_jumps(
+    followed: tuple[str, Clip, IkResult],
+) -> None:
+    _, clip, result = followed
+    assert result.jumps == ()
+    if clip.witness is not None:
+        most = np.abs(_speeds(clip, clip.witness)).max()
+        assert np.abs(_speeds(clip, result.coordinates)).max() < 2 * most
+
+
+def test_locked_goals_do_not_slide(followed: tuple[str, Clip, IkResult]) -> None:
+    _, clip, result = followed
+    if clip.lock is None:
+        pytest.skip("nothing is locked in this clip")
+    for poses in (result, _smoothed(clip, result)):
+        assert _slides(clip, poses.coordinates).max() < SLIDE
+
+
+def test_smooth_clips_accelerate_little_at_the_same_accuracy(
+    followed: tuple[str, Clip, IkResult],
+    record_property: Callable[[str, object], None],
+) -> None:
+    name, clip, result = followed
+    smoother = _smoothed(clip, result)
+    assert not (result.converged & ~smoother.converged).any()
+    assert smoother.jumps == ()
+    beyond = _beyond_limits(clip.problem.rig, smoother.coordinates)
+    assert beyond.max() <= LIMIT_TOLERANCE
+    peaks = [
+        np.abs(np.diff(_speeds(clip, poses), axis=0)).max() * clip.fps
+        for poses in (result.coordinates, smoother.coordinates)
+    ]
+    assert peaks[1] <= peaks[0]
+    line = f"{name:24} peak acceleration {peaks[0]:.0f}, smooth {peaks[1]:.1f}"
+    if clip.witness is not None:
+        witness = np.abs(np.diff(_speeds(clip, clip.witness), axis=0)).max() * clip.fps
+        line += f", of the witness {witness:.1f}"
+        assert peaks[1] <= 2 * witness
+    record_property(HEADER, line)
+
+
+def _near(clip: Clip, result: IkResult) -> BoolArray:
+    near = result.positions.max(axis=1) < LENGTH_TOLERANCE * clip.problem.length
+    near &= result.orientations.max(axis=1) < ANGLE_TOLERANCE
+    return np.asarray(near)
+
+
+def _smoothed(clip: Clip, result: IkResult) -> IkResult:
+    return smooth(result, clip.targets, SMOOTH, fps=clip.fps)
+
+
+def _speeds(clip: Clip, coordinates: FloatArray) -> FloatArray:
+    """Return how the joints move ``(F - 1, D)`` a second."""
+    steps = []
+    for joint, place in zip(
+        clip.problem.rig.joints, coordinate_slices(clip.problem.rig), strict=True
+    ):
+        before, after = coordinates[:-1, place], coordinates[1:, place]
+        if joint.type is JointType.BALL:
+            steps.append(so3.log(so3.multiply(after, so3.conjugate(before))))
+        else:
+            steps.append(after - before)
+    return np.concatenate(steps, axis=1) * clip.fps
+
+
+def _slides(clip: Clip, coordinates: FloatArray) -> FloatArray:
+    """Return how far locked goals move from frame to frame [m]."""
+    rig = clip.problem.rig
+    local = local_from_coordinates(rig, coordinates)
+    world = forward(rig, local.translations, local.rotations)
+    moves = [np.zeros(1)]
+    for e, goal in enumerate(clip.problem.goals):
+        j = rig.index(goal.joint)
+        point = world.positions[:, j] + world.linear[:, j] @ np.asarray(goal.offset)
+        assert clip.lock is not None
+        locked = clip.lock[1:, e] & clip.lock[:-1, e]
+        moves.append(np.linalg.norm(np.diff(point, axis=0), axis=1)[locked])
+    return np.concatenate(moves)
 
 
 def test_the_adapter_reads_what_it_writes(tmp_path: Path) -> None:

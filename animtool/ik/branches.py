@@ -1,0 +1,264 @@
+"""Other ways through a stretch of a clip, and the best path that they make."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from animtool import _kernels
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.ik.chain import BALL, Chain
+from animtool.ik.goals import Targets
+from animtool.ik.problem import Problem
+from animtool.ik.result import IkResult
+from animtool.ik.solve import IkOptions, solve
+from animtool.ik.tangent import difference, moved, unwound, with_periods
+
+__all__ = ["Stretch", "best_path", "branches", "price", "woven"]
+
+# What a frame that misses its goals costs, in squared radians: more than any jump.
+MISSED = 1e4
+# Poses nearer than this are one branch [rad], [share of the length].
+SAME = 1e-3
+# Steps of a frame from anywhere, and from the one beside it; a branch that needs more
+# ends there.
+DESCENT, STEPS = 100, 30
+# Solutions looked for at each place along a whole clip, and branches side by side.
+STRANDS, LAYERS = 12, 8
+# Random turns of joints that no limits hold [rad], of one seed after the other.
+SPREAD = (0.5, 1.5, 3.0)
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Consecutive frames, to be passed through some other way.
+
+    Attributes:
+        problem: What is asked.
+        targets: Of all F frames of the clip.
+        frames: Of the stretch, the first of which is where paths part.
+        broken: The frame that is not to be come to by a jump.
+        poses: The path as it is, chain coordinates ``(L, C)``.
+        costs: Of what it misses, see `price` ``(L,)``.
+        reference: The motion that the path is a change of ``(L, C)``; one pose
+            repeated where it is none.
+        easy: How far a joint may go from frame to frame as if it were near
+            ``(L - 1,)``; what is beyond is avoided.
+        wished: Poses of all frames that the problem's ``rest_weight`` draws to
+            ``(F, Q)``.
+        options: How frames are solved.
+    """
+
+    problem: Problem
+    targets: Targets
+    frames: range
+    broken: int
+    poses: FloatArray
+    costs: FloatArray
+    reference: FloatArray
+    easy: FloatArray
+    wished: FloatArray
+    options: IkOptions
+
+    @property
+    def chain(self) -> Chain:
+        """The joints as the solver takes them."""
+        return self.problem.chain
+
+    def solved(
+        self, starts: FloatArray, frames: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return poses ``(B, C)`` for starts in frames of the clip, and their cost."""
+        rows = self.problem.chain.into_rig(starts, self._whole(len(starts)))
+        chosen = replace(self.options, warm=False, restarts=0, iterations=DESCENT)
+        found = self._solve(rows, frames, chosen)
+        lengths = found.positions / self.chain.length
+        misses = np.stack([lengths, found.orientations, found.aims, found.poles], -1)
+        poses = self.chain.from_rig(found.coordinates)
+        return poses, price(misses, found.converged)
+
+    def tracked(self, pose: FloatArray, rows: IntArray) -> tuple[FloatArray, int]:
+        """Return poses that follow one through rows, and how many reach their goals."""
+        frames = self.frames.start + rows
+        start = self.problem.chain.into_rig(pose[None], self._whole(1))[0]
+        chosen = replace(self.options, warm=True, restarts=0, iterations=STEPS)
+        found = self._solve(start, frames, chosen)
+        lost = np.flatnonzero(~found.converged)
+        ok = int(lost[0]) if len(lost) else len(rows)
+        return self.chain.from_rig(found.coordinates), ok
+
+    def _solve(
+        self, starts: FloatArray, frames: IntArray, options: IkOptions
+    ) -> IkResult:
+        targets = rows_of(self.targets, frames)
+        wished = self.wished[frames]
+        return solve(self.problem, starts, targets, options, prefer=wished)
+
+    def _whole(self, count: int) -> FloatArray:
+        return np.zeros((count, self.problem.coordinates))
+
+    def changed(self, poses: FloatArray, row: int) -> FloatArray:
+        """Return how poses in a row differ from the reference ``(..., D)``."""
+        return difference(self.chain, self.reference[row], poses)
+
+
+def price(misses: FloatArray, reached: BoolArray) -> FloatArray:
+    """Return the cost of misses ``(F, E, 4)``, 0 where goals are reached ``(F,)``."""
+    cost = MISSED * (1.0 + (misses**2).sum(axis=(1, 2)))
+    return np.where(reached, 0.0, cost)
+
+
+def rows_of(targets: Targets, frames: IntArray | slice) -> Targets:
+    """Return the targets of some frames."""
+    parts = [getattr(targets, part.name) for part in fields(Targets)]
+    return Targets(*[None if p is None else np.asarray(p)[frames] for p in parts])
+
+
+def branches(stretch: Stretch, count: int, seed: int) -> tuple[FloatArray, FloatArray]:
+    """Return paths through a stretch ``(K, L, C)`` and the cost of their misses.
+
+    The path as it is; what other solutions of the broken frame and of the last come to,
+    followed through time both ways; and paths that pass from the first to each of these
+    little by little, brought to the goals. Costs are ``(K, L)``, 0 where goals are
+    reached.
+
+    Args:
+        stretch: Where.
+        count: Other solutions looked for.
+        seed: Of where they are looked for.
+    """
+    at = stretch.broken - stretch.frames.start
+    starts = [stretch.poses[at], stretch.poses[at - 1]]
+    starts += list(_scattered(stretch, stretch.poses[at], count, seed))
+    frames = np.full(len(starts), stretch.broken)
+    found, cost = stretch.solved(np.array(starts), frames)
+    kept = _distinct(stretch.chain, found[cost == 0])
+    if not len(kept):
+        kept = found[np.argsort(cost, kind="stable")[:1]]
+    tracks, costs = _followed(stretch, kept, at)
+    own = stretch.poses[None]
+    paths = [own, tracks]
+    prices = [stretch.costs[None], costs]
+    for path, cost in _passing(stretch, tracks, at):
+        paths.append(path[None])
+        prices.append(cost[None])
+    return np.concatenate(paths), np.concatenate(prices)
+
+
+def woven(stretch: Stretch, spacing: int, seed: int) -> tuple[FloatArray, FloatArray]:
+    """Return paths through a long stretch ``(K, L, C)``, as of `branches`.
+
+    The path as it is, and solutions from seeded starts, looked for every ``spacing``
+    frames and each followed both ways through time until it ends, or others that began
+    later take its place.
+    """
+    length, width = stretch.poses.shape
+    paths = np.zeros((1 + LAYERS * STRANDS, length, width))
+    costs = np.full((len(paths), length), 2 * MISSED)
+    paths[0] = stretch.poses
+    costs[0] = stretch.costs
+    far = LAYERS * spacing // 2
+    for i, at in enumerate(range(0, length, spacing)):
+        frames = np.full(STRANDS, stretch.frames[at])
+        starts = _scattered(stretch, stretch.poses[at], STRANDS, seed + i)
+        found, cost = stretch.solved(np.array(list(starts)), frames)
+        layer = 1 + i % LAYERS * STRANDS
+        paths[layer : layer + STRANDS, max(at - far, 0) : at + far] = found[:, None]
+        for k in np.flatnonzero(cost == 0):
+            for way in (slice(at, min(at + far, length)), slice(at, at - far, -1)):
+                rows = np.arange(length)[_clipped(way)]
+                poses, ok = stretch.tracked(found[k], rows)
+                paths[layer + k, rows[:ok]] = poses[:ok]
+                costs[layer + k, rows[:ok]] = 0.0
+    return paths, costs
+
+
+def _clipped(way: slice) -> slice:
+    """Return a slice that goes down to the first element and not around it."""
+    return slice(way.start, None, way.step) if way.stop < 0 else way
+
+
+def _scattered(
+    stretch: Stretch, home: FloatArray, count: int, seed: int
+) -> Iterator[FloatArray]:
+    """Return poses anywhere within the limits, or about one where there are none."""
+    rng = np.random.default_rng([seed, stretch.broken])
+    chain = stretch.chain
+    for i in range(count):
+        step = rng.normal(size=chain.degrees) * SPREAD[i % len(SPREAD)]
+        pose = moved(chain, home, step)
+        for (kind, _, column, follows), numbers in zip(
+            chain.nodes[:, :4], with_periods(chain), strict=True
+        ):
+            middle, half = numbers[14:16].mean(), np.ptp(numbers[14:16]) / 2
+            at = rng.uniform(-1, 1)
+            if kind != BALL and not follows and np.isfinite(half):
+                pose[column] = middle + at * min(half, np.pi)
+        yield pose
+
+
+def _distinct(chain: Chain, poses: FloatArray) -> FloatArray:
+    kept: list[FloatArray] = []
+    for pose in poses:
+        if not kept or (
+            np.abs(difference(chain, np.array(kept), pose)).max(axis=1).min() > SAME
+        ):
+            kept.append(pose)
+    return np.array(kept).reshape(-1, poses.shape[-1])
+
+
+def _followed(
+    stretch: Stretch, poses: FloatArray, at: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return poses ``(K, C)`` of a row followed to both ends of the stretch."""
+    length = len(stretch.frames)
+    tracks = np.zeros((len(poses), length, poses.shape[1]))
+    costs = np.zeros((len(poses), length))
+    for way, stop in ((1, length), (-1, -1)):
+        now = poses
+        for row in range(at, stop, way):
+            if row != at:
+                change = stretch.changed(now, row - way)
+                now = moved(stretch.chain, stretch.reference[row], change)
+            frames = np.full(len(now), stretch.frames[row])
+            now, costs[:, row] = stretch.solved(now, frames)
+            tracks[:, row] = now
+    return tracks, costs
+
+
+def _passing(
+    stretch: Stretch, tracks: FloatArray, at: int
+) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Return paths from the one as it is to others, over the rows before ``at``."""
+    share = np.clip(np.arange(len(stretch.frames)) / max(at, 1), 0.0, 1.0)
+    eased = (share**3 * (10 + share * (6 * share - 15)))[:, None]
+    for track in tracks:
+        step = difference(stretch.chain, stretch.poses, track)
+        between = moved(stretch.chain, stretch.poses, eased * step)
+        yield stretch.solved(between, np.array(stretch.frames))
+
+
+def best_path(
+    stretch: Stretch, paths: FloatArray, costs: FloatArray, *, closed: bool
+) -> FloatArray:
+    """Return the poses ``(L, C)`` of the cheapest way along paths and over to others.
+
+    The sum of squared distances from frame to frame and of the misses is the least (A.
+    Viterbi, Error bounds for convolutional codes, 1967), steps that are not easy being
+    dear. It begins on the first of
+    the paths, and ends there if ``closed``.
+
+    Args:
+        stretch: Where.
+        paths: ``(K, L, C)``.
+        costs: Of their misses ``(K, L)``.
+        closed: Whether the last pose is to be that of the first path.
+    """
+    chain = stretch.chain
+    drifts = difference(chain, stretch.reference[:-1], stretch.reference[1:])
+    chosen = _kernels.cheapest_ik_path(
+        chain.nodes, with_periods(chain), paths, costs, drifts, stretch.easy, closed
+    )
+    return unwound(chain, paths[chosen, np.arange(costs.shape[1])])

@@ -1,0 +1,85 @@
+"""Where a clip's joints move farther than its targets explain."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.ik.chain import BALL
+from animtool.ik.path import Path
+from animtool.ik.problem import Problem
+from animtool.ik.result import Jump
+from animtool.maths import so3
+from animtool.rig.joints import coordinate_slices
+
+__all__ = ["explained", "jumping", "named", "strain"]
+
+# A joint jumps that moves by more than this [rad], or share of the chain's length, and
+# this a second, and so many times what the targets move by, all together.
+LEAST_JUMP, LEAST_SPEED, MORE_THAN_TARGETS = 0.1, 8.0, 4.0
+
+
+def explained(path: Path, fps: float) -> FloatArray:
+    """Return how far joints may go from frame to frame ``(F - 1,)``.
+
+    In radians, and shares of the problem's length.
+    """
+    targets = path.targets
+    asked = targets[1:, :, 13:] * targets[:-1, :, 13:] > 0
+    goals = np.array([goal.weights for goal in path.problem.goals]) > 0
+    moves = np.stack(
+        [
+            _distances(targets[:, :, 0:3]),
+            so3.angle_between(targets[1:, :, 3:7], targets[:-1, :, 3:7]),
+            _distances(targets[:, :, 7:10]),
+            _distances(targets[:, :, 10:13]),
+        ],
+        axis=2,
+    )
+    most = np.where(asked & goals, moves, 0.0).max(axis=(1, 2), initial=0.0)
+    own = np.abs(path.drifts).max(axis=1, initial=0.0)
+    least = LEAST_JUMP + LEAST_SPEED / fps
+    return np.asarray(least + MORE_THAN_TARGETS * (most + own))
+
+
+def _distances(points: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(np.diff(points, axis=0), axis=2))
+
+
+def strain(path: Path, poses: FloatArray, allowed: FloatArray) -> float:
+    """Return the largest step of poses ``(F, C)``, in shares of what is a jump."""
+    steps = np.abs(path.steps(poses)).max(axis=1, initial=0.0)
+    return float((steps / allowed).max(initial=0.0))
+
+
+def jumping(path: Path, poses: FloatArray, allowed: FloatArray) -> IntArray:
+    """Return the frames to which a joint jumps."""
+    steps = np.abs(path.steps(poses)).max(axis=1, initial=0.0)
+    return np.flatnonzero(steps > allowed) + 1
+
+
+def named(path: Path, poses: FloatArray, allowed: FloatArray) -> tuple[Jump, ...]:
+    """Return the jumps of poses: frame, joint and size."""
+    steps = np.abs(path.steps(poses))
+    joints = _joints(path.problem)
+    found = []
+    for frame in jumping(path, poses, allowed):
+        d = int(steps[frame - 1].argmax())
+        found.append(Jump(int(frame), joints[d], float(steps[frame - 1, d])))
+    return tuple(found)
+
+
+def _joints(problem: Problem) -> list[str]:
+    """Return the joint of each degree of freedom."""
+    rig, chain = problem.rig, problem.chain
+    owners = [
+        joint.name
+        for joint, place in zip(rig.joints, coordinate_slices(rig), strict=True)
+        for _ in range(place.stop - place.start)
+    ]
+    names: list[str] = []
+    for kind, _, column, follows in chain.nodes[:, :4]:
+        if not follows:
+            name = owners[int(chain.columns[column])]
+            names += [name] * (3 if kind == BALL else 1)
+    return names

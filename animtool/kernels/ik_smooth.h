@@ -1,0 +1,667 @@
+// A path of poses made smoother, while its goals stay where they are and limits kept.
+//
+// Over all frames at once: min sum |q - anchor|^2 + speed |v|^2 + acceleration |a|^2 by
+// Gauss-Newton, its steps in the null space of the goals' Jacobians. Of balls, differences
+// are rotation vectors. With the goals' projections Pi and the same scalar matrix P of
+// five diagonals for every degree of freedom, Pi P Pi x = Pi b is solved by conjugate
+// gradients with Pi P^-1 Pi for a preconditioner, exact where Pi does not change in time
+// (N. Gould, M. Hribar, J. Nocedal, On the solution of equality constrained quadratic
+// programming problems arising in optimization, 2001, algorithm 2.1).
+#pragma once
+
+#include "ik_search.h"
+#include "ik_stretch.h"
+
+namespace animtool::ik {
+
+// Tangent vector (D,) that takes one pose to another, balls about their own rest frame.
+inline void difference(const Chain& chain, const double* from, const double* to, double* out) {
+  for (const Node& node : chain.nodes) {
+    if (node.follows) continue;
+    const double *a = from + node.coordinate, *b = to + node.coordinate;
+    if (node.kind == Kind::BALL) {
+      const double back[4] = {-a[0], -a[1], -a[2], a[3]};
+      double turn[4];
+      product(b, back, turn);
+      logarithm(turn, out + node.dof);
+    } else {
+      out[node.dof] = b[0] - a[0];
+    }
+  }
+}
+
+// How a rotation vector v = log(b a^-1) changes with b, transposed, on y: the inverse
+// left Jacobian of SO(3) for side 1; with a, negated, for side -1.
+inline void pull_back(const double* v, const double* y, double side, double* out) {
+  double first[3], second[3];
+  cross(v, y, first);
+  cross(v, first, second);
+  const double square = dot(v, v), angle = std::sqrt(square);
+  const double factor =
+      angle < 1e-3 ? 1.0 / 12 : (1 - angle / 2 / std::tan(angle / 2)) / square;
+  for (int i = 0; i < 3; ++i) out[i] = y[i] + side * first[i] / 2 + factor * second[i];
+}
+
+struct PathWeights {
+  double anchor, speed, acceleration;
+};
+
+// The matrix of the weights over time, factored: L D L^T with two diagonals below.
+class TimeBand {
+ public:
+  TimeBand(int frames, int first, int end, const PathWeights& weights)
+      : first_(first), count_(std::max(end - first, 0)), rows_(5 * std::max(frames, 1)),
+        pivots_(count_), below_(2 * count_) {
+    for (int t = 0; t < frames; ++t) row(t)[2] += weights.anchor;
+    for (int t = 0; t + 1 < frames; ++t) add(t, {-1, 1}, weights.speed);
+    for (int t = 0; t + 2 < frames; ++t) add(t, {1, -2, 1}, weights.acceleration);
+    damp(0);
+  }
+
+  // Adds a multiple of the identity, in place of that before.
+  void damp(double damping) {
+    for (int t = 0; t < static_cast<int>(rows_.size()) / 5; ++t) row(t)[2] += damping - damping_;
+    damping_ = damping;
+    for (int i = 0; i < count_; ++i) {
+      const double* own = row(first_ + i);
+      double far = i > 1 ? own[0] : 0, near = i > 0 ? own[1] : 0, pivot = own[2];
+      if (i > 1) {
+        near -= far * below_[2 * (i - 1)];
+        pivot -= far * far / pivots_[i - 2];
+        far /= pivots_[i - 2];
+      }
+      if (i > 0) {
+        pivot -= near * near / pivots_[i - 1];
+        near /= pivots_[i - 1];
+      }
+      below_[2 * i] = near, below_[2 * i + 1] = far;
+      pivots_[i] = pivot;
+    }
+  }
+
+  // out = P x for frames of `width` numbers, all of them.
+  void multiply(const std::vector<double>& x, int width, std::vector<double>& out) const {
+    const int frames = static_cast<int>(x.size()) / std::max(width, 1);
+    for (int i = 0; i < count_; ++i) {
+      const int t = first_ + i;
+      double* o = &out[static_cast<std::size_t>(t) * width];
+      std::fill(o, o + width, 0.0);
+      for (int k = std::max(t - 2, 0); k <= std::min(t + 2, frames - 1); ++k) {
+        const double factor = rows_[5 * t + 2 + k - t];
+        const double* from = &x[static_cast<std::size_t>(k) * width];
+        for (int d = 0; d < width; ++d) o[d] += factor * from[d];
+      }
+    }
+  }
+
+  // Solves P x = b in place over the frames that may move.
+  void solve(std::vector<double>& x, int width) const {
+    const auto at = [&](int i) { return &x[static_cast<std::size_t>(first_ + i) * width]; };
+    for (int i = 1; i < count_; ++i)
+      for (int k = 1; k <= std::min(i, 2); ++k) {
+        const double factor = below_[2 * i + k - 1];
+        double *own = at(i), *other = at(i - k);
+        for (int d = 0; d < width; ++d) own[d] -= factor * other[d];
+      }
+    for (int i = count_; i-- > 0;) {
+      double* own = at(i);
+      for (int d = 0; d < width; ++d) own[d] /= pivots_[i];
+      for (int k = 1; k <= std::min(count_ - 1 - i, 2); ++k) {
+        const double factor = below_[2 * (i + k) + k - 1];
+        const double* other = at(i + k);
+        for (int d = 0; d < width; ++d) own[d] -= factor * other[d];
+      }
+    }
+  }
+
+ private:
+  double* row(int t) { return &rows_[5 * t]; }
+
+  void add(int t, std::initializer_list<double> stencil, double weight) {
+    int i = 0;
+    for (const double a : stencil) {
+      int j = 0;
+      for (const double b : stencil) row(t + i)[2 + j - i] += weight * a * b, ++j;
+      ++i;
+    }
+  }
+
+  int first_, count_;
+  double damping_ = 0;
+  std::vector<double> rows_, pivots_, below_;
+};
+
+struct PathSettings {
+  PathWeights weights;
+  int first, end;  // frames that may move
+  int rounds;      // of Gauss-Newton
+};
+
+struct PathOutcome {
+  int rounds = 0;
+  double before = 0, after = 0;
+};
+
+class PathSmoother {
+ public:
+  // `stretches` (F, E) are what the bones of limbs are multiplied by; `drifts` (F - 1, D)
+  // is the motion from frame to frame that costs nothing.
+  PathSmoother(const Task& task, const Settings& settings, const PathSettings& path, int frames,
+               const double* targets, const double* stretches, const double* drifts)
+      : task_(of_goals_alone(task)), plain_(task_.chain), settings_(settings), tight_(tightened(settings)), path_(path),
+        frames_(frames), width_(task.chain.dofs), coordinates_(task.chain.coordinates),
+        first_(path.first), end_(path.end), targets_(targets, targets + frames * task.goals.size() * TARGET_WIDTH),
+        stretches_(stretches), drifts_(drifts),
+        band_(frames, path.first, path.end, path.weights), search_(task_, tight_),
+        stepper_(task_), state_(task_), linear_(task_), spaces_(frames),
+        held_(frames, 0) {}
+
+  // Improves a path (F, Q) in place.
+  PathOutcome run(double* path) {
+    now_.assign(path, path + static_cast<std::size_t>(frames_) * coordinates_);
+    anchors_ = now_;
+    for (int t = 0; t < frames_; ++t) keep_what_is_missed(t);
+    PathOutcome outcome;
+    outcome.before = evaluate(now_);
+    std::vector<char> looked(frames_, 0);
+    improve_all(outcome, outcome.before);
+    if (path_.weights.acceleration > 0 && path_.rounds > 0)
+      for (int i = 0; i < CORNERS && narrow(looked); ++i) {
+        improve_all(outcome, local_cost());
+        cross_elsewhere(outcome);
+      }
+    outcome.after = evaluate(now_);
+    std::copy(now_.begin(), now_.end(), path);
+    return outcome;
+  }
+
+ private:
+  // What the Gram matrix of a frame's goals is damped by: rows of length 1 lose as much.
+  static constexpr double DAMPING = 1e-10;
+  // Goals are brought back to this share of their tolerance, in this many steps.
+  static constexpr double TIGHT = 1e-2;
+  static constexpr int STEPS = 30;
+  // A round that gains less than this share is the last one.
+  static constexpr double ENOUGH = 1e-2;
+  // Corners that are looked at by themselves.
+  static constexpr int CORNERS = 8;
+  // A corner stands out that costs so many times what half of the frames about it do.
+  // Passing it is tried this much earlier or later at a time [frames], so many times.
+  static constexpr double SHARP = 10, SHIFT = 0.5;
+  static constexpr int SHIFTS = 8;
+  // How often a step is tried, each so many times stiffer than the one before.
+  static constexpr int TRIES = 8;
+  static constexpr double STIFFER = 4;
+  // Passes over the limits, steps of conjugate gradients and where these end.
+  static constexpr int PASSES = 4, MOST_ROUNDS = 60;
+  static constexpr double LOOSE = 1e-2;
+
+  // Of one frame: an orthonormal basis (M, D) of what the goals feel, directions that
+  // limits fix, and the least step that serves these.
+  struct Space {
+    std::vector<double> rows, step;
+    std::vector<Fixed> fixed;
+    std::vector<Stepper::Pinned> pinned;
+  };
+
+  // What goals come to is kept, whoever gave way, and for whatever preference.
+  static Task of_goals_alone(Task task) {
+    task.rest_weight = 0;
+    task.levels = 1;
+    return task;
+  }
+
+  static Settings tightened(Settings settings) {
+    settings.length_tolerance *= TIGHT;
+    settings.angle_tolerance *= TIGHT;
+    settings.iterations = STEPS;
+    settings.restarts = 0;
+    return settings;
+  }
+
+  double* target(int t) {
+    return &targets_[static_cast<std::size_t>(t) * task_.goals.size() * TARGET_WIDTH];
+  }
+
+  double* frame(std::vector<double>& of, int t) {
+    return &of[static_cast<std::size_t>(t) * width_];
+  }
+
+  double* pose(std::vector<double>& of, int t) {
+    return &of[static_cast<std::size_t>(t) * coordinates_];
+  }
+
+  void stretch_limbs(int t) { stretch(plain_, stretches_ + t * task_.goals.size(), task_); }
+
+  // Brings a pose to the goals of a frame.
+  bool bring(int t, const double* start) {
+    stretch_limbs(t);
+    if (search_.run(start, target(t), start, false) == Status::BROKEN) return false;
+    const State& best = search_.best();
+    std::copy(best.q.begin(), best.q.end(), pose(next_, t));
+    return reached(best);
+  }
+
+  void look(int t) {
+    stretch_limbs(t);
+    const double* q = pose(now_, t);
+    std::copy(q, q + coordinates_, state_.q.begin());
+    forward(task_.chain, state_.q.data(), state_.frames);
+    measure(task_, target(t), state_);
+    // However little a goal weighs, what it asks is to stay.
+    for (double& weight : state_.weights) weight = weight > 0 ? 1 : 0;
+  }
+
+  bool reached(const State& state) const {
+    for (std::size_t i = 0; i < state.misses.size(); ++i) {
+      const double tolerance =
+          i % PARTS == 0 ? settings_.length_tolerance : settings_.angle_tolerance;
+      if (!(state.misses[i] <= tolerance)) return false;
+    }
+    return true;
+  }
+
+  // Where a frame misses a goal, what it comes to is what is to be kept.
+  void keep_what_is_missed(int t) {
+    look(t);
+    if (reached(state_)) return;
+    for (std::size_t e = 0; e < task_.goals.size(); ++e) {
+      const Goal& goal = task_.goals[e];
+      double* wanted = target(t) + TARGET_WIDTH * e;
+      const double* point = &state_.points[3 * e];
+      const double* rotation = &state_.frames.rotations[9 * goal.node];
+      double turn[3], direction[3];
+      std::copy(point, point + 3, wanted);
+      logarithm_of_matrix(rotation, turn);
+      exponential(turn, wanted + 3);
+      rotate(rotation, goal.aim_axis, direction);
+      for (int i = 0; i < 3; ++i) wanted[7 + i] = point[i] + direction[i];
+      if (goal.middle < 0) continue;
+      const double* middle = &state_.frames.origins[3 * goal.middle];
+      std::copy(middle, middle + 3, wanted + 10);
+    }
+  }
+
+  // Rounds over the frames from first_ to end_, until they gain too little of `scale`.
+  void improve_all(PathOutcome& outcome, double scale) {
+    damping_ = 0;
+    double cost = evaluate(now_);
+    for (int round = 0; round < path_.rounds; ++round) {
+      const double next = improve(cost);
+      if (!(next < cost)) return;
+      ++outcome.rounds;
+      const bool enough = cost - next < ENOUGH * scale;
+      cost = next;
+      if (enough) return;
+    }
+  }
+
+  // Lets only the frames about the sharpest corner move that was not looked at: the rest
+  // has come to its end, and is not to say how far these may go at a time.
+  bool narrow(std::vector<char>& looked) {
+    evaluate(now_);
+    int sharpest = -1;
+    for (int t = path_.first; t < path_.end; ++t)
+      if (!looked[t] && (sharpest < 0 || bends_[t] > bends_[sharpest])) sharpest = t;
+    if (sharpest < 0) return false;
+    const double time = std::sqrt(std::sqrt(path_.weights.acceleration));
+    const int reach = static_cast<int>(std::clamp(2 * time, 8.0, 60.0));
+    first_ = std::max(sharpest - reach, path_.first);
+    end_ = std::min(sharpest + reach + 1, path_.end);
+    std::fill(looked.begin() + std::max(sharpest - reach / 2, 0),
+              looked.begin() + std::min(sharpest + reach / 2 + 1, frames_), 1);
+    std::fill(held_.begin(), held_.end(), 0);
+    band_ = TimeBand(frames_, first_, end_, path_.weights);
+    return true;
+  }
+
+  // Where a path passes close by a singular pose, it turns a corner that no small change
+  // takes away: it is smooth only if it passes at one moment. So others are tried.
+  void cross_elsewhere(PathOutcome& outcome) {
+    for (const double wide : {1.0, 0.5})
+      for (int tried = 0; tried < 2 * SHIFTS; ++tried) {
+        if (!sharp()) return;
+        const double by = (tried / 2 + 1) * SHIFT * (tried % 2 ? -1 : 1);
+        const double cost = evaluate(now_);
+        const std::vector<double> before = now_;
+        if (shift(by, wide)) improve_all(outcome, local_cost());
+        if (!(evaluate(now_) < cost)) now_ = before;
+      }
+    evaluate(now_);
+  }
+
+  // Whether a corner stands out.
+  bool sharp() {
+    evaluate(now_);
+    const auto worst = std::max_element(bends_.begin() + first_, bends_.begin() + end_);
+    std::vector<double> others(bends_.begin() + first_, bends_.begin() + end_);
+    std::nth_element(others.begin(), others.begin() + others.size() / 2, others.end());
+    return *worst > SHARP * others[others.size() / 2];
+  }
+
+  // Runs the frames that move ahead by so many, most in their middle; now_ <- the path
+  // brought back to the goals. False where a frame does not come back.
+  bool shift(double by, double wide) {
+    const double middle = (first_ + end_ - 1) / 2.0, reach = wide * (end_ - first_ + 1) / 2.0;
+    next_ = now_;
+    step_.resize(slope_.size());
+    for (int t = first_; t < end_; ++t) {
+      const double away = std::fabs(t - middle) / reach;
+      if (away >= 1) continue;
+      const double eased = std::cos(away * TURN / 4);
+      const double at = std::clamp(t + by * eased * eased, 0.0, frames_ - 1.0);
+      const int from = std::min(static_cast<int>(at), frames_ - 2);
+      difference(task_.chain, pose(now_, from), pose(now_, from + 1), away_.data());
+      for (double& x : away_) x *= at - from;
+      moved_.resize(coordinates_);
+      stepper_.move(pose(now_, from), away_.data(), moved_.data());
+      if (!bring(t, moved_.data())) return false;
+    }
+    now_.swap(next_);
+    return true;
+  }
+
+  double local_cost() const {
+    double cost = 0;
+    for (int t = first_; t < end_; ++t) cost += bends_[t];
+    return cost;
+  }
+
+  // The cost of a path, and its gradient where one is asked for.
+  double evaluate(std::vector<double>& q, std::vector<double>* slope = nullptr) {
+    const std::size_t size = static_cast<std::size_t>(frames_) * width_;
+    speeds_.resize(size), forces_.resize(size), away_.resize(width_);
+    if (slope) slope->assign(size, 0.0);
+    const PathWeights& w = path_.weights;
+    double cost = 0;
+    for (int t = 0; t < frames_; ++t) {
+      difference(task_.chain, pose(anchors_, t), pose(q, t), away_.data());
+      for (int d = 0; d < width_; ++d) {
+        cost += w.anchor * away_[d] * away_[d] / 2;
+        if (slope) frame(*slope, t)[d] += w.anchor * away_[d];
+      }
+    }
+    std::fill(forces_.begin(), forces_.end(), 0.0);
+    bends_.assign(frames_, 0.0);
+    for (int t = 0; t + 1 < frames_; ++t) {
+      double *speed = frame(speeds_, t), *force = frame(forces_, t);
+      difference(task_.chain, pose(q, t), pose(q, t + 1), speed);
+      const double* drift = drifts_ + static_cast<std::size_t>(t) * width_;
+      for (int d = 0; d < width_; ++d) {
+        const double u = speed[d] - drift[d];
+        cost += w.speed * u * u / 2;
+        force[d] += w.speed * u;
+        if (t == 0) continue;
+        const double a = u - (speed[d - width_] - drift[d - width_]);
+        bends_[t] += w.acceleration * a * a / 2;
+        force[d] += w.acceleration * a;
+        force[d - width_] -= w.acceleration * a;
+      }
+    }
+    for (const double bend : bends_) cost += bend;
+    if (slope)
+      for (int t = 0; t + 1 < frames_; ++t) spread(t, *slope);
+    return cost;
+  }
+
+  // What pulls at the motion from one frame to the next pulls at both poses.
+  void spread(int t, std::vector<double>& slope) {
+    const double *speed = frame(speeds_, t), *force = frame(forces_, t);
+    double *now = frame(slope, t), *next = frame(slope, t + 1);
+    for (const Node& node : task_.chain.nodes) {
+      if (node.follows) continue;
+      const int d = node.dof;
+      double back[3] = {-force[d]}, on[3] = {force[d]};
+      if (node.kind == Kind::BALL) {
+        pull_back(speed + d, force + d, 1, on);
+        pull_back(speed + d, force + d, -1, back);
+        for (double& x : back) x = -x;
+      }
+      for (int k = 0; k < node.width(); ++k) now[d + k] += back[k], next[d + k] += on[k];
+    }
+  }
+
+  // One round; the cost after it. A step that is too long is taken with more damping:
+  // such that what was asked for becomes some times stiffer.
+  double improve(double cost) {
+    evaluate(now_, &slope_);
+    for (int i = 0; i < TRIES; ++i) {
+      const double stiffness = attempt();
+      if (longest() < LONGEST_TURN && take(i + 1 < TRIES)) {
+        const double next = evaluate(next_);
+        if (next < cost) {
+          now_.swap(next_);
+          damping_ /= STIFFER;
+          return next;
+        }
+      }
+      damping_ = STIFFER * std::max(damping_, stiffness);
+    }
+    return cost;
+  }
+
+  // step_ <- the best one within the limits; how stiff the path is against it.
+  double attempt() {
+    band_.damp(damping_);
+    step_.assign(slope_.size(), 0.0);
+    for (int t = first_; t < end_; ++t) open(t);
+    for (int pass = 0; pass < PASSES; ++pass) {
+      solve();
+      if (!fix_violations()) break;
+    }
+    band_.multiply(step_, width_, image_);
+    double bend = 0, size = 1e-300;
+    for (std::size_t i = begin(); i < end(); ++i)
+      bend += step_[i] * image_[i], size += step_[i] * step_[i];
+    return bend / size;
+  }
+
+  double longest() const {
+    double most = 0;
+    for (const double x : step_) most = std::max(most, std::fabs(x));
+    return most;
+  }
+
+  // Limits that have no width, and the goals' space, at the present pose.
+  void open(int t) {
+    Space& space = spaces_[t];
+    look(t);
+    stepper_.shut(state_, space.fixed, space.pinned);
+    span(t);
+  }
+
+  // The basis of what a frame's goals feel of the directions that are not fixed.
+  void span(int t) {
+    Space& space = spaces_[t];
+    const int m = task_.rows;
+    differentiate(task_, target(t), state_, linear_.columns);
+    gram_.assign(static_cast<std::size_t>(m) * m, 0.0);
+    missing_.assign(m, 0.0);
+    space.step.assign(width_, 0.0);
+    for (const Fixed& fixed : space.fixed) {
+      double* columns = &linear_.columns[static_cast<std::size_t>(fixed.dof) * m];
+      for (int i = 0; i < m; ++i) {
+        double along = 0;
+        for (int k = 0; k < fixed.width; ++k) along += columns[k * m + i] * fixed.direction[k];
+        for (int k = 0; k < fixed.width; ++k) columns[k * m + i] -= along * fixed.direction[k];
+        missing_[i] -= along * fixed.value;
+      }
+      for (int k = 0; k < fixed.width; ++k)
+        space.step[fixed.dof + k] += fixed.value * fixed.direction[k];
+    }
+    space.rows.resize(static_cast<std::size_t>(m) * width_);
+    for (int d = 0; d < width_; ++d) {
+      const double* column = &linear_.columns[static_cast<std::size_t>(d) * m];
+      for (int i = 0; i < m; ++i) {
+        space.rows[static_cast<std::size_t>(i) * width_ + d] = column[i];
+        if (column[i] == 0) continue;
+        double* row = &gram_[static_cast<std::size_t>(i) * m];
+        for (int j = 0; j <= i; ++j) row[j] += column[i] * column[j];
+      }
+    }
+    orthonormalize(space);
+  }
+
+  // rows <- L^-1 rows, where L L^T is the damped Gram matrix.
+  void orthonormalize(Space& space) {
+    const int m = task_.rows;
+    for (int i = 0; i < m; ++i) {
+      double* own = &gram_[static_cast<std::size_t>(i) * m];
+      double* row = &space.rows[static_cast<std::size_t>(i) * width_];
+      for (int j = 0; j < i; ++j) {
+        const double* other = &gram_[static_cast<std::size_t>(j) * m];
+        for (int k = 0; k < j; ++k) own[j] -= own[k] * other[k];
+        own[j] *= other[j];
+        const double* done = &space.rows[static_cast<std::size_t>(j) * width_];
+        for (int d = 0; d < width_; ++d) row[d] -= own[j] * done[d];
+        missing_[i] -= own[j] * missing_[j];
+      }
+      double pivot = own[i] + DAMPING;
+      for (int k = 0; k < i; ++k) pivot -= own[k] * own[k];
+      // The diagonal holds its inverse.
+      own[i] = pivot > DAMPING / 2 ? 1 / std::sqrt(pivot) : 0;
+      for (int d = 0; d < width_; ++d) row[d] *= own[i];
+      missing_[i] *= own[i];
+    }
+    for (int i = 0; i < m; ++i) {
+      const double* row = &space.rows[static_cast<std::size_t>(i) * width_];
+      for (int d = 0; d < width_; ++d) space.step[d] += missing_[i] * row[d];
+    }
+  }
+
+  // Takes out of x what goals and limits feel, frame by frame.
+  void project(std::vector<double>& x) {
+    felt_.resize(task_.rows);
+    for (int t = first_; t < end_; ++t) {
+      const Space& space = spaces_[t];
+      double* own = frame(x, t);
+      if (held_[t]) {
+        std::fill(own, own + width_, 0.0);
+        continue;
+      }
+      for (const Fixed& fixed : space.fixed) {
+        double along = 0;
+        for (int k = 0; k < fixed.width; ++k) along += own[fixed.dof + k] * fixed.direction[k];
+        for (int k = 0; k < fixed.width; ++k) own[fixed.dof + k] -= along * fixed.direction[k];
+      }
+      const double* rows = space.rows.data();
+      for (int i = 0; i < task_.rows; ++i) felt_[i] = inner(rows + i * width_, own, width_);
+      for (int i = 0; i < task_.rows; ++i) {
+        const double* row = rows + i * width_;
+        const double along = felt_[i];
+        for (int d = 0; d < width_; ++d) own[d] -= along * row[d];
+      }
+    }
+  }
+
+  // In four sums, that the processor adds side by side.
+  static double inner(const double* a, const double* b, int count) {
+    double sums[4] = {0, 0, 0, 0};
+    int i = 0;
+    for (; i + 4 <= count; i += 4)
+      for (int k = 0; k < 4; ++k) sums[k] += a[i + k] * b[i + k];
+    for (; i < count; ++i) sums[0] += a[i] * b[i];
+    return (sums[0] + sums[1]) + (sums[2] + sums[3]);
+  }
+
+  // step_ <- the best one that goals and fixed limits leave, from that before.
+  void solve() {
+    const std::size_t size = slope_.size();
+    project(step_);
+    for (int t = first_; t < end_; ++t) {
+      if (held_[t]) continue;
+      double* own = frame(step_, t);
+      for (int d = 0; d < width_; ++d) own[d] += spaces_[t].step[d];
+    }
+    image_.assign(size, 0.0);
+    band_.multiply(step_, width_, image_);
+    rest_.assign(size, 0.0);
+    conditioned_.assign(size, 0.0);
+    // What the slope alone comes to says what is small.
+    for (std::size_t i = begin(); i < end(); ++i) rest_[i] = -slope_[i];
+    project(rest_);
+    const double small = precondition() * LOOSE * LOOSE;
+    for (std::size_t i = begin(); i < end(); ++i) rest_[i] = -slope_[i] - image_[i];
+    project(rest_);
+    double size_now = precondition();
+    along_ = conditioned_;
+    for (int round = 0; round < MOST_ROUNDS && size_now > small && size_now > 0; ++round) {
+      band_.multiply(along_, width_, image_);
+      double bend = 0;
+      for (std::size_t i = begin(); i < end(); ++i) bend += along_[i] * image_[i];
+      if (!(bend > 0)) return;
+      const double amount = size_now / bend;
+      for (std::size_t i = begin(); i < end(); ++i) {
+        step_[i] += amount * along_[i];
+        rest_[i] -= amount * image_[i];
+      }
+      project(rest_);
+      const double next = precondition();
+      for (std::size_t i = begin(); i < end(); ++i)
+        along_[i] = conditioned_[i] + next / size_now * along_[i];
+      size_now = next;
+    }
+  }
+
+  double precondition() {
+    conditioned_ = rest_;
+    band_.solve(conditioned_, width_);
+    project(conditioned_);
+    double sum = 0;
+    for (std::size_t i = begin(); i < end(); ++i) sum += conditioned_[i] * rest_[i];
+    return sum;
+  }
+
+  std::size_t begin() const { return static_cast<std::size_t>(first_) * width_; }
+  std::size_t end() const { return static_cast<std::size_t>(end_) * width_; }
+
+  bool fix_violations() {
+    bool found = false;
+    for (int t = first_; t < end_; ++t) {
+      Space& space = spaces_[t];
+      std::copy(pose(now_, t), pose(now_, t) + coordinates_, state_.q.begin());
+      if (!stepper_.fix_violations(state_, frame(step_, t), space.fixed, space.pinned)) continue;
+      look(t);
+      span(t);
+      found = true;
+    }
+    return found;
+  }
+
+  // next_ <- the path after the step, brought back to the goals. False where a frame does
+  // not come back; without `again`, such a frame stays where it is from now on.
+  bool take(bool again) {
+    next_ = now_;
+    moved_.resize(coordinates_);
+    bool good = true;
+    for (int t = first_; t < end_; ++t) {
+      if (held_[t]) continue;
+      stepper_.move(pose(now_, t), frame(step_, t), moved_.data());
+      if (bring(t, moved_.data())) continue;
+      good = false;
+      held_[t] = !again;
+    }
+    return good;
+  }
+
+  Task task_;
+  const Chain plain_;
+  const Settings settings_, tight_;
+  const PathSettings path_;
+  const int frames_, width_, coordinates_;
+  int first_, end_;  // frames that move at present
+  std::vector<double> targets_;
+  const double *stretches_, *drifts_;
+  TimeBand band_;
+  Search search_;
+  Stepper stepper_;
+  State state_;
+  Linearized linear_;
+  std::vector<Space> spaces_;
+  std::vector<char> held_;
+  std::vector<double> now_, next_, bends_, anchors_, speeds_, forces_, away_, slope_, step_, image_;
+  std::vector<double> rest_, along_, conditioned_, gram_, missing_, felt_, moved_;
+  double damping_ = 0;
+};
+
+}  // namespace animtool::ik

@@ -1,0 +1,70 @@
+"""Steps of joints that targets do not explain."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.ik import every_goal, mixed_rig, random_pose, reached_by
+
+from animtool.ik import IkOptions, build
+from animtool.ik.jumps import explained, jumping, named, strain
+from animtool.ik.path import Path, path_of
+from animtool.ik.result import Jump
+
+
+def standing(frames: int = 6) -> tuple[Path, np.ndarray]:
+    problem = build(mixed_rig(), every_goal()[:1])
+    rows = np.repeat(random_pose(problem, 1), frames, axis=0)
+    path = path_of(problem, reached_by(problem, rows), None, IkOptions())
+    return path, problem.chain.from_rig(rows)
+
+
+def test_joints_that_stand_do_not_jump() -> None:
+    path, poses = standing()
+    allowed = explained(path, 24.0)
+    assert strain(path, poses, allowed) < 1e-12
+    assert len(jumping(path, poses, allowed)) == 0
+
+
+def test_a_jump_is_named_by_frame_joint_and_size() -> None:
+    path, poses = standing()
+    allowed = explained(path, 24.0)
+    elbow = int(np.flatnonzero(path.problem.chain.nodes[:, 0] == 0)[0])
+    column = path.problem.chain.nodes[elbow, 2]
+    poses[4:, column] += 0.9
+    (jump,) = named(path, poses, allowed)
+    assert jump == Jump(4, "elbow", jump.size)
+    assert jump.size == pytest.approx(0.9)
+    assert strain(path, poses, allowed) > 1
+
+
+def test_fast_targets_and_slow_rates_explain_more() -> None:
+    path, _ = standing()
+    still = explained(path, 60.0)
+    assert (explained(path, 24.0) > still).all()
+    moving = path.targets.copy()
+    moving[3:, :, 0] += 0.5
+    fast = explained(replace(path, targets=moving), 60.0)
+    assert np.flatnonzero(fast > still).tolist() == [2]
+
+
+def test_targets_that_are_not_asked_explain_nothing() -> None:
+    path, _ = standing()
+    assert isinstance(path.targets, np.ndarray)
+    moving = path.targets.copy()
+    moving[3:, :, 0] += 0.5
+    moving[3, :, 13:] = 0
+    gone = replace(path, targets=moving)
+    np.testing.assert_array_equal(explained(gone, 60.0), explained(path, 60.0))
+
+
+def test_the_motion_of_a_clip_is_no_jump() -> None:
+    problem = build(mixed_rig(), every_goal()[:1])
+    rows = random_pose(problem, 1, frames=5)
+    targets = reached_by(problem, rows)
+    path = path_of(problem, targets, rows, IkOptions())
+    poses = problem.chain.from_rig(rows)
+    np.testing.assert_allclose(path.steps(poses), 0.0, atol=1e-12)
+    assert len(jumping(path, poses, explained(path, 24.0))) == 0
