@@ -9,6 +9,7 @@
 #include "ik_levels.h"
 #include "ik_path.h"
 #include "ik_slopes.h"
+#include "ik_smooth.h"
 #include "ik_stretch.h"
 #include "kernels.h"
 

@@ -5,7 +5,8 @@
 #include <cstdint>
 #include <limits>
 
-#include "ik_smooth.h"
+#include "ik_limits.h"
+#include "ik_tangent.h"
 
 namespace animtool::ik {
 
@@ -31,8 +32,8 @@ inline double price_of(const Chain& chain, const double* step, const double* dri
 
 // Which of `count` paths (K, L, C) to be on in each of L frames, to begin on the first.
 inline void cheapest(const Chain& chain, const double* paths, const double* costs,
-                     const double* drifts, const double* easy, std::size_t count, std::size_t length, bool closed,
-                     std::int64_t* chosen) {
+                     const double* drifts, const double* easy, std::size_t count,
+                     std::size_t length, bool closed, std::int64_t* chosen) {
   const std::size_t width = chain.coordinates;
   std::vector<double> total(count, std::numeric_limits<double>::infinity()), next(count);
   std::vector<double> step(chain.dofs);

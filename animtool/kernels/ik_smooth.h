@@ -9,127 +9,12 @@
 // programming problems arising in optimization, 2001, algorithm 2.1).
 #pragma once
 
+#include "ik_band.h"
 #include "ik_search.h"
 #include "ik_stretch.h"
+#include "ik_tangent.h"
 
 namespace animtool::ik {
-
-// Tangent vector (D,) that takes one pose to another, balls about their own rest frame.
-inline void difference(const Chain& chain, const double* from, const double* to, double* out) {
-  for (const Node& node : chain.nodes) {
-    if (node.follows) continue;
-    const double *a = from + node.coordinate, *b = to + node.coordinate;
-    if (node.kind == Kind::BALL) {
-      const double back[4] = {-a[0], -a[1], -a[2], a[3]};
-      double turn[4];
-      product(b, back, turn);
-      logarithm(turn, out + node.dof);
-    } else {
-      out[node.dof] = b[0] - a[0];
-    }
-  }
-}
-
-// How a rotation vector v = log(b a^-1) changes with b, transposed, on y: the inverse
-// left Jacobian of SO(3) for side 1; with a, negated, for side -1.
-inline void pull_back(const double* v, const double* y, double side, double* out) {
-  double first[3], second[3];
-  cross(v, y, first);
-  cross(v, first, second);
-  const double square = dot(v, v), angle = std::sqrt(square);
-  const double factor =
-      angle < 1e-3 ? 1.0 / 12 : (1 - angle / 2 / std::tan(angle / 2)) / square;
-  for (int i = 0; i < 3; ++i) out[i] = y[i] + side * first[i] / 2 + factor * second[i];
-}
-
-struct PathWeights {
-  double anchor, speed, acceleration;
-};
-
-// The matrix of the weights over time, factored: L D L^T with two diagonals below.
-class TimeBand {
- public:
-  TimeBand(int frames, int first, int end, const PathWeights& weights)
-      : first_(first), count_(std::max(end - first, 0)), rows_(5 * std::max(frames, 1)),
-        pivots_(count_), below_(2 * count_) {
-    for (int t = 0; t < frames; ++t) row(t)[2] += weights.anchor;
-    for (int t = 0; t + 1 < frames; ++t) add(t, {-1, 1}, weights.speed);
-    for (int t = 0; t + 2 < frames; ++t) add(t, {1, -2, 1}, weights.acceleration);
-    damp(0);
-  }
-
-  // Adds a multiple of the identity, in place of that before.
-  void damp(double damping) {
-    for (int t = 0; t < static_cast<int>(rows_.size()) / 5; ++t) row(t)[2] += damping - damping_;
-    damping_ = damping;
-    for (int i = 0; i < count_; ++i) {
-      const double* own = row(first_ + i);
-      double far = i > 1 ? own[0] : 0, near = i > 0 ? own[1] : 0, pivot = own[2];
-      if (i > 1) {
-        near -= far * below_[2 * (i - 1)];
-        pivot -= far * far / pivots_[i - 2];
-        far /= pivots_[i - 2];
-      }
-      if (i > 0) {
-        pivot -= near * near / pivots_[i - 1];
-        near /= pivots_[i - 1];
-      }
-      below_[2 * i] = near, below_[2 * i + 1] = far;
-      pivots_[i] = pivot;
-    }
-  }
-
-  // out = P x for frames of `width` numbers, all of them.
-  void multiply(const std::vector<double>& x, int width, std::vector<double>& out) const {
-    const int frames = static_cast<int>(x.size()) / std::max(width, 1);
-    for (int i = 0; i < count_; ++i) {
-      const int t = first_ + i;
-      double* o = &out[static_cast<std::size_t>(t) * width];
-      std::fill(o, o + width, 0.0);
-      for (int k = std::max(t - 2, 0); k <= std::min(t + 2, frames - 1); ++k) {
-        const double factor = rows_[5 * t + 2 + k - t];
-        const double* from = &x[static_cast<std::size_t>(k) * width];
-        for (int d = 0; d < width; ++d) o[d] += factor * from[d];
-      }
-    }
-  }
-
-  // Solves P x = b in place over the frames that may move.
-  void solve(std::vector<double>& x, int width) const {
-    const auto at = [&](int i) { return &x[static_cast<std::size_t>(first_ + i) * width]; };
-    for (int i = 1; i < count_; ++i)
-      for (int k = 1; k <= std::min(i, 2); ++k) {
-        const double factor = below_[2 * i + k - 1];
-        double *own = at(i), *other = at(i - k);
-        for (int d = 0; d < width; ++d) own[d] -= factor * other[d];
-      }
-    for (int i = count_; i-- > 0;) {
-      double* own = at(i);
-      for (int d = 0; d < width; ++d) own[d] /= pivots_[i];
-      for (int k = 1; k <= std::min(count_ - 1 - i, 2); ++k) {
-        const double factor = below_[2 * (i + k) + k - 1];
-        const double* other = at(i + k);
-        for (int d = 0; d < width; ++d) own[d] -= factor * other[d];
-      }
-    }
-  }
-
- private:
-  double* row(int t) { return &rows_[5 * t]; }
-
-  void add(int t, std::initializer_list<double> stencil, double weight) {
-    int i = 0;
-    for (const double a : stencil) {
-      int j = 0;
-      for (const double b : stencil) row(t + i)[2 + j - i] += weight * a * b, ++j;
-      ++i;
-    }
-  }
-
-  int first_, count_;
-  double damping_ = 0;
-  std::vector<double> rows_, pivots_, below_;
-};
 
 struct PathSettings {
   PathWeights weights;
@@ -148,13 +33,13 @@ class PathSmoother {
   // is the motion from frame to frame that costs nothing.
   PathSmoother(const Task& task, const Settings& settings, const PathSettings& path, int frames,
                const double* targets, const double* stretches, const double* drifts)
-      : task_(of_goals_alone(task)), plain_(task_.chain), settings_(settings), tight_(tightened(settings)), path_(path),
-        frames_(frames), width_(task.chain.dofs), coordinates_(task.chain.coordinates),
-        first_(path.first), end_(path.end), targets_(targets, targets + frames * task.goals.size() * TARGET_WIDTH),
+      : task_(of_goals_alone(task)), plain_(task_.chain), settings_(settings),
+        tight_(tightened(settings)), path_(path), frames_(frames), width_(task.chain.dofs),
+        coordinates_(task.chain.coordinates), first_(path.first), end_(path.end),
+        targets_(targets, targets + frames * task.goals.size() * TARGET_WIDTH),
         stretches_(stretches), drifts_(drifts),
         band_(frames, path.first, path.end, path.weights), search_(task_, tight_),
-        stepper_(task_), state_(task_), linear_(task_), spaces_(frames),
-        held_(frames, 0) {}
+        stepper_(task_), state_(task_), linear_(task_), spaces_(frames), held_(frames, 0) {}
 
   // Improves a path (F, Q) in place.
   PathOutcome run(double* path) {
