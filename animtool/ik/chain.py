@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -59,6 +60,11 @@ class Chain:
     degrees: int
     length: float
 
+    @cached_property
+    def turning(self) -> IntArray:
+        """Columns of the joints that turn all the way round."""
+        return np.flatnonzero(np.isfinite(self.periods[:, 0]))
+
     def from_rig(self, coordinates: FloatArray) -> FloatArray:
         """Return the chain's coordinates ``(B, C)`` of the rig's ``(B, Q)``."""
         q = np.ascontiguousarray(coordinates[:, self.columns] / self.scales)
@@ -73,15 +79,12 @@ class Chain:
         for first, turn in self.turns:
             place = slice(first, first + 4)
             q[:, place] = _conjugated(q[:, place], so3.conjugate(turn))
-        for column in np.flatnonzero(np.isfinite(self.periods[:, 0])):
-            low, high = self.periods[column]
-            middle = (low + high) / 2
-            whole = np.round((q[:, column] - middle) / (2 * np.pi))
-            q[:, column] = np.where(
-                (q[:, column] < low) | (q[:, column] > high),
-                np.clip(q[:, column] - 2 * np.pi * whole, low, high),
-                q[:, column],
-            )
+        if len(self.turning):
+            low, high = self.periods[self.turning].T
+            own = q[:, self.turning]
+            whole = np.round((own - (low + high) / 2) / (2 * np.pi))
+            inside = np.clip(own - 2 * np.pi * whole, low, high)
+            q[:, self.turning] = np.where((own < low) | (own > high), inside, own)
         out = coordinates.copy()
         out[:, self.columns] = q * self.scales
         return out

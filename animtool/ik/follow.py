@@ -86,8 +86,8 @@ def follow(
 
     Returns:
         Poses and what they miss; its ``jumps`` are those that no path was found
-        without: where the joints move more than ten times as far as the targets, and
-        by more than 0.2 rad.
+        without: steps beyond 0.1 rad, 8 rad/s and four times what the targets move by,
+        all together.
 
     Raises:
         OptionError: As of `solve`, and ``fps``, ``smooth``, ``branches`` or ``back``

@@ -9,7 +9,6 @@ import numpy as np
 
 from animtool._types import ArrayLike, BoolArray, FloatArray
 from animtool.errors import Fault, OptionError, excerpt
-from animtool.maths import so3
 from animtool.rig.parts import Vector
 from animtool.rig.skeleton import Rig
 
@@ -90,8 +89,15 @@ class Targets:
     weights: ArrayLike | None = None
 
 
+# Where each part stands in a row of targets.
+_PLACES = {
+    "positions": slice(0, 3),
+    "rotations": slice(3, 7),
+    "aims": slice(7, 10),
+    "poles": slice(10, 13),
+    "weights": slice(13, 17),
+}
 PARTS = ("positions", "rotations", "aims", "poles")
-_PLACES = (slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13))
 
 
 def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
@@ -139,89 +145,89 @@ def _root_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
 
 
 def pack(targets: Targets, goals: tuple[Goal, ...]) -> FloatArray:
-    """Return targets as the kernel takes them ``(B, E, 17)``, lengths in metres.
+    """Return targets side by side ``(B, E, 17)``; numbers nobody asks for are finite.
 
     Raises:
         OptionError: What a goal asks for is missing or of another shape (IK010), not
             finite, or a weight is less than 0 (IK011), with every such fault.
     """
     faults: list[Fault] = []
-    weights = _weights(targets.weights, len(goals), faults)
-    asked = np.array([goal.weights for goal in goals]) > 0
-    asked = asked if weights is None else asked & (weights > 0)
-    found: list[FloatArray | None] = []
-    for i, (name, place) in enumerate(zip(PARTS, _PLACES, strict=True)):
-        given = getattr(targets, name)
-        width = place.stop - place.start
-        shape = (len(goals), width)
-        found.append(_part(name, given, shape, asked[..., i], faults))
-    batches = {len(part) for part in (*found, weights) if part is not None}
+    parts = {
+        name: _shaped(name, getattr(targets, name), len(goals), place, faults)
+        for name, place in _PLACES.items()
+    }
+    found = {name: part for name, part in parts.items() if part is not None}
+    batches = {len(part) for part in found.values()}
     if len(batches) > 1:
         faults.append(Fault("IK010", f"targets of {sorted(batches)} problems at once"))
+    packed = np.zeros((min(batches, default=1), len(goals), 17))
+    packed[:, :, 6] = packed[:, :, 13:] = 1.0
+    for name, part in found.items():
+        packed[:, :, _PLACES[name]] = part[: len(packed)]
+    asked = _asked(goals, packed)
+    wanting = asked & [getattr(targets, name) is None for name in PARTS]
+    if faults or wanting.any() or not _is_plain(packed):
+        faults += _value_faults(packed, asked, wanting)
+        np.nan_to_num(packed, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     if faults:
         raise OptionError(faults)
-    packed = np.zeros((batches.pop() if batches else 0, len(goals), 17))
-    packed[:, :, 6] = 1.0
-    for part, place in zip(found, _PLACES, strict=True):
-        if part is not None:
-            packed[:, :, place] = np.where(np.isfinite(part), part, 0.0)
-    packed[:, :, 3:7] = _rotations(packed[:, :, 3:7])
-    packed[:, :, 13:] = 1.0 if weights is None else weights
     return packed
 
 
-def _rotations(given: FloatArray) -> FloatArray:
-    """Return quaternions of length 1; those without length turn nothing."""
-    none = ~given.any(axis=-1, keepdims=True)
-    return so3.normalize(np.where(none, so3.IDENTITY, given))
-
-
-def _weights(
-    given: ArrayLike | None, goals: int, faults: list[Fault]
+def _shaped(
+    name: str,
+    given: ArrayLike | None,
+    goals: int,
+    place: slice,
+    faults: list[Fault],
 ) -> FloatArray | None:
+    """Return the targets of one part, or None where there are none of that shape."""
     if given is None:
         return None
-    weights = np.asarray(given, np.float64)
-    if weights.ndim != 3 or weights.shape[1:] != (goals, 4):
-        message = f"weights must have shape (B, {goals}, 4), not {weights.shape}"
-        faults.append(Fault("IK010", message))
-        return None
+    array = np.asarray(given, np.float64)
+    width = place.stop - place.start
+    if array.ndim == 3 and array.shape[1:] == (goals, width):
+        return array
+    message = f"{name} must have shape (B, {goals}, {width}), not {array.shape}"
+    faults.append(Fault("IK010", message))
+    return None
+
+
+def _asked(goals: tuple[Goal, ...], packed: FloatArray) -> BoolArray:
+    """Return which parts of which goals each problem asks for ``(B, E, 4)``."""
+    own = np.array([goal.weights for goal in goals]) > 0
+    return np.asarray(own & (packed[:, :, 13:] > 0))
+
+
+def _is_plain(packed: FloatArray) -> bool:
+    """Return whether there is nothing to look at in any part, asked for or not."""
+    turned = packed[:, :, 3:7].any(axis=2).all()
+    return bool(np.isfinite(packed).all() and turned and (packed[:, :, 13:] >= 0).all())
+
+
+def _value_faults(
+    packed: FloatArray, asked: BoolArray, wanting: BoolArray
+) -> list[Fault]:
+    """Return what is missing or no number where it is asked for ``(B, E, 4)``."""
+    faults = []
+    weights = packed[:, :, 13:]
     bad = ~(np.isfinite(weights) & (weights >= 0)).all(axis=2)
     if bad.any():
         b, e = (int(i) for i in np.argwhere(bad)[0])
         message = f"weights[{b}, {e}] are no finite numbers from 0"
         faults.append(Fault("IK011", message))
-    return weights
-
-
-def _part(
-    name: str,
-    given: ArrayLike | None,
-    shape: tuple[int, int],
-    asked: BoolArray,
-    faults: list[Fault],
-) -> FloatArray | None:
-    """Return the targets of one part; ``asked`` is ``(E,)`` or ``(B, E)``."""
-    if given is None:
-        if asked.any():
-            goal = int(np.flatnonzero(asked.reshape(-1, shape[0]).any(axis=0))[0])
+    for i, name in enumerate(PARTS):
+        if wanting[..., i].any():
+            goal = int(np.argwhere(wanting[..., i])[0, 1])
             faults.append(Fault("IK010", f"goal {goal} asks for {name}"))
-        return None
-    array = np.asarray(given, np.float64)
-    if array.ndim != 3 or array.shape[1:] != shape:
-        message = f"{name} must have shape (B, {shape[0]}, {shape[1]})"
-        faults.append(Fault("IK010", f"{message}, not {array.shape}"))
-        return None
-    if asked.ndim == 2 and len(asked) != len(array):
-        return array
-    bad = ~np.isfinite(array).all(axis=2)
-    if shape[1] == 4:
-        bad |= ~array.any(axis=2)
-    bad &= asked
-    if bad.any():
-        b, e = (int(i) for i in np.argwhere(bad)[0])
-        message = f"{name}[{b}, {e}] are no finite numbers"
-        if shape[1] == 4:
-            message = f"{name}[{b}, {e}] is no rotation"
-        faults.append(Fault("IK011", message))
-    return array
+            continue
+        part = packed[:, :, _PLACES[name]]
+        bad = ~np.isfinite(part).all(axis=2)
+        if name == "rotations":
+            bad |= ~part.any(axis=2)
+        bad &= asked[..., i]
+        if bad.any():
+            b, e = (int(i) for i in np.argwhere(bad)[0])
+            what = "is no rotation" if name == "rotations" else "are no finite numbers"
+            faults.append(Fault("IK011", f"{name}[{b}, {e}] {what}"))
+    return faults

@@ -180,6 +180,8 @@ def extend(limbs: Sequence[Limb], targets: FloatArray) -> Extension:
     """
     scales: FloatArray = np.ones((len(targets), targets.shape[1]))
     eased: BoolArray = np.zeros((len(targets), targets.shape[1]), np.bool_)
+    if not limbs:
+        return Extension(targets, scales, eased)
     sought = targets.copy()
     for limb in limbs:
         e = limb.goal

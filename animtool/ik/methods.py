@@ -82,6 +82,8 @@ def check_method(problem: Problem, method: IkMethod) -> None:
 
 def _obstacle(problem: Problem, method: IkMethod) -> str | None:
     """Return what of a problem a method cannot serve."""
+    if method in {IkMethod.AUTO, IkMethod.DAMPED}:
+        return None
     if method is IkMethod.TWO_BONE:
         reason = misfit(problem)
         return reason and f"does not fit: {reason}"

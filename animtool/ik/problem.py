@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -48,7 +49,7 @@ class Problem:
     chain: Chain = field(repr=False)
     limbs: tuple[Limb, ...] = field(default=(), repr=False)
 
-    @property
+    @cached_property
     def coordinates(self) -> int:
         """Width Q of a row of joint coordinates of the whole rig."""
         slices = coordinate_slices(self.rig)

@@ -15,7 +15,6 @@ from animtool.ik.methods import KERNEL_METHODS, IkMethod, check_method
 from animtool.ik.problem import Problem, rest_pose
 from animtool.ik.result import IkResult, IkStatus
 from animtool.ik.two_bone import fits, solve_limb, wanted
-from animtool.maths import so3
 
 __all__ = ["IkMethod", "IkOptions", "solve"]
 
@@ -103,17 +102,12 @@ def solve(
     _check(options)
     check_method(problem, options.method)
     packed = chain_targets(problem, targets)
-    starts = pose_rows(problem, start, len(packed), "start")
-    wished = starts
-    if prefer is not None:
-        wished = pose_rows(problem, prefer, len(packed), "prefer")
     chain = problem.chain
-    asked = _Asked(
-        packed,
-        extend(problem.limbs, packed),
-        chain.from_rig(starts),
-        chain.from_rig(wished),
-    )
+    starts = pose_rows(problem, start, len(packed), "start")
+    own = wished = chain.from_rig(starts)
+    if prefer is not None:
+        wished = chain.from_rig(pose_rows(problem, prefer, len(packed), "prefer"))
+    asked = _Asked(packed, extend(problem.limbs, packed), own, wished)
     if options.method in _CLOSED and fits(problem):
         found = _limbs(problem, asked, options)
     else:
@@ -123,7 +117,7 @@ def solve(
     return IkResult(
         problem,
         chain.into_rig(found.coordinates, starts),
-        tuple(_STATUSES[status] for status in found.reports[:, 0]),
+        tuple(_STATUSES[status] for status in found.reports[:, 0].tolist()),
         found.reports[:, 1],
         found.reports[:, 2],
         found.seconds,
@@ -140,10 +134,7 @@ def chain_targets(problem: Problem, targets: Targets) -> FloatArray:
     """Return targets of a problem's goals as its chain takes them ``(B, E, 17)``."""
     packed = pack(targets, problem.goals)
     chain = problem.chain
-    packed[:, :, [0, 1, 2, 7, 8, 9, 10, 11, 12]] /= chain.length
-    packed[:, :, 3:7] = so3.multiply(
-        packed[:, :, 3:7], so3.conjugate(chain.goal_frames)
-    )
+    _kernels.place_ik_targets(packed, chain.goal_frames, chain.length)
     return packed
 
 
@@ -264,4 +255,6 @@ def pose_rows(
         raise OptionError(Fault("IK012", f"{message}, not {rows.shape}"))
     if not np.isfinite(rows).all():
         raise OptionError(Fault("IK013", f"{name} is not finite"))
-    return np.array(np.broadcast_to(rows, (batch, width)))
+    whole = np.empty((batch, width))
+    whole[:] = rows
+    return whole

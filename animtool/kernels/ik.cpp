@@ -125,7 +125,33 @@ std::unique_ptr<Solver> make_solver(int method, Task& task, const Settings& sett
   throw std::invalid_argument("methods are 0 to 4");
 }
 
+// A quaternion scaled first, so that neither tiny nor huge numbers leave the range.
+void bring_to_unit(double* q) {
+  const double most = std::max({std::fabs(q[0]), std::fabs(q[1]), std::fabs(q[2]), std::fabs(q[3])});
+  if (!(most > 0)) {
+    q[0] = q[1] = q[2] = 0, q[3] = 1;
+    return;
+  }
+  for (int i = 0; i < 4; ++i) q[i] /= most;
+  normalize(q);
+}
+
 }  // namespace
+
+void place_ik_targets(Filled<double, 3> targets, In<double, 2> frames, double length) {
+  const std::size_t goals = targets.shape(1);
+  if (targets.shape(2) != TARGET_WIDTH || frames.shape(0) != goals || frames.shape(1) != 4)
+    throw std::invalid_argument("targets are (B, E, 17), frames (E, 4)");
+  for (std::size_t row = 0; row < targets.shape(0) * goals; ++row) {
+    double* target = targets.data() + TARGET_WIDTH * row;
+    const double* frame = frames.data() + 4 * (row % goals);
+    const double back[4] = {-frame[0], -frame[1], -frame[2], frame[3]};
+    for (int i = 0; i < 3; ++i)
+      target[i] /= length, target[7 + i] /= length, target[10 + i] /= length;
+    bring_to_unit(target + 3);
+    product(target + 3, back, target + 3);
+  }
+}
 
 IkSolved solve_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int64_t, 2> goals,
                   In<double, 2> goal_numbers, In<double, 2> starts, In<double, 3> targets,

@@ -120,6 +120,12 @@ stretch.)");
 Returns ``(rounded, error, frame, vertex)``: what is beyond float32 is its largest
 number; the largest distance of a point from where it was, times ``unit``, and where.)");
 
+  m.def("place_ik_targets", &place_ik_targets, "targets"_a, "frames"_a, "length"_a,
+        R"(Bring targets ``(B, E, 17)`` to a chain, in place.
+
+Lengths are divided by ``length``, rotations brought to length 1, one without length to
+the identity, and seen from the nodes: ``frames`` ``(E, 4)`` are node_from_joint.)");
+
   m.def("solve_ik", &solve_ik, "nodes"_a, "numbers"_a, "goals"_a, "goal_numbers"_a, "starts"_a,
         "targets"_a, "sought"_a, "stretches"_a, "rests"_a, "rest_weight"_a,
         "length_tolerance"_a, "angle_tolerance"_a, "damping"_a, "iterations"_a, "restarts"_a,

@@ -10,18 +10,10 @@ from animtool import _kernels
 from animtool._types import FloatArray
 from animtool.ik import Goal, Problem, Targets, build
 from animtool.ik.goals import pack
+from animtool.ik.solve import chain_targets
 from animtool.maths import so3
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
-
-
-def packed(problem: Problem, targets: Targets) -> FloatArray:
-    """Return targets as the kernel takes them."""
-    found = pack(targets, problem.goals)
-    found[:, :, [0, 1, 2, 7, 8, 9, 10, 11, 12]] /= problem.length
-    undo = so3.conjugate(problem.chain.goal_frames)
-    found[:, :, 3:7] = so3.multiply(found[:, :, 3:7], undo)
-    return found
 
 
 def look(
@@ -59,11 +51,26 @@ def free_problem(goals: list[Goal]) -> Problem:
     return build(Rig("free", tuple(joints)), goals)
 
 
+@pytest.mark.parametrize("scale", [1e-200, 1.0, 1e200])
+def test_targets_are_seen_from_the_nodes_in_shares_of_the_length(scale: float) -> None:
+    problem = build(mixed_rig(), every_goal())
+    rng = np.random.default_rng(0)
+    shape = (4, len(problem.goals))
+    points = [rng.normal(size=(*shape, 3)) for _ in range(3)]
+    targets = Targets(points[0], scale * rng.normal(size=(*shape, 4)), *points[1:])
+    expected = pack(targets, problem.goals)
+    expected[:, :, [0, 1, 2, 7, 8, 9, 10, 11, 12]] /= problem.length
+    undo = so3.conjugate(problem.chain.goal_frames)
+    expected[:, :, 3:7] = so3.multiply(so3.normalize(expected[:, :, 3:7]), undo)
+    found = chain_targets(problem, targets)
+    np.testing.assert_allclose(found, expected, rtol=1e-14, atol=1e-15)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_poses_have_no_residual_at_their_own_targets(seed: int) -> None:
     problem = build(mixed_rig(), every_goal()[:2])
     pose = random_pose(problem, seed)
-    targets = packed(problem, reached_by(problem, pose))
+    targets = chain_targets(problem, reached_by(problem, pose))
     residual = look(problem, pose, targets, np.zeros(problem.degrees))[1]
     assert np.abs(residual).max() < 1e-7
 
@@ -72,7 +79,7 @@ def test_poses_have_no_residual_at_their_own_targets(seed: int) -> None:
 def test_the_jacobian_is_minus_the_derivative_near_the_goals(seed: int) -> None:
     problem = free_problem(every_goal()[:2])
     pose = random_pose(problem, seed)
-    targets = packed(problem, reached_by(problem, pose))
+    targets = chain_targets(problem, reached_by(problem, pose))
     jacobian = look(problem, pose, targets, np.zeros(problem.degrees))[2]
     for d, direction in enumerate(np.eye(problem.degrees)):
         ahead = look(problem, pose, targets, 1e-6 * direction)[1]
@@ -89,7 +96,7 @@ def test_the_jacobian_is_minus_the_derivative_near_the_goals(seed: int) -> None:
 def test_the_gradient_is_exact_far_from_the_goals(seed: int) -> None:
     problem = free_problem(every_goal())
     pose, other = random_pose(problem, seed), random_pose(problem, seed + 50)
-    targets = packed(problem, reached_by(problem, other))
+    targets = chain_targets(problem, reached_by(problem, other))
     still = np.zeros(problem.degrees)
     _, residual, jacobian, _ = look(problem, pose, targets, still)
     gradient = -jacobian.T @ residual
@@ -103,7 +110,7 @@ def test_the_gradient_is_exact_far_from_the_goals(seed: int) -> None:
 def test_the_curvature_of_poses_is_exact(seed: int) -> None:
     problem = free_problem([every_goal()[0], Goal("other", orientation=0.6)])
     pose, other = random_pose(problem, seed), random_pose(problem, seed + 50)
-    targets = packed(problem, reached_by(problem, other))
+    targets = chain_targets(problem, reached_by(problem, other))
     step = np.random.default_rng(seed).normal(size=problem.degrees) * 1e-4
     middle = cost(problem, pose, targets, np.zeros(problem.degrees))
     ahead, behind = (cost(problem, pose, targets, s * step) for s in (1, -1))
@@ -144,7 +151,7 @@ def test_a_follower_moves_with_its_leader_within_both_limits() -> None:
     jacobian = look(
         problem,
         np.array([[0.4, 0.0]]),
-        packed(problem, Targets(np.ones((1, 1, 3)))),
+        chain_targets(problem, Targets(np.ones((1, 1, 3)))),
         np.zeros(1),
     )[2]
     # d/da of (cos a + cos(a + b), sin a + sin(a + b)) with b = 0.1 - a / 2, over 2 m
