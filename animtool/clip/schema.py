@@ -12,7 +12,7 @@ from pydantic import Field
 
 from animtool.documents.check import FileModel
 
-__all__ = ["ChannelModel", "ClipModel", "KeyModel"]
+__all__ = ["ChannelModel", "ClipModel", "CurveModel", "KeyModel"]
 
 Tangent = Literal["flat", "linear", "auto", "auto_clamped"]
 Interp = Literal[
@@ -84,14 +84,17 @@ class KeyModel(FileModel):
     )
 
 
-class ChannelModel(FileModel):
-    """The keys of one target."""
-
+class _TargetModel(FileModel):
     target: Annotated[str, Field(min_length=1)] = Field(
         description="What moves: control/NAME, shape/NAME or joint/NAME.PART. Each "
         "once.",
         examples=["joint/elbow_l.angle"],
     )
+
+
+class CurveModel(FileModel):
+    """Keys, and how they are joined up."""
+
     interp: Interp | None = Field(
         default=None,
         description="How keys run to the next. Not given: `bezier`, and `spline` for "
@@ -125,6 +128,10 @@ class ChannelModel(FileModel):
     keys: Annotated[list[KeyModel], Len(1)] = Field(
         description="At least one.", examples=[[{"t": 1.0, "v": 0.0}]]
     )
+
+
+class ChannelModel(CurveModel, _TargetModel):
+    """The keys of one target."""
 
 
 class ClipModel(FileModel):

@@ -1,0 +1,265 @@
+"""The keys of a curve as a file has them: checked, and made a channel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.clip.clip import ClipChannel, Interp, Parametrization, Tangent
+from animtool.clip.schema import CurveModel, KeyModel
+from animtool.documents.document import Document, Location
+from animtool.errors import counted
+from animtool.maths import so3
+from animtool.maths.extrapolation import Extrapolation
+from animtool.rig.joint_entries import UNIT_LENGTH
+
+__all__ = ["FARTHEST_FRAME", "ChannelReader", "file_quaternions"]
+
+_ROTATING = frozenset({Interp.STEP, Interp.SLERP, Interp.SQUAD, Interp.SPLINE})
+_SCALAR = frozenset(Interp) - {Interp.SLERP, Interp.SQUAD, Interp.SPLINE}
+# Whose segments have handles.
+_HANDLED = {Interp.BEZIER, Interp.HERMITE}
+# Components of a value; of a rotation, those of Euler angles.
+_WIDTHS = {
+    **dict.fromkeys(("control", "shape", "angle", "slide"), 1),
+    **dict.fromkeys(("translation", "rotation", "scale"), 3),
+}
+# Beyond, frames are no longer exact in float64 with fractions of a thousandth.
+FARTHEST_FRAME = 1e9
+# Beyond, differences of values and their slopes leave float64.
+LARGEST_VALUE = 1e100
+# Shorter, a quaternion is a slip and not a rotation.
+SHORTEST = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelReader:
+    """Makes channels of the curves in a document; what is wrong is noted there.
+
+    Attributes:
+        document: The file.
+    """
+
+    document: Document
+
+    def check(self, at: Location, model: CurveModel) -> None:
+        """Note times out of order and handles on the wrong side of their keys."""
+        self._check_times(at, np.array([key.t for key in model.keys]))
+        self._check_handles(at, model)
+
+    def channel(
+        self, at: Location, model: CurveModel, target: str, kind: str, unit: float
+    ) -> ClipChannel | None:
+        """Return the channel of a curve; None where its values are of another width.
+
+        Args:
+            at: Where it stands.
+            model: Its content.
+            target: What it moves, for the channel and for messages.
+            kind: What that is, such as ``angle``, ``translation`` or ``rotation``.
+            unit: What a value of 1 means.
+        """
+        turning = kind == "rotation" and model.euler is None
+        width = 4 if turning else _WIDTHS[kind]
+        if model.euler is not None and kind != "rotation":
+            message = f"{target!r} is no rotation"
+            self.document.add("CLIP009", (*at, "euler"), message, "leave euler out")
+        usual = Interp.SPLINE if turning else Interp.BEZIER
+        interps = tuple(Interp(k.interp or model.interp or usual) for k in model.keys)
+        fits = self._check_interps(at, model, target, _ROTATING if turning else _SCALAR)
+        if turning and fits:
+            self._refuse_slopes(at, model)
+        if not turning and fits:
+            self._warn_of_idle(at, model, interps)
+        values = self._values(at, model, width, kind == "scale")
+        even = kind == "scale"
+        handles = [
+            self._handle((*at, "keys", k), key, model, width, unit, even)
+            for k, key in enumerate(model.keys)
+        ]
+        if values is None:
+            return None
+        return ClipChannel(
+            target,
+            np.array([key.t for key in model.keys]),
+            self._quaternions(at, values) if turning else values * unit,
+            interps,
+            tuple((before, behind) for before, _, behind, _ in handles),
+            np.array([handle for _, handle, _, _ in handles]),
+            np.array([handle for *_, handle in handles]),
+            np.array([key.tcb or [0.0, 0.0, 0.0] for key in model.keys]),
+            Parametrization(model.parametrization),
+            model.euler or "",
+            Extrapolation(model.pre),
+            Extrapolation(model.post),
+        )
+
+    def _check_interps(
+        self,
+        at: Location,
+        model: CurveModel,
+        target: str,
+        allowed: frozenset[Interp],
+    ) -> bool:
+        places: list[tuple[Location, str | None]] = [((*at, "interp"), model.interp)]
+        places += [
+            ((*at, "keys", k, "interp"), key.interp) for k, key in enumerate(model.keys)
+        ]
+        wrong = [
+            (place, name)
+            for place, name in places
+            if name is not None and Interp(name) not in allowed
+        ]
+        for place, name in wrong:
+            hint = f"allowed: {', '.join(sorted(allowed))}"
+            message = f"{name} does not fit {target!r}"
+            self.document.add("CLIP009", place, message, hint)
+        return not wrong
+
+    def _check_times(self, at: Location, times: FloatArray) -> None:
+        for k in np.flatnonzero(np.abs(times) > FARTHEST_FRAME).tolist():
+            message = f"frame {times[k]:g} is beyond {FARTHEST_FRAME:.0e}"
+            self.document.add("CLIP004", (*at, "keys", k, "t"), message)
+        for k, before in self.document.descents((*at, "keys"), times.tolist(), "t"):
+            same = times[k] == times[before]
+            what = "stands twice" if same else f"stands behind {times[before]:g}"
+            place = (*at, "keys", k, "t")
+            hint = "key times ascend"
+            self.document.add("CLIP004", place, f"frame {times[k]:g} {what}", hint)
+
+    def _check_handles(self, at: Location, model: CurveModel) -> None:
+        """Refuse handles on the wrong side of their keys."""
+        for k, key in enumerate(model.keys):
+            for name, given, sign in (("in", key.in_, -1), ("out", key.out, 1)):
+                if not isinstance(given, list) or isinstance(given[0], list):
+                    continue
+                if given[0] * sign < 0:
+                    where = "before" if sign < 0 else "behind"
+                    message = f"the handle's time {given[0]:g} points backwards"
+                    hint = f"'{name}' lies {where} its key"
+                    place = (*at, "keys", k, name)
+                    self.document.add("CLIP005", place, message, hint)
+
+    def _refuse_slopes(self, at: Location, model: CurveModel) -> None:
+        """Refuse what shapes the curves of numbers, on quaternions."""
+        hint = "euler: XYZ makes it three angles, which have them"
+        spots: list[tuple[Location, CurveModel | KeyModel, tuple[str, ...]]]
+        spots = [(at, model, ("tangents", "parametrization"))]
+        spots += [
+            ((*at, "keys", k), key, ("in_", "out", "tcb"))
+            for k, key in enumerate(model.keys)
+        ]
+        for spot, entry, names in spots:
+            for name in names:
+                if name in entry.model_fields_set:
+                    key = name.rstrip("_")
+                    message = f"quaternions have no {key}"
+                    self.document.add("CLIP009", (*spot, key), message, hint)
+
+    def _warn_of_idle(
+        self, at: Location, model: CurveModel, interps: tuple[Interp, ...]
+    ) -> None:
+        """Warn of what shapes curves of another kind than those beside its key.
+
+        Handles before the first key and behind the last wait for keys to come.
+        """
+        for k, key in enumerate(model.keys):
+            before, behind = interps[:k][-1:], interps[k:-1][:1]
+            for name, given, beside, wanted in (
+                ("in", key.in_, before, _HANDLED),
+                ("out", key.out, behind, _HANDLED),
+                ("tcb", key.tcb, before + behind, {Interp.TCB}),
+            ):
+                if given is not None and beside and not wanted & {*beside}:
+                    kinds = " and ".join(dict.fromkeys(beside))
+                    message = f"'{name}' does nothing, beside it is {kinds}"
+                    hint = f"it is for {' and '.join(sorted(wanted))}"
+                    self.document.warn("CLIP104", (*at, "keys", k, name), message, hint)
+        segments = interps[:-1] or interps
+        named = "parametrization" in model.model_fields_set
+        if named and Interp.CATMULL_ROM not in segments:
+            message = "'parametrization' does nothing without catmull_rom"
+            self.document.warn("CLIP104", (*at, "parametrization"), message)
+
+    def _values(
+        self, at: Location, model: CurveModel, width: int, even: bool
+    ) -> FloatArray | None:
+        rows = []
+        for k, key in enumerate(model.keys):
+            row = key.v if isinstance(key.v, list) else [key.v]
+            if width == 3 and len(row) == 1 and even:
+                row = row * 3
+            if len(row) != width:
+                place = (*at, "keys", k, "v")
+                wanted = "1 is" if width == 1 else f"{width} are"
+                message = f"{counted(len(row), 'number')} where {wanted} wanted"
+                self.document.add("CLIP007", place, message)
+                continue
+            if max(map(abs, row)) > LARGEST_VALUE:
+                message = f"a value is beyond {LARGEST_VALUE:.0e}"
+                self.document.add("CLIP007", (*at, "keys", k, "v"), message)
+            rows.append(row)
+        if len(rows) < len(model.keys):
+            return None
+        return np.array(rows, np.float64)
+
+    def _handle(
+        self,
+        at: Location,
+        key: KeyModel,
+        model: CurveModel,
+        width: int,
+        unit: float,
+        even: bool,
+    ) -> tuple[Tangent, list[float], Tangent, list[float]]:
+        """Return tangent and handle before a key, and behind it."""
+        if width == 4:
+            usual, none = Tangent(model.tangents), [0.0] * (1 + width)
+            return usual, none, usual, none
+        found: list[tuple[Tangent, list[float]]] = []
+        for name, given in (("in", key.in_), ("out", key.out)):
+            none = [0.0] * (1 + width)
+            if given is None or isinstance(given, str):
+                found.append((Tangent(given or model.tangents), none))
+                continue
+            dt, dv = given
+            values = dv if isinstance(dv, list) else [dv]
+            if max(map(abs, [0.0, *values])) > LARGEST_VALUE:
+                message = f"a value is beyond {LARGEST_VALUE:.0e}"
+                self.document.add("CLIP007", (*at, name), message)
+            if width == 3 and len(values) == 1 and even:
+                values = values * 3
+            if isinstance(dt, list) or len(values) != width:
+                message = f"the handle is not a time and {width} values"
+                self.document.add("CLIP007", (*at, name), message)
+                found.append((Tangent.FREE, none))
+                continue
+            found.append((Tangent.FREE, [dt, *(value * unit for value in values)]))
+        (before, first), (behind, second) = found
+        return before, first, behind, second
+
+    def _quaternions(self, at: Location, values: FloatArray) -> FloatArray:
+        """Return unit (x, y, z, w) of [w, x, y, z]."""
+        rotations, wrong = file_quaternions(values)
+        for k in wrong:
+            message = f"quaternion {values[k].tolist()} has no length"
+            self.document.add("CLIP014", (*at, "keys", k, "v"), message)
+        return rotations
+
+
+def file_quaternions(values: FloatArray) -> tuple[FloatArray, list[int]]:
+    """Return unit (x, y, z, w) of rows [w, x, y, z], and which have no length.
+
+    Signs continue from row to row.
+
+    >>> file_quaternions(np.array([[2.0, 0, 0, 0], [0, 0, 0, 0]]))[1]
+    [1]
+    """
+    lengths = np.linalg.norm(values, axis=1)
+    rotations = values[:, [1, 2, 3, 0]]
+    close = np.abs(lengths - 1.0) <= UNIT_LENGTH
+    rotations[~close] = so3.normalize(rotations[~close])
+    wrong = np.flatnonzero(~(lengths > SHORTEST)).tolist()
+    return so3.align_signs(rotations), wrong
