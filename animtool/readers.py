@@ -39,12 +39,16 @@ class Reader:
             to a stream of motion; empty where they hold none.
         options: Names of the source options that it takes; ``progress`` where it
             reports the share read.
+        prim: ``module:object`` of a function from a path, the name of an object in
+            it, a rig, and the name of an object in whose frame that stands or None,
+            to the object's transforms over time; empty where they hold none.
     """
 
     about: str
     rig: str = ""
     source: str = ""
     options: tuple[str, ...] = ()
+    prim: str = ""
 
     def rig_opener(self, path: Path) -> Callable[[Path], Any]:
         """Return what opens a file as a rig; see `source_opener`."""
@@ -59,6 +63,10 @@ class Reader:
         """
         return _opener(self.source, "motion", path)
 
+    def prim_opener(self, path: Path) -> Callable[..., Any]:
+        """Return what opens an object of a file; see `source_opener`."""
+        return _opener(self.prim, "prim", path)
+
 
 BVH = Reader(
     "Biovision Hierarchy",
@@ -71,6 +79,7 @@ USD = Reader(
     "animtool.usd.rig_prims:read_rig",
     "animtool.usd.read:read_usd",
     ("prim_path", "take"),
+    "animtool.usd.prims:open_prim",
 )
 DOCUMENT = Reader(
     "rig and clip files",

@@ -15,6 +15,7 @@ MODELS = {
     "clip": "animtool.clip.schema:ClipModel",
     "rig": "animtool.rig.schema:RigModel",
     "scene": "animtool.scene.schema:SceneModel",
+    "targets": "animtool.ik.schema:TargetsModel",
 }
 
 

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from animtool.documents.check import FileModel
 
-__all__ = ["ChannelModel", "ClipModel", "CurveModel", "KeyModel"]
+__all__ = ["ChannelModel", "ClipModel", "CurveModel", "JoinModel", "KeyModel"]
 
 Tangent = Literal["flat", "linear", "auto", "auto_clamped"]
 Interp = Literal[
@@ -51,7 +51,7 @@ class KeyModel(FileModel):
     """A key: time [frames], value, and how the curve leaves and meets it."""
 
     t: float = Field(
-        description="Frame at the clip's `fps`, fractions allowed; keys ascend.",
+        description="Frame at the file's `fps`, fractions allowed; keys ascend.",
         examples=[12.5],
     )
     v: float | list[float] = Field(
@@ -92,8 +92,8 @@ class _TargetModel(FileModel):
     )
 
 
-class CurveModel(FileModel):
-    """Keys, and how they are joined up."""
+class JoinModel(FileModel):
+    """How keys are joined up."""
 
     interp: Interp | None = Field(
         default=None,
@@ -125,6 +125,11 @@ class CurveModel(FileModel):
         description="What is behind the last key.",
         examples=["cycle_offset"],
     )
+
+
+class CurveModel(JoinModel):
+    """Keys, and how they are joined up."""
+
     keys: Annotated[list[KeyModel], Len(1)] = Field(
         description="At least one.", examples=[[{"t": 1.0, "v": 0.0}]]
     )

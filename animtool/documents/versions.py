@@ -16,7 +16,12 @@ Step = Callable[[dict[str, Any]], dict[str, Any]]
 Steps = Mapping[int, Step]
 
 # By kind and the version that a step leads on from.
-STEPS: dict[str, dict[int, Step]] = {"rig": {}, "clip": {}, "scene": {}}
+STEPS: dict[str, dict[int, Step]] = {
+    "rig": {},
+    "clip": {},
+    "scene": {},
+    "targets": {},
+}
 # What the first line of a file may name; all others may name their rig too.
 KINDS = ("clip", "scene", "targets", "rig")
 

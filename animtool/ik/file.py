@@ -1,0 +1,424 @@
+"""Reading a targets file, ``*.targets.yaml``."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.clip.channel_entries import (
+    FARTHEST_FRAME,
+    ChannelReader,
+    file_quaternions,
+)
+from animtool.clip.schema import CurveModel
+from animtool.clip.units import ClipUnits
+from animtool.config import project_roots
+from animtool.documents.arrays import referred, split_reference, stored_array
+from animtool.documents.check import check_version, nearest, validated
+from animtool.documents.document import Document, Location, read_document
+from animtool.errors import AnimtoolError, counted
+from animtool.ik.goals import Goal
+from animtool.ik.schema import GoalModel, TargetsModel, ValueModel, WeightsModel
+from animtool.ik.tracks import PARTS, GoalTrack, TargetTracks
+from animtool.ik.values import Keyed, PrimPlace, PrimTurn, Rows, Still, Value
+from animtool.rates import parse_rate
+from animtool.readers import find_reader
+from animtool.rig.parts import IkChain, Vector
+from animtool.rig.skeleton import Rig
+from animtool.units import LengthUnit
+
+__all__ = ["TARGETS_SUFFIXES", "is_targets", "load_targets"]
+
+TARGETS_SUFFIXES = (".targets.yaml", ".targets.yml", ".targets.json")
+# Of a value that follows a prim only, and of one that has keys only.
+_OF_PRIM = ("file", "space", "offset", "rotate")
+_OF_KEYS = ("interp", "tangents", "parametrization", "euler", "pre", "post")
+# Shorter, a direction is a slip.
+SHORTEST = 1e-9
+
+
+def is_targets(path: Path) -> bool:
+    """Return whether a name is that of a targets file.
+
+    >>> is_targets(Path("feet.targets.yaml")), is_targets(Path("feet.clip.yaml"))
+    (True, False)
+    """
+    return path.name.lower().endswith(TARGETS_SUFFIXES)
+
+
+def load_targets(path: Path | str, rig: Rig | None = None) -> TargetTracks:
+    """Return what a targets file asks of a rig.
+
+    Args:
+        path: The file.
+        rig: Whose joints and chains its effectors are; None checks the rest, in
+            metres, and takes every name for a joint.
+
+    Raises:
+        FormatError: With every fault of the file, each with line and column.
+        OptionError: The project's settings are malformed.
+    """
+    document = read_document(Path(path))
+    check_version(document, "targets")
+    model = validated(document, TargetsModel)
+    tracks = _Reader(document, model, rig).tracks()
+    document.check()
+    return tracks
+
+
+@dataclass(frozen=True, slots=True)
+class _Reader:
+    document: Document
+    model: TargetsModel
+    rig: Rig | None
+
+    def tracks(self) -> TargetTracks:
+        fps = self._fps()
+        first, last = self._range()
+        goals = [
+            made
+            for i, goal in enumerate(self.model.goals)
+            if (made := self._goal(("goals", i), goal)) is not None
+        ]
+        return TargetTracks(
+            self.document.path,
+            fps,
+            first,
+            last,
+            tuple(goals),
+            tuple(self.document.notices),
+        )
+
+    @property
+    def _units(self) -> ClipUnits:
+        rig, given = self.rig, self.model.units
+        length = 1.0 if rig is None else rig.meters_per_unit
+        angle = math.radians(1.0) if rig is None else rig.radians_per_unit
+        if given.length is not None:
+            length = LengthUnit(given.length).meters
+        if given.angle is not None:
+            angle = math.radians(1.0) if given.angle == "deg" else 1.0
+        return ClipUnits(length, angle)
+
+    def _fps(self) -> Fraction | None:
+        if self.model.fps is None:
+            return None
+        try:
+            return parse_rate(self.model.fps)
+        except ValueError as error:
+            self.document.add("TGT004", ("fps",), str(error))
+            return None
+
+    def _range(self) -> tuple[Fraction | None, Fraction | None]:
+        if self.model.range is None:
+            return None, None
+        first, last = self.model.range
+        if first > last:
+            message = f"the range from {first:g} to {last:g} is reversed"
+            hint = f"write [{last:g}, {first:g}]"
+            self.document.add("TGT003", ("range",), message, hint)
+        if max(abs(first), abs(last)) > FARTHEST_FRAME:
+            message = f"a frame is beyond {FARTHEST_FRAME:.0e}"
+            self.document.add("TGT003", ("range",), message)
+        return Fraction(first), Fraction(last)
+
+    def _goal(self, at: Location, model: GoalModel) -> GoalTrack | None:
+        joint, chain = self._effector((*at, "effector"), model.effector)
+        root = self._root(at, model, joint, chain)
+        spans = self._spans((*at, "hold"), model.hold)
+        values = {
+            "position": self._value((*at, "position"), model.position, "position"),
+            "orientation": self._value(
+                (*at, "orientation"), model.orientation, "orientation"
+            ),
+            "aim": None
+            if model.aim is None
+            else self._value((*at, "aim", "at"), model.aim.at, "at"),
+            "pole": self._value((*at, "pole"), model.pole, "pole"),
+        }
+        held = _held(values, chain) if spans else frozenset()
+        given = {part for part in PARTS if getattr(model, part) is not None}
+        if not given & {"position", "orientation", "aim"} and not spans:
+            message = f"asks nothing of {model.effector!r}"
+            hint = "give a position, an orientation, an aim or spans to hold"
+            self.document.add("TGT002", at, message, hint)
+        weights = self._weights((*at, "weight"), model.weight, given | held)
+        axis = (0.0, 0.0, 1.0)
+        if model.aim is not None:
+            axis = self._axis((*at, "aim", "axis"), model.aim.axis)
+        if joint is None:
+            return None
+        x, y, z = (value * self._units.length for value in model.offset)
+        goal = Goal(joint, (x, y, z), aim_axis=axis, **_asked(given | held))
+        return GoalTrack(
+            model.effector,
+            goal,
+            root,
+            chain,
+            values,
+            weights,
+            tuple(spans),
+            model.ease,
+            frozenset(held),
+            model.priority,
+        )
+
+    def _effector(self, at: Location, name: str) -> tuple[str | None, IkChain | None]:
+        """Return the joint that is meant, and the chain whose tip it is."""
+        if self.rig is None:
+            return name, None
+        for chain in self.rig.ik:
+            if chain.name == name:
+                return chain.tip, chain
+        if name in self.rig.names:
+            return name, None
+        if not self.document.doubtful(at):
+            known = [*(chain.name for chain in self.rig.ik), *self.rig.names]
+            message = f"{name!r} is no chain and no joint of {self.rig.name!r}"
+            self.document.add("TGT001", at, message, nearest(name, known))
+        return None, None
+
+    def _root(
+        self, at: Location, model: GoalModel, joint: str | None, chain: IkChain | None
+    ) -> str | None:
+        name = model.root
+        if name is None:
+            return None if chain is None else chain.root
+        if self.rig is None or joint is None:
+            return name
+        place = (*at, "root")
+        if name not in self.rig.names:
+            message = f"{name!r} is no joint of {self.rig.name!r}"
+            self.document.add("TGT001", place, message, nearest(name, self.rig.names))
+            return None
+        j, wanted = self.rig.index(joint), self.rig.index(name)
+        while j > wanted:
+            j = self.rig.joints[j].parent
+        if j != wanted:
+            message = f"{name!r} is not above {joint!r}"
+            self.document.add("TGT012", place, message)
+        return name
+
+    def _spans(
+        self, at: Location, given: list[list[float]]
+    ) -> list[tuple[float, float]]:
+        found: list[tuple[float, float, int]] = []
+        for i, span in enumerate(given):
+            if self.document.doubtful((*at, i)):
+                continue
+            first, last = span
+            if first > last:
+                message = f"the span from {first:g} to {last:g} is reversed"
+                hint = f"write [{last:g}, {first:g}]"
+                self.document.add("TGT005", (*at, i), message, hint)
+                continue
+            if max(abs(first), abs(last)) > FARTHEST_FRAME:
+                message = f"a frame is beyond {FARTHEST_FRAME:.0e}"
+                self.document.add("TGT005", (*at, i), message)
+                continue
+            found.append((first, last, i))
+        found.sort()
+        for (first, last, _), (then, end, i) in zip(found, found[1:], strict=False):
+            if then <= last:
+                message = f"the span from {then:g} to {end:g} meets that from "
+                message += f"{first:g} to {last:g}"
+                self.document.add("TGT005", (*at, i), message, "make one of them")
+        return [(first, last) for first, last, _ in found]
+
+    def _axis(self, at: Location, given: list[float]) -> Vector:
+        length = math.hypot(*given)
+        if not length > SHORTEST:
+            self.document.add("TGT008", at, f"direction {given} has no length")
+            return (0.0, 0.0, 1.0)
+        x, y, z = (value / length for value in given)
+        return (x, y, z)
+
+    def _weights(
+        self, at: Location, given: float | WeightsModel, asked: set[str] | frozenset[str]
+    ) -> dict[str, Value]:
+        """Return the weights of the parts; those that are 1 throughout are left out."""
+        if not isinstance(given, WeightsModel):
+            if given == 0 and not self.document.doubtful(at):
+                hint = "leave the goal out"
+                self.document.add("TGT002", at, "a weight of 0 asks nothing", hint)
+            if given == 1:
+                return {}
+            return {part: Still((float(given),)) for part in PARTS}
+        found: dict[str, Value] = {}
+        for part in PARTS:
+            weight = getattr(given, part)
+            if weight is None:
+                continue
+            if part not in asked:
+                message = f"the weight of the {part} does nothing: none is asked for"
+                self.document.warn("TGT101", (*at, part), message)
+            made = self._weight((*at, part), weight)
+            if made is not None:
+                found[part] = made
+        return found
+
+    def _weight(self, at: Location, given: float | CurveModel) -> Value | None:
+        if not isinstance(given, CurveModel):
+            return Still((float(given),))
+        made = self._curve(at, given, "weight")
+        if made is not None and (made.channel.values < 0).any():
+            k = int(np.argmax(made.channel.values[:, 0] < 0))
+            message = f"weight {made.channel.values[k, 0]:g} is less than 0"
+            self.document.add("TGT007", (*at, "keys", k, "v"), message)
+        return made
+
+    def _curve(self, at: Location, model: CurveModel, key: str) -> Keyed | None:
+        reader = ChannelReader(self.document)
+        reader.check(at, model)
+        kind = {"orientation": "rotation", "weight": "control"}.get(key, "translation")
+        target = {"rotation": "joint/x.rotation", "control": "control/x"}
+        named = target.get(kind, "joint/x.translation")
+        unit = self._units.of(named, model.euler or "")
+        made = reader.channel(at, model, key, kind, unit)
+        return None if made is None else Keyed(made)
+
+    def _value(
+        self, at: Location, given: list[float] | str | ValueModel | None, key: str
+    ) -> Value | None:
+        if given is None or self.document.doubtful(at):
+            return None
+        if isinstance(given, str):
+            return self._rows(at, given, key)
+        if isinstance(given, ValueModel):
+            return self._moving(at, given, key)
+        if key == "orientation":
+            return self._turn(at, given)
+        return Still(tuple(value * self._units.length for value in given))
+
+    def _turn(self, at: Location, given: list[float]) -> Still | None:
+        rotations, wrong = file_quaternions(np.array([given], np.float64))
+        if wrong:
+            message = f"quaternion {given} has no length"
+            self.document.add("TGT007", at, message)
+            return None
+        return Still(tuple(rotations[0].tolist()))
+
+    def _moving(self, at: Location, model: ValueModel, key: str) -> Value | None:
+        if (model.keys is None) == (model.prim is None):
+            has = "both keys and a prim" if model.prim else "neither keys nor a prim"
+            self.document.add("TGT009", at, f"has {has}", "one of them says where")
+            return None
+        names = _OF_PRIM if model.keys is not None else _OF_KEYS
+        idle = [name for name in names if name in model.model_fields_set]
+        if model.prim is not None and key != "orientation" and model.rotate:
+            idle.append("rotate")
+        if key == "orientation" and model.offset:
+            idle.append("offset")
+        for name in dict.fromkeys(idle):
+            what = "keys have" if model.keys is not None else "a prim has here"
+            self.document.add("TGT009", (*at, name), f"{what} no {name}")
+        if model.keys is not None:
+            given = {
+                name: getattr(model, name)
+                for name in CurveModel.model_fields
+                if name in model.model_fields_set
+            }
+            return self._curve(at, CurveModel.model_construct(**given), key)
+        return self._prim(at, model, key)
+
+    def _prim(self, at: Location, model: ValueModel, key: str) -> Value | None:
+        if model.file is None:
+            hint = "file: shot.usda"
+            message = f"prim {model.prim!r} is of no file"
+            self.document.add("TGT009", at, message, hint)
+            return None
+        roots = project_roots(self.document.path)
+        place = (*at, "file")
+        path = referred(self.document, place, model.file, roots, "TGT010")
+        if path is None:
+            return None
+        if not path.is_file():
+            self.document.add("TGT010", place, f"{model.file!r} does not exist")
+            return None
+        if self.rig is None:
+            return None
+        try:
+            opener = find_reader(path).prim_opener(path)
+            motion = opener(path, model.prim, self.rig, model.space)
+        except AnimtoolError as error:
+            for fault in error.faults:
+                message = f"{model.file!r}: {fault.message}"
+                self.document.add("TGT011", (*at, "prim"), message, fault.hint)
+            return None
+        if key != "orientation":
+            offset = model.offset or [0.0, 0.0, 0.0]
+            return PrimPlace(motion, tuple(v * self._units.length for v in offset))
+        turn = self._turn((*at, "rotate"), model.rotate or [1.0, 0.0, 0.0, 0.0])
+        return None if turn is None else PrimTurn(motion, turn.value)
+
+    def _rows(self, at: Location, text: str, key: str) -> Rows | None:
+        name, array = split_reference(text, key)
+        roots = project_roots(self.document.path)
+        path = referred(self.document, at, name, roots, "TGT010")
+        if path is None:
+            return None
+        try:
+            values = np.asarray(stored_array(path, array), np.float64)
+        except ValueError as error:
+            self.document.add("TGT006", at, str(error))
+            return None
+        width = 4 if key == "orientation" else 3
+        first, count = self._rows_wanted(at)
+        if values.ndim != 2 or values.shape[1] != width or not len(values):
+            wanted = "F" if count is None else count
+            message = f"{text!r} has shape {values.shape}, not ({wanted}, {width})"
+            self.document.add("TGT006", at, message)
+            return None
+        if count is not None and len(values) != count:
+            message = f"{text!r} has {counted(len(values), 'row')}, and the range "
+            message += counted(count, "frame")
+            self.document.add("TGT006", at, message, "a row for each frame")
+            return None
+        return self._finite_rows(at, text, values, first)
+
+    def _rows_wanted(self, at: Location) -> tuple[Fraction | None, int | None]:
+        """Return the frame of an array's first row, and how many there must be."""
+        del at
+        if self.model.range is None or self.document.doubtful(("range",)):
+            return None, None
+        first, last = (Fraction(frame) for frame in self.model.range)
+        return first, (int((last - first) // 1) + 1 if first <= last else None)
+
+    def _finite_rows(
+        self, at: Location, text: str, values: FloatArray, first: Fraction | None
+    ) -> Rows | None:
+        bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+        if bad.size:
+            row = int(bad[0])
+            message = f"{text!r} holds {values[row].tolist()} in row {row}, not finite "
+            message += "numbers"
+            self.document.add("TGT007", at, message)
+            return None
+        if values.shape[1] == 3:
+            return Rows(text, values * self._units.length, first)
+        rotations, wrong = file_quaternions(values)
+        if wrong:
+            message = f"{text!r} holds a quaternion without length in row {wrong[0]}"
+            self.document.add("TGT007", at, message)
+            return None
+        return Rows(text, rotations, first)
+
+
+def _held(values: dict[str, Value | None], chain: IkChain | None) -> frozenset[str]:
+    """Return the parts of a goal that its spans hold."""
+    own = {p for p in ("position", "orientation") if values[p] is not None}
+    if own:
+        return frozenset(own)
+    goal = "pose" if chain is None else chain.goal
+    both = ("position", "orientation")
+    return frozenset(part for part in both if goal in {part, "pose"})
+
+
+def _asked(parts: set[str] | frozenset[str]) -> dict[str, float]:
+    """Return the weights of a goal that asks for some parts."""
+    return {part: 1.0 if part in parts else 0.0 for part in PARTS}

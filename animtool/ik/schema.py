@@ -1,0 +1,207 @@
+"""The keys of a targets file, as models; ``animtool schema targets`` prints them.
+
+The tables of ``docs/formats.md`` are made of their descriptions and examples.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from annotated_types import Len
+from pydantic import Field
+
+from animtool.clip.schema import CurveModel, JoinModel, KeyModel
+from animtool.documents.check import FileModel
+
+__all__ = ["AimModel", "GoalModel", "TargetsModel", "ValueModel", "WeightsModel"]
+
+Vector3 = Annotated[list[float], Len(3, 3)]
+Quaternion = Annotated[list[float], Len(4, 4)]
+Pair = Annotated[list[float], Len(2, 2)]
+Name = Annotated[str, Field(min_length=1)]
+Weight = Annotated[float, Field(ge=0)]
+
+
+class TargetUnitsModel(FileModel):
+    """Units of the numbers in a targets file; those of its rig where left out."""
+
+    length: Literal["m", "cm", "mm", "in"] | None = Field(
+        default=None,
+        description="Of points and offsets, those in arrays included. Not given: the "
+        "rig's.",
+        examples=["cm"],
+    )
+    angle: Literal["deg", "rad"] | None = Field(
+        default=None,
+        description="Of Euler angles. Not given: the rig's.",
+        examples=["deg"],
+    )
+
+
+class ValueModel(JoinModel):
+    """A value that moves: keys, or a prim of a USD stage."""
+
+    keys: Annotated[list[KeyModel], Len(1)] | None = Field(
+        default=None,
+        description="Keys as those of a clip: three numbers of a point, [w, x, y, z] "
+        "of an orientation, or its Euler angles.",
+        examples=[[{"t": 1.0, "v": [0.0, 1.0, 0.0]}]],
+    )
+    prim: Name | None = Field(
+        default=None,
+        description="A prim whose transform in the world is followed. Its `file` is "
+        "named with it.",
+        examples=["/World/prop"],
+    )
+    file: Name | None = Field(
+        default=None, description="The USD file of `prim`.", examples=["shot.usda"]
+    )
+    space: Name | None = Field(
+        default=None,
+        description="Of `prim`: another prim of the stage, in whose frame the rig "
+        "stands. Not given: the world.",
+        examples=["/World/hero"],
+    )
+    offset: Vector3 | None = Field(
+        default=None,
+        description="Of a point that follows a `prim`: where it is in the prim's "
+        "frame, in the file's length, whatever scale the prim has. Not given: its "
+        "origin.",
+        examples=[[0.0, 0.1, 0.0]],
+    )
+    rotate: Quaternion | None = Field(
+        default=None,
+        description="Of an orientation that follows a `prim`: the rotation "
+        "[w, x, y, z] from the prim's frame. Not given: none.",
+        examples=[[0.7071, 0.7071, 0.0, 0.0]],
+    )
+
+
+class AimModel(FileModel):
+    """An axis that points at something."""
+
+    axis: Vector3 = Field(
+        description="Direction in the joint's frame; of any length.",
+        examples=[[0.0, 0.0, 1.0]],
+    )
+    at: Vector3 | str | ValueModel = Field(
+        description="The point, as a `position` has it.", examples=[[0.0, 1.5, 4.0]]
+    )
+
+
+class WeightsModel(FileModel):
+    """How much each part of a goal counts."""
+
+    position: Weight | CurveModel | None = Field(
+        default=None,
+        description="Of the position: a number from 0, or keys. Not given: 1.",
+        examples=[10.0],
+    )
+    orientation: Weight | CurveModel | None = Field(
+        default=None,
+        description="Of the orientation, likewise.",
+        examples=[{"keys": [{"t": 1.0, "v": 0.0}, {"t": 12.0, "v": 1.0}]}],
+    )
+    aim: Weight | CurveModel | None = Field(
+        default=None, description="Of the aim, likewise.", examples=[0.5]
+    )
+    pole: Weight | CurveModel | None = Field(
+        default=None, description="Of the pole, likewise.", examples=[0.1]
+    )
+
+
+class GoalModel(FileModel):
+    """What one effector is to reach."""
+
+    effector: Name = Field(
+        description="A chain of the rig's `ik`, whose tip is meant, or a joint.",
+        examples=["arm_l"],
+    )
+    root: Name | None = Field(
+        default=None,
+        description="The topmost joint that may move for this goal. Not given: the "
+        "chain's; of a joint any above it.",
+        examples=["shoulder_l"],
+    )
+    offset: Vector3 = Field(
+        default=[0.0, 0.0, 0.0],
+        description="The point that reaches, in the joint's frame.",
+        examples=[[0.08, 0.0, 0.0]],
+    )
+    position: Vector3 | str | ValueModel | None = Field(
+        default=None,
+        description="Where the point is to be: three numbers, an array (F, 3), keys "
+        "or a prim.",
+        examples=["hands.npz#left"],
+    )
+    orientation: Quaternion | str | ValueModel | None = Field(
+        default=None,
+        description="How the joint is to be turned: [w, x, y, z], an array (F, 4) of "
+        "those, keys or a prim.",
+        examples=[[1.0, 0.0, 0.0, 0.0]],
+    )
+    aim: AimModel | None = Field(
+        default=None,
+        description="An axis of the joint that points at something.",
+        examples=[{"axis": [0.0, 0.0, 1.0], "at": [0.0, 1.5, 4.0]}],
+    )
+    pole: Vector3 | str | ValueModel | None = Field(
+        default=None,
+        description="The point towards which the middle of the limb lies, as a "
+        "`position`. Not given: with a start clip as it has it, else the chain's "
+        "`pole_dir`.",
+        examples=[[0.5, 1.0, -2.0]],
+    )
+    weight: Weight | WeightsModel = Field(
+        default=1.0,
+        description="How much it counts where not all can be reached: one number, or "
+        "one for each part.",
+        examples=[{"position": 10.0}],
+    )
+    priority: Annotated[int, Field(ge=0)] = Field(
+        default=0,
+        description="0 comes first; higher ones take what it leaves open.",
+        examples=[1],
+    )
+    hold: list[Pair] = Field(
+        default=[],
+        description="First and last frame of spans in which it stays in the world "
+        "where it is at the first.",
+        examples=[[[12.0, 30.0], [48.0, 60.0]]],
+    )
+    ease: Annotated[float, Field(ge=0)] = Field(
+        default=4.0,
+        description="Frames before and behind a span in which it comes to the held "
+        "place and leaves it, without a jump in speed; less where spans are near.",
+        examples=[6.0],
+    )
+
+
+class TargetsModel(FileModel):
+    """A targets file."""
+
+    targets: Literal["animtool/1"] = Field(
+        description="What the file is, and the version of its format.",
+        examples=["animtool/1"],
+    )
+    units: TargetUnitsModel = Field(
+        default=TargetUnitsModel(),
+        description="Units of the numbers in the file.",
+        examples=[{"length": "cm"}],
+    )
+    fps: float | str | None = Field(
+        default=None,
+        description="Frames a second that times count: a number, or a fraction as "
+        "text. Not given: the start clip's; 24 without one.",
+        examples=["24000/1001"],
+    )
+    range: Annotated[list[float], Len(2, 2)] | None = Field(
+        default=None,
+        description="First and last frame; arrays have a row for each. Not given: of "
+        "the start clip, or of the keys, spans and arrays, which begin at 1.",
+        examples=[[1.0, 48.0]],
+    )
+    goals: Annotated[list[GoalModel], Len(1)] = Field(
+        description="At least one.",
+        examples=[[{"effector": "leg_l", "hold": [[1.0, 12.0]]}]],
+    )

@@ -1,0 +1,178 @@
+"""What a targets file gives a goal: a value for any frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Protocol, TypeAlias
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.clip.clip import ClipChannel
+from animtool.clip.evaluate import evaluate_channels
+from animtool.errors import Fault, OptionError
+from animtool.maths import so3
+
+__all__ = [
+    "Frames",
+    "Keyed",
+    "PrimMotion",
+    "PrimPlace",
+    "PrimTurn",
+    "Rows",
+    "Still",
+    "Value",
+    "between",
+]
+
+# From seconds (F,) to the positions [m] (F, 3) and rotations (F, 4) of a prim, in the
+# world of the rig.
+PrimMotion: TypeAlias = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+
+# A time this near to a row [frame] is meant to be the row.
+ON_ROW = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """When values are wanted.
+
+    Attributes:
+        times: [frame] ``(F,)``.
+        start: First frame of what is solved, where arrays begin that no range places.
+        fps: Frames a second.
+    """
+
+    times: FloatArray
+    start: float
+    fps: Fraction
+
+    @property
+    def seconds(self) -> FloatArray:
+        """The times [s]; frame 0 is second 0."""
+        return np.asarray(self.times / float(self.fps))
+
+
+class Value(Protocol):
+    """Points ``(F, 3)`` [m], rotations ``(F, 4)`` or weights ``(F, 1)`` over frames."""
+
+    def at(self, frames: Frames) -> FloatArray:
+        """Return the values at frames."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Still:
+    """One value, always."""
+
+    value: tuple[float, ...]
+
+    def at(self, frames: Frames) -> FloatArray:
+        """Return the value for each time."""
+        return np.tile(np.array(self.value, np.float64), (len(frames.times), 1))
+
+
+@dataclass(frozen=True, slots=True)
+class Keyed:
+    """The curve of keys."""
+
+    channel: ClipChannel
+
+    def at(self, frames: Frames) -> FloatArray:
+        """Return the curve at times."""
+        found = evaluate_channels([self.channel], frames.times)[self.channel.target]
+        return np.array(np.broadcast_to(found, (len(frames.times), found.shape[1])))
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """An array with a row for each frame.
+
+    Attributes:
+        name: As the file spells it.
+        values: ``(R, 3)`` or ``(R, 4)``.
+        first: Frame of the first row; None is the first that is solved.
+    """
+
+    name: str
+    values: FloatArray = field(repr=False)
+    first: Fraction | None
+
+    def at(self, frames: Frames) -> FloatArray:
+        """Return the rows at times, and between two rows what lies between them.
+
+        Raises:
+            OptionError: There is no row for a time (TGT015).
+        """
+        first = frames.start if self.first is None else float(self.first)
+        places = frames.times - first
+        last = len(self.values) - 1
+        beyond = (places < -ON_ROW) | (places > last + ON_ROW)
+        if beyond.any():
+            message = f"{self.name!r} has {last + 1} rows, for the frames {first:g} to "
+            message += f"{first + last:g}, and none for frame {frames.times[beyond][0]:g}"
+            hint = "write range into the targets, or an array of another length"
+            raise OptionError(Fault("TGT015", message, hint=hint))
+        return between(self.values, places)
+
+
+def between(values: FloatArray, places: FloatArray) -> FloatArray:
+    """Return rows at places ``(F,)``, held at both ends.
+
+    Between two, rotations ``(R, 4)`` go by the shortest arc, points straight.
+
+    >>> between(np.array([[0.0], [2.0]]), np.array([0.25, 9.0])).tolist()
+    [[0.5], [2.0]]
+    """
+    places = np.clip(places, 0.0, len(values) - 1.0)
+    near = np.round(places)
+    places = np.where(np.abs(places - near) <= ON_ROW, near, places)
+    low = np.floor(places).astype(np.int64)
+    share = places - low
+    found = values[low]
+    part = share > 0
+    if part.any():
+        high = values[low[part] + 1]
+        if values.shape[1] == 4:
+            found[part] = so3.slerp(found[part], high, share[part])
+        else:
+            found[part] += share[part, None] * (high - found[part])
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class PrimPlace:
+    """A point that a prim carries.
+
+    Attributes:
+        motion: Of the prim.
+        offset: The point in its frame [m].
+    """
+
+    motion: PrimMotion
+    offset: tuple[float, ...]
+
+    def at(self, frames: Frames) -> FloatArray:
+        """Return where the point is."""
+        positions, rotations = self.motion(frames.seconds)
+        return np.asarray(positions + so3.rotate(rotations, np.array(self.offset)))
+
+
+@dataclass(frozen=True, slots=True)
+class PrimTurn:
+    """A rotation that a prim carries.
+
+    Attributes:
+        motion: Of the prim.
+        turn: From its frame, quaternion.
+    """
+
+    motion: PrimMotion
+    turn: tuple[float, ...]
+
+    def at(self, frames: Frames) -> FloatArray:
+        """Return how it is turned."""
+        _, rotations = self.motion(frames.seconds)
+        return so3.align_signs(so3.multiply(rotations, np.array(self.turn)))
