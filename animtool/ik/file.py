@@ -3,31 +3,25 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Set as AbstractSet
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from animtool._types import FloatArray
-from animtool.clip.channel_entries import (
-    FARTHEST_FRAME,
-    ChannelReader,
-    file_quaternions,
-)
+from animtool.clip.channel_entries import FARTHEST_FRAME
 from animtool.clip.schema import CurveModel
 from animtool.clip.units import ClipUnits
 from animtool.config import project_roots
-from animtool.documents.arrays import referred, split_reference, stored_array
 from animtool.documents.check import check_version, nearest, validated
 from animtool.documents.document import Document, Location, read_document
-from animtool.errors import AnimtoolError, counted
 from animtool.ik.goals import Goal
-from animtool.ik.schema import GoalModel, TargetsModel, ValueModel, WeightsModel
+from animtool.ik.schema import GoalModel, TargetsModel, WeightsModel
 from animtool.ik.tracks import PARTS, GoalTrack, TargetTracks
-from animtool.ik.values import Keyed, PrimPlace, PrimTurn, Rows, Still, Value
+from animtool.ik.value_entries import ValueReader
+from animtool.ik.values import Still, Value
 from animtool.rates import parse_rate
-from animtool.readers import find_reader
 from animtool.rig.parts import IkChain, Vector
 from animtool.rig.skeleton import Rig
 from animtool.units import LengthUnit
@@ -35,9 +29,6 @@ from animtool.units import LengthUnit
 __all__ = ["TARGETS_SUFFIXES", "is_targets", "load_targets"]
 
 TARGETS_SUFFIXES = (".targets.yaml", ".targets.yml", ".targets.json")
-# Of a value that follows a prim only, and of one that has keys only.
-_OF_PRIM = ("file", "space", "offset", "rotate")
-_OF_KEYS = ("interp", "tangents", "parametrization", "euler", "pre", "post")
 # Shorter, a direction is a slip.
 SHORTEST = 1e-9
 
@@ -71,15 +62,26 @@ def load_targets(path: Path | str, rig: Rig | None = None) -> TargetTracks:
     return tracks
 
 
-@dataclass(frozen=True, slots=True)
 class _Reader:
-    document: Document
-    model: TargetsModel
-    rig: Rig | None
+    def __init__(
+        self, document: Document, model: TargetsModel, rig: Rig | None
+    ) -> None:
+        self.document, self.model, self.rig = document, model, rig
+        self.first, self.last = self._range()
+        count = None
+        if self.first is not None and self.last is not None and self.first <= self.last:
+            count = int((self.last - self.first) // 1) + 1
+        self.values = ValueReader(
+            document,
+            rig,
+            self._units(),
+            project_roots(document.path),
+            self.first,
+            count,
+        )
 
     def tracks(self) -> TargetTracks:
         fps = self._fps()
-        first, last = self._range()
         goals = [
             made
             for i, goal in enumerate(self.model.goals)
@@ -88,13 +90,12 @@ class _Reader:
         return TargetTracks(
             self.document.path,
             fps,
-            first,
-            last,
+            self.first,
+            self.last,
             tuple(goals),
             tuple(self.document.notices),
         )
 
-    @property
     def _units(self) -> ClipUnits:
         rig, given = self.rig, self.model.units
         length = 1.0 if rig is None else rig.meters_per_unit
@@ -115,7 +116,7 @@ class _Reader:
             return None
 
     def _range(self) -> tuple[Fraction | None, Fraction | None]:
-        if self.model.range is None:
+        if self.model.range is None or self.document.doubtful(("range",)):
             return None, None
         first, last = self.model.range
         if first > last:
@@ -132,16 +133,18 @@ class _Reader:
         root = self._root(at, model, joint, chain)
         spans = self._spans((*at, "hold"), model.hold)
         values = {
-            "position": self._value((*at, "position"), model.position, "position"),
-            "orientation": self._value(
+            "position": self.values.value(
+                (*at, "position"), model.position, "position"
+            ),
+            "orientation": self.values.value(
                 (*at, "orientation"), model.orientation, "orientation"
             ),
             "aim": None
             if model.aim is None
-            else self._value((*at, "aim", "at"), model.aim.at, "at"),
-            "pole": self._value((*at, "pole"), model.pole, "pole"),
+            else self.values.value((*at, "aim", "at"), model.aim.at, "at"),
+            "pole": self.values.value((*at, "pole"), model.pole, "pole"),
         }
-        held = _held(values, chain) if spans else frozenset()
+        held = _held(values, chain) if spans else frozenset[str]()
         given = {part for part in PARTS if getattr(model, part) is not None}
         if not given & {"position", "orientation", "aim"} and not spans:
             message = f"asks nothing of {model.effector!r}"
@@ -153,19 +156,17 @@ class _Reader:
             axis = self._axis((*at, "aim", "axis"), model.aim.axis)
         if joint is None:
             return None
-        x, y, z = (value * self._units.length for value in model.offset)
-        goal = Goal(joint, (x, y, z), aim_axis=axis, **_asked(given | held))
+        x, y, z = (value * self.values.units.length for value in model.offset)
+        goal = Goal(joint, (x, y, z), aim_axis=axis, root=root, **_asked(given | held))
         return GoalTrack(
             model.effector,
             goal,
-            root,
             chain,
             values,
             weights,
             tuple(spans),
             model.ease,
             frozenset(held),
-            model.priority,
         )
 
     def _effector(self, at: Location, name: str) -> tuple[str | None, IkChain | None]:
@@ -223,7 +224,7 @@ class _Reader:
                 continue
             found.append((first, last, i))
         found.sort()
-        for (first, last, _), (then, end, i) in zip(found, found[1:], strict=False):
+        for (first, last, _), (then, end, i) in pairwise(found):
             if then <= last:
                 message = f"the span from {then:g} to {end:g} meets that from "
                 message += f"{first:g} to {last:g}"
@@ -239,7 +240,10 @@ class _Reader:
         return (x, y, z)
 
     def _weights(
-        self, at: Location, given: float | WeightsModel, asked: set[str] | frozenset[str]
+        self,
+        at: Location,
+        given: float | WeightsModel,
+        asked: AbstractSet[str],
     ) -> dict[str, Value]:
         """Return the weights of the parts; those that are 1 throughout are left out."""
         if not isinstance(given, WeightsModel):
@@ -265,148 +269,12 @@ class _Reader:
     def _weight(self, at: Location, given: float | CurveModel) -> Value | None:
         if not isinstance(given, CurveModel):
             return Still((float(given),))
-        made = self._curve(at, given, "weight")
+        made = self.values.curve(at, given, "weight")
         if made is not None and (made.channel.values < 0).any():
             k = int(np.argmax(made.channel.values[:, 0] < 0))
             message = f"weight {made.channel.values[k, 0]:g} is less than 0"
             self.document.add("TGT007", (*at, "keys", k, "v"), message)
         return made
-
-    def _curve(self, at: Location, model: CurveModel, key: str) -> Keyed | None:
-        reader = ChannelReader(self.document)
-        reader.check(at, model)
-        kind = {"orientation": "rotation", "weight": "control"}.get(key, "translation")
-        target = {"rotation": "joint/x.rotation", "control": "control/x"}
-        named = target.get(kind, "joint/x.translation")
-        unit = self._units.of(named, model.euler or "")
-        made = reader.channel(at, model, key, kind, unit)
-        return None if made is None else Keyed(made)
-
-    def _value(
-        self, at: Location, given: list[float] | str | ValueModel | None, key: str
-    ) -> Value | None:
-        if given is None or self.document.doubtful(at):
-            return None
-        if isinstance(given, str):
-            return self._rows(at, given, key)
-        if isinstance(given, ValueModel):
-            return self._moving(at, given, key)
-        if key == "orientation":
-            return self._turn(at, given)
-        return Still(tuple(value * self._units.length for value in given))
-
-    def _turn(self, at: Location, given: list[float]) -> Still | None:
-        rotations, wrong = file_quaternions(np.array([given], np.float64))
-        if wrong:
-            message = f"quaternion {given} has no length"
-            self.document.add("TGT007", at, message)
-            return None
-        return Still(tuple(rotations[0].tolist()))
-
-    def _moving(self, at: Location, model: ValueModel, key: str) -> Value | None:
-        if (model.keys is None) == (model.prim is None):
-            has = "both keys and a prim" if model.prim else "neither keys nor a prim"
-            self.document.add("TGT009", at, f"has {has}", "one of them says where")
-            return None
-        names = _OF_PRIM if model.keys is not None else _OF_KEYS
-        idle = [name for name in names if name in model.model_fields_set]
-        if model.prim is not None and key != "orientation" and model.rotate:
-            idle.append("rotate")
-        if key == "orientation" and model.offset:
-            idle.append("offset")
-        for name in dict.fromkeys(idle):
-            what = "keys have" if model.keys is not None else "a prim has here"
-            self.document.add("TGT009", (*at, name), f"{what} no {name}")
-        if model.keys is not None:
-            given = {
-                name: getattr(model, name)
-                for name in CurveModel.model_fields
-                if name in model.model_fields_set
-            }
-            return self._curve(at, CurveModel.model_construct(**given), key)
-        return self._prim(at, model, key)
-
-    def _prim(self, at: Location, model: ValueModel, key: str) -> Value | None:
-        if model.file is None:
-            hint = "file: shot.usda"
-            message = f"prim {model.prim!r} is of no file"
-            self.document.add("TGT009", at, message, hint)
-            return None
-        roots = project_roots(self.document.path)
-        place = (*at, "file")
-        path = referred(self.document, place, model.file, roots, "TGT010")
-        if path is None:
-            return None
-        if not path.is_file():
-            self.document.add("TGT010", place, f"{model.file!r} does not exist")
-            return None
-        if self.rig is None:
-            return None
-        try:
-            opener = find_reader(path).prim_opener(path)
-            motion = opener(path, model.prim, self.rig, model.space)
-        except AnimtoolError as error:
-            for fault in error.faults:
-                message = f"{model.file!r}: {fault.message}"
-                self.document.add("TGT011", (*at, "prim"), message, fault.hint)
-            return None
-        if key != "orientation":
-            offset = model.offset or [0.0, 0.0, 0.0]
-            return PrimPlace(motion, tuple(v * self._units.length for v in offset))
-        turn = self._turn((*at, "rotate"), model.rotate or [1.0, 0.0, 0.0, 0.0])
-        return None if turn is None else PrimTurn(motion, turn.value)
-
-    def _rows(self, at: Location, text: str, key: str) -> Rows | None:
-        name, array = split_reference(text, key)
-        roots = project_roots(self.document.path)
-        path = referred(self.document, at, name, roots, "TGT010")
-        if path is None:
-            return None
-        try:
-            values = np.asarray(stored_array(path, array), np.float64)
-        except ValueError as error:
-            self.document.add("TGT006", at, str(error))
-            return None
-        width = 4 if key == "orientation" else 3
-        first, count = self._rows_wanted(at)
-        if values.ndim != 2 or values.shape[1] != width or not len(values):
-            wanted = "F" if count is None else count
-            message = f"{text!r} has shape {values.shape}, not ({wanted}, {width})"
-            self.document.add("TGT006", at, message)
-            return None
-        if count is not None and len(values) != count:
-            message = f"{text!r} has {counted(len(values), 'row')}, and the range "
-            message += counted(count, "frame")
-            self.document.add("TGT006", at, message, "a row for each frame")
-            return None
-        return self._finite_rows(at, text, values, first)
-
-    def _rows_wanted(self, at: Location) -> tuple[Fraction | None, int | None]:
-        """Return the frame of an array's first row, and how many there must be."""
-        del at
-        if self.model.range is None or self.document.doubtful(("range",)):
-            return None, None
-        first, last = (Fraction(frame) for frame in self.model.range)
-        return first, (int((last - first) // 1) + 1 if first <= last else None)
-
-    def _finite_rows(
-        self, at: Location, text: str, values: FloatArray, first: Fraction | None
-    ) -> Rows | None:
-        bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
-        if bad.size:
-            row = int(bad[0])
-            message = f"{text!r} holds {values[row].tolist()} in row {row}, not finite "
-            message += "numbers"
-            self.document.add("TGT007", at, message)
-            return None
-        if values.shape[1] == 3:
-            return Rows(text, values * self._units.length, first)
-        rotations, wrong = file_quaternions(values)
-        if wrong:
-            message = f"{text!r} holds a quaternion without length in row {wrong[0]}"
-            self.document.add("TGT007", at, message)
-            return None
-        return Rows(text, rotations, first)
 
 
 def _held(values: dict[str, Value | None], chain: IkChain | None) -> frozenset[str]:
@@ -419,6 +287,6 @@ def _held(values: dict[str, Value | None], chain: IkChain | None) -> frozenset[s
     return frozenset(part for part in both if goal in {part, "pose"})
 
 
-def _asked(parts: set[str] | frozenset[str]) -> dict[str, float]:
+def _asked(parts: AbstractSet[str]) -> dict[str, float]:
     """Return the weights of a goal that asks for some parts."""
     return {part: 1.0 if part in parts else 0.0 for part in PARTS}

@@ -9,14 +9,11 @@ from enum import StrEnum
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.ik.on_limits import frames_on_limits
 from animtool.ik.problem import Problem
-from animtool.rig.joints import coordinate_slices, local_from_coordinates
-from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.joints import local_from_coordinates
 
 __all__ = ["IkResult", "IkStatus", "Jump"]
-
-# A coordinate this near to its limit is on it [rad] or [m].
-ON_LIMIT = 1e-9
 
 
 class IkStatus(StrEnum):
@@ -124,15 +121,9 @@ class IkResult:
 
     def limits_active(self, index: int = 0) -> list[str]:
         """Return the joints that stand on a limit in one of the poses."""
-        rig, row = self.problem.rig, self.coordinates[index]
-        names = set(self.problem.joints)
-        found = []
-        for joint, place in zip(rig.joints, coordinate_slices(rig), strict=True):
-            if joint.name not in names or joint.limits is None:
-                continue
-            if _on_limit(joint.limits, row[place]):
-                found.append(joint.name)
-        return found
+        row = self.coordinates[index][None]
+        found = frames_on_limits(self.problem, row)
+        return [name for name, on in found.items() if on[0]]
 
     def __repr__(self) -> str:
         """Return how many ended how, and the worst miss."""
@@ -141,16 +132,3 @@ class IkResult:
         worst = float(self.positions.max(initial=0.0))
         missed = f"; goals missed: {len(self.missed)}" if self.missed else ""
         return f"<IkResult: {ends}{missed}; worst position {worst:.3g} m>"
-
-
-def _on_limit(limit: RangeLimit | BallLimit, own: FloatArray) -> bool:
-    if isinstance(limit, RangeLimit):
-        return bool(min(own[0] - limit.low, limit.high - own[0]) <= ON_LIMIT)
-    # What a limit a little narrower takes back stands on the true one.
-    swing, twist = limit.swing, limit.twist
-    if swing is not None:
-        swing = (max(swing[0] - ON_LIMIT, 0.0), max(swing[1] - ON_LIMIT, 0.0))
-    if twist is not None and twist[1] - twist[0] > 2 * ON_LIMIT:
-        twist = (twist[0] + ON_LIMIT, twist[1] - ON_LIMIT)
-    inner = BallLimit(swing, twist, limit.twist_axis)
-    return bool(inner.excess(own[None, -4:])[0] > ON_LIMIT / 10)

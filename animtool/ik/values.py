@@ -112,7 +112,9 @@ class Rows:
         beyond = (places < -ON_ROW) | (places > last + ON_ROW)
         if beyond.any():
             message = f"{self.name!r} has {last + 1} rows, for the frames {first:g} to "
-            message += f"{first + last:g}, and none for frame {frames.times[beyond][0]:g}"
+            message += (
+                f"{first + last:g}, and none for frame {frames.times[beyond][0]:g}"
+            )
             hint = "write range into the targets, or an array of another length"
             raise OptionError(Fault("TGT015", message, hint=hint))
         return between(self.values, places)

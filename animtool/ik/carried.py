@@ -1,0 +1,171 @@
+"""Poses of a take as one problem over many frames.
+
+A problem has one rig, whose joints above the goals' chains stand still. In a take they
+move, and joints may do what their types cannot. So the targets of each frame are
+brought into the frame of what carries the chain, and what coordinates cannot say goes
+into the rest pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray
+from animtool.ik.goals import Goal, Targets
+from animtool.ik.problem import build
+from animtool.maths import so3
+from animtool.rig.joints import (
+    LocalTransforms,
+    coordinates_from_local,
+    local_from_coordinates,
+)
+from animtool.rig.kinematics import WorldTransforms
+from animtool.rig.skeleton import Rig
+
+__all__ = ["Part", "parts_of"]
+
+# Transforms that differ by less are the same but for rounding [m], [rad].
+SAME = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Frames that are problems of one rig.
+
+    Attributes:
+        rig: Its rest pose holds what coordinates cannot say of the frames.
+        frames: Which frames they are.
+        coordinates: Of the poses ``(N, Q)``.
+        places: What carries each goal's chain: positions ``(N, E, 3)`` [m].
+        turns: And rotations ``(N, E, 4)``.
+    """
+
+    rig: Rig
+    frames: slice
+    coordinates: FloatArray
+    places: FloatArray
+    turns: FloatArray
+
+    def brought(self, targets: Targets) -> Targets:
+        """Return the targets of all frames as seen from the part's first pose."""
+        turn = so3.multiply(self.turns[:1], so3.conjugate(self.turns))
+
+        def points(given: FloatArray) -> FloatArray:
+            away = so3.rotate(turn, given[self.frames] - self.places)
+            return np.asarray(self.places[:1] + away)
+
+        return Targets(
+            points(np.asarray(targets.positions)),
+            so3.multiply(turn, np.asarray(targets.rotations)[self.frames]),
+            points(np.asarray(targets.aims)),
+            points(np.asarray(targets.poles)),
+            np.asarray(targets.weights)[self.frames],
+        )
+
+
+def parts_of(
+    rig: Rig,
+    local: LocalTransforms,
+    world: WorldTransforms,
+    goals: Sequence[Goal],
+    joints: Collection[str] | None,
+) -> list[Part]:
+    """Return the frames of a take as parts: one, or where none fits all, one each.
+
+    Args:
+        rig: J joints.
+        local: Of F frames.
+        world: Of the same.
+        goals: E of them.
+        joints: Names of those that may move; None is every one that moves a goal.
+
+    Raises:
+        OptionError: The goals make no problem, as `animtool.ik.build` says.
+    """
+    coordinates = coordinates_from_local(rig, local)
+    probe = build(rig, goals, joints=joints, pose=coordinates[0])
+    moving = {rig.index(name) for name in probe.joints}
+    paths = [_path(rig, rig.index(goal.joint)) for goal in goals]
+    tops = [max(i for i, j in enumerate(path) if j in moving) for path in paths]
+    carriers = [rig.parents[path[top]] for path, top in zip(paths, tops, strict=True)]
+    inside = {j for path, top in zip(paths, tops, strict=True) for j in path[: top + 1]}
+    rests = _rests(rig, local, coordinates)
+    changes = _changes(local)
+    strays = _changes(rests)
+    split = any(strays[j] if j in moving else changes[j] for j in inside)
+    count = len(coordinates)
+    spans = [slice(f, f + 1) for f in range(count)] if split else [slice(0, count)]
+    places, turns = _carriers(world, carriers)
+    wanted = sorted({j for path in paths for j in path})
+    return [
+        Part(
+            _with_rests(rig, rests, span.start, wanted),
+            span,
+            coordinates[span],
+            places[span],
+            turns[span],
+        )
+        for span in spans
+    ]
+
+
+def _path(rig: Rig, joint: int) -> list[int]:
+    """Return a joint and all above it, upwards."""
+    path = []
+    while joint >= 0:
+        path.append(joint)
+        joint = rig.joints[joint].parent
+    return path
+
+
+def _rests(
+    rig: Rig, local: LocalTransforms, coordinates: FloatArray
+) -> LocalTransforms:
+    """Return the rest poses with which coordinates say exactly what joints do."""
+    # local = rest · motion, so rest = local · motion⁻¹.
+    model = local_from_coordinates(rig, coordinates)
+    undo = so3.conjugate(rig.rest_rotations)
+    motion_turn = so3.multiply(undo, model.rotations)
+    motion_move = so3.rotate(undo, model.translations - rig.rest_translations)
+    turns = so3.multiply(local.rotations, so3.conjugate(motion_turn))
+    places = local.translations - so3.rotate(turns, motion_move)
+    return LocalTransforms(places, turns)
+
+
+def _changes(local: LocalTransforms) -> BoolArray:
+    """Return which joints are not in every frame what they are in the first."""
+    moved = np.abs(local.translations - local.translations[:1]).max(axis=(0, 2))
+    turned = so3.angle_between(local.rotations, local.rotations[:1]).max(axis=0)
+    return np.asarray((moved > SAME) | (turned > SAME), np.bool_)
+
+
+def _with_rests(
+    rig: Rig, rests: LocalTransforms, frame: int, wanted: Sequence[int]
+) -> Rig:
+    """Return the rig with the rest pose of a frame, where that is another."""
+    joints = list(rig.joints)
+    for j in wanted:
+        place, turn = rests.translations[frame, j], rests.rotations[frame, j]
+        apart = np.abs(place - rig.rest_translations[j]).max() > SAME
+        if apart or so3.angle_between(turn, rig.rest_rotations[j]) > SAME:
+            x, y, z = place.tolist()
+            a, b, c, w = turn.tolist()
+            joints[j] = replace(joints[j], translation=(x, y, z), rotation=(a, b, c, w))
+    return rig if tuple(joints) == rig.joints else replace(rig, joints=tuple(joints))
+
+
+def _carriers(
+    world: WorldTransforms, joints: Sequence[int]
+) -> tuple[FloatArray, FloatArray]:
+    """Return where joints are ``(F, E, 3)`` and ``(F, E, 4)``; -1 is the world."""
+    count = len(world.positions)
+    places = np.zeros((count, len(joints), 3))
+    turns = np.tile(so3.IDENTITY, (count, len(joints), 1))
+    for e, j in enumerate(joints):
+        if j >= 0:
+            places[:, e] = world.positions[:, j]
+            turns[:, e] = so3.align_signs(so3.from_matrix(world.linear[:, j]))
+    return places, turns

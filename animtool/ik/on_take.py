@@ -1,0 +1,344 @@
+"""Bringing a take to targets: each frame a problem, near the pose that it has."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.documents.check import nearest
+from animtool.errors import Fault, OptionError
+from animtool.ik.carried import Part, parts_of
+from animtool.ik.goals import Goal, Targets
+from animtool.ik.on_limits import frames_on_limits
+from animtool.ik.problem import Problem, build
+from animtool.ik.result import IkResult, IkStatus
+from animtool.ik.solve import IkMethod, IkOptions, solve
+from animtool.ik.sub_rig import sub_rig, with_types
+from animtool.ik.tracks import GoalTrack, TargetTracks
+from animtool.maths import so3
+from animtool.rig.joints import (
+    LocalTransforms,
+    coordinate_slices,
+    local_from_coordinates,
+)
+from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.skeleton import Rig
+from animtool.take import Take
+
+__all__ = ["TakeIk", "TakeOptions", "solve_take"]
+
+# Coordinates that a solve changes by less, it leaves as they were.
+UNCHANGED = 1e-12
+# A pole stands this many lengths of its chain away, so that only its side counts.
+FAR = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class TakeOptions:
+    """How to bring a take to targets.
+
+    Attributes:
+        method: Which solver.
+        tolerance: A position is reached within this [m].
+        angle_tolerance: An orientation, aim or pole is reached within this [rad].
+        restarts: Most new starts of a frame that does not reach its goals.
+        seed: Of the new starts.
+        seconds: Most time for one frame [s]; 0 is no bound.
+        joints: Names of the joints that may move; none is every one that moves a goal.
+        rest_weight: How strongly the pose that a frame has already is kept.
+    """
+
+    method: IkMethod = IkMethod.AUTO
+    tolerance: float = 1e-6
+    angle_tolerance: float = 1e-6
+    restarts: int = 50
+    seed: int = 0
+    seconds: float = 0.0
+    joints: tuple[str, ...] = ()
+    rest_weight: float = 0.0
+
+
+@dataclass(frozen=True)
+class TakeIk:
+    """A take that was brought to targets, and what it misses.
+
+    Attributes:
+        take: With other poses of the joints that move a goal.
+        tracks: What was asked.
+        problem: Of the first frame.
+        asked: Which parts each goal asked for in each frame ``(F, E, 4)``.
+        misses: Of position [m], orientation, aim and pole [rad] ``(F, E, 4)``.
+        statuses: ``(F,)``.
+        iterations: ``(F,)``.
+        descents: Starts tried ``(F,)``.
+        seconds: Time of each frame ``(F,)`` [s].
+        on_limits: By joint, in which frames it stands on a limit ``(F,)``.
+    """
+
+    take: Take
+    tracks: TargetTracks
+    problem: Problem
+    asked: BoolArray
+    misses: FloatArray
+    statuses: tuple[IkStatus, ...]
+    iterations: IntArray
+    descents: IntArray
+    seconds: FloatArray
+    on_limits: dict[str, BoolArray]
+
+
+def solve_take(
+    take: Take,
+    tracks: TargetTracks,
+    options: TakeOptions | None = None,
+    *,
+    still: bool = False,
+    progress: Callable[[float], None] | None = None,
+) -> TakeIk:
+    """Return a take brought to targets.
+
+    Each frame starts at the pose that it has. Joints that move no goal keep it, and so
+    do all in frames that ask nothing, but for limits: joints that move a goal are
+    brought inside theirs.
+
+    Args:
+        take: F frames.
+        tracks: Its targets.
+        options: Tolerances, budget, which joints.
+        still: The take is one pose, which need not be kept: each frame starts where
+            the one before it ended, and chains bend towards their ``pole_dir``.
+        progress: Called with the share done, 0 to 1.
+
+    Raises:
+        OptionError: The targets are of another rate or length (TGT014, TGT015), a joint
+            that a goal hangs from is scaled (TGT016), or a goal or option makes no
+            sense (IK codes).
+        FormatError: A prim's transform is not finite.
+    """
+    options = options or TakeOptions()
+    tracks.check_clock(take.clock)
+    _refuse_scales(take, tracks)
+    goals = [track.goal for track in tracks.goals]
+    typed = with_types(take.rig)
+    rig, own = sub_rig(
+        typed, (goal.joint for goal in goals if goal.joint in typed.names)
+    )
+    joints = _chosen(take.rig, rig, options)
+    local = LocalTransforms(
+        take.motion.translations.gather(own), take.motion.rotations.gather(own)
+    )
+    world = forward(rig, local.translations, local.rotations)
+    targets = tracks.sample(rig, take.clock, world)
+    run = _Run(rig, tracks, targets, world, options, joints, still)
+    found = []
+    for part in parts_of(rig, local, world, goals, joints):
+        found += run.solved(part)
+        if progress is not None:
+            progress(found[-1].part.frames.stop / take.clock.count)
+    return _gathered(take, own, local, tracks, targets, found)
+
+
+def _chosen(whole: Rig, rig: Rig, options: TakeOptions) -> list[str] | None:
+    """Return the joints that may move; None is every one that moves a goal."""
+    faults = [
+        Fault(
+            "IK001",
+            f"no joint of {rig.name!r} is {name!r}",
+            hint=nearest(name, rig.names),
+        )
+        for name in options.joints
+        if name not in whole.names
+    ]
+    if faults:
+        raise OptionError(faults)
+    if not options.joints:
+        return None
+    return [name for name in options.joints if name in rig.names]
+
+
+def _refuse_scales(take: Take, tracks: TargetTracks) -> None:
+    """Refuse scales of what an effector hangs from: a chain has lengths that stay."""
+    channel = take.motion.scales
+    if channel is None:
+        return
+    scaled = (channel.rest != 1.0).any(axis=1)
+    scaled[channel.animated] |= (channel.values != 1.0).any(axis=(0, 2))
+    faults = {}
+    for track in tracks.goals:
+        j = take.rig.index(track.goal.joint)
+        while j >= 0:
+            if scaled[j]:
+                name = take.rig.names[j]
+                message = f"{track.name!r} hangs from {name!r}, which is scaled"
+                hint = "inverse kinematics is for joints without scale"
+                faults[name] = Fault("TGT016", message, str(tracks.path), (), hint)
+            j = take.rig.joints[j].parent
+    if faults:
+        raise OptionError(list(faults.values()))
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """The solution of a part."""
+
+    part: Part
+    result: IkResult
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """How the parts of a take are solved."""
+
+    rig: Rig
+    tracks: TargetTracks
+    targets: Targets
+    world: WorldTransforms
+    options: TakeOptions
+    joints: list[str] | None
+    still: bool
+
+    @property
+    def goals(self) -> list[Goal]:
+        """The goals of the tracks."""
+        return [track.goal for track in self.tracks.goals]
+
+    def solved(self, part: Part) -> list[_Found]:
+        """Return the solution of a part."""
+        problem = self._problem(part, self.goals)
+        targets = part.brought(self.targets)
+        starts = part.coordinates
+        if not self.still:
+            return [_Found(part, self._solve(problem, starts, targets, warm=False))]
+        bent = self._bent(part, targets)
+        if bent is None:
+            return [_Found(part, self._solve(problem, starts[0], targets, warm=True))]
+        return [_Found(part, self._solve(problem, bent, targets, warm=False))]
+
+    def _problem(self, part: Part, goals: Sequence[Goal]) -> Problem:
+        return build(
+            part.rig,
+            goals,
+            joints=self.joints,
+            pose=part.coordinates[0],
+            rest_weight=self.options.rest_weight,
+        )
+
+    def _bent(self, part: Part, targets: Targets) -> FloatArray | None:
+        """Return poses whose chains bend towards their poles, as far as they can.
+
+        They are what the goals are then solved from, so that a pole that cannot be
+        had takes nothing from them.
+        """
+        poles = np.array(targets.poles)
+        weights = np.array(targets.weights)
+        goals = self.goals
+        for e, track in enumerate(self.tracks.goals):
+            if track.goal.pole or not _bends(self.rig, track):
+                continue
+            goals[e] = replace(track.goal, pole=1.0)
+            point = _pole(self.rig, track, self.world, part.frames.start)
+            poles[:, e], weights[:, e, 3] = point, 1.0
+        if goals == self.goals:
+            return None
+        problem = self._problem(part, goals)
+        given = replace(targets, poles=poles, weights=weights)
+        start = part.coordinates[0]
+        found = self._solve(problem, start, given, warm=True, restarts=0)
+        return found.coordinates
+
+    def _solve(
+        self,
+        problem: Problem,
+        starts: FloatArray,
+        targets: Targets,
+        *,
+        warm: bool,
+        restarts: int | None = None,
+    ) -> IkResult:
+        options = self.options
+        chosen = IkOptions(
+            method=options.method,
+            tolerance=options.tolerance / problem.length,
+            angle_tolerance=options.angle_tolerance,
+            restarts=options.restarts if restarts is None else restarts,
+            seed=options.seed,
+            seconds=options.seconds,
+            warm=warm,
+        )
+        return solve(problem, starts, targets, chosen)
+
+
+def _bends(rig: Rig, track: GoalTrack) -> bool:
+    """Return whether a goal's chain says where its middle points, and has one."""
+    chain = track.chain
+    if chain is None or chain.pole_dir is None or not track.goal.position:
+        return False
+    middle = rig.joints[rig.index(chain.tip)].parent
+    return middle >= 0 and middle > rig.index(chain.root)
+
+
+def _pole(rig: Rig, track: GoalTrack, world: WorldTransforms, frame: int) -> FloatArray:
+    """Return a point far along the pole direction of a chain ``(3,)`` [m]."""
+    chain = track.chain
+    assert chain is not None
+    root = rig.index(chain.root)
+    origin = world.positions[frame, root]
+    far = np.linalg.norm(world.positions[frame, rig.index(chain.tip)] - origin)
+    direction = np.array(chain.pole_dir, np.float64)
+    parent = rig.joints[root].parent
+    if parent >= 0:
+        direction = world.linear[frame, parent] @ direction
+    return np.asarray(origin + direction * FAR * far)
+
+
+def _gathered(
+    take: Take,
+    own: IntArray,
+    local: LocalTransforms,
+    tracks: TargetTracks,
+    targets: Targets,
+    found: Sequence[_Found],
+) -> TakeIk:
+    results = [one.result for one in found]
+    motion = take.motion
+    rig = found[0].part.rig
+    joints = [rig.index(name) for name in results[0].problem.joints]
+    places, turns = local.translations[:, joints], local.rotations[:, joints]
+    for one in found:
+        span = one.part.frames
+        rows, before = one.result.coordinates, one.part.coordinates
+        made = local_from_coordinates(one.part.rig, rows)
+        slices = coordinate_slices(one.part.rig)
+        for i, j in enumerate(joints):
+            new = np.abs(rows[:, slices[j]] - before[:, slices[j]]).max(axis=1)
+            moved = new > UNCHANGED
+            places[span, i][moved] = made.translations[moved, j]
+            turns[span, i][moved] = made.rotations[moved, j]
+    index = own[joints]
+    motion = replace(
+        motion,
+        translations=motion.translations.put(index, places).compact(),
+        rotations=motion.rotations.put(index, so3.align_signs(turns)).compact(),
+    )
+    asked = np.asarray(targets.weights) * [goal.goal.weights for goal in tracks.goals]
+    limits = [frames_on_limits(one.problem, one.coordinates) for one in results]
+    return TakeIk(
+        replace(take, motion=motion),
+        tracks,
+        results[0].problem,
+        asked > 0,
+        np.concatenate([_misses(one) for one in results]),
+        tuple(status for one in results for status in one.statuses),
+        np.concatenate([one.iterations for one in results]),
+        np.concatenate([one.descents for one in results]),
+        np.concatenate([one.seconds for one in results]),
+        {name: np.concatenate([one[name] for one in limits]) for name in limits[0]},
+    )
+
+
+def _misses(result: IkResult) -> FloatArray:
+    parts = (result.positions, result.orientations, result.aims, result.poles)
+    return np.stack(parts, axis=-1)

@@ -1,0 +1,73 @@
+"""The part of a rig that goals are about."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from animtool._types import IntArray
+from animtool.rig.skeleton import JointType, Rig
+
+__all__ = ["sub_rig", "with_types"]
+
+
+def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
+    """Return a rig of some joints, of all that they hang from, and which those are.
+
+    Joints that follow one of them (`Mimic`), or that one of them follows, come too,
+    with what these hang from.
+
+    Args:
+        rig: J joints.
+        names: Of some.
+
+    Returns:
+        The rig, and the index of each of its joints in the whole ``(N,)``.
+
+    >>> from animtool.rig.skeleton import Joint
+    >>> tree = Rig("tree", (Joint("a", -1), Joint("b", 0), Joint("c", 0)))
+    >>> part, own = sub_rig(tree, ["c"])
+    >>> part.names, own.tolist()
+    (['a', 'c'], [0, 2])
+    """
+    found: set[int] = set()
+    waiting = [rig.index(name) for name in names]
+    while waiting:
+        j = waiting.pop()
+        if j in found:
+            continue
+        found.add(j)
+        joint = rig.joints[j]
+        if joint.parent >= 0:
+            waiting.append(joint.parent)
+        if joint.mimic is not None:
+            waiting.append(rig.index(joint.mimic.joint))
+        waiting += [
+            i
+            for i, other in enumerate(rig.joints)
+            if other.mimic is not None and other.mimic.joint == joint.name
+        ]
+    own = sorted(found)
+    place = {j: i for i, j in enumerate(own)} | {-1: -1}
+    joints = tuple(
+        replace(rig.joints[j], parent=place[rig.joints[j].parent]) for j in own
+    )
+    part = Rig(rig.name, joints, rig.meters_per_unit, rig.up, ik=rig.ik)
+    return part, np.array(own, np.int64)
+
+
+def with_types(rig: Rig) -> Rig:
+    """Return a rig whose joints turn about their parents.
+
+    Where a file says of no joint what it can do, as USD of other tools, all would be
+    free: then all but the roots are balls.
+    """
+    if any(joint.type is not JointType.FREE for joint in rig.joints):
+        return rig
+    joints = tuple(
+        joint if joint.parent < 0 else replace(joint, type=JointType.BALL)
+        for joint in rig.joints
+    )
+    return replace(rig, joints=joints)

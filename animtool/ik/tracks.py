@@ -1,0 +1,207 @@
+"""What a targets file asks for, over the frames of a take."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.errors import Fault, OptionError, counted
+from animtool.ik.goals import Goal, Targets
+from animtool.ik.holds import Span, held, hold_shares
+from animtool.ik.values import Frames, Keyed, Rows, Value, between
+from animtool.maths import so3
+from animtool.rates import rate_label
+from animtool.rig.kinematics import WorldTransforms
+from animtool.rig.parts import IkChain
+from animtool.rig.skeleton import Rig
+from animtool.take import MOST_FRAMES, Clock
+
+__all__ = ["PARTS", "GoalTrack", "TargetTracks"]
+
+# Of a goal, in the order of the weights.
+PARTS = ("position", "orientation", "aim", "pole")
+_WIDTHS = {"position": 3, "orientation": 4, "aim": 3, "pole": 3}
+# Frames a second where nothing says.
+USUAL_RATE = Fraction(24)
+
+
+@dataclass(frozen=True)
+class GoalTrack:
+    """A goal, and where it is over frames.
+
+    Attributes:
+        name: The effector, as the file has it.
+        goal: What is asked at most.
+        chain: The chain of the rig whose tip it is; None of a plain joint.
+        values: By part; None for what is not asked, or only held.
+        weights: By part; 1 for those that are left out.
+        spans: Held frames, ascending.
+        ease: [frame] before and behind each span.
+        held: The parts that the spans hold.
+    """
+
+    name: str
+    goal: Goal
+    chain: IkChain | None
+    values: Mapping[str, Value | None]
+    weights: Mapping[str, Value]
+    spans: tuple[Span, ...]
+    ease: float
+    held: frozenset[str]
+
+
+@dataclass(frozen=True)
+class TargetTracks:
+    """The goals of a targets file.
+
+    Attributes:
+        path: The file.
+        fps: Frames a second; None where it does not say.
+        first: First frame; None where it does not say.
+        last: Last frame, likewise.
+        goals: E of them.
+        notices: What is odd about the file.
+    """
+
+    path: Path
+    fps: Fraction | None
+    first: Fraction | None
+    last: Fraction | None
+    goals: tuple[GoalTrack, ...]
+    notices: tuple[Fault, ...] = ()
+
+    @property
+    def clock(self) -> Clock:
+        """The frames that the file is about: its range, else all that it mentions.
+
+        Raises:
+            OptionError: There are more than 10 million (TGT003).
+        """
+        first, last = self.first, self.last
+        if first is None or last is None:
+            ends = [end for goal in self.goals for end in _ends(goal)] or [1.0]
+            first, last = Fraction(min(ends)), Fraction(max(ends))
+        count = int((last - first) // 1) + 1
+        if count > MOST_FRAMES:
+            message = f"the range has {count} frames; at most {MOST_FRAMES} are solved"
+            raise OptionError(Fault("TGT003", message, str(self.path)))
+        return Clock(self.fps or USUAL_RATE, first, Fraction(1), count)
+
+    def check_clock(self, clock: Clock) -> None:
+        """Refuse frames that the targets are not for.
+
+        Raises:
+            OptionError: They are of another rate (TGT014), or an array has a row for
+                each frame of another count (TGT015).
+        """
+        faults = []
+        if self.fps is not None and self.fps != clock.fps:
+            message = f"the targets are at {rate_label(self.fps)}, the take at "
+            hint = f"leave fps out, or write fps: {clock.fps} and frames of that rate"
+            message += rate_label(clock.fps)
+            faults.append(Fault("TGT014", message, str(self.path), (), hint))
+        count = int((clock.count - 1) * clock.step // 1) + 1
+        for track in self.goals:
+            for value in track.values.values():
+                if isinstance(value, Rows) and value.first is None:
+                    rows = len(value.values)
+                    if rows == count:
+                        continue
+                    message = f"{value.name!r} has {counted(rows, 'row')}, and the take"
+                    message += f" {counted(count, 'frame')}"
+                    hint = "range says which frames the rows are for"
+                    faults.append(Fault("TGT015", message, str(self.path), (), hint))
+        if faults:
+            raise OptionError(faults)
+
+    def sample(self, rig: Rig, clock: Clock, world: WorldTransforms) -> Targets:
+        """Return where the goals are in every frame.
+
+        Args:
+            rig: Whose joints the effectors are.
+            clock: F frames, of the rate of the file.
+            world: Where the joints are in them without the goals: what is held
+                without a value of its own stays where that has it.
+
+        Raises:
+            OptionError: A frame has no row in an array (TGT015).
+            FormatError: A prim's transform is not finite.
+        """
+        times = clock.times
+        frames = Frames(times, float(clock.start), clock.fps)
+        shape = (len(times), len(self.goals))
+        parts = {part: np.zeros((*shape, _WIDTHS[part])) for part in PARTS}
+        parts["orientation"][..., 3] = 1.0
+        weights = np.ones((*shape, 4))
+        for e, track in enumerate(self.goals):
+            still = _Pose(rig, track, world)
+            for i, part in enumerate(PARTS):
+                if not track.goal.weights[i]:
+                    continue
+                value, weight = _part(track, part, frames, still)
+                parts[part][:, e], weights[:, e, i] = value, weight
+        return Targets(
+            parts["position"],
+            parts["orientation"],
+            parts["aim"],
+            parts["pole"],
+            weights,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Pose:
+    """Where an effector is without its goal."""
+
+    rig: Rig
+    track: GoalTrack
+    world: WorldTransforms
+
+    def part(self, part: str) -> FloatArray:
+        """Return the point ``(F, 3)`` or the rotation ``(F, 4)``."""
+        j = self.rig.index(self.track.goal.joint)
+        linear = self.world.linear[:, j]
+        if part == "orientation":
+            return so3.align_signs(so3.split_scale(linear)[0])
+        offset = linear @ np.array(self.track.goal.offset)
+        return np.asarray(self.world.positions[:, j] + offset)
+
+
+def _part(
+    track: GoalTrack, part: str, frames: Frames, pose: _Pose
+) -> tuple[FloatArray, FloatArray]:
+    """Return where a part of a goal is ``(F, W)``, and how much it counts ``(F,)``."""
+    weight = np.ones(len(frames.times))
+    if part in track.weights:
+        # A curve of keys above 0 may dip below between them.
+        weight = np.maximum(track.weights[part].at(frames)[:, 0], 0.0)
+    value = track.values[part]
+    free = pose.part(part) if value is None else value.at(frames)
+    if not track.spans or part not in track.held:
+        return free, weight
+    shares = hold_shares(frames.times, track.spans, track.ease)
+    starts = np.array([first for first, _ in track.spans])
+    if value is None:
+        places = np.interp(starts, frames.times, np.arange(len(frames.times)))
+        stills = between(free, places)
+        weight = weight * shares.max(axis=0)
+    else:
+        stills = value.at(replace(frames, times=starts))
+    return held(free, shares, stills), weight
+
+
+def _ends(track: GoalTrack) -> list[float]:
+    """Return the first and last frames of what a goal mentions."""
+    found = [end for span in track.spans for end in span]
+    for value in (*track.values.values(), *track.weights.values()):
+        if isinstance(value, Keyed):
+            found += [value.channel.times[0], value.channel.times[-1]]
+        elif isinstance(value, Rows):
+            first = 1.0 if value.first is None else float(value.first)
+            found += [first, first + len(value.values) - 1]
+    return found
