@@ -16,6 +16,7 @@ __all__ = [
     "OutputError",
     "Severity",
     "StrictError",
+    "ToleranceError",
     "counted",
     "excerpt",
     "listed",
@@ -140,6 +141,12 @@ class StrictError(AnimtoolError):
     """There were warnings and the caller asked for none."""
 
     exit_code = ExitCode.FINDINGS
+
+
+class ToleranceError(AnimtoolError):
+    """A solve missed its tolerance and the caller asked for none that does."""
+
+    exit_code = ExitCode.TOLERANCE
 
 
 def listed(items: Sequence[object], most: int = 5) -> str:

@@ -39,6 +39,7 @@ PLUGIN_GROUP = "animtool.passes"
 PASSES: dict[str, str] = {
     "blend": "animtool.edit.blend:PASS",
     "difference": "animtool.edit.difference:PASS",
+    "ik": "animtool.ik.take_pass:PASS",
     "layer": "animtool.edit.layer:PASS",
     "loop": "animtool.edit.loop:PASS",
     "mirror": "animtool.edit.mirror:PASS",

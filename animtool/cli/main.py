@@ -25,6 +25,7 @@ COMMANDS = {
     "completion": ("animtool.cli.completion:completion", "Print a completion script."),
     "convert": ("animtool.cli.convert:convert", "Convert a take to another format."),
     "diff": ("animtool.cli.diff:diff", "Compare two takes or layers."),
+    "ik": ("animtool.cli.ik:ik", "Bring the joints of a rig to targets."),
     "migrate": (
         "animtool.cli.migrate:migrate",
         "Rewrite files of older versions as the newest.",

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -74,7 +75,7 @@ class TakeIk:
         statuses: ``(F,)``.
         iterations: ``(F,)``.
         descents: Starts tried ``(F,)``.
-        seconds: Time of each frame ``(F,)`` [s].
+        seconds: Time of all frames [s], the one part that differs between runs.
         on_limits: By joint, in which frames it stands on a limit ``(F,)``.
     """
 
@@ -86,7 +87,7 @@ class TakeIk:
     statuses: tuple[IkStatus, ...]
     iterations: IntArray
     descents: IntArray
-    seconds: FloatArray
+    seconds: float
     on_limits: dict[str, BoolArray]
 
 
@@ -96,6 +97,7 @@ def solve_take(
     options: TakeOptions | None = None,
     *,
     still: bool = False,
+    only: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> TakeIk:
     """Return a take brought to targets.
@@ -110,6 +112,7 @@ def solve_take(
         options: Tolerances, budget, which joints.
         still: The take is one pose, which need not be kept: each frame starts where
             the one before it ended, and chains bend towards their ``pole_dir``.
+        only: Index of the one frame to solve; None is all.
         progress: Called with the share done, 0 to 1.
 
     Raises:
@@ -119,26 +122,50 @@ def solve_take(
         FormatError: A prim's transform is not finite.
     """
     options = options or TakeOptions()
-    tracks.check_clock(take.clock)
+    tracks = tracks.placed(take.clock)
     _refuse_scales(take, tracks)
     goals = [track.goal for track in tracks.goals]
     typed = with_types(take.rig)
-    rig, own = sub_rig(
-        typed, (goal.joint for goal in goals if goal.joint in typed.names)
-    )
+    rig, own = sub_rig(typed, (goal.joint for goal in goals))
     joints = _chosen(take.rig, rig, options)
     local = LocalTransforms(
         take.motion.translations.gather(own), take.motion.rotations.gather(own)
     )
     world = forward(rig, local.translations, local.rotations)
     targets = tracks.sample(rig, take.clock, world)
+    if only is not None:
+        take, local, world, targets = _selected(take, local, world, targets, only)
     run = _Run(rig, tracks, targets, world, options, joints, still)
     found = []
     for part in parts_of(rig, local, world, goals, joints):
-        found += run.solved(part)
+        found.append(run.solved(part))
         if progress is not None:
             progress(found[-1].part.frames.stop / take.clock.count)
     return _gathered(take, own, local, tracks, targets, found)
+
+
+def _selected(
+    take: Take,
+    local: LocalTransforms,
+    world: WorldTransforms,
+    targets: Targets,
+    frame: int,
+) -> tuple[Take, LocalTransforms, WorldTransforms, Targets]:
+    """Return one frame of everything."""
+    rows = slice(frame, frame + 1)
+    clock = take.clock
+    start = clock.start + frame * clock.step
+    arrays = [getattr(targets, field.name)[rows] for field in fields(Targets)]
+    return (
+        replace(
+            take,
+            clock=replace(clock, start=start, count=1),
+            motion=take.motion.select(rows),
+        ),
+        LocalTransforms(local.translations[rows], local.rotations[rows]),
+        WorldTransforms(world.positions[rows], world.linear[rows]),
+        Targets(*arrays),
+    )
 
 
 def _chosen(whole: Rig, rig: Rig, options: TakeOptions) -> list[str] | None:
@@ -146,8 +173,8 @@ def _chosen(whole: Rig, rig: Rig, options: TakeOptions) -> list[str] | None:
     faults = [
         Fault(
             "IK001",
-            f"no joint of {rig.name!r} is {name!r}",
-            hint=nearest(name, rig.names),
+            f"no joint of {whole.name!r} is {name!r}",
+            hint=nearest(name, whole.names),
         )
         for name in options.joints
         if name not in whole.names
@@ -182,10 +209,11 @@ def _refuse_scales(take: Take, tracks: TargetTracks) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Found:
-    """The solution of a part."""
+    """The solution of a part, and how long it took [s]."""
 
     part: Part
     result: IkResult
+    seconds: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,17 +233,26 @@ class _Run:
         """The goals of the tracks."""
         return [track.goal for track in self.tracks.goals]
 
-    def solved(self, part: Part) -> list[_Found]:
+    def solved(self, part: Part) -> _Found:
         """Return the solution of a part."""
         problem = self._problem(part, self.goals)
         targets = part.brought(self.targets)
-        starts = part.coordinates
         if not self.still:
-            return [_Found(part, self._solve(problem, starts, targets, warm=False))]
+            done = self._timed(problem, part.coordinates, targets, warm=False)
+            return _Found(part, *done)
         bent = self._bent(part, targets)
         if bent is None:
-            return [_Found(part, self._solve(problem, starts[0], targets, warm=True))]
-        return [_Found(part, self._solve(problem, bent, targets, warm=False))]
+            done = self._timed(problem, part.coordinates[0], targets, warm=True)
+            return _Found(part, *done)
+        found, seconds = self._timed(
+            problem, bent.result.coordinates, targets, warm=False
+        )
+        found = replace(
+            found,
+            iterations=found.iterations + bent.result.iterations,
+            descents=found.descents + bent.result.descents - 1,
+        )
+        return _Found(part, found, bent.seconds + seconds)
 
     def _problem(self, part: Part, goals: Sequence[Goal]) -> Problem:
         return build(
@@ -226,7 +263,7 @@ class _Run:
             rest_weight=self.options.rest_weight,
         )
 
-    def _bent(self, part: Part, targets: Targets) -> FloatArray | None:
+    def _bent(self, part: Part, targets: Targets) -> _Found | None:
         """Return poses whose chains bend towards their poles, as far as they can.
 
         They are what the goals are then solved from, so that a pole that cannot be
@@ -246,10 +283,10 @@ class _Run:
         problem = self._problem(part, goals)
         given = replace(targets, poles=poles, weights=weights)
         start = part.coordinates[0]
-        found = self._solve(problem, start, given, warm=True, restarts=0)
-        return found.coordinates
+        done = self._timed(problem, start, given, warm=True, restarts=0)
+        return _Found(part, *done)
 
-    def _solve(
+    def _timed(
         self,
         problem: Problem,
         starts: FloatArray,
@@ -257,7 +294,8 @@ class _Run:
         *,
         warm: bool,
         restarts: int | None = None,
-    ) -> IkResult:
+    ) -> tuple[IkResult, float]:
+        """Return a solution, and how long it took [s]."""
         options = self.options
         chosen = IkOptions(
             method=options.method,
@@ -268,7 +306,9 @@ class _Run:
             seconds=options.seconds,
             warm=warm,
         )
-        return solve(problem, starts, targets, chosen)
+        began = time.perf_counter()
+        found = solve(problem, starts, targets, chosen)
+        return found, time.perf_counter() - began
 
 
 def _bends(rig: Rig, track: GoalTrack) -> bool:
@@ -334,7 +374,7 @@ def _gathered(
         tuple(status for one in results for status in one.statuses),
         np.concatenate([one.iterations for one in results]),
         np.concatenate([one.descents for one in results]),
-        np.concatenate([one.seconds for one in results]),
+        sum(one.seconds for one in found),
         {name: np.concatenate([one[name] for one in limits]) for name in limits[0]},
     )
 

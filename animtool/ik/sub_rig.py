@@ -10,7 +10,7 @@ import numpy as np
 from animtool._types import IntArray
 from animtool.rig.skeleton import JointType, Rig
 
-__all__ = ["sub_rig", "with_types"]
+__all__ = ["dressed", "sub_rig", "with_types"]
 
 
 def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
@@ -71,3 +71,38 @@ def with_types(rig: Rig) -> Rig:
         for joint in rig.joints
     )
     return replace(rig, joints=joints)
+
+
+def dressed(rig: Rig, other: Rig) -> Rig:
+    """Return a rig with what another says of the joints of the same names.
+
+    Their types, axes, limits and rest poses, and its chains whose joints the rig has.
+
+    >>> from animtool.rig.skeleton import Joint
+    >>> plain = Rig("a", (Joint("hip", -1), Joint("knee", 0)))
+    >>> typed = Rig("b", (Joint("knee", -1, JointType.PIN),))
+    >>> [str(joint.type) for joint in dressed(plain, typed).joints]
+    ['free', 'pin']
+    """
+    known = {joint.name: joint for joint in other.joints}
+    names = set(rig.names)
+    joints = []
+    for joint in with_types(rig).joints:
+        own = known.get(joint.name)
+        if own is None:
+            joints.append(joint)
+            continue
+        followed = own.mimic is not None and own.mimic.joint in names
+        joints.append(
+            replace(
+                joint,
+                type=own.type,
+                translation=own.translation,
+                rotation=own.rotation,
+                axis=own.axis,
+                limits=own.limits,
+                mimic=own.mimic if followed else None,
+            )
+        )
+    chains = tuple(chain for chain in other.ik if {chain.root, chain.tip} <= names)
+    return replace(rig, joints=tuple(joints), ik=chains)

@@ -92,12 +92,12 @@ class TargetTracks:
             raise OptionError(Fault("TGT003", message, str(self.path)))
         return Clock(self.fps or USUAL_RATE, first, Fraction(1), count)
 
-    def check_clock(self, clock: Clock) -> None:
-        """Refuse frames that the targets are not for.
+    def placed(self, clock: Clock) -> TargetTracks:
+        """Return the tracks with arrays that no range places beginning with a clock.
 
         Raises:
-            OptionError: They are of another rate (TGT014), or an array has a row for
-                each frame of another count (TGT015).
+            OptionError: Its frames are of another rate (TGT014), or an array has rows
+                for another number of frames (TGT015).
         """
         faults = []
         if self.fps is not None and self.fps != clock.fps:
@@ -118,6 +118,19 @@ class TargetTracks:
                     faults.append(Fault("TGT015", message, str(self.path), (), hint))
         if faults:
             raise OptionError(faults)
+        goals = tuple(
+            replace(
+                track,
+                values={
+                    part: replace(value, first=clock.start)
+                    if isinstance(value, Rows) and value.first is None
+                    else value
+                    for part, value in track.values.items()
+                },
+            )
+            for track in self.goals
+        )
+        return replace(self, goals=goals)
 
     def sample(self, rig: Rig, clock: Clock, world: WorldTransforms) -> Targets:
         """Return where the goals are in every frame.
@@ -133,7 +146,7 @@ class TargetTracks:
             FormatError: A prim's transform is not finite.
         """
         times = clock.times
-        frames = Frames(times, float(clock.start), clock.fps)
+        frames = Frames(times, clock.fps)
         shape = (len(times), len(self.goals))
         parts = {part: np.zeros((*shape, _WIDTHS[part])) for part in PARTS}
         parts["orientation"][..., 3] = 1.0

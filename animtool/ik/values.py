@@ -41,12 +41,10 @@ class Frames:
 
     Attributes:
         times: [frame] ``(F,)``.
-        start: First frame of what is solved, where arrays begin that no range places.
         fps: Frames a second.
     """
 
     times: FloatArray
-    start: float
     fps: Fraction
 
     @property
@@ -93,7 +91,7 @@ class Rows:
     Attributes:
         name: As the file spells it.
         values: ``(R, 3)`` or ``(R, 4)``.
-        first: Frame of the first row; None is the first that is solved.
+        first: Frame of the first row; None where nothing says: 1.
     """
 
     name: str
@@ -106,7 +104,7 @@ class Rows:
         Raises:
             OptionError: There is no row for a time (TGT015).
         """
-        first = frames.start if self.first is None else float(self.first)
+        first = 1.0 if self.first is None else float(self.first)
         places = frames.times - first
         last = len(self.values) - 1
         beyond = (places < -ON_ROW) | (places > last + ON_ROW)

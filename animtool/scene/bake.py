@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -21,7 +21,7 @@ from animtool.rig.skeleton import Rig
 from animtool.scene.frames import moving_joints, timed_blocks
 from animtool.scene.options import BakeOptions
 from animtool.scene.plan import BakePlan, Source, TakePlan, plan_bake
-from animtool.scene.sources import source_stem
+from animtool.scene.sources import Opener, Progress, open_source, source_stem
 from animtool.take import Motion
 from animtool.usd.animation import WrittenBlock, round_blocks
 from animtool.usd.author import author, write_usd
@@ -115,7 +115,8 @@ def bake(
     output: Path | str | None,
     options: BakeOptions | None = None,
     *,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = None,
+    opener: Opener = open_source,
 ) -> BakeReport:
     """Bake a BVH, USD file, clip or scene to a USD animation, or several to a library.
 
@@ -126,6 +127,7 @@ def bake(
             usda to stdout.
         options: How.
         progress: Called with the share done, 0 to 1.
+        opener: What opens the sources, called as `animtool.open_source`.
 
     Raises:
         FormatError: A source is malformed, or the takes of a library have other
@@ -134,7 +136,7 @@ def bake(
         OutputError: The output cannot be written.
         StrictError: There were warnings, and ``strict`` is on.
     """
-    plan = plan_bake(source, output, options, progress=progress)
+    plan = plan_bake(source, output, options, progress=progress, opener=opener)
     return run_bake(plan)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING
 from animtool.errors import Fault, OptionError, refuse_warnings
 from animtool.output import check_outputs, output_error, replacing
 from animtool.rig.skeleton import JointType, Rig
-from animtool.scene.sources import SourceOptions, is_usd, open_source
+from animtool.scene.sources import (
+    Opener,
+    Progress,
+    SourceOptions,
+    is_usd,
+    open_source,
+)
 from animtool.take import Take
 
 if TYPE_CHECKING:
@@ -52,7 +58,8 @@ def convert(
     reduce: float | None = None,
     reduce_at: tuple[tuple[str, float], ...] = (),
     base: Path | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = None,
+    opener: Opener = open_source,
 ) -> ConvertReport:
     """Convert a take to a BVH, to sparse keys, or to a USD stage as a bake would.
 
@@ -71,6 +78,7 @@ def convert(
         base: For an additive take what it is put on: keys are fitted so that the
             sum is within the tolerance. For clips.
         progress: Called with the share done, 0 to 1.
+        opener: What opens the source, called as `animtool.open_source`.
 
     Raises:
         FormatError: The source is malformed.
@@ -88,10 +96,12 @@ def convert(
             hint = "write a .clip.yaml, or bake with --reduce"
             raise OptionError(Fault("CLI004", message, str(output), (), hint))
     if is_usd(output):
-        return _to_usd(source, output, options, overwrite, strict, progress)
+        return _to_usd(source, output, options, overwrite, strict, progress, opener)
     if to_clip:
         keys = _Keys(REDUCTION if reduce is None else reduce, dict(reduce_at), base)
-        return _to_clip(source, output, options, keys, overwrite, strict, progress)
+        return _to_clip(
+            source, output, options, keys, overwrite, strict, progress, opener
+        )
     if output.suffix.lower() != ".bvh":
         kind = f"suffix {output.suffix!r}" if output.suffix else "a name without suffix"
         message = f"{kind} is no format that animtool writes"
@@ -102,7 +112,7 @@ def convert(
     from animtool.edit.resample import resampled
     from animtool.formats.bvh import write_bvh
 
-    stream = open_source(source, options, progress=progress)
+    stream = opener(source, options, progress=progress)
     take = stream.collect()
     if take.clock.step > 1:
         take = resampled(take, take.clock.fps)
@@ -160,7 +170,8 @@ def _to_clip(
     keys: _Keys,
     overwrite: bool,
     strict: bool,
-    progress: Callable[[float], None] | None,
+    progress: Progress,
+    opener: Opener,
 ) -> ConvertReport:
     from animtool.clip.keyed_take import keyed_take
     from animtool.clip.write import clip_text
@@ -173,7 +184,7 @@ def _to_clip(
     rig_path = outputs[0]
     inputs = [source] if keys.base is None else [source, keys.base]
     check_outputs(outputs, inputs, overwrite=overwrite)
-    stream = open_source(source, options, progress=progress)
+    stream = opener(source, options, progress=progress)
     take = stream.collect()
     refuse_warnings(stream.notices, strict=strict)
     below = None
@@ -244,7 +255,8 @@ def _to_usd(
     options: SourceOptions | None,
     overwrite: bool,
     strict: bool,
-    progress: Callable[[float], None] | None,
+    progress: Progress,
+    opener: Opener,
 ) -> ConvertReport:
     from animtool.scene.bake import bake
     from animtool.scene.options import BakeOptions
@@ -252,5 +264,5 @@ def _to_usd(
     settings = BakeOptions(
         source=options or SourceOptions(), overwrite=overwrite, strict=strict
     )
-    report = bake(source, output, settings, progress=progress)
+    report = bake(source, output, settings, progress=progress, opener=opener)
     return ConvertReport(output, report.result.samples, report.joints, report.notices)

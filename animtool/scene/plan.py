@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -14,7 +14,13 @@ from animtool.output import check_outputs
 from animtool.rates import rate_label
 from animtool.reorient import reorient
 from animtool.scene.options import BakeOptions, check_options, merged
-from animtool.scene.sources import fitting_options, is_scene, open_source
+from animtool.scene.sources import (
+    Opener,
+    Progress,
+    fitting_options,
+    is_scene,
+    open_source,
+)
 from animtool.take import TakeStream
 from animtool.usd.jobs import Form, output_paths
 from animtool.usd.layers import check_prim_path, check_suffix
@@ -26,7 +32,6 @@ if TYPE_CHECKING:
 
 __all__ = ["BakePlan", "Source", "TakePlan", "bake_outputs", "plan_bake"]
 
-Progress = Callable[[float], None] | None
 Source: TypeAlias = "Path | str | Scene"
 
 
@@ -90,8 +95,16 @@ def plan_bake(
     options: BakeOptions | None = None,
     *,
     progress: Progress = None,
+    opener: Opener = open_source,
 ) -> BakePlan:
     """Check everything that can be checked before the work, and open the sources.
+
+    Args:
+        source: As for `animtool.bake`.
+        output: Likewise.
+        options: Likewise.
+        progress: Called with the share done, 0 to 1.
+        opener: Called as `open_source` for each source that is no scene.
 
     Raises:
         FormatError: The header of a source, or the rig layer, is malformed, or the
@@ -118,7 +131,7 @@ def plan_bake(
         check_outputs(
             _outputs(path, form, options), inputs, overwrite=options.overwrite
         )
-    streams = _open_all(sources, scenes, options, progress)
+    streams = _open_all(sources, scenes, options, progress, opener)
     target = None
     reason = "a rig layer was named" if options.form is None else "asked for"
     mappings: list[JointMap | None] = [None] * len(streams)
@@ -246,6 +259,7 @@ def _open_all(
     scenes: dict[Path, Scene],
     options: BakeOptions,
     progress: Progress,
+    opener: Opener,
 ) -> list[TakeStream]:
     """Open every source; what is wrong with them is said of all at once."""
     streams: list[TakeStream] = []
@@ -257,7 +271,7 @@ def _open_all(
                 continue
             own = fitting_options(options.source, path, sources)
             shown = _share(progress, i, len(sources))
-            streams.append(open_source(path, own, progress=shown))
+            streams.append(opener(path, own, progress=shown))
         except AnimtoolError as error:
             errors.append(error)
     if len(errors) == 1:

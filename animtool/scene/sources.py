@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import cast
+from typing import TypeAlias, cast
 
 from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.rates import rate_option
@@ -15,6 +15,8 @@ from animtool.take import TakeStream
 from animtool.units import LengthUnit, UpAxis
 
 __all__ = [
+    "Opener",
+    "Progress",
     "SourceOptions",
     "fitting_options",
     "is_scene",
@@ -23,6 +25,11 @@ __all__ = [
     "source_stem",
     "takes_option",
 ]
+
+# Called with the share done, 0 to 1.
+Progress: TypeAlias = Callable[[float], None] | None
+# From a file, what it is, and by keyword whom to tell of the progress, to its motion.
+Opener: TypeAlias = Callable[..., TakeStream]
 
 SCENE_SUFFIXES = (".scene.yaml", ".scene.yml", ".scene.json")
 # As the command line calls an option, and why a file may not take it.
@@ -127,7 +134,7 @@ def open_source(
     path: Path | str,
     options: SourceOptions | None = None,
     *,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = None,
 ) -> TakeStream:
     """Open a BVH, a USD file or a clip as a stream of blocks.
 

@@ -1,0 +1,374 @@
+"""``animtool ik``."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import click
+
+from animtool.cli.console import Console
+from animtool.cli.options import (
+    LENGTH,
+    TOLERANCE,
+    Parsed,
+    common_options,
+    format_option,
+    skips,
+    source_options,
+    source_options_record,
+    take_option,
+)
+
+__all__ = ["ik"]
+
+FIRST = "first"
+
+
+def _frame(text: str) -> Any:
+    return text if text == FIRST else _time_code(text)
+
+
+def _time_code(text: str) -> Any:
+    from animtool.scene.options import parse_frame
+
+    return parse_frame(text)
+
+
+def _whole(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise ValueError(f"{text!r} is less than 0")
+    return value
+
+
+class _Method(click.ParamType[Any]):
+    """A solver, by the names that there are."""
+
+    name = "method"
+
+    @staticmethod
+    def _names() -> list[str]:
+        from animtool.ik.solve import IkMethod
+
+        return [str(method) for method in IkMethod]
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        """Return the names for the help."""
+        del param, ctx
+        return "|".join(self._names())
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> Any:
+        """Return the solver of a name."""
+        from animtool.ik.solve import IkMethod
+
+        if value not in self._names():
+            self.fail(
+                f"{value!r} is not one of {', '.join(self._names())}.", param, ctx
+            )
+        return IkMethod(value)
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  animtool ik hero.rig.yaml --targets reach.targets.yaml
+  animtool ik hero.rig.yaml --targets reach.targets.yaml --pose 12 -o pose.usda
+  animtool ik hero.rig.yaml --targets reach.targets.yaml -o reach.usdc
+  animtool ik hero.rig.yaml --targets feet.targets.yaml --clip walk.bvh -o walk.usdc
+  animtool ik hero.usda --targets feet.targets.yaml --clip walk.usdc -o fix.usdc
+      --rig-layer hero.usda
+  animtool ik hero.rig.yaml --targets reach.targets.yaml --strict --tol 0.1mm
+  animtool ik hero.rig.yaml --targets reach.targets.yaml --table"""
+)
+@click.argument("rig", type=click.Path(path_type=Path, readable=False))
+@click.option(
+    "-t",
+    "--targets",
+    required=True,
+    type=click.Path(path_type=Path, readable=False),
+    metavar="FILE",
+    help="The targets file: where which effector is to be.",
+)
+@click.option(
+    "--clip",
+    "start",
+    type=click.Path(path_type=Path, readable=False),
+    metavar="START",
+    help="Motion to start from, a clip, BVH or USD file: each frame stays near its "
+    "pose there.  [default: the rest pose]",
+)
+@click.option(
+    "--pose",
+    type=Parsed("frame", _frame),
+    is_flag=False,
+    flag_value=FIRST,
+    metavar="[FRAME]",
+    help="Solve one pose: that of the frame, or of the first.  [default: all frames]",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path, allow_dash=True, readable=False),
+    help="What to write: a USD file (.usda, .usdc, .usd), .clip.yaml or .bvh, or - for "
+    "usda on stdout.  [default: nothing]",
+)
+@click.option(
+    "--method", type=_Method(), default="auto", show_default=True, help="The solver."
+)
+@click.option(
+    "--tolerance",
+    type=LENGTH,
+    default="0.001mm",
+    show_default=True,
+    metavar="LENGTH",
+    help="A position is solved to within this.",
+)
+@click.option(
+    "--angle-tolerance",
+    type=TOLERANCE,
+    default=1e-4,
+    show_default=True,
+    metavar="DEGREES",
+    help="An orientation, aim or pole is solved to within this.",
+)
+@click.option(
+    "--restarts",
+    type=click.IntRange(0),
+    default=50,
+    show_default=True,
+    help="Most new starts of a frame that does not reach its goals.",
+)
+@click.option(
+    "--seed",
+    type=Parsed("whole number", _whole),
+    default=0,
+    show_default=True,
+    help="Of the new starts: the same seed gives the same poses.",
+)
+@click.option(
+    "--time-budget",
+    type=TOLERANCE,
+    default=0.0,
+    metavar="SECONDS",
+    help="Most time for one frame; what is found then depends on the machine.  "
+    "[default: none]",
+)
+@click.option(
+    "--joints",
+    metavar="NAME,...",
+    help="The joints that may move.  [default: every one that moves a goal]",
+)
+@click.option(
+    "--rest-weight",
+    type=TOLERANCE,
+    default=0.0,
+    show_default=True,
+    metavar="WEIGHT",
+    help="How strongly the pose that a frame starts from is kept; the goals give way "
+    "by about as much.",
+)
+@click.option(
+    "--table",
+    is_flag=True,
+    help="Write nothing; measure time against error, over tolerances and methods.",
+)
+@click.option(
+    "--tol",
+    type=LENGTH,
+    default="0.1mm",
+    show_default=True,
+    metavar="LENGTH",
+    help="A position that is off by more is missed, and reported.",
+)
+@click.option(
+    "--tol-degrees",
+    type=TOLERANCE,
+    default=0.1,
+    show_default=True,
+    metavar="DEGREES",
+    help="An orientation, aim or pole that is off by more is missed.",
+)
+@click.option(
+    "--strict",
+    is_flag=True,
+    help="Write nothing where a goal is missed (exit code 4), or there are warnings.",
+)
+@click.option("--split", is_flag=True, help="USD in three files, as bake has it.")
+@click.option(
+    "--rig-layer",
+    type=click.Path(path_type=Path, readable=False),
+    metavar="FILE",
+    help="Write an animation layer over this rig in USD, or over a shot that holds it.",
+)
+@click.option(
+    "--prim-path",
+    metavar="PATH",
+    help="Where the character stands, such as /World/hero.",
+)
+@click.option(
+    "--start",
+    "first_code",
+    type=Parsed("frame", _time_code),
+    metavar="FRAME",
+    help="Time code of the first frame in USD.  [default: as the targets or START]",
+)
+@click.option(
+    "--sparse", is_flag=True, help="USD with only the joints that leave their rest."
+)
+@click.option(
+    "--reduce",
+    type=LENGTH,
+    metavar="LENGTH",
+    help="How far keys of a clip, or samples left out of USD, may move a joint.",
+)
+@source_options
+@click.option(
+    "--source-prim",
+    metavar="PATH",
+    help="The character to read, where START is a stage with several.",
+)
+@take_option
+@click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
+@click.option(
+    "--skip-existing", is_flag=True, help="Do nothing where all outputs exist."
+)
+@format_option
+@common_options
+@click.pass_obj
+def ik(console: Console, /, **given: Any) -> None:
+    """Bring joints of RIG to targets: a pose, a clip, or a fix on top of one.
+
+    RIG is a rig file, USD file or BVH. The targets file says which effectors are to be
+    where, frame by frame; limits of joints are kept. What is not reached is named, with
+    how far it is off; without -o that is all.
+    """
+    as_json = given["report_format"] == "json"
+    output = given["output"]
+    to_stdout = str(output) == "-"
+    if to_stdout and as_json:
+        raise click.UsageError("-o - and --format json both want stdout.")
+    if given["table"]:
+        if output is not None:
+            raise click.UsageError("--table writes no file: no -o.")
+        _table(console, given, as_json=as_json)
+        return
+    if output is not None and not to_stdout and _skips(output, given):
+        console.say(f"{output} exists: skipped")
+        if as_json:
+            console.result_json({"ik": "animtool/1", "skipped": str(output)})
+        return
+    from animtool.scene.ik import MissedGoalsError, run_ik
+
+    label = f"ik {given['targets'].name}"
+    with console.progress(label, stdout=to_stdout) as progress:
+        try:
+            report = run_ik(_job(given, to_stdout), progress=progress)
+        except MissedGoalsError as error:
+            _say(console, error.report, as_json=as_json, faults=False)
+            raise
+    _say(console, report, as_json=as_json)
+
+
+def _say(console: Console, report: Any, *, as_json: bool, faults: bool = True) -> None:
+    from animtool.cli.ik_summary import ik_details, ik_json, ik_text
+
+    if faults:
+        console.faults(report.notices)
+    if as_json:
+        console.result_json(ik_json(report))
+        return
+    for line in ik_text(report):
+        console.say(line)
+    for line in ik_details(report):
+        console.detail(line)
+
+
+def _table(console: Console, given: dict[str, Any], *, as_json: bool) -> None:
+    from animtool.cli.ik_summary import ik_table_json, ik_table_text
+    from animtool.scene.ik_table import ik_table
+
+    with console.progress(f"measure {given['targets'].name}") as progress:
+        table = ik_table(_job(given, False), progress=progress)
+    if as_json:
+        console.result_json(ik_table_json(table))
+        return
+    console.result("\n".join(ik_table_text(table)))
+
+
+def _skips(output: Path, given: dict[str, Any]) -> bool:
+    if not given["skip_existing"]:
+        return False
+    from animtool.scene.convert import convert_outputs
+
+    return skips(given, convert_outputs(output))
+
+
+def _job(given: dict[str, Any], to_stdout: bool) -> Any:
+    from animtool.ik.on_take import TakeOptions
+    from animtool.scene.ik import IkJob
+
+    names = (given["joints"] or "").split(",")
+    pose = given["pose"]
+    return IkJob(
+        rig=given["rig"],
+        targets=given["targets"],
+        start=given["start"],
+        source=source_options_record(
+            given["units"],
+            given["up"],
+            given["source_fps"],
+            given["source_prim"],
+            take=given["take"],
+        ),
+        pose=pose is not None,
+        frame=None if pose == FIRST else pose,
+        options=TakeOptions(
+            method=given["method"],
+            tolerance=given["tolerance"],
+            angle_tolerance=math.radians(given["angle_tolerance"]),
+            restarts=given["restarts"],
+            seed=given["seed"],
+            seconds=given["time_budget"],
+            joints=tuple(name.strip() for name in names if name.strip()),
+            rest_weight=given["rest_weight"],
+        ),
+        tolerance=given["tol"],
+        angle_tolerance=math.radians(given["tol_degrees"]),
+        strict=given["strict"],
+        output=None if to_stdout else given["output"],
+        to_stdout=to_stdout,
+        bake=_bake_options(given, to_stdout),
+    )
+
+
+def _bake_options(given: dict[str, Any], to_stdout: bool) -> Any:
+    """Return how outputs are written."""
+    output = given["output"]
+    flags = {
+        "--split": given["split"],
+        "--rig-layer": given["rig_layer"],
+        "--prim-path": given["prim_path"],
+        "--start": given["first_code"],
+        "--sparse": given["sparse"],
+    }
+    wanted = [flag for flag, value in flags.items() if value]
+    from animtool.scene.options import BakeOptions
+    from animtool.scene.sources import is_usd
+
+    if wanted and output is None:
+        raise click.UsageError(f"{wanted[0]} is for an output: give -o.")
+    if wanted and not to_stdout and not is_usd(output):
+        raise click.UsageError(f"{wanted[0]} is for USD, and {output} is none.")
+    return BakeOptions(
+        form="split" if given["split"] else None,
+        rig_layer=given["rig_layer"],
+        prim_path=given["prim_path"],
+        start=given["first_code"],
+        sparse=given["sparse"],
+        reduce=given["reduce"],
+        overwrite=given["overwrite"],
+    )

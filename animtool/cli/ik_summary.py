@@ -1,0 +1,179 @@
+"""What came of inverse kinematics, in words and in JSON."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from animtool.errors import counted, listed
+from animtool.ik.report import limit_counts, status_counts
+from animtool.rates import rate_label
+
+if TYPE_CHECKING:
+    from animtool.ik.report import GoalReport, Misses
+    from animtool.scene.ik import IkReport
+    from animtool.scene.ik_table import IkTable, IkTableRow
+
+__all__ = ["ik_details", "ik_json", "ik_table_json", "ik_table_text", "ik_text"]
+
+MOST_NAMED = 8
+
+
+def _size(part: str, value: float) -> str:
+    """Return a miss as people read it."""
+    if part == "position":
+        return f"{value * 1000:.3g} mm"
+    return f"{math.degrees(value):.3g}°"
+
+
+def ik_text(report: IkReport) -> list[str]:
+    """Return the lines of a summary."""
+    solved = report.solved
+    clock, problem = solved.take.clock, solved.problem
+    frames = len(solved.statuses)
+    ends = ", ".join(f"{n} {status}" for status, n in status_counts(solved).items())
+    last = clock.start + clock.step * (clock.count - 1)
+    span = f"frames {float(clock.start):g} to {float(last):g}"
+    if frames == 1:
+        span = f"frame {float(clock.start):g}"
+    restarts = int((solved.descents - 1).clip(min=0).sum())
+    lines = [
+        f"{solved.tracks.path}: {counted(len(report.goals), 'goal')}, {span} at "
+        f"{rate_label(clock.fps)}",
+        f"  {counted(len(problem.joints), 'joint')} move, "
+        f"{counted(problem.degrees, 'degree')} of freedom for "
+        f"{counted(problem.rows, 'condition')}",
+        f"  {ends}; {solved.iterations.mean():.3g} iterations a frame, "
+        f"{counted(restarts, 'restart')}, {1e6 * solved.seconds / frames:.3g} µs a "
+        "frame",
+    ]
+    for goal in report.goals:
+        lines += _goal_text(goal)
+    limits = limit_counts(solved)
+    if limits:
+        most = sorted(limits.items(), key=lambda item: -item[1])
+        names = [f"{name} ({counted(count, 'frame')})" for name, count in most]
+        lines.append(f"  on their limits: {listed(names, MOST_NAMED)}")
+    if report.written is not None:
+        lines.append(f"  written: {', '.join(map(str, _outputs(report)))}")
+    return lines
+
+
+def _goal_text(goal: GoalReport) -> list[str]:
+    if not goal.misses:
+        return [f"  {goal.name}: never asked for"]
+    lines = []
+    for miss in goal.misses:
+        sizes = [_size(miss.part, value) for value in (miss.mean, miss.p95, miss.max)]
+        lines.append(
+            f"  {goal.name} {miss.part}: {sizes[2]} off at most (frame "
+            f"{miss.frame:g}), {sizes[1]} in 95 %, {sizes[0]} in the mean of "
+            f"{counted(miss.frames, 'frame')}"
+        )
+    return lines
+
+
+def ik_details(report: IkReport) -> list[str]:
+    """Return what is said with -v: where the time went."""
+    return [f"{stage}: {seconds:.3f} s" for stage, seconds in report.seconds.items()]
+
+
+def _outputs(report: IkReport) -> list[str]:
+    written: Any = report.written
+    if written is None:
+        return []
+    if hasattr(written, "result"):
+        return [str(path) for path in written.result.outputs] or ["stdout"]
+    return [str(written.output)]
+
+
+def ik_json(report: IkReport) -> dict[str, object]:
+    """Return a summary as plain values; lengths in metres, angles in radians."""
+    solved = report.solved
+    clock, frames = solved.take.clock, len(solved.statuses)
+    return {
+        "ik": "animtool/1",
+        "targets": str(solved.tracks.path),
+        "outputs": _outputs(report),
+        "frames": frames,
+        "first": float(clock.start),
+        "fps": str(clock.fps),
+        "joints": list(solved.problem.joints),
+        "degrees_of_freedom": solved.problem.degrees,
+        "conditions": solved.problem.rows,
+        "statuses": status_counts(solved),
+        "iterations": {
+            "mean": float(solved.iterations.mean()),
+            "max": int(solved.iterations.max()),
+        },
+        "restarts": int((solved.descents - 1).clip(min=0).sum()),
+        "microseconds_per_frame": 1e6 * solved.seconds / frames,
+        "goals": [_goal_json(goal) for goal in report.goals],
+        "on_limits": limit_counts(solved),
+        "notices": [notice.as_dict() for notice in report.notices],
+    }
+
+
+def _goal_json(goal: GoalReport) -> dict[str, object]:
+    spans = [{**asdict(span), "status": str(span.status)} for span in goal.spans]
+    return {
+        "effector": goal.name,
+        "joint": goal.joint,
+        "residuals": {miss.part: _miss_json(miss) for miss in goal.misses},
+        "missed": spans,
+    }
+
+
+def _miss_json(miss: Misses) -> dict[str, object]:
+    return {
+        "unit": "m" if miss.part == "position" else "rad",
+        "frames": miss.frames,
+        "mean": miss.mean,
+        "p95": miss.p95,
+        "max": miss.max,
+        "frame": miss.frame,
+    }
+
+
+_HEAD = ("µs/frame", "worst mm", "worst deg", "iterations", "converged")
+
+
+def ik_table_text(table: IkTable) -> list[str]:
+    """Return the lines of a table of time against error."""
+    lines = [
+        f"{counted(table.frames, 'frame')}, {table.degrees} degrees of freedom; "
+        "tolerances in shares of the chain and in radians"
+    ]
+    for name, rows in (("tolerance", table.tolerances), ("method", table.methods)):
+        lines += ["", "".join(f"{head:>12}" for head in (name, *_HEAD))]
+        lines += [_row_text(row) for row in rows]
+    return lines
+
+
+def _row_text(row: IkTableRow) -> str:
+    if row.refused:
+        return f"{row.setting:>12}  cannot: {row.refused}"
+    cells = (
+        f"{row.microseconds:.3g}",
+        f"{row.position * 1000:.3g}",
+        f"{math.degrees(row.angle):.3g}",
+        f"{row.iterations:.3g}",
+        f"{row.converged:.1%}",
+    )
+    return "".join(f"{cell:>12}" for cell in (row.setting, *cells))
+
+
+def ik_table_json(table: IkTable) -> dict[str, object]:
+    """Return a table as plain values; lengths in metres, angles in radians."""
+    return {
+        "ik_table": "animtool/1",
+        "frames": table.frames,
+        "degrees_of_freedom": table.degrees,
+        "tolerances": [_row_json(row) for row in table.tolerances],
+        "methods": [_row_json(row) for row in table.methods],
+    }
+
+
+def _row_json(row: IkTableRow) -> dict[str, object]:
+    return {**asdict(row), "method": str(row.method)}

@@ -1,0 +1,189 @@
+"""What a take misses of its targets, in numbers."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray
+from animtool.errors import Fault, Severity, listed
+from animtool.ik.on_take import TakeIk
+from animtool.ik.result import IkStatus
+from animtool.ik.tracks import PARTS
+
+__all__ = [
+    "GoalReport",
+    "MissedSpan",
+    "Misses",
+    "goal_reports",
+    "limit_counts",
+    "missed_notices",
+    "status_counts",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Misses:
+    """How far one part of a goal is missed, over the frames that ask for it.
+
+    Attributes:
+        part: ``position`` [m], ``orientation``, ``aim`` or ``pole`` [rad].
+        frames: How many ask for it.
+        mean: Over those.
+        p95: What 95 % of them are below.
+        max: Of the worst.
+        frame: Time code of the worst.
+    """
+
+    part: str
+    frames: int
+    mean: float
+    p95: float
+    max: float
+    frame: float
+
+
+@dataclass(frozen=True, slots=True)
+class MissedSpan:
+    """Frames in a row in which a goal is not reached.
+
+    Attributes:
+        first: Time code of the first.
+        last: Time code of the last.
+        distance: From the target to the nearest point that was reached, of the worst
+            frame [m].
+        angle: Of the worst frame [rad].
+        frame: Time code of the worst.
+        status: How the solve of the worst ended.
+    """
+
+    first: float
+    last: float
+    distance: float
+    angle: float
+    frame: float
+    status: IkStatus
+
+
+@dataclass(frozen=True, slots=True)
+class GoalReport:
+    """What became of one goal.
+
+    Attributes:
+        name: The effector.
+        joint: The joint that it is.
+        misses: One for each part that is asked.
+        spans: Where it is missed by more than the tolerances.
+    """
+
+    name: str
+    joint: str
+    misses: tuple[Misses, ...]
+    spans: tuple[MissedSpan, ...]
+
+
+def goal_reports(
+    solved: TakeIk, tolerance: float, angle_tolerance: float
+) -> list[GoalReport]:
+    """Return what became of each goal.
+
+    Args:
+        solved: A take at its targets.
+        tolerance: Of positions [m].
+        angle_tolerance: Of orientations, aims and poles [rad].
+    """
+    times = solved.take.clock.times
+    limits = np.array([tolerance, *[angle_tolerance] * 3])
+    found = []
+    for e, track in enumerate(solved.tracks.goals):
+        asked, misses = solved.asked[:, e], solved.misses[:, e]
+        parts = tuple(
+            _misses(part, times[asked[:, i]], misses[asked[:, i], i])
+            for i, part in enumerate(PARTS)
+            if asked[:, i].any()
+        )
+        short = np.asarray((asked & (misses > limits)).any(axis=1), np.bool_)
+        spans = tuple(_spans(solved, misses * asked, short))
+        found.append(GoalReport(track.name, track.goal.joint, parts, spans))
+    return found
+
+
+def _misses(part: str, times: FloatArray, misses: FloatArray) -> Misses:
+    worst = int(np.argmax(misses))
+    return Misses(
+        part,
+        len(misses),
+        float(misses.mean()),
+        float(np.percentile(misses, 95)),
+        float(misses[worst]),
+        float(times[worst]),
+    )
+
+
+def _spans(solved: TakeIk, misses: FloatArray, short: BoolArray) -> list[MissedSpan]:
+    """Return the runs of frames that miss a goal, whose misses are ``(F, 4)``."""
+    times = solved.take.clock.times
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], short, [0]])))
+    found = []
+    for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        run = misses[first:end]
+        # Metres count as radians: only to choose the frame that is named.
+        worst = first + int(np.argmax(run.sum(axis=1)))
+        found.append(
+            MissedSpan(
+                float(times[first]),
+                float(times[end - 1]),
+                float(run[:, 0].max()),
+                float(run[:, 1:].max()),
+                float(times[worst]),
+                solved.statuses[worst],
+            )
+        )
+    return found
+
+
+def missed_notices(reports: list[GoalReport], **place: Any) -> list[Fault]:
+    """Return a warning for each goal that is missed.
+
+    Args:
+        reports: From `goal_reports`.
+        place: Of the faults, such as ``path``.
+    """
+    return [
+        Fault("IK101", _missed(report), severity=Severity.WARNING, **place)
+        for report in reports
+        if report.spans
+    ]
+
+
+def _missed(report: GoalReport) -> str:
+    worst = max(report.spans, key=lambda span: span.distance + span.angle)
+    where = listed([_frames(span) for span in report.spans], most=6)
+    by = []
+    if worst.distance > 0:
+        by.append(f"{worst.distance:.3g} m")
+    if worst.angle > 0:
+        by.append(f"{np.degrees(worst.angle):.3g}°")
+    message = f"{report.name!r} is not reached at {where}: "
+    return f"{message}{' and '.join(by)} off at frame {worst.frame:g}, {worst.status}"
+
+
+def _frames(span: MissedSpan) -> str:
+    if span.first == span.last:
+        return f"frame {span.first:g}"
+    return f"frames {span.first:g} to {span.last:g}"
+
+
+def status_counts(solved: TakeIk) -> dict[str, int]:
+    """Return how many frames ended how."""
+    counts = Counter(solved.statuses)
+    return {str(status): counts[status] for status in IkStatus if counts[status]}
+
+
+def limit_counts(solved: TakeIk) -> dict[str, int]:
+    """Return in how many frames joints stand on a limit, those that ever do."""
+    counts = {name: int(on.sum()) for name, on in solved.on_limits.items()}
+    return {name: count for name, count in counts.items() if count}

@@ -1,0 +1,104 @@
+"""The pass ``ik``: a take brought to targets, feet held and hands on props."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from animtool.errors import Fault, OptionError
+from animtool.ik.file import load_targets
+from animtool.ik.on_take import TakeOptions, solve_take
+from animtool.ik.report import goal_reports, missed_notices
+from animtool.ik.solve import IkMethod
+from animtool.ik.sub_rig import dressed
+from animtool.passes import OptionChecks, Pass, PassContext, Scope
+from animtool.rig.skeleton import Rig
+from animtool.take import Take
+from animtool.units import parse_length
+
+__all__ = ["PASS", "IkPassOptions"]
+
+
+@dataclass(frozen=True, slots=True)
+class IkPassOptions:
+    """What the take is brought to, and how.
+
+    Attributes:
+        targets: The targets file.
+        rig: File of a rig whose types and limits of joints, and chains, are used for
+            the joints of the same names; None is the take's own.
+        joints: Those that may move; none is every one that moves a goal.
+        method: Which solver.
+        tolerance: A position is reached within this length, such as ``0.001mm``.
+        angle_tolerance: An orientation, aim or pole is reached within this [deg].
+        restarts: Most new starts of a frame that does not reach its goals.
+        seed: Of the new starts.
+        seconds: Most time for one frame [s]; 0 is no bound.
+        rest_weight: How strongly the pose of the take is kept.
+    """
+
+    targets: Path | None = None
+    rig: Path | None = None
+    joints: tuple[str, ...] = ()
+    method: IkMethod = IkMethod.AUTO
+    tolerance: str = "0.001mm"
+    angle_tolerance: float = 1e-4
+    restarts: int = TakeOptions().restarts
+    seed: int = TakeOptions().seed
+    seconds: float = TakeOptions().seconds
+    rest_weight: float = TakeOptions().rest_weight
+
+
+def _run(take: Take, options: IkPassOptions, context: PassContext) -> Take:
+    path = context.folder / _targets(options)
+    rig = take.rig
+    if options.rig is not None:
+        rig = dressed(rig, Rig.load(context.folder / options.rig))
+    tracks = load_targets(path, rig)
+    settings = TakeOptions(
+        method=options.method,
+        tolerance=_length(options.tolerance),
+        angle_tolerance=math.radians(options.angle_tolerance),
+        restarts=options.restarts,
+        seed=options.seed,
+        seconds=options.seconds,
+        joints=options.joints,
+        rest_weight=options.rest_weight,
+    )
+    solved = solve_take(replace(take, rig=rig), tracks, settings)
+    reports = goal_reports(solved, settings.tolerance, settings.angle_tolerance)
+    context.notices.extend(tracks.notices)
+    context.notices.extend(missed_notices(reports, path=str(path)))
+    return replace(solved.take, rig=take.rig)
+
+
+def _targets(options: IkPassOptions) -> Path:
+    if options.targets is None:
+        message = "targets must name a targets file"
+        raise OptionError(Fault("TGT013", message))
+    return options.targets
+
+
+def _length(text: str) -> float:
+    try:
+        return parse_length(text)
+    except ValueError as error:
+        raise OptionError(Fault("IK014", f"tolerance: {error}")) from error
+
+
+def _checks(options: IkPassOptions) -> OptionChecks:
+    return {
+        "targets": lambda: _targets(options),
+        "tolerance": lambda: _length(options.tolerance),
+    }
+
+
+PASS = Pass(
+    "ik",
+    "Bring joints to targets: hold feet, put hands on props",
+    IkPassOptions,
+    Scope.CLIP,
+    _run,
+    _checks,
+)

@@ -1,0 +1,239 @@
+"""Inverse kinematics from files to files: a rig, targets, poses to start from."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from animtool.errors import (
+    Fault,
+    OptionError,
+    ToleranceError,
+    refuse_warnings,
+)
+from animtool.ik.file import load_targets
+from animtool.ik.on_take import TakeIk, TakeOptions, solve_take
+from animtool.ik.report import GoalReport, goal_reports, missed_notices
+from animtool.ik.tracks import TargetTracks
+from animtool.output import check_outputs
+from animtool.scene.convert_rig import open_rig
+from animtool.scene.options import BakeOptions
+from animtool.scene.sources import Progress, SourceOptions, is_usd
+from animtool.scene.start import open_start, rest_take
+from animtool.take import Take, TakeStream
+from animtool.units import unit_name
+
+if TYPE_CHECKING:
+    from animtool.scene.bake import BakeReport
+    from animtool.scene.convert import ConvertReport
+
+__all__ = ["IkJob", "IkReport", "MissedGoalsError", "Opened", "open_ik", "run_ik"]
+
+
+@dataclass(frozen=True, slots=True)
+class IkJob:
+    """What `animtool ik` is told.
+
+    Attributes:
+        rig: Rig file, USD file or BVH.
+        targets: Targets file.
+        start: File with the poses to start from; None is the rest pose.
+        source: What that file is.
+        pose: Solve one frame only.
+        frame: Which; None is the first.
+        options: How to solve.
+        tolerance: A position that is missed by more is a miss [m].
+        angle_tolerance: An orientation, aim or pole likewise [rad].
+        strict: Refuse to write what misses, or what there are warnings about.
+        output: USD file, ``.clip.yaml`` or ``.bvh``; None writes nothing.
+        to_stdout: Write usda to stdout.
+        bake: How USD is written; its ``reduce`` and ``overwrite`` are for others too.
+    """
+
+    rig: Path
+    targets: Path
+    start: Path | None = None
+    source: SourceOptions = field(default_factory=SourceOptions)
+    pose: bool = False
+    frame: Fraction | None = None
+    options: TakeOptions = field(default_factory=TakeOptions)
+    tolerance: float = 1e-4
+    angle_tolerance: float = 1e-3
+    strict: bool = False
+    output: Path | None = None
+    to_stdout: bool = False
+    bake: BakeOptions = field(default_factory=BakeOptions)
+
+
+@dataclass(slots=True)
+class IkReport:
+    """What came of it.
+
+    Attributes:
+        solved: The take at its targets.
+        goals: What became of each goal.
+        notices: Warnings and notes.
+        seconds: Wall time by stage.
+        written: The report of what was written; None where nothing was.
+    """
+
+    solved: TakeIk
+    goals: list[GoalReport]
+    notices: list[Fault]
+    seconds: dict[str, float]
+    written: BakeReport | ConvertReport | None = None
+
+
+class MissedGoalsError(ToleranceError):
+    """Goals are missed by more than the tolerance, and ``strict`` is on.
+
+    Attributes:
+        report: What came of it.
+    """
+
+    def __init__(self, faults: list[Fault], report: IkReport) -> None:
+        super().__init__(faults)
+        self.report = report
+
+
+@dataclass(frozen=True, slots=True)
+class Opened:
+    """A rig, its targets, and the take to bring to them.
+
+    Attributes:
+        tracks: The targets.
+        take: The poses to start from.
+        still: They are the rest pose.
+        only: Index of the one frame to solve; None is all.
+        notices: What is odd so far.
+    """
+
+    tracks: TargetTracks
+    take: Take
+    still: bool
+    only: int | None
+    notices: list[Fault]
+
+
+def open_ik(job: IkJob, *, progress: Progress = None) -> Opened:
+    """Open the files of a job.
+
+    Raises:
+        FormatError: One is malformed, with every fault.
+        OptionError: They do not fit each other.
+    """
+    rig, notices = open_rig(job.rig)
+    tracks = load_targets(job.targets, rig)
+    notices = [*notices, *tracks.notices]
+    if job.start is None:
+        clock = tracks.clock
+        if job.pose and job.frame is not None:
+            clock = replace(clock, start=job.frame, count=1)
+            tracks = tracks.placed(tracks.clock)
+        take = rest_take(rig, clock)
+        return Opened(tracks, take, True, 0 if job.pose else None, notices)
+    take = open_start(job.start, rig, job.rig, job.source, progress=progress)
+    notices += take.notices
+    only = _frame(job, take) if job.pose else None
+    return Opened(tracks, take, False, only, notices)
+
+
+def _frame(job: IkJob, take: Take) -> int:
+    """Return the index of the frame to solve."""
+    clock = take.clock
+    if job.frame is None:
+        return 0
+    place = (job.frame - clock.start) / clock.step
+    if place.denominator != 1 or not 0 <= place < clock.count:
+        last = clock.start + clock.step * (clock.count - 1)
+        message = f"frame {float(job.frame):g} is none of the frames "
+        message += f"{float(clock.start):g} to {float(last):g}"
+        raise OptionError(Fault("TGT018", message, str(job.start)))
+    return int(place)
+
+
+def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
+    """Solve a job, and write what comes of it.
+
+    Outputs are checked before the work. Nothing is written where ``strict`` refuses.
+
+    Args:
+        job: What to do.
+        progress: Called with the share done, 0 to 1.
+
+    Raises:
+        FormatError: A file is malformed.
+        OptionError: An option makes no sense, or the output exists.
+        OutputError: The output cannot be written.
+        MissedGoalsError: A goal is missed by more than the tolerance, and ``strict`` is
+            on.
+        StrictError: There were warnings, and ``strict`` is on.
+    """
+    made: list[IkReport] = []
+
+    def solve(path: Path, options: Any = None, *, progress: Progress) -> TakeStream:
+        del path, options
+        made.append(_solved(job, progress))
+        take = replace(made[0].solved.take, notices=())
+        stream = TakeStream.of(take)
+        stream.details = {"format": "ik", "units": unit_name(take.rig.meters_per_unit)}
+        return stream
+
+    if job.output is not None:
+        named = (job.rig, job.targets, job.start, job.bake.rig_layer)
+        inputs = [path for path in named if path is not None]
+        check_outputs([job.output], inputs, overwrite=job.bake.overwrite)
+    if job.output is None and not job.to_stdout:
+        solve(job.rig, progress=progress)
+        return made[0]
+    began = time.perf_counter()
+    written = _written(job, solve, progress)
+    report = made[0]
+    report.written = written
+    report.seconds["write"] = time.perf_counter() - began - sum(report.seconds.values())
+    report.notices += [n for n in written.notices if n not in report.notices]
+    return report
+
+
+def _written(job: IkJob, opener: Any, progress: Progress) -> BakeReport | ConvertReport:
+    source = job.targets if job.start is None else job.start
+    if job.to_stdout or (job.output is not None and is_usd(job.output)):
+        from animtool.scene.bake import bake
+
+        return bake(source, job.output, job.bake, progress=progress, opener=opener)
+    from animtool.scene.convert import convert
+
+    assert job.output is not None
+    return convert(
+        source,
+        job.output,
+        overwrite=job.bake.overwrite,
+        reduce=job.bake.reduce,
+        progress=progress,
+        opener=opener,
+    )
+
+
+def _solved(job: IkJob, progress: Progress) -> IkReport:
+    began = time.perf_counter()
+    opened = open_ik(job, progress=progress)
+    read = time.perf_counter()
+    solved = solve_take(
+        opened.take,
+        opened.tracks,
+        job.options,
+        still=opened.still,
+        only=opened.only,
+        progress=progress,
+    )
+    seconds = {"read": read - began, "solve": time.perf_counter() - read}
+    goals = goal_reports(solved, job.tolerance, job.angle_tolerance)
+    missed = missed_notices(goals, path=str(job.targets))
+    report = IkReport(solved, goals, [*opened.notices, *missed], seconds)
+    if job.strict and missed:
+        raise MissedGoalsError(missed, report)
+    refuse_warnings(opened.notices, strict=job.strict)
+    return report

@@ -1,0 +1,133 @@
+"""Time against error of inverse kinematics, over tolerances and methods."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from animtool.errors import OptionError
+from animtool.ik.on_take import TakeIk, solve_take
+from animtool.ik.result import IkStatus
+from animtool.ik.solve import IkMethod
+from animtool.scene.ik import IkJob, Opened, open_ik
+from animtool.scene.sources import Progress
+
+__all__ = ["TOLERANCES", "IkTable", "IkTableRow", "ik_table"]
+
+# Shares of the chains' length, and radians.
+TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
+
+
+@dataclass(frozen=True, slots=True)
+class IkTableRow:
+    """One setting and what it gives.
+
+    Attributes:
+        setting: The tolerance or the method, in words.
+        tolerance: Of positions [m].
+        angle_tolerance: Of the others [rad].
+        method: Which solver.
+        refused: Why the method cannot solve this; empty where it can.
+        microseconds: Of solving, a frame.
+        position: The worst miss [m].
+        angle: The worst miss of an orientation, aim or pole [rad].
+        iterations: Mean of the frames.
+        converged: Share of the frames that reached all.
+    """
+
+    setting: str
+    tolerance: float
+    angle_tolerance: float
+    method: IkMethod
+    refused: str = ""
+    microseconds: float = 0.0
+    position: float = 0.0
+    angle: float = 0.0
+    iterations: float = 0.0
+    converged: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class IkTable:
+    """Rows for one input.
+
+    Attributes:
+        frames: How many were solved.
+        degrees: Degrees of freedom of the problem.
+        tolerances: A row for each of `TOLERANCES`, by the method asked for.
+        methods: A row for each `IkMethod`, at the tolerance asked for.
+    """
+
+    frames: int
+    degrees: int
+    tolerances: list[IkTableRow]
+    methods: list[IkTableRow]
+
+
+def ik_table(job: IkJob, *, progress: Progress = None) -> IkTable:
+    """Solve a job in several ways, and measure each.
+
+    Args:
+        job: What to solve; nothing is written.
+        progress: Called with the share done, 0 to 1.
+
+    Raises:
+        FormatError: A file is malformed.
+        OptionError: The files do not fit each other, or an option makes no sense.
+    """
+    opened = open_ik(job)
+    options = job.options
+    first = _solved(job, opened, options.method, options.tolerance)
+    length = first.problem.length
+    steps = len(TOLERANCES) + len(IkMethod)
+    rows: list[IkTableRow] = []
+
+    def add(setting: str, method: IkMethod, tolerance: float, angle: float) -> None:
+        row = IkTableRow(setting, tolerance, angle, method)
+        rows.append(_measured(job, opened, row))
+        if progress is not None:
+            progress(len(rows) / steps)
+
+    for share in TOLERANCES:
+        add(f"{share:.0e}", options.method, share * length, share)
+    for method in IkMethod:
+        add(str(method), method, options.tolerance, options.angle_tolerance)
+    count = len(TOLERANCES)
+    frames = len(first.statuses)
+    return IkTable(frames, first.problem.degrees, rows[:count], rows[count:])
+
+
+def _measured(job: IkJob, opened: Opened, row: IkTableRow) -> IkTableRow:
+    try:
+        found = _solved(job, opened, row.method, row.tolerance, row.angle_tolerance)
+    except OptionError as error:
+        return replace(row, refused=error.faults[0].message)
+    misses = np.where(found.asked, found.misses, 0.0)
+    reached = [status is IkStatus.CONVERGED for status in found.statuses]
+    return replace(
+        row,
+        microseconds=1e6 * found.seconds / len(found.statuses),
+        position=float(misses[..., 0].max(initial=0.0)),
+        angle=float(misses[..., 1:].max(initial=0.0)),
+        iterations=float(found.iterations.mean()),
+        converged=float(np.mean(reached)),
+    )
+
+
+def _solved(
+    job: IkJob,
+    opened: Opened,
+    method: IkMethod,
+    tolerance: float,
+    angle_tolerance: float = 1e-3,
+) -> TakeIk:
+    options = replace(
+        job.options,
+        method=method,
+        tolerance=tolerance,
+        angle_tolerance=angle_tolerance,
+    )
+    return solve_take(
+        opened.take, opened.tracks, options, still=opened.still, only=opened.only
+    )

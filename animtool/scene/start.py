@@ -1,0 +1,112 @@
+"""The poses that inverse kinematics starts from: a clip on a rig, or its rest pose."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault, OptionError, Severity, listed
+from animtool.reorient import reorient
+from animtool.rig.skeleton import Rig
+from animtool.scene.sources import (
+    Progress,
+    SourceOptions,
+    open_source,
+    takes_option,
+)
+from animtool.take import Channel, Clock, Motion, Take
+
+__all__ = ["open_start", "rest_take"]
+
+MOST_NAMED = 6
+
+
+def rest_take(rig: Rig, clock: Clock) -> Take:
+    """Return a take that stays in the rest pose."""
+    none = np.zeros(0, np.int64)
+
+    def channel(rest: FloatArray) -> Channel:
+        return Channel(rest, none, np.zeros((clock.count, 0, rest.shape[1])))
+
+    rests = (channel(rig.rest_translations), channel(rig.rest_rotations))
+    return Take(rig, clock, Motion(*rests))
+
+
+def open_start(
+    path: Path,
+    rig: Rig,
+    rig_path: Path,
+    options: SourceOptions,
+    *,
+    progress: Progress = None,
+) -> Take:
+    """Return a take of a rig: a clip for it, or motion of joints of the same names.
+
+    Joints that the motion lacks stay at rest; what it has beside the rig's is left
+    out. Both are said in the take's notices.
+
+    Args:
+        path: BVH, USD or clip.
+        rig: The rig.
+        rig_path: Its file.
+        options: What the file is.
+        progress: Called with the share done, 0 to 1.
+
+    Raises:
+        FormatError: The file is malformed.
+        OptionError: It has no joint of the rig (TGT017), or an option is not for it.
+    """
+    if options.rig is None and takes_option(path, "rig"):
+        options = replace(options, rig=rig_path)
+    stream = reorient(open_source(path, options, progress=progress), rig.up)
+    notices = list(stream.notices)
+    take = stream.collect()
+    if take.rig.names == rig.names and take.rig.controls == rig.controls:
+        return replace(take, rig=rig, notices=tuple(notices))
+    motion, odd = _mapped(take, rig, path)
+    return Take(rig, take.clock, motion, (*notices, *odd))
+
+
+def _mapped(take: Take, rig: Rig, path: Path) -> tuple[Motion, list[Fault]]:
+    """Return the motion of the joints that both have, and what is left out."""
+    known: dict[str, int] = {}
+    for j, joint in enumerate(take.rig.joints):
+        known.setdefault(joint.source_name or joint.name, j)
+        known.setdefault(joint.name, j)
+    found = [
+        known.get(joint.name, known.get(joint.source_name, -1)) for joint in rig.joints
+    ]
+    own = np.array(found, np.int64)
+    if (own < 0).all():
+        message = f"has no joint of {rig.name!r}"
+        hint = f"its joints are {listed(take.rig.names, MOST_NAMED)}"
+        raise OptionError(Fault("TGT017", message, str(path), (), hint))
+    notices = []
+    lacking = [n for n, j in zip(rig.names, found, strict=True) if j < 0]
+    spare = sorted(set(range(len(take.rig.joints))) - set(found))
+    names = [take.rig.names[j] for j in spare]
+    for which, what in (
+        (lacking, "has no {}: they stay at rest"),
+        (names, "moves {}, which the rig lacks: they are left out"),
+    ):
+        if which:
+            message = what.format(listed(which, MOST_NAMED))
+            fault = Fault("TGT102", message, str(path), severity=Severity.WARNING)
+            notices.append(fault)
+    ones = np.ones((len(rig.joints), 3))
+    motion = Motion(
+        _taken(take.motion.translations, own, rig.rest_translations),
+        _taken(take.motion.rotations, own, rig.rest_rotations),
+        None if take.motion.scales is None else _taken(take.motion.scales, own, ones),
+    )
+    return motion, notices
+
+
+def _taken(channel: Channel, own: IntArray, rest: FloatArray) -> Channel:
+    """Return the values of joints, -1 being one that stays at rest."""
+    values = channel.gather(np.maximum(own, 0))
+    values[:, own < 0] = rest[own < 0]
+    return Channel.from_dense(values)
