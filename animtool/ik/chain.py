@@ -297,26 +297,49 @@ def _limbs(
     local = local_from_coordinates(rig, pose[None])
     world = forward(rig, local.translations, local.rotations)
     origins = world.positions[0]
-    near = APART * (np.ptp(origins, axis=0).max() + 1e-300)
     limbs, faults = [], []
     for i, goal in enumerate(goals):
         if goal.pole <= 0:
             limbs.append((-1, -1))
             continue
-        j = rig.index(goal.joint)
-        point = origins[j] + world.linear[0, j] @ np.asarray(goal.offset)
-        found: list[int] = []
-        while j >= 0 and len(found) < 2:
-            if j in moving and np.linalg.norm(origins[j] - point) > near:
-                found.append(frames[j].node)
-                point = origins[j]
-            j = rig.joints[j].parent
-        if len(found) < 2:
+        tip = rig.index(goal.joint)
+        point = origins[tip] + world.linear[0, tip] @ np.asarray(goal.offset)
+        found = _limb(rig, goal, moving, origins, point)
+        if found is None:
             message = f"{goal.joint!r} ends no limb of two bones: its pole has no place"
             faults.append(Fault("IK004", message, where=f"goals[{i}]"))
-            found = [-1, -1]
-        limbs.append((found[1], found[0]))
+            limbs.append((-1, -1))
+            continue
+        root, middle = found
+        limbs.append((frames[root].node, frames[middle].node))
     return limbs, faults
+
+
+def _limb(
+    rig: Rig, goal: Goal, moving: set[int], origins: FloatArray, point: FloatArray
+) -> tuple[int, int] | None:
+    """Return the joints at the root and in the middle of a goal's limb.
+
+    They are the two next above its point; of a goal with a root that, and between the
+    joint whose bones are the most alike, so that one which twists a forearm is none.
+    """
+    near = APART * (np.ptp(origins, axis=0).max() + 1e-300)
+    found: list[int] = []
+    below, j = point, rig.index(goal.joint)
+    while j >= 0 and (goal.root is not None or len(found) < 2):
+        if j in moving and np.linalg.norm(origins[j] - below) > near:
+            found.append(j)
+            below = origins[j]
+        j = -1 if rig.joints[j].name == goal.root else rig.joints[j].parent
+    if len(found) < 2:
+        return None
+    *middles, root = found
+
+    def shorter(joint: int) -> float:
+        bones = (origins[root] - origins[joint], origins[joint] - point)
+        return float(min(np.linalg.norm(bone) for bone in bones))
+
+    return root, max(middles, key=shorter)
 
 
 def _finish(

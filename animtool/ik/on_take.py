@@ -12,6 +12,7 @@ from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.documents.check import nearest
 from animtool.errors import Fault, OptionError
 from animtool.ik.carried import Part, parts_of
+from animtool.ik.followers import followers
 from animtool.ik.goals import Goal, Targets
 from animtool.ik.on_limits import frames_on_limits
 from animtool.ik.problem import Problem, build
@@ -345,7 +346,8 @@ def _gathered(
     results = [one.result for one in found]
     motion = take.motion
     rig = found[0].part.rig
-    joints = [rig.index(name) for name in results[0].problem.joints]
+    names = {*results[0].problem.joints, *followers(rig, results[0].problem.joints)}
+    joints = sorted(rig.index(name) for name in names)
     places, turns = local.translations[:, joints], local.rotations[:, joints]
     for one in found:
         span = one.part.frames

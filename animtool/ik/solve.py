@@ -9,6 +9,7 @@ import numpy as np
 from animtool import _kernels
 from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, OptionError
+from animtool.ik.followers import following
 from animtool.ik.goals import Targets, pack
 from animtool.ik.limbs import Extension, extend
 from animtool.ik.methods import KERNEL_METHODS, IkMethod, check_method
@@ -116,7 +117,9 @@ def solve(
     _explain(found, asked, reached)
     return IkResult(
         problem,
-        chain.into_rig(found.coordinates, starts),
+        following(
+            problem.rig, chain.into_rig(found.coordinates, starts), problem.joints
+        ),
         tuple(_STATUSES[status] for status in found.reports[:, 0].tolist()),
         found.reports[:, 1],
         found.reports[:, 2],

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
+from animtool.clip.clip import Clip
 from animtool.errors import Fault, OptionError, Severity, listed
 from animtool.reorient import reorient
 from animtool.rig.skeleton import Rig
@@ -25,14 +26,10 @@ MOST_NAMED = 6
 
 
 def rest_take(rig: Rig, clock: Clock) -> Take:
-    """Return a take that stays in the rest pose."""
-    none = np.zeros(0, np.int64)
-
-    def channel(rest: FloatArray) -> Channel:
-        return Channel(rest, none, np.zeros((clock.count, 0, rest.shape[1])))
-
-    rests = (channel(rig.rest_translations), channel(rig.rest_rotations))
-    return Take(rig, clock, Motion(*rests))
+    """Return a take that stays where controls at their defaults leave the rig."""
+    last = clock.start + clock.step * (clock.count - 1)
+    still = Clip("rest", clock.fps, clock.start, last, ())
+    return still.sample(rig, step=clock.step)
 
 
 def open_start(
