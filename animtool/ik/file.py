@@ -146,7 +146,7 @@ class _Reader:
         }
         held = _held(values, chain) if spans else frozenset[str]()
         given = {part for part in PARTS if getattr(model, part) is not None}
-        if not given & {"position", "orientation", "aim"} and not spans:
+        if not given & {"position", "orientation", "aim"} and not model.hold:
             message = f"asks nothing of {model.effector!r}"
             hint = "give a position, an orientation, an aim or spans to hold"
             self.document.add("TGT002", at, message, hint)

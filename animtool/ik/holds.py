@@ -24,7 +24,8 @@ def smoothstep(share: FloatArray) -> FloatArray:
     [0.0, 0.5, 1.0]
     """
     u = np.clip(share, 0.0, 1.0)
-    return np.asarray(u * u * u * (u * (6.0 * u - 15.0) + 10.0))
+    # Rounding may lead past 1.
+    return np.minimum(u * u * u * (u * (6.0 * u - 15.0) + 10.0), 1.0)
 
 
 def hold_shares(times: FloatArray, spans: Sequence[Span], ease: float) -> FloatArray:

@@ -1,0 +1,251 @@
+"""Targets files: every fault with its line, and what comes of sound ones."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from support.targets import HEAD, legs, tracks_of, write_targets
+
+from animtool.errors import FormatError, OptionError
+from animtool.ik.file import load_targets
+from animtool.ik.values import Frames
+from animtool.take import Clock
+
+FAULTS = {
+    "TGT001": "- {effector: leg_lft, position: [0, 0, 0]}",
+    "TGT002": "- {effector: leg_l}",
+    "TGT005": "- {effector: leg_l, hold: [[9, 2]]}",
+    "TGT006": "- {effector: leg_l, position: 'arrays.npz#short'}",
+    "TGT007": "- {effector: leg_l, orientation: [0, 0, 0, 0]}",
+    "TGT008": "- {effector: leg_l, aim: {axis: [0, 0, 0], at: [0, 0, 1]}}",
+    "TGT009": "- {effector: leg_l, position: {offset: [0, 0, 1]}}",
+    "TGT010": "- {effector: leg_l, position: ../../arrays.npz}",
+    "TGT012": "- {effector: leg_l, root: knee_r, position: [0, 0, 0]}",
+    "CLIP004": "- {effector: leg_l, position: {keys: [{t: 2, v: [0, 0, 0]}, "
+    "{t: 1, v: [0, 0, 0]}]}}",
+    "CLIP007": "- {effector: leg_l, position: {keys: [{t: 2, v: 0}]}}",
+    "CLIP014": "- {effector: leg_l, orientation: {keys: [{t: 2, v: [0, 0, 0, 0]}]}}",
+    "DOC020": "- {effector: leg_l, positon: [0, 0, 0], hold: [[1, 2]]}",
+    "DOC021": "- {position: [0, 0, 0]}",
+    "DOC022": "- {effector: leg_l, position: [0, .nan, 0]}",
+}
+MORE = [
+    ("TGT001", "- {effector: leg_l, root: knees, position: [0, 0, 0]}"),
+    ("TGT002", "- {effector: leg_l, pole: [0, 0, 0]}"),
+    ("TGT002", "- {effector: leg_l, position: [0, 0, 0], weight: 0}"),
+    ("TGT005", "- {effector: leg_l, hold: [[1, 5], [5, 8]]}"),
+    ("TGT005", "- {effector: leg_l, hold: [[1, 1e12]]}"),
+    ("TGT006", "- {effector: leg_l, position: arrays.npz#wide}"),
+    ("TGT006", "- {effector: leg_l, position: arrays.npz#nothing}"),
+    ("TGT006", "- {effector: leg_l, position: missing.npz}"),
+    ("TGT007", "- {effector: leg_l, position: arrays.npz#holes}"),
+    ("TGT007", "- {effector: leg_l, orientation: arrays.npz#zeros}"),
+    (
+        "TGT007",
+        "- {effector: leg_l, hold: [[1, 2]], weight: {position: {keys: "
+        "[{t: 1, v: -1}]}}}",
+    ),  # fmt: skip
+    ("TGT009", "- {effector: leg_l, position: {prim: /World/prop}}"),
+    (
+        "TGT009",
+        "- {effector: leg_l, position: {prim: /P, file: s.usda, "
+        "keys: [{t: 1, v: [0, 0, 0]}]}}",
+    ),  # fmt: skip
+    (
+        "TGT009",
+        "- {effector: leg_l, orientation: {keys: [{t: 1, v: [1, 0, 0, 0]}], "
+        "rotate: [1, 0, 0, 0]}}",
+    ),  # fmt: skip
+    ("TGT010", "- {effector: leg_l, position: {prim: /World/prop, file: no.usda}}"),
+    (
+        "CLIP009",
+        "- {effector: leg_l, position: {euler: XYZ, keys: [{t: 1, v: [0, 0, 0]}]}}",
+    ),  # fmt: skip
+    ("DOC022", "- {effector: leg_l, position: [0, 0]}"),
+    ("DOC022", "- {effector: leg_l, hold: [[1, 2]], ease: -1}"),
+    ("DOC022", "- {effector: leg_l, hold: [[1, 2, 3]]}"),
+]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Return a folder with arrays for a range of 5 frames."""
+    places = np.arange(15.0).reshape(5, 3)
+    holes = places.copy()
+    holes[3, 1] = np.nan
+    np.savez(
+        tmp_path / "arrays.npz",
+        places=places,
+        turns=np.tile([0.8, 0, 0.6, 0], (5, 1)),
+        short=places[:4],
+        wide=np.zeros((5, 4)),
+        holes=holes,
+        zeros=np.zeros((5, 4)),
+    )
+    return tmp_path
+
+
+@pytest.mark.parametrize(("code", "goal"), [*FAULTS.items(), *MORE])
+def test_each_fault_has_its_line(folder: Path, code: str, goal: str) -> None:
+    with pytest.raises(FormatError) as caught:
+        tracks_of(folder, goal, head=HEAD + "range: [1, 5]\n")
+    assert [(f.code, f.lines[0]) for f in caught.value.faults] == [(code, 6)]
+
+
+@pytest.mark.parametrize(
+    ("head", "code", "line"),
+    [
+        ("targets: animtool/1\nrange: [9, 1]\n", "TGT003", 2),
+        ("targets: animtool/1\nrange: [1, 1e12]\n", "TGT003", 2),
+        ("targets: animtool/1\nfps: fast\n", "TGT004", 2),
+        ("targets: animtool/2\n", "DOC012", 1),
+        ("clip: animtool/1\n", "DOC009", 1),
+        ("targets: animtool/1\nunits: {length: ells}\n", "DOC022", 2),
+    ],
+)
+def test_faults_of_the_head(tmp_path: Path, head: str, code: str, line: int) -> None:
+    with pytest.raises(FormatError) as caught:
+        tracks_of(tmp_path, "- {effector: leg_l, hold: [[1, 2]]}", head=head)
+    assert [(f.code, f.lines[0]) for f in caught.value.faults] == [(code, line)]
+
+
+def test_all_faults_are_said_at_once(folder: Path) -> None:
+    path = write_targets(folder, "\n".join(FAULTS.values()), HEAD + "range: [1, 5]\n")
+    with pytest.raises(FormatError) as caught:
+        load_targets(path, legs())
+    found = [(fault.code, fault.lines[0]) for fault in caught.value.faults]
+    assert found == [(code, 6 + i) for i, code in enumerate(FAULTS)]
+
+
+def test_the_nearest_effector_is_named(folder: Path) -> None:
+    with pytest.raises(FormatError, match="did you mean 'leg_l'"):
+        tracks_of(folder, FAULTS["TGT001"])
+
+
+def test_without_goals_there_is_nothing_to_load(tmp_path: Path) -> None:
+    path = tmp_path / "none.targets.yaml"
+    path.write_text("targets: animtool/1\ngoals: []\n")
+    with pytest.raises(FormatError) as caught:
+        load_targets(path, legs())
+    assert caught.value.code == "DOC022"
+
+
+def test_a_chain_is_its_tip(folder: Path) -> None:
+    tracks = tracks_of(folder, "- {effector: leg_l, position: [0, 0, 0]}")
+    goal = tracks.goals[0].goal
+    assert (goal.joint, goal.root) == ("ankle_l", "hip_l")
+    assert goal.weights == (1, 0, 0, 0)
+    tracks = tracks_of(folder, "- {effector: ankle_l, position: [0, 0, 0]}")
+    assert tracks.goals[0].goal.root is None
+    assert tracks.goals[0].chain is None
+
+
+def test_what_a_chain_holds(folder: Path) -> None:
+    held = {
+        "- {effector: leg_l, hold: [[1, 2]]}": {"position", "orientation"},
+        "- {effector: tail, hold: [[1, 2]]}": {"position", "orientation"},
+        "- {effector: leg_l, position: [0, 0, 0], hold: [[1, 2]]}": {"position"},
+    }
+    for goal, parts in held.items():
+        assert tracks_of(folder, goal).goals[0].held == parts
+
+
+def test_lengths_are_of_the_file_or_else_of_the_rig(folder: Path) -> None:
+    from dataclasses import replace
+
+    goal = "- {effector: leg_l, offset: [1, 0, 0], position: [0, 50, 0]}"
+    inches = replace(legs(), meters_per_unit=0.0254)
+    for head, unit in (
+        ("targets: animtool/1\n", 0.0254),
+        ("targets: animtool/1\nunits: {length: cm}\n", 0.01),
+    ):
+        track = tracks_of(folder, goal, inches, head).goals[0]
+        value = track.values["position"]
+        assert value is not None
+        found = value.at(Frames(np.ones(1), Fraction(24)))
+        assert_allclose(found, [[0, 50 * unit, 0]])
+        assert_allclose(track.goal.offset, [unit, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("position", "expected"),
+    [
+        ("[1, 2, 3]", [[1, 2, 3], [1, 2, 3]]),
+        ("arrays.npz#places", [[3, 4, 5], [4.5, 5.5, 6.5]]),
+        (
+            "{interp: linear, keys: [{t: 1, v: [0, 0, 0]}, {t: 3, v: [4, 0, 8]}]}",
+            [[2, 0, 4], [3, 0, 6]],
+        ),
+    ],
+)
+def test_values(folder: Path, position: str, expected: list[list[float]]) -> None:
+    goal = f"- {{effector: leg_l, position: {position}}}"
+    tracks = tracks_of(folder, goal, head=HEAD + "range: [1, 5]\n")
+    value = tracks.goals[0].values["position"]
+    assert value is not None
+    found = value.at(Frames(np.array([2.0, 2.5]), Fraction(24)))
+    assert_allclose(found, expected)
+
+
+def test_orientations_are_read_w_first(folder: Path) -> None:
+    for given in ("[0.8, 0, 0.6, 0]", "arrays.npz#turns",
+                  "{keys: [{t: 1, v: [8, 0, 6, 0]}]}"):  # fmt: skip
+        goal = f"- {{effector: leg_l, orientation: {given}}}"
+        value = tracks_of(folder, goal).goals[0].values["orientation"]
+        assert value is not None
+        found = value.at(Frames(np.ones(1), Fraction(24)))
+        assert_allclose(found, [[0, 0.6, 0, 0.8]])
+
+
+def test_euler_angles_are_those_of_clips(folder: Path) -> None:
+    goal = (
+        "- {effector: leg_l, orientation: {euler: ZXY, keys: [{t: 1, v: [90, 0, 0]}]}}"
+    )
+    value = tracks_of(folder, goal).goals[0].values["orientation"]
+    assert value is not None
+    half = 0.5**0.5
+    found = value.at(Frames(np.ones(1), Fraction(24)))
+    assert_allclose(found, [[0, 0, half, half]], atol=1e-15)
+
+
+def test_a_weight_that_does_nothing_is_pointed_out(folder: Path) -> None:
+    goal = "- {effector: leg_l, position: [0, 0, 0], weight: {aim: 2}}"
+    tracks = tracks_of(folder, goal)
+    assert [notice.code for notice in tracks.notices] == ["TGT101"]
+
+
+def test_the_clock_is_the_range_or_all_that_is_mentioned(folder: Path) -> None:
+    goal = "- {effector: leg_l, position: arrays.npz#places, hold: [[4, 9]]}"
+    whole = tracks_of(folder, goal).clock
+    assert (whole.start, whole.count, whole.fps) == (1, 9, 24)
+    ranged = tracks_of(folder, goal, head=HEAD + "range: [101, 105]\n").clock
+    assert (ranged.start, ranged.count) == (101, 5)
+    constant = tracks_of(folder, "- {effector: leg_l, position: [0, 0, 0]}").clock
+    assert (constant.start, constant.count) == (1, 1)
+
+
+def test_frames_of_another_rate_or_length_are_refused(folder: Path) -> None:
+    clock = Clock(Fraction(30), Fraction(1), Fraction(1), 7)
+    tracks = tracks_of(folder, "- {effector: leg_l, position: arrays.npz#places}")
+    with pytest.raises(OptionError) as caught:
+        tracks.placed(clock)
+    assert [fault.code for fault in caught.value.faults] == ["TGT014", "TGT015"]
+
+
+def test_a_file_is_checked_without_its_rig(folder: Path) -> None:
+    path = write_targets(folder, "- {effector: nobody, position: [0, 0, 0]}")
+    assert load_targets(path).goals[0].name == "nobody"
+    path = write_targets(folder, FAULTS["TGT008"])
+    with pytest.raises(FormatError):
+        load_targets(path)
+
+
+def test_json_is_read_too(tmp_path: Path) -> None:
+    path = tmp_path / "feet.targets.json"
+    path.write_text('{"targets": "animtool/1", "goals": [{"effector": "leg_l", '
+                    '"position": [0, 0, 1]}]}')  # fmt: skip
+    assert load_targets(path, legs()).goals[0].goal.joint == "ankle_l"
