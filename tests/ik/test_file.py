@@ -48,23 +48,23 @@ MORE = [
         "TGT007",
         "- {effector: leg_l, hold: [[1, 2]], weight: {position: {keys: "
         "[{t: 1, v: -1}]}}}",
-    ),  # fmt: skip
+    ),
     ("TGT009", "- {effector: leg_l, position: {prim: /World/prop}}"),
     (
         "TGT009",
         "- {effector: leg_l, position: {prim: /P, file: s.usda, "
         "keys: [{t: 1, v: [0, 0, 0]}]}}",
-    ),  # fmt: skip
+    ),
     (
         "TGT009",
         "- {effector: leg_l, orientation: {keys: [{t: 1, v: [1, 0, 0, 0]}], "
         "rotate: [1, 0, 0, 0]}}",
-    ),  # fmt: skip
+    ),
     ("TGT010", "- {effector: leg_l, position: {prim: /World/prop, file: no.usda}}"),
     (
         "CLIP009",
         "- {effector: leg_l, position: {euler: XYZ, keys: [{t: 1, v: [0, 0, 0]}]}}",
-    ),  # fmt: skip
+    ),
     ("DOC022", "- {effector: leg_l, position: [0, 0]}"),
     ("DOC022", "- {effector: leg_l, hold: [[1, 2]], ease: -1}"),
     ("DOC022", "- {effector: leg_l, hold: [[1, 2, 3]]}"),

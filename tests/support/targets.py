@@ -54,11 +54,11 @@ def walk_of(rig: Rig, count: int = 40, step: Fraction = Fraction(1)) -> Take:
     rotations = np.repeat(rig.rest_rotations[None], count, axis=0)
     for j, joint in enumerate(rig.joints):
         if joint.type is JointType.FREE:
-            away = [0.3 * phase, 0.03 * np.sin(phase), 0.1 * phase]
+            away = [0.1 * phase, 0.03 * np.sin(phase), 0.04 * phase]
             translations[:, j] += np.stack(away, axis=1)
         if joint.type in {JointType.FREE, JointType.BALL}:
             angles = np.stack([np.sin(phase + j), np.cos(phase * 0.7), 0 * phase], 1)
-            turn = so3.exp(0.25 * angles)
+            turn = so3.exp(0.12 * angles)
         elif joint.type is JointType.PIN:
             turn = so3.from_axis_angle(joint.axis, 0.8 + 0.4 * np.sin(phase + j))
         else:
