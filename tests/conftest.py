@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 
 import pytest
@@ -47,3 +48,12 @@ def root() -> Path:
 def walk() -> Path:
     """The shipped walk cycle."""
     return ROOT / "samples/walk/walk.bvh"
+
+
+@pytest.fixture
+def workplace(root: Path, tmp_path: Path) -> Path:
+    """Return a project with the samples and the rigs that they name."""
+    for name in ("samples", "rigs"):
+        shutil.copytree(root / name, tmp_path / name)
+    (tmp_path / "animtool.toml").touch()
+    return tmp_path

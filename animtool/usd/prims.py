@@ -51,15 +51,16 @@ def open_prim(
         stage = open_stage(path)
         found = _prim(stage, path, prim)
         above = None if space is None else _prim(stage, path, space)
-    rate = stage.GetTimeCodesPerSecond()
     unit = UsdGeom.GetStageMetersPerUnit(stage)
     turn = up_from_up(rig.up, up_axis(stage))
     if above is not None:
         unit, turn = rig.meters_per_unit, None
 
     def transforms(seconds: FloatArray) -> tuple[FloatArray, FloatArray]:
+        # Named here, the stage lives as long as the function, and its prims with it.
+        codes = seconds * stage.GetTimeCodesPerSecond()
         with usd_errors(path):
-            matrices = _matrices(found, above, seconds * rate)
+            matrices = _matrices(found, above, codes)
         if not np.isfinite(matrices).all():
             message = "its transform is not finite"
             raise FormatError(Fault("USD014", message, f"{path}<{prim}>"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +28,24 @@ OPTIONS: dict[str, dict[str, Any]] = {
 }
 
 
+def targets_of(take: Take, folder: Path) -> Path:
+    """Write targets that hold a joint of a take for some frames."""
+    joint = take.rig.joints[take.rig.index("arm_l") if "arm_l" in take.rig.names else 2]
+    path = folder / "hold.targets.yaml"
+    goal = f"{{effector: {joint.name}, offset: [0.1, 0, 0], hold: [[3, 6]], ease: 1}}"
+    path.write_text(f"targets: animtool/1\nunits: {{length: m}}\ngoals: [{goal}]\n")
+    return path
+
+
 def run(name: str, take: Take, /, blocks: int = 1, **options: Any) -> Take:
     """Return a take with a pass of the table applied, the other being itself."""
+    with tempfile.TemporaryDirectory() as folder:
+        if name == "ik":
+            options = {"targets": targets_of(take, Path(folder)), **options}
+        return applied(name, take, blocks, options)
+
+
+def applied(name: str, take: Take, blocks: int, options: dict[str, Any]) -> Take:
     context = PassContext(lambda _: take, Path())
     found = find_pass(name)
     stream = TakeStream.of(take)

@@ -65,14 +65,16 @@ def write_bvh(take: Take) -> BvhText:
 
     columns: list[FloatArray] = []
     places: list[int] = []
-    layouts: list[tuple[str, ...]] = []
+    layouts: dict[int, tuple[str, ...]] = {}
     rotations = motion.rotations.dense()
-    for j, joint in enumerate(take.rig.joints):
+    # Values stand in the order in which the hierarchy names the joints.
+    for j in _depth_first(take.rig, children):
+        joint = take.rig.joints[j]
         tolerance = UNUSED_LENGTH_TOLERANCE * size
         positions = _positions(joint, translations[:, j], offsets[j], tolerance)
         turns, angles = _rotations(joint, rotations[:, j])
         order = _ordered(joint, positions, turns)
-        layouts.append(order)
+        layouts[j] = order
         for name in order:
             if name in positions:
                 columns.append(translations[:, j, "XYZ".index(name[0])])
@@ -90,6 +92,16 @@ def write_bvh(take: Take) -> BvhText:
             yield _kernels.format_bvh_rows(block, np.array(places, np.int64))
 
     return BvhText(parts(), _scale_notices(take) + _unit_notices(take.rig))
+
+
+def _depth_first(rig: Rig, children: list[list[int]]) -> list[int]:
+    """Return the joints, each followed by all that is below it."""
+    found, pending = [], rig.roots[::-1]
+    while pending:
+        j = pending.pop()
+        found.append(j)
+        pending += children[j][::-1]
+    return found
 
 
 def _positions(
@@ -138,7 +150,7 @@ def _header(
     take: Take,
     offsets: FloatArray,
     children: list[list[int]],
-    layouts: list[tuple[str, ...]],
+    layouts: dict[int, tuple[str, ...]],
 ) -> Iterator[str]:
     yield "HIERARCHY"
     # A stack in place of recursion: chains may be thousands of joints long.

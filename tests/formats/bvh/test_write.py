@@ -118,3 +118,18 @@ def test_several_roots_and_deep_chains(tmp_path: Path) -> None:
 def test_frame_times_read_as_their_rate(rate: str) -> None:
     choice = rate_from_frame_time(frame_time(Fraction(rate)))
     assert choice.fps == Fraction(rate)
+
+
+def test_joints_that_do_not_stand_depth_first_keep_their_values(tmp_path: Path) -> None:
+    names = [("hips", -1), ("arm_l", 0), ("arm_r", 0), ("hand_l", 1), ("hand_r", 2)]
+    rig = Rig("arms", tuple(Joint(name, parent) for name, parent in names))
+    turns = so3.exp(0.1 * np.arange(1.0, 16.0).reshape(1, 5, 3))
+    motion = Motion(Channel.from_dense(np.zeros((1, 5, 3))), Channel.from_dense(turns))
+    clock = Clock(Fraction(24), Fraction(1), Fraction(1), 1)
+    path = tmp_path / "arms.bvh"
+    path.write_bytes(b"".join(write_bvh(Take(rig, clock, motion)).parts))
+    back = read_bvh(path).collect()
+    assert back.rig.names == ["hips", "arm_l", "hand_l", "arm_r", "hand_r"]
+    found = back.motion.rotations.dense()[0]
+    own = [back.rig.index(name) for name, _ in names]
+    assert so3.angle_between(found[own], turns[0]).max() < 1e-9

@@ -1,0 +1,344 @@
+"""``animtool ik``: from files to files, with its report and its exit codes."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.cli import animtool, animtool_process
+from support.usd import joint_positions, open_stage, validation_errors
+
+from animtool import Rig, open_source
+from animtool.cli.ik import ik
+from animtool.ik.on_take import TakeOptions
+from animtool.ik.solve import IkMethod
+from animtool.scene.sources import SourceOptions
+from animtool.units import LengthUnit
+
+REACH = """targets: animtool/1
+units: {length: cm}
+fps: 24
+range: [1, 12]
+goals:
+- effector: arm_l
+  position: {keys: [{t: 1, v: [30, 110, 30]}, {t: 12, v: [35, 130, 30]}]}
+- {effector: leg_r, position: [-10, 20, 20], orientation: [1, 0, 0, 0]}
+"""
+FEET = """targets: animtool/1
+goals:
+- {effector: leg_l, hold: [[3, 10]], ease: 2}
+- {effector: leg_r, hold: [[15, 21]], ease: 2}
+"""
+FAR = REACH.replace("[-10, 20, 20]", "[-10, 20, 320]")
+
+
+@pytest.fixture
+def place(workplace: Path) -> Path:
+    for name, text in (("reach", REACH), ("feet", FEET), ("far", FAR)):
+        (workplace / f"{name}.targets.yaml").write_text(text, "utf-8")
+    return workplace
+
+
+BIPED = "rigs/biped/biped.rig.yaml"
+STRIDE = "samples/stride/stride.clip.yaml"
+
+
+def run(place: Path, *arguments: object, rig: str = BIPED) -> Any:
+    return animtool("ik", rig, *arguments, cwd=place)
+
+
+def test_a_report_alone_writes_nothing(place: Path) -> None:
+    before = sorted(place.iterdir())
+    done = run(place, "--targets", "reach.targets.yaml")
+    assert done.code == 0, done.stderr
+    assert "12 converged" in done.stderr
+    assert "arm_l position:" in done.stderr
+    assert "leg_r orientation:" in done.stderr
+    assert sorted(place.iterdir()) == before
+
+
+def test_the_report_in_json(place: Path) -> None:
+    done = run(place, "-t", "reach.targets.yaml", "--format", "json")
+    found = json.loads(done.stdout)
+    assert (found["ik"], found["frames"], found["first"]) == ("animtool/1", 12, 1)
+    assert found["statuses"] == {"converged": 12}
+    arm, leg = found["goals"]
+    assert (arm["effector"], arm["joint"], arm["missed"]) == ("arm_l", "wrist_l", [])
+    assert set(leg["residuals"]) == {"position", "orientation"}
+    position = leg["residuals"]["position"]
+    assert position["unit"] == "m"
+    assert 0 <= position["mean"] <= position["p95"] <= position["max"] < 1e-5
+    assert found["degrees_of_freedom"] > found["conditions"] > 0
+
+
+def test_what_is_out_of_reach_is_named(place: Path) -> None:
+    done = run(place, "-t", "far.targets.yaml", "-o", "far.usda")
+    assert done.code == 0
+    assert "warning: IK101 'leg_r' is not reached at frames 1 to 12" in done.stderr
+    assert "2.46 m and 19° off at frame 12, at the nearest" in done.stderr
+    assert (place / "far.usda").exists()
+
+
+def test_strict_refuses_what_is_missed(place: Path) -> None:
+    given = ("-t", "far.targets.yaml", "-o", "far.usda", "--strict")
+    done = run(place, *given)
+    assert done.code == 4
+    assert "IK101" in done.stderr
+    assert "leg_r position: 2" in done.stderr
+    assert not (place / "far.usda").exists()
+    assert run(place, *given, "--tol", "3m", "--tol-degrees", "180").code == 0
+    found = run(place, *given, "--format", "json", "--overwrite")
+    assert found.code == 4
+    assert json.loads(found.stdout)["goals"][1]["missed"][0]["distance"] > 2
+
+
+def test_strict_refuses_warnings(place: Path) -> None:
+    text = REACH.replace("orientation: [1", "weight: {pole: 1}, orientation: [1")
+    (place / "odd.targets.yaml").write_text(text)
+    done = run(place, "-t", "odd.targets.yaml", "-o", "o.usda", "--strict")
+    assert done.code == 1
+    assert "TGT101" in done.stderr
+    assert not (place / "o.usda").exists()
+
+
+def test_a_stage_plays_what_was_solved(place: Path) -> None:
+    done = run(place, "-t", "reach.targets.yaml", "-o", "reach.usda")
+    assert done.code == 0, done.stderr
+    stage = open_stage(place / "reach.usda")
+    assert validation_errors(stage) == []
+    rig = Rig.load(place / BIPED)
+    found = joint_positions(stage, [1, 12])
+    wrist, ankle = rig.index("wrist_l"), rig.index("ankle_r")
+    expected = [[0.3, 1.1, 0.3], [0.35, 1.3, 0.3]]
+    np.testing.assert_allclose(found[:, wrist], expected, atol=1e-5)
+    np.testing.assert_allclose(found[:, ankle], [[-0.1, 0.2, 0.2]] * 2, atol=1e-5)
+
+
+def test_a_clip_is_fixed_and_otherwise_kept(place: Path) -> None:
+    done = run(place, "-t", "feet.targets.yaml", "--clip", STRIDE, "-o", "fixed.usdc")
+    assert done.code == 0, done.stderr
+    before = open_source(place / STRIDE).collect()
+    after = open_source(place / "fixed.usdc").collect()
+    names = before.rig.names
+    ours, theirs = after.world().positions, before.world().positions
+    ankle = names.index("ankle_l")
+    assert np.ptp(theirs[2:10, ankle], axis=0).max() > 1e-3
+    assert np.ptp(ours[2:10, ankle], axis=0).max() < 1e-5
+    hands = [names.index(name) for name in ("wrist_l", "wrist_r", "head")]
+    np.testing.assert_allclose(ours[:, hands], theirs[:, hands], atol=1e-5)
+
+
+def test_one_pose(place: Path) -> None:
+    for given, frame in ((("--pose",), 1), (("--pose", "12"), 12)):
+        done = run(place, "-t", "reach.targets.yaml", *given, "-o", f"p{frame}.usda")
+        assert done.code == 0, done.stderr
+        stage = open_stage(place / f"p{frame}.usda")
+        assert stage.GetStartTimeCode() == stage.GetEndTimeCode() == frame
+    done = run(place, "-t", "feet.targets.yaml", "--clip", STRIDE, "--pose", "5")
+    assert "1 converged" in done.stderr
+    done = run(place, "-t", "feet.targets.yaml", "--clip", STRIDE, "--pose", "99")
+    assert done.code == 2
+    assert "TGT018 frame 99 is none of the frames 1 to 24" in done.stderr
+
+
+def test_a_layer_over_a_rig_in_usd(place: Path) -> None:
+    assert animtool("convert", BIPED, "biped.usda", cwd=place).code == 0
+    done = run(place, "-t", "reach.targets.yaml", "-o", "reach.usda", "--rig-layer",
+               "biped.usda", "--start", "1001", rig="biped.usda")  # fmt: skip
+    assert done.code == 0, done.stderr
+    text = (place / "reach.usda").read_text("utf-8")
+    assert "startTimeCode = 1001\n" in text
+    assert "def Skeleton" not in text
+
+
+@pytest.mark.parametrize("suffix", ["bvh", "clip.yaml"])
+def test_other_formats(place: Path, suffix: str) -> None:
+    output = f"made.{suffix}"
+    done = run(place, "-t", "reach.targets.yaml", "-o", output)
+    assert done.code == 0, done.stderr
+    unit = SourceOptions(unit=LengthUnit.M) if suffix == "bvh" else SourceOptions()
+    take = open_source(place / output, unit).collect()
+    wrist = take.world().positions[:, take.rig.index("wrist_l")]
+    np.testing.assert_allclose(wrist[0], [0.3, 1.1, 0.3], atol=1e-3)
+    assert take.clock.count == 12
+
+
+def test_usda_to_stdout(place: Path) -> None:
+    done = run(place, "-t", "reach.targets.yaml", "--pose", "-o", "-")
+    assert done.code == 0
+    assert done.stdout.startswith("#usda 1.0")
+    done = run(place, "-t", "reach.targets.yaml", "-o", "-", "--format", "json")
+    assert done.code == 2
+
+
+def test_rigs_of_other_files(place: Path) -> None:
+    goal = "- {effector: LeftFoot, root: LeftUpLeg, hold: [[5, 12]]}"
+    text = f"targets: animtool/1\ngoals:\n{goal}\n"
+    (place / "bvh.targets.yaml").write_text(text)
+    walk = "samples/walk/walk.bvh"
+    done = run(place, "-t", "bvh.targets.yaml", "--clip", walk, "-o", "w.bvh", rig=walk)
+    assert done.code == 0, done.stderr
+    take = open_source(place / "w.bvh").collect()
+    foot = take.world().positions[4:12, take.rig.index("LeftFoot")]
+    assert np.ptp(foot, axis=0).max() < 1e-5
+    usd = animtool("bake", walk, "-o", "w.usdc", cwd=place)
+    assert usd.code == 0
+    done = run(place, "-t", "bvh.targets.yaml", "--clip", "w.usdc", "-o", "x.usdc",
+               rig="w.usdc")  # fmt: skip
+    assert done.code == 0, done.stderr
+    take = open_source(place / "x.usdc").collect()
+    foot = take.world().positions[4:12, take.rig.index("LeftFoot")]
+    assert np.ptp(foot, axis=0).max() < 1e-5
+
+
+def test_motion_of_another_file_goes_to_joints_of_the_same_names(place: Path) -> None:
+    assert animtool("bake", STRIDE, "-o", "stride.usdc", cwd=place).code == 0
+    done = run(place, "-t", "feet.targets.yaml", "--clip", "stride.usdc", "-o", "f.bvh")
+    assert done.code == 0, done.stderr
+    done = run(place, "-t", "feet.targets.yaml", "--clip", "samples/walk/walk.bvh")
+    assert done.code == 2
+    assert "TGT017 has no joint of 'biped'" in done.stderr
+
+
+BAD = {
+    "unknown": ("effector: leg_r", "effector: leg_q", 3, "TGT001"),
+    "nan": ("[-10, 20, 20]", "[-10, .nan, 20]", 3, "DOC022"),
+    "reversed range": ("range: [1, 12]", "range: [12, 1]", 3, "TGT003"),
+    "rate": ("fps: 24", "fps: 30", 2, "TGT014"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_targets(place: Path, name: str) -> None:
+    old, new, code, fault = BAD[name]
+    (place / "bad.targets.yaml").write_text(REACH.replace(old, new))
+    done = run(place, "-t", "bad.targets.yaml", "--clip", STRIDE, "-o", "bad.usda")
+    assert done.code == code, done.stderr
+    assert fault in done.stderr
+    assert not (place / "bad.usda").exists()
+
+
+def test_arrays_of_another_length(place: Path) -> None:
+    np.savez(place / "a.npz", left=np.zeros((10, 3)))
+    text = "targets: animtool/1\ngoals:\n- {effector: arm_l, position: 'a.npz#left'}\n"
+    (place / "a.targets.yaml").write_text(text)
+    done = run(place, "-t", "a.targets.yaml", "--clip", STRIDE)
+    assert done.code == 2
+    assert "TGT015 'a.npz#left' has 10 rows, and the take 24 frames" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (("-t", "reach.targets.yaml", "--joints", "elbow_q"), 2),
+        (("-t", "reach.targets.yaml", "--joints", "toe_l"), 2),
+        (("-t", "reach.targets.yaml", "--method", "magic"), 2),
+        (("-t", "reach.targets.yaml", "--tolerance", "5"), 2),
+        (("-t", "reach.targets.yaml", "--split"), 2),
+        (("-t", "reach.targets.yaml", "-o", "x.bvh", "--rig-layer", "y.usda"), 2),
+        (("-t", "reach.targets.yaml", "-o", "x.txt"), 2),
+        (("-t", "reach.targets.yaml", "-o", "reach.targets.yaml"), 2),
+        (("-t", "reach.targets.yaml", "--table", "-o", "x.usda"), 2),
+        (("-t", "none.targets.yaml"), 3),
+        (("-t", "reach.targets.yaml", "--clip", "none.bvh"), 3),
+        (("-t", "reach.targets.yaml", "-o", "no/folder.usda"), 3),
+        ((), 2),
+    ],
+)
+def test_exit_codes(place: Path, arguments: tuple[str, ...], code: int) -> None:
+    done = run(place, *arguments)
+    assert done.code == code, done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_outputs_are_not_replaced_unasked(place: Path) -> None:
+    (place / "there.usda").write_text("mine")
+    given = ("-t", "reach.targets.yaml", "-o", "there.usda")
+    assert run(place, *given).code == 2
+    assert run(place, *given, "--skip-existing").code == 0
+    assert (place / "there.usda").read_text() == "mine"
+    assert run(place, *given, "--overwrite").code == 0
+
+
+def test_the_table(place: Path) -> None:
+    done = run(place, "-t", "reach.targets.yaml", "--table", "--format", "json")
+    assert done.code == 0, done.stderr
+    found = json.loads(done.stdout)
+    rows = found["tolerances"]
+    assert [row["setting"] for row in rows] == [f"1e-0{n}" for n in range(2, 9)]
+    assert all(row["converged"] == 1 for row in rows)
+    assert all(row["position"] <= row["tolerance"] * 1.01 for row in rows)
+    methods = [row["setting"] for row in found["methods"]]
+    assert methods == [str(method) for method in IkMethod]
+    text = run(place, "-t", "reach.targets.yaml", "--table")
+    assert text.stdout.count("\n") == 1 + 2 * 2 + 7 + len(IkMethod)
+
+
+def test_the_same_seed_writes_the_same_bytes(place: Path) -> None:
+    for name in ("one.usdc", "two.usdc"):
+        run(place, "-t", "far.targets.yaml", "-o", name, "--prim-path", "/x")
+    assert (place / "one.usdc").read_bytes() == (place / "two.usdc").read_bytes()
+
+
+def test_defaults_are_those_of_the_record() -> None:
+    defaults = {param.name: param.default for param in ik.params}
+    record = TakeOptions()
+    assert defaults["restarts"] == record.restarts
+    assert defaults["seed"] == record.seed
+    assert defaults["rest_weight"] == record.rest_weight
+    assert defaults["method"] == str(record.method)
+    assert record.tolerance == 1e-6
+    assert defaults["tolerance"] == "0.001mm"
+
+
+def test_a_pose_loads_no_usd(place: Path) -> None:
+    code = (
+        "import sys\nfrom animtool.cli.main import run\n"
+        f"run(['ik', {BIPED!r}, '-t', 'reach.targets.yaml', '--pose', '-q'])\n"
+        "heavy = {'pxr', 'scipy', 'rich'}\n"
+        "print(sorted(heavy & {name.split('.')[0] for name in sys.modules}))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=place,
+    )
+    assert done.stdout.strip() == "[]"
+
+
+def test_the_installed_command(place: Path) -> None:
+    done = animtool_process(
+        "ik", BIPED, "-t", "far.targets.yaml", "--strict", cwd=place
+    )
+    assert done.code == 4
+    done = animtool_process("ik", BIPED, "-t", "reach.targets.yaml", "-o", "r.usdc",
+                            cwd=place)  # fmt: skip
+    assert done.code == 0
+    assert (place / "r.usdc").exists()
+
+
+def test_a_hand_on_a_prop(place: Path) -> None:
+    (place / "shot.usda").write_text(
+        '#usda 1.0\n(upAxis = "Z"\nmetersPerUnit = 0.01\ntimeCodesPerSecond = 24)\n'
+        'def Xform "prop" {\n    double3 xformOp:translate.timeSamples = {\n'
+        "        1: (30, -30, 110), 12: (35, -30, 130)}\n"
+        '    uniform token[] xformOpOrder = ["xformOp:translate"]\n}\n'
+    )
+    (place / "prop.targets.yaml").write_text(
+        "targets: animtool/1\nfps: 24\nrange: [1, 12]\ngoals:\n- {effector: arm_l, "
+        "position: {prim: /prop, file: shot.usda, offset: [0, 0, 0.02]}}\n"
+    )
+    done = run(place, "-t", "prop.targets.yaml", "-o", "prop.usda")
+    assert done.code == 0, done.stderr
+    wrist = Rig.load(place / BIPED).index("wrist_l")
+    found = joint_positions(open_stage(place / "prop.usda"), [1, 12])[:, wrist]
+    # The offset is in the prop's frame, whose z is the rig's y.
+    expected = [[0.3, 1.12, 0.3], [0.35, 1.32, 0.3]]
+    np.testing.assert_allclose(found, expected, atol=1e-5)
