@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,7 @@ from animtool.cli.options import (
 if TYPE_CHECKING:
     from animtool.report.describe import TakeDescription
     from animtool.report.describe_rig import RigDescription
+    from animtool.report.describe_targets import TargetsDescription
 
 __all__ = ["info"]
 
@@ -44,9 +46,11 @@ Examples:
 def info(console: Console, /, files: tuple[Path, ...], **given: Any) -> None:
     """Say what is in BVH and USD files: joints, frames, rate, bounds, what is odd.
 
-    Of a rig file (.rig.yaml): its joints, meshes, shapes and controls.
+    Of a rig file (.rig.yaml): its joints, meshes, shapes and controls. Of a targets
+    file (.targets.yaml): its goals.
     """
     from animtool.errors import AnimtoolError
+    from animtool.ik.file import is_targets
     from animtool.report.describe import describe
     from animtool.scene.convert_rig import is_rig
     from animtool.scene.sources import is_usd
@@ -62,8 +66,14 @@ def info(console: Console, /, files: tuple[Path, ...], **given: Any) -> None:
             else source_options_record(given["units"], given["up"], given["source_fps"])
         )
         found: Any
+        said: Callable[[Any], list[str]]
         try:
-            found = _rig(path) if is_rig(path) else describe(path, options)
+            if is_rig(path):
+                found, said = _rig(path), _rig_text
+            elif is_targets(path):
+                found, said = _targets(path), _targets_text
+            else:
+                found, said = describe(path, options), _text
         except AnimtoolError as error:
             if console.debug:
                 raise
@@ -72,8 +82,7 @@ def info(console: Console, /, files: tuple[Path, ...], **given: Any) -> None:
             continue
         described.append(found)
         if given["report_format"] == "text":
-            text = _rig_text(found) if is_rig(path) else _text(found)
-            console.result("\n".join(text))
+            console.result("\n".join(said(found)))
             console.faults(found.notices)
     if given["report_format"] == "json":
         files_json = [found.as_dict() for found in described]
@@ -86,6 +95,27 @@ def _rig(path: Path) -> RigDescription:
     from animtool.scene.convert_rig import open_rig
 
     return describe_rig(path, *open_rig(path))
+
+
+def _targets(path: Path) -> TargetsDescription:
+    from animtool.report.describe_targets import describe_targets
+
+    return describe_targets(path)
+
+
+def _targets_text(found: TargetsDescription) -> list[str]:
+    from animtool.errors import counted, listed
+
+    rate = f" at {found.fps}" if found.fps else ""
+    lines = [
+        f"{found.path}: targets, {counted(len(found.goals), 'goal')}",
+        f"  frames    {found.first:g} to {found.last:g}{rate}",
+    ]
+    for goal in found.goals:
+        spans = [f"{first:g} to {last:g}" for first, last in goal.held]
+        held = f", held {listed(spans)}" if spans else ""
+        lines.append(f"  goal      {goal.effector}: {', '.join(goal.asks)}{held}")
+    return lines
 
 
 def _rig_text(found: RigDescription) -> list[str]:

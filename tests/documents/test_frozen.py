@@ -5,14 +5,17 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.cli import animtool
 
 from animtool.clip.file import load_clip, open_clip
 from animtool.documents.migrate import plan_migration
 from animtool.documents.versions import STEPS, newest
+from animtool.ik.file import load_targets
 from animtool.rig.file import load_rig
 from animtool.scene.file import load_scene
+from animtool.scene.start import rest_take
 
 FROZEN = Path(__file__).parent / "frozen"
 
@@ -59,3 +62,24 @@ def test_scene_1(tmp_path: Path) -> None:
     done = animtool("bake", folder / "scene-1.scene.yaml")
     assert done.code == 0, done.stderr
     assert (folder / "scene-1.usda").is_file()
+
+
+def test_targets_1() -> None:
+    rig = load_rig(FROZEN / "rig-1.rig.yaml")
+    tracks = load_targets(FROZEN / "targets-1.targets.yaml", rig)
+    assert (tracks.clock.start, tracks.clock.count) == (1, 24)
+    assert [track.goal.joint for track in tracks.goals] == [
+        "wrist_l",
+        "wrist_r",
+        "hips",
+    ]
+    assert [track.goal.weights for track in tracks.goals] == [
+        (1, 1, 0, 1),
+        (1, 1, 1, 0),
+        (1, 1, 0, 0),
+    ]
+    assert tracks.goals[1].spans == ((3, 6), (12, 20))
+    targets = tracks.sample(rig, tracks.clock, rest_take(rig, tracks.clock).world())
+    found = np.asarray(targets.positions)[:, 2]
+    # Frame 23 at 24000/1001, on a stage of 24 time codes a second.
+    np.testing.assert_allclose(found[-2], [0.23 * 1.001, 0.05, 0.9])
