@@ -1,12 +1,15 @@
 """Inverse kinematics: poses that bring joints to goals, limits kept."""
 
+from animtool.ik.file import load_targets
 from animtool.ik.follow import FollowOptions, follow
 from animtool.ik.goals import Goal, Targets
 from animtool.ik.methods import IkMethod
+from animtool.ik.on_take import TakeIk, TakeOptions, solve_take
 from animtool.ik.problem import Problem, build
 from animtool.ik.result import IkResult, IkStatus, Jump
 from animtool.ik.smooth import smooth
 from animtool.ik.solve import IkOptions, solve
+from animtool.ik.tracks import TargetTracks
 
 __all__ = [
     "FollowOptions",
@@ -17,9 +20,14 @@ __all__ = [
     "IkStatus",
     "Jump",
     "Problem",
+    "TakeIk",
+    "TakeOptions",
+    "TargetTracks",
     "Targets",
     "build",
     "follow",
     "smooth",
+    "load_targets",
     "solve",
+    "solve_take",
 ]

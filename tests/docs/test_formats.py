@@ -15,10 +15,13 @@ from support.key_tables import PAGE, Key, field_of, filled, keys_of, marked, mod
 
 from animtool import Clip, Rig
 from animtool.cli.schema import MODELS
+from animtool.ik.file import load_targets
+from animtool.ik.on_take import solve_take
 from animtool.rig.expressions import FUNCTIONS
 from animtool.rig.parts import AttachKind
 from animtool.rig.targets import DRIVEN_PARTS, KEYED_PARTS
 from animtool.scene.file import load_scene
+from animtool.scene.start import rest_take
 
 TEXT = PAGE.read_text("utf-8")
 BLOCKS = re.findall(r"^```yaml\n(.*?)^```", TEXT, re.M | re.S)
@@ -146,6 +149,17 @@ def test_clips_load(project: Path, text: str) -> None:
     clip = Clip.load(project / "one.clip.yaml")
     take = clip.sample(Rig.load(project / "hero.rig.yaml"))
     assert take.clock.count == 24
+
+
+@pytest.mark.parametrize("text", WHOLE["targets"])
+def test_targets_load(project: Path, text: str) -> None:
+    (project / "one.targets.yaml").write_text(text, "utf-8")
+    rig = Rig.load(project / "hero.rig.yaml")
+    tracks = load_targets(project / "one.targets.yaml", rig)
+    assert tracks.clock.count == 24
+    still = rest_take(rig, tracks.clock)
+    found = solve_take(still, tracks, still=True)
+    assert len(found.statuses) == 24
 
 
 @pytest.mark.parametrize("text", WHOLE["scene"])
