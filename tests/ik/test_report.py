@@ -1,0 +1,67 @@
+"""What a take misses, in numbers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.targets import HEAD, legs, tracks_of, walk_of
+
+from animtool.ik.on_take import TakeIk, solve_take
+from animtool.ik.report import (
+    goal_reports,
+    limit_counts,
+    missed_notices,
+    status_counts,
+)
+
+
+@pytest.fixture
+def solved(tmp_path: Path) -> TakeIk:
+    """Return a take whose left foot is out of reach in the middle."""
+    keys = ", ".join(f"{{t: {t}, v: [0.2, {y}, 0.1]}}" for t, y in
+                     ((1, 0.2), (10, 0.2), (12, 4), (20, 4), (22, 0.2)))  # fmt: skip
+    goals = (
+        f"- {{effector: leg_l, position: {{interp: linear, keys: [{keys}]}}}}\n"
+        "- {effector: leg_r, hold: [[4, 8]], ease: 0}\n"
+    )
+    take = walk_of(legs())
+    return solve_take(take, tracks_of(tmp_path, goals, take.rig, HEAD))
+
+
+def test_figures_are_over_the_frames_that_ask(solved: TakeIk) -> None:
+    left, right = goal_reports(solved, 1e-4, 1e-3)
+    assert [miss.part for miss in left.misses] == ["position"]
+    assert [miss.part for miss in right.misses] == ["position", "orientation"]
+    assert [miss.frames for miss in (*left.misses, *right.misses)] == [40, 5, 5]
+    misses = solved.misses[:, 0, 0]
+    found = left.misses[0]
+    assert found.mean == pytest.approx(misses.mean())
+    assert found.p95 == pytest.approx(np.percentile(misses, 95))
+    assert found.max == misses.max()
+    assert solved.take.clock.times[int(np.argmax(misses))] == found.frame
+
+
+def test_frames_that_miss_are_named_in_spans(solved: TakeIk) -> None:
+    left, right = goal_reports(solved, 1e-4, 1e-3)
+    assert not right.spans
+    (span,) = left.spans
+    assert 10 <= span.first <= 12
+    assert 20 <= span.last <= 22
+    assert span.distance == solved.misses[:, 0, 0].max()
+    assert goal_reports(solved, 10.0, 10.0)[0].spans == ()
+
+
+def test_notices_name_goal_frames_and_distance(solved: TakeIk) -> None:
+    (notice,) = missed_notices(goal_reports(solved, 1e-4, 1e-3), path="a.targets.yaml")
+    assert notice.code == "IK101"
+    assert notice.path == "a.targets.yaml"
+    assert "'leg_l' is not reached at frames 11 to 21: 2." in notice.message
+
+
+def test_counts(solved: TakeIk) -> None:
+    counts = status_counts(solved)
+    assert sum(counts.values()) == 40
+    assert counts["converged"] >= 28
+    assert limit_counts(solved)["knee_l"] >= 9
