@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
@@ -55,7 +56,7 @@ class TakeOptions:
 
     method: IkMethod = IkMethod.AUTO
     tolerance: float = 1e-6
-    angle_tolerance: float = 1e-6
+    angle_tolerance: float = math.radians(1e-4)
     restarts: int = 50
     seed: int = 0
     seconds: float = 0.0

@@ -15,6 +15,8 @@ from animtool.ik.result import IkStatus
 from animtool.ik.tracks import PARTS
 
 __all__ = [
+    "MISSED_ANGLE",
+    "MISSED_LENGTH",
     "GoalReport",
     "MissedSpan",
     "Misses",
@@ -23,6 +25,10 @@ __all__ = [
     "missed_notices",
     "status_counts",
 ]
+
+# A goal that is off by more is missed, where nothing else is asked [m], [rad]: what
+# nobody sees is less.
+MISSED_LENGTH, MISSED_ANGLE = 1e-4, float(np.radians(0.1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +92,9 @@ class GoalReport:
 
 
 def goal_reports(
-    solved: TakeIk, tolerance: float, angle_tolerance: float
+    solved: TakeIk,
+    tolerance: float = MISSED_LENGTH,
+    angle_tolerance: float = MISSED_ANGLE,
 ) -> list[GoalReport]:
     """Return what became of each goal.
 

@@ -67,9 +67,8 @@ def _run(take: Take, options: IkPassOptions, context: PassContext) -> Take:
         rest_weight=options.rest_weight,
     )
     solved = solve_take(replace(take, rig=rig), tracks, settings)
-    reports = goal_reports(solved, settings.tolerance, settings.angle_tolerance)
     context.notices.extend(tracks.notices)
-    context.notices.extend(missed_notices(reports, path=str(path)))
+    context.notices.extend(missed_notices(goal_reports(solved), path=str(path)))
     return replace(solved.take, rig=take.rig)
 
 

@@ -16,7 +16,13 @@ from animtool.errors import (
 )
 from animtool.ik.file import load_targets
 from animtool.ik.on_take import TakeIk, TakeOptions, solve_take
-from animtool.ik.report import GoalReport, goal_reports, missed_notices
+from animtool.ik.report import (
+    MISSED_ANGLE,
+    MISSED_LENGTH,
+    GoalReport,
+    goal_reports,
+    missed_notices,
+)
 from animtool.ik.tracks import TargetTracks
 from animtool.output import check_outputs
 from animtool.scene.convert_rig import open_rig
@@ -60,8 +66,8 @@ class IkJob:
     pose: bool = False
     frame: Fraction | None = None
     options: TakeOptions = field(default_factory=TakeOptions)
-    tolerance: float = 1e-4
-    angle_tolerance: float = 1e-3
+    tolerance: float = MISSED_LENGTH
+    angle_tolerance: float = MISSED_ANGLE
     strict: bool = False
     output: Path | None = None
     to_stdout: bool = False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 from pathlib import Path
@@ -16,9 +17,10 @@ from support.usd import joint_positions, open_stage, validation_errors
 from animtool import Rig, open_source
 from animtool.cli.ik import ik
 from animtool.ik.on_take import TakeOptions
+from animtool.ik.report import MISSED_ANGLE, MISSED_LENGTH
 from animtool.ik.solve import IkMethod
 from animtool.scene.sources import SourceOptions
-from animtool.units import LengthUnit
+from animtool.units import LengthUnit, parse_length
 
 REACH = """targets: animtool/1
 units: {length: cm}
@@ -292,8 +294,12 @@ def test_defaults_are_those_of_the_record() -> None:
     assert defaults["seed"] == record.seed
     assert defaults["rest_weight"] == record.rest_weight
     assert defaults["method"] == str(record.method)
-    assert record.tolerance == 1e-6
-    assert defaults["tolerance"] == "0.001mm"
+    assert parse_length(defaults["tolerance"]) == record.tolerance
+    assert math.radians(defaults["angle_tolerance"]) == pytest.approx(
+        record.angle_tolerance
+    )
+    assert parse_length(defaults["tol"]) == MISSED_LENGTH
+    assert math.radians(defaults["tol_degrees"]) == pytest.approx(MISSED_ANGLE)
 
 
 def test_a_pose_loads_no_usd(place: Path) -> None:
