@@ -160,7 +160,8 @@ Examples:
 @click.option(
     "--joints",
     metavar="NAME,...",
-    help="The joints that may move.  [default: every one that moves a goal]",
+    help="The joints that may move, or patterns such as 'arm_*'.  [default: every one "
+    "that moves a goal]",
 )
 @click.option(
     "--rest-weight",
@@ -256,7 +257,7 @@ def ik(console: Console, /, **given: Any) -> None:
             raise click.UsageError("--table writes no file: no -o.")
         _table(console, given, as_json=as_json)
         return
-    if output is not None and not to_stdout and _skips(output, given):
+    if output is not None and not to_stdout and _skips(given):
         console.say(f"{output} exists: skipped")
         if as_json:
             console.result_json({"ik": "animtool/1", "skipped": str(output)})
@@ -299,12 +300,12 @@ def _table(console: Console, given: dict[str, Any], *, as_json: bool) -> None:
     console.result("\n".join(ik_table_text(table)))
 
 
-def _skips(output: Path, given: dict[str, Any]) -> bool:
+def _skips(given: dict[str, Any]) -> bool:
     if not given["skip_existing"]:
         return False
-    from animtool.scene.convert import convert_outputs
+    from animtool.scene.ik import ik_outputs
 
-    return skips(given, convert_outputs(output))
+    return skips(given, ik_outputs(_job(given, False)))
 
 
 def _job(given: dict[str, Any], to_stdout: bool) -> Any:

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from fnmatch import fnmatchcase
 
 import numpy as np
 
@@ -50,7 +51,8 @@ class TakeOptions:
         restarts: Most new starts of a frame that does not reach its goals.
         seed: Of the new starts.
         seconds: Most time for one frame [s]; 0 is no bound.
-        joints: Names of the joints that may move; none is every one that moves a goal.
+        joints: Names or patterns of the joints that may move; none is every one that
+            moves a goal.
         rest_weight: How strongly the pose that a frame has already is kept.
     """
 
@@ -172,20 +174,20 @@ def _selected(
 
 def _chosen(whole: Rig, rig: Rig, options: TakeOptions) -> list[str] | None:
     """Return the joints that may move; None is every one that moves a goal."""
-    faults = [
-        Fault(
-            "IK001",
-            f"no joint of {whole.name!r} is {name!r}",
-            hint=nearest(name, whole.names),
-        )
-        for name in options.joints
-        if name not in whole.names
-    ]
-    if faults:
-        raise OptionError(faults)
     if not options.joints:
         return None
-    return [name for name in options.joints if name in rig.names]
+    found: set[str] = set()
+    faults = []
+    for pattern in options.joints:
+        matches = {name for name in whole.names if fnmatchcase(name, pattern)}
+        if not matches:
+            message = f"no joint of {whole.name!r} is {pattern!r}"
+            hint = nearest(pattern, whole.names)
+            faults.append(Fault("IK001", message, hint=hint))
+        found |= matches
+    if faults:
+        raise OptionError(faults)
+    return [name for name in rig.names if name in found]
 
 
 def _refuse_scales(take: Take, tracks: TargetTracks) -> None:
@@ -242,7 +244,7 @@ class _Run:
         if not self.still:
             done = self._timed(problem, part.coordinates, targets, warm=False)
             return _Found(part, *done)
-        bent = self._bent(part, targets)
+        bent = self._bent(part, problem, targets)
         if bent is None:
             done = self._timed(problem, part.coordinates[0], targets, warm=True)
             return _Found(part, *done)
@@ -265,7 +267,7 @@ class _Run:
             rest_weight=self.options.rest_weight,
         )
 
-    def _bent(self, part: Part, targets: Targets) -> _Found | None:
+    def _bent(self, part: Part, problem: Problem, targets: Targets) -> _Found | None:
         """Return poses whose chains bend towards their poles, as far as they can.
 
         They are what the goals are then solved from, so that a pole that cannot be
@@ -274,18 +276,19 @@ class _Run:
         poles = np.array(targets.poles)
         weights = np.array(targets.weights)
         goals = self.goals
+        origins = self.world.positions[part.frames.start]
         for e, track in enumerate(self.tracks.goals):
-            if track.goal.pole or not _bends(self.rig, track):
+            if track.goal.pole or not _bends(problem, track, origins):
                 continue
             goals[e] = replace(track.goal, pole=1.0)
             point = _pole(self.rig, track, self.world, part.frames.start)
             poles[:, e], weights[:, e, 3] = point, 1.0
         if goals == self.goals:
             return None
-        problem = self._problem(part, goals)
+        leaning = self._problem(part, goals)
         given = replace(targets, poles=poles, weights=weights)
         start = part.coordinates[0]
-        done = self._timed(problem, start, given, warm=True, restarts=0)
+        done = self._timed(leaning, start, given, warm=True, restarts=0)
         return _Found(part, *done)
 
     def _timed(
@@ -313,13 +316,24 @@ class _Run:
         return found, time.perf_counter() - began
 
 
-def _bends(rig: Rig, track: GoalTrack) -> bool:
-    """Return whether a goal's chain says where its middle points, and has one."""
-    chain = track.chain
+def _bends(problem: Problem, track: GoalTrack, origins: FloatArray) -> bool:
+    """Return whether a goal's chain says where its middle points, and has one.
+
+    Args:
+        problem: In which joints of the chain move, or not.
+        track: Of the goal.
+        origins: Of the joints ``(J, 3)``.
+    """
+    chain, rig = track.chain, problem.rig
     if chain is None or chain.pole_dir is None or not track.goal.position:
         return False
-    middle = rig.joints[rig.index(chain.tip)].parent
-    return middle >= 0 and middle > rig.index(chain.root)
+    bones, j, end = 0, rig.index(chain.tip), rig.index(chain.root)
+    below = origins[j]
+    while j >= end:
+        if rig.names[j] in problem.joints and (origins[j] != below).any():
+            bones, below = bones + 1, origins[j]
+        j = rig.joints[j].parent
+    return bones > 1
 
 
 def _pole(rig: Rig, track: GoalTrack, world: WorldTransforms, frame: int) -> FloatArray:

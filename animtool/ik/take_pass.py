@@ -28,7 +28,8 @@ class IkPassOptions:
         targets: The targets file.
         rig: File of a rig whose types and limits of joints, and chains, are used for
             the joints of the same names; None is the take's own.
-        joints: Those that may move; none is every one that moves a goal.
+        joints: Names or patterns of those that may move; none is every one that moves
+            a goal.
         method: Which solver.
         tolerance: A position is reached within this length, such as ``0.001mm``.
         angle_tolerance: An orientation, aim or pole is reached within this [deg].

@@ -21,6 +21,7 @@ from animtool.take import Take
 
 if TYPE_CHECKING:
     from animtool.clip.reduction import Reduction
+    from animtool.rig.store import StoredArrays
 
 __all__ = ["ConvertReport", "convert", "convert_outputs"]
 
@@ -58,6 +59,7 @@ def convert(
     reduce: float | None = None,
     reduce_at: tuple[tuple[str, float], ...] = (),
     base: Path | None = None,
+    rig_file: Path | None = None,
     progress: Progress = None,
     opener: Opener = open_source,
 ) -> ConvertReport:
@@ -77,6 +79,8 @@ def convert(
         reduce_at: Other tolerances for some joints: names or patterns, and [m].
         base: For an additive take what it is put on: keys are fitted so that the
             sum is within the tolerance. For clips.
+        rig_file: For clips, a file with the take's rig, which is then named; None
+            writes one.
         progress: Called with the share done, 0 to 1.
         opener: What opens the source, called as `animtool.open_source`.
 
@@ -98,7 +102,8 @@ def convert(
     if is_usd(output):
         return _to_usd(source, output, options, overwrite, strict, progress, opener)
     if to_clip:
-        keys = _Keys(REDUCTION if reduce is None else reduce, dict(reduce_at), base)
+        tolerance = REDUCTION if reduce is None else reduce
+        keys = _Keys(tolerance, dict(reduce_at), base, rig_file)
         return _to_clip(
             source, output, options, keys, overwrite, strict, progress, opener
         )
@@ -123,15 +128,16 @@ def convert(
     return ConvertReport(output, take.clock.count, len(take.rig.joints), notices)
 
 
-def convert_outputs(output: Path) -> list[Path]:
+def convert_outputs(output: Path, rig_file: Path | None = None) -> list[Path]:
     """Return the files that hold a take in the format of an output, it last.
 
-    The arrays of a clip's rig are left out: not every rig has some.
+    The arrays of a clip's rig are left out: not every rig has some. With a file of the
+    rig given there is none to write.
 
     >>> [path.name for path in convert_outputs(Path("walk.clip.yaml"))]
     ['walk.rig.yaml', 'walk.clip.yaml']
     """
-    if not _is_clip(output):
+    if rig_file is not None or not _is_clip(output):
         return [output]
     return [output.with_name(f"{_stem(output)}.rig.yaml"), output]
 
@@ -156,11 +162,12 @@ def _write(output: Path, parts: Iterable[bytes]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Keys:
-    """How near keys are to be [m], near which joints nearer, and on which take."""
+    """How near keys are to be [m], near which joints nearer, on which take and rig."""
 
     tolerance: float
     tolerances: Mapping[str, float]
     base: Path | None
+    rig_file: Path | None
 
 
 def _to_clip(
@@ -180,8 +187,8 @@ def _to_clip(
     from animtool.scene.convert_rig import write_arrays
 
     stem = _stem(output)
-    outputs = convert_outputs(output)
-    rig_path = outputs[0]
+    outputs = convert_outputs(output, keys.rig_file)
+    rig_path = keys.rig_file or outputs[0]
     inputs = [source] if keys.base is None else [source, keys.base]
     check_outputs(outputs, inputs, overwrite=overwrite)
     stream = opener(source, options, progress=progress)
@@ -193,7 +200,10 @@ def _to_clip(
         below = _below(take, keys.base, options if alike else None)
         take = replace(take, rig=without_rest(take.rig))
     arrays_path = output.with_name(f"{stem}.npz")
-    rig, arrays = with_file(typed_by_motion(take), arrays_path, moved=True)
+    rig: Rig = take.rig
+    arrays: StoredArrays = {}
+    if keys.rig_file is None:
+        rig, arrays = with_file(typed_by_motion(take), arrays_path, moved=True)
     if arrays:
         check_outputs([arrays_path, *outputs], inputs, overwrite=overwrite)
     made = keyed_take(
@@ -201,12 +211,21 @@ def _to_clip(
     )
     if arrays:
         write_arrays(arrays_path, arrays)
-    _write(rig_path, [rig_text(rig).encode()])
-    text = clip_text(made.clip, rig, rig_path.name)
+    if keys.rig_file is None:
+        _write(rig_path, [rig_text(rig).encode()])
+    text = clip_text(made.clip, rig, _seen_from(rig_path, output))
     _write(output, [text.encode()])
     return ConvertReport(
         output, take.clock.count, len(rig.joints), stream.notices, made.reduction
     )
+
+
+def _seen_from(path: Path, output: Path) -> str:
+    """Return what a file calls another, from its own folder."""
+    path, folder = path.resolve(), output.resolve().parent
+    above = next(up for up in (folder, *folder.parents) if path.is_relative_to(up))
+    steps = [".."] * len(folder.relative_to(above).parts)
+    return "/".join([*steps, *path.relative_to(above).parts])
 
 
 def _below(take: Take, path: Path, options: SourceOptions | None) -> Take:

@@ -8,6 +8,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from animtool.config import project_roots
 from animtool.errors import (
     Fault,
     OptionError,
@@ -25,7 +26,8 @@ from animtool.ik.report import (
 )
 from animtool.ik.tracks import TargetTracks
 from animtool.output import check_outputs
-from animtool.scene.convert_rig import open_rig
+from animtool.scene.convert import ConvertReport, convert, convert_outputs
+from animtool.scene.convert_rig import is_rig, open_rig
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import Progress, SourceOptions, is_usd
 from animtool.scene.start import open_start, rest_take
@@ -34,9 +36,16 @@ from animtool.units import unit_name
 
 if TYPE_CHECKING:
     from animtool.scene.bake import BakeReport
-    from animtool.scene.convert import ConvertReport
 
-__all__ = ["IkJob", "IkReport", "MissedGoalsError", "Opened", "open_ik", "run_ik"]
+__all__ = [
+    "IkJob",
+    "IkReport",
+    "MissedGoalsError",
+    "Opened",
+    "ik_outputs",
+    "open_ik",
+    "run_ik",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,10 +197,11 @@ def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
         stream.details = {"format": "ik", "units": unit_name(take.rig.meters_per_unit)}
         return stream
 
-    if job.output is not None:
+    outputs = ik_outputs(job)
+    if outputs:
         named = (job.rig, job.targets, job.start, job.bake.rig_layer)
         inputs = [path for path in named if path is not None]
-        check_outputs([job.output], inputs, overwrite=job.bake.overwrite)
+        check_outputs(outputs, inputs, overwrite=job.bake.overwrite)
     if job.output is None and not job.to_stdout:
         solve(job.rig, progress=progress)
         return made[0]
@@ -210,17 +220,34 @@ def _written(job: IkJob, opener: Any, progress: Progress) -> BakeReport | Conver
         from animtool.scene.bake import bake
 
         return bake(source, job.output, job.bake, progress=progress, opener=opener)
-    from animtool.scene.convert import convert
-
     assert job.output is not None
     return convert(
         source,
         job.output,
         overwrite=job.bake.overwrite,
         reduce=job.bake.reduce,
+        rig_file=_named_rig(job.rig, job.output),
         progress=progress,
         opener=opener,
     )
+
+
+def ik_outputs(job: IkJob) -> list[Path]:
+    """Return the files that a job writes, the output last of those of a clip."""
+    output = job.output
+    if output is None:
+        return []
+    if is_usd(output):
+        from animtool.scene.plan import bake_outputs
+
+        return bake_outputs([job.rig], output, job.bake)
+    return convert_outputs(output, _named_rig(job.rig, output))
+
+
+def _named_rig(rig: Path, output: Path) -> Path | None:
+    """Return the rig if it is a file that a clip beside the output may name."""
+    inside = any(rig.resolve().is_relative_to(root) for root in project_roots(output))
+    return rig if is_rig(rig) and inside else None
 
 
 def _solved(job: IkJob, progress: Progress) -> IkReport:

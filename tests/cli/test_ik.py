@@ -170,6 +170,31 @@ def test_other_formats(place: Path, suffix: str) -> None:
     assert take.clock.count == 12
 
 
+def test_a_clip_names_the_rig_that_there_is(place: Path) -> None:
+    done = run(place, "-t", "reach.targets.yaml", "-o", "made.clip.yaml")
+    assert done.code == 0, done.stderr
+    text = (place / "made.clip.yaml").read_text("utf-8")
+    assert f"rig: {BIPED}\n" in text
+    assert not (place / "made.rig.yaml").exists()
+    assert animtool("bake", "made.clip.yaml", "-o", "made.usdc", cwd=place).code == 0
+    walk = "samples/walk/walk.bvh"
+    (place / "bvh.targets.yaml").write_text(
+        "targets: animtool/1\ngoals:\n- {effector: LeftFoot, hold: [[5, 12]]}\n"
+    )
+    done = run(place, "-t", "bvh.targets.yaml", "--clip", walk, "-o", "w.clip.yaml",
+               rig=walk)  # fmt: skip
+    assert done.code == 0, done.stderr
+    assert (place / "w.rig.yaml").exists()
+
+
+def test_joints_may_be_patterns(place: Path) -> None:
+    chosen = "shoulder_*,elbow_l,hip_*"
+    given = ("-t", "reach.targets.yaml", "--joints", chosen, "--format", "json")
+    done = run(place, *given)
+    joints = json.loads(done.stdout)["joints"]
+    assert joints == ["shoulder_l", "elbow_l", "hip_r"]
+
+
 def test_usda_to_stdout(place: Path) -> None:
     done = run(place, "-t", "reach.targets.yaml", "--pose", "-o", "-")
     assert done.code == 0
