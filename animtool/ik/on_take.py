@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from fnmatch import fnmatchcase
+from pathlib import Path
 
 import numpy as np
 
@@ -136,16 +138,27 @@ def solve_take(
         take.motion.translations.gather(own), take.motion.rotations.gather(own)
     )
     world = forward(rig, local.translations, local.rotations)
-    targets = tracks.sample(rig, take.clock, world)
-    if only is not None:
-        take, local, world, targets = _selected(take, local, world, targets, only)
-    run = _Run(rig, tracks, targets, world, options, joints, still)
     found = []
-    for part in parts_of(rig, local, world, goals, joints):
-        found.append(run.solved(part))
-        if progress is not None:
-            progress(found[-1].part.frames.stop / take.clock.count)
+    with _placed(tracks.path):
+        targets = tracks.sample(rig, take.clock, world)
+        if only is not None:
+            take, local, world, targets = _selected(take, local, world, targets, only)
+        run = _Run(rig, tracks, targets, world, options, joints, still)
+        for part in parts_of(rig, local, world, goals, joints):
+            found.append(run.solved(part))
+            if progress is not None:
+                progress(found[-1].part.frames.stop / take.clock.count)
     return _gathered(take, own, local, tracks, targets, found)
+
+
+@contextmanager
+def _placed(path: Path) -> Iterator[None]:
+    """Give faults of goals that have no file that of the targets."""
+    try:
+        yield
+    except OptionError as error:
+        faults = [replace(f, path=f.path or str(path)) for f in error.faults]
+        raise OptionError(faults) from error
 
 
 def _selected(

@@ -146,7 +146,9 @@ def test_a_chain_that_cannot_move_is_refused(tmp_path: Path) -> None:
     tracks = tracks_of(tmp_path, "- {effector: leg_l, position: [0, 0, 0]}", take.rig)
     with pytest.raises(OptionError) as caught:
         solve_take(take, tracks, TakeOptions(joints=("tail",)))
-    assert caught.value.code == "IK003"
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.where) == ("IK003", "goals[0]")
+    assert fault.path == str(tracks.path)
     with pytest.raises(OptionError, match="did you mean 'tail'") as caught:
         solve_take(take, tracks, TakeOptions(joints=("tale",)))
     assert caught.value.code == "IK001"
