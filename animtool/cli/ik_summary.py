@@ -115,8 +115,21 @@ def ik_json(report: IkReport) -> dict[str, object]:
     }
 
 
+def _finite(value: float) -> float | None:
+    """Return the value, or None where JSON has no number for it."""
+    return value if math.isfinite(value) else None
+
+
 def _goal_json(goal: GoalReport) -> dict[str, object]:
-    spans = [{**asdict(span), "status": str(span.status)} for span in goal.spans]
+    spans = [
+        {
+            **asdict(span),
+            "distance": _finite(span.distance),
+            "angle": _finite(span.angle),
+            "status": str(span.status),
+        }
+        for span in goal.spans
+    ]
     return {
         "effector": goal.name,
         "joint": goal.joint,
@@ -129,9 +142,9 @@ def _miss_json(miss: Misses) -> dict[str, object]:
     return {
         "unit": "m" if miss.part == "position" else "rad",
         "frames": miss.frames,
-        "mean": miss.mean,
-        "p95": miss.p95,
-        "max": miss.max,
+        "mean": _finite(miss.mean),
+        "p95": _finite(miss.p95),
+        "max": _finite(miss.max),
         "frame": miss.frame,
     }
 
@@ -176,4 +189,5 @@ def ik_table_json(table: IkTable) -> dict[str, object]:
 
 
 def _row_json(row: IkTableRow) -> dict[str, object]:
-    return {**asdict(row), "method": str(row.method)}
+    misses = {"position": _finite(row.position), "angle": _finite(row.angle)}
+    return {**asdict(row), **misses, "method": str(row.method)}

@@ -283,6 +283,17 @@ def test_exit_codes(place: Path, arguments: tuple[str, ...], code: int) -> None:
     assert "Traceback" not in done.stderr
 
 
+def test_a_target_beyond_all_numbers(place: Path) -> None:
+    text = REACH.replace("[-10, 20, 20]", "[1e300, 0, 0]")
+    (place / "huge.targets.yaml").write_text(text)
+    done = run(place, "-t", "huge.targets.yaml", "-o", "h.usda", "--format", "json")
+    assert done.code == 0, done.stderr
+    found = json.loads(done.stdout)["goals"][1]
+    assert found["residuals"]["position"]["max"] is None
+    assert found["missed"][0]["distance"] is None
+    assert "nan" not in (place / "h.usda").read_text("utf-8")
+
+
 def test_outputs_are_not_replaced_unasked(place: Path) -> None:
     (place / "there.usda").write_text("mine")
     given = ("-t", "reach.targets.yaml", "-o", "there.usda")
