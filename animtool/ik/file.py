@@ -14,6 +14,7 @@ from animtool.clip.channel_entries import FARTHEST_FRAME
 from animtool.clip.schema import CurveModel
 from animtool.clip.units import ClipUnits
 from animtool.config import project_roots
+from animtool.documents.arrays import Archives
 from animtool.documents.check import check_version, nearest, validated
 from animtool.documents.document import Document, Location, read_document
 from animtool.ik.goals import Goal
@@ -57,14 +58,19 @@ def load_targets(path: Path | str, rig: Rig | None = None) -> TargetTracks:
     document = read_document(Path(path))
     check_version(document, "targets")
     model = validated(document, TargetsModel)
-    tracks = _Reader(document, model, rig).tracks()
+    with Archives() as archives:
+        tracks = _Reader(document, model, rig, archives).tracks()
     document.check()
     return tracks
 
 
 class _Reader:
     def __init__(
-        self, document: Document, model: TargetsModel, rig: Rig | None
+        self,
+        document: Document,
+        model: TargetsModel,
+        rig: Rig | None,
+        archives: Archives,
     ) -> None:
         self.document, self.model, self.rig = document, model, rig
         self.first, self.last = self._range()
@@ -76,6 +82,7 @@ class _Reader:
             rig,
             self._units(),
             project_roots(document.path),
+            archives,
             self.first,
             count,
         )

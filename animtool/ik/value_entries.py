@@ -14,7 +14,7 @@ from animtool._types import FloatArray
 from animtool.clip.channel_entries import ChannelReader, file_quaternions
 from animtool.clip.schema import CurveModel
 from animtool.clip.units import ClipUnits
-from animtool.documents.arrays import referred, split_reference, stored_array
+from animtool.documents.arrays import Archives, referred, split_reference
 from animtool.documents.document import Document, Location
 from animtool.errors import AnimtoolError, counted
 from animtool.ik.schema import ValueModel
@@ -46,6 +46,7 @@ class ValueReader:
         rig: In whose world prims are; None reads none.
         units: Of the file.
         roots: Folders that references may lead into.
+        archives: Opens arrays, for as long as values are read.
         first: Frame of the first row of arrays; None where no range says.
         count: How many rows they must have; None where no range says.
     """
@@ -54,6 +55,7 @@ class ValueReader:
     rig: Rig | None
     units: ClipUnits
     roots: Sequence[Path]
+    archives: Archives
     first: Fraction | None
     count: int | None
 
@@ -162,7 +164,7 @@ class ValueReader:
         if path is None:
             return None
         try:
-            values = np.asarray(stored_array(path, array), np.float64)
+            values = np.asarray(self.archives.stored(path, array), np.float64)
         except ValueError as error:
             self.document.add("TGT006", at, str(error))
             return None
