@@ -144,14 +144,18 @@ class Channel:
     def gather(self, joints: IntArray) -> FloatArray:
         """Return the values of some joints, moving or not ``(F, len(joints), K)``."""
         values = np.repeat(self.rest[joints][None], len(self.values), axis=0)
-        _, into, source = np.intersect1d(joints, self.animated, return_indices=True)
-        if len(into):
-            values[:, into] = self.values[:, source]
+        places = np.full(len(self.rest), -1)
+        places[self.animated] = np.arange(len(self.animated))
+        moving = places[joints] >= 0
+        if moving.any():
+            values[:, moving] = self.values[:, places[joints[moving]]]
         return values
 
     def put(self, joints: IntArray, values: FloatArray) -> Channel:
         """Return the channel with other values of some joints, ascending."""
-        animated = np.union1d(self.animated, joints)
+        moves = np.zeros(len(self.rest), np.bool_)
+        moves[self.animated] = moves[joints] = True
+        animated = np.flatnonzero(moves)
         whole = self.gather(animated)
         whole[:, np.searchsorted(animated, joints)] = values
         return Channel(self.rest, animated, whole)
