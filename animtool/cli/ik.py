@@ -50,7 +50,7 @@ class _Method(click.ParamType[Any]):
 
     @staticmethod
     def _names() -> list[str]:
-        from animtool.ik.solve import IkMethod
+        from animtool.ik.methods import IkMethod
 
         return [str(method) for method in IkMethod]
 
@@ -63,7 +63,7 @@ class _Method(click.ParamType[Any]):
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> Any:
         """Return the solver of a name."""
-        from animtool.ik.solve import IkMethod
+        from animtool.ik.methods import IkMethod
 
         if value not in self._names():
             self.fail(

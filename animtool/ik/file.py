@@ -164,7 +164,17 @@ class _Reader:
         if joint is None:
             return None
         x, y, z = (value * self.values.units.length for value in model.offset)
-        goal = Goal(joint, (x, y, z), aim_axis=axis, root=root, **_asked(given | held))
+        stretch = 0.0 if chain is None else chain.stretch
+        goal = Goal(
+            joint,
+            (x, y, z),
+            aim_axis=axis,
+            root=root,
+            priority=model.priority,
+            soft=model.soft,
+            stretch=stretch if model.stretch is None else model.stretch,
+            **_asked(given | held),
+        )
         return GoalTrack(
             model.effector,
             goal,

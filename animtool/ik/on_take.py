@@ -18,10 +18,11 @@ from animtool.errors import Fault, OptionError
 from animtool.ik.carried import Part, parts_of
 from animtool.ik.followers import followers
 from animtool.ik.goals import Goal, Targets
+from animtool.ik.methods import IkMethod, serving
 from animtool.ik.on_limits import frames_on_limits
 from animtool.ik.problem import Problem, build
 from animtool.ik.result import IkResult, IkStatus
-from animtool.ik.solve import IkMethod, IkOptions, solve
+from animtool.ik.solve import IkOptions, solve
 from animtool.ik.sub_rig import sub_rig, with_types
 from animtool.ik.tracks import GoalTrack, TargetTracks
 from animtool.maths import so3
@@ -299,6 +300,8 @@ class _Run:
         if goals == self.goals:
             return None
         leaning = self._problem(part, goals)
+        if self.options.method not in serving(leaning):
+            return None
         given = replace(targets, poles=poles, weights=weights)
         start = part.coordinates[0]
         done = self._timed(leaning, start, given, warm=True, restarts=0)
@@ -375,17 +378,20 @@ def _gathered(
     motion = take.motion
     rig = found[0].part.rig
     names = {*results[0].problem.joints, *followers(rig, results[0].problem.joints)}
-    joints = sorted(rig.index(name) for name in names)
+    stretched = {j for limb in results[0].problem.limbs for j in limb.joints}
+    joints = sorted({rig.index(name) for name in names} | stretched)
     places, turns = local.translations[:, joints], local.rotations[:, joints]
     for one in found:
         span = one.part.frames
         rows, before = one.result.coordinates, one.part.coordinates
         made = local_from_coordinates(one.part.rig, rows)
+        longer = one.result.local_translations()
         slices = coordinate_slices(one.part.rig)
         for i, j in enumerate(joints):
-            new = np.abs(rows[:, slices[j]] - before[:, slices[j]]).max(axis=1)
-            moved = new > UNCHANGED
-            places[span, i][moved] = made.translations[moved, j]
+            change = np.abs(rows[:, slices[j]] - before[:, slices[j]])
+            grown = (longer[:, j] != made.translations[:, j]).any(axis=1)
+            moved = (change.max(axis=1, initial=0.0) > UNCHANGED) | grown
+            places[span, i][moved] = longer[moved, j]
             turns[span, i][moved] = made.rotations[moved, j]
     index = own[joints]
     motion = replace(

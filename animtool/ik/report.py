@@ -98,6 +98,8 @@ def goal_reports(
 ) -> list[GoalReport]:
     """Return what became of each goal.
 
+    Where a goal that is soft, or of a priority above 0, gives way, it is not missed.
+
     Args:
         solved: A take at its targets.
         tolerance: Of positions [m].
@@ -106,6 +108,7 @@ def goal_reports(
     times = solved.take.clock.times
     limits = np.array([tolerance, *[angle_tolerance] * 3])
     found = []
+    yielded = np.array([s is IkStatus.YIELDED for s in solved.statuses], np.bool_)
     for e, track in enumerate(solved.tracks.goals):
         asked, misses = solved.asked[:, e], solved.misses[:, e]
         parts = tuple(
@@ -114,6 +117,8 @@ def goal_reports(
             if asked[:, i].any()
         )
         short = np.asarray((asked & (misses > limits)).any(axis=1), np.bool_)
+        if track.goal.priority > 0 or track.goal.soft > 0:
+            short = np.asarray(short & ~yielded, np.bool_)
         spans = tuple(_spans(solved, np.where(asked, misses, 0.0), short))
         found.append(GoalReport(track.name, track.goal.joint, parts, spans))
     return found

@@ -160,8 +160,20 @@ class GoalModel(FileModel):
     )
     priority: Annotated[int, Field(ge=0)] = Field(
         default=0,
-        description="0 comes first; higher ones take what it leaves open.",
+        description="0 is hard; goals of higher numbers give way to those of lower.",
         examples=[1],
+    )
+    soft: Annotated[float, Field(ge=0, lt=1)] = Field(
+        default=0.0,
+        description="Share of the limb's reach over which its extension eases out, so "
+        "that it does not snap straight. It wants a `root` that no goal moves.",
+        examples=[0.05],
+    )
+    stretch: Weight | None = Field(
+        default=None,
+        description="Share of their length that the limb's bones may grow by to reach "
+        "what is too far. Not given: the chain's.",
+        examples=[0.1],
     )
     hold: list[Pair] = Field(
         default=[],

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from animtool.errors import Fault, OptionError
 from animtool.ik.file import load_targets
+from animtool.ik.methods import IkMethod
 from animtool.ik.on_take import TakeOptions, solve_take
 from animtool.ik.report import goal_reports, missed_notices
-from animtool.ik.solve import IkMethod
 from animtool.ik.sub_rig import dressed
 from animtool.passes import OptionChecks, Pass, PassContext, Scope
 from animtool.rig.skeleton import Rig

@@ -78,6 +78,9 @@ def test_targets_1() -> None:
         (1, 1, 1, 0),
         (1, 1, 0, 0),
     ]
+    assert [track.goal.priority for track in tracks.goals] == [0, 1, 0]
+    assert [track.goal.stretch for track in tracks.goals] == [0.1, 0.2, 0.0]
+    assert [track.goal.soft for track in tracks.goals] == [0.0, 0.05, 0.0]
     assert tracks.goals[1].spans == ((3, 6), (12, 20))
     targets = tracks.sample(rig, tracks.clock, rest_take(rig, tracks.clock).world())
     found = np.asarray(targets.positions)[:, 2]

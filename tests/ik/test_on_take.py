@@ -13,6 +13,7 @@ from support.targets import HEAD, legs, point_of, tracks_of, walk_of
 
 from animtool.errors import FormatError, OptionError
 from animtool.ik.on_take import TakeIk, TakeOptions, solve_take
+from animtool.ik.report import goal_reports
 from animtool.ik.result import IkStatus
 from animtool.ik.sub_rig import dressed
 from animtool.maths import so3
@@ -117,6 +118,35 @@ def test_goals_that_contradict_each_other_are_named_and_finite(tmp_path: Path) -
     assert IkStatus.CONVERGED not in found.statuses
     assert np.isfinite(found.take.motion.rotations.dense()).all()
     assert_allclose(found.misses[:, :, 0], 0.1, atol=1e-3)
+
+
+def test_a_goal_of_a_higher_number_gives_way(tmp_path: Path) -> None:
+    goals = (
+        "- {effector: ankle_l, root: hip_l, position: [0.3, 0.2, 0]}\n"
+        "- {effector: ankle_l, root: hip_l, position: [0.1, 0.2, 0], priority: 1}\n"
+    )
+    found = held(tmp_path, walk_of(legs(), count=2), goals)
+    assert found.misses[:, 0, 0].max() < 2e-6
+    assert_allclose(found.misses[:, 1, 0], 0.2, atol=1e-5)
+    hard, soft = goal_reports(found)
+    assert (hard.spans, soft.spans) == ((), ())
+
+
+def test_bones_stretch_where_they_may(tmp_path: Path) -> None:
+    take = walk_of(legs(), count=3)
+    goal = "- {effector: leg_l, position: [0.1, -0.05, 0], stretch: 0.5}\n"
+    found = held(tmp_path, take, goal)
+    # The knee's limit keeps it from being quite straight, as its reach would have it.
+    apart = np.linalg.norm(point_of(found.take, "ankle_l") - [0.1, -0.05, 0], axis=1)
+    assert_allclose(apart, found.misses[:, 0, 0], atol=1e-9)
+    assert apart.max() < 1e-3
+    knee = take.rig.index("knee_l")
+    longer = found.take.motion.translations.dense()[:, knee]
+    ratio = np.linalg.norm(longer, axis=1) / np.linalg.norm(
+        take.rig.rest_translations[knee]
+    )
+    assert (ratio > 1.01).all()
+    assert (ratio < 1.5).all()
 
 
 def test_bones_of_no_length_end_in_a_status(tmp_path: Path) -> None:
