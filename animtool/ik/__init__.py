@@ -26,8 +26,8 @@ __all__ = [
     "Targets",
     "build",
     "follow",
-    "smooth",
     "load_targets",
+    "smooth",
     "solve",
     "solve_take",
 ]
