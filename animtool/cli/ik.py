@@ -173,6 +173,14 @@ Examples:
     "by about as much.",
 )
 @click.option(
+    "--smooth",
+    type=TOLERANCE,
+    default=0.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="Time over which motion that the goals leave free is evened out.",
+)
+@click.option(
     "--table",
     is_flag=True,
     help="Write nothing; measure time against error, over tolerances and methods.",
@@ -336,6 +344,7 @@ def _job(given: dict[str, Any], to_stdout: bool) -> Any:
             seconds=given["time_budget"],
             joints=tuple(name.strip() for name in names if name.strip()),
             rest_weight=given["rest_weight"],
+            smooth=given["smooth"],
         ),
         tolerance=given["tol"],
         angle_tolerance=math.radians(given["tol_degrees"]),

@@ -111,6 +111,10 @@ def ik_json(report: IkReport) -> dict[str, object]:
         "microseconds_per_frame": 1e6 * solved.seconds / frames,
         "goals": [_goal_json(goal) for goal in report.goals],
         "on_limits": limit_counts(solved),
+        "jumps": [
+            {"frame": float(clock.times[jump.frame]), "joint": jump.joint}
+            for jump in solved.jumps
+        ],
         "notices": [notice.as_dict() for notice in report.notices],
     }
 

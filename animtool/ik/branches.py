@@ -192,10 +192,9 @@ def _scattered(
         for (kind, _, column, follows), numbers in zip(
             chain.nodes[:, :4], with_periods(chain), strict=True
         ):
-            middle, half = numbers[14:16].mean(), np.ptp(numbers[14:16]) / 2
-            at = rng.uniform(-1, 1)
-            if kind != BALL and not follows and np.isfinite(half):
-                pose[column] = middle + at * min(half, np.pi)
+            at, (low, high) = rng.uniform(-1, 1), numbers[14:16]
+            if kind != BALL and not follows and np.isfinite([low, high]).all():
+                pose[column] = (low + high) / 2 + at * min((high - low) / 2, np.pi)
         yield pose
 
 

@@ -16,12 +16,13 @@ from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.documents.check import nearest
 from animtool.errors import Fault, OptionError
 from animtool.ik.carried import Part, parts_of
+from animtool.ik.follow import FollowOptions, follow
 from animtool.ik.followers import followers
 from animtool.ik.goals import Goal, Targets
 from animtool.ik.methods import IkMethod, serving
 from animtool.ik.on_limits import frames_on_limits
 from animtool.ik.problem import Problem, build
-from animtool.ik.result import IkResult, IkStatus
+from animtool.ik.result import IkResult, IkStatus, Jump
 from animtool.ik.solve import IkOptions, solve
 from animtool.ik.sub_rig import sub_rig, with_types
 from animtool.ik.tracks import GoalTrack, TargetTracks
@@ -39,6 +40,8 @@ __all__ = ["TakeIk", "TakeOptions", "solve_take"]
 
 # Coordinates that a solve changes by less, it leaves as they were.
 UNCHANGED = 1e-12
+# Those that follow a clip over other branches; the others are there for comparison.
+FOLLOWED = frozenset({IkMethod.AUTO, IkMethod.DAMPED, IkMethod.TWO_BONE})
 # A pole stands this many lengths of its chain away, so that only its side counts.
 FAR = 10.0
 
@@ -57,6 +60,8 @@ class TakeOptions:
         joints: Names or patterns of the joints that may move; none is every one that
             moves a goal.
         rest_weight: How strongly the pose that a frame has already is kept.
+        smooth: Time over which motion that the goals leave free is evened out [s]; 0
+            leaves it.
     """
 
     method: IkMethod = IkMethod.AUTO
@@ -67,6 +72,7 @@ class TakeOptions:
     seconds: float = 0.0
     joints: tuple[str, ...] = ()
     rest_weight: float = 0.0
+    smooth: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -83,6 +89,7 @@ class TakeIk:
         iterations: ``(F,)``.
         descents: Starts tried ``(F,)``.
         seconds: Time of all frames [s], the one part that differs between runs.
+        jumps: Where joints jump and no other way was found.
         on_limits: By joint, in which frames it stands on a limit ``(F,)``.
     """
 
@@ -95,6 +102,7 @@ class TakeIk:
     iterations: IntArray
     descents: IntArray
     seconds: float
+    jumps: tuple[Jump, ...]
     on_limits: dict[str, BoolArray]
 
 
@@ -139,12 +147,13 @@ def solve_take(
         take.motion.translations.gather(own), take.motion.rotations.gather(own)
     )
     world = forward(rig, local.translations, local.rotations)
-    found = []
+    found: list[_Found] = []
     with _placed(tracks.path):
         targets = tracks.sample(rig, take.clock, world)
         if only is not None:
             take, local, world, targets = _selected(take, local, world, targets, only)
-        run = _Run(rig, tracks, targets, world, options, joints, still)
+        rate = float(take.clock.rate)
+        run = _Run(rig, tracks, targets, world, options, joints, still, rate)
         for part in parts_of(rig, local, world, goals, joints):
             found.append(run.solved(part))
             if progress is not None:
@@ -245,6 +254,7 @@ class _Run:
     options: TakeOptions
     joints: list[str] | None
     still: bool
+    rate: float
 
     @property
     def goals(self) -> list[Goal]:
@@ -328,7 +338,17 @@ class _Run:
             warm=warm,
         )
         began = time.perf_counter()
-        found = solve(problem, starts, targets, chosen)
+        if options.method in FOLLOWED and len(np.asarray(targets.positions)) > 1:
+            searched = restarts is None
+            way = FollowOptions(
+                chosen,
+                self.rate,
+                smooth=options.smooth if searched else 0.0,
+                branches=FollowOptions().branches if searched else 0,
+            )
+            found = follow(problem, starts, targets, way)
+        else:
+            found = solve(problem, starts, targets, chosen)
         return found, time.perf_counter() - began
 
 
@@ -411,6 +431,7 @@ def _gathered(
         np.concatenate([one.iterations for one in results]),
         np.concatenate([one.descents for one in results]),
         sum(one.seconds for one in found),
+        tuple(jump for one in results for jump in one.jumps),
         {name: np.concatenate([one[name] for one in limits]) for name in limits[0]},
     )
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray
-from animtool.errors import Fault, Severity, listed
+from animtool.errors import Fault, Severity, counted, listed
 from animtool.ik.on_take import TakeIk
 from animtool.ik.result import IkStatus
 from animtool.ik.tracks import PARTS
@@ -21,6 +21,7 @@ __all__ = [
     "MissedSpan",
     "Misses",
     "goal_reports",
+    "jump_notices",
     "limit_counts",
     "missed_notices",
     "status_counts",
@@ -171,6 +172,25 @@ def missed_notices(reports: list[GoalReport], **place: Any) -> list[Fault]:
         for report in reports
         if report.spans
     ]
+
+
+def jump_notices(solved: TakeIk, **place: Any) -> list[Fault]:
+    """Return a warning where joints jump, with the largest of them.
+
+    Args:
+        solved: A take at its targets.
+        place: Of the fault, such as ``path``.
+    """
+    if not solved.jumps:
+        return []
+    worst = max(solved.jumps, key=lambda jump: jump.size)
+    frame = solved.take.clock.times[worst.frame]
+    others = len(solved.jumps) - 1
+    message = f"joint {worst.joint!r} jumps at frame {frame:g}"
+    if others:
+        message += f", and {counted(others, 'other')} elsewhere"
+    hint = "the targets leave no way that is steadier, as far as was found"
+    return [Fault("IK102", message, hint=hint, severity=Severity.WARNING, **place)]
 
 
 def _missed(report: GoalReport) -> str:

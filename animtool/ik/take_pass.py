@@ -10,7 +10,7 @@ from animtool.errors import Fault, OptionError
 from animtool.ik.file import load_targets
 from animtool.ik.methods import IkMethod
 from animtool.ik.on_take import TakeOptions, solve_take
-from animtool.ik.report import goal_reports, missed_notices
+from animtool.ik.report import goal_reports, jump_notices, missed_notices
 from animtool.ik.sub_rig import dressed
 from animtool.passes import OptionChecks, Pass, PassContext, Scope
 from animtool.rig.skeleton import Rig
@@ -37,6 +37,7 @@ class IkPassOptions:
         seed: Of the new starts.
         seconds: Most time for one frame [s]; 0 is no bound.
         rest_weight: How strongly the pose of the take is kept.
+        smooth: Time over which motion that the goals leave free is evened out [s].
     """
 
     targets: Path | None = None
@@ -49,6 +50,7 @@ class IkPassOptions:
     seed: int = TakeOptions().seed
     seconds: float = TakeOptions().seconds
     rest_weight: float = TakeOptions().rest_weight
+    smooth: float = TakeOptions().smooth
 
 
 def _run(take: Take, options: IkPassOptions, context: PassContext) -> Take:
@@ -66,10 +68,12 @@ def _run(take: Take, options: IkPassOptions, context: PassContext) -> Take:
         seconds=options.seconds,
         joints=options.joints,
         rest_weight=options.rest_weight,
+        smooth=options.smooth,
     )
     solved = solve_take(replace(take, rig=rig), tracks, settings)
     context.notices.extend(tracks.notices)
     context.notices.extend(missed_notices(goal_reports(solved), path=str(path)))
+    context.notices.extend(jump_notices(solved, path=str(path)))
     return replace(solved.take, rig=take.rig)
 
 

@@ -22,6 +22,7 @@ from animtool.ik.report import (
     MISSED_LENGTH,
     GoalReport,
     goal_reports,
+    jump_notices,
     missed_notices,
 )
 from animtool.ik.tracks import TargetTracks
@@ -265,8 +266,10 @@ def _solved(job: IkJob, progress: Progress) -> IkReport:
     seconds = {"read": read - began, "solve": time.perf_counter() - read}
     goals = goal_reports(solved, job.tolerance, job.angle_tolerance)
     missed = missed_notices(goals, path=str(job.targets))
-    report = IkReport(solved, goals, [*opened.notices, *missed], seconds)
+    jumps = jump_notices(solved, path=str(job.targets))
+    notices = [*opened.notices, *missed, *jumps]
+    report = IkReport(solved, goals, notices, seconds)
     if job.strict and missed:
         raise MissedGoalsError(missed, report)
-    refuse_warnings(opened.notices, strict=job.strict)
+    refuse_warnings([*opened.notices, *jumps], strict=job.strict)
     return report

@@ -294,6 +294,13 @@ def test_a_target_beyond_all_numbers(place: Path) -> None:
     assert "nan" not in (place / "h.usda").read_text("utf-8")
 
 
+def test_smoothing_keeps_the_goals(place: Path) -> None:
+    given = ("-t", "feet.targets.yaml", "--clip", STRIDE, "--smooth", "0.2")
+    done = run(place, *given, "--strict", "--format", "json")
+    assert done.code == 0, done.stderr
+    assert json.loads(done.stdout)["jumps"] == []
+
+
 def test_outputs_are_not_replaced_unasked(place: Path) -> None:
     (place / "there.usda").write_text("mine")
     given = ("-t", "reach.targets.yaml", "-o", "there.usda")

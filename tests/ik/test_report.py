@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,12 @@ from support.targets import HEAD, legs, tracks_of, walk_of
 from animtool.ik.on_take import TakeIk, solve_take
 from animtool.ik.report import (
     goal_reports,
+    jump_notices,
     limit_counts,
     missed_notices,
     status_counts,
 )
+from animtool.ik.result import Jump
 
 
 @pytest.fixture
@@ -65,3 +68,11 @@ def test_counts(solved: TakeIk) -> None:
     assert sum(counts.values()) == 40
     assert counts["converged"] >= 28
     assert limit_counts(solved)["knee_l"] >= 9
+
+
+def test_jumps_are_named(solved: TakeIk) -> None:
+    assert jump_notices(replace(solved, jumps=())) == []
+    jumps = (Jump(4, "knee_l", 0.5), Jump(9, "hip_l", 0.9))
+    (notice,) = jump_notices(replace(solved, jumps=jumps))
+    assert notice.code == "IK102"
+    assert notice.message == "joint 'hip_l' jumps at frame 10, and 1 other elsewhere"
