@@ -268,19 +268,9 @@ class _Run:
         if not self.still:
             done = self._timed(problem, part.coordinates, targets, warm=False)
             return _Found(part, *done)
-        bent = self._bent(part, problem, targets)
-        if bent is None:
-            done = self._timed(problem, part.coordinates[0], targets, warm=True)
-            return _Found(part, *done)
-        found, seconds = self._timed(
-            problem, bent.result.coordinates, targets, warm=False
-        )
-        found = replace(
-            found,
-            iterations=found.iterations + bent.result.iterations,
-            descents=found.descents + bent.result.descents - 1,
-        )
-        return _Found(part, found, bent.seconds + seconds)
+        start, seconds = self._bent(part, problem, targets)
+        found, more = self._timed(problem, start, targets, warm=True)
+        return _Found(part, found, seconds + more)
 
     def _problem(self, part: Part, goals: Sequence[Goal]) -> Problem:
         return build(
@@ -291,14 +281,17 @@ class _Run:
             rest_weight=self.options.rest_weight,
         )
 
-    def _bent(self, part: Part, problem: Problem, targets: Targets) -> _Found | None:
-        """Return poses whose chains bend towards their poles, as far as they can.
+    def _bent(
+        self, part: Part, problem: Problem, targets: Targets
+    ) -> tuple[FloatArray, float]:
+        """Return a first pose ``(Q,)`` with bent chains, and the time it took [s].
 
-        They are what the goals are then solved from, so that a pole that cannot be
-        had takes nothing from them.
+        They bend towards their poles as far as they can. The goals are solved from
+        there, so that a pole that cannot be had takes nothing from them, and every
+        frame from the one before, which keeps the side.
         """
-        poles = np.array(targets.poles)
-        weights = np.array(targets.weights)
+        poles = np.array(targets.poles)[:1]
+        weights = np.array(targets.weights)[:1]
         goals = self.goals
         origins = self.world.positions[part.frames.start]
         for e, track in enumerate(self.tracks.goals):
@@ -308,14 +301,15 @@ class _Run:
             point = _pole(self.rig, track, self.world, part.frames.start)
             poles[:, e], weights[:, e, 3] = point, 1.0
         if goals == self.goals:
-            return None
+            return part.coordinates[0], 0.0
         leaning = self._problem(part, goals)
         if self.options.method not in serving(leaning):
-            return None
-        given = replace(targets, poles=poles, weights=weights)
+            return part.coordinates[0], 0.0
+        arrays = [np.asarray(getattr(targets, f.name))[:1] for f in fields(Targets)]
+        given = replace(Targets(*arrays), poles=poles, weights=weights)
         start = part.coordinates[0]
-        done = self._timed(leaning, start, given, warm=True, restarts=0)
-        return _Found(part, *done)
+        found, seconds = self._timed(leaning, start, given, warm=True, restarts=0)
+        return found.coordinates[0], seconds
 
     def _timed(
         self,

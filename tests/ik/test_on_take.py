@@ -251,7 +251,8 @@ def test_one_frame_of_many(tmp_path: Path) -> None:
     )
 
 
-def test_chains_bend_towards_their_pole_from_rest(tmp_path: Path) -> None:
+def loose_legs(way: float) -> Rig:
+    """Return legs whose knees bend in any direction, the left one's chain in one."""
     rig = legs()
     balls = tuple(
         replace(joint, type=JointType.BALL, limits=None)
@@ -259,20 +260,39 @@ def test_chains_bend_towards_their_pole_from_rest(tmp_path: Path) -> None:
         else joint
         for joint in rig.joints
     )
+    chain = replace(rig.ik[0], pole_dir=(0.0, 0.0, way))
+    return replace(rig, joints=balls, ik=(chain,))
+
+
+def resting(rig: Rig, count: int) -> Take:
+    rest = Motion(
+        Channel.from_dense(np.repeat(rig.rest_translations[None], count, axis=0)),
+        Channel.from_dense(np.repeat(rig.rest_rotations[None], count, axis=0)),
+    )
+    return Take(rig, Clock(Fraction(24), Fraction(1), Fraction(1), count), rest)
+
+
+def test_chains_bend_towards_their_pole_from_rest(tmp_path: Path) -> None:
     goal = "- {effector: leg_l, position: [0.1, 0.3, 0.0]}"
     for way in (1.0, -1.0):
-        chain = replace(rig.ik[0], pole_dir=(0.0, 0.0, way))
-        loose = replace(rig, joints=balls, ik=(chain,))
-        rest = Motion(
-            Channel.from_dense(loose.rest_translations[None]),
-            Channel.from_dense(loose.rest_rotations[None]),
-        )
-        clock = Clock(Fraction(24), Fraction(1), Fraction(1), 1)
-        take = Take(loose, clock, rest)
+        loose = loose_legs(way)
         tracks = tracks_of(tmp_path, goal, loose)
-        found = solve_take(take, tracks, still=True)
+        found = solve_take(resting(loose, 1), tracks, still=True)
         assert found.misses[..., 0].max() < 2e-6
         assert way * point_of(found.take, "knee_l")[0, 2] > 0.1
+
+
+def test_a_chain_goes_on_from_the_side_that_it_bends_to(tmp_path: Path) -> None:
+    goal = "- {effector: leg_l, position: {keys: [{t: 1, v: [0.1, 0.3, 0]}, "
+    goal += "{t: 24, v: [0.3, 0.5, 0.2]}]}}"
+    loose = loose_legs(1.0)
+    found = solve_take(resting(loose, 24), tracks_of(tmp_path, goal, loose), still=True)
+    assert found.misses[..., 0].max() < 2e-6
+    knee = point_of(found.take, "knee_l")
+    assert knee[:, 2].min() > 0.1
+    assert np.linalg.norm(np.diff(knee, axis=0), axis=1).max() < 0.03
+    assert found.descents.max() <= 1
+    assert found.iterations[1:].max() < 10
 
 
 def test_the_same_seed_gives_the_same_poses(tmp_path: Path) -> None:
