@@ -1,4 +1,4 @@
-"""Make the pictures of head and biped: sheets of poses and of frames, as PNG files.
+"""Make the pictures of rigs and samples: sheets of poses and of frames, as PNG files.
 
 Usage: ``python make_pictures.py [OUT]``; ``OUT`` is this file's folder unless given.
 """
@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 from picture import Camera, Surface, render, ribbons, write_png
 from posed import Array, Puppet, posed
+from props import stage_surfaces
+from solved import arm_surfaces, carried, welding
 
 from animtool.clip.file import load_clip, open_clip
 from animtool.clip.sample import sample_clip
@@ -76,6 +78,12 @@ ELBOW = Camera((0.33, 1.40, 0.02), 0.75, lift=35)
 TAIL = Camera((0.0, 1.56, -0.05), 0.5, turn=130, lift=10)
 SCARLET, BROWN = (0.62, 0.13, 0.14), (0.34, 0.24, 0.17)
 KNEE = Camera((0.05, 0.75, 0.1), 0.95, turn=60)
+
+CARRY = (1, 36, 48, 68, 108)
+ROOM = Camera((0.22, 0.78, 0.17), 1.85, turn=-50, lift=10)
+WELD = (100, 200, 290, 360, 430)
+CELL = Camera((0.0, 0.45, 0.3), 1.05, turn=55, lift=15)
+SEAM = Camera((0.0, 0.31, 0.56), 0.36, turn=100, lift=25)
 
 
 def head_surfaces(head: Puppet, motion: Motion, frame: int = 0) -> list[Surface]:
@@ -167,11 +175,36 @@ def cape_sheet(body: Puppet, size: int) -> Array:
     )
 
 
-def body_surface(body: Puppet, motion: Motion) -> Surface:
-    """Return the biped's body in the first frame of a motion."""
+def carry_sheet(body: Puppet, size: int) -> Array:
+    """Return frames of the carried box."""
+    take = carried(body.rig)
+
+    def shot(frame: int) -> Array:
+        surface = body_surface(body, take.motion, frame - 1)
+        props = stage_surfaces(ROOT / "samples/carry/prop.usda", frame)
+        return render([surface, *props], ROOM, (size, size * 3 // 4))
+
+    return sheet([[shot(frame) for frame in CARRY]])
+
+
+def weld_sheet(size: int) -> Array:
+    """Return frames of the weld, whole and from near."""
+    take = welding()
+    pipes = stage_surfaces(ROOT / "samples/weld/pipes.usda", 1)
+
+    def shot(frame: int, camera: Camera) -> Array:
+        surfaces = [*arm_surfaces(take, frame - 1), *pipes]
+        upright = [replace(s, points=s.points[:, [1, 2, 0]]) for s in surfaces]
+        return render(upright, camera, (size, size))
+
+    return sheet([[shot(f, camera) for f in WELD] for camera in (CELL, SEAM)])
+
+
+def body_surface(body: Puppet, motion: Motion, frame: int = 0) -> Surface:
+    """Return the biped's body in a frame of a motion."""
     mesh = next(mesh for mesh in body.rig.meshes if mesh.name == "body")
     colours = load_array(ROOT / "rigs/biped/body.npz", "colours") / 255
-    return Surface(body.points(mesh, motion), body.triangles(mesh), colours)
+    return Surface(body.points(mesh, motion, frame), body.triangles(mesh), colours)
 
 
 def main() -> None:
@@ -187,6 +220,8 @@ def main() -> None:
     body = Puppet.load(ROOT / "rigs/biped/biped.rig.yaml")
     write_png(out / "body.png", body_sheet(body, 300))
     write_png(out / "cape.png", cape_sheet(body, 300))
+    write_png(out / "carry.png", carry_sheet(body, 320))
+    write_png(out / "weld.png", weld_sheet(240))
 
 
 if __name__ == "__main__":

@@ -16,10 +16,12 @@ DOCUMENTS = [
     "README.md",
     "animtool/docs/guide.md",
     "samples/bounce/README.md",
+    "samples/carry/README.md",
     "samples/press/README.md",
     "samples/speech/README.md",
     "samples/stride/README.md",
     "samples/walk/README.md",
+    "samples/weld/README.md",
 ]
 
 

@@ -84,5 +84,33 @@ def test_the_picture_is_a_png(script: dict[str, Any], tmp_path: Path) -> None:
 
 def test_committed_pictures_are_small() -> None:
     sizes = {path.name: path.stat().st_size for path in PICTURES.glob("*.png")}
-    assert len(sizes) == 6
+    assert len(sizes) == 8
     assert max(sizes.values()) < 150_000
+
+
+def test_what_stands_on_a_stage_is_drawn_where_it_is(script: dict[str, Any]) -> None:
+    surfaces = script["stage_surfaces"]
+    tables = surfaces(ROOT / "samples/carry/prop.usda", 112)
+    low, high = tables[0].points.min(0), tables[0].points.max(0)
+    np.testing.assert_allclose((low + high) / 2, [0.616, 0.8, 0.335], atol=1e-9)
+    # The box is turned by 60°.
+    assert high[0] - low[0] == pytest.approx(0.4 * 0.5 + 0.3 * np.sqrt(0.75))
+    assert high[1] - low[1] == pytest.approx(0.25)
+    assert len(tables) == 5
+    pipe, branch, _ = surfaces(ROOT / "samples/weld/pipes.usda", 1)
+    for surface, middle, size in (
+        (pipe, (0.56, 0.0, 0.2), (0.16, 0.5, 0.16)),
+        (branch, (0.56, 0.0, 0.29), (0.1, 0.1, 0.18)),
+    ):
+        low, high = surface.points.min(0), surface.points.max(0)
+        np.testing.assert_allclose((low + high) / 2, middle, atol=1e-9)
+        np.testing.assert_allclose(high - low, size, atol=1e-9)
+
+
+def test_the_torch_is_drawn_at_the_seam(script: dict[str, Any]) -> None:
+    take = script["welding"]()
+    tip = script["arm_surfaces"](take, 199)[-1].points
+    away = tip - [0.56, 0.0, 0.2]
+    from_branch = np.abs(np.hypot(away[:, 0], away[:, 1]) - 0.05)
+    from_main = np.abs(np.hypot(away[:, 0], away[:, 2]) - 0.08)
+    assert np.hypot(from_branch, from_main).min() < 1e-3
