@@ -18,7 +18,7 @@ from animtool.rig.kinematics import forward
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 
-__all__ = ["Chain", "assemble"]
+__all__ = ["Chain", "assemble", "limb_joints"]
 
 PIN, SLIDE, BALL = 0, 1, 2
 # Limits this close to a whole turn apart leave no gap [rad].
@@ -304,7 +304,7 @@ def _limbs(
             continue
         tip = rig.index(goal.joint)
         point = origins[tip] + world.linear[0, tip] @ np.asarray(goal.offset)
-        found = _limb(rig, goal, moving, origins, point)
+        found = limb_joints(rig, goal, moving, origins, point)
         if found is None:
             message = f"{goal.joint!r} ends no limb of two bones: its pole has no place"
             faults.append(Fault("IK004", message, where=f"goals[{i}]"))
@@ -315,31 +315,37 @@ def _limbs(
     return limbs, faults
 
 
-def _limb(
+def limb_joints(
     rig: Rig, goal: Goal, moving: set[int], origins: FloatArray, point: FloatArray
 ) -> tuple[int, int] | None:
     """Return the joints at the root and in the middle of a goal's limb.
 
     They are the two next above its point; of a goal with a root that, and between the
-    joint whose bones are the most alike, so that one which twists a forearm is none.
+    joint nearest to halfway along the bones, whatever the pose, so that one which
+    twists a forearm is none.
+
+    Args:
+        rig: J joints.
+        goal: Whose limb it is.
+        moving: The joints that may move.
+        origins: Of the joints ``(J, 3)``, in any pose.
+        point: Of the goal ``(3,)``, in that pose.
     """
     near = APART * (np.ptp(origins, axis=0).max() + 1e-300)
     found: list[int] = []
+    ways: list[float] = []
     below, j = point, rig.index(goal.joint)
     while j >= 0 and (goal.root is not None or len(found) < 2):
-        if j in moving and np.linalg.norm(origins[j] - below) > near:
+        bone = float(np.linalg.norm(origins[j] - below))
+        if j in moving and bone > near:
             found.append(j)
+            ways.append(bone + (ways[-1] if ways else 0.0))
             below = origins[j]
         j = -1 if rig.joints[j].name == goal.root else rig.joints[j].parent
     if len(found) < 2:
         return None
-    *middles, root = found
-
-    def shorter(joint: int) -> float:
-        bones = (origins[root] - origins[joint], origins[joint] - point)
-        return float(min(np.linalg.norm(bone) for bone in bones))
-
-    return root, max(middles, key=shorter)
+    halves = [min(way, ways[-1] - way) for way in ways[:-1]]
+    return found[-1], found[halves.index(max(halves))]
 
 
 def _finish(

@@ -17,7 +17,7 @@ from animtool.rig.joints import coordinate_slices
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import JointType, Rig
 
-__all__ = ["Problem", "build", "rest_pose"]
+__all__ = ["Problem", "build", "moving_joints", "rest_pose"]
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def build(
         raise OptionError(faults)
     width = sum(place.stop - place.start for place in coordinate_slices(rig))
     at = np.zeros(width) if pose is None else as_floats(pose, (width,), "pose")
-    moving = _moving(rig, goals, joints)
+    moving = moving_joints(rig, goals, joints)
     chain, faults = assemble(rig, goals, moving, at)
     limbs: tuple[Limb, ...] = ()
     if not faults:
@@ -158,10 +158,10 @@ def _reversed(limits: RangeLimit | BallLimit | None) -> bool:
     return False
 
 
-def _moving(
-    rig: Rig, goals: Sequence[Goal], joints: Collection[str] | None
+def moving_joints(
+    rig: Rig, goals: Sequence[Goal], joints: Collection[str] | None = None
 ) -> set[int]:
-    """Return the joints that move a goal and may."""
+    """Return the joints that move a goal and may; None says that all may."""
     found: set[int] = set()
     for goal in goals:
         j = rig.index(goal.joint)

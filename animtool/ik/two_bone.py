@@ -16,7 +16,7 @@ from animtool.ik.chain import BALL, PIN, Chain
 from animtool.ik.problem import Problem
 from animtool.maths import so3
 
-__all__ = ["LimbSolution", "fits", "misfit", "solve_limb", "wanted"]
+__all__ = ["LimbSolution", "fits", "misfit", "perpendicular", "solve_limb", "wanted"]
 
 # A pin is across a bone within this [1].
 ACROSS = 1e-12
@@ -175,7 +175,7 @@ def _open_elbow(
         return np.asarray(inside | ((other >= low) & (other <= high)), np.bool_)
     own = q[:, 4:8]
     direction = so3.rotate(own, lower)
-    axis = _unit(np.cross(across, direction), _perpendicular(across))
+    axis = _unit(np.cross(across, direction), perpendicular(across))
     now = np.arctan2(
         np.sum(axis * np.cross(across, direction), axis=1),
         np.sum(across * direction, axis=1),
@@ -219,7 +219,7 @@ def _turn_shoulder(
     # Twice: the first turn leaves what rounding makes of a half turn.
     for _ in range(2):
         now = so3.rotate(world, tip)
-        axis = _unit(np.cross(now, towards), _perpendicular(now))
+        axis = _unit(np.cross(now, towards), perpendicular(now))
         angle = np.arctan2(
             np.linalg.norm(np.cross(now, towards), axis=1),
             np.sum(now * towards, axis=1),
@@ -237,7 +237,7 @@ def _turn_to_pole(
 ) -> None:
     world = _world(chain, q)
     elbow = so3.rotate(world, upper)
-    axis = _unit(towards, _perpendicular(towards))
+    axis = _unit(towards, perpendicular(towards))
     turn = so3.from_axis_angle(axis, _angle_about(towards, elbow, pole))
     _set_world(chain, q, so3.multiply(turn, world))
 
@@ -258,7 +258,7 @@ def _unit(vectors: FloatArray, otherwise: FloatArray) -> FloatArray:
     return np.where(size > NO_LENGTH**2, found, otherwise)
 
 
-def _perpendicular(vectors: FloatArray) -> FloatArray:
+def perpendicular(vectors: FloatArray) -> FloatArray:
     """Return unit vectors at right angles to others ``(..., 3)``."""
     least = np.argmin(np.abs(vectors), axis=-1)
     found = np.cross(vectors, np.eye(3)[least])
