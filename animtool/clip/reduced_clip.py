@@ -11,10 +11,11 @@ from animtool._types import ArrayLike, FloatArray
 from animtool.clip.clip import Clip, ClipChannel, Interp, Tangent
 from animtool.clip.reduction import ChannelKind, ReducedChannel, Reduction
 from animtool.clip.units import ClipUnits
+from animtool.maths.fit import FittedKeys
 from animtool.rig.skeleton import Rig
 from animtool.take import Clock
 
-__all__ = ["clip_of_reduction"]
+__all__ = ["clip_of_reduction", "fitted_channel"]
 
 # Significant digits: beside the tolerance of any reduction, rounding is nothing.
 DIGITS = 10
@@ -44,9 +45,23 @@ def clip_of_reduction(reduction: Reduction, rig: Rig, name: str) -> Clip:
 
 
 def _channel(channel: ReducedChannel, rig: Rig, clock: Clock) -> ClipChannel:
-    keys, euler = channel.keys, channel.order or ""
-    target = _target(channel, rig)
+    target, euler = _target(channel, rig), channel.order or ""
     unit = ClipUnits.of_rig(rig).of(target, euler)
+    return fitted_channel(target, channel.keys, clock, unit, euler)
+
+
+def fitted_channel(
+    target: str, keys: FittedKeys, clock: Clock, unit: float, euler: str = ""
+) -> ClipChannel:
+    """Return fitted keys as a channel of Hermite ones.
+
+    Args:
+        target: Of the channel.
+        keys: In metres, degrees or [1]; frames from 0.
+        clock: What the frames are of.
+        unit: What a value of 1 means where it is written: [m], [rad] or [1].
+        euler: Order of the angles; empty for other values.
+    """
     # What the keys count, in the unit that they are written in.
     given = (math.radians(1.0) if euler else 1.0) / unit
     times = float(clock.start) + keys.frames.astype(np.float64) * float(clock.step)

@@ -15,7 +15,7 @@ from animtool.maths.extrapolation import Extrapolation
 from animtool.rig.skeleton import Rig
 from animtool.units import unit_name
 
-__all__ = ["clip_text"]
+__all__ = ["clip_text", "curve_lines"]
 
 Choice = TypeVar("Choice", bound=Hashable)
 Tangents = tuple[Tangent, Tangent]
@@ -47,7 +47,9 @@ def clip_text(clip: Clip, rig: Rig, rig_file: str) -> str:
         "channels:" if clip.channels else "channels: []",
     ]
     for channel in clip.channels:
-        lines += _channel(channel, units.of(channel.target, channel.euler))
+        unit = units.of(channel.target, channel.euler)
+        lines.append(f"- target: {text(channel.target)}")
+        lines += [f"  {line}" for line in curve_lines(channel, unit)]
     return "\n".join(lines) + "\n"
 
 
@@ -75,12 +77,17 @@ def _come_back(values: Iterable[float], unit: float) -> bool:
     return all(float(scaled(value, unit)) * unit == value for value in values)
 
 
-def _channel(channel: ClipChannel, unit: float) -> Iterator[str]:
+def curve_lines(channel: ClipChannel, unit: float) -> Iterator[str]:
+    """Yield the lines of a curve of keys, its target left out.
+
+    Args:
+        channel: The curve.
+        unit: What a value of 1 means: [m], [rad] or [1].
+    """
     interp = _commonest(channel.interps, Interp.LINEAR)
     ruled = [t for t in chain(*channel.tangents) if t is not Tangent.FREE]
     tangent = _commonest(ruled, USUAL_TANGENT)
-    yield f"- target: {text(channel.target)}"
-    yield f"  interp: {interp}"
+    yield f"interp: {interp}"
     for key, value, usual in (
         ("tangents", tangent, USUAL_TANGENT),
         ("parametrization", channel.parametrization, Parametrization.UNIFORM),
@@ -89,11 +96,11 @@ def _channel(channel: ClipChannel, unit: float) -> Iterator[str]:
         ("post", channel.post, Extrapolation.HOLD),
     ):
         if value != usual:
-            yield f"  {key}: {value}"
-    yield "  keys:"
+            yield f"{key}: {value}"
+    yield "keys:"
     for k in range(len(channel.times)):
         shown = ", ".join(_key(channel, k, interp, tangent, unit))
-        yield f"  - {{{shown}}}"
+        yield f"- {{{shown}}}"
 
 
 def _key(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from fnmatch import fnmatchcase
@@ -36,7 +36,7 @@ from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 from animtool.take import Take
 
-__all__ = ["TakeIk", "TakeOptions", "solve_take"]
+__all__ = ["TakeIk", "TakeOptions", "refuse_scales", "solve_take"]
 
 # Coordinates that a solve changes by less, it leaves as they were.
 UNCHANGED = 1e-12
@@ -138,8 +138,9 @@ def solve_take(
     """
     options = options or TakeOptions()
     tracks = tracks.placed(take.clock)
-    _refuse_scales(take, tracks)
     goals = [track.goal for track in tracks.goals]
+    effectors = [(track.name, track.goal.joint) for track in tracks.goals]
+    refuse_scales(take, effectors, tracks.path)
     typed = with_types(take.rig)
     rig, own = sub_rig(typed, (goal.joint for goal in goals))
     joints = _chosen(take.rig, rig, options)
@@ -213,22 +214,31 @@ def _chosen(whole: Rig, rig: Rig, options: TakeOptions) -> list[str] | None:
     return [name for name in rig.names if name in found]
 
 
-def _refuse_scales(take: Take, tracks: TargetTracks) -> None:
-    """Refuse scales of what an effector hangs from: a chain has lengths that stay."""
+def refuse_scales(take: Take, effectors: Iterable[tuple[str, str]], path: Path) -> None:
+    """Refuse scales of what an effector hangs from: a chain has lengths that stay.
+
+    Args:
+        take: Of a rig.
+        effectors: Their names, and their joints.
+        path: The targets file.
+
+    Raises:
+        OptionError: A joint is scaled, with a fault for each (TGT016).
+    """
     channel = take.motion.scales
     if channel is None:
         return
     scaled = (channel.rest != 1.0).any(axis=1)
     scaled[channel.animated] |= (channel.values != 1.0).any(axis=(0, 2))
     faults = {}
-    for track in tracks.goals:
-        j = take.rig.index(track.goal.joint)
+    for effector, joint in effectors:
+        j = take.rig.index(joint)
         while j >= 0:
             if scaled[j]:
                 name = take.rig.names[j]
-                message = f"{track.name!r} hangs from {name!r}, which is scaled"
+                message = f"{effector!r} hangs from {name!r}, which is scaled"
                 hint = "inverse kinematics is for joints without scale"
-                faults[name] = Fault("TGT016", message, str(tracks.path), (), hint)
+                faults[name] = Fault("TGT016", message, str(path), (), hint)
             j = take.rig.joints[j].parent
     if faults:
         raise OptionError(list(faults.values()))

@@ -1,0 +1,153 @@
+"""Writing targets as a targets file, from which they come back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.clip.units import ClipUnits
+from animtool.clip.write import curve_lines
+from animtool.documents.numbers import flow, number, scaled, text
+from animtool.ik.goals import Goal
+from animtool.ik.schema import GoalModel
+from animtool.ik.tracks import PARTS, GoalTrack, TargetTracks
+from animtool.ik.values import Keyed, Rows, Still, Value
+from animtool.units import unit_name
+
+__all__ = ["TargetsText", "targets_text"]
+
+USUAL_EASE = float(GoalModel.model_fields["ease"].default)
+
+
+@dataclass(frozen=True, slots=True)
+class TargetsText:
+    """A targets file, and the arrays that it refers to.
+
+    Attributes:
+        text: Of the file.
+        arrays: By their references, ``file.npz#name``, in the units of the file and
+            quaternions w x y z.
+    """
+
+    text: str
+    arrays: dict[str, FloatArray] = field(repr=False)
+
+
+def targets_text(tracks: TargetTracks, units: ClipUnits) -> TargetsText:
+    """Return tracks as the text of a targets file, and their arrays.
+
+    Read again, numbers are the same to the last digit, but for those that a unit cannot
+    give back: these to the last but one.
+
+    Args:
+        tracks: Of constants, keys and arrays; whose files those are, their names say.
+        units: Which the file is to have.
+
+    Raises:
+        ValueError: A value follows a prim: where that is, is in its own file.
+    """
+    writer = _Writer(units)
+    return TargetsText("\n".join(writer.lines(tracks)) + "\n", writer.arrays)
+
+
+@dataclass(frozen=True, slots=True)
+class _Writer:
+    units: ClipUnits
+    arrays: dict[str, FloatArray] = field(default_factory=dict)
+
+    def lines(self, tracks: TargetTracks) -> Iterator[str]:
+        angle = "rad" if self.units.angle == 1.0 else "deg"
+        yield "targets: animtool/1"
+        yield f"units: {{length: {unit_name(self.units.length)}, angle: {angle}}}"
+        fps = tracks.fps
+        if fps is not None:
+            yield f"fps: {text(str(fps)) if fps.denominator > 1 else fps}"
+        if tracks.first is not None and tracks.last is not None:
+            yield f"range: {_flow([float(tracks.first), float(tracks.last)])}"
+        yield "goals:"
+        for track in tracks.goals:
+            yield f"- effector: {text(track.name)}"
+            for line in self._goal(track):
+                yield f"  {line}"
+
+    def _goal(self, track: GoalTrack) -> Iterator[str]:
+        goal, chain = track.goal, track.chain
+        if goal.root is not None and (chain is None or goal.root != chain.root):
+            yield f"root: {text(goal.root)}"
+        if any(goal.offset):
+            yield f"offset: {_flow(goal.offset, self.units.length)}"
+        for part in PARTS:
+            value = track.values[part]
+            if value is None:
+                continue
+            if part == "aim":
+                yield "aim:"
+                yield f"  axis: {_flow(goal.aim_axis)}"
+                yield from _inside(self._value("at", value))
+            else:
+                yield from self._value(part, value)
+        yield from self._weights(track)
+        yield from _choices(track, goal)
+
+    def _value(self, key: str, value: Value) -> Iterator[str]:
+        unit = 1.0 if key in {"orientation", "weight"} else self.units.length
+        match value:
+            case Still(row):
+                yield f"{key}: {_flow(_in_file(np.array([row]))[0].tolist(), unit)}"
+            case Rows(name, rows):
+                self.arrays[name] = _in_file(rows) / unit
+                yield f"{key}: {text(name)}"
+            case Keyed(channel):
+                yield f"{key}:"
+                unit = self.units.angle if channel.euler else unit
+                yield from _inside(curve_lines(channel, unit))
+            case _:
+                raise ValueError(f"{key} follows a prim, which is not written")
+
+    def _weights(self, track: GoalTrack) -> Iterator[str]:
+        weights = track.weights
+        if not weights:
+            return
+        first = weights.get(PARTS[0])
+        if isinstance(first, Still) and weights == dict.fromkeys(PARTS, first):
+            yield f"weight: {number(first.value[0])}"
+            return
+        yield "weight:"
+        for part, weight in weights.items():
+            if isinstance(weight, Still):
+                yield f"  {part}: {number(weight.value[0])}"
+            elif isinstance(weight, Keyed):
+                yield f"  {part}:"
+                yield from _inside(_inside(curve_lines(weight.channel, 1.0)))
+
+
+def _choices(track: GoalTrack, goal: Goal) -> Iterator[str]:
+    """Yield what else is said of a goal, where it is not as usual."""
+    stretch = 0.0 if track.chain is None else track.chain.stretch
+    for key, value, usual in (
+        ("priority", goal.priority, 0),
+        ("soft", goal.soft, 0.0),
+        ("stretch", goal.stretch, stretch),
+    ):
+        if value != usual:
+            yield f"{key}: {number(value)}"
+    if track.spans:
+        yield f"hold: {flow([_flow(span) for span in track.spans])}"
+    if track.ease != USUAL_EASE:
+        yield f"ease: {number(track.ease)}"
+
+
+def _inside(lines: Iterator[str]) -> Iterator[str]:
+    return (f"  {line}" for line in lines)
+
+
+def _in_file(values: FloatArray) -> FloatArray:
+    """Return points ``(R, 3)`` as they are, quaternions ``(R, 4)`` as w x y z."""
+    return values[:, [3, 0, 1, 2]] if values.shape[1] == 4 else values
+
+
+def _flow(values: Sequence[float], unit: float = 1.0) -> str:
+    return flow([scaled(value, unit) for value in values])
