@@ -82,13 +82,13 @@ Examples:
   animtool ik hero.usda --targets feet.targets.yaml --clip walk.usdc -o fix.usdc
       --rig-layer hero.usda
   animtool ik hero.rig.yaml --targets reach.targets.yaml --strict --tol 0.1mm
-  animtool ik hero.rig.yaml --targets reach.targets.yaml --table"""
+  animtool ik hero.rig.yaml --targets reach.targets.yaml --table
+  animtool ik hero.rig.yaml --match --clip walk.bvh -o walk.targets.yaml"""
 )
 @click.argument("rig", type=click.Path(path_type=Path, readable=False))
 @click.option(
     "-t",
     "--targets",
-    required=True,
     type=click.Path(path_type=Path, readable=False),
     metavar="FILE",
     help="The targets file: where which effector is to be.",
@@ -102,19 +102,30 @@ Examples:
     "pose there.  [default: the rest pose]",
 )
 @click.option(
+    "--match",
+    is_flag=True,
+    help="The other way: write the targets (-o) that give the limbs of START back.",
+)
+@click.option(
+    "--chains",
+    metavar="NAME,...",
+    help="For --match: chains of the rig's ik, or patterns such as 'leg_*'.  "
+    "[default: all]",
+)
+@click.option(
     "--pose",
     type=Parsed("frame", _frame),
     is_flag=False,
     flag_value=FIRST,
     metavar="[FRAME]",
-    help="Solve one pose: that of the frame, or of the first.  [default: all frames]",
+    help="Only one pose: that of the frame, or of the first.  [default: all frames]",
 )
 @click.option(
     "-o",
     "--output",
     type=click.Path(path_type=Path, allow_dash=True, readable=False),
     help="What to write: a USD file (.usda, .usdc, .usd), .clip.yaml or .bvh, or - for "
-    "usda on stdout.  [default: nothing]",
+    "usda on stdout; with --match .targets.yaml.  [default: nothing]",
 )
 @click.option(
     "--method", type=_Method(), default="auto", show_default=True, help="The solver."
@@ -232,7 +243,8 @@ Examples:
     "--reduce",
     type=LENGTH,
     metavar="LENGTH",
-    help="How far keys of a clip, or samples left out of USD, may move a joint.",
+    help="How far keys of a clip, or samples left out of USD, may move a joint; with "
+    "--match, how far sparse keys may be off.",
 )
 @source_options
 @click.option(
@@ -253,8 +265,14 @@ def ik(console: Console, /, **given: Any) -> None:
 
     RIG is a rig file, USD file or BVH. The targets file says which effectors are to be
     where, frame by frame; limits of joints are kept. What is not reached is named, with
-    how far it is off; without -o that is all.
+    how far it is off; without -o that is all. --match writes such a file from poses.
     """
+    if given["match"]:
+        from animtool.cli.ik_match import match_command
+
+        match_command(console, given, _source(given))
+        return
+    _check(given)
     as_json = given["report_format"] == "json"
     output = given["output"]
     to_stdout = str(output) == "-"
@@ -280,6 +298,24 @@ def ik(console: Console, /, **given: Any) -> None:
             _say(console, error.report, as_json=as_json, faults=False)
             raise
     _say(console, report, as_json=as_json)
+
+
+def _check(given: dict[str, Any]) -> None:
+    if given["targets"] is None:
+        raise click.UsageError("Give --targets, or --match to write some.")
+    if given["chains"] is not None:
+        raise click.UsageError("--chains is for --match.")
+
+
+def _source(given: dict[str, Any]) -> Any:
+    """Return what the start is."""
+    return source_options_record(
+        given["units"],
+        given["up"],
+        given["source_fps"],
+        given["source_prim"],
+        take=given["take"],
+    )
 
 
 def _say(console: Console, report: Any, *, as_json: bool, faults: bool = True) -> None:
@@ -326,13 +362,7 @@ def _job(given: dict[str, Any], to_stdout: bool) -> Any:
         rig=given["rig"],
         targets=given["targets"],
         start=given["start"],
-        source=source_options_record(
-            given["units"],
-            given["up"],
-            given["source_fps"],
-            given["source_prim"],
-            take=given["take"],
-        ),
+        source=_source(given),
         pose=pose is not None,
         frame=None if pose == FIRST else pose,
         options=TakeOptions(

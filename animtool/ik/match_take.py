@@ -36,7 +36,7 @@ from animtool.take import Channel, Clock, Take
 __all__ = ["arrays_of", "chains_of", "left_out", "match_take"]
 
 # Most frames whose values are written as keys, one each, where none are reduced.
-FEW = 24
+FEW = 12
 # Joints this near to their rest pose, in metres and radians, do not leave it.
 AT_REST = 1e-6
 MOST_NAMED = 8
@@ -95,7 +95,7 @@ def match_take(
     """Return targets that give the limbs of a take back.
 
     What never moves is a constant. With ``reduce`` the rest are sparse keys; without
-    they are arrays, or, of at most 24 frames or of frames that are no whole ones, a
+    they are arrays, or, of at most 12 frames or of frames that are no whole ones, a
     key for each frame.
 
     Args:
@@ -117,7 +117,7 @@ def match_take(
     last = Fraction(float(clock.start + clock.step * (clock.count - 1)))
     keyed = clock.count <= FEW or clock.step != 1
     # Arrays have a row for each frame that the file's own range counts.
-    keyed = keyed or last - first != clock.count - 1
+    keyed = keyed or last - first != clock.count - 1 or "#" in path.name
     maker = _Values(
         clock,
         ClipUnits.of_rig(take.rig),

@@ -43,6 +43,7 @@ __all__ = [
     "IkReport",
     "MissedGoalsError",
     "Opened",
+    "frame_index",
     "ik_outputs",
     "open_ik",
     "run_ik",
@@ -153,21 +154,30 @@ def open_ik(job: IkJob, *, progress: Progress = None) -> Opened:
         return Opened(tracks, take, True, 0 if job.pose else None, notices)
     take = open_start(job.start, rig, job.rig, job.source, progress=progress)
     notices += take.notices
-    only = _frame(job, take) if job.pose else None
+    only = frame_index(take, job.frame, job.start) if job.pose else None
     return Opened(tracks, take, False, only, notices)
 
 
-def _frame(job: IkJob, take: Take) -> int:
-    """Return the index of the frame to solve."""
+def frame_index(take: Take, frame: Fraction | None, path: Path) -> int:
+    """Return the index of a frame of a take; None is the first.
+
+    Args:
+        take: Of a file.
+        frame: Its time code.
+        path: The file.
+
+    Raises:
+        OptionError: The take has no such frame (TGT018).
+    """
     clock = take.clock
-    if job.frame is None:
+    if frame is None:
         return 0
-    place = (job.frame - clock.start) / clock.step
+    place = (frame - clock.start) / clock.step
     if place.denominator != 1 or not 0 <= place < clock.count:
         last = clock.start + clock.step * (clock.count - 1)
-        message = f"frame {float(job.frame):g} is none of the frames "
+        message = f"frame {float(frame):g} is none of the frames "
         message += f"{float(clock.start):g} to {float(last):g}"
-        raise OptionError(Fault("TGT018", message, str(job.start)))
+        raise OptionError(Fault("TGT018", message, str(path)))
     return int(place)
 
 

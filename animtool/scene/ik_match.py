@@ -1,0 +1,139 @@
+"""Matching from files to files: poses of a rig's limbs, written as targets."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from pathlib import Path
+
+from animtool._types import FloatArray
+from animtool.clip.units import ClipUnits
+from animtool.errors import Fault, OptionError, refuse_warnings
+from animtool.ik.file import is_targets
+from animtool.ik.match_take import arrays_of, chains_of, left_out, match_take
+from animtool.ik.tracks import TargetTracks
+from animtool.ik.write import targets_text
+from animtool.output import check_outputs, output_error, replacing
+from animtool.rig.store import StoredArrays
+from animtool.scene.convert_rig import open_rig, write_arrays
+from animtool.scene.ik import frame_index
+from animtool.scene.sources import Progress, SourceOptions
+from animtool.scene.start import open_start
+from animtool.take import Clock, Take
+
+__all__ = ["MatchJob", "MatchReport", "run_match"]
+
+
+@dataclass(frozen=True, slots=True)
+class MatchJob:
+    """What `animtool ik --match` is told.
+
+    Attributes:
+        rig: Rig file, USD file or BVH, with chains.
+        take: File with the poses.
+        output: Targets file to write.
+        source: What the file of poses is.
+        chains: Names of chains, or patterns; none is all.
+        pose: Match one frame only.
+        frame: Which; None is the first.
+        reduce: How far sparse keys may be off [m]; None writes every frame.
+        overwrite: Replace outputs that exist.
+        strict: Refuse to write what there are warnings about.
+    """
+
+    rig: Path
+    take: Path
+    output: Path
+    source: SourceOptions = field(default_factory=SourceOptions)
+    chains: tuple[str, ...] = ()
+    pose: bool = False
+    frame: Fraction | None = None
+    reduce: float | None = None
+    overwrite: bool = False
+    strict: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class MatchReport:
+    """What came of it.
+
+    Attributes:
+        tracks: The targets.
+        clock: Of the poses.
+        outputs: The files written.
+        notices: Warnings and notes.
+        seconds: Wall time by stage.
+    """
+
+    tracks: TargetTracks
+    clock: Clock
+    outputs: list[Path]
+    notices: list[Fault]
+    seconds: dict[str, float]
+
+
+def run_match(job: MatchJob, *, progress: Progress = None) -> MatchReport:
+    """Write the targets that give the limbs of a take back.
+
+    Args:
+        job: What to do.
+        progress: Called with the share done, 0 to 1.
+
+    Raises:
+        FormatError: A file is malformed.
+        OptionError: The rig has no chains (TGT019) or none of a name (TGT001), the take
+            is of another rig (TGT017), lacks the frame (TGT018) or is scaled (TGT016),
+            the output exists or is no targets file.
+        OutputError: The output cannot be written.
+        StrictError: There were warnings, and ``strict`` is on.
+    """
+    if not is_targets(job.output) or job.output.suffix.lower() == ".json":
+        message = "is no name of a targets file"
+        hint = "allowed: .targets.yaml, .targets.yml"
+        raise OptionError(Fault("OUT004", message, str(job.output), (), hint))
+    inputs = [job.rig, job.take]
+    check_outputs([job.output], inputs, overwrite=job.overwrite)
+    began = time.perf_counter()
+    rig, notices = open_rig(job.rig)
+    chains = chains_of(rig, job.chains)
+    take = open_start(job.take, rig, job.rig, job.source, progress=progress)
+    if job.pose:
+        take = _pose(take, frame_index(take, job.frame, job.take))
+    read = time.perf_counter()
+    notices = [*notices, *take.notices, *left_out(take, chains)]
+    refuse_warnings(notices, strict=job.strict)
+    tracks = match_take(take, chains, job.output, reduce=job.reduce)
+    made = targets_text(tracks, ClipUnits.of_rig(rig))
+    matched = time.perf_counter()
+    outputs = [job.output]
+    if made.arrays:
+        outputs.insert(0, arrays_of(job.output))
+        check_outputs(outputs, inputs, overwrite=job.overwrite)
+        write_arrays(outputs[0], _named(made.arrays))
+    _write(job.output, made.text)
+    seconds = {
+        "read": read - began,
+        "match": matched - read,
+        "write": time.perf_counter() - matched,
+    }
+    return MatchReport(tracks, take.clock, outputs, notices, seconds)
+
+
+def _pose(take: Take, frame: int) -> Take:
+    """Return one frame of a take."""
+    clock = take.clock
+    only = replace(clock, start=clock.start + frame * clock.step, count=1)
+    return replace(take, clock=only, motion=take.motion.select(slice(frame, frame + 1)))
+
+
+def _named(arrays: dict[str, FloatArray]) -> StoredArrays:
+    return {name.partition("#")[2]: values for name, values in arrays.items()}
+
+
+def _write(path: Path, text: str) -> None:
+    with replacing(path) as temporary:
+        try:
+            temporary.write_text(text, "utf-8")
+        except OSError as error:
+            raise output_error(path, error) from error
