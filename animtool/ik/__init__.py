@@ -3,6 +3,7 @@
 from animtool.ik.file import load_targets
 from animtool.ik.follow import FollowOptions, follow
 from animtool.ik.goals import Goal, Targets
+from animtool.ik.match import Matched, match
 from animtool.ik.methods import IkMethod
 from animtool.ik.on_take import TakeIk, TakeOptions, solve_take
 from animtool.ik.problem import Problem, build
@@ -19,6 +20,7 @@ __all__ = [
     "IkResult",
     "IkStatus",
     "Jump",
+    "Matched",
     "Problem",
     "TakeIk",
     "TakeOptions",
@@ -27,6 +29,7 @@ __all__ = [
     "build",
     "follow",
     "load_targets",
+    "match",
     "smooth",
     "solve",
     "solve_take",
