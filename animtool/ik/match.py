@@ -59,9 +59,10 @@ def match(rig: Rig, chains: Sequence[IkChain], world: WorldTransforms) -> Matche
 
     Limits of the method: not in the controls are the twist of a straight limb about its
     own line; twist that two joints share, as a wrist that twists behind a forearm that
-    does; which way a ball at the middle is twisted; what joints other than the root and
-    the middle bend; and of a chain that asks for no orientation the rotation of its
-    tip. A limb that bends over straight to the other side takes its pole with it.
+    does; which way a ball at the middle is twisted; which of two ways three hinges of a
+    wrist take to the same rotation; what joints other than the root and the middle
+    bend; and of a chain that asks for no orientation the rotation of its tip. A limb
+    that bends over straight to the other side takes its pole with it.
 
     Args:
         rig: J joints.

@@ -108,7 +108,7 @@ def match_take(
         OptionError: A joint that a chain hangs from is scaled (TGT016).
     """
     part, own = sub_rig(take.rig, [chain.tip for chain in chains])
-    refuse_scales(take, [(chain.name, chain.tip) for chain in chains], path)
+    refuse_scales(take, [(chain.name, chain.tip) for chain in chains])
     motion = take.motion
     world = forward(part, motion.translations.gather(own), motion.rotations.gather(own))
     found = match(part, chains, world)

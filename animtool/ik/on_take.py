@@ -214,13 +214,15 @@ def _chosen(whole: Rig, rig: Rig, options: TakeOptions) -> list[str] | None:
     return [name for name in rig.names if name in found]
 
 
-def refuse_scales(take: Take, effectors: Iterable[tuple[str, str]], path: Path) -> None:
+def refuse_scales(
+    take: Take, effectors: Iterable[tuple[str, str]], path: Path | None = None
+) -> None:
     """Refuse scales of what an effector hangs from: a chain has lengths that stay.
 
     Args:
         take: Of a rig.
         effectors: Their names, and their joints.
-        path: The targets file.
+        path: The targets file that asks for them, if there is one.
 
     Raises:
         OptionError: A joint is scaled, with a fault for each (TGT016).
@@ -231,6 +233,7 @@ def refuse_scales(take: Take, effectors: Iterable[tuple[str, str]], path: Path) 
     scaled = (channel.rest != 1.0).any(axis=1)
     scaled[channel.animated] |= (channel.values != 1.0).any(axis=(0, 2))
     faults = {}
+    place = None if path is None else str(path)
     for effector, joint in effectors:
         j = take.rig.index(joint)
         while j >= 0:
@@ -238,7 +241,7 @@ def refuse_scales(take: Take, effectors: Iterable[tuple[str, str]], path: Path) 
                 name = take.rig.names[j]
                 message = f"{effector!r} hangs from {name!r}, which is scaled"
                 hint = "inverse kinematics is for joints without scale"
-                faults[name] = Fault("TGT016", message, str(path), (), hint)
+                faults[name] = Fault("TGT016", message, place, (), hint)
             j = take.rig.joints[j].parent
     if faults:
         raise OptionError(list(faults.values()))

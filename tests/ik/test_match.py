@@ -195,6 +195,16 @@ def test_long_limbs_reach_with_their_middle_towards_its_pole(
     assert_allclose(side(again.targets), side(found.targets), atol=1e-5)
 
 
+def test_the_middle_of_a_long_limb_is_the_same_in_every_pose() -> None:
+    rig = tentacle("pose")
+    goal = Goal("b5", orientation=1.0, pole=1.0, root="b0")
+    middles = {
+        int(build(rig, [goal], pose=q).chain.goals[0, 2])
+        for q in random_pose(build(rig, [goal]), 3, frames=30)
+    }
+    assert middles == {3}
+
+
 def leg(pole: tuple[float, float, float] | None = (0.0, 0.0, 1.0)) -> Rig:
     """A hip, a knee that bends both ways, and a foot, straight at rest."""
     return Rig(
