@@ -53,9 +53,9 @@ def match(rig: Rig, chains: Sequence[IkChain], world: WorldTransforms) -> Matche
     frame in the chain's ``pole_dir``, of a hinge at right angles to its axis.
 
     Solved with what carries the chains as it was, the targets give back the positions
-    of tips and middle joints, and all rotations of a limb that bends at a ball and a
-    hinge, or at a ball, a hinge and one that twists: with a tip of three more degrees
-    of freedom, a forearm's twist among them, a chain has seven, and as many controls.
+    of tips and middle joints, and all rotations of limbs that bend and have seven
+    degrees of freedom, as many as there are controls: a ball, a hinge, and a tip that
+    turns three ways, be one of them a twist of the forearm.
 
     Limits of the method: not in the controls are the twist of a straight limb about its
     own line; twist that two joints share, as a wrist that twists behind a forearm that
