@@ -353,7 +353,7 @@ def _skips(given: dict[str, Any]) -> bool:
 
 
 def _job(given: dict[str, Any], to_stdout: bool) -> Any:
-    from animtool.ik.on_take import TakeOptions
+    from animtool.ik.take_options import TakeOptions
     from animtool.scene.ik import IkJob
 
     names = (given["joints"] or "").split(",")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -25,6 +24,7 @@ from animtool.ik.problem import Problem, build
 from animtool.ik.result import IkResult, IkStatus, Jump
 from animtool.ik.solve import IkOptions, solve
 from animtool.ik.sub_rig import sub_rig, with_types
+from animtool.ik.take_options import TakeOptions, check_options
 from animtool.ik.tracks import GoalTrack, TargetTracks
 from animtool.maths import so3
 from animtool.rig.joints import (
@@ -36,7 +36,7 @@ from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 from animtool.take import Take
 
-__all__ = ["TakeIk", "TakeOptions", "refuse_scales", "solve_take"]
+__all__ = ["TakeIk", "refuse_scales", "solve_take"]
 
 # Coordinates that a solve changes by less, it leaves as they were.
 UNCHANGED = 1e-12
@@ -44,35 +44,6 @@ UNCHANGED = 1e-12
 FOLLOWED = frozenset({IkMethod.AUTO, IkMethod.DAMPED, IkMethod.TWO_BONE})
 # A pole stands this many lengths of its chain away, so that only its side counts.
 FAR = 10.0
-
-
-@dataclass(frozen=True, slots=True)
-class TakeOptions:
-    """How to bring a take to targets.
-
-    Attributes:
-        method: Which solver.
-        tolerance: A position is reached within this [m].
-        angle_tolerance: An orientation, aim or pole is reached within this [rad].
-        restarts: Most new starts of a frame that does not reach its goals.
-        seed: Of the new starts.
-        seconds: Most time for one frame [s]; 0 is no bound.
-        joints: Names or patterns of the joints that may move; none is every one that
-            moves a goal.
-        rest_weight: How strongly the pose that a frame has already is kept.
-        smooth: Time over which motion that the goals leave free is evened out [s]; 0
-            leaves it.
-    """
-
-    method: IkMethod = IkMethod.AUTO
-    tolerance: float = 1e-6
-    angle_tolerance: float = math.radians(1e-4)
-    restarts: int = 50
-    seed: int = 0
-    seconds: float = 0.0
-    joints: tuple[str, ...] = ()
-    rest_weight: float = 0.0
-    smooth: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -137,6 +108,7 @@ def solve_take(
         FormatError: A prim's transform is not finite.
     """
     options = options or TakeOptions()
+    check_options(options)
     tracks = tracks.placed(take.clock)
     goals = [track.goal for track in tracks.goals]
     effectors = [(track.name, track.goal.joint) for track in tracks.goals]

@@ -138,14 +138,19 @@ def _faults(
     for name in joints or ():
         if name not in names:
             faults.append(Fault("IK001", f"no joint of {rig.name!r} is {name!r}"))
-    if not (np.isfinite(rest_weight) and rest_weight >= 0):
-        message = f"rest_weight must be at least 0, not {rest_weight}"
-        faults.append(Fault("IK002", message))
+    faults += rest_faults(rest_weight)
     for joint in rig.joints:
         if _reversed(joint.limits):
             message = f"the limits of {joint.name!r} are reversed or not numbers"
             faults.append(Fault("IK005", message))
     return faults
+
+
+def rest_faults(weight: float) -> list[Fault]:
+    """Return what is wrong with a weight of the pose that is kept."""
+    if np.isfinite(weight) and weight >= 0:
+        return []
+    return [Fault("IK002", f"rest_weight must be at least 0, not {weight}")]
 
 
 def _reversed(limits: RangeLimit | BallLimit | None) -> bool:

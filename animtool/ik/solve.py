@@ -32,6 +32,12 @@ _STATUSES = (
 _CLOSED = {IkMethod.AUTO, IkMethod.TWO_BONE}
 # Damping of the first step: far from the goals, and beside them.
 COLD_DAMPING, WARM_DAMPING = 1e-3, 1e-6
+# The least and the most of each, as the kernel has room for.
+COUNTS = {
+    "iterations": (1, 2**31 - 1),
+    "restarts": (0, 2**31 - 1),
+    "seed": (0, 2**64 - 1),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,17 +238,30 @@ def _stay(found: _Found, idle: BoolArray) -> None:
     found.coordinates[last >= 0] = found.coordinates[last[last >= 0]]
 
 
+def option_faults(options: IkOptions) -> dict[str, list[Fault]]:
+    """Return what makes no sense whatever the problem is, by option."""
+    faults: dict[str, list[Fault]] = {}
+    for name in ("tolerance", "angle_tolerance"):
+        value = getattr(options, name)
+        faults[name] = _unless(value > 0, name, "more than 0", value)
+    for name, (low, most) in COUNTS.items():
+        value = getattr(options, name)
+        good = isinstance(value, (int, np.integer)) and low <= value <= most
+        span = f"a whole number from {low} to {most}"
+        faults[name] = _unless(good, name, span, value)
+    good = options.seconds >= 0
+    faults["seconds"] = _unless(good, "seconds", "at least 0", options.seconds)
+    return faults
+
+
+def _unless(good: bool, name: str, rule: str, value: float) -> list[Fault]:
+    """Return the fault of an option that is not good."""
+    message = f"{name} must be {rule}, not {value}"
+    return [] if good else [Fault("IK014", message)]
+
+
 def _check(options: IkOptions) -> None:
-    faults = [
-        Fault("IK014", f"{name} must be more than 0, not {getattr(options, name)}")
-        for name in ("tolerance", "angle_tolerance", "iterations")
-        if not getattr(options, name) > 0
-    ]
-    faults += [
-        Fault("IK014", f"{name} must be at least 0, not {getattr(options, name)}")
-        for name in ("restarts", "seed", "seconds")
-        if not getattr(options, name) >= 0
-    ]
+    faults = [fault for found in option_faults(options).values() for fault in found]
     if faults:
         raise OptionError(faults)
 

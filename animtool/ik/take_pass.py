@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from animtool.errors import Fault, OptionError
 from animtool.ik.file import load_targets
 from animtool.ik.methods import IkMethod
-from animtool.ik.on_take import TakeOptions, solve_take
+from animtool.ik.on_take import solve_take
 from animtool.ik.report import goal_reports, jump_notices, missed_notices
 from animtool.ik.sub_rig import dressed
+from animtool.ik.take_options import TakeOptions, take_option_faults
 from animtool.passes import OptionChecks, Pass, PassContext, Scope
 from animtool.rig.skeleton import Rig
 from animtool.take import Take
@@ -59,9 +61,18 @@ def _run(take: Take, options: IkPassOptions, context: PassContext) -> Take:
     if options.rig is not None:
         rig = dressed(rig, Rig.load(context.folder / options.rig))
     tracks = load_targets(path, rig)
-    settings = TakeOptions(
+    settings = replace(_settings(options), tolerance=_length(options.tolerance))
+    solved = solve_take(replace(take, rig=rig), tracks, settings)
+    context.notices.extend(tracks.notices)
+    context.notices.extend(missed_notices(goal_reports(solved), path=str(path)))
+    context.notices.extend(jump_notices(solved, path=str(path)))
+    return replace(solved.take, rig=take.rig)
+
+
+def _settings(options: IkPassOptions) -> TakeOptions:
+    """Return the options but for the tolerance, which is text."""
+    return TakeOptions(
         method=options.method,
-        tolerance=_length(options.tolerance),
         angle_tolerance=math.radians(options.angle_tolerance),
         restarts=options.restarts,
         seed=options.seed,
@@ -70,11 +81,6 @@ def _run(take: Take, options: IkPassOptions, context: PassContext) -> Take:
         rest_weight=options.rest_weight,
         smooth=options.smooth,
     )
-    solved = solve_take(replace(take, rig=rig), tracks, settings)
-    context.notices.extend(tracks.notices)
-    context.notices.extend(missed_notices(goal_reports(solved), path=str(path)))
-    context.notices.extend(jump_notices(solved, path=str(path)))
-    return replace(solved.take, rig=take.rig)
 
 
 def _targets(options: IkPassOptions) -> Path:
@@ -92,10 +98,18 @@ def _length(text: str) -> float:
 
 
 def _checks(options: IkPassOptions) -> OptionChecks:
+    found = take_option_faults(_settings(options))
+    numbers = {name: partial(_refuse, faults) for name, faults in found.items()}
     return {
+        **numbers,
         "targets": lambda: _targets(options),
         "tolerance": lambda: _length(options.tolerance),
     }
+
+
+def _refuse(faults: list[Fault]) -> None:
+    if faults:
+        raise OptionError(faults)
 
 
 PASS = Pass(

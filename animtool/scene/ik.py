@@ -16,7 +16,7 @@ from animtool.errors import (
     refuse_warnings,
 )
 from animtool.ik.file import load_targets
-from animtool.ik.on_take import TakeIk, TakeOptions, solve_take
+from animtool.ik.on_take import TakeIk, solve_take
 from animtool.ik.report import (
     MISSED_ANGLE,
     MISSED_LENGTH,
@@ -25,6 +25,7 @@ from animtool.ik.report import (
     jump_notices,
     missed_notices,
 )
+from animtool.ik.take_options import TakeOptions
 from animtool.ik.tracks import TargetTracks
 from animtool.output import check_outputs
 from animtool.scene.convert import ConvertReport, convert, convert_outputs

@@ -12,6 +12,7 @@ from support.ik import arm, every_goal, mixed_rig, random_pose, reached_by
 
 from animtool.errors import OptionError
 from animtool.ik import Goal, IkOptions, IkStatus, Problem, Targets, build, solve
+from animtool.ik.solve import COUNTS
 from animtool.maths import so3
 from animtool.rig.joints import coordinate_slices
 from animtool.rig.limits import BallLimit, RangeLimit
@@ -312,3 +313,15 @@ def test_options_are_checked_all_at_once() -> None:
     with pytest.raises(OptionError) as caught:
         solve(problem, None, Targets(np.zeros((1, 1, 3))), options)
     assert [fault.code for fault in caught.value.faults] == ["IK014"] * 3
+
+
+@pytest.mark.parametrize("name", list(COUNTS))
+def test_counts_are_taken_as_far_as_there_is_room(name: str) -> None:
+    problem, targets = build(arm(3), [Goal("b2")]), Targets([[[1.0, 0.0, 0.0]]])
+    low, most = COUNTS[name]
+    for value in (low, most):
+        solve(problem, None, targets, replace(IkOptions(), **{name: value}))
+    for value in (low - 1, most + 1, 1.5):
+        with pytest.raises(OptionError, match=f"{name} must be a whole number") as caught:
+            solve(problem, None, targets, replace(IkOptions(), **{name: value}))
+        assert caught.value.code == "IK014"

@@ -79,6 +79,11 @@ def test_chains_and_limits_of_another_rig(place: Path) -> None:
         ("{targets: nowhere.targets.yaml}", ["SCN005"]),
         ("{targets: feet.targets.yaml, method: magic}", ["SCN002"]),
         ("{targets: feet.targets.yaml, tolerance: '5'}", ["IK014"]),
+        (f"{{targets: feet.targets.yaml, seed: {2**64}}}", ["IK014"]),
+        (
+            "{targets: feet.targets.yaml, rest_weight: -1, restarts: -1, smooth: -1}",
+            ["IK002", "IK014", "IK014"],
+        ),
         ("{targets: feet.targets.yaml, goals: []}", ["SCN001"]),
     ],
 )
