@@ -199,18 +199,16 @@ Examples:
 @click.option(
     "--tol",
     type=LENGTH,
-    default="0.1mm",
-    show_default=True,
     metavar="LENGTH",
-    help="A position that is off by more is missed, and reported.",
+    help="A position that is off by more is missed, and reported; none is solved to "
+    "less.  [default: 0.1mm, or --tolerance where that is more]",
 )
 @click.option(
     "--tol-degrees",
     type=TOLERANCE,
-    default=0.1,
-    show_default=True,
     metavar="DEGREES",
-    help="An orientation, aim or pole that is off by more is missed.",
+    help="An orientation, aim or pole that is off by more is missed, likewise.  "
+    "[default: 0.1, or --angle-tolerance]",
 )
 @click.option(
     "--strict",
@@ -357,7 +355,7 @@ def _job(given: dict[str, Any], to_stdout: bool) -> Any:
     from animtool.scene.ik import IkJob
 
     names = (given["joints"] or "").split(",")
-    pose = given["pose"]
+    pose, degrees = given["pose"], given["tol_degrees"]
     return IkJob(
         rig=given["rig"],
         targets=given["targets"],
@@ -377,7 +375,7 @@ def _job(given: dict[str, Any], to_stdout: bool) -> Any:
             smooth=given["smooth"],
         ),
         tolerance=given["tol"],
-        angle_tolerance=math.radians(given["tol_degrees"]),
+        angle_tolerance=None if degrees is None else math.radians(degrees),
         strict=given["strict"],
         output=None if to_stdout else given["output"],
         to_stdout=to_stdout,
@@ -395,6 +393,8 @@ def _bake_options(given: dict[str, Any], to_stdout: bool) -> Any:
         "--start": given["first_code"],
         "--sparse": given["sparse"],
     }
+    if given["reduce"] is not None and output is None:
+        raise click.UsageError("--reduce is for an output: give -o.")
     wanted = [flag for flag, value in flags.items() if value]
     from animtool.scene.options import BakeOptions
     from animtool.scene.sources import is_usd

@@ -41,7 +41,7 @@ def ik_text(report: IkReport) -> list[str]:
     lines = [
         f"{solved.tracks.path}: {counted(len(report.goals), 'goal')}, {span} at "
         f"{rate_label(clock.fps)}",
-        f"  {counted(len(problem.joints), 'joint')} move, "
+        f"  {counted(len(problem.joints), 'joint moves', 'joints move')}, "
         f"{counted(problem.degrees, 'degree')} of freedom for "
         f"{counted(problem.rows, 'condition')}",
         f"  {ends}; {solved.iterations.mean():.3g} iterations a frame, "

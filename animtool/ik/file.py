@@ -184,6 +184,7 @@ class _Reader:
             tuple(spans),
             model.ease,
             frozenset(held),
+            self.document.place(at),
         )
 
     def _effector(self, at: Location, name: str) -> tuple[str | None, IkChain | None]:

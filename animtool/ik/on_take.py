@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from fnmatch import fnmatchcase
-from pathlib import Path
 
 import numpy as np
 
@@ -44,6 +44,8 @@ UNCHANGED = 1e-12
 FOLLOWED = frozenset({IkMethod.AUTO, IkMethod.DAMPED, IkMethod.TWO_BONE})
 # A pole stands this many lengths of its chain away, so that only its side counts.
 FAR = 10.0
+# How faults name the goal that they are of.
+_GOAL = re.compile(r"goals\[(\d+)\]")
 
 
 @dataclass(frozen=True)
@@ -121,7 +123,7 @@ def solve_take(
     )
     world = forward(rig, local.translations, local.rotations)
     found: list[_Found] = []
-    with _placed(tracks.path):
+    with _placed(tracks):
         targets = tracks.sample(rig, take.clock, world)
         if only is not None:
             take, local, world, targets = _selected(take, local, world, targets, only)
@@ -135,13 +137,21 @@ def solve_take(
 
 
 @contextmanager
-def _placed(path: Path) -> Iterator[None]:
-    """Give faults of goals that have no file that of the targets."""
+def _placed(tracks: TargetTracks) -> Iterator[None]:
+    """Give faults of goals that have no file their place in that of the targets."""
     try:
         yield
     except OptionError as error:
-        faults = [replace(f, path=f.path or str(path)) for f in error.faults]
+        faults = [_at_goal(fault, tracks) for fault in error.faults]
         raise OptionError(faults) from error
+
+
+def _at_goal(fault: Fault, tracks: TargetTracks) -> Fault:
+    goal = _GOAL.match(fault.where or "")
+    if fault.path is not None or goal is None:
+        return replace(fault, path=fault.path or str(tracks.path))
+    line, column = tracks.goals[int(goal[1])].place
+    return replace(fault, path=str(tracks.path), lines=(line,), column=column)
 
 
 def _selected(

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,12 +23,16 @@ __all__ = [
     "jump_notices",
     "limit_counts",
     "missed_notices",
+    "span_notices",
     "status_counts",
+    "take_notices",
 ]
 
 # A goal that is off by more is missed, where nothing else is asked [m], [rad]: what
 # nobody sees is less.
 MISSED_LENGTH, MISSED_ANGLE = 1e-4, float(np.radians(0.1))
+# What is missed by more lengths of the chains than this is likely in other units.
+FAR = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,12 +85,14 @@ class GoalReport:
     Attributes:
         name: The effector.
         joint: The joint that it is.
+        place: Line and column in the targets file.
         misses: One for each part that is asked.
         spans: Where it is missed by more than the tolerances.
     """
 
     name: str
     joint: str
+    place: tuple[int, int]
     misses: tuple[Misses, ...]
     spans: tuple[MissedSpan, ...]
 
@@ -121,7 +126,9 @@ def goal_reports(
         if track.goal.priority > 0 or track.goal.soft > 0:
             short = np.asarray(short & ~yielded, np.bool_)
         spans = tuple(_spans(solved, np.where(asked, misses, 0.0), short))
-        found.append(GoalReport(track.name, track.goal.joint, parts, spans))
+        found.append(
+            GoalReport(track.name, track.goal.joint, track.place, parts, spans)
+        )
     return found
 
 
@@ -160,27 +167,58 @@ def _spans(solved: TakeIk, misses: FloatArray, short: BoolArray) -> list[MissedS
     return found
 
 
-def missed_notices(reports: list[GoalReport], **place: Any) -> list[Fault]:
-    """Return a warning for each goal that is missed.
+def take_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:
+    """Return all warnings of a take that was brought to targets.
 
     Args:
-        reports: From `goal_reports`.
-        place: Of the faults, such as ``path``.
+        solved: A take at its targets.
+        reports: What became of its goals, from `goal_reports`.
     """
     return [
-        Fault("IK101", _missed(report), severity=Severity.WARNING, **place)
-        for report in reports
+        *span_notices(solved),
+        *missed_notices(solved, reports),
+        *jump_notices(solved),
+    ]
+
+
+def missed_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:
+    """Return a warning for each goal that is missed."""
+    far = FAR * solved.problem.length
+    hint = "far beyond the reach: are units and space of the targets those meant?"
+    return [
+        replace(
+            _warning(solved, "IK101", i, _missed(report)),
+            hint=hint if any(span.distance > far for span in report.spans) else None,
+        )
+        for i, report in enumerate(reports)
         if report.spans
     ]
 
 
-def jump_notices(solved: TakeIk, **place: Any) -> list[Fault]:
-    """Return a warning where joints jump, with the largest of them.
+def span_notices(solved: TakeIk) -> list[Fault]:
+    """Return a warning for each span to hold that has no frame of the take.
 
-    Args:
-        solved: A take at its targets.
-        place: Of the fault, such as ``path``.
+    Of one pose there are none: the others may be in other frames.
     """
+    times = solved.take.clock.times
+    if len(times) == 1:
+        return []
+    return [
+        _warning(
+            solved,
+            "TGT104",
+            i,
+            f"the span from {first:g} to {last:g}, to hold {track.name!r}, is in none "
+            f"of the frames {times[0]:g} to {times[-1]:g}",
+        )
+        for i, track in enumerate(solved.tracks.goals)
+        for first, last in track.spans
+        if last < times[0] or first > times[-1]
+    ]
+
+
+def jump_notices(solved: TakeIk) -> list[Fault]:
+    """Return a warning where joints jump, with the largest of them."""
     if not solved.jumps:
         return []
     worst = max(solved.jumps, key=lambda jump: jump.size)
@@ -190,7 +228,22 @@ def jump_notices(solved: TakeIk, **place: Any) -> list[Fault]:
     if others:
         message += f", and {counted(others, 'other')} elsewhere"
     hint = "the targets leave no way that is steadier, as far as was found"
-    return [Fault("IK102", message, hint=hint, severity=Severity.WARNING, **place)]
+    path = str(solved.tracks.path)
+    return [Fault("IK102", message, path, (), hint, Severity.WARNING)]
+
+
+def _warning(solved: TakeIk, code: str, goal: int, message: str) -> Fault:
+    """Return a warning about one of the goals."""
+    line, column = solved.tracks.goals[goal].place
+    return Fault(
+        code,
+        message,
+        str(solved.tracks.path),
+        (line,),
+        severity=Severity.WARNING,
+        column=column,
+        where=f"goals[{goal}]",
+    )
 
 
 def _missed(report: GoalReport) -> str:

@@ -70,6 +70,8 @@ def check_options(options: TakeOptions) -> None:
     Raises:
         OptionError: With every fault (IK002, IK014).
     """
-    faults = [fault for found in take_option_faults(options).values() for fault in found]
+    faults = [
+        fault for found in take_option_faults(options).values() for fault in found
+    ]
     if faults:
         raise OptionError(faults)

@@ -11,7 +11,7 @@ from animtool.errors import Fault, OptionError
 from animtool.ik.file import load_targets
 from animtool.ik.methods import IkMethod
 from animtool.ik.on_take import solve_take
-from animtool.ik.report import goal_reports, jump_notices, missed_notices
+from animtool.ik.report import MISSED_ANGLE, MISSED_LENGTH, goal_reports, take_notices
 from animtool.ik.sub_rig import dressed
 from animtool.ik.take_options import TakeOptions, take_option_faults
 from animtool.passes import OptionChecks, Pass, PassContext, Scope
@@ -64,8 +64,12 @@ def _run(take: Take, options: IkPassOptions, context: PassContext) -> Take:
     settings = replace(_settings(options), tolerance=_length(options.tolerance))
     solved = solve_take(replace(take, rig=rig), tracks, settings)
     context.notices.extend(tracks.notices)
-    context.notices.extend(missed_notices(goal_reports(solved), path=str(path)))
-    context.notices.extend(jump_notices(solved, path=str(path)))
+    goals = goal_reports(
+        solved,
+        max(settings.tolerance, MISSED_LENGTH),
+        max(settings.angle_tolerance, MISSED_ANGLE),
+    )
+    context.notices.extend(take_notices(solved, goals))
     return replace(solved.take, rig=take.rig)
 
 

@@ -43,6 +43,7 @@ class GoalTrack:
         spans: Held frames, ascending.
         ease: [frame] before and behind each span.
         held: The parts that the spans hold.
+        place: Line and column in the file.
     """
 
     name: str
@@ -53,6 +54,7 @@ class GoalTrack:
     spans: tuple[Span, ...]
     ease: float
     held: frozenset[str]
+    place: tuple[int, int]
 
 
 @dataclass(frozen=True)

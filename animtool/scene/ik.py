@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -24,6 +25,7 @@ from animtool.ik.report import (
     goal_reports,
     jump_notices,
     missed_notices,
+    span_notices,
 )
 from animtool.ik.take_options import TakeOptions
 from animtool.ik.tracks import TargetTracks
@@ -63,8 +65,11 @@ class IkJob:
         pose: Solve one frame only.
         frame: Which; None is the first.
         options: How to solve.
-        tolerance: A position that is missed by more is a miss [m].
-        angle_tolerance: An orientation, aim or pole likewise [rad].
+        tolerance: A position that is off by more is missed [m], and none is solved to
+            less; None is a tenth of a millimetre, or what `options` solve to where
+            that is more.
+        angle_tolerance: An orientation, aim or pole likewise [rad]; None is a tenth of
+            a degree.
         strict: Refuse to write what misses, or what there are warnings about.
         output: USD file, ``.clip.yaml`` or ``.bvh``; None writes nothing.
         to_stdout: Write usda to stdout.
@@ -78,8 +83,8 @@ class IkJob:
     pose: bool = False
     frame: Fraction | None = None
     options: TakeOptions = field(default_factory=TakeOptions)
-    tolerance: float = MISSED_LENGTH
-    angle_tolerance: float = MISSED_ANGLE
+    tolerance: float | None = None
+    angle_tolerance: float | None = None
     strict: bool = False
     output: Path | None = None
     to_stdout: bool = False
@@ -269,18 +274,37 @@ def _solved(job: IkJob, progress: Progress) -> IkReport:
     solved = solve_take(
         opened.take,
         opened.tracks,
-        job.options,
+        _as_fine(job),
         still=opened.still,
         only=opened.only,
         progress=progress,
     )
     seconds = {"read": read - began, "solve": time.perf_counter() - read}
-    goals = goal_reports(solved, job.tolerance, job.angle_tolerance)
-    missed = missed_notices(goals, path=str(job.targets))
-    jumps = jump_notices(solved, path=str(job.targets))
-    notices = [*opened.notices, *missed, *jumps]
-    report = IkReport(solved, goals, notices, seconds)
+    goals = goal_reports(solved, *_missed_by(job))
+    missed = missed_notices(solved, goals)
+    odd = [*opened.notices, *span_notices(solved), *jump_notices(solved)]
+    report = IkReport(solved, goals, [*odd, *missed], seconds)
     if job.strict and missed:
         raise MissedGoalsError(missed, report)
-    refuse_warnings([*opened.notices, *jumps], strict=job.strict)
+    refuse_warnings(odd, strict=job.strict)
     return report
+
+
+def _as_fine(job: IkJob) -> TakeOptions:
+    """Return options that solve to within what is taken for a miss."""
+    length, angle = _missed_by(job)
+    options = job.options
+    return replace(
+        options,
+        tolerance=min(options.tolerance, length or math.inf),
+        angle_tolerance=min(options.angle_tolerance, angle or math.inf),
+    )
+
+
+def _missed_by(job: IkJob) -> tuple[float, float]:
+    """Return by how much a goal is off that is missed [m], [rad]."""
+    options, length, angle = job.options, job.tolerance, job.angle_tolerance
+    return (
+        max(MISSED_LENGTH, options.tolerance) if length is None else length,
+        max(MISSED_ANGLE, options.angle_tolerance) if angle is None else angle,
+    )

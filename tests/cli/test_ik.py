@@ -81,7 +81,8 @@ def test_the_report_in_json(place: Path) -> None:
 def test_what_is_out_of_reach_is_named(place: Path) -> None:
     done = run(place, "-t", "far.targets.yaml", "-o", "far.usda")
     assert done.code == 0
-    assert "warning: IK101 'leg_r' is not reached at frames 1 to 12" in done.stderr
+    warned = "far.targets.yaml:8:3: warning: IK101 goals[1]: 'leg_r' is not reached at "
+    assert f"{warned}frames 1 to 12" in done.stderr
     assert ": 2.46 m and 19° off at frame " in done.stderr
     assert (place / "far.usda").exists()
 
@@ -267,6 +268,9 @@ def test_arrays_of_another_length(place: Path) -> None:
         (("-t", "reach.targets.yaml", "--method", "magic"), 2),
         (("-t", "reach.targets.yaml", "--tolerance", "5"), 2),
         (("-t", "reach.targets.yaml", "--split"), 2),
+        (("-t", "reach.targets.yaml", "--reduce", "1mm"), 2),
+        (("-t", "reach.targets.yaml", "--seed", str(2**64)), 2),
+        (("-t", "reach.targets.yaml", "--restarts", str(2**31)), 2),
         (("-t", "reach.targets.yaml", "-o", "x.bvh", "--rig-layer", "y.usda"), 2),
         (("-t", "reach.targets.yaml", "-o", "x.txt"), 2),
         (("-t", "reach.targets.yaml", "-o", "reach.targets.yaml"), 2),
@@ -341,8 +345,32 @@ def test_defaults_are_those_of_the_record() -> None:
     assert math.radians(defaults["angle_tolerance"]) == pytest.approx(
         record.angle_tolerance
     )
-    assert parse_length(defaults["tol"]) == MISSED_LENGTH
-    assert math.radians(defaults["tol_degrees"]) == pytest.approx(MISSED_ANGLE)
+    said = {param.name: param.help or "" for param in ik.params if param.name}
+    assert f"default: {MISSED_LENGTH * 1000:g}mm" in said["tol"]
+    assert f"default: {math.degrees(MISSED_ANGLE):g}," in said["tol_degrees"]
+
+
+@pytest.mark.parametrize("given", [("--tol", "1e-9mm"), ("--tolerance", "5mm")])
+def test_what_is_solved_to_is_never_a_miss(place: Path, given: tuple[str, str]) -> None:
+    done = run(place, "-t", "reach.targets.yaml", *given, "--strict")
+    assert done.code == 0, done.stderr
+    assert "IK101" not in done.stderr
+
+
+def test_spans_outside_the_frames_are_named(place: Path) -> None:
+    text = (
+        "targets: animtool/1\ngoals:\n- {effector: leg_l, hold: [[4, 9], [30, 40]]}\n"
+    )
+    (place / "late.targets.yaml").write_text(text)
+    done = run(place, "-t", "late.targets.yaml", "--clip", STRIDE)
+    assert done.code == 0
+    assert (
+        "late.targets.yaml:3:3: warning: TGT104 goals[0]: the span from" in done.stderr
+    )
+    assert "the span from 30 to 40, to hold 'leg_l'" in done.stderr
+    assert run(place, "-t", "late.targets.yaml", "--clip", STRIDE, "--strict").code == 1
+    one = run(place, "-t", "late.targets.yaml", "--clip", STRIDE, "--pose", "5")
+    assert "TGT104" not in one.stderr
 
 
 def test_a_pose_loads_no_usd(place: Path) -> None:

@@ -322,6 +322,8 @@ def test_counts_are_taken_as_far_as_there_is_room(name: str) -> None:
     for value in (low, most):
         solve(problem, None, targets, replace(IkOptions(), **{name: value}))
     for value in (low - 1, most + 1, 1.5):
-        with pytest.raises(OptionError, match=f"{name} must be a whole number") as caught:
+        with pytest.raises(
+            OptionError, match=f"{name} must be a whole number"
+        ) as caught:
             solve(problem, None, targets, replace(IkOptions(), **{name: value}))
         assert caught.value.code == "IK014"
