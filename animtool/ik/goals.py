@@ -14,6 +14,9 @@ from animtool.rig.skeleton import Rig
 
 __all__ = ["Goal", "Targets"]
 
+# Numbers beyond this have no square [m]; no character is so large.
+FARTHEST = 1e100
+
 
 @dataclass(frozen=True, slots=True)
 class Goal:
@@ -122,8 +125,9 @@ def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
     if not (goal.stretch >= 0 and np.isfinite(goal.stretch)):
         message = f"stretch must be a number from 0, not {goal.stretch}"
         faults.append(Fault("IK002", message, where=where))
-    if not np.isfinite(goal.offset).all():
-        faults.append(Fault("IK002", "its offset is not finite", where=where))
+    if not (np.abs(goal.offset) <= FARTHEST).all():
+        message = f"its offset is beyond {FARTHEST:g} m, or no number"
+        faults.append(Fault("IK002", message, where=where))
     if goal.aim > 0 and not abs(np.linalg.norm(goal.aim_axis) - 1) < 1e-6:
         faults.append(Fault("IK002", "its aim axis is not of length 1", where=where))
     return faults
@@ -171,7 +175,16 @@ def pack(targets: Targets, goals: tuple[Goal, ...]) -> FloatArray:
         np.nan_to_num(packed, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     if faults:
         raise OptionError(faults)
+    for name in ("rotations", "aims", "poles"):
+        _bring_in(packed[:, :, _PLACES[name]])
     return packed
+
+
+def _bring_in(directions: FloatArray) -> None:
+    """Scale numbers of which only the direction counts to where they have squares."""
+    sizes = np.abs(directions).max(axis=2, keepdims=True)
+    if (sizes > FARTHEST).any():
+        directions *= FARTHEST / np.maximum(sizes, FARTHEST)
 
 
 def _shaped(

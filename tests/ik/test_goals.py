@@ -42,6 +42,16 @@ def test_what_is_not_asked_for_may_be_anything() -> None:
     assert np.isfinite(packed).all()
 
 
+def test_directions_count_however_far_a_point_is() -> None:
+    far = np.array([[[0.0, 0.0, 0.0], [3e300, 4e300, 0.0]]])
+    turn = np.full((1, 2, 4), 1e300)
+    packed = pack(Targets(far, turn, far), GOALS)
+    aim, rotation = packed[0, 1, 7:10], packed[0, 0, 3:7]
+    np.testing.assert_allclose(aim / np.linalg.norm(aim), [0.6, 0.8, 0.0])
+    np.testing.assert_allclose(rotation / np.linalg.norm(rotation), 0.5)
+    np.testing.assert_array_equal(packed[0, :, :3], far[0])
+
+
 def test_weights_must_fit_the_goals_and_be_numbers_from_zero() -> None:
     parts = [np.zeros((2, 2, 3)), np.ones((2, 2, 4)), np.zeros((2, 2, 3)), None]
     for weights, code in [

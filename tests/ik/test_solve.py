@@ -307,6 +307,16 @@ def test_starts_that_do_not_fit_are_refused(start: np.ndarray) -> None:
     assert caught.value.code == expected
 
 
+def test_an_aim_at_what_is_very_far_is_no_silent_success() -> None:
+    goal = Goal("b2", position=0.0, aim=1.0, aim_axis=(0.6, 0.8, 0.0))
+    problem = build(arm(3), [goal])
+    result = solve(problem, None, Targets(aims=[[[1e300, 0.0, 0.0]]]))
+    rotation = np.asarray(reached_by(problem, result.coordinates).rotations)[0, 0]
+    axis = so3.rotate(rotation, np.array(goal.aim_axis))
+    np.testing.assert_allclose(axis, [1.0, 0.0, 0.0], atol=1e-5)
+    assert result.converged.all()
+
+
 def test_options_are_checked_all_at_once() -> None:
     problem = build(arm(3), [Goal("b2")])
     options = IkOptions(tolerance=0.0, restarts=-1, seconds=-1.0)
