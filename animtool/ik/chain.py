@@ -252,7 +252,10 @@ def _ranges(rig: Rig) -> dict[int, tuple[float, float]]:
 def assemble(
     rig: Rig, goals: Sequence[Goal], moving: set[int], pose: FloatArray
 ) -> tuple[Chain, list[Fault]]:
-    """Return the chain of the moving joints, the others standing in a pose ``(Q,)``."""
+    """Return the chain of the moving joints, the others standing in a pose ``(Q,)``.
+
+    Of each goal at least one joint above it moves.
+    """
     local = local_from_coordinates(rig, pose[None])
     builder = _Builder(rig)
     frames: dict[int, _Frame] = {}
@@ -265,13 +268,6 @@ def assemble(
             frames[j] = builder.add(j, rest)
         else:
             frames[j] = parent.carry(local.translations[0, j], local.rotations[0, j])
-    faults = [
-        Fault("IK003", f"no joint moves {goal.joint!r}", where=f"goals[{i}]")
-        for i, goal in enumerate(goals)
-        if frames[rig.index(goal.joint)].node < 0
-    ]
-    if faults:
-        return _EMPTY, faults
     limbs, faults = _limbs(rig, goals, moving, frames, pose)
     return _finish(builder, rig, goals, frames, limbs), faults
 
@@ -437,18 +433,3 @@ def _length(builder: _Builder, ends: list[_Frame], points: list[FloatArray]) -> 
         if kind == SLIDE and 0 < high - low < np.inf
     ]
     return float(max(spans, default=1.0))
-
-
-_EMPTY = Chain(
-    np.zeros((0, 4), np.int64),
-    np.zeros((0, 18)),
-    np.zeros((0, 4), np.int64),
-    np.zeros((0, 13)),
-    np.zeros((0, 4)),
-    np.zeros(0, np.int64),
-    np.zeros(0),
-    np.zeros((0, 2)),
-    (),
-    0,
-    1.0,
-)

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
 from animtool._types import ArrayLike, FloatArray, as_floats
-from animtool.errors import Fault, OptionError
+from animtool.errors import Fault, OptionError, listed
 from animtool.ik.chain import Chain, assemble
-from animtool.ik.goals import Goal, goal_faults
+from animtool.ik.goals import FARTHEST, Goal, goal_faults
 from animtool.ik.limbs import Limb, find_limbs
 from animtool.rig.joints import coordinate_slices
 from animtool.rig.limits import BallLimit, RangeLimit
@@ -87,7 +87,8 @@ def build(
             joint moves (IK003), a pole without a limb of two bones (IK004), reversed
             limits (IK005), no goals (IK006), a goal's root that is not above its joint
             (IK007), a limb that is soft or stretches but slides, has a root that is
-            moved, or shares its bones with another that stretches (IK008).
+            moved, or shares its bones with another that stretches (IK008), or a bone
+            longer than numbers have squares for (IK009).
         ValueError: ``pose`` does not fit the rig.
 
     >>> from animtool.rig.skeleton import Joint, JointType
@@ -105,6 +106,9 @@ def build(
     width = sum(place.stop - place.start for place in coordinate_slices(rig))
     at = np.zeros(width) if pose is None else as_floats(pose, (width,), "pose")
     moving = moving_joints(rig, goals, joints)
+    faults = _still_faults(rig, goals, moving)
+    if faults:
+        raise OptionError(faults)
     chain, faults = assemble(rig, goals, moving, at)
     limbs: tuple[Limb, ...] = ()
     if not faults:
@@ -143,6 +147,9 @@ def _faults(
         if _reversed(joint.limits):
             message = f"the limits of {joint.name!r} are reversed or not numbers"
             faults.append(Fault("IK005", message))
+        if not max(map(abs, joint.translation)) <= FARTHEST:
+            message = f"{joint.name!r} is more than {FARTHEST:g} m from its parent"
+            faults.append(Fault("IK009", message, hint="is its length in the unit?"))
     return faults
 
 
@@ -183,6 +190,33 @@ def moving_joints(
             pivots = pivots and not slides and not any(joint.translation)
             j = -1 if joint.name == goal.root else joint.parent
     return found
+
+
+def _still_faults(rig: Rig, goals: Sequence[Goal], moving: set[int]) -> list[Fault]:
+    """Return the goals that nothing moves, and why."""
+    faults = []
+    for i, goal in enumerate(goals):
+        if moving.intersection(_above(rig, goal.joint)):
+            continue
+        able = [rig.joints[j].name for j in sorted(moving_joints(rig, [goal]))]
+        hint = "what turns about its own point moves no position: give it an offset"
+        if able:
+            hint = f"of those that would, none may move: {listed(able)}"
+        elif not any(
+            rig.joints[j].type is not JointType.FIXED for j in _above(rig, goal.joint)
+        ):
+            hint = "it hangs from fixed joints only"
+        message = f"no joint moves {goal.joint!r}"
+        faults.append(Fault("IK003", message, hint=hint, where=f"goals[{i}]"))
+    return faults
+
+
+def _above(rig: Rig, joint: str) -> Iterator[int]:
+    """Yield a joint and those above it."""
+    j = rig.index(joint)
+    while j >= 0:
+        yield j
+        j = rig.joints[j].parent
 
 
 def rest_pose(problem: Problem) -> FloatArray:

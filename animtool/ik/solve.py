@@ -246,7 +246,7 @@ def option_faults(options: IkOptions) -> dict[str, list[Fault]]:
         faults[name] = _unless(value > 0, name, "more than 0", value)
     for name, (low, most) in COUNTS.items():
         value = getattr(options, name)
-        good = isinstance(value, (int, np.integer)) and low <= value <= most
+        good = bool(isinstance(value, (int, np.integer)) and low <= value <= most)
         span = f"a whole number from {low} to {most}"
         faults[name] = _unless(good, name, span, value)
     good = options.seconds >= 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -98,6 +99,35 @@ def test_a_goal_that_nothing_moves_is_refused() -> None:
         with pytest.raises(OptionError) as caught:
             build(rig, [Goal("a")])
         assert codes(caught) == ["IK003"]
+
+
+def test_why_nothing_moves_a_goal_is_said() -> None:
+    post = Rig("post", (Joint("a", -1, JointType.FIXED),))
+    pivot = Rig("pivot", (Joint("a", -1, JointType.PIN),))
+    hand = Goal(limb().names[-1])
+    able = build(limb(), [hand]).joints
+    for rig, goal, joints, hint in [
+        (post, Goal("a"), None, "it hangs from fixed joints only"),
+        (pivot, Goal("a"), None, "what turns about its own point moves no position"),
+        (limb(), hand, [], f"of those that would, none may move: {able[0]}"),
+    ]:
+        with pytest.raises(OptionError) as caught:
+            build(rig, [goal], joints=joints)
+        (fault,) = caught.value.faults
+        assert fault.code == "IK003"
+        assert (fault.hint or "").startswith(hint)
+
+
+@pytest.mark.filterwarnings("error")
+def test_bones_and_offsets_without_squares_are_refused() -> None:
+    joints = limb().joints
+    long = replace(joints[-1], translation=(1e200, 0.0, 0.0))
+    with pytest.raises(OptionError) as caught:
+        build(Rig("long", (*joints[:-1], long)), [Goal(long.name)])
+    assert codes(caught) == ["IK009"]
+    with pytest.raises(OptionError) as caught:
+        build(limb(), [Goal(long.name, offset=(0.0, 1e308, 0.0))])
+    assert codes(caught) == ["IK002"]
 
 
 def test_a_pole_needs_two_bones() -> None:
