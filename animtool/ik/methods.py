@@ -71,8 +71,12 @@ def check_method(problem: Problem, method: IkMethod) -> None:
     """Raise where a method cannot serve a problem.
 
     Raises:
-        OptionError: Why it cannot, and which methods can (IK015).
+        OptionError: Why it cannot, or that there is none of that name, and which
+            methods can (IK015).
     """
+    if method not in set(IkMethod):
+        hint = f"methods for this problem: {', '.join(serving(problem))}"
+        raise OptionError(Fault("IK015", f"no method is {method!r}", hint=hint))
     obstacle = _obstacle(problem, method)
     if obstacle is None:
         return
@@ -84,7 +88,7 @@ def _obstacle(problem: Problem, method: IkMethod) -> str | None:
     """Return what of a problem a method cannot serve."""
     if method in {IkMethod.AUTO, IkMethod.DAMPED}:
         return None
-    if method is IkMethod.TWO_BONE:
+    if method == IkMethod.TWO_BONE:
         reason = misfit(problem)
         return reason and f"does not fit: {reason}"
     goals = problem.goals

@@ -139,6 +139,10 @@ def _faults(
     names = set(rig.names)
     for i, goal in enumerate(goals):
         faults += goal_faults(goal, rig, f"goals[{i}]")
+    if isinstance(joints, str):
+        message = f"joints are a list of names, such as [{joints!r}], not text"
+        faults.append(Fault("IK001", message))
+        joints = ()
     for name in joints or ():
         if name not in names:
             faults.append(Fault("IK001", f"no joint of {rig.name!r} is {name!r}"))

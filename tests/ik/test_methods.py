@@ -208,3 +208,12 @@ def test_methods_that_cannot_serve_a_problem_say_why() -> None:
         assert fault.hint is not None
         assert "auto, damped" in fault.hint
         assert method not in serving(problem)
+
+
+@pytest.mark.parametrize("name", ["magic", "two_bone"])
+def test_names_of_methods_are_checked(name: str) -> None:
+    pins = [Joint(f"b{i}", i - 1, JointType.PIN, translation=(i, 0, 0)) for i in (0, 1)]
+    problem = build(Rig("pins", tuple(pins)), [Goal("b1", offset=(1.0, 0.0, 0.0))])
+    with pytest.raises(OptionError, match=name) as caught:
+        solve(problem, None, Targets([[[1.0, 1.0, 0.0]]]), IkOptions(method=name))  # type: ignore[arg-type]
+    assert caught.value.code == "IK015"

@@ -83,6 +83,7 @@ def test_a_joint_that_the_rig_lacks_is_named_with_the_nearest() -> None:
         Goal("elbow", position=-1.0),
         Goal("elbow", position=math.nan),
         Goal("elbow", (math.inf, 0.0, 0.0)),
+        Goal("elbow", (1.0, 0.0)),  # type: ignore[arg-type]
         Goal("elbow", aim=1.0, aim_axis=(0.0, 0.0, 2.0)),
     ],
 )
@@ -99,6 +100,12 @@ def test_a_goal_that_nothing_moves_is_refused() -> None:
         with pytest.raises(OptionError) as caught:
             build(rig, [Goal("a")])
         assert codes(caught) == ["IK003"]
+
+
+def test_joints_are_no_text() -> None:
+    with pytest.raises(OptionError, match=r"such as \['elbow'\], not text") as caught:
+        build(limb(), [Goal(limb().names[-1])], joints="elbow")
+    assert codes(caught) == ["IK001"]
 
 
 def test_why_nothing_moves_a_goal_is_said() -> None:
