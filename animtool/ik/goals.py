@@ -125,8 +125,8 @@ def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
     if not (goal.stretch >= 0 and np.isfinite(goal.stretch)):
         message = f"stretch must be a number from 0, not {goal.stretch}"
         faults.append(Fault("IK002", message, where=where))
-    if len(goal.offset) != 3:
-        message = f"its offset has {len(goal.offset)} numbers where 3 are wanted"
+    if np.shape(goal.offset) != (3,):
+        message = f"its offset has {np.size(goal.offset)} numbers where 3 are wanted"
         faults.append(Fault("IK002", message, where=where))
     if not (np.abs(goal.offset) <= FARTHEST).all():
         message = f"its offset is beyond {FARTHEST:g} m, or no number"

@@ -141,8 +141,9 @@ class ValueReader:
             return cast(PrimMotion, opener(path, model.prim, self.rig, model.space))
         except AnimtoolError as error:
             for fault in error.faults:
+                key = "space" if fault.where == "space" else "prim"
                 message = f"{model.file!r}: {fault.message}"
-                self.document.add("TGT011", (*at, "prim"), message, fault.hint)
+                self.document.add("TGT011", (*at, key), message, fault.hint)
             return None
 
     def _stage(self, at: Location, model: ValueModel) -> Path | None:

@@ -45,12 +45,13 @@ def open_prim(
         ``(F, 4)``; it raises `FormatError` where a transform is not finite.
 
     Raises:
-        FormatError: It is no USD file, or holds no such prim (USD034).
+        FormatError: It is no USD file, or holds no such prim (USD034); the fault of a
+            ``space`` says so in its ``where``.
     """
     with usd_errors(path):
         stage = open_stage(path)
         found = _prim(stage, path, prim)
-        above = None if space is None else _prim(stage, path, space)
+        above = None if space is None else _prim(stage, path, space, "space")
     unit = UsdGeom.GetStageMetersPerUnit(stage)
     turn = up_from_up(rig.up, up_axis(stage))
     if above is not None:
@@ -87,7 +88,8 @@ def _matrices(prim: Any, above: Any, codes: FloatArray) -> FloatArray:
     return np.array(matrices, np.float64).reshape(-1, 4, 4)
 
 
-def _prim(stage: Any, path: Path, name: str) -> Any:
+def _prim(stage: Any, path: Path, name: str, where: str | None = None) -> Any:
+    """Return a prim, or say that there is none, ``where`` it was named."""
     valid = Sdf.Path.IsValidPathString(name) and Sdf.Path(name).IsAbsolutePath()
     found = stage.GetPrimAtPath(name) if valid else None
     if found:
@@ -97,5 +99,11 @@ def _prim(stage: Any, path: Path, name: str) -> Any:
     near = get_close_matches(name, names, 1)
     hint = f"did you mean {near[0]}?" if near else None
     raise FormatError(
-        Fault("USD034", f"holds no prim {excerpt(name)}", str(path), (), hint)
+        Fault(
+            "USD034",
+            f"holds no prim {excerpt(name)}",
+            str(path),
+            hint=hint,
+            where=where,
+        )
     )

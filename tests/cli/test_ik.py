@@ -419,3 +419,14 @@ def test_a_hand_on_a_prop(place: Path) -> None:
     # The offset is in the prop's frame, whose z is the rig's y.
     expected = [[0.3, 1.12, 0.3], [0.35, 1.32, 0.3]]
     np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_a_space_that_is_not_there_has_its_own_place(place: Path) -> None:
+    (place / "shot.usda").write_text('#usda 1.0\ndef Xform "prop" {\n}\n')
+    (place / "prop.targets.yaml").write_text(
+        "targets: animtool/1\ngoals:\n- effector: arm_l\n  position:\n"
+        "    prim: /prop\n    file: shot.usda\n    space: /hero\n"
+    )
+    done = run(place, "-t", "prop.targets.yaml")
+    assert done.code == 3
+    assert "prop.targets.yaml:7:12: TGT011 goals[0].position.space:" in done.stderr
