@@ -43,7 +43,7 @@ class GoalTrack:
         spans: Held frames, ascending.
         ease: [frame] before and behind each span.
         held: The parts that the spans hold.
-        place: Line and column in the file.
+        place: Line and column in the file; its first where none has it.
     """
 
     name: str
@@ -54,7 +54,7 @@ class GoalTrack:
     spans: tuple[Span, ...]
     ease: float
     held: frozenset[str]
-    place: tuple[int, int]
+    place: tuple[int, int] = (1, 1)
 
 
 @dataclass(frozen=True)
