@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-__all__ = ["without_version_warnings"]
+__all__ = ["without_usd_warnings", "without_version_warnings"]
 
 # Of its own writers, about every file with a spline or with time codes in metadata:
 # nothing that a user could change.
@@ -16,6 +16,13 @@ _KNOWN = (
     b"inner looping is deprecated",
     b"A spline was detected which requires",
     b"A timecode or timecode[] value type was detected which requires",
+)
+# How the lines of its diagnostics begin.
+_DIAGNOSTICS = (
+    b"Warning: in ",
+    b"Error in ",
+    b"Coding Error: in ",
+    b"Runtime Error: in ",
 )
 
 
@@ -26,6 +33,22 @@ def without_version_warnings() -> Iterator[None]:
     They print to the process's stderr, past Python. Everything else that arrives
     there meanwhile is printed afterwards.
     """
+    with _held(_KNOWN):
+        yield
+
+
+@contextmanager
+def without_usd_warnings() -> Iterator[None]:
+    """Leave out what USD prints about the layers that it opens.
+
+    Everything else that arrives there meanwhile is printed afterwards.
+    """
+    with _held(_DIAGNOSTICS):
+        yield
+
+
+@contextmanager
+def _held(known: tuple[bytes, ...]) -> Iterator[None]:
     sys.stderr.flush()
     try:
         saved = os.dup(2)
@@ -41,5 +64,5 @@ def without_version_warnings() -> Iterator[None]:
             os.close(saved)
             held.seek(0)
             for line in held:
-                if not any(known in line for known in _KNOWN):
+                if not any(text in line for text in known):
                     os.write(2, line)

@@ -1,0 +1,217 @@
+"""Checks on SkelAnimation prims."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from pxr import UsdSkel
+
+from animtool._types import BoolArray
+from animtool.errors import Fault, excerpt, listed
+from animtool.usd.checks.subject import AnyArray, Sampled, Subject, at_samples
+from animtool.usd.checks.table import finding
+
+__all__ = ["check_animations", "check_known_joints", "duplicates"]
+
+# Of a quaternion's length. Text files with four digits are within.
+UNIT_TOLERANCE = 1e-3
+# |cos| of half the angle: nearer than this, two quaternions are one rotation.
+SAME_SIDE = 0.7
+# cos of half a quarter turn. A turn further than that between samples, and so many
+# times further than the samples beside, is a jump.
+JUMP_COSINE = float(np.cos(np.pi / 4))
+JUMP_FACTOR = 8.0
+# [s] Samples further apart may well differ.
+JUMP_WITHIN = 0.101
+
+
+def check_animations(subject: Subject) -> Iterator[Fault]:
+    """Check counts, numbers and rotations of every SkelAnimation, in every sample."""
+    for animation in subject.of_type(UsdSkel.Animation):
+        joints = tokens(animation.GetJointsAttr())
+        yield from _twice(animation.GetJointsAttr(), joints)
+        if joints:
+            yield from _transforms(subject, animation, joints)
+        shapes = tokens(animation.GetBlendShapesAttr())
+        yield from _twice(animation.GetBlendShapesAttr(), shapes)
+        yield from _weights(subject, animation.GetBlendShapeWeightsAttr(), shapes)
+
+
+def tokens(attr: Any) -> list[str]:
+    """Return the tokens of an attribute, none where it has no value."""
+    return [str(token) for token in (attr.Get() if attr else None) or ()]
+
+
+def duplicates(names: Sequence[str]) -> list[str]:
+    """Return the names that stand more than once, in order.
+
+    >>> duplicates(["a", "b", "a", "a"])
+    ['a']
+    """
+    return [name for name, count in Counter(names).items() if count > 1]
+
+
+def _twice(attr: Any, names: list[str]) -> Iterator[Fault]:
+    twice = duplicates(names)
+    if twice:
+        message = f"{len(twice)} of {len(names)} names stand twice: {listed(twice)}"
+        yield finding("USD207", attr.GetPath(), message)
+
+
+def _transforms(subject: Subject, animation: Any, joints: list[str]) -> Iterator[Fault]:
+    attributes = {
+        "translations": (animation.GetTranslationsAttr(), 3),
+        "rotations": (animation.GetRotationsAttr(), 4),
+        "scales": (animation.GetScalesAttr(), 3),
+    }
+    missing = [
+        name for name, (attr, _) in attributes.items() if not attr.HasAuthoredValue()
+    ]
+    if missing:
+        message = f"no value of {listed(missing)}, for {len(joints)} joints"
+        yield finding("USD201", animation.GetPath(), message)
+    for name, (attr, width) in attributes.items():
+        if name in missing:
+            continue
+        sampled = subject.sampled(attr)
+        yield from _counts("USD200", attr, sampled, len(joints), "joints")
+        which, values = sampled.rows(len(joints), width)
+        bad = np.asarray(~np.isfinite(values).all(axis=-1))
+        if bad.any():
+            yield _not_finite(attr, sampled, which, bad, joints)
+        elif name == "rotations" and len(values):
+            yield from _rotations(subject, attr, sampled, which, values, joints)
+
+
+def _counts(
+    code: str, attr: Any, sampled: Sampled, wanted: int, things: str
+) -> Iterator[Fault]:
+    wrong = sampled.counts != wanted
+    if wrong.any():
+        found = sampled.counts[np.flatnonzero(wrong)[0]]
+        have = "no value" if found < 0 else f"{found} values"
+        message = f"{have} for {wanted} {things} {at_samples(sampled, wrong)}"
+        yield finding(code, attr.GetPath(), message)
+
+
+def _not_finite(
+    attr: Any, sampled: Sampled, which: Any, bad: BoolArray, names: list[str]
+) -> Fault:
+    rows = bad.any(axis=1)
+    first = int(np.flatnonzero(bad[np.flatnonzero(rows)[0]])[0])
+    message = (
+        f"{excerpt(names[first])} is not finite {at_samples(sampled, which[rows])}"
+    )
+    return finding("USD202", attr.GetPath(), message)
+
+
+def _weights(subject: Subject, attr: Any, shapes: list[str]) -> Iterator[Fault]:
+    sampled = subject.sampled(attr)
+    yield from _counts("USD206", attr, sampled, len(shapes), "blendShapes")
+    which, values = sampled.rows(len(shapes), 1)
+    bad = ~np.isfinite(values[..., 0])
+    if bad.any():
+        yield _not_finite(attr, sampled, which, bad, shapes)
+
+
+def _rotations(
+    subject: Subject,
+    attr: Any,
+    sampled: Sampled,
+    which: Any,
+    values: AnyArray,
+    joints: list[str],
+) -> Iterator[Fault]:
+    squares = np.einsum("fjc,fjc->fj", values, values)
+    off = np.abs(squares - 1.0) > 2 * UNIT_TOLERANCE
+    if off.any():
+        row, joint = (int(i[0]) for i in np.nonzero(off))
+        message = (
+            f"{excerpt(joints[joint])} has length {squares[row, joint] ** 0.5:.6g} "
+            f"{at_samples(sampled, which[off.any(axis=1)])}"
+        )
+        yield finding("USD203", attr.GetPath(), message)
+        return
+    cosines = np.einsum("fjc,fjc->fj", values[1:], values[:-1])
+    flipped = cosines < -SAME_SIDE
+    if flipped.any():
+        names = [joints[j] for j in np.flatnonzero(flipped.any(axis=0))]
+        frames = which[1:][flipped.any(axis=1)]
+        message = f"signs of {listed(names)} change {at_samples(sampled, frames)}"
+        yield finding("USD204", attr.GetPath(), message)
+    yield from _jumps(subject, attr, sampled.times[which], np.abs(cosines), joints)
+
+
+def _jumps(
+    subject: Subject, attr: Any, times: AnyArray, cosines: AnyArray, joints: list[str]
+) -> Iterator[Fault]:
+    rate = subject.stage.GetTimeCodesPerSecond()
+    near = np.diff(times) <= JUMP_WITHIN * rate
+    rows, columns = np.nonzero((cosines < JUMP_COSINE) & near[:, None])
+    if not len(rows) or len(cosines) < 3:
+        return
+
+    def angles(at: AnyArray) -> AnyArray:
+        inside = np.clip(at, 0, len(cosines) - 1)
+        found: AnyArray = 2 * np.arccos(np.clip(cosines[inside, columns], 0, 1))
+        found[inside != at] = 0.0
+        return found
+
+    here = angles(rows)
+    lone = here > JUMP_FACTOR * np.maximum(angles(rows - 1), angles(rows + 1))
+    if not lone.any():
+        return
+    first = int(np.flatnonzero(lone)[0])
+    names = list(dict.fromkeys(joints[j] for j in columns[lone]))
+    message = (
+        f"{listed(names)} jump in {len(set(rows[lone].tolist()))} of {len(times)} "
+        f"samples; {excerpt(joints[columns[first]])} by "
+        f"{np.degrees(here[first]):.0f} degrees between time codes "
+        f"{times[rows[first]]:g} and {times[rows[first] + 1]:g}"
+    )
+    yield finding("USD205", attr.GetPath(), message)
+
+
+def check_known_joints(subject: Subject) -> Iterator[Fault]:
+    """Check that a Skeleton has the joints of its animation, and meshes its shapes."""
+    shapes: dict[Any, set[str]] = {}
+    bound: dict[Any, Any] = {}
+    for prim in subject.prims:
+        binding = UsdSkel.BindingAPI(prim)
+        names = tokens(binding.GetBlendShapesAttr())
+        skeleton = prim.IsA(UsdSkel.Skeleton)
+        if not (names or skeleton):
+            continue
+        source = binding.GetInheritedAnimationSource()
+        if not source and names:
+            held = binding.GetInheritedSkeleton()
+            source = (
+                held
+                and UsdSkel.BindingAPI(held.GetPrim()).GetInheritedAnimationSource()
+            )
+        if not source or not source.IsA(UsdSkel.Animation):
+            continue
+        bound[source.GetPath()] = source
+        shapes.setdefault(source.GetPath(), set()).update(names)
+        if skeleton:
+            yield from _unknown_joints(UsdSkel.Skeleton(prim), source)
+    for path, source in bound.items():
+        attr = UsdSkel.Animation(source).GetBlendShapesAttr()
+        unknown = [name for name in tokens(attr) if name not in shapes[path]]
+        if unknown and not subject.alone:
+            message = f"{len(unknown)} shapes that no mesh has: {listed(unknown)}"
+            yield finding("USD210", attr.GetPath(), message)
+
+
+def _unknown_joints(skeleton: Any, source: Any) -> Iterator[Fault]:
+    attr = UsdSkel.Animation(source).GetJointsAttr()
+    own = set(tokens(skeleton.GetJointsAttr()))
+    unknown = [name for name in tokens(attr) if name not in own]
+    if unknown and own:
+        message = (
+            f"{len(unknown)} joints that {skeleton.GetPath()} lacks: {listed(unknown)}"
+        )
+        yield finding("USD209", attr.GetPath(), message)

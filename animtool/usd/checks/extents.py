@@ -1,0 +1,235 @@
+"""Checks on extents, over all samples.
+
+What a SkelRoot with one skeleton spans is the bounds of its joints and a padding that
+does not change, so that all samples are compared at once and USD itself is asked only
+about those that stand out. Of others, it is asked about `MOST_ASKED` samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from pxr import Usd, UsdGeom, UsdSkel
+
+from animtool import _kernels
+from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault
+from animtool.usd.checks.animation import tokens
+from animtool.usd.checks.skeleton import joint_parents, own_matrices
+from animtool.usd.checks.subject import AnyArray, Sampled, Subject, at_samples
+from animtool.usd.checks.table import finding
+from animtool.usd.rig_prims import decompose
+
+__all__ = ["bounds_apart", "check_extents"]
+
+# Of the diagonal: text files with four digits are within.
+TOLERANCE = 1e-3
+# Where nothing but USD itself can tell.
+MOST_ASKED = 50
+BLOCK = 2048
+
+
+def check_extents(subject: Subject) -> Iterator[Fault]:
+    """Check that prims have an extent, and that it is what USD computes."""
+    if subject.alone:
+        return
+    for prim in subject.prims:
+        if not prim.IsA(UsdGeom.Boundable) or not prim.IsDefined():
+            continue
+        bounded = UsdGeom.Boundable(prim)
+        source = _source(subject, prim)
+        if source is None:
+            continue
+        attr = bounded.GetExtentAttr()
+        if not attr.HasAuthoredValue():
+            yield finding(
+                "USD250", prim.GetPath(), f"this {prim.GetTypeName()} has none"
+            )
+        else:
+            yield from _compare(subject, bounded, attr, source)
+
+
+def _source(subject: Subject, prim: Any) -> list[Any] | None:
+    """Return the attributes that an extent follows; None where it has none to follow.
+
+    Where points or joints are no numbers, there is nothing to compare with.
+    """
+    if prim.IsA(UsdSkel.Root):
+        animations = [
+            UsdSkel.BindingAPI(found).GetInheritedAnimationSource()
+            for found in Usd.PrimRange(prim, Usd.TraverseInstanceProxies())
+            if found.IsA(UsdSkel.Skeleton)
+        ]
+        if not animations:
+            return None
+        sources = [UsdSkel.Animation(found) for found in animations if found]
+        return [
+            attr
+            for found in sources
+            if found
+            for attr in (
+                found.GetTranslationsAttr(),
+                found.GetRotationsAttr(),
+                found.GetScalesAttr(),
+            )
+        ]
+    if prim.IsA(UsdGeom.PointBased):
+        attr = UsdGeom.PointBased(prim).GetPointsAttr()
+        # Points are checked as they are read, and their extent with them.
+        return [attr] if attr.HasAuthoredValue() and not subject.times(attr) else None
+    return None
+
+
+def _compare(
+    subject: Subject, bounded: Any, attr: Any, source: list[Any]
+) -> Iterator[Fault]:
+    sampled = subject.sampled(attr)
+    wrong = sampled.counts != 2
+    if wrong.any():
+        count = sampled.counts[np.flatnonzero(wrong)[0]]
+        message = f"{count} corners, not 2, {at_samples(sampled, wrong)}"
+        yield finding("USD251", attr.GetPath(), message)
+        return
+    extents = sampled.rows(2, 3)[1].astype(np.float64)
+    moving = sorted({time for one in source for time in subject.times(one)})
+    own = extents if sampled.animated else None
+    times = sampled.times if own is not None else np.array(moving or [np.nan])
+    expected = _joint_bounds(subject, bounded, source, times)
+    suspects = _chosen(len(times))
+    if expected is not None:
+        apart = bounds_apart(extents, expected, exact=own is not None or not moving)
+        suspects = np.flatnonzero(~(apart <= 0))[:MOST_ASKED]
+    bad = []
+    for i in suspects.tolist():
+        code = Usd.TimeCode.Default() if np.isnan(times[i]) else Usd.TimeCode(times[i])
+        found = UsdGeom.Boundable.ComputeExtentFromPlugins(bounded, code)
+        if found is None:
+            return
+        bounds = np.array(found, np.float64).reshape(1, 2, 3)
+        mine = extents[i : i + 1] if own is not None else extents
+        gap = bounds_apart(mine, bounds, exact=own is not None or not moving)[0]
+        if np.isfinite(bounds).all() and gap > 0:
+            bad.append((i, gap))
+    if bad:
+        worst = max(gap for _, gap in bad)
+        frames = np.array([i for i, _ in bad])
+        places = Sampled(times, [], np.zeros(len(times), np.int64))
+        more = " or more" if len(suspects) == MOST_ASKED < len(times) else ""
+        message = (
+            f"off by {worst:.3g}{more} {at_samples(places, frames)}"
+            if own is not None or not moving
+            else f"what moves leaves it by {worst:.3g} {at_samples(places, frames)}"
+        )
+        yield finding("USD251", attr.GetPath(), message)
+
+
+def bounds_apart(extents: FloatArray, bounds: FloatArray, *, exact: bool) -> FloatArray:
+    """Return how far extents are from bounds beyond the tolerance, at most 0 if not.
+
+    Args:
+        extents: ``(F, 2, 3)``, or one for all.
+        bounds: ``(F, 2, 3)``.
+        exact: Whether they must be equal; else it is enough to hold them.
+    """
+    gaps = np.stack([extents[:, 0] - bounds[:, 0], bounds[:, 1] - extents[:, 1]])
+    off = (np.abs(gaps) if exact else gaps).max(axis=(0, 2))
+    sizes = np.linalg.norm(bounds[:, 1] - bounds[:, 0], axis=1)
+    reach = np.abs(bounds).max(axis=(1, 2))
+    apart: FloatArray = off - TOLERANCE * sizes - 1e-6 * (1 + reach)
+    return apart
+
+
+def _chosen(count: int) -> IntArray:
+    """Return evenly spaced numbers below a count, `MOST_ASKED` at most."""
+    return np.unique(np.linspace(0, count - 1, min(count, MOST_ASKED)).astype(np.int64))
+
+
+def _joint_bounds(
+    subject: Subject, bounded: Any, source: list[Any], times: FloatArray
+) -> FloatArray | None:
+    """Return what a SkelRoot with one skeleton spans at every time ``(F, 2, 3)``.
+
+    None where only USD can tell: more skeletons or one that is placed, attributes
+    sampled at other times, values that other checks refuse.
+    """
+    root = bounded.GetPrim()
+    if len(source) != 3 or not root.IsA(UsdSkel.Root) or len(times) <= MOST_ASKED:
+        return None
+    skeletons = [p for p in Usd.PrimRange(root) if p.IsA(UsdSkel.Skeleton)]
+    if len(skeletons) != 1 or skeletons[0].GetParent() != root:
+        return None
+    if UsdGeom.Xformable(skeletons[0]).GetXformOpOrderAttr().Get():
+        return None
+    skeleton = UsdSkel.Skeleton(skeletons[0])
+    locals_ = _locals(subject, skeleton, source, times)
+    if locals_ is None:
+        return None
+    joints = tokens(skeleton.GetJointsAttr())
+    bounds = _bounds(joint_parents(joints), *locals_)
+    code = Usd.TimeCode(times[0])
+    first = UsdGeom.Boundable.ComputeExtentFromPlugins(bounded, code)
+    if first is None:
+        return None
+    pad = np.array(first, np.float64).reshape(2, 3) - bounds[0]
+    padded: FloatArray = bounds + pad
+    return padded
+
+
+def _locals(
+    subject: Subject, skeleton: Any, source: list[Any], times: FloatArray
+) -> tuple[AnyArray, AnyArray, AnyArray] | None:
+    """Return local translations, rotations and scales ``(F or 1, J, …)``."""
+    joints = tokens(skeleton.GetJointsAttr())
+    parents = joint_parents(joints)
+    rest = own_matrices(skeleton.GetRestTransformsAttr())
+    own = tokens(UsdSkel.Animation(source[0].GetPrim()).GetJointsAttr())
+    places = np.array([joints.index(n) if n in joints else -1 for n in own], np.int64)
+    whole = len(own) == len(joints) and (places == np.arange(len(joints))).all()
+    if (parents >= np.arange(len(joints))).any() or (places < 0).any():
+        return None
+    if not whole and len(rest) != len(joints):
+        return None
+    resting = () if whole else decompose(rest)
+    found = []
+    for part, (attr, width) in enumerate(zip(source, (3, 4, 3), strict=True)):
+        sampled = subject.sampled(attr)
+        if (sampled.counts != len(own)).any() or not len(sampled.times):
+            return None
+        if sampled.animated and not np.array_equal(sampled.times, times):
+            return None
+        values = sampled.rows(len(own), width)[1]
+        if not np.isfinite(values).all():
+            return None
+        if not whole:
+            filled = np.repeat(resting[part][None], len(values), axis=0)
+            filled[:, places] = values
+            values = filled
+        found.append(values)
+    return found[0], found[1], found[2]
+
+
+def _bounds(
+    parents: IntArray, moves: AnyArray, turns: AnyArray, sizes: AnyArray
+) -> FloatArray:
+    """Return the bounds of the joints' origins ``(F, 2, 3)``."""
+    count = max(len(moves), len(turns), len(sizes))
+    bounds = np.zeros((count, 2, 3))
+    plain = bool((sizes == 1).all())
+    for begin in range(0, count, BLOCK):
+        part = slice(begin, min(begin + BLOCK, count))
+        frames = part.stop - begin
+        t, r, s = (_block(values, part, frames) for values in (moves, turns, sizes))
+        positions = np.zeros((frames, len(parents), 3))
+        linear = np.zeros((frames, len(parents), 3, 3))
+        scales = None if plain else s
+        _kernels.forward_kinematics(parents, t, r, scales, positions, linear)
+        bounds[part, 0] = positions.min(axis=1)
+        bounds[part, 1] = positions.max(axis=1)
+    return bounds
+
+
+def _block(values: AnyArray, part: slice, frames: int) -> FloatArray:
+    rows = values[part] if len(values) > 1 else np.repeat(values, frames, axis=0)
+    return np.ascontiguousarray(rows, np.float64)

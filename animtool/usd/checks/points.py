@@ -1,0 +1,137 @@
+"""Checks on points that move: counts, numbers, velocities and bounds.
+
+A cache may be larger than memory: each sample is read, looked at and let go.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from pxr import Usd, UsdGeom
+
+from animtool._types import FloatArray
+from animtool.errors import Fault
+from animtool.usd.checks.extents import bounds_apart
+from animtool.usd.checks.subject import Sampled, Subject, at_samples
+from animtool.usd.checks.table import finding
+
+__all__ = ["check_points"]
+
+
+def check_points(subject: Subject) -> Iterator[Fault]:
+    """Check the points and velocities of every prim, in every sample."""
+    for geometry in subject.of_type(UsdGeom.PointBased):
+        attr = geometry.GetPointsAttr()
+        if not attr.HasAuthoredValue():
+            continue
+        points, bounds = _survey(subject, attr)
+        yield from _finite(attr, points, bounds)
+        yield from _topology(subject, geometry, attr, points)
+        yield from _velocities(subject, geometry, points)
+        yield from _extent(subject, geometry, points, bounds)
+
+
+def _survey(subject: Subject, attr: Any) -> tuple[Sampled, FloatArray]:
+    """Return the samples of points without their arrays, and their bounds."""
+    times = subject.times(attr)
+    codes = [Usd.TimeCode(t) for t in times] or [Usd.TimeCode.Default()]
+    query = Usd.AttributeQuery(attr)
+    counts = np.full(len(codes), -1, np.int64)
+    bounds = np.full((len(codes), 2, 3), np.nan)
+    for i, code in enumerate(codes):
+        value = query.Get(code)
+        if value is None:
+            continue
+        counts[i] = len(value)
+        if len(value):
+            rows = np.array(value, copy=False)
+            bounds[i] = rows.min(axis=0), rows.max(axis=0)
+    return Sampled(np.array(times or [np.nan]), [], counts), bounds
+
+
+def _finite(attr: Any, sampled: Sampled, bounds: FloatArray) -> Iterator[Fault]:
+    # NaN and infinity both come through min and max.
+    bad = ~np.isfinite(bounds).all(axis=(1, 2)) & (sampled.counts > 0)
+    if bad.any():
+        message = f"points are not finite {at_samples(sampled, bad)}"
+        yield finding("USD265", attr.GetPath(), message)
+
+
+def _topology(
+    subject: Subject, geometry: Any, attr: Any, points: Sampled
+) -> Iterator[Fault]:
+    prim = geometry.GetPrim()
+    if prim.IsA(UsdGeom.Mesh):
+        indices = UsdGeom.Mesh(prim).GetFaceVertexIndicesAttr()
+        if subject.times(indices):
+            return
+        value = indices.Get()
+        needed = int(np.array(value).max(initial=-1)) + 1 if value else 0
+        short = (points.counts < needed) & (points.counts >= 0)
+        if short.any():
+            count = points.counts[np.flatnonzero(short)[0]]
+            message = (
+                f"{count} points for faces that name {needed} "
+                f"{at_samples(points, short)}"
+            )
+            yield finding("USD264", attr.GetPath(), message)
+            return
+    elif not prim.IsA(UsdGeom.Curves) or subject.times(
+        UsdGeom.Curves(prim).GetCurveVertexCountsAttr()
+    ):
+        return
+    changed = points.counts != points.counts[0]
+    if changed.any():
+        count = points.counts[np.flatnonzero(changed)[0]]
+        message = (
+            f"{count} points where the first sample has {points.counts[0]} "
+            f"{at_samples(points, changed)}"
+        )
+        yield finding("USD264", attr.GetPath(), message)
+
+
+def _velocities(subject: Subject, geometry: Any, points: Sampled) -> Iterator[Fault]:
+    attr = geometry.GetVelocitiesAttr()
+    if not attr.HasAuthoredValue():
+        return
+    found, bounds = _survey(subject, attr)
+    yield from _finite(attr, found, bounds)
+    index = {time: i for i, time in enumerate(points.times.tolist())}
+    for i, time in enumerate(found.times.tolist()):
+        wanted = points.counts[index.get(time, 0)]
+        if found.counts[i] not in {0, wanted}:
+            message = (
+                f"{found.counts[i]} velocities for {wanted} points "
+                f"{at_samples(found, np.array([i]))}"
+            )
+            yield finding("USD266", attr.GetPath(), message)
+            return
+
+
+def _extent(
+    subject: Subject, geometry: Any, points: Sampled, bounds: FloatArray
+) -> Iterator[Fault]:
+    """Compare the bounds of a mesh's moving points with its extent."""
+    prim, attr = geometry.GetPrim(), geometry.GetExtentAttr()
+    if not points.animated or not prim.IsA(UsdGeom.Mesh) or subject.alone:
+        return
+    if not attr.HasAuthoredValue():
+        message = f"this {prim.GetTypeName()} has none, and its points move"
+        yield finding("USD250", prim.GetPath(), message)
+        return
+    sampled = subject.sampled(attr)
+    if (sampled.counts != 2).any():
+        message = f"not two corners {at_samples(sampled, sampled.counts != 2)}"
+        yield finding("USD251", attr.GetPath(), message)
+        return
+    extents = sampled.rows(2, 3)[1].astype(np.float64)
+    if sampled.animated:
+        # Between samples an extent is that of the sample before.
+        held = np.searchsorted(sampled.times, points.times, side="right") - 1
+        extents = extents[np.clip(held, 0, None)]
+    bad = bounds_apart(extents, bounds, exact=sampled.animated)
+    if (bad > 0).any():
+        message = f"off by {np.nanmax(bad):.3g} {at_samples(points, bad > 0)}"
+        yield finding("USD251", attr.GetPath(), message)

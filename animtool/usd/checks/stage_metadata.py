@@ -1,0 +1,123 @@
+"""Checks on what a stage says of itself: rate, range, units, axes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from pxr import UsdGeom
+
+from animtool.errors import Fault
+from animtool.usd.checks.subject import Subject
+from animtool.usd.checks.table import finding
+
+__all__ = ["check_range", "check_rate_values", "check_rates", "check_units"]
+
+ROOT = "/"
+RATES = ("framesPerSecond", "timeCodesPerSecond")
+# Of a time code: less is rounding.
+SAME_TIME = 1e-6
+
+
+def check_rate_values(subject: Subject) -> Iterator[Fault]:
+    """Check that the rates which layers state are positive.
+
+    Where one is not, USD may never return from a question about samples.
+    """
+    for layer in subject.stage.GetUsedLayers():
+        for name in RATES:
+            if not layer.pseudoRoot.HasInfo(name):
+                continue
+            rate = layer.pseudoRoot.GetInfo(name)
+            if not (rate > 0 and math.isfinite(rate)):
+                message = f"{name} of {layer.GetDisplayName()} is {rate:g}"
+                yield finding("USD253", ROOT, message)
+
+
+def check_rates(subject: Subject) -> Iterator[Fault]:
+    """Check that rates are stated, and the same in all layers of a stage."""
+    root = subject.stage.GetRootLayer().pseudoRoot
+    missing = [name for name in RATES if not root.HasInfo(name)]
+    if missing and _moves(subject):
+        message = f"no {' and no '.join(missing)}, and there is motion"
+        yield finding("USD252", ROOT, message)
+    yield from _retimed(subject)
+
+
+def _moves(subject: Subject) -> bool:
+    return any(
+        subject.times(attr) or attr.ValueMightBeTimeVarying()
+        for attr in subject.attributes
+    )
+
+
+def _retimed(subject: Subject) -> Iterator[Fault]:
+    root = subject.stage.GetRootLayer()
+    rate = root.timeCodesPerSecond
+    for layer in subject.stage.GetUsedLayers():
+        own = layer.timeCodesPerSecond
+        if layer.anonymous or own == rate:
+            continue
+        times = layer.ListAllTimeSamples()
+        if times:
+            stated = layer.HasTimeCodesPerSecond() or layer.HasFramesPerSecond()
+            says = f"has {own:g}" if stated else f"states none, so {own:g}"
+            message = (
+                f"the stage has {rate:g} time codes a second, "
+                f"{layer.GetDisplayName()} {says}: its {len(times)} sample times "
+                f"are scaled by {rate / own:.6g}"
+            )
+            yield finding("USD257", ROOT, message)
+
+
+def check_range(subject: Subject) -> Iterator[Fault]:
+    """Check that the stage's range is one, and holds the samples."""
+    stage = subject.stage
+    start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
+    if not (math.isfinite(start) and math.isfinite(end)):
+        yield finding("USD254", ROOT, f"the range is {start:g} to {end:g}")
+        return
+    if start > end:
+        yield finding("USD254", ROOT, f"start {start:g}, end {end:g}")
+        return
+    names = ("startTimeCode", "endTimeCode")
+    missing = [name for name in names if not stage.HasAuthoredMetadata(name)]
+    spans = {
+        str(attr.GetPath()): (times[0], times[-1])
+        for attr in subject.attributes
+        if (times := subject.times(attr))
+    }
+    if not spans:
+        return
+    first = min(span[0] for span in spans.values())
+    last = max(span[1] for span in spans.values())
+    if missing:
+        message = f"no {' and no '.join(missing)}; samples are at {first:g} to {last:g}"
+        yield finding("USD255", ROOT, message)
+        return
+    # Samples of motion blur lie within a frame of either end.
+    out = [
+        path
+        for path, span in spans.items()
+        if span[0] <= start - 1 + SAME_TIME or span[1] >= end + 1 - SAME_TIME
+    ]
+    if out:
+        begin, finish = spans[out[0]]
+        more = "" if len(out) == 1 else f", as are those of {len(out) - 1} more"
+        message = (
+            f"samples are at {begin:g} to {finish:g}, the stage's range is {start:g} "
+            f"to {end:g}{more}"
+        )
+        yield finding("USD256", out[0], message)
+
+
+def check_units(subject: Subject) -> Iterator[Fault]:
+    """Check that unit and up axis are such; that they are stated, USD checks."""
+    stage: Any = subject.stage
+    unit = UsdGeom.GetStageMetersPerUnit(stage)
+    if not (unit > 0 and math.isfinite(unit)):
+        yield finding("USD260", ROOT, f"metersPerUnit is {unit:g}")
+    up = str(UsdGeom.GetStageUpAxis(stage))
+    if up not in {"Y", "Z"}:
+        yield finding("USD260", ROOT, f"upAxis is {up!r}")

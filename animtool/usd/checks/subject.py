@@ -1,0 +1,159 @@
+"""What the checks look at: a stage, its prims and samples, each read once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sized
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Usd
+
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.errors import counted
+
+__all__ = ["Sampled", "Subject", "at_samples"]
+
+AnyArray = npt.NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Sampled:
+    """All values of an array attribute.
+
+    Attributes:
+        times: Time codes ``(F,)``; NaN alone for a default.
+        arrays: One a time; None where it is blocked.
+        counts: Their lengths ``(F,)``, -1 where there is none.
+    """
+
+    times: FloatArray
+    arrays: list[Any]
+    counts: IntArray
+
+    def rows(self, count: int, width: int) -> tuple[IntArray, AnyArray]:
+        """Return the samples of one length: which, and values ``(N, count, width)``."""
+        which = np.flatnonzero(self.counts == count)
+        if not len(which) or not count:
+            return which[:0], np.zeros((0, count, width), np.float32)
+        first = np.array(self.arrays[which[0]])
+        values = np.zeros((len(which), *first.shape), first.dtype)
+        # A Vt array is a buffer of its own: one copy each.
+        for row, i in enumerate(which.tolist()):
+            values[row] = self.arrays[i]
+        return which, values.reshape(len(which), count, width)
+
+    @property
+    def animated(self) -> bool:
+        """Whether there are samples."""
+        return not np.isnan(self.times).any()
+
+
+def at_samples(sampled: Sampled, bad: BoolArray | IntArray) -> str:
+    """Say at which samples something is, by a mask or by their numbers.
+
+    Args:
+        sampled: F samples.
+        bad: Which of them: a mask ``(F,)``, or ascending numbers.
+    """
+    which = np.flatnonzero(bad) if bad.dtype == np.bool_ else bad
+    if not sampled.animated:
+        return "in the default"
+    first = f"at time code {sampled.times[which[0]]:g}"
+    if len(which) == 1:
+        return first
+    return f"in {len(which)} of {counted(len(sampled.times), 'sample')}, first {first}"
+
+
+@dataclass(slots=False)
+class Subject:
+    """A stage under inspection.
+
+    Attributes:
+        stage: The stage.
+        alone: Whether it is a layer whose rig is elsewhere: all its roots are overs.
+    """
+
+    stage: Any
+    _sampled: dict[Any, Sampled] = field(default_factory=dict)
+    _times: dict[Any, list[float]] = field(default_factory=dict)
+
+    @cached_property
+    def prims(self) -> list[Any]:
+        """Active prims, overs too; of equal instances the first."""
+        wanted = Usd.PrimIsActive & Usd.PrimIsLoaded & ~Usd.PrimIsAbstract
+        start = self.stage.GetPseudoRoot()
+        found, seen = [], set()
+        for prim in Usd.PrimRange(start, Usd.TraverseInstanceProxies(wanted)):
+            if prim.IsInstanceProxy():
+                shared = prim.GetPrimInPrototype().GetPath()
+                if shared in seen:
+                    continue
+                seen.add(shared)
+            found.append(prim)
+        return found[1:]
+
+    @cached_property
+    def attributes(self) -> list[Any]:
+        """Attributes with opinions, of all prims."""
+        return [a for prim in self.prims for a in prim.GetAuthoredAttributes()]
+
+    @property
+    def alone(self) -> bool:
+        """Whether the rig is elsewhere: every root prim is an over."""
+        roots = self.stage.GetPseudoRoot().GetAllChildren()
+        return bool(roots) and not any(root.IsDefined() for root in roots)
+
+    def of_type(self, schema: Any) -> Iterator[Any]:
+        """Yield the prims of a schema, as that schema."""
+        return (schema(prim) for prim in self.prims if prim.IsA(schema))
+
+    def times(self, attr: Any) -> list[float]:
+        """Return the time codes of an attribute's samples."""
+        key = attr.GetPath()
+        if key not in self._times:
+            self._times[key] = attr.GetTimeSamples()
+        return self._times[key]
+
+    def sampled(self, attr: Any) -> Sampled:
+        """Return all values of an array attribute; the default where it has no samples.
+
+        An attribute without a value has no times.
+        """
+        key = attr.GetPath()
+        if key not in self._sampled:
+            self._sampled[key] = self.read(attr)
+        return self._sampled[key]
+
+    def read(self, attr: Any) -> Sampled:
+        """Return what `sampled` does, without keeping it."""
+        times = self.times(attr)
+        if times:
+            arrays = _arrays(attr, times)
+        else:
+            value = attr.Get()
+            arrays = [] if value is None else [value]
+        codes = times or [float("nan")] * len(arrays)
+        counts = [len(a) if isinstance(a, Sized) else -1 for a in arrays]
+        return Sampled(np.array(codes), arrays, np.array(counts, np.int64))
+
+
+def _arrays(attr: Any, times: list[float]) -> list[Any]:
+    """Return the value at each sample: from the layer itself, thrice as quick."""
+    first = Usd.TimeCode(times[0])
+    if attr.GetResolveInfo(first).GetSource() == Usd.ResolveInfoSourceTimeSamples:
+        for spec, offset in attr.GetPropertyStackWithLayerOffsets(first):
+            own = spec.layer.ListTimeSamplesForPath(spec.path)
+            if own:
+                if len(own) == len(times) and offset.scale > 0:
+                    query, path = spec.layer.QueryTimeSample, spec.path
+                    return [_unblocked(query(path, time)) for time in own]
+                break
+    query = Usd.AttributeQuery(attr)
+    return [query.Get(time) for time in times]
+
+
+def _unblocked(value: Any) -> Any:
+    return value if isinstance(value, Sized) else None

@@ -1,0 +1,172 @@
+"""Checks on value clips: files, mappings, gaps and manifests."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from pxr import Sdf, Usd
+
+from animtool._types import FloatArray
+from animtool.errors import Fault, counted, excerpt, listed
+from animtool.usd.checks.subject import Subject
+from animtool.usd.checks.table import finding
+
+__all__ = ["check_value_clips"]
+
+
+def check_value_clips(subject: Subject) -> Iterator[Fault]:
+    """Check every clip set of every prim."""
+    for prim in subject.prims:
+        if not prim.HasAuthoredMetadata("clips"):
+            continue
+        clips = Usd.ClipsAPI(prim)
+        for name, held in clips.GetClips().items():
+            if isinstance(held, dict):
+                where = f"{prim.GetPath()}.clips:{name}"
+                yield from _clip_set(prim, name, held, where)
+
+
+def _clip_set(
+    prim: Any, name: str, held: dict[str, Any], where: str
+) -> Iterator[Fault]:
+    template = "templateAssetPath" in held and "assetPaths" not in held
+    if template:
+        yield from _template(prim, name, held, where)
+    layers = []
+    for asset in held.get("assetPaths", ()):
+        layer = _open(prim, asset)
+        if layer is None:
+            message = f"clip {excerpt(asset.path, 80)} is not there"
+            yield finding("USD276", where, message)
+        layers.append(layer)
+    if not template:
+        yield from _active(held, len(layers), where)
+    yield from _times(held, where)
+    target = str(held.get("primPath", ""))
+    found = [layer for layer in layers if layer is not None]
+    if not (Sdf.Path.IsValidPathString(target) and Sdf.Path(target).IsAbsolutePath()):
+        message = f"primPath is {excerpt(target)}, not the path of a prim"
+        yield finding("USD277", where, message)
+        return
+    if found and not any(layer.GetPrimAtPath(target) for layer in found):
+        yield finding("USD277", where, f"no clip has primPath {target}")
+        return
+    yield from _manifest(prim, held, target, found, where)
+    yield from _spans(held, target, layers, where)
+
+
+def _open(prim: Any, asset: Any) -> Any:
+    """Return the layer of an asset, anchored where the clips are authored."""
+    for spec in prim.GetPrimStack():
+        if spec.HasInfo("clips"):
+            path = asset.resolvedPath or Sdf.ComputeAssetPathRelativeToLayer(
+                spec.layer, asset.path
+            )
+            layer = Sdf.Layer.FindOrOpen(path) if path else None
+            if layer is not None:
+                return layer
+    return None
+
+
+def _pairs(held: dict[str, Any], key: str) -> FloatArray:
+    return np.array(held.get(key) or (), np.float64).reshape(-1, 2)
+
+
+def _active(held: dict[str, Any], count: int, where: str) -> Iterator[Fault]:
+    active = _pairs(held, "active")
+    if not len(active):
+        yield finding("USD277", where, f"no active for {counted(count, 'clip')}")
+        return
+    unknown = [n for n in active[:, 1] if not (0 <= n < count and n == math.floor(n))]
+    if unknown:
+        message = f"active names clip {unknown[0]:g} of {count}"
+        yield finding("USD277", where, message)
+    if (np.diff(active[:, 0]) <= 0).any():
+        yield finding("USD277", where, "the times of active do not ascend")
+    idle = sorted(
+        set(range(count)) - {int(n) for n in active[:, 1] if math.isfinite(n)}
+    )
+    if idle and not unknown:
+        message = f"clips that are never active: {listed(idle)}"
+        yield finding("USD278", where, message)
+
+
+def _times(held: dict[str, Any], where: str) -> Iterator[Fault]:
+    times = _pairs(held, "times")
+    if not np.isfinite(times).all() or (np.diff(times[:, 0]) < 0).any():
+        yield finding("USD277", where, "the stage times of times do not ascend")
+
+
+def _template(
+    prim: Any, name: str, held: dict[str, Any], where: str
+) -> Iterator[Fault]:
+    """Compare the clips that a template stands for with the files there are."""
+    start, end, stride = (
+        float(held.get(f"template{key}", math.nan))
+        for key in ("StartTime", "EndTime", "Stride")
+    )
+    template = str(held["templateAssetPath"])
+    if not (math.isfinite(start + end + stride) and stride > 0):
+        message = "templateStartTime, templateEndTime or templateStride is no number"
+        yield finding("USD277", where, message)
+        return
+    wanted = math.floor((end - start) / stride + 1e-9) + 1
+    have = len(Usd.ClipsAPI(prim).ComputeClipAssetPaths(name))
+    if have == 0:
+        message = f"none of the {wanted} clips of {excerpt(template, 80)} is there"
+        yield finding("USD276", where, message)
+    elif have < wanted:
+        message = f"{wanted - have} of {wanted} clips of {excerpt(template, 80)} are "
+        yield finding("USD278", where, message + "not there")
+
+
+def _sampled(layer: Any, target: str) -> set[str]:
+    """Return the properties at or below a prim that have samples, relative to it."""
+    found = set()
+
+    def look(path: Any) -> None:
+        if path.IsPropertyPath() and layer.GetNumTimeSamplesForPath(path):
+            found.add(str(path)[len(target) :])
+
+    layer.Traverse(Sdf.Path(target), look)
+    return found
+
+
+def _manifest(
+    prim: Any, held: dict[str, Any], target: str, layers: list[Any], where: str
+) -> Iterator[Fault]:
+    asset = held.get("manifestAssetPath")
+    if asset is None or not asset.path:
+        if layers:
+            message = "no manifest: every clip is opened to find its attributes"
+            yield finding("USD279", where, message)
+        return
+    manifest = _open(prim, asset)
+    if manifest is None:
+        message = f"the manifest {excerpt(asset.path, 80)} is not there"
+        yield finding("USD276", where, message)
+        return
+    used = set().union(*(_sampled(layer, target) for layer in layers))
+    lost = sorted(p for p in used if not manifest.GetPropertyAtPath(target + p))
+    if lost:
+        message = f"the manifest lacks {len(lost)} that clips have: {listed(lost)}"
+        yield finding("USD279", where, message)
+
+
+def _spans(
+    held: dict[str, Any], target: str, layers: list[Any], where: str
+) -> Iterator[Fault]:
+    """Check that a clip has samples of what another one has."""
+    properties = [None if x is None else _sampled(x, target) for x in layers]
+    everything = set().union(*(p for p in properties if p is not None))
+    if held.get("interpolateMissingClipValues"):
+        return
+    for number, own in enumerate(properties):
+        lost = sorted(everything - own) if own is not None else []
+        if lost:
+            message = f"clip {number} has no samples of {listed(lost)}"
+            yield finding("USD278", where, message)
+            return
