@@ -21,7 +21,7 @@ UNIT_TOLERANCE = 1e-3
 # |cos| of half the angle: nearer than this, two quaternions are one rotation.
 SAME_SIDE = 0.7
 # cos of half a quarter turn. A turn further than that between samples, and so many
-# times further than the samples beside, is a jump.
+# times further than between the samples around, is a jump.
 JUMP_COSINE = float(np.cos(np.pi / 4))
 JUMP_FACTOR = 8.0
 # [s] Samples further apart may well differ.
@@ -161,7 +161,9 @@ def _jumps(
         return found
 
     here = angles(rows)
-    lone = here > JUMP_FACTOR * np.maximum(angles(rows - 1), angles(rows + 1))
+    # A sample that is off makes two jumps; a spin makes them all along.
+    around = np.median([angles(rows + step) for step in (-2, -1, 1, 2)], axis=0)
+    lone = here > JUMP_FACTOR * around
     if not lone.any():
         return
     first = int(np.flatnonzero(lone)[0])

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import Tf, Usd, UsdGeom, UsdSkel
 
 from animtool import _kernels
 from animtool._types import FloatArray, IntArray
@@ -104,7 +104,7 @@ def _compare(
     bad = []
     for i in suspects.tolist():
         code = Usd.TimeCode.Default() if np.isnan(times[i]) else Usd.TimeCode(times[i])
-        found = UsdGeom.Boundable.ComputeExtentFromPlugins(bounded, code)
+        found = _computed(bounded, code)
         if found is None:
             return
         bounds = np.array(found, np.float64).reshape(1, 2, 3)
@@ -141,6 +141,14 @@ def bounds_apart(extents: FloatArray, bounds: FloatArray, *, exact: bool) -> Flo
     return apart
 
 
+def _computed(bounded: Any, code: Any) -> Any:
+    """Return what USD computes; None where it cannot, as of a broken Skeleton."""
+    try:
+        return UsdGeom.Boundable.ComputeExtentFromPlugins(bounded, code)
+    except Tf.ErrorException:
+        return None
+
+
 def _chosen(count: int) -> IntArray:
     """Return evenly spaced numbers below a count, `MOST_ASKED` at most."""
     return np.unique(np.linspace(0, count - 1, min(count, MOST_ASKED)).astype(np.int64))
@@ -169,7 +177,7 @@ def _joint_bounds(
     joints = tokens(skeleton.GetJointsAttr())
     bounds = _bounds(joint_parents(joints), *locals_)
     code = Usd.TimeCode(times[0])
-    first = UsdGeom.Boundable.ComputeExtentFromPlugins(bounded, code)
+    first = _computed(bounded, code)
     if first is None:
         return None
     pad = np.array(first, np.float64).reshape(2, 3) - bounds[0]

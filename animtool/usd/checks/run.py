@@ -71,7 +71,7 @@ def check_layer(path: Path | str) -> list[Fault]:
     try:
         with without_usd_warnings(), usd_errors(path):
             stage = Usd.Stage.Open(find_layer(path))
-            found = [*check_stage(stage), *check_with_usd(Subject(stage))]
+            found = [*check_stage(stage), *_run(check_with_usd, Subject(stage))]
     except FormatError as error:
         return list(error.faults)
     return [replace(fault, path=str(path)) for fault in _distinct(found)]
@@ -84,10 +84,19 @@ def check_stage(stage: Any) -> list[Fault]:
         stage: A `Usd.Stage`.
     """
     subject = Subject(stage)
-    found = [fault for check in UNTIMED for fault in check(subject)]
+    found = [fault for check in UNTIMED for fault in _run(check, subject)]
     if not any(fault.code == "USD253" for fault in found):
-        found += [fault for check in TIMED for fault in check(subject)]
+        found += [fault for check in TIMED for fault in _run(check, subject)]
     return _distinct(found)
+
+
+def _run(check: Check, subject: Subject) -> Iterator[Fault]:
+    """Yield what a check finds; what USD itself refuses meanwhile is a finding too."""
+    try:
+        with usd_errors(Path(subject.stage.GetRootLayer().identifier)):
+            yield from check(subject)
+    except FormatError as error:
+        yield from (replace(fault, where="/") for fault in error.faults)
 
 
 def _distinct(faults: list[Fault]) -> list[Fault]:

@@ -78,11 +78,11 @@ def check_range(subject: Subject) -> Iterator[Fault]:
     if not (math.isfinite(start) and math.isfinite(end)):
         yield finding("USD254", ROOT, f"the range is {start:g} to {end:g}")
         return
-    if start > end:
-        yield finding("USD254", ROOT, f"start {start:g}, end {end:g}")
-        return
     names = ("startTimeCode", "endTimeCode")
     missing = [name for name in names if not stage.HasAuthoredMetadata(name)]
+    if start > end and not missing:
+        yield finding("USD254", ROOT, f"start {start:g}, end {end:g}")
+        return
     spans = {
         str(attr.GetPath()): (times[0], times[-1])
         for attr in subject.attributes

@@ -278,23 +278,17 @@ CODES: dict[str, Code] = {
     # What USD's own validators say beyond ours
     "USD280": _warning("found by usdValidation", "see the validator that it names"),
     "USD281": _warning("found by usdGeomValidators", "see the validator that it names"),
-    "USD282": _warning("found by usdSkelValidators", "see the validator that it names"),
-    "USD283": _warning(
+    "USD282": _warning(
         "found by usdShadeValidators", "see the validator that it names"
     ),
-    "USD284": _warning("found by usdLuxValidators", "see the validator that it names"),
-    "USD285": _warning(
+    "USD283": _warning("found by usdLuxValidators", "see the validator that it names"),
+    "USD284": _warning(
         "found by usdPhysicsValidators", "see the validator that it names"
     ),
-    "USD286": _warning(
+    "USD285": _warning(
         "found by usdUtilsValidators", "see the validator that it names"
     ),
-    "USD287": _warning(
-        "found by usdMediaValidators", "see the validator that it names"
-    ),
-    "USD288": _warning(
-        "found by a validator of another plug-in", "see the validator that it names"
-    ),
+    "USD286": _warning("found by another validator", "see the validator that it names"),
 }
 
 

@@ -30,12 +30,10 @@ _CODES = {
 _FAMILIES = {
     "usdValidation": "USD280",
     "usdGeomValidators": "USD281",
-    "usdSkelValidators": "USD282",
-    "usdShadeValidators": "USD283",
-    "usdLuxValidators": "USD284",
-    "usdPhysicsValidators": "USD285",
-    "usdUtilsValidators": "USD286",
-    "usdMediaValidators": "USD287",
+    "usdShadeValidators": "USD282",
+    "usdLuxValidators": "USD283",
+    "usdPhysicsValidators": "USD284",
+    "usdUtilsValidators": "USD285",
 }
 
 
@@ -60,7 +58,7 @@ def _fault(error: Any) -> Fault:
     validator = error.GetValidator().GetMetadata().name
     code = _CODES.get(validator)
     if code is None:
-        code = _FAMILIES.get(validator.partition(":")[0], "USD288")
+        code = _FAMILIES.get(validator.partition(":")[0], "USD286")
     kinds = UsdValidation.ValidationErrorType
     note = Severity.NOTE if error.GetType() == kinds.Info else None
     message = f"{validator}: {' '.join(error.GetMessage().split()).rstrip('.')}"

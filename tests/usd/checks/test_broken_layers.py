@@ -1,0 +1,101 @@
+"""Layers broken on purpose: what our checks find, beside `pxr.UsdValidation` alone."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pxr import Sdf
+from support.broken_usd import BROKEN, NEAR, Case, write_good
+from support.usd import open_stage, validation_errors
+
+from animtool.errors import Severity
+from animtool.usd.checks import check_layer
+from animtool.usd.checks.table import CODES
+from animtool.usd.stderr import without_usd_warnings
+
+# What needs another file than the good one: see test_usd_validators.
+ELSEWHERE = {"USD280", "USD283", "USD284", "USD285", "USD286"}
+
+
+@pytest.fixture(scope="session")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("good")
+    empty = Sdf.Layer.CreateAnonymous(".usda")
+    empty.Export(str(folder / "empty.usda"))
+    return write_good(folder)
+
+
+def changed(case: Case, good: Path, folder: Path) -> Path:
+    """Write the good layer with one change."""
+    shutil.copytree(good.parent, folder, dirs_exist_ok=True)
+    path = folder / "changed.usda"
+    (folder / good.name).rename(path)
+    with without_usd_warnings():
+        layer = Sdf.Layer.FindOrOpen(str(path))
+        case.change(layer)
+        layer.Save()
+    return path
+
+
+def alone(path: Path) -> list[str]:
+    """Return what USD's own validators find without ours."""
+    with without_usd_warnings():
+        try:
+            return validation_errors(open_stage(path))
+        except Exception as error:
+            return [type(error).__name__]
+
+
+def test_the_good_layer_has_no_finding(good: Path) -> None:
+    assert check_layer(good) == []
+
+
+@pytest.mark.parametrize("case", BROKEN, ids=lambda case: case.id)
+def test_a_broken_layer_is_found(
+    case: Case, good: Path, tmp_path: Path, record_property: Any
+) -> None:
+    path = changed(case, good, tmp_path)
+    found = check_layer(path)
+    mine = [fault for fault in found if fault.code == case.code]
+    assert mine, [str(fault) for fault in found]
+    if case.where:
+        assert case.where in {fault.where for fault in mine}
+    for fault in found:
+        assert fault.path == str(path)
+        assert fault.message
+        assert fault.hint == CODES[fault.code].hint
+        assert (fault.where or "").startswith("/")
+    # Without a rate USD may never return.
+    theirs = [] if case.code == "USD253" else alone(path)
+    said = "; ".join(
+        sorted({text.partition(":")[2].partition(":")[0] for text in theirs})
+    )
+    record_property(
+        "broken USD layers: ours | pxr.UsdValidation alone",
+        f"  {case.id:<46} {case.where or mine[0].where} | {said or '-'}",
+    )
+
+
+@pytest.mark.parametrize("case", NEAR, ids=lambda case: case.id)
+def test_a_near_miss_has_no_finding(case: Case, good: Path, tmp_path: Path) -> None:
+    found = check_layer(changed(case, good, tmp_path))
+    assert [str(fault) for fault in found if fault.code == case.code] == []
+
+
+def test_every_code_has_a_broken_layer_and_a_near_miss() -> None:
+    assert {case.code for case in BROKEN} == set(CODES) - ELSEWHERE
+    assert {case.code for case in NEAR} == set(CODES) - ELSEWHERE
+    assert len(BROKEN) >= 40
+
+
+def test_a_layer_that_cannot_be_read_is_one_finding(tmp_path: Path) -> None:
+    path = tmp_path / "nan.usda"
+    text = '#usda 1.0\ndef "A" { double s.spline = { bezier, 1: nan, 5: 2 } }\n'
+    path.write_text(text, "utf-8")
+    found = check_layer(path)
+    assert [fault.code for fault in found] == ["USD001"]
+    assert found[0].severity is Severity.ERROR
+    assert [fault.code for fault in check_layer(tmp_path / "no.usda")] == ["IO001"]
