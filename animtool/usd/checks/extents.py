@@ -40,9 +40,10 @@ def check_extents(subject: Subject) -> Iterator[Fault]:
             continue
         bounded = UsdGeom.Boundable(prim)
         source = _source(subject, prim)
-        if source is None:
-            continue
         attr = bounded.GetExtentAttr()
+        # A rig that does not move may have its extent in the layer that moves it.
+        if source is None or not (source or attr.HasAuthoredValue()):
+            continue
         if not attr.HasAuthoredValue():
             yield finding(
                 "USD250", prim.GetPath(), f"this {prim.GetTypeName()} has none"
@@ -108,9 +109,11 @@ def _compare(
         if found is None:
             return
         bounds = np.array(found, np.float64).reshape(1, 2, 3)
+        if not np.isfinite(bounds).all():
+            return
         mine = extents[i : i + 1] if own is not None else extents
         gap = bounds_apart(mine, bounds, exact=own is not None or not moving)[0]
-        if np.isfinite(bounds).all() and gap > 0:
+        if gap > 0:
             bad.append((i, gap))
     if bad:
         worst = max(gap for _, gap in bad)

@@ -6,11 +6,12 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import UsdSkel
 
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, excerpt, listed
 from animtool.usd.checks.animation import duplicates, tokens
+from animtool.usd.checks.skin import has_points, point_count
 from animtool.usd.checks.subject import Subject
 from animtool.usd.checks.table import finding
 
@@ -18,9 +19,9 @@ __all__ = ["check_shapes", "check_targets"]
 
 
 def check_targets(subject: Subject) -> Iterator[Fault]:
-    """Check that a prim names one target for each shape."""
+    """Check that a prim with points names one target for each shape."""
     for prim in subject.prims:
-        if not prim.IsA(UsdGeom.Gprim):
+        if not has_points(prim):
             continue
         binding = UsdSkel.BindingAPI(prim)
         attr, targets = binding.GetBlendShapesAttr(), binding.GetBlendShapeTargetsRel()
@@ -47,11 +48,9 @@ def _points(subject: Subject) -> dict[Any, int]:
     found: dict[Any, int] = {}
     for prim in subject.prims:
         targets = prim.GetRelationship("skel:blendShapeTargets")
-        if targets and prim.IsA(UsdGeom.PointBased):
-            attr = UsdGeom.PointBased(prim).GetPointsAttr()
-            value = attr.Get(Usd.TimeCode.EarliestTime())
-            if value is not None:
-                found |= dict.fromkeys(targets.GetTargets(), len(value))
+        count = point_count(prim) if targets else None
+        if count:
+            found |= dict.fromkeys(targets.GetTargets(), count)
     return found
 
 

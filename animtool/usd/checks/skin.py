@@ -15,7 +15,7 @@ from animtool.usd.checks.skeleton import singular
 from animtool.usd.checks.subject import Subject
 from animtool.usd.checks.table import finding
 
-__all__ = ["check_skins"]
+__all__ = ["check_skins", "has_points", "point_count"]
 
 # Text files with three digits and eight influences are within.
 SUM_TOLERANCE = 4e-3
@@ -24,14 +24,15 @@ SUM_TOLERANCE = 4e-3
 def check_skins(subject: Subject) -> Iterator[Fault]:
     """Check indices, weights and bind transform of every prim that has its own.
 
-    What prims above geometry hold for it to inherit is not looked at.
+    What prims above geometry hold for it to inherit is not looked at, nor are prims
+    without points.
     """
     for prim in subject.prims:
         binding = UsdSkel.BindingAPI(prim)
         indices = binding.GetJointIndicesPrimvar()
         weights = binding.GetJointWeightsPrimvar()
         have = [bool(p) and p.HasAuthoredValue() for p in (indices, weights)]
-        if any(have) and prim.IsA(UsdGeom.Gprim):
+        if any(have) and has_points(prim):
             yield from _influences(prim, binding, indices, weights, have)
         yield from _geom_bind(binding.GetGeomBindTransformAttr())
 
@@ -96,7 +97,7 @@ def _layout(prim: Any, indices: Any, weights: Any, found: int, heavy: int) -> st
         )
     if kinds[0] not in {"constant", "vertex"}:
         return f"interpolation {kinds[0]}; allowed: constant, vertex"
-    rows = 1 if kinds[0] == "constant" else _points(prim)
+    rows = 1 if kinds[0] == "constant" else point_count(prim)
     wanted = found if rows is None else rows * sizes[0]
     if found != wanted or heavy != wanted or found % max(sizes[0], 1):
         amount = "" if rows is None else f" for {rows} x {sizes[0]}"
@@ -104,12 +105,17 @@ def _layout(prim: Any, indices: Any, weights: Any, found: int, heavy: int) -> st
     return ""
 
 
-def _points(prim: Any) -> int | None:
+def has_points(prim: Any) -> bool:
+    """Return whether a prim is geometry that something can be wrong with."""
+    return prim.IsA(UsdGeom.Gprim) and point_count(prim) != 0
+
+
+def point_count(prim: Any) -> int | None:
+    """Return how many points a prim has; None where it is no kind that has some."""
     if not prim.IsA(UsdGeom.PointBased):
         return None
     attr = UsdGeom.PointBased(prim).GetPointsAttr()
-    value = attr.Get(Usd.TimeCode.EarliestTime())
-    return None if value is None else len(value)
+    return len(attr.Get(Usd.TimeCode.EarliestTime()) or ())
 
 
 def _values(prim: Any, weights: FloatArray, size: int) -> Iterator[Fault]:

@@ -1,4 +1,4 @@
-"""What `pxr.UsdValidation` finds, under codes of ours; and ours, within it."""
+"""What `pxr.UsdValidation` finds, under codes of ours."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from animtool.errors import Fault, Severity
 from animtool.usd.checks.subject import Subject
 from animtool.usd.checks.table import finding
 
-__all__ = ["OWN_VALIDATOR", "check_with_usd"]
+__all__ = ["OWN_KEYWORD", "check_with_usd"]
 
-# How ours is called inside of UsdValidation.
-OWN_VALIDATOR = "animtoolUsdChecks"
+# Of ours inside of UsdValidation, which need not run twice.
+OWN_KEYWORD = "animtool"
 # What ours find too, with the prim: no need to ask.
 _COVERED = {
     "usdValidation:CompositionErrorTest",
@@ -45,7 +45,7 @@ def check_with_usd(subject: Subject) -> Iterator[Fault]:
         for metadata in registry.GetAllValidatorMetadata()
         if not metadata.isSuite
         and metadata.name not in _COVERED
-        and not metadata.name.startswith(f"{OWN_VALIDATOR}:")
+        and OWN_KEYWORD not in metadata.GetKeywords()
     ]
     validators = registry.GetOrLoadValidatorsByName(names)
     found = UsdValidation.ValidationContext(validators).Validate(subject.stage)

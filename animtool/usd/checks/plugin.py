@@ -1,0 +1,67 @@
+"""Our checks as a validator of `pxr.UsdValidation`.
+
+USD loads this module by itself where ``PXR_PLUGINPATH_NAME`` names the folder that it
+is in, which holds ``plugInfo.json``. In Python, `register` does without. Its errors are
+named by our codes.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pxr import Sdf, UsdValidation
+
+from animtool.errors import Fault, Severity
+from animtool.usd.checks.run import check_stage
+from animtool.usd.checks.usd_validators import OWN_KEYWORD
+
+__all__ = ["register", "validate"]
+
+# What plugInfo.json says, and what `register` does without it.
+PLUGIN_NAME = "animtool.usd.checks.plugin:Checks"
+NAME = "animtool:Checks"
+
+_TYPES = {
+    Severity.ERROR: UsdValidation.ValidationErrorType.Error,
+    Severity.WARNING: UsdValidation.ValidationErrorType.Warn,
+    Severity.NOTE: UsdValidation.ValidationErrorType.Info,
+}
+
+
+def register() -> Any:
+    """Return our validator, registered with USD if it is not yet."""
+    registry = UsdValidation.ValidationRegistry()
+    for name in (PLUGIN_NAME, NAME):
+        if registry.HasValidator(name):
+            return registry.GetOrLoadValidatorByName(name)
+    metadata = UsdValidation.ValidatorMetadata(
+        name=NAME, keywords=[OWN_KEYWORD], doc="What animtool checks of a stage."
+    )
+    registry.RegisterStageValidator(metadata, validate)
+    return registry.GetOrLoadValidatorByName(NAME)
+
+
+def validate(stage: Any, _times: Any) -> list[Any]:
+    """Return what our checks find on a stage, as errors of UsdValidation."""
+    return [_error(stage, fault) for fault in check_stage(stage)]
+
+
+def _error(stage: Any, fault: Fault) -> Any:
+    path = Sdf.Path(fault.where or "/")
+    if not stage.GetObjectAtPath(path):
+        path = path.GetPrimPath()
+    site = UsdValidation.ValidationErrorSite(stage, path)
+    text = f"{fault.message}, {fault.hint}" if fault.hint else fault.message
+    return UsdValidation.ValidationError(
+        fault.code, _TYPES[fault.severity], [site], text
+    )
+
+
+def _register_plugin() -> None:
+    """Give USD the function of the validator that plugInfo.json announces."""
+    registry = UsdValidation.ValidationRegistry()
+    if registry.GetValidatorMetadata(PLUGIN_NAME) is not None:
+        registry.RegisterPluginStageValidator(PLUGIN_NAME, validate)
+
+
+_register_plugin()
