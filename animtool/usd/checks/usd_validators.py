@@ -71,4 +71,7 @@ def _where(error: Any) -> str:
             return str(site.GetProperty().GetPath())
         if site.IsPrim():
             return str(site.GetPrim().GetPath())
+        if site.IsValidSpecInLayer():
+            spec = site.GetPropertySpec() or site.GetPrimSpec()
+            return str(spec.path) if spec else "/"
     return "/"
