@@ -774,7 +774,9 @@ BROKEN = [
 ]
 
 NEAR = [
-    Case("USD200", "a blocked weight", put(SIZE, Vt.Vec3hArray(4, Gf.Vec3h(1)))),
+    Case(
+        "USD200", "one value for all frames", put(SIZE, Vt.Vec3hArray(4, Gf.Vec3h(2)))
+    ),
     Case(
         "USD201",
         "an animation of shapes alone",

@@ -27,6 +27,7 @@ from animtool.usd.checks.stage_metadata import (
     check_units,
 )
 from animtool.usd.checks.subject import Subject
+from animtool.usd.checks.types import check_types
 from animtool.usd.checks.usd_validators import check_with_usd
 from animtool.usd.checks.value_clips import check_value_clips
 from animtool.usd.layers import find_layer, usd_errors
@@ -91,12 +92,20 @@ def check_stage(stage: Any) -> list[Fault]:
 
 
 def _run(check: Check, subject: Subject) -> Iterator[Fault]:
-    """Yield what a check finds; what USD itself refuses meanwhile is a finding too."""
+    """Yield what a check finds; what USD itself refuses meanwhile is a finding too.
+
+    Where a value is of another type than its schema wants, a check ends there.
+    """
     try:
         with usd_errors(Path(subject.stage.GetRootLayer().identifier)):
             yield from check(subject)
     except FormatError as error:
         yield from (replace(fault, where="/") for fault in error.faults)
+    except (AttributeError, IndexError, TypeError, ValueError):
+        mistyped = list(check_types(subject))
+        if not mistyped:
+            raise
+        yield from mistyped
 
 
 def _distinct(faults: list[Fault]) -> list[Fault]:

@@ -1,0 +1,81 @@
+"""Extents of long takes: all samples are compared, and USD is asked about few."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pxr import Sdf, Usd, UsdGeom, Vt
+from support.cli import animtool
+
+from animtool.usd.checks import check_layer, extents
+from animtool.usd.checks.subject import Subject
+
+FRAMES = 120
+RIG = "/walk/Rig"
+
+
+def baked(walk: Path, folder: Path, *options: str) -> Path:
+    path = folder / "long.usda"
+    frames = ("--range", f"1-{FRAMES}", "--fps", "120")
+    done = animtool("bake", walk, "-o", path, "--bones", *frames, *options)
+    assert done.code == 0, done.stderr
+    return path
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Return a list of the times that USD is asked about."""
+    times: list[Any] = []
+    computed = extents._computed
+
+    def count(bounded: Any, code: Any) -> Any:
+        times.append(code)
+        return computed(bounded, code)
+
+    monkeypatch.setattr(extents, "_computed", count)
+    return times
+
+
+def sampled(path: Path) -> list[float]:
+    return sorted(
+        Sdf.Layer.FindOrOpen(str(path)).ListTimeSamplesForPath(f"{RIG}.extent")
+    )
+
+
+@pytest.mark.parametrize("options", [(), ("--sparse",)], ids=str)
+def test_one_wrong_sample_of_many_is_found(
+    options: tuple[str, ...], walk: Path, tmp_path: Path, asked: list[Any]
+) -> None:
+    path = baked(walk, tmp_path, *options)
+    codes = sampled(path)
+    assert len(codes) > extents.MOST_ASKED
+    assert check_layer(path) == []
+    assert len(asked) < 20
+    code = codes[len(codes) * 2 // 3]
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    old = np.array(layer.QueryTimeSample(f"{RIG}.extent", code))
+    moved = Vt.Vec3fArray.FromNumpy(([*old, [0, 0, 0], [5, 0, 0]]).astype(np.float32))
+    layer.SetTimeSample(f"{RIG}.extent", code, moved)
+    layer.Save()
+    found = check_layer(path)
+    assert [fault.code for fault in found] == ["USD251"]
+    assert f"at time code {code:g}" in found[0].message
+    assert found[0].where == f"{RIG}.extent"
+
+
+def test_a_skeleton_that_is_placed_is_left_to_usd(
+    walk: Path, tmp_path: Path, asked: list[Any]
+) -> None:
+    path = baked(walk, tmp_path)
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    stage = Usd.Stage.Open(layer)
+    UsdGeom.Xformable(stage.GetPrimAtPath(f"{RIG}/Skel")).AddTranslateOp().Set(
+        (9, 0, 0)
+    )
+    found = list(extents.check_extents(Subject(stage)))
+    assert [fault.code for fault in found] == ["USD251"]
+    assert len(asked) >= extents.MOST_ASKED
+    assert "or more" in found[0].message
