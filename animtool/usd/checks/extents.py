@@ -78,8 +78,9 @@ def _source(subject: Subject, prim: Any) -> list[Any] | None:
         ]
     if prim.IsA(UsdGeom.PointBased):
         attr = UsdGeom.PointBased(prim).GetPointsAttr()
-        # Points are checked as they are read, and their extent with them.
-        return [attr] if attr.HasAuthoredValue() and not subject.times(attr) else None
+        # Points that move are checked as they are read, and a mesh's extent with them.
+        apart = prim.IsA(UsdGeom.Mesh) and bool(subject.times(attr))
+        return [attr] if attr.HasAuthoredValue() and not apart else None
     return None
 
 

@@ -25,7 +25,7 @@ def check_rate_values(subject: Subject) -> Iterator[Fault]:
 
     Where one is not, USD may never return from a question about samples.
     """
-    for layer in subject.stage.GetUsedLayers():
+    for layer in _layers(subject):
         for name in RATES:
             if not layer.pseudoRoot.HasInfo(name):
                 continue
@@ -33,6 +33,11 @@ def check_rate_values(subject: Subject) -> Iterator[Fault]:
             if not (rate > 0 and math.isfinite(rate)):
                 message = f"{name} of {layer.GetDisplayName()} is {rate:g}"
                 yield finding("USD253", ROOT, message)
+
+
+def _layers(subject: Subject) -> Iterator[Any]:
+    """Yield the layers that are composed; clips have times of their own."""
+    yield from subject.stage.GetUsedLayers(includeClipLayers=False)
 
 
 def check_rates(subject: Subject) -> Iterator[Fault]:
@@ -55,7 +60,7 @@ def _moves(subject: Subject) -> bool:
 def _retimed(subject: Subject) -> Iterator[Fault]:
     root = subject.stage.GetRootLayer()
     rate = root.timeCodesPerSecond
-    for layer in subject.stage.GetUsedLayers():
+    for layer in _layers(subject):
         own = layer.timeCodesPerSecond
         if layer.anonymous or own == rate:
             continue

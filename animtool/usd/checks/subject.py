@@ -67,13 +67,12 @@ def at_samples(sampled: Sampled, bad: BoolArray | IntArray) -> str:
     return f"in {len(which)} of {counted(len(sampled.times), 'sample')}, first {first}"
 
 
-@dataclass(slots=False)
+@dataclass
 class Subject:
     """A stage under inspection.
 
     Attributes:
         stage: The stage.
-        alone: Whether it is a layer whose rig is elsewhere: all its roots are overs.
     """
 
     stage: Any
