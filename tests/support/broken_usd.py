@@ -662,6 +662,19 @@ BROKEN = [
     Case("USD259", "no default prim", info("/", "defaultPrim", None), "/"),
     Case("USD260", "a unit of 0", info("/", "metersPerUnit", 0.0), "/"),
     Case("USD260", "X is up", info("/", "upAxis", "X"), "/"),
+    Case("USD267", "a unit of 13 mm", info("/", "metersPerUnit", 0.013), "/"),
+    Case(
+        "USD268",
+        "a sublayer in metres",
+        beside("x.usda", timeCodesPerSecond=24.0, metersPerUnit=1.0),
+        "/",
+    ),
+    Case(
+        "USD268",
+        "a sublayer with Z up",
+        beside("x.usda", timeCodesPerSecond=24.0, upAxis="Z"),
+        "/",
+    ),
     Case("USD261", "a missing reference", reference("./gone.usda"), "/pair/Extra"),
     Case(
         "USD261",
@@ -979,6 +992,12 @@ NEAR = [
     Case("USD258", "metres", info("/", "metersPerUnit", 1.0)),
     Case("USD259", "another default prim", define("/other", "Scope")),
     Case("USD260", "Z is up", info("/", "upAxis", "Z")),
+    Case("USD267", "inches", info("/", "metersPerUnit", 0.0254)),
+    Case(
+        "USD268",
+        "a sublayer in the same unit",
+        beside("y.usda", timeCodesPerSecond=24.0, metersPerUnit=0.01, upAxis="Y"),
+    ),
     Case("USD261", "a reference that resolves", reference("./one.usda")),
     Case("USD262", "a relative reference", reference("./one.usda")),
     Case(

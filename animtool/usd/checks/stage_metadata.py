@@ -16,6 +16,12 @@ __all__ = ["check_range", "check_rate_values", "check_rates", "check_units"]
 
 ROOT = "/"
 RATES = ("framesPerSecond", "timeCodesPerSecond")
+# [m], of those that UsdGeom names.
+USUAL_UNITS = tuple(
+    getattr(UsdGeom.LinearUnits, name)
+    for name in dir(UsdGeom.LinearUnits)
+    if not name.startswith("_")
+)
 # Of a time code: less is rounding.
 SAME_TIME = 1e-6
 
@@ -118,11 +124,32 @@ def check_range(subject: Subject) -> Iterator[Fault]:
 
 
 def check_units(subject: Subject) -> Iterator[Fault]:
-    """Check that unit and up axis are such; that they are stated, USD checks."""
+    """Check that unit and up axis are such, and the same in all sublayers.
+
+    That they are stated, USD checks.
+    """
     stage: Any = subject.stage
     unit = UsdGeom.GetStageMetersPerUnit(stage)
     if not (unit > 0 and math.isfinite(unit)):
         yield finding("USD260", ROOT, f"metersPerUnit is {unit:g}")
+    elif not any(UsdGeom.LinearUnitsAre(unit, usual) for usual in USUAL_UNITS):
+        yield finding("USD267", ROOT, f"metersPerUnit is {unit:g}")
     up = str(UsdGeom.GetStageUpAxis(stage))
     if up not in {"Y", "Z"}:
         yield finding("USD260", ROOT, f"upAxis is {up!r}")
+    yield from _other_units(stage)
+
+
+def _other_units(stage: Any) -> Iterator[Fault]:
+    root = stage.GetRootLayer()
+    for layer in stage.GetLayerStack(includeSessionLayers=False):
+        for name in ("metersPerUnit", "upAxis"):
+            if not (layer.pseudoRoot.HasInfo(name) and root.pseudoRoot.HasInfo(name)):
+                continue
+            mine, theirs = (x.pseudoRoot.GetInfo(name) for x in (root, layer))
+            if mine != theirs:
+                message = (
+                    f"{name} of the stage is {mine}, that of the sublayer "
+                    f"{layer.GetDisplayName()} {theirs}"
+                )
+                yield finding("USD268", ROOT, message)

@@ -238,6 +238,15 @@ CODES: dict[str, Code] = {
         "points or velocities that are not finite", "write finite numbers"
     ),
     "USD266": _error("velocities of another number than points", "write one a point"),
+    # Units, further
+    "USD267": _warning(
+        "an unusual metersPerUnit",
+        "author the unit that the numbers are in, such as 0.01 or 1",
+    ),
+    "USD268": _warning(
+        "a sublayer in another unit or up axis than the root layer",
+        "convert it: USD does not, and a sublayer has no transform to do so",
+    ),
     # Physics, splines, clips
     "USD270": _error(
         "a physics joint without bodies",

@@ -29,6 +29,7 @@ def Scope "cache"
 PROPS = """\
 #usda 1.0
 (
+    metersPerUnit = 0.01
     timeCodesPerSecond = 24
 )
 def Scope "lamp"
