@@ -57,7 +57,8 @@ def test_one_wrong_sample_of_many_is_found(
     code = codes[len(codes) * 2 // 3]
     layer = Sdf.Layer.FindOrOpen(str(path))
     old = np.array(layer.QueryTimeSample(f"{RIG}.extent", code))
-    moved = Vt.Vec3fArray.FromNumpy(([*old, [0, 0, 0], [5, 0, 0]]).astype(np.float32))
+    old[1, 0] += 5
+    moved = Vt.Vec3fArray.FromNumpy(old)
     layer.SetTimeSample(f"{RIG}.extent", code, moved)
     layer.Save()
     found = check_layer(path)
