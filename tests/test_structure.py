@@ -93,6 +93,14 @@ def test_importing_animtool_loads_nothing_heavy() -> None:
     assert not loaded("import animtool") & {"numpy", "pxr", "scipy", "click", "rich"}
 
 
+def test_importing_ik_loads_none_of_it() -> None:
+    assert "animtool.ik.solving" not in loaded("import animtool.ik")
+    code = (
+        "import animtool.ik.following\nfrom animtool.ik import follow\nfollow.__code__"
+    )
+    assert "animtool.ik.following" in loaded(code)
+
+
 def test_help_loads_nothing_heavy() -> None:
     code = "from animtool.cli.main import run\nrun(['--help'])"
     assert not loaded(code) & {"numpy", "pxr", "scipy", "rich"}

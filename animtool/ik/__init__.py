@@ -1,37 +1,68 @@
 """Inverse kinematics: poses that bring joints to goals, limits kept."""
 
-from animtool.ik.file import load_targets
-from animtool.ik.follow import FollowOptions, follow
-from animtool.ik.goals import Goal, Targets
-from animtool.ik.match import Matched, match
-from animtool.ik.methods import IkMethod
-from animtool.ik.on_take import TakeIk, solve_take
-from animtool.ik.problem import Problem, build
-from animtool.ik.result import IkResult, IkStatus, Jump
-from animtool.ik.smooth import smooth
-from animtool.ik.solve import IkOptions, solve
-from animtool.ik.take_options import TakeOptions
-from animtool.ik.tracks import TargetTracks
+from __future__ import annotations
 
-__all__ = [
-    "FollowOptions",
-    "Goal",
-    "IkMethod",
-    "IkOptions",
-    "IkResult",
-    "IkStatus",
-    "Jump",
-    "Matched",
-    "Problem",
-    "TakeIk",
-    "TakeOptions",
-    "TargetTracks",
-    "Targets",
-    "build",
-    "follow",
-    "load_targets",
-    "match",
-    "smooth",
-    "solve",
-    "solve_take",
-]
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from animtool.ik.file import load_targets as load_targets
+    from animtool.ik.following import FollowOptions as FollowOptions
+    from animtool.ik.following import follow as follow
+    from animtool.ik.goals import Goal as Goal
+    from animtool.ik.goals import Targets as Targets
+    from animtool.ik.matching import Matched as Matched
+    from animtool.ik.matching import match as match
+    from animtool.ik.methods import IkMethod as IkMethod
+    from animtool.ik.on_take import TakeIk as TakeIk
+    from animtool.ik.on_take import solve_take as solve_take
+    from animtool.ik.problem import Problem as Problem
+    from animtool.ik.problem import build as build
+    from animtool.ik.result import IkResult as IkResult
+    from animtool.ik.result import IkStatus as IkStatus
+    from animtool.ik.result import Jump as Jump
+    from animtool.ik.smoothing import smooth as smooth
+    from animtool.ik.solving import IkOptions as IkOptions
+    from animtool.ik.solving import solve as solve
+    from animtool.ik.take_options import TakeOptions as TakeOptions
+    from animtool.ik.tracks import TargetTracks as TargetTracks
+
+# Modules have other names than what is in them: a module that is imported becomes an
+# attribute of its package.
+_PUBLIC = {
+    "FollowOptions": "animtool.ik.following",
+    "Goal": "animtool.ik.goals",
+    "IkMethod": "animtool.ik.methods",
+    "IkOptions": "animtool.ik.solving",
+    "IkResult": "animtool.ik.result",
+    "IkStatus": "animtool.ik.result",
+    "Jump": "animtool.ik.result",
+    "Matched": "animtool.ik.matching",
+    "Problem": "animtool.ik.problem",
+    "TakeIk": "animtool.ik.on_take",
+    "TakeOptions": "animtool.ik.take_options",
+    "TargetTracks": "animtool.ik.tracks",
+    "Targets": "animtool.ik.goals",
+    "build": "animtool.ik.problem",
+    "follow": "animtool.ik.following",
+    "load_targets": "animtool.ik.file",
+    "match": "animtool.ik.matching",
+    "smooth": "animtool.ik.smoothing",
+    "solve": "animtool.ik.solving",
+    "solve_take": "animtool.ik.on_take",
+}
+
+__all__ = sorted(_PUBLIC)  # noqa: PLE0605 - the table above is the list
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used."""
+    if name not in _PUBLIC:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value: object = getattr(importlib.import_module(_PUBLIC[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *_PUBLIC]

@@ -13,7 +13,7 @@ from animtool.ik.chain import BALL, Chain
 from animtool.ik.goals import Targets
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult
-from animtool.ik.solve import IkOptions, solve
+from animtool.ik.solving import IkOptions, solve
 from animtool.ik.tangent import difference, moved, unwound, with_periods
 
 __all__ = ["Stretch", "best_path", "branches", "price", "woven"]

@@ -16,14 +16,13 @@ from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.documents.check import nearest
 from animtool.errors import Fault, OptionError
 from animtool.ik.carried import Part, parts_of
-from animtool.ik.follow import FollowOptions, follow
 from animtool.ik.followers import followers
 from animtool.ik.goals import Goal, Targets
 from animtool.ik.methods import IkMethod, serving
 from animtool.ik.on_limits import frames_on_limits
 from animtool.ik.problem import Problem, build
 from animtool.ik.result import IkResult, IkStatus, Jump
-from animtool.ik.solve import IkOptions, solve
+from animtool.ik.solving import IkOptions, solve
 from animtool.ik.sub_rig import sub_rig, with_types
 from animtool.ik.take_options import TakeOptions, check_options
 from animtool.ik.tracks import GoalTrack, TargetTracks
@@ -329,6 +328,8 @@ class _Run:
         )
         began = time.perf_counter()
         if options.method in FOLLOWED and len(np.asarray(targets.positions)) > 1:
+            from animtool.ik.following import FollowOptions, follow
+
             searched = restarts is None
             way = FollowOptions(
                 chosen,

@@ -11,7 +11,7 @@ from animtool._types import ArrayLike, FloatArray
 from animtool.ik.goals import Targets
 from animtool.ik.limbs import Extension, extend
 from animtool.ik.problem import Problem
-from animtool.ik.solve import WARM_DAMPING, IkOptions, chain_targets, pose_rows
+from animtool.ik.solving import WARM_DAMPING, IkOptions, chain_targets, pose_rows
 from animtool.ik.tangent import difference, unwound
 
 __all__ = ["Path", "path_of"]

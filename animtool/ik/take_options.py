@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from animtool.errors import Fault, OptionError
 from animtool.ik.methods import IkMethod
 from animtool.ik.problem import rest_faults
-from animtool.ik.smooth import rate_faults
-from animtool.ik.solve import IkOptions, option_faults
+from animtool.ik.smoothing import rate_faults
+from animtool.ik.solving import IkOptions, option_faults
 
 __all__ = ["TakeOptions", "check_options", "take_option_faults"]
 

@@ -10,7 +10,7 @@ from animtool import _kernels
 from animtool._types import FloatArray
 from animtool.ik import Goal, Problem, Targets, build
 from animtool.ik.goals import pack
-from animtool.ik.solve import chain_targets
+from animtool.ik.solving import chain_targets
 from animtool.maths import so3
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Mimic, Rig

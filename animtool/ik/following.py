@@ -16,8 +16,8 @@ from animtool.ik.methods import IkMethod
 from animtool.ik.path import path_of
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult
-from animtool.ik.smooth import at_poses, rate_faults, smooth
-from animtool.ik.solve import IkOptions, pose_rows, solve
+from animtool.ik.smoothing import at_poses, rate_faults, smooth
+from animtool.ik.solving import IkOptions, pose_rows, solve
 from animtool.ik.tangent import difference
 
 __all__ = ["FollowOptions", "follow"]

@@ -17,7 +17,7 @@ from support.ik import random_pose
 from animtool import Rig
 from animtool._types import FloatArray
 from animtool.ik import Goal, IkOptions, IkStatus, Targets, build, solve
-from animtool.ik.match import Matched, match
+from animtool.ik.matching import Matched, match
 from animtool.ik.problem import rest_pose
 from animtool.ik.sub_rig import sub_rig
 from animtool.maths import so3

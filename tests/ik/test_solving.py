@@ -12,7 +12,7 @@ from support.ik import arm, every_goal, mixed_rig, random_pose, reached_by
 
 from animtool.errors import OptionError
 from animtool.ik import Goal, IkOptions, IkStatus, Problem, Targets, build, solve
-from animtool.ik.solve import COUNTS
+from animtool.ik.solving import COUNTS
 from animtool.maths import so3
 from animtool.rig.joints import coordinate_slices
 from animtool.rig.limits import BallLimit, RangeLimit

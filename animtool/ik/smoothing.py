@@ -11,7 +11,7 @@ from animtool.errors import Fault, OptionError
 from animtool.ik.goals import Targets
 from animtool.ik.path import Path, path_of
 from animtool.ik.result import IkResult, IkStatus
-from animtool.ik.solve import IkOptions
+from animtool.ik.solving import IkOptions
 
 __all__ = ["at_poses", "rate_faults", "smooth"]
 
