@@ -29,6 +29,8 @@ MOST_AHEAD = 0.5
 # Only a jump that becomes this much smaller is worth another path; at this share of
 # what is taken for a jump, none is looked for that is better still.
 SMALLER, SMOOTH_ENOUGH = 0.9, 0.4
+# Poses that cost no more than this much more miss their goals by as much, see `price`.
+NO_WORSE = 1e-3
 # Chains with so many more degrees of freedom than residuals are searched through from
 # end to end, from new starts so many seconds apart, at most so many times.
 MOST_FREE, WEAVE, WEAVES = 2, 0.5, 4
@@ -73,6 +75,7 @@ def follow(
     and backward in time, and paths that pass over to these while they keep to the
     goals. Of all, the way with the least sum of squared distances is taken, and its
     speed evened out. Frames that reach their goals come before jumps that are avoided.
+    No path is looked for where no solution of a frame has less of a jump.
 
     Args:
         problem: E goals over a rig of Q coordinates.
@@ -168,16 +171,44 @@ class _Clip:
         """Return the frames one after the other, jumps taken out where that can be."""
         result = self._solved(slice(0, self.count), self.start)
         for attempt in range(WEAVES if self._is_thin() else 0):
-            if self._strain(self._poses(result), 0) > SMOOTH_ENOUGH:
-                result = self._woven(result, attempt)
+            if not self._is_worth_weaving(self._poses(result), attempt):
+                break
+            before, result = result, self._woven(result, attempt)
+            if result is before:
+                break
         done = 0
         while True:
-            jumps = jumping(self.path, self._poses(result), self.allowed)
+            poses = self._poses(result)
+            jumps = jumping(self.path, poses, self.allowed)
             left = jumps[jumps > done]
             if not len(left):
                 return result
             done = int(left[0])
-            result = self._mended(result, done)
+            if self._can_be_passed(poses, done):
+                result = self._mended(result, done)
+
+    def _is_worth_weaving(self, poses: FloatArray, attempt: int) -> bool:
+        """Whether poses jump, or did, and another way may be found for the worst."""
+        steps = np.abs(self.path.steps(poses)).max(axis=1, initial=0.0) / self.allowed
+        if not len(steps) or steps.max() <= (SMOOTH_ENOUGH if attempt else 1.0):
+            return False
+        return self._can_be_passed(poses, int(steps.argmax()) + 1)
+
+    def _can_be_passed(self, poses: FloatArray, frame: int) -> bool:
+        """Whether a frame has solutions to which there is less of a jump.
+
+        Where there are none, as where targets come back into reach and limbs that
+        were straight bend, a path that avoids the jump is not worth looking for.
+        """
+        window = slice(frame - 1, frame + 1)
+        stretch = self._stretch(poses[window], window, frame)
+        options = self.options
+        pairs, costs = branches(stretch, options.branches, options.solving.seed)
+        own = self._strain(poses[window], window.start)
+        return any(
+            self._strain(pair, window.start) < SMALLER * own
+            for pair in pairs[(costs <= stretch.costs + NO_WORSE).all(axis=1)]
+        )
 
     def _is_thin(self) -> bool:
         """Whether poses that reach the goals of a frame lie close enough to try all."""

@@ -66,21 +66,48 @@ def test_a_path_leaves_early_for_another_branch() -> None:
     assert steps(result.coordinates).max() <= steps(jumping.coordinates).max()
 
 
+def stiff() -> Problem:
+    """Two links that turn about one axis, the second one way only."""
+    fixed = arm(2, 3.0)
+    joints = (
+        replace(fixed.joints[0], axis=(0.0, 0.0, 1.0), limits=RangeLimit(-3.3, 3.3)),
+        replace(fixed.joints[1], axis=(0.0, 0.0, 1.0), limits=RangeLimit(0.0, 2.5)),
+    )
+    return build(Rig("stiff", joints), [Goal("b1", (0.4, 0.0, 0.0))])
+
+
+def test_no_way_is_looked_for_where_no_pose_could_be_on_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # Out of reach and back: a straight limb bends as fast as it has to.
+    far = 0.8 * np.concatenate([np.linspace(0.7, 1.1, 57), np.linspace(1.1, 0.7, 57)])
+    points = np.stack([far, 0 * far, 0 * far], axis=1)[:, None]
+    searched: list[str] = []
+    for name in ("_woven", "_mended"):
+        monkeypatch.setattr(
+            f"animtool.ik.following._Clip.{name}",
+            lambda _, result, *_place, name=name: searched.append(name) or result,
+        )
+    problem, start, options = stiff(), [-0.7, 1.4], FollowOptions(fps=200)
+    result = follow(problem, start, Targets(points), options)
+    assert [jump.joint for jump in result.jumps] == ["b1", "b1"]
+    assert searched == []
+    plain = solve(problem, start, Targets(points), IkOptions(warm=True))
+    np.testing.assert_array_equal(result.coordinates, plain.coordinates)
+    # Where another way would do, it is looked for.
+    follow(problem, start, Targets(around(1.5, 200)), FollowOptions(fps=50))
+    assert searched
+
+
 def test_a_jump_that_cannot_be_avoided_is_named() -> None:
     problem = planar()
     points = around(0.1, 20)
     points[10:, :, :2] *= -1
     # Nothing lies between the halves, but that the targets jump explains the joints.
     assert follow(problem, [0.2, 0.8, 0.4], Targets(points)).jumps == ()
-    fixed = arm(2, 3.0)
-    joints = (
-        replace(fixed.joints[0], axis=(0.0, 0.0, 1.0), limits=RangeLimit(-3.3, 3.3)),
-        replace(fixed.joints[1], axis=(0.0, 0.0, 1.0), limits=RangeLimit(0.0, 2.5)),
-    )
-    stiff = build(Rig("stiff", joints), [Goal("b1", (0.4, 0.0, 0.0))])
     # One and a half times around: the base has to turn back.
     targets = Targets(around(1.5, 200))
-    result = follow(stiff, [-0.7, 1.4], targets, FollowOptions(fps=50))
+    result = follow(stiff(), [-0.7, 1.4], targets, FollowOptions(fps=50))
     assert result.converged.all()
     (jump,) = result.jumps
     assert jump.joint == "b0"
