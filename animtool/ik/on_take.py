@@ -42,8 +42,6 @@ __all__ = ["TakeIk", "refuse_scales", "solve_take"]
 UNCHANGED = 1e-12
 # Those that follow a clip over other branches; the others are there for comparison.
 FOLLOWED = frozenset({IkMethod.AUTO, IkMethod.DAMPED, IkMethod.TWO_BONE})
-# How long before a jump poses that are only starts may leave for others [s].
-BENT_BACK = 0.5
 # A pole stands this many lengths of its chain away, so that only its side counts.
 FAR = 10.0
 # How faults name the goal that they are of.
@@ -332,10 +330,7 @@ class _Run:
         if options.method in FOLLOWED and len(np.asarray(targets.positions)) > 1:
             from animtool.ik.following import FollowOptions, follow
 
-            searched = restarts is None
             way = FollowOptions(chosen, self.rate, smooth=options.smooth)
-            if not searched:
-                way = replace(way, smooth=0.0, branches=0, back=BENT_BACK)
             found = follow(problem, starts, targets, way)
         else:
             found = solve(problem, starts, targets, chosen)
