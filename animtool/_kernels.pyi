@@ -192,11 +192,11 @@ def smooth_ik(nodes: Annotated[NDArray[numpy.int64], dict(shape=(None, None), or
     taken, and half the sum before and after them.
     """
 
-def cheapest_ik_path(nodes: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], numbers: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], paths: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], costs: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], drifts: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], easy: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], closed: bool) -> Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')]:
+def cheapest_ik_path(nodes: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], numbers: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], paths: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], costs: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], drifts: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], easy: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], open: bool, closed: bool) -> Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')]:
     """
     Which of K paths ``(K, L, Q)`` of a chain to be on in each frame ``(L,)``.
 
-    The way begins on the first path, and ends there if ``closed``; the sum of the squared
-    steps from frame to frame, less ``drifts`` ``(L - 1, D)``, and of ``costs`` ``(K, L)`` is
+    The way begins on the first path, unless ``open``, and ends there if ``closed``; the sum of
+    the squared steps from frame to frame, less ``drifts`` ``(L - 1, D)``, and of ``costs`` ``(K, L)`` is
     the least. Joints that go farther than ``easy`` ``(L - 1,)`` cost a hundred times more.
     """

@@ -75,8 +75,9 @@ def _goal_text(goal: GoalReport) -> list[str]:
 
 
 def ik_details(report: IkReport) -> list[str]:
-    """Return what is said with -v: where the time went."""
-    return [f"{stage}: {seconds:.3f} s" for stage, seconds in report.seconds.items()]
+    """Return what is said with -v: which joints move, and where the time went."""
+    spent = [f"{stage}: {seconds:.3f} s" for stage, seconds in report.seconds.items()]
+    return [f"joints that move: {', '.join(report.solved.problem.joints)}", *spent]
 
 
 def _outputs(report: IkReport) -> list[str]:

@@ -240,24 +240,37 @@ def _passing(
 
 
 def best_path(
-    stretch: Stretch, paths: FloatArray, costs: FloatArray, *, closed: bool
+    stretch: Stretch,
+    paths: FloatArray,
+    costs: FloatArray,
+    *,
+    closed: bool,
+    opened: bool = False,
 ) -> FloatArray:
     """Return the poses ``(L, C)`` of the cheapest way along paths and over to others.
 
     The sum of squared distances from frame to frame and of the misses is the least (A.
     Viterbi, Error bounds for convolutional codes, 1967), steps that are not easy being
-    dear. It begins on the first of
-    the paths, and ends there if ``closed``.
+    dear. It begins on the first of the paths, unless ``opened``, and ends there if
+    ``closed``.
 
     Args:
         stretch: Where.
         paths: ``(K, L, C)``.
         costs: Of their misses ``(K, L)``.
         closed: Whether the last pose is to be that of the first path.
+        opened: Whether the first pose may be that of any path.
     """
     chain = stretch.chain
     drifts = difference(chain, stretch.reference[:-1], stretch.reference[1:])
     chosen = _kernels.cheapest_ik_path(
-        chain.nodes, with_periods(chain), paths, costs, drifts, stretch.easy, closed
+        chain.nodes,
+        with_periods(chain),
+        paths,
+        costs,
+        drifts,
+        stretch.easy,
+        opened,
+        closed,
     )
     return unwound(chain, paths[chosen, np.arange(costs.shape[1])])

@@ -139,6 +139,7 @@ class _Reader:
         joint, chain = self._effector((*at, "effector"), model.effector)
         root = self._root(at, model, joint, chain)
         spans = self._spans((*at, "hold"), model.hold)
+        during = self._spans((*at, "during"), model.during)
         values = {
             "position": self.values.value(
                 (*at, "position"), model.position, "position"
@@ -184,7 +185,8 @@ class _Reader:
             tuple(spans),
             model.ease,
             frozenset(held),
-            self.document.place(at),
+            place=self.document.place(at),
+            during=tuple(during),
         )
 
     def _effector(self, at: Location, name: str) -> tuple[str | None, IkChain | None]:

@@ -79,7 +79,8 @@ def follow(
 
     Args:
         problem: E goals over a rig of Q coordinates.
-        start: The pose before the first frame ``(Q,)``; None is the rest pose. Or the
+        start: Where the first frame is looked for ``(Q,)``; None is the rest pose. If
+            no way from the pose found there is without a jump, another is taken. Or the
             poses of a clip ``(F, Q)``: then every frame starts at its own, and what is
             followed and smoothed is the change from it.
         targets: Of F frames.
@@ -223,8 +224,7 @@ class _Clip:
         spacing = max(round(WEAVE * self.options.fps), 1)
         seed = self.options.solving.seed + attempt * self.count
         paths, costs = woven(stretch, spacing, seed)
-        found = best_path(stretch, paths, costs, closed=False)
-        found = self.path.evened(found)[0]
+        found = self._way(stretch, paths, costs, closed=False)
         if self._strain(found, 0) < SMALLER * self._strain(poses, 0):
             return self._joined(result, whole, found)
         return result
@@ -298,8 +298,27 @@ class _Clip:
         options = self.options
         paths, costs = branches(stretch, options.branches, options.solving.seed)
         closed = (self.moving or self._is_thin()) and window.stop < self.count
+        return self._way(stretch, paths, costs, closed=closed)
+
+    def _way(
+        self, stretch: Stretch, paths: FloatArray, costs: FloatArray, *, closed: bool
+    ) -> FloatArray:
+        """Return the best way, its speed evened out.
+
+        Where it still jumps and begins with the clip, its first pose is any, as no
+        motion has to be kept.
+        """
+        window = slice(stretch.frames.start, stretch.frames.stop)
+        path = self.path.frames(window)
         found = best_path(stretch, paths, costs, closed=closed)
-        return self.path.frames(window).evened(found)[0]
+        found = path.evened(found)[0]
+        least = self._strain(found, window.start)
+        if window.start > 0 or self.moving or least <= 1:
+            return found
+        other = best_path(stretch, paths, costs, closed=closed, opened=True)
+        other = path.evened(other, opened=True)[0]
+        better = self._strain(other, window.start) < SMALLER * least
+        return other if better else found
 
     def _joined(self, result: IkResult, window: slice, poses: FloatArray) -> IkResult:
         """Return a result with a window replaced, and what comes after it."""

@@ -15,6 +15,7 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.documents.check import nearest
 from animtool.errors import Fault, OptionError
+from animtool.ik.branches import rows_of
 from animtool.ik.carried import Part, parts_of
 from animtool.ik.followers import followers
 from animtool.ik.goals import Goal, Targets
@@ -26,6 +27,7 @@ from animtool.ik.solving import IkOptions, solve
 from animtool.ik.sub_rig import sub_rig, with_types
 from animtool.ik.take_options import TakeOptions, check_options
 from animtool.ik.tracks import GoalTrack, TargetTracks
+from animtool.ik.without import rounds, takes_without
 from animtool.maths import so3
 from animtool.rig.joints import (
     LocalTransforms,
@@ -112,9 +114,52 @@ def solve_take(
     options = options or TakeOptions()
     check_options(options)
     tracks = tracks.placed(take.clock)
-    goals = [track.goal for track in tracks.goals]
     effectors = [(track.name, track.goal.joint) for track in tracks.goals]
     refuse_scales(take, effectors, tracks.path)
+    count, done = rounds(tracks), 0
+    spent = 0.0
+
+    def bring(wanted: TargetTracks, free: tuple[Take, ...]) -> TakeIk:
+        def told(share: float) -> None:
+            if progress is not None:
+                progress((done + share) / count)
+
+        return _brought(
+            take, wanted, free, options, still, only, told
+        )
+
+    def bring_take(wanted: TargetTracks, free: tuple[Take, ...]) -> Take:
+        nonlocal done, spent
+        found = bring(wanted, free)
+        done, spent = done + 1, spent + found.seconds
+        return found.take
+
+    free = takes_without(take, tracks, bring_take)
+    found = bring(tracks, free)
+    return replace(found, seconds=spent + found.seconds)
+
+
+def _brought(
+    take: Take,
+    tracks: TargetTracks,
+    free: tuple[Take, ...],
+    options: TakeOptions,
+    still: bool,
+    only: int | None,
+    progress: Callable[[float], None],
+) -> TakeIk:
+    """Return a take at its targets.
+
+    Args:
+        take: F frames.
+        tracks: Its targets.
+        free: By goal, the take without it; of F frames, or the one that is solved.
+        options: Tolerances, budget, which joints.
+        still: As of `solve_take`.
+        only: Likewise.
+        progress: Called with the share done.
+    """
+    goals = [track.goal for track in tracks.goals]
     typed = with_types(take.rig)
     rig, own = sub_rig(typed, (goal.joint for goal in goals))
     joints = _chosen(take.rig, rig, options)
@@ -124,16 +169,28 @@ def solve_take(
     world = forward(rig, local.translations, local.rotations)
     found: list[_Found] = []
     with _placed(tracks):
-        targets = tracks.sample(rig, take.clock, world)
+        loose = tuple(_world(rig, own, one, world) for one in free)
+        targets = tracks.sample(rig, take.clock, world, loose)
         if only is not None:
             take, local, world, targets = _selected(take, local, world, targets, only)
         rate = float(take.clock.rate)
         run = _Run(rig, tracks, targets, world, options, joints, still, rate)
         for part in parts_of(rig, local, world, goals, joints):
             found.append(run.solved(part))
-            if progress is not None:
-                progress(found[-1].part.frames.stop / take.clock.count)
+            progress(found[-1].part.frames.stop / take.clock.count)
     return _gathered(take, own, local, tracks, targets, found)
+
+
+def _world(
+    rig: Rig, own: IntArray, take: Take, like: WorldTransforms
+) -> WorldTransforms:
+    """Return where joints of a take are, one frame repeated over as many as another."""
+    motion = take.motion
+    found = forward(rig, motion.translations.gather(own), motion.rotations.gather(own))
+    return WorldTransforms(
+        np.broadcast_to(found.positions, like.positions.shape),
+        np.broadcast_to(found.linear, like.linear.shape),
+    )
 
 
 @contextmanager
@@ -263,9 +320,11 @@ class _Run:
         if not self.still:
             done = self._timed(problem, part.coordinates, targets, warm=False)
             return _Found(part, *done)
-        start, seconds = self._bent(part, problem, targets)
-        found, more = self._timed(problem, start, targets, warm=True)
-        return _Found(part, found, seconds + more)
+        bent, seconds = self._bent(part, problem, targets)
+        start, more = self._begun(part, problem, bent, targets)
+        kept = part.coordinates[0]
+        done = self._timed(problem, start, targets, warm=True, prefer=kept)
+        return _Found(part, done[0], seconds + more + done[1])
 
     def _problem(self, part: Part, goals: Sequence[Goal]) -> Problem:
         return build(
@@ -275,6 +334,20 @@ class _Run:
             pose=part.coordinates[0],
             rest_weight=self.options.rest_weight,
         )
+
+    def _begun(
+        self, part: Part, problem: Problem, start: FloatArray, targets: Targets
+    ) -> tuple[FloatArray, float]:
+        """Return where the first frame starts ``(Q,)``, and the time it took [s].
+
+        If it needs new starts, that is a solution near the pose of the part; what is
+        followed from any other would stay as random as these are.
+        """
+        first = rows_of(targets, slice(0, 1))
+        kept = part.coordinates[0]
+        found, seconds = self._timed(problem, start, first, warm=False, prefer=kept)
+        new = found.descents[0] > 1 and bool(found.converged[0])
+        return found.coordinates[0] if new else start, seconds
 
     def _bent(
         self, part: Part, problem: Problem, targets: Targets
@@ -292,6 +365,8 @@ class _Run:
         for e, track in enumerate(self.tracks.goals):
             if track.goal.pole or not _bends(problem, track, origins):
                 continue
+            if track.during and not weights[0, e].any():
+                continue
             goals[e] = replace(track.goal, pole=1.0)
             point = _pole(self.rig, track, self.world, part.frames.start)
             poles[:, e], weights[:, e, 3] = point, 1.0
@@ -300,8 +375,8 @@ class _Run:
         leaning = self._problem(part, goals)
         if self.options.method not in serving(leaning):
             return part.coordinates[0], 0.0
-        arrays = [np.asarray(getattr(targets, f.name))[:1] for f in fields(Targets)]
-        given = replace(Targets(*arrays), poles=poles, weights=weights)
+        first = rows_of(targets, slice(0, 1))
+        given = replace(first, poles=poles, weights=weights)
         start = part.coordinates[0]
         found, seconds = self._timed(leaning, start, given, warm=True, restarts=0)
         return found.coordinates[0], seconds
@@ -314,6 +389,7 @@ class _Run:
         *,
         warm: bool,
         restarts: int | None = None,
+        prefer: FloatArray | None = None,
     ) -> tuple[IkResult, float]:
         """Return a solution, and how long it took [s]."""
         options = self.options
@@ -330,10 +406,16 @@ class _Run:
         if options.method in FOLLOWED and len(np.asarray(targets.positions)) > 1:
             from animtool.ik.following import FollowOptions, follow
 
-            way = FollowOptions(chosen, self.rate, smooth=options.smooth)
-            found = follow(problem, starts, targets, way)
+            searched = restarts is None
+            way = FollowOptions(
+                chosen,
+                self.rate,
+                smooth=options.smooth if searched else 0.0,
+                branches=FollowOptions().branches if searched else 0,
+            )
+            found = follow(problem, starts, targets, way, prefer=prefer)
         else:
-            found = solve(problem, starts, targets, chosen)
+            found = solve(problem, starts, targets, chosen, prefer=prefer)
         return found, time.perf_counter() - began
 
 

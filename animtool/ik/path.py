@@ -58,9 +58,15 @@ class Path:
         weights = (1.0, 0.0, acceleration)
         return self._run(poses, weights, (0, len(poses)), ROUNDS)
 
-    def evened(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return poses that go from the first to the last at an even speed."""
-        return self._run(poses, (HARDLY, 1.0, 0.0), (1, len(poses) - 1), ROUNDS)
+    def evened(
+        self, poses: FloatArray, *, opened: bool = False
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return poses that go from the first to the last at an even speed.
+
+        The last stays, and so does the first unless it is ``opened``.
+        """
+        moving = (0 if opened else 1, len(poses) - 1)
+        return self._run(poses, (HARDLY, 1.0, 0.0), moving, ROUNDS)
 
     def measured(self, poses: FloatArray) -> FloatArray:
         """Return what poses miss ``(F, E, 4)``."""

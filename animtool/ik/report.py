@@ -9,6 +9,7 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray
 from animtool.errors import Fault, Severity, counted, listed
+from animtool.ik.follow import FollowOptions
 from animtool.ik.on_take import TakeIk
 from animtool.ik.result import IkStatus
 from animtool.ik.tracks import PARTS
@@ -227,7 +228,9 @@ def jump_notices(solved: TakeIk) -> list[Fault]:
     message = f"joint {worst.joint!r} jumps at frame {frame:g}"
     if others:
         message += f", and {counted(others, 'other')} elsewhere"
-    hint = "the targets leave no way that is steadier, as far as was found"
+    hint = "no steadier way was found: others were looked for from new starts, up to "
+    hint += f"{FollowOptions().back:g} s before each jump; targets that come sooner, "
+    hint += "turn the other way or ask for less may leave one"
     path = str(solved.tracks.path)
     return [Fault("IK102", message, path, (), hint, Severity.WARNING)]
 

@@ -181,10 +181,17 @@ class GoalModel(FileModel):
         "where it is at the first.",
         examples=[[[12.0, 30.0], [48.0, 60.0]]],
     )
+    during: list[Pair] = Field(
+        default=[],
+        description="First and last frame of spans in which it is asked for; outside "
+        "of these and their `ease` it is as free as without the goal. Not given: all.",
+        examples=[[[20.0, 80.0]]],
+    )
     ease: Annotated[float, Field(ge=0)] = Field(
         default=4.0,
-        description="Frames before and behind a span in which it comes to the held "
-        "place and leaves it, without a jump in speed; less where spans are near.",
+        description="Frames before and behind a span of `hold` or `during` in which it "
+        "comes to its place and leaves it, without a jump in speed; less where spans "
+        "are near.",
         examples=[6.0],
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from animtool.ik.limbs import Extension, extend
 from animtool.ik.methods import KERNEL_METHODS, IkMethod, check_method
 from animtool.ik.problem import Problem, rest_pose
 from animtool.ik.result import IkResult, IkStatus
+from animtool.ik.tangent import difference
 from animtool.ik.two_bone import fits, solve_limb, wanted
 
 __all__ = ["IkMethod", "IkOptions", "solve"]
@@ -30,6 +31,8 @@ _STATUSES = (
 )
 # Methods that may take the closed form.
 _CLOSED = {IkMethod.AUTO, IkMethod.TWO_BONE}
+# How much the start draws poses that came of new ones, one after the other.
+DRAWN = (1e-2, 1e-3, 1e-4, 0.0)
 # Damping of the first step: far from the goals, and beside them.
 COLD_DAMPING, WARM_DAMPING = 1e-3, 1e-6
 # The least and the most of each, as the kernel has room for.
@@ -86,6 +89,9 @@ def solve(
         prefer: Pose ``(Q,)`` or ``(B, Q)`` that the problem's ``rest_weight`` draws
             to; None is the start.
 
+    A pose that came of a new start is then drawn to the one preferred, as far as the
+    goals leave it free, unless there is a bound of ``seconds``.
+
     Raises:
         OptionError: Targets are missing, of another shape (IK010) or not finite
             (IK011); a start is of another shape (IK012) or not finite (IK013); an
@@ -119,7 +125,9 @@ def solve(
         found = _limbs(problem, asked, options)
     else:
         found = _damped(problem, asked, options)
-    reached = np.asarray((found.misses <= _tolerances(options)).all(axis=2), np.bool_)
+    if not options.warm and options.method in _CLOSED | {IkMethod.DAMPED}:
+        _settle(problem, asked, options, found)
+    reached = _met(found, options)
     _explain(found, asked, reached)
     return IkResult(
         problem,
@@ -209,6 +217,38 @@ def _damped(problem: Problem, asked: _Asked, options: IkOptions) -> _Found:
         KERNEL_METHODS[options.method],
     )
     return _Found(*solved)
+
+
+def _met(found: _Found, options: IkOptions) -> BoolArray:
+    """Return which goals are reached ``(B, E)``."""
+    return np.asarray((found.misses <= _tolerances(options)).all(axis=2), np.bool_)
+
+
+def _settle(
+    problem: Problem, asked: _Asked, options: IkOptions, found: _Found
+) -> None:
+    """Draw poses that came of new starts to those preferred, while goals stay met.
+
+    What the goals leave free would else stay as random as the starts were.
+    """
+    redundant = problem.degrees > problem.rows
+    again = (found.reports[:, 2] > 1) & _met(found, options).all(axis=1)
+    rows = np.flatnonzero(again)
+    if not redundant or problem.rest_weight > 0 or options.seconds > 0 or not len(rows):
+        return
+    near = replace(options, method=IkMethod.DAMPED, restarts=0)
+    drawn = _Found(*(getattr(found, field.name)[rows] for field in fields(_Found)))
+    for weight in DRAWN:
+        here = replace(asked[rows], starts=drawn.coordinates)
+        drawn = _damped(replace(problem, rest_weight=weight), here, near)
+    wished = asked.wished[rows]
+    before, after = (
+        np.linalg.norm(difference(problem.chain, wished, poses), axis=1)
+        for poses in (found.coordinates[rows], drawn.coordinates)
+    )
+    kept = _met(drawn, options).all(axis=1) & (after < before)
+    found.coordinates[rows[kept]] = drawn.coordinates[kept]
+    found.misses[rows[kept]] = drawn.misses[kept]
 
 
 def _limbs(problem: Problem, asked: _Asked, options: IkOptions) -> _Found:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -11,10 +11,10 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError, counted
+from animtool.ik.free import FreeEffector
 from animtool.ik.goals import Goal, Targets
 from animtool.ik.holds import Span, held, hold_shares
 from animtool.ik.values import Frames, Keyed, Rows, Value, between
-from animtool.maths import so3
 from animtool.rates import rate_label
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.parts import IkChain
@@ -41,9 +41,10 @@ class GoalTrack:
         values: By part; None for what is not asked, or only held.
         weights: By part; 1 for those that are left out.
         spans: Held frames, ascending.
-        ease: [frame] before and behind each span.
+        ease: [frame] before and behind each span, held or asked.
         held: The parts that the spans hold.
         place: Line and column in the file; its first where none has it.
+        during: Frames in which anything is asked, ascending; none is all.
     """
 
     name: str
@@ -55,6 +56,7 @@ class GoalTrack:
     ease: float
     held: frozenset[str]
     place: tuple[int, int] = (1, 1)
+    during: tuple[Span, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,13 @@ class TargetTracks:
         )
         return replace(self, goals=goals)
 
-    def sample(self, rig: Rig, clock: Clock, world: WorldTransforms) -> Targets:
+    def sample(
+        self,
+        rig: Rig,
+        clock: Clock,
+        world: WorldTransforms,
+        free: Sequence[WorldTransforms] = (),
+    ) -> Targets:
         """Return where the goals are in every frame.
 
         Args:
@@ -142,6 +150,9 @@ class TargetTracks:
             clock: F frames, of the rate of the file.
             world: Where the joints are in them without the goals: what is held
                 without a value of its own stays where that has it.
+            free: By goal, where joints are if all other goals are met: what is asked
+                ``during`` spans alone comes from there and goes there. None is
+                ``world``.
 
         Raises:
             OptionError: A frame has no row in an array (TGT015).
@@ -154,12 +165,17 @@ class TargetTracks:
         parts["orientation"][..., 3] = 1.0
         weights = np.ones((*shape, 4))
         for e, track in enumerate(self.goals):
-            still = _Pose(rig, track, world)
+            still = FreeEffector(rig, track.goal, world)
+            away = FreeEffector(rig, track.goal, free[e]) if free else still
+            asked = np.ones(len(times))
+            if track.during:
+                asked = hold_shares(times, track.during, track.ease).max(axis=0)
             for i, part in enumerate(PARTS):
                 if not track.goal.weights[i]:
                     continue
                 value, weight = _part(track, part, frames, still)
-                parts[part][:, e], weights[:, e, i] = value, weight
+                parts[part][:, e] = away.towards(part, value, asked)
+                weights[:, e, i] = weight * (asked > 0)
         return Targets(
             parts["position"],
             parts["orientation"],
@@ -169,26 +185,8 @@ class TargetTracks:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class _Pose:
-    """Where an effector is without its goal."""
-
-    rig: Rig
-    track: GoalTrack
-    world: WorldTransforms
-
-    def part(self, part: str) -> FloatArray:
-        """Return the point ``(F, 3)`` or the rotation ``(F, 4)``."""
-        j = self.rig.index(self.track.goal.joint)
-        linear = self.world.linear[:, j]
-        if part == "orientation":
-            return so3.align_signs(so3.split_scale(linear)[0])
-        offset = linear @ np.array(self.track.goal.offset)
-        return np.asarray(self.world.positions[:, j] + offset)
-
-
 def _part(
-    track: GoalTrack, part: str, frames: Frames, pose: _Pose
+    track: GoalTrack, part: str, frames: Frames, pose: FreeEffector
 ) -> tuple[FloatArray, FloatArray]:
     """Return where a part of a goal is ``(F, W)``, and how much it counts ``(F,)``."""
     weight = np.ones(len(frames.times))
@@ -196,7 +194,10 @@ def _part(
         # A curve of keys above 0 may dip below between them.
         weight = np.maximum(track.weights[part].at(frames)[:, 0], 0.0)
     value = track.values[part]
-    free = pose.part(part) if value is None else value.at(frames)
+    if value is not None:
+        free = value.at(frames)
+    else:
+        free = pose.turn() if part == "orientation" else pose.place()
     if not track.spans or part not in track.held:
         return free, weight
     shares = hold_shares(frames.times, track.spans, track.ease)
@@ -212,7 +213,7 @@ def _part(
 
 def _ends(track: GoalTrack) -> list[float]:
     """Return the first and last frames of what a goal mentions."""
-    found = [end for span in track.spans for end in span]
+    found = [end for span in (*track.spans, *track.during) for end in span]
     for value in (*track.values.values(), *track.weights.values()):
         if isinstance(value, Keyed):
             found += [value.channel.times[0], value.channel.times[-1]]

@@ -281,7 +281,8 @@ IkSmoothed smooth_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
 
 Out<std::int64_t, 1> cheapest_ik_path(In<std::int64_t, 2> nodes, In<double, 2> numbers,
                                       In<double, 3> paths, In<double, 2> costs,
-                                      In<double, 2> drifts, In<double, 1> easy, bool closed) {
+                                      In<double, 2> drifts, In<double, 1> easy, bool open,
+                                      bool closed) {
   const Chain chain = read_chain(nodes, numbers);
   const std::size_t count = paths.shape(0), length = paths.shape(1);
   if (static_cast<int>(paths.shape(2)) != chain.coordinates || costs.shape(0) != count ||
@@ -294,7 +295,7 @@ Out<std::int64_t, 1> cheapest_ik_path(In<std::int64_t, 2> nodes, In<double, 2> n
   {
     nb::gil_scoped_release release;
     cheapest(chain, paths.data(), costs.data(), drifts.data(), easy.data(), count, length,
-             closed, chosen.get());
+             open, closed, chosen.get());
   }
   const std::size_t shape[1] = {length};
   return chosen.release(shape);

@@ -30,16 +30,18 @@ inline double price_of(const Chain& chain, const double* step, const double* dri
   return sum;
 }
 
-// Which of `count` paths (K, L, C) to be on in each of L frames, to begin on the first.
+// Which of `count` paths (K, L, C) to be on in each of L frames, to begin on the first, or
+// if `open` on any.
 inline void cheapest(const Chain& chain, const double* paths, const double* costs,
                      const double* drifts, const double* easy, std::size_t count,
-                     std::size_t length, bool closed, std::int64_t* chosen) {
+                     std::size_t length, bool open, bool closed, std::int64_t* chosen) {
   const std::size_t width = chain.coordinates;
   std::vector<double> total(count, std::numeric_limits<double>::infinity()), next(count);
   std::vector<double> step(chain.dofs);
   std::vector<std::int64_t> origins(count * length);
   const auto pose = [&](std::size_t k, std::size_t t) { return paths + (k * length + t) * width; };
   if (count > 0) total[0] = 0;
+  for (std::size_t k = 0; open && length > 0 && k < count; ++k) total[k] = costs[k * length];
   for (std::size_t t = 1; t < length; ++t) {
     for (std::size_t to = 0; to < count; ++to) {
       double least = std::numeric_limits<double>::infinity();

@@ -103,7 +103,8 @@ IkSmoothed smooth_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
 
 Out<std::int64_t, 1> cheapest_ik_path(In<std::int64_t, 2> nodes, In<double, 2> numbers,
                                       In<double, 3> paths, In<double, 2> costs,
-                                      In<double, 2> drifts, In<double, 1> easy, bool closed);
+                                      In<double, 2> drifts, In<double, 1> easy, bool open,
+                                      bool closed);
 
 Out<double, 3> point_extents(In<double, 3> points);
 

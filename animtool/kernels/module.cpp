@@ -172,10 +172,10 @@ Returns ``(coordinates, misses, rounds, before, after)``: ``(F, Q)``, ``(F, E, 4
 taken, and half the sum before and after them.)");
 
   m.def("cheapest_ik_path", &cheapest_ik_path, "nodes"_a, "numbers"_a, "paths"_a, "costs"_a,
-        "drifts"_a, "easy"_a, "closed"_a,
+        "drifts"_a, "easy"_a, "open"_a, "closed"_a,
         R"(Which of K paths ``(K, L, Q)`` of a chain to be on in each frame ``(L,)``.
 
-The way begins on the first path, and ends there if ``closed``; the sum of the squared
-steps from frame to frame, less ``drifts`` ``(L - 1, D)``, and of ``costs`` ``(K, L)`` is
+The way begins on the first path, unless ``open``, and ends there if ``closed``; the sum of
+the squared steps from frame to frame, less ``drifts`` ``(L - 1, D)``, and of ``costs`` ``(K, L)`` is
 the least. Joints that go farther than ``easy`` ``(L - 1,)`` cost a hundred times more.)");
 }

@@ -39,6 +39,8 @@ MORE = [
     ("TGT002", "- {effector: leg_l, position: [0, 0, 0], weight: 0}"),
     ("TGT005", "- {effector: leg_l, hold: [[1, 5], [5, 8]]}"),
     ("TGT005", "- {effector: leg_l, hold: [[1, 1e12]]}"),
+    ("TGT005", "- {effector: leg_l, position: [0, 0, 0], during: [[9, 2]]}"),
+    ("TGT002", "- {effector: leg_l, during: [[1, 2]]}"),
     ("TGT006", "- {effector: leg_l, position: arrays.npz#wide}"),
     ("TGT006", "- {effector: leg_l, position: arrays.npz#nothing}"),
     ("TGT006", "- {effector: leg_l, position: missing.npz}"),

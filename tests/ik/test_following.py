@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,9 +21,14 @@ from animtool.ik import (
     follow,
     solve,
 )
+from animtool.ik.branches import rows_of
 from animtool.maths import so3
+from animtool.rig.file import load_rig
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Rig
+
+
+ROOT = Path(__file__).parents[2]
 
 
 def planar(limit: float = 2.6) -> Problem:
@@ -195,3 +201,25 @@ def test_options_that_make_no_sense_are_refused(options: FollowOptions) -> None:
     with pytest.raises(OptionError) as caught:
         follow(planar(), None, Targets(around(0.1, 3)), options)
     assert {fault.code for fault in caught.value.faults} == {"IK014"}
+
+
+@pytest.mark.parametrize("first", [60.0, 0.0])
+def test_the_first_pose_is_another_if_that_leads_round(first: float) -> None:
+    # The flange turns by 360 degrees each way, so that it has to begin far to one side.
+    rig = load_rig(ROOT / "rigs" / "arm" / "arm.rig.yaml")
+    problem = build(rig, [Goal("tool", root="axis_1", orientation=1.0)])
+    share = np.linspace(0, 1, 100)
+    points = np.stack([0.5 + 0 * share, 0.15 * np.sin(6 * share), 0.3 + 0 * share], 1)
+    down = so3.from_axis_angle([0, 1, 0], np.pi / 2)
+    yaw = so3.from_axis_angle([0, 0, 1], np.radians(first + 380 * share))
+    targets = Targets(points[:, None], so3.multiply(yaw, down)[:, None])
+    nearest = solve(problem, None, rows_of(targets, slice(0, 1)))
+    result = follow(problem, None, targets, FollowOptions(fps=25))
+    assert result.converged.all()
+    assert result.jumps == ()
+    assert steps(result.coordinates).max() < 0.15
+    assert np.abs(result.coordinates[0] - nearest.coordinates[0]).max() > 3
+    # The motion of a clip is kept from its first pose on.
+    clip = np.repeat(nearest.coordinates, 100, axis=0)
+    kept = follow(problem, clip, targets, FollowOptions(fps=25))
+    assert np.abs(kept.coordinates[0] - nearest.coordinates[0]).max() < 0.1
