@@ -124,9 +124,7 @@ def solve_take(
             if progress is not None:
                 progress((done + share) / count)
 
-        return _brought(
-            take, wanted, free, options, still, only, told
-        )
+        return _brought(take, wanted, free, options, still, only, told)
 
     def bring_take(wanted: TargetTracks, free: tuple[Take, ...]) -> Take:
         nonlocal done, spent

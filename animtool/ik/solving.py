@@ -224,9 +224,7 @@ def _met(found: _Found, options: IkOptions) -> BoolArray:
     return np.asarray((found.misses <= _tolerances(options)).all(axis=2), np.bool_)
 
 
-def _settle(
-    problem: Problem, asked: _Asked, options: IkOptions, found: _Found
-) -> None:
+def _settle(problem: Problem, asked: _Asked, options: IkOptions, found: _Found) -> None:
     """Draw poses that came of new starts to those preferred, while goals stay met.
 
     What the goals leave free would else stay as random as the starts were.

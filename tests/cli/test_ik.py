@@ -100,6 +100,16 @@ def test_strict_refuses_what_is_missed(place: Path) -> None:
     assert json.loads(found.stdout)["goals"][1]["missed"][0]["distance"] > 2
 
 
+def test_the_joints_that_move_are_listed(place: Path) -> None:
+    text = REACH[: REACH.index("- {effector: leg_r")]
+    (place / "hand.targets.yaml").write_text(text)
+    plain = run(place, "-t", "hand.targets.yaml")
+    done = run(place, "-t", "hand.targets.yaml", "-v")
+    line = "joints that move: shoulder_l, elbow_l, forearm_l\n"
+    assert line in done.stderr
+    assert line not in plain.stderr
+
+
 def test_strict_refuses_warnings(place: Path) -> None:
     text = REACH.replace("orientation: [1", "weight: {pole: 1}, orientation: [1")
     (place / "odd.targets.yaml").write_text(text)

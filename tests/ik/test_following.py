@@ -27,7 +27,6 @@ from animtool.rig.file import load_rig
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Rig
 
-
 ROOT = Path(__file__).parents[2]
 
 

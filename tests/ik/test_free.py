@@ -150,7 +150,9 @@ def test_an_effector_comes_and_goes_without_a_pop(tmp_path: Path, still: bool) -
 def test_goals_of_other_spans_see_each_other(tmp_path: Path) -> None:
     # The tail hangs from the hips that the leg's goal moves.
     take = walk_of(legs())
-    leg = HAND.replace("leg_l, ", "ankle_l, root: hips, ").replace("[14, 26]", "[4, 36]")
+    leg = HAND.replace("leg_l, ", "ankle_l, root: hips, ").replace(
+        "[14, 26]", "[4, 36]"
+    )
     tail = "- {effector: tail, root: tail, orientation: [1, 0, 0, 0], "
     tail += "during: [[16, 22]], ease: 4}\n"
     told: list[float] = []

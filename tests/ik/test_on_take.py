@@ -283,6 +283,18 @@ def test_chains_bend_towards_their_pole_from_rest(tmp_path: Path) -> None:
         assert way * point_of(found.take, "knee_l")[0, 2] > 0.1
 
 
+@pytest.mark.parametrize("count", [1, 6])
+def test_a_preference_is_for_the_rest_pose(tmp_path: Path, count: int) -> None:
+    loose = loose_legs(1.0)
+    tracks = tracks_of(
+        tmp_path, "- {effector: leg_l, position: [0.1, 0.3, 0.0]}", loose
+    )
+    still = resting(loose, count)
+    found = solve_take(still, tracks, TakeOptions(rest_weight=1e3), still=True)
+    knee = point_of(found.take, "knee_l")
+    assert_allclose(knee, point_of(still, "knee_l"), atol=0.005)
+
+
 def test_a_chain_goes_on_from_the_side_that_it_bends_to(tmp_path: Path) -> None:
     goal = "- {effector: leg_l, position: {keys: [{t: 1, v: [0.1, 0.3, 0]}, "
     goal += "{t: 24, v: [0.3, 0.5, 0.2]}]}}"

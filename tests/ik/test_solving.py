@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,10 +15,13 @@ from animtool.errors import OptionError
 from animtool.ik import Goal, IkOptions, IkStatus, Problem, Targets, build, solve
 from animtool.ik.solving import COUNTS
 from animtool.maths import so3
-from animtool.rig.joints import coordinate_slices
+from animtool.rig.file import load_rig
+from animtool.rig.joints import coordinate_slices, local_from_coordinates
+from animtool.rig.kinematics import forward
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 
+ROOT = Path(__file__).parents[2]
 SEEDS = st.integers(0, 2**32 - 1)
 FEW = settings(max_examples=25)
 
@@ -289,6 +293,27 @@ def test_a_preference_is_sought_from_a_start_that_reaches_the_goals_too() -> Non
     result = solve(problem, start, targets, prefer=wanted)
     assert np.linalg.norm(result.coordinates) < 0.9 * np.linalg.norm(start)
     assert result.positions.max() < 1e-4
+
+
+def test_poses_of_new_starts_stay_random_in_nothing() -> None:
+    # Hands on both sides of a box before the knees, which the rest pose does not find.
+    rig = load_rig(ROOT / "rigs" / "biped" / "biped.rig.yaml")
+    goals = [
+        Goal(f"wrist_{side}", (x, -0.022, 0.0), orientation=1.0, root="spine_1")
+        for side, x in (("l", 0.07), ("r", -0.07))
+    ]
+    problem = build(rig, goals)
+    palms = so3.normalize([[-0.38, -0.38, -0.6, 0.6], [-0.38, 0.38, 0.6, 0.6]])
+    targets = Targets([[[0.2, 0.6, 0.5], [-0.2, 0.6, 0.5]]], palms[None])
+    result = solve(problem, None, targets)
+    assert result.converged[0]
+    assert result.descents[0] > 1
+    local = local_from_coordinates(rig, result.coordinates)
+    places = forward(rig, local.translations, local.rotations).positions[0]
+    for name in ("spine_4", "neck_1", "head"):
+        assert abs(places[rig.index(name), 0]) < 1e-4
+    left, right = (places[rig.index(f"elbow_{side}")] for side in "lr")
+    np.testing.assert_allclose(left, right * [-1, 1, 1], atol=1e-4)
 
 
 def test_limits_that_hold_are_named() -> None:
