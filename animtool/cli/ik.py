@@ -180,8 +180,8 @@ Examples:
     default=0.0,
     show_default=True,
     metavar="WEIGHT",
-    help="How strongly each frame's pose in START, or the rest pose, is kept; the goals "
-    "give way by about as much.",
+    help="How strongly each frame's pose in START, or the rest pose, is kept; the "
+    "goals give way by about as much.",
 )
 @click.option(
     "--smooth",

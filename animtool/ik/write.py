@@ -134,8 +134,9 @@ def _choices(track: GoalTrack, goal: Goal) -> Iterator[str]:
     ):
         if value != usual:
             yield f"{key}: {number(value)}"
-    if track.spans:
-        yield f"hold: {flow([_flow(span) for span in track.spans])}"
+    for key, spans in (("hold", track.spans), ("during", track.during)):
+        if spans:
+            yield f"{key}: {flow([_flow(span) for span in spans])}"
     if track.ease != USUAL_EASE:
         yield f"ease: {number(track.ease)}"
 

@@ -24,8 +24,9 @@ from animtool.take import Channel, Clock, Motion, Take
 FIRST, LAST, EASE = 14, 26, 6
 VALUES = (
     "position: {keys: [{t: 1, v: [0.1, 0.3, 0]}, {t: 40, v: [0.5, 0.5, 0.3]}]}, "
-    "orientation: {euler: XYZ, keys: [{t: 1, v: [20, 0, 0]}, {t: 40, v: [0, 50, 9]}]}, "
-    "aim: {axis: [0, 1, 0], at: {keys: [{t: 1, v: [1, 2, 0]}, {t: 40, v: [0, 2, 1]}]}}, "
+    "orientation: {euler: XYZ, keys: [{t: 1, v: [9, 0, 0]}, {t: 40, v: [0, 50, 9]}]}, "
+    "aim: {axis: [0, 1, 0], at: {keys: [{t: 1, v: [1, 2, 0]}, {t: 40, v: [0, 2, 1]}]}},"
+    " "
     "pole: {keys: [{t: 1, v: [0.5, 0.5, 2]}, {t: 40, v: [0.1, 0.5, 2]}]}"
 )
 ALWAYS = f"- {{effector: leg_l, {VALUES}}}\n"
@@ -96,8 +97,8 @@ def test_targets_join_the_free_motion_and_the_track_smoothly(tmp_path: Path) -> 
 def test_directions_turn_from_one_to_the_other(
     numbers: list[float], share: float, opposite: bool
 ) -> None:
-    start = np.array([numbers[:3]]) + [[0.0, 0.0, 1.5]]
-    end = -2 * start if opposite else np.array([numbers[3:]]) + [[0.0, 1.5, 0.0]]
+    start = np.add([numbers[:3]], [0.0, 0.0, 1.5])
+    end = -2 * start if opposite else np.add([numbers[3:]], [0.0, 1.5, 0.0])
     found = swung(start, end, np.array([share]))
     assert_allclose(np.linalg.norm(found), np.linalg.norm(end), rtol=1e-12)
 
@@ -108,7 +109,7 @@ def test_directions_turn_from_one_to_the_other(
     assert_allclose(swung(start, end, np.ones(1)), end, atol=1e-7)
 
 
-def test_a_pole_begins_where_the_limb_bends(tmp_path: Path) -> None:
+def test_a_pole_begins_where_the_limb_bends() -> None:
     take = walk_of(legs())
     goal = Goal("ankle_l", root="hip_l", pole=1.0)
     free = FreeEffector(take.rig, goal, take.world())

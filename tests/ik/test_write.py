@@ -27,6 +27,7 @@ EVERYTHING = """\
   stretch: 0.1
   soft: 0.05
   hold: [[3, 5], [7, 9.5]]
+  during: [[2, 9.5], [11, 12]]
   ease: 1.5
 - effector: tail
   root: hips
