@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from animtool import _kernels
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.ik.chain import BALL, Chain
-from animtool.ik.goals import Targets
+from animtool.ik.goals import Targets, rows_of
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult
 from animtool.ik.solving import IkOptions, solve
@@ -108,12 +108,6 @@ def price(misses: FloatArray, reached: BoolArray) -> FloatArray:
     """Return the cost of misses ``(F, E, 4)``, 0 where goals are reached ``(F,)``."""
     cost = MISSED * (1.0 + (misses**2).sum(axis=(1, 2)))
     return np.where(reached, 0.0, cost)
-
-
-def rows_of(targets: Targets, frames: IntArray | slice) -> Targets:
-    """Return the targets of some frames."""
-    parts = [getattr(targets, part.name) for part in fields(Targets)]
-    return Targets(*[None if p is None else np.asarray(p)[frames] for p in parts])
 
 
 def branches(stretch: Stretch, count: int, seed: int) -> tuple[FloatArray, FloatArray]:

@@ -9,8 +9,8 @@ import numpy as np
 
 from animtool._types import ArrayLike, FloatArray
 from animtool.errors import Fault, OptionError
-from animtool.ik.branches import Stretch, best_path, branches, price, rows_of, woven
-from animtool.ik.goals import Targets
+from animtool.ik.branches import Stretch, best_path, branches, price, woven
+from animtool.ik.goals import Targets, rows_of
 from animtool.ik.jumps import explained, jumping, named, strain
 from animtool.ik.methods import IkMethod
 from animtool.ik.path import path_of

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import difflib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-from animtool._types import ArrayLike, BoolArray, FloatArray
+from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, OptionError, excerpt
 from animtool.rig.parts import Vector
 from animtool.rig.skeleton import Rig
 
-__all__ = ["Goal", "Targets"]
+__all__ = ["Goal", "Targets", "rows_of"]
 
 # Numbers beyond this have no square [m]; no character is so large.
 FARTHEST = 1e100
@@ -149,6 +149,12 @@ def _root_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
         return []
     message = f"its root {goal.root!r} is not above {goal.joint!r}"
     return [Fault("IK007", message, where=where)]
+
+
+def rows_of(targets: Targets, frames: IntArray | slice) -> Targets:
+    """Return the targets of some frames."""
+    parts = [getattr(targets, part.name) for part in fields(Targets)]
+    return Targets(*[None if p is None else np.asarray(p)[frames] for p in parts])
 
 
 def pack(targets: Targets, goals: tuple[Goal, ...]) -> FloatArray:

@@ -15,10 +15,9 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.documents.check import nearest
 from animtool.errors import Fault, OptionError
-from animtool.ik.branches import rows_of
 from animtool.ik.carried import Part, parts_of
 from animtool.ik.followers import followers
-from animtool.ik.goals import Goal, Targets
+from animtool.ik.goals import Goal, Targets, rows_of
 from animtool.ik.methods import IkMethod, serving
 from animtool.ik.on_limits import frames_on_limits
 from animtool.ik.problem import Problem, build

@@ -9,7 +9,6 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray
 from animtool.errors import Fault, Severity, counted, listed
-from animtool.ik.follow import FollowOptions
 from animtool.ik.on_take import TakeIk
 from animtool.ik.result import IkStatus
 from animtool.ik.tracks import PARTS
@@ -220,6 +219,8 @@ def span_notices(solved: TakeIk) -> list[Fault]:
 
 def jump_notices(solved: TakeIk) -> list[Fault]:
     """Return a warning where joints jump, with the largest of them."""
+    from animtool.ik.following import FollowOptions
+
     if not solved.jumps:
         return []
     worst = max(solved.jumps, key=lambda jump: jump.size)
