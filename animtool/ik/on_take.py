@@ -362,7 +362,7 @@ class _Run:
         for e, track in enumerate(self.tracks.goals):
             if track.goal.pole or not _bends(problem, track, origins):
                 continue
-            if track.during and not weights[0, e].any():
+            if not (weights[0, e] * track.goal.weights).any():
                 continue
             goals[e] = replace(track.goal, pole=1.0)
             point = _pole(self.rig, track, self.world, part.frames.start)

@@ -219,10 +219,10 @@ def span_notices(solved: TakeIk) -> list[Fault]:
 
 def jump_notices(solved: TakeIk) -> list[Fault]:
     """Return a warning where joints jump, with the largest of them."""
-    from animtool.ik.following import FollowOptions
-
     if not solved.jumps:
         return []
+    from animtool.ik.following import FollowOptions
+
     worst = max(solved.jumps, key=lambda jump: jump.size)
     frame = solved.take.clock.times[worst.frame]
     others = len(solved.jumps) - 1
