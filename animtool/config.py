@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -21,10 +22,14 @@ class Config:
         start: Time code of the first frame, often 1001; None leaves it at 1.
         roots: Folders that files of the project may refer into: the one that the
             settings are in, and those they name.
+        validate: What `animtool validate` makes of it, as written.
+        path: The file that says so; None where there is none.
     """
 
     start: Fraction | None = None
     roots: tuple[Path, ...] = ()
+    validate: Mapping[str, Any] = field(default_factory=dict)
+    path: Path | None = None
 
 
 def find_config(path: Path) -> Config:
@@ -60,7 +65,7 @@ def _config(path: Path, table: Any) -> Config:
     if not isinstance(table, dict):
         message = f"animtool is {table!r}, not a table of settings"
         raise OptionError(Fault("CFG001", message, str(path)))
-    names = [field.name for field in fields(Config)]
+    names = [entry.name for entry in fields(Config) if entry.name != "path"]
     for name in table:
         if name not in names:
             allowed = f"allowed: {', '.join(names)}"
@@ -77,7 +82,11 @@ def _config(path: Path, table: Any) -> Config:
         message = f"roots is {roots!r}, not a list of folders"
         raise OptionError(Fault("CFG003", message, str(path)))
     folders = (path.parent, *(path.parent / root for root in roots))
-    return Config(None if start is None else Fraction(start), folders)
+    validate = table.get("validate", {})
+    if not isinstance(validate, dict):
+        message = f"validate is {validate!r}, not a table of settings"
+        raise OptionError(Fault("CFG003", message, str(path)))
+    return Config(None if start is None else Fraction(start), folders, validate, path)
 
 
 def project_roots(path: Path) -> tuple[Path, ...]:

@@ -23,7 +23,14 @@ from animtool.rig.skeleton import Rig
 from animtool.rig.targets import split_part
 from animtool.units import LengthUnit
 
-__all__ = ["ClipFile", "check_clip", "load_clip", "load_rig_of", "open_clip"]
+__all__ = [
+    "ClipFile",
+    "check_clip",
+    "clip_of_document",
+    "load_clip",
+    "load_rig_of",
+    "open_clip",
+]
 
 # Motion, and what takes its place: one of them may hold a joint.
 _REPLACED = {
@@ -69,7 +76,11 @@ def open_clip(path: Path | str) -> ClipFile:
     Raises:
         FormatError: It is no clip file of a version that is known.
     """
-    document = read_document(Path(path))
+    return clip_of_document(read_document(Path(path)))
+
+
+def clip_of_document(document: Document) -> ClipFile:
+    """Return the clip file of a document; see `open_clip`."""
     check_version(document, "clip")
     model = validated(document, ClipModel)
     rig = None

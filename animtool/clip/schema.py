@@ -11,6 +11,7 @@ from annotated_types import Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
+from animtool.documents.ignore import IgnoreModel
 
 __all__ = ["ChannelModel", "ClipModel", "CurveModel", "JoinModel", "KeyModel"]
 
@@ -175,4 +176,9 @@ class ClipModel(FileModel):
         default=[],
         description="What moves. None, with a range, holds the rig at rest.",
         examples=[[{"target": "control/grip", "keys": [{"t": 1.0, "v": 0.0}]}]],
+    )
+    ignore: list[IgnoreModel] = Field(
+        default=[],
+        description="Findings of `animtool validate` that are known and stay.",
+        examples=[[{"code": "CLIP201", "why": "it is meant"}]],
     )

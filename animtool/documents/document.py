@@ -162,7 +162,7 @@ class Document:
     ) -> None:
         """Note a fault at a location, unless something stands in for what is there."""
         if not self.doubtful(location):
-            self.faults.append(self._fault(code, location, message, hint))
+            self.faults.append(self.fault(code, location, message, hint))
 
     def warn(
         self, code: str, location: Location, message: str, hint: str | None = None
@@ -185,12 +185,13 @@ class Document:
         hint: str | None,
     ) -> None:
         if not self.doubtful(location):
-            found = self._fault(code, location, message, hint)
+            found = self.fault(code, location, message, hint)
             self.notices.append(replace(found, severity=severity))
 
-    def _fault(
-        self, code: str, location: Location, message: str, hint: str | None
+    def fault(
+        self, code: str, location: Location, message: str, hint: str | None = None
     ) -> Fault:
+        """Return a fault at a location, without noting it."""
         line, column = self.place(location)
         where = spelled(tuple(self._as_written(location)))
         path = str(self.path)

@@ -11,6 +11,7 @@ from annotated_types import Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
+from animtool.documents.ignore import IgnoreModel
 from animtool.rig.skeleton import ChannelName
 
 __all__ = ["JointModel", "RigModel", "UnitsModel"]
@@ -535,4 +536,9 @@ class RigModel(FileModel):
         default=[],
         description="What simulations may not pass through.",
         examples=[[{"joint": "head", "capsule": {"radius": 0.08}}]],
+    )
+    ignore: list[IgnoreModel] = Field(
+        default=[],
+        description="Findings of `animtool validate` that are known and stay.",
+        examples=[[{"code": "RIG201", "why": "it is meant"}]],
     )

@@ -25,7 +25,7 @@ from animtool.scene.sources import SourceOptions, open_source, takes_option
 from animtool.take import Motion, Take, TakeStream
 from animtool.units import LengthUnit, UpAxis, parse_length
 
-__all__ = ["Scene", "ScenePass", "load_scene"]
+__all__ = ["Scene", "ScenePass", "load_scene", "scene_of_document"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +122,11 @@ def load_scene(path: Path | str) -> Scene:
     Raises:
         FormatError: With every fault of the file, each with line and column.
     """
-    document = read_document(Path(path))
+    return scene_of_document(read_document(Path(path)))
+
+
+def scene_of_document(document: Document) -> Scene:
+    """Return the scene of a document; see `load_scene`."""
     check_version(document, "scene")
     model = validated(document, SceneModel)
     reader = _SceneReader(document, model)

@@ -11,6 +11,7 @@ from annotated_types import Ge, Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
+from animtool.documents.ignore import IgnoreModel
 
 __all__ = ["SceneModel"]
 
@@ -175,4 +176,9 @@ class SceneModel(FileModel):
         default=OutputModel(),
         description="What is written; options of the command line come first.",
         examples=[{"file": "shot.usdc"}],
+    )
+    ignore: list[IgnoreModel] = Field(
+        default=[],
+        description="Findings of `animtool validate` that are known and stay.",
+        examples=[[{"code": "SCN102", "why": "it is meant"}]],
     )

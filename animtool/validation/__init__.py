@@ -1,0 +1,1 @@
+"""Rules on rigs, clips, scenes and captures, and what they find."""

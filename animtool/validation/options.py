@@ -1,0 +1,86 @@
+"""Which codes count, and how much: for a call, a project and a file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+
+from animtool.documents.check import nearest
+from animtool.errors import Fault, OptionError, Severity
+from animtool.validation.tables import RULES, all_rules
+
+__all__ = ["Options", "check_codes"]
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What to look for. Codes may be given by their beginning: ``RIG``, ``RIG2``.
+
+    Attributes:
+        select: Codes that count; none is all.
+        ignore: Codes that do not. Of a code that both name, the longer one decides.
+        severity: Severities that take the place of the rules' own, by code.
+        jobs: Processes; None is as many as the machine has, where there is enough
+            to do. More than one need a script that can be imported.
+    """
+
+    select: tuple[str, ...] = ()
+    ignore: tuple[str, ...] = ()
+    severity: Mapping[str, Severity] = field(default_factory=dict)
+    jobs: int | None = 1
+
+    def counts(self, code: str) -> bool:
+        """Return whether a code is looked for.
+
+        >>> Options(select=("RIG",), ignore=("RIG2",)).counts("RIG201")
+        False
+        """
+        chosen = _longest(code, self.select) if self.select else 0
+        return chosen >= 0 and chosen > _longest(code, self.ignore)
+
+    def of(self, fault: Fault) -> Fault:
+        """Return a finding with the severity that is asked for."""
+        best = _longest(fault.code, self.severity)
+        if best < 0:
+            return fault
+        return replace(fault, severity=self.severity[fault.code[:best]])
+
+    def within(self, project: Options) -> Options:
+        """Return these options where a project has some: what is given here wins."""
+        return replace(
+            self,
+            select=self.select or project.select,
+            ignore=(*project.ignore, *self.ignore),
+            severity={**project.severity, **self.severity},
+        )
+
+
+def _longest(code: str, beginnings: Iterable[str]) -> int:
+    """Return the length of the longest beginning of a code, -1 for none."""
+    return max((len(b) for b in beginnings if code.startswith(b)), default=-1)
+
+
+def check_codes(options: Options, path: str | None = None) -> None:
+    """Refuse codes that none begins with.
+
+    Args:
+        options: As given.
+        path: The settings that say so.
+
+    Raises:
+        OptionError: With a fault for each (VAL005).
+    """
+    faults = []
+    for given in (*options.select, *options.ignore, *options.severity):
+        if given and any(code.startswith(given) for code in RULES):
+            continue
+        rules, _ = all_rules()
+        if given and any(code.startswith(given) for code in rules):
+            continue
+        message = f"no code is or begins with {given!r}"
+        hint = nearest(given, list(rules))
+        if hint.startswith("allowed"):
+            hint = "animtool explain lists them"
+        faults.append(Fault("VAL005", message, path, (), hint))
+    if faults:
+        raise OptionError(faults)

@@ -1,0 +1,50 @@
+"""A rule: a code, what it says, and the function that looks for it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, cast
+
+from animtool.errors import Fault, Severity
+from animtool.plugins import load_object
+
+__all__ = ["Check", "Kind", "Rule"]
+
+Check = Callable[[Any], Iterable[Fault]]
+
+
+class Kind(StrEnum):
+    """What a file is."""
+
+    RIG = "rig"
+    CLIP = "clip"
+    SCENE = "scene"
+    BVH = "bvh"
+    USD = "usd"
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """One code.
+
+    Attributes:
+        code: Family and three digits, such as ``RIG201``.
+        title: What it says, a line without a full stop.
+        severity: Of its findings.
+        kind: Of the files that `check` looks at; None for a code that readers or
+            commands say by themselves.
+        check: ``module:function`` of a function from the subject of such a file to
+            its faults; empty where there is none.
+    """
+
+    code: str
+    title: str
+    severity: Severity = Severity.ERROR
+    kind: Kind | None = None
+    check: str = ""
+
+    def load(self) -> Check:
+        """Return the function of a rule that has one."""
+        return cast(Check, load_object(self.check))

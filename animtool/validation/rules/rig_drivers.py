@@ -1,0 +1,249 @@
+"""Controls: what they drive, and how far, over the whole of their ranges."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.documents.document import Location
+from animtool.errors import Fault
+from animtool.maths import so3
+from animtool.rig.controls import Control, DrivenValues, evaluate_controls
+from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.parts import Shape
+from animtool.rig.shapes import combination_order
+from animtool.rig.skeleton import Joint
+from animtool.validation.rules.rig_limits import shown
+from animtool.validation.subjects.rig import RigSubject
+
+__all__ = ["beyond_limits", "beyond_range", "idle", "never_acts", "undefined"]
+
+# Values of each control that are looked at, beside the points of its curves.
+SAMPLES = 17
+# Poses of all controls at once, in which a corrective must act in some.
+POSES = 2048
+# Share of the poses in which a control is at an end of its range.
+AT_ENDS = 0.8
+# Beyond rounding of degrees in a file [rad], [m]; of a range, as a share [1].
+SLACK = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class _Sweep:
+    """Every control led over its range, one after the other.
+
+    Attributes:
+        moved: Which control moves in each frame ``(F,)``.
+        keyed: Values of all of them ``(F,)``.
+        driven: What they come to.
+    """
+
+    moved: list[Control]
+    keyed: dict[str, FloatArray]
+    driven: DrivenValues
+
+    def worst(self, excess: FloatArray) -> Iterator[tuple[Control, int]]:
+        """Yield controls that lead beyond something, and the frame where most."""
+        wide = np.broadcast_to(np.abs(excess), len(self.moved))
+        worst: dict[str, int] = {}
+        for frame in np.flatnonzero(wide > SLACK).tolist():
+            name = self.moved[frame].name
+            best = worst.get(name)
+            if best is None or wide[frame] > wide[best]:
+                worst[name] = frame
+        for frame in worst.values():
+            yield self.moved[frame], frame
+
+
+def beyond_limits(rig: RigSubject) -> Iterator[Fault]:
+    """Yield controls that drive a joint beyond its limits (RIG204)."""
+    sweep = _sweep(rig)
+    if sweep is None:
+        return
+    for joint in rig.rig.joints:
+        excess = _excess(joint, sweep.driven.targets)
+        if excess is None:
+            continue
+        for control, frame in sweep.worst(excess):
+            value = float(sweep.keyed[control.name][frame])
+            far = float(np.broadcast_to(excess, len(sweep.moved))[frame])
+            message = (
+                f"{control.name!r} at {value:g} drives {joint.name!r} "
+                f"{shown(rig, joint, abs(far))} beyond its limits"
+            )
+            at = _drive(rig, control, f"joint/{joint.name}.")
+            hint = "widen the limits, or drive it less far"
+            yield rig.fault("RIG204", at, message, hint)
+
+
+def beyond_range(rig: RigSubject) -> Iterator[Fault]:
+    """Yield controls that drive another beyond its range (RIG206)."""
+    sweep = _sweep(rig)
+    if sweep is None:
+        return
+    for control in rig.rig.controls:
+        if control.low is None or control.high is None:
+            continue
+        reached = sweep.driven.reached[control.name]
+        width = max(control.high - control.low, SLACK)
+        excess = (reached - np.clip(reached, control.low, control.high)) / width
+        for by, frame in sweep.worst(excess):
+            value = float(sweep.keyed[by.name][frame])
+            there = float(np.broadcast_to(reached, len(sweep.moved))[frame])
+            message = (
+                f"{by.name!r} at {value:g} drives {control.name!r} to {there:.4g}; its "
+                f"range is {control.low:g} to {control.high:g}"
+            )
+            at = _drive(rig, by, f"control/{control.name}")
+            hint = "clamp(…) in the expression, or a wider range"
+            yield rig.fault("RIG206", at, message, hint)
+
+
+def undefined(rig: RigSubject) -> Iterator[Fault]:
+    """Yield drives that have no value somewhere in a control's range (RIG207)."""
+    sweep = _sweep(rig)
+    if sweep is None:
+        return
+    values = sweep.driven.controls
+    for control in rig.rig.controls:
+        for k, drive in enumerate(control.drives):
+            with np.errstate(all="ignore"):
+                added = drive.evaluate(control.name, values)
+            wrong = np.broadcast_to(~np.isfinite(added), len(sweep.moved))
+            if not wrong.any():
+                continue
+            frame = int(wrong.argmax())
+            by = sweep.moved[frame]
+            value = float(sweep.keyed[by.name][frame])
+            text = drive.expression.text if drive.expression else ""
+            message = f"{text!r} has no value where {by.name!r} is {value:g}"
+            hint = "divide by nothing that may be 0; log and sqrt need more than 0"
+            at = (*rig.at("controls", control.name), "drives", k)
+            yield rig.fault("RIG207", at, message, hint)
+
+
+def never_acts(rig: RigSubject) -> Iterator[Fault]:
+    """Yield correctives that no pose of the controls brings about (RIG208)."""
+    combined = [shape for shape in rig.rig.shapes if shape.combine]
+    driven = {
+        drive.target.removeprefix("shape/")
+        for control in rig.rig.controls
+        for drive in control.drives
+        if drive.target.startswith("shape/")
+    }
+    if not combined or not driven:
+        return
+    weights = _weights(rig, driven)
+    for shape in combined:
+        own = [name for name in shape.combine if name not in weights]
+        at = (*rig.at("shapes", shape.name), "combine")
+        if own:
+            message = f"no control drives {own[0]!r}, of which {shape.name!r} is made"
+            yield rig.fault("RIG208", at, message, "drive it, or leave the shape out")
+        elif not _product(shape, weights).any():
+            message = f"{shape.name!r} is 0 in every pose of the controls"
+            hint = f"{' and '.join(shape.combine)} are never both more than 0"
+            yield rig.fault("RIG208", at, message, hint)
+
+
+def idle(rig: RigSubject) -> Iterator[Fault]:
+    """Yield controls that drive nothing and that no expression reads (RIG220)."""
+    read = {
+        name
+        for control in rig.rig.controls
+        for drive in control.drives
+        if drive.expression is not None
+        for name in drive.expression.names
+    }
+    for control in rig.rig.controls:
+        if not control.drives and control.name not in read:
+            message = f"{control.name!r} drives nothing, and nothing reads it"
+            at = rig.at("controls", control.name)
+            yield rig.fault("RIG220", at, message, "give it drives, or leave it out")
+
+
+@lru_cache(maxsize=1)
+def _sweep(rig: RigSubject) -> _Sweep | None:
+    """Return what each control does while the others are at their defaults."""
+    controls = rig.rig.controls
+    ranges = {control.name: _values(control) for control in controls}
+    count = sum(map(len, ranges.values()))
+    if not count:
+        return None
+    keyed: dict[str, FloatArray] = {}
+    moved: list[Control] = []
+    for control in controls:
+        values = np.full(count, control.default)
+        own = ranges[control.name]
+        values[len(moved) : len(moved) + len(own)] = own
+        moved += [control] * len(own)
+        keyed[control.name] = values
+    with np.errstate(all="ignore"):
+        driven = evaluate_controls(controls, keyed)
+    return _Sweep(moved, keyed, driven)
+
+
+def _values(control: Control) -> FloatArray:
+    if control.low is None or control.high is None:
+        return np.zeros(0)
+    corners = [x for drive in control.drives for x, _ in drive.curve]
+    spread = np.linspace(control.low, control.high, SAMPLES)
+    found = np.concatenate([spread, np.array(corners, np.float64)])
+    return np.unique(np.clip(found, control.low, control.high))
+
+
+def _excess(joint: Joint, targets: dict[str, FloatArray]) -> FloatArray | None:
+    """Return how far controls drive a joint beyond its limits ``(F,)``."""
+    if isinstance(joint.limits, RangeLimit):
+        part = "slide" if joint.type == "prismatic" else "angle"
+        value = targets.get(f"joint/{joint.name}.{part}")
+        return None if value is None else joint.limits.excess(value)
+    if isinstance(joint.limits, BallLimit):
+        names = [f"joint/{joint.name}.rotation.{axis}" for axis in "xyz"]
+        if not any(name in targets for name in names):
+            return None
+        parts = [targets.get(name, np.zeros(1)) for name in names]
+        turn = so3.exp(np.stack(np.broadcast_arrays(*parts), axis=-1))
+        finite = np.isfinite(turn).all(axis=-1, keepdims=True)
+        return joint.limits.excess(np.where(finite, turn, so3.IDENTITY))
+    return None
+
+
+def _drive(rig: RigSubject, control: Control, target: str) -> Location:
+    """Return the drive of a control that leads to a target, or the control."""
+    at = rig.at("controls", control.name)
+    for k, drive in enumerate(control.drives):
+        if f"{drive.target}.".startswith(target):
+            return (*at, "drives", k)
+    return at
+
+
+def _weights(rig: RigSubject, driven: set[str]) -> dict[str, FloatArray]:
+    """Return weights of driven and combined shapes, in poses of all controls."""
+    rng = np.random.default_rng(0)
+    keyed = {}
+    for control in rig.rig.controls:
+        low = -1.0 if control.low is None else control.low
+        high = 1.0 if control.high is None else control.high
+        ends = np.where(rng.random(POSES) < 0.5, low, high)
+        inner = rng.uniform(low, high, POSES)
+        keyed[control.name] = np.where(rng.random(POSES) < AT_ENDS, ends, inner)
+    with np.errstate(all="ignore"):
+        targets = evaluate_controls(rig.rig.controls, keyed).targets
+    weights = {name: targets[f"shape/{name}"] for name in sorted(driven)}
+    for shape in combination_order(rig.rig.shapes):
+        if shape.combine and all(name in weights for name in shape.combine):
+            own = weights.get(shape.name, np.zeros(1))
+            weights[shape.name] = own + _product(shape, weights)
+    return weights
+
+
+def _product(shape: Shape, weights: dict[str, FloatArray]) -> FloatArray:
+    product = np.ones(1)
+    for name in shape.combine:
+        product = product * weights[name]
+    return product

@@ -1,0 +1,83 @@
+"""The bind pose, the size and the names of a rig."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from animtool.errors import Fault
+from animtool.maths import so3
+from animtool.units import LengthUnit, unit_name
+from animtool.validation.subjects.rig import RigSubject
+
+__all__ = ["names_collide", "nearly_rest", "odd_size"]
+
+# A bind pose that differs by less of the rig's size, and by a smaller angle, is a slip.
+SLIP = 1e-3
+SLIP_ANGLE = math.radians(0.5)
+# Characters are of such a size [m]; a unit that is wrong is wrong by 39 or more.
+LIKELY_METERS = (0.05, 30.0)
+# Fewer joints are a prop, of any size.
+FEWEST_JOINTS = 8
+
+
+def nearly_rest(rig: RigSubject) -> Iterator[Fault]:
+    """Yield bind poses that are the rest pose but for a hair (RIG216)."""
+    for name in rig.document.value.get("bind", {}):
+        if name not in rig.rig.bind or not rig.size:
+            continue
+        pose, joint = rig.rig.bind[name], rig.rig.joints[rig.rig.index(name)]
+        away = math.dist(pose.translation, joint.translation)
+        rotations = np.array([pose.rotation]), np.array([joint.rotation])
+        turn = float(so3.angle_between(*rotations)[0])
+        if away <= SLIP * rig.size and turn <= SLIP_ANGLE:
+            message = (
+                f"the bind pose of {name!r} is its rest pose but for {away:.3g} m and "
+                f"{math.degrees(turn):.3g}\N{DEGREE SIGN}"
+            )
+            hint = "leave it out, or write the pose that the skin was made in"
+            yield rig.fault("RIG216", ("bind", name), message, hint)
+
+
+def odd_size(rig: RigSubject) -> Iterator[Fault]:
+    """Yield a size that fits another unit better (RIG217)."""
+    low, high = LIKELY_METERS
+    if len(rig.rig.joints) < FEWEST_JOINTS or low <= rig.size <= high or not rig.size:
+        return
+    own = rig.rig.meters_per_unit
+    fitting = [
+        str(unit)
+        for unit in LengthUnit
+        if low <= rig.size / own * unit.meters <= high and unit.meters != own
+    ]
+    at = ("units", "length") if "units" in rig.document.value else ("joints",)
+    message = f"the rig measures {rig.size:.3g} m, its lengths being {unit_name(own)}"
+    hint = f"length: {' or '.join(fitting)} fits better" if fitting else None
+    yield rig.fault("RIG217", at, message, hint)
+
+
+def names_collide(rig: RigSubject) -> Iterator[Fault]:
+    """Yield names that USD cannot tell apart (RIG219)."""
+    groups: dict[str, Sequence[str]] = {
+        "joints": rig.rig.names,
+        "meshes": [mesh.name for mesh in rig.rig.meshes],
+        "shapes": [shape.name for shape in rig.rig.shapes],
+    }
+    for key, names in groups.items():
+        first: dict[str, str] = {}
+        for name in names:
+            legal = _legal(name)
+            if legal in first:
+                message = f"{name!r} and {first[legal]!r} both become {legal!r} in USD"
+                hint = "the second gets a number there; rename one"
+                yield rig.fault("RIG219", rig.at(key, name), message, hint)
+            first.setdefault(legal, name)
+
+
+def _legal(name: str) -> str:
+    """Return a name with `_` for whatever cannot stand in the name of a prim."""
+    legal = re.sub(r"\W", "_", name)
+    return f"_{legal}" if legal[:1].isdigit() else legal

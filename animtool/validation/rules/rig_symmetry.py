@@ -1,0 +1,137 @@
+"""Left and right of a rig that are written each on its own."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.errors import Fault
+from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.skeleton import Joint
+from animtool.validation.subjects.rig import RigSubject
+
+__all__ = ["other_limits", "other_place", "other_side"]
+
+# Bones that differ by less of the rig's size are alike [1].
+SAME_PLACE = 1e-4
+# Limits that differ by less are alike [rad], [m].
+SAME_LIMIT = 1e-6
+_SIDES = {"l": "r", "r": "l", "left": "right", "right": "left"}
+# A letter on its own, or a word that begins or ends as names are put together.
+_SIDE = re.compile(
+    r"(?<![A-Za-z0-9])[lrLR](?![A-Za-z0-9])"
+    r"|(?<![a-z])(?:left|right)(?![a-z])|(?:Left|Right)(?![a-z])"
+)
+
+
+def other_side(name: str) -> str | None:
+    """Return what the joint of the other side would be called.
+
+    >>> other_side("arm_l"), other_side("LeftArm"), other_side("clavicle")
+    ('arm_r', 'RightArm', None)
+    """
+
+    def swap(found: re.Match[str]) -> str:
+        word = found[0]
+        swapped = _SIDES[word.lower()]
+        return swapped.capitalize() if word[0].isupper() else swapped
+
+    swapped = _SIDE.sub(swap, name)
+    return None if swapped == name else swapped
+
+
+def other_place(rig: RigSubject) -> Iterator[Fault]:
+    """Yield bones of a pair that are no mirror images at rest (RIG212)."""
+    pairs = _pairs(rig)
+    alike = _alike(rig, pairs)
+    if not _symmetric(alike):
+        return
+    for (left, right), same in zip(pairs, alike.tolist(), strict=True):
+        if not same:
+            at = (*rig.at("joints", right.name), "translate")
+            message = f"{right.name!r} is no mirror image of {left.name!r} at rest"
+            hint = f"mirror: {right.name} in {left.name!r} writes it"
+            yield rig.fault("RIG212", at, message, hint)
+
+
+def other_limits(rig: RigSubject) -> Iterator[Fault]:
+    """Yield joints of a pair with other types or limits (RIG213)."""
+    pairs = _pairs(rig)
+    if not _symmetric(_alike(rig, pairs)):
+        return
+    for left, right in pairs:
+        what = "limits"
+        if left.type is not right.type:
+            what = "type"
+        elif _same_limits(left, right):
+            continue
+        at = (*rig.at("joints", right.name), what)
+        message = f"{right.name!r} has another {what} than {left.name!r}"
+        if what == "limits":
+            message = f"{right.name!r} has other limits than {left.name!r}"
+        hint = f"mirror: {right.name} in {left.name!r} writes it"
+        yield rig.fault("RIG213", at, message, hint)
+
+
+def _pairs(rig: RigSubject) -> list[tuple[Joint, Joint]]:
+    """Return joints and their counterparts that no mirror wrote."""
+    places = {joint.name: i for i, joint in enumerate(rig.rig.joints)}
+    pairs = []
+    for i, joint in enumerate(rig.rig.joints):
+        other = places.get(other_side(joint.name) or "", -1)
+        if other > i and not joint.mirror:
+            pairs.append((joint, rig.rig.joints[other]))
+    return pairs
+
+
+def _alike(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> FloatArray:
+    """Return whether pairs are mirror images ``(P,)``, in the plane that most are."""
+    positions, _ = rig.rest
+    parents = rig.rig.parents
+    bones = positions - np.where(parents[:, None] < 0, 0.0, positions[parents])
+    left, right = (
+        bones[[rig.rig.index(pair[side].name) for pair in pairs]].reshape(-1, 3)
+        for side in (0, 1)
+    )
+    best = np.zeros(len(pairs), bool)
+    for axis in range(3):
+        across = np.ones(3)
+        across[axis] = -1.0
+        off = np.linalg.norm(left * across - right, axis=1)
+        alike = off <= SAME_PLACE * max(rig.size, SAME_PLACE)
+        # Bones in the plane itself are alike in any.
+        if np.count_nonzero(alike) > np.count_nonzero(best):
+            best = alike
+    return best
+
+
+def _symmetric(alike: FloatArray) -> bool:
+    """Return whether a rig is meant to have two sides that are alike."""
+    return len(alike) > 1 and 2 * int(np.count_nonzero(alike)) >= len(alike)
+
+
+def _same_limits(left: Joint, right: Joint) -> bool:
+    match left.limits, right.limits:
+        case RangeLimit() as one, RangeLimit() as two:
+            return _same_range((one.low, one.high), (two.low, two.high))
+        case BallLimit() as one, BallLimit() as two:
+            swings = (one.swing or (), two.swing or ())
+            same = len(swings[0]) == len(swings[1]) and np.allclose(
+                sorted(swings[0]), sorted(swings[1]), rtol=0, atol=SAME_LIMIT
+            )
+            if one.twist is None or two.twist is None:
+                return bool(same) and one.twist == two.twist
+            return bool(same) and _same_range(one.twist, two.twist)
+        case one, two:
+            return one is None and two is None
+
+
+def _same_range(one: tuple[float, float], two: tuple[float, float]) -> bool:
+    """Return whether two ranges are the same, or the same the other way round."""
+    return any(
+        np.allclose(one, other, rtol=0, atol=SAME_LIMIT)
+        for other in (two, (-two[1], -two[0]))
+    )

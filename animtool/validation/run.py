@@ -1,0 +1,188 @@
+"""Validation: files opened, their rules run, what is found put in order."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+
+from animtool.errors import AnimtoolError, ExitCode, Fault, Severity, excerpt
+from animtool.validation.files import find_files
+from animtool.validation.ignores import Ignores
+from animtool.validation.options import Options, check_codes
+from animtool.validation.rule import Rule
+from animtool.validation.settings import settings_of
+from animtool.validation.subjects.open import open_file
+from animtool.validation.subjects.subject import Opened
+from animtool.validation.tables import all_rules
+
+__all__ = ["Report", "validate", "validate_files"]
+
+# Fewer files are done before another process has started.
+FEWEST_EACH = 40
+# Files that a process takes at a time.
+CHUNK = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What was found.
+
+    Attributes:
+        files: That were looked at, in order.
+        findings: By file, line and column.
+        broken: Plug-in rules that could not be loaded.
+    """
+
+    files: tuple[Path, ...]
+    findings: tuple[Fault, ...]
+    broken: tuple[Fault, ...] = ()
+
+    def count(self, severity: Severity) -> int:
+        """Return how many findings are of a severity."""
+        return sum(fault.severity is severity for fault in self.findings)
+
+    def unreadable(self) -> frozenset[str]:
+        """Return the files whose bytes could not be read."""
+        named = {str(path) for path in self.files}
+        return frozenset(
+            fault.path
+            for fault in self.findings
+            if fault.code == "IO001" and fault.path in named
+        )
+
+    def exit_code(self, *, strict: bool = False, exit_zero: bool = False) -> ExitCode:
+        """Return what a process that made the report returns.
+
+        Args:
+            strict: Warnings count as errors.
+            exit_zero: Findings do not count.
+        """
+        if self.unreadable():
+            return ExitCode.MALFORMED
+        wrong = self.count(Severity.ERROR)
+        wrong += self.count(Severity.WARNING) if strict else 0
+        return ExitCode.FINDINGS if wrong and not exit_zero else ExitCode.OK
+
+
+def validate(
+    paths: Path | str | Iterable[Path | str], options: Options | None = None
+) -> list[Fault]:
+    """Return what is wrong or odd in rigs, clips, scenes, BVH and USD files.
+
+    Args:
+        paths: Files, folders, and globs in which ``**`` is any folders.
+        options: Which codes count, and how much.
+
+    Raises:
+        OptionError: There is no file to look at (VAL006), a code that there is none
+            of (VAL005), a file of a kind that is not checked (IO002), or settings of
+            a project that are malformed.
+    """
+    given = [paths] if isinstance(paths, Path | str) else list(paths)
+    return list(validate_files(find_files(given), options).findings)
+
+
+def validate_files(files: Sequence[Path], options: Options | None = None) -> Report:
+    """Return what is wrong or odd in files; see `validate`.
+
+    The same whatever the number of processes.
+    """
+    options = options or Options()
+    check_codes(options)
+    files = tuple(dict.fromkeys(files))
+    folders = {path.parent: path for path in files}
+    projects = {folder: settings_of(path) for folder, path in folders.items()}
+    settings = [options.within(projects[path.parent]) for path in files]
+    _, broken = all_rules()
+    found = _all(files, settings, _processes(options.jobs, len(files)))
+    names = {path.resolve(): str(path) for path in files}
+    findings = {_named(fault, names) for faults in found for fault in faults}
+    return Report(files, tuple(sorted(findings, key=_order)), broken)
+
+
+def _processes(jobs: int | None, files: int) -> int:
+    if jobs is not None:
+        return max(1, min(jobs, files))
+    return max(1, min(os.cpu_count() or 1, files // FEWEST_EACH))
+
+
+def _all(
+    files: Sequence[Path], settings: Sequence[Options], processes: int
+) -> Iterator[list[Fault]]:
+    if processes == 1:
+        yield from map(_check, files, settings)
+        return
+    # Fresh processes: a fork of one with threads may stop for ever.
+    context = get_context("spawn")
+    with ProcessPoolExecutor(processes, context) as pool:
+        yield from pool.map(_check, files, settings, chunksize=CHUNK)
+
+
+def _check(path: Path, options: Options) -> list[Fault]:
+    """Return what counts in one file."""
+    try:
+        opened = open_file(path)
+    except AnimtoolError as error:
+        if error.exit_code is ExitCode.USAGE:
+            raise
+        found = list(error.faults)
+    else:
+        found = _findings(opened)
+    return [options.of(fault) for fault in found if options.counts(fault.code)]
+
+
+def _findings(opened: Opened) -> list[Fault]:
+    found = list(opened.faults)
+    rules, _ = all_rules()
+    if opened.subject is not None:
+        for rule in rules.values():
+            if rule.check and rule.kind is opened.kind:
+                found += _run(rule, opened)
+    if opened.document is None:
+        return found
+    ignores = Ignores.of(opened.document)
+    found = ignores.hide(found)
+    # What the reader refused hides findings that an entry may be for.
+    return [*found, *(ignores.remarks() if opened.subject is not None else ())]
+
+
+def _run(rule: Rule, opened: Opened) -> list[Fault]:
+    """Return what a rule finds; that it failed is a finding too."""
+    try:
+        check = rule.load()
+        return [replace(f, severity=rule.severity) for f in check(opened.subject)]
+    except Exception as error:  # noqa: BLE001 - a rule may be anybody's
+        path = None if opened.document is None else str(opened.document.path)
+        kind = type(error).__name__
+        message = f"rule {rule.code} failed: {kind}: {excerpt(str(error), 200)}"
+        hint = "please report it to whoever wrote the rule"
+        return [Fault("VAL003", message, path, (), hint)]
+
+
+def _named(fault: Fault, names: dict[Path, str]) -> Fault:
+    """Return a finding whose file is called as the user did, or as seen from here."""
+    if fault.path is None or fault.path in names.values():
+        return fault
+    try:
+        path = Path(fault.path).resolve()
+    except (OSError, ValueError):
+        return fault
+    here = Path.cwd()
+    shown = path.relative_to(here) if path.is_relative_to(here) else path
+    return replace(fault, path=names.get(path, str(shown)))
+
+
+def _order(fault: Fault) -> tuple[object, ...]:
+    return (
+        fault.path or "",
+        fault.lines,
+        fault.column or 0,
+        fault.code,
+        fault.where or "",
+        fault.message,
+        fault.hint or "",
+    )

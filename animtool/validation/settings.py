@@ -1,0 +1,54 @@
+"""``[tool.animtool.validate]`` of a project."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from animtool.config import find_config
+from animtool.errors import Fault, OptionError, Severity
+from animtool.validation.options import Options, check_codes
+
+__all__ = ["settings_of"]
+
+_LISTS = ("select", "ignore")
+
+
+def settings_of(path: Path) -> Options:
+    """Return what the project of a file sets.
+
+    Raises:
+        OptionError: The settings are malformed (CFG001 to CFG003), or name a code
+            that there is none of (VAL005).
+    """
+    config = find_config(path)
+    return _options(config.validate, str(config.path))
+
+
+def _options(table: Any, path: str) -> Options:
+    lists: dict[str, tuple[str, ...]] = {}
+    for name in table:
+        if name not in {*_LISTS, "severity"}:
+            message = f"unknown setting validate.{name}"
+            hint = f"allowed: {', '.join(_LISTS)}, severity"
+            raise OptionError(Fault("CFG002", message, path, (), hint))
+    for name in _LISTS:
+        codes = table.get(name, [])
+        if not isinstance(codes, list) or not all(isinstance(c, str) for c in codes):
+            message = f"validate.{name} is {codes!r}, not a list of codes"
+            raise OptionError(Fault("CFG003", message, path))
+        lists[name] = tuple(codes)
+    given = table.get("severity", {})
+    if not isinstance(given, dict):
+        message = f"validate.severity is {given!r}, not a table of codes"
+        raise OptionError(Fault("CFG003", message, path))
+    severities = {}
+    for code, name in given.items():
+        if name not in list(Severity):
+            message = f"validate.severity.{code} is {name!r}"
+            hint = f"allowed: {', '.join(Severity)}"
+            raise OptionError(Fault("CFG003", message, path, (), hint))
+        severities[code] = Severity(name)
+    options = Options(lists["select"], lists["ignore"], severities)
+    check_codes(options, path)
+    return options

@@ -1,0 +1,86 @@
+"""A clip file as its rules see it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+from animtool.clip.clip import Clip
+from animtool.clip.file import clip_of_document, load_clip, load_rig_of
+from animtool.documents.document import Document, Location
+from animtool.errors import AnimtoolError, Fault
+from animtool.rig.skeleton import Rig
+from animtool.take import Take
+from animtool.validation.rule import Kind
+from animtool.validation.subjects.subject import Opened
+
+__all__ = ["ClipSubject", "open_clip_document"]
+
+
+@dataclass(frozen=True, eq=False)
+class ClipSubject:
+    """A clip, its rig, and the file that says it.
+
+    Attributes:
+        document: The file.
+        clip: What it makes.
+        rig: What it moves.
+        take: The clip at its frames.
+    """
+
+    document: Document
+    clip: Clip
+    rig: Rig
+    take: Take
+
+    def fault(
+        self, code: str, location: Location, message: str, hint: str | None = None
+    ) -> Fault:
+        """Return a fault at a place of the file, or the nearest around it."""
+        return self.document.fault(code, location, message, hint)
+
+    @cached_property
+    def frames(self) -> list[float]:
+        """Number of each frame."""
+        return [float(time) for time in self.take.clock.times]
+
+    def at(self, joint: str) -> Location:
+        """Return the channel of a joint, else the list of them."""
+        for i, channel in enumerate(self.clip.channels):
+            if channel.target.startswith(f"joint/{joint}."):
+                return ("channels", i)
+        return ("channels",)
+
+
+def open_clip_document(document: Document) -> Opened:
+    """Return a clip file as its rules see it, on the rig that it names.
+
+    Raises:
+        FormatError: With every fault of the file, and of its rig.
+        OptionError: It names no rig (CLIP011).
+    """
+    file = clip_of_document(document)
+    rig = load_rig_of(file)
+    clip = load_clip(file, rig)
+    path = document.path
+    opened = Opened(Kind.CLIP, [*rig.notices, *clip.notices])
+    take = _placed(path, lambda: clip.sample(rig), opened)
+    if take is not None:
+        opened.faults += [_named(fault, path) for fault in take.notices]
+        opened.subject = ClipSubject(document, clip, rig, take)
+    return opened
+
+
+def _placed(path: Path, sample: Callable[[], Take], opened: Opened) -> Take | None:
+    """Return a clip's take; where it has none, its faults have the file's name."""
+    try:
+        return sample()
+    except AnimtoolError as error:
+        opened.faults += [_named(fault, path) for fault in error.faults]
+        return None
+
+
+def _named(fault: Fault, path: Path) -> Fault:
+    return fault if fault.path else replace(fault, path=str(path))

@@ -1,0 +1,65 @@
+"""Opening a file as what it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import cast
+
+from animtool.documents.document import read_document
+from animtool.documents.versions import STEPS, version_of
+from animtool.errors import AnimtoolError, Fault, OptionError
+from animtool.plugins import load_object
+from animtool.readers import BVH, DOCUMENT, READERS, USD
+from animtool.validation.rule import Kind
+from animtool.validation.subjects.subject import Opened
+
+__all__ = ["SUFFIXES", "open_file"]
+
+_DOCUMENTS = {kind for kind in Kind if kind in STEPS}
+# How names end of the files that a folder is searched for.
+SUFFIXES = tuple(
+    [suffix for suffix, reader in READERS.items() if reader in (BVH, USD)]
+    + [
+        f".{kind}{suffix}"
+        for kind in sorted(_DOCUMENTS)
+        for suffix, reader in READERS.items()
+        if reader is DOCUMENT
+    ]
+)
+_OPENERS = {
+    Kind.RIG: "animtool.validation.subjects.rig:open_rig",
+    Kind.CLIP: "animtool.validation.subjects.clip:open_clip_document",
+    Kind.SCENE: "animtool.validation.subjects.scene:open_scene",
+    Kind.BVH: "animtool.validation.subjects.capture:open_bvh",
+    Kind.USD: "animtool.validation.subjects.capture:open_usd",
+}
+
+
+def open_file(path: Path) -> Opened:
+    """Return a file as rules look at it, with every fault of its reader.
+
+    Raises:
+        FormatError: It is no YAML, or of no kind that is known, with every fault.
+        OptionError: Its suffix is none that is checked (IO002).
+    """
+    reader = READERS.get(path.suffix.lower())
+    if reader is BVH or reader is USD:
+        return _open(Kind.BVH if reader is BVH else Kind.USD, path)
+    if reader is not DOCUMENT:
+        hint = f"checked are {', '.join(READERS)}"
+        message = "is of no kind that is checked"
+        raise OptionError(Fault("IO002", message, str(path), (), hint))
+    document = read_document(path)
+    kind = Kind(version_of(document, STEPS)[0])
+    opened = _open(kind, document)
+    opened.document = document
+    return opened
+
+
+def _open(kind: Kind, what: object) -> Opened:
+    opener = cast(Callable[[object], Opened], load_object(_OPENERS[kind]))
+    try:
+        return opener(what)
+    except AnimtoolError as error:
+        return Opened(kind, list(error.faults))

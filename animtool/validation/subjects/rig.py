@@ -1,0 +1,106 @@
+"""A rig file as its rules see it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.documents.document import Document, Location
+from animtool.errors import Fault
+from animtool.maths import so3
+from animtool.rig.file import rig_of_document
+from animtool.rig.skeleton import Rig
+from animtool.validation.rule import Kind
+from animtool.validation.subjects.subject import Opened
+
+__all__ = ["RigSubject", "open_rig"]
+
+
+@dataclass(frozen=True, eq=False)
+class RigSubject:
+    """A rig, and the file that says it.
+
+    Attributes:
+        document: The file.
+        rig: What it makes.
+    """
+
+    document: Document
+    rig: Rig
+
+    def fault(
+        self, code: str, location: Location, message: str, hint: str | None = None
+    ) -> Fault:
+        """Return a fault at a place of the file, or the nearest around it."""
+        return self.document.fault(code, location, message, hint)
+
+    def written(self, key: str) -> list[Any]:
+        """Return a list of the file; empty where it has none."""
+        entries = self.document.value.get(key)
+        return entries if isinstance(entries, list) else []
+
+    def at(self, key: str, name: str) -> Location:
+        """Return where an entry of a list stands, by its name.
+
+        A joint that a mirror wrote is where the other side is; what comes from
+        another file is where that is named.
+        """
+        entries = self.written(key)
+        for label in ("name", "mirror"):
+            for i, entry in enumerate(entries):
+                if entry.get(label) == name:
+                    return (key, i)
+        return ("from",) if "from" in self.document.value else (key,)
+
+    @cached_property
+    def rest(self) -> tuple[FloatArray, FloatArray]:
+        """World positions ``(J, 3)`` [m] and rotations ``(J, 4)`` at rest.
+
+        One step for all joints of a depth: rules on rigs do without the kernels.
+        """
+        rig, depths = self.rig, np.zeros(len(self.rig.joints), np.int64)
+        for i, joint in enumerate(rig.joints):
+            depths[i] = 0 if joint.parent < 0 else depths[joint.parent] + 1
+        positions, rotations = rig.rest_translations.copy(), rig.rest_rotations.copy()
+        for depth in range(1, int(depths.max(initial=0)) + 1):
+            own = np.flatnonzero(depths == depth)
+            above = rig.parents[own]
+            turned = so3.rotate(rotations[above], positions[own])
+            positions[own] = positions[above] + turned
+            rotations[own] = so3.multiply(rotations[above], rotations[own])
+        return positions, rotations
+
+    @cached_property
+    def size(self) -> float:
+        """Diagonal of the bounds of joints and tips at rest [m]."""
+        positions, rotations = self.rest
+        points = [positions]
+        for i, joint in enumerate(self.rig.joints):
+            if joint.tips:
+                tips = np.array(joint.tips)
+                points.append(positions[i] + so3.rotate(rotations[i], tips))
+        found = np.concatenate(points)
+        return float(np.linalg.norm(found.max(axis=0) - found.min(axis=0)))
+
+    @cached_property
+    def children(self) -> list[list[int]]:
+        """Children of each joint."""
+        found: list[list[int]] = [[] for _ in self.rig.joints]
+        for i, joint in enumerate(self.rig.joints):
+            if joint.parent >= 0:
+                found[joint.parent].append(i)
+        return found
+
+
+def open_rig(document: Document) -> Opened:
+    """Return a rig file as its rules see it.
+
+    Raises:
+        FormatError: With every fault of the file.
+    """
+    rig = rig_of_document(document)
+    return Opened(Kind.RIG, list(rig.notices), RigSubject(document, rig))

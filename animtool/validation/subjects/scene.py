@@ -1,0 +1,51 @@
+"""A scene file as its rules see it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from animtool.documents.document import Document, Location
+from animtool.errors import AnimtoolError, Fault
+from animtool.scene.file import Scene, scene_of_document
+from animtool.validation.rule import Kind
+from animtool.validation.subjects.subject import Opened
+
+__all__ = ["SceneSubject", "open_scene"]
+
+
+@dataclass(frozen=True, eq=False)
+class SceneSubject:
+    """A scene, and the file that says it.
+
+    Attributes:
+        document: The file.
+        scene: What it makes.
+    """
+
+    document: Document
+    scene: Scene
+
+    def fault(
+        self, code: str, location: Location, message: str, hint: str | None = None
+    ) -> Fault:
+        """Return a fault at a place of the file, or the nearest around it."""
+        return self.document.fault(code, location, message, hint)
+
+
+def open_scene(document: Document) -> Opened:
+    """Return a scene file as its rules see it; its source and passes are opened too.
+
+    Raises:
+        FormatError: With every fault of the file.
+    """
+    scene = scene_of_document(document)
+    opened = Opened(Kind.SCENE, [], SceneSubject(document, scene))
+    try:
+        stream = scene.open()
+    except AnimtoolError as error:
+        faults: tuple[Fault, ...] = error.faults
+    else:
+        faults = tuple(stream.notices)
+    path = str(document.path)
+    opened.faults = [f if f.path else replace(f, path=path) for f in faults]
+    return opened

@@ -1,0 +1,29 @@
+"""A file as the rules see it, and what reading it found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from animtool.documents.document import Document
+from animtool.errors import Fault
+from animtool.validation.rule import Kind
+
+__all__ = ["Opened"]
+
+
+@dataclass(slots=True)
+class Opened:
+    """A file that was read, as far as that went.
+
+    Attributes:
+        kind: What it is.
+        faults: What its reader refused and noticed.
+        subject: What the rules of its kind look at; None where the reader refused it.
+        document: Its text; None of files that people do not write.
+    """
+
+    kind: Kind
+    faults: list[Fault] = field(default_factory=list)
+    subject: Any = None
+    document: Document | None = None

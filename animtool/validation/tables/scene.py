@@ -1,0 +1,38 @@
+"""Codes of scenes and passes."""
+
+from __future__ import annotations
+
+from animtool.errors import Severity
+from animtool.validation.rule import Rule
+
+__all__ = ["RULES"]
+
+RULES = (
+    Rule("SCN001", "an option that a pass has not"),
+    Rule("SCN002", "an option of a wrong value"),
+    Rule("SCN003", "a range reversed, or no frame rate"),
+    Rule("SCN004", "a file outside the project"),
+    Rule("SCN005", "a file that is not there"),
+    Rule("SCN010", "no pass of that name"),
+    Rule("SCN011", "a plug-in pass that cannot be loaded"),
+    Rule("SCN012", "a name or pattern that matches no joint"),
+    Rule("SCN013", "a frame outside the take, or a range that is empty or reversed"),
+    Rule("SCN014", "a weight that is not finite, or not from 0 to 1"),
+    Rule("SCN015", "a curve that is malformed, or whose times do not ascend"),
+    Rule("SCN016", "a speed that is 0 or not finite"),
+    Rule("SCN017", "takes of different rigs"),
+    Rule("SCN018", "no cycle or repeat to make a loop of, or none found"),
+    Rule("SCN019", "mirror pairs that are none, or do not hang from partners"),
+    Rule("SCN020", "a root joint that cannot take the travel, or be folded back"),
+    Rule("SCN021", "more than 10 million frames"),
+    Rule("SCN022", "a frame rate that is none"),
+    Rule("SCN023", "a base whose scale is 0"),
+    Rule("SCN024", "an option that must name another take"),
+    Rule("SCN025", "a word that is none of those an option has"),
+    Rule(
+        "SCN101",
+        "a loop whose ends differ by more than a fifth of what it moves",
+        Severity.WARNING,
+    ),
+    Rule("SCN102", "the cycle that was found", Severity.NOTE),
+)

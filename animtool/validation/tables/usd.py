@@ -1,0 +1,139 @@
+"""Codes of USD layers."""
+
+from __future__ import annotations
+
+from animtool.errors import Severity
+from animtool.validation.rule import Rule
+
+__all__ = ["RULES"]
+
+RULES = (
+    Rule("USD001", "not a USD layer, or it does not compose", Severity.WARNING),
+    Rule("USD002", "a Skeleton without joints", Severity.WARNING),
+    Rule(
+        "USD003",
+        "rest transforms of another count than the joints",
+        Severity.WARNING,
+    ),
+    Rule("USD004", "rest transforms that are not finite", Severity.WARNING),
+    Rule("USD005", "a joint of a Skeleton twice", Severity.WARNING),
+    Rule("USD006", "a child before its parent", Severity.WARNING),
+    Rule("USD007", "animtool's own customData malformed", Severity.WARNING),
+    Rule("USD008", "no Skeleton", Severity.WARNING),
+    Rule("USD009", "a Skeleton outside every SkelRoot", Severity.WARNING),
+    Rule("USD010", "no joint of the take is in the rig", Severity.WARNING),
+    Rule("USD011", "UsdSkel resolves another animation", Severity.WARNING),
+    Rule("USD012", "an animation without T, R or S", Severity.WARNING),
+    Rule("USD013", "an animation with a wrong count", Severity.WARNING),
+    Rule("USD014", "an animation that is not finite", Severity.WARNING),
+    Rule("USD015", "a rate, unit or up axis that is none", Severity.WARNING),
+    Rule("USD016", "samples too far apart to be one take", Severity.WARNING),
+    Rule(
+        "USD017",
+        "a mesh, skin or shape with a wrong count or a value that is not finite",
+        Severity.WARNING,
+    ),
+    Rule(
+        "USD018",
+        "a mesh, skin or shape with an index out of range",
+        Severity.WARNING,
+    ),
+    Rule(
+        "USD019",
+        "bind transforms of another count than the joints, or not finite",
+        Severity.WARNING,
+    ),
+    Rule("USD030", "takes of a library with different joints", Severity.WARNING),
+    Rule("USD031", "no take of that name, or a file without takes", Severity.WARNING),
+    Rule(
+        "USD032",
+        "a rig's own value is stronger than that of a variant",
+        Severity.WARNING,
+    ),
+    Rule("USD033", "`--prim-path` is of no character in the shot", Severity.WARNING),
+    Rule(
+        "USD040",
+        "`--deform` where there are no meshes or strands, or none of the take's in the rig layer",
+        Severity.WARNING,
+    ),
+    Rule(
+        "USD041",
+        "a mesh or strands of the rig layer with another number of points than in the take's rig",
+        Severity.WARNING,
+    ),
+    Rule(
+        "USD042",
+        "a point cache that the rig's own opinions would win over, as in an instance",
+        Severity.WARNING,
+    ),
+    Rule(
+        "USD043",
+        "a mesh or strands of the rig layer that move below their skeleton by themselves",
+        Severity.WARNING,
+    ),
+    Rule("USD101", "two names become one", Severity.WARNING),
+    Rule("USD102", "joints that the rig lacks", Severity.WARNING),
+    Rule("USD103", "no animation is bound", Severity.WARNING),
+    Rule("USD104", "joints that the rig lacks", Severity.WARNING),
+    Rule("USD105", "samples unevenly spaced", Severity.NOTE),
+    Rule("USD106", "`--fps` is not the rig layer's rate", Severity.WARNING),
+    Rule("USD107", "several characters, of which one is taken", Severity.WARNING),
+    Rule(
+        "USD108",
+        "the rig's SkelRoot moves, and the take replaces that",
+        Severity.NOTE,
+    ),
+    Rule("USD109", "a SkelRoot scaled by different factors", Severity.WARNING),
+    Rule(
+        "USD110",
+        "a shot in other units or with another up axis than its rig",
+        Severity.NOTE,
+    ),
+    Rule("USD111", "joints of the rig that the take lacks", Severity.NOTE),
+    Rule(
+        "USD112",
+        "a layer or reference that the stage does not find",
+        Severity.WARNING,
+    ),
+    Rule(
+        "USD113",
+        "a layer alone that moves a SkelRoot; read it over its rig",
+        Severity.WARNING,
+    ),
+    Rule("USD114", "shapes that no mesh of the rig has", Severity.WARNING),
+    Rule("USD116", "normals that are not one a vertex are left out", Severity.NOTE),
+    Rule(
+        "USD117",
+        "a Skeleton that was edited after animtool wrote it",
+        Severity.WARNING,
+    ),
+    Rule("USD118", "shapes of ARKit that the rig spells in another way", Severity.NOTE),
+    Rule(
+        "USD119",
+        "cloth or strands whose mesh or curves are gone, or are no longer what they name",
+        Severity.WARNING,
+    ),
+    Rule(
+        "USD120",
+        "scale of rest or bind transforms, which a rig does not hold",
+        Severity.WARNING,
+    ),
+    Rule(
+        "USD130",
+        "a take of a library with another rest pose than the first",
+        Severity.WARNING,
+    ),
+    Rule("USD131", "takes of a library with different rates", Severity.NOTE),
+    Rule(
+        "USD132",
+        "a shot that binds an animation itself, stronger than its sublayers",
+        Severity.WARNING,
+    ),
+    Rule(
+        "USD141",
+        "meshes or strands of the take that the rig layer lacks",
+        Severity.WARNING,
+    ),
+    Rule("USD142", "prims that stop following their skeleton", Severity.WARNING),
+    Rule("USD143", "normals that are not one a vertex are blocked", Severity.NOTE),
+)
