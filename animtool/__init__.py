@@ -24,17 +24,22 @@ if TYPE_CHECKING:
     from animtool.scene.sources import open_source as open_source
     from animtool.take import Take as Take
     from animtool.take import TakeStream as TakeStream
+    from animtool.validation.options import ValidateOptions as ValidateOptions
+    from animtool.validation.run import Finding as Finding
+    from animtool.validation.run import validate as validate
 
 _PUBLIC = {
     "AnimtoolError": "animtool.errors",
     "BakeOptions": "animtool.scene.options",
     "Clip": "animtool.clip.clip",
     "Fault": "animtool.errors",
+    "Finding": "animtool.validation.run",
     "Joint": "animtool.rig.skeleton",
     "Rig": "animtool.rig.skeleton",
     "SourceOptions": "animtool.scene.sources",
     "Take": "animtool.take",
     "TakeStream": "animtool.take",
+    "ValidateOptions": "animtool.validation.options",
     "bake": "animtool.scene.bake",
     "compare": "animtool.report.compare",
     "convert": "animtool.scene.convert",
@@ -43,6 +48,7 @@ _PUBLIC = {
     "open_source": "animtool.scene.sources",
     "read_bvh": "animtool.formats.bvh",
     "usd": "animtool.usd",
+    "validate": "animtool.validation.run",
     "write_bvh": "animtool.formats.bvh",
 }
 

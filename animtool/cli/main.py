@@ -25,6 +25,7 @@ COMMANDS = {
     "completion": ("animtool.cli.completion:completion", "Print a completion script."),
     "convert": ("animtool.cli.convert:convert", "Convert a take to another format."),
     "diff": ("animtool.cli.diff:diff", "Compare two takes or layers."),
+    "explain": ("animtool.cli.explain:explain", "Say what a code means."),
     "ik": ("animtool.cli.ik:ik", "Bring the joints of a rig to targets."),
     "migrate": (
         "animtool.cli.migrate:migrate",
@@ -33,6 +34,10 @@ COMMANDS = {
     "plugins": ("animtool.cli.plugins:plugins", "List the passes there are."),
     "schema": ("animtool.cli.schema:schema", "Print the JSON Schema of a file."),
     "info": ("animtool.cli.info:info", "Say what is in a file."),
+    "validate": (
+        "animtool.cli.validate:validate",
+        "Check rigs, clips, scenes and captures.",
+    ),
 }
 
 

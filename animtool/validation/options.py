@@ -9,11 +9,11 @@ from animtool.documents.check import nearest
 from animtool.errors import Fault, OptionError, Severity
 from animtool.validation.tables import RULES, all_rules
 
-__all__ = ["Options", "check_codes"]
+__all__ = ["ValidateOptions", "check_codes"]
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
+class ValidateOptions:
     """What to look for. Codes may be given by their beginning: ``RIG``, ``RIG2``.
 
     Attributes:
@@ -32,7 +32,7 @@ class Options:
     def counts(self, code: str) -> bool:
         """Return whether a code is looked for.
 
-        >>> Options(select=("RIG",), ignore=("RIG2",)).counts("RIG201")
+        >>> ValidateOptions(select=("RIG",), ignore=("RIG2",)).counts("RIG201")
         False
         """
         chosen = _longest(code, self.select) if self.select else 0
@@ -45,7 +45,7 @@ class Options:
             return fault
         return replace(fault, severity=self.severity[fault.code[:best]])
 
-    def within(self, project: Options) -> Options:
+    def within(self, project: ValidateOptions) -> ValidateOptions:
         """Return these options where a project has some: what is given here wins."""
         return replace(
             self,
@@ -60,7 +60,7 @@ def _longest(code: str, beginnings: Iterable[str]) -> int:
     return max((len(b) for b in beginnings if code.startswith(b)), default=-1)
 
 
-def check_codes(options: Options, path: str | None = None) -> None:
+def check_codes(options: ValidateOptions, path: str | None = None) -> None:
     """Refuse codes that none begins with.
 
     Args:

@@ -12,14 +12,16 @@ from pathlib import Path
 from animtool.errors import AnimtoolError, ExitCode, Fault, Severity, excerpt
 from animtool.validation.files import find_files
 from animtool.validation.ignores import Ignores
-from animtool.validation.options import Options, check_codes
+from animtool.validation.options import ValidateOptions, check_codes
 from animtool.validation.rule import Rule
 from animtool.validation.settings import settings_of
 from animtool.validation.subjects.open import open_file
 from animtool.validation.subjects.subject import Opened
 from animtool.validation.tables import all_rules
 
-__all__ = ["Report", "validate", "validate_files"]
+__all__ = ["Finding", "Report", "validate", "validate_files"]
+
+Finding = Fault
 
 # Fewer files are done before another process has started.
 FEWEST_EACH = 40
@@ -69,7 +71,7 @@ class Report:
 
 
 def validate(
-    paths: Path | str | Iterable[Path | str], options: Options | None = None
+    paths: Path | str | Iterable[Path | str], options: ValidateOptions | None = None
 ) -> list[Fault]:
     """Return what is wrong or odd in rigs, clips, scenes, BVH and USD files.
 
@@ -86,12 +88,12 @@ def validate(
     return list(validate_files(find_files(given), options).findings)
 
 
-def validate_files(files: Sequence[Path], options: Options | None = None) -> Report:
+def validate_files(files: Sequence[Path], options: ValidateOptions | None = None) -> Report:
     """Return what is wrong or odd in files; see `validate`.
 
     The same whatever the number of processes.
     """
-    options = options or Options()
+    options = options or ValidateOptions()
     check_codes(options)
     files = tuple(dict.fromkeys(files))
     folders = {path.parent: path for path in files}
@@ -111,7 +113,7 @@ def _processes(jobs: int | None, files: int) -> int:
 
 
 def _all(
-    files: Sequence[Path], settings: Sequence[Options], processes: int
+    files: Sequence[Path], settings: Sequence[ValidateOptions], processes: int
 ) -> Iterator[list[Fault]]:
     if processes == 1:
         yield from map(_check, files, settings)
@@ -122,7 +124,7 @@ def _all(
         yield from pool.map(_check, files, settings, chunksize=CHUNK)
 
 
-def _check(path: Path, options: Options) -> list[Fault]:
+def _check(path: Path, options: ValidateOptions) -> list[Fault]:
     """Return what counts in one file."""
     try:
         opened = open_file(path)

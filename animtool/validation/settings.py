@@ -7,14 +7,14 @@ from typing import Any
 
 from animtool.config import find_config
 from animtool.errors import Fault, OptionError, Severity
-from animtool.validation.options import Options, check_codes
+from animtool.validation.options import ValidateOptions, check_codes
 
 __all__ = ["settings_of"]
 
 _LISTS = ("select", "ignore")
 
 
-def settings_of(path: Path) -> Options:
+def settings_of(path: Path) -> ValidateOptions:
     """Return what the project of a file sets.
 
     Raises:
@@ -25,7 +25,7 @@ def settings_of(path: Path) -> Options:
     return _options(config.validate, str(config.path))
 
 
-def _options(table: Any, path: str) -> Options:
+def _options(table: Any, path: str) -> ValidateOptions:
     lists: dict[str, tuple[str, ...]] = {}
     for name in table:
         if name not in {*_LISTS, "severity"}:
@@ -49,6 +49,6 @@ def _options(table: Any, path: str) -> Options:
             hint = f"allowed: {', '.join(Severity)}"
             raise OptionError(Fault("CFG003", message, path, (), hint))
         severities[code] = Severity(name)
-    options = Options(lists["select"], lists["ignore"], severities)
+    options = ValidateOptions(lists["select"], lists["ignore"], severities)
     check_codes(options, path)
     return options

@@ -1,0 +1,57 @@
+"""``animtool explain``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from animtool.cli.console import Console
+from animtool.cli.options import common_options, format_option
+
+if TYPE_CHECKING:
+    from animtool.validation.rule import Rule
+
+__all__ = ["explain"]
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  animtool explain RIG201
+  animtool explain
+  animtool explain RIG201 --format json"""
+)
+@click.argument("codes", nargs=-1, metavar="[CODE]...")
+@format_option
+@common_options
+@click.pass_obj
+def explain(console: Console, /, codes: tuple[str, ...], report_format: str) -> None:
+    """Say what a CODE means, why it matters and how to mend it.
+
+    Without a code all are listed.
+    """
+    from animtool.validation.tables import all_rules, find_rule, page
+
+    rules = [find_rule(code) for code in codes]
+    if not codes:
+        found, broken = all_rules()
+        console.faults(broken)
+        rules = [found[code] for code in sorted(found)]
+    if report_format == "json":
+        entries = [_entry(rule, page(rule.code)) for rule in rules]
+        console.result_json({"explain": "animtool/1", "rules": entries})
+        return
+    for rule in rules:
+        text = page(rule.code) if codes else None
+        console.result(text or f"{rule.code:8} {rule.severity:8} {rule.title}")
+
+
+def _entry(rule: Rule, text: str | None) -> dict[str, Any]:
+    return {
+        "code": rule.code,
+        "title": rule.title,
+        "severity": str(rule.severity),
+        "kind": None if rule.kind is None else str(rule.kind),
+        "page": text,
+    }

@@ -1,0 +1,153 @@
+"""``animtool validate``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from animtool.cli.console import Console
+from animtool.cli.options import Parsed, common_options
+
+if TYPE_CHECKING:
+    from animtool.validation.run import Report
+
+__all__ = ["validate"]
+
+FORMATS = ("text", "json", "github", "sarif", "junit")
+
+
+def _codes(text: str) -> tuple[str, ...]:
+    return tuple(code.strip().upper() for code in text.split(",") if code.strip())
+
+
+def _severity(text: str) -> tuple[str, str]:
+    from animtool.errors import Severity
+
+    code, equals, name = text.partition("=")
+    if not equals or not code or name not in list(Severity):
+        allowed = ", ".join(Severity)
+        raise ValueError(f"{text!r} is not CODE=SEVERITY, of which there are {allowed}")
+    return code.upper(), name
+
+
+def _jobs(text: str) -> int:
+    if not text.isdigit() or not int(text):
+        raise ValueError(f"{text!r} is no number of processes from 1 up")
+    return int(text)
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  animtool validate rigs samples
+  animtool validate "shots/**/*.clip.yaml" --ignore CLIP2 --strict
+  animtool validate . --format sarif --output-file animtool.sarif
+  git diff --name-only main -- "*.rig.yaml" | animtool validate -"""
+)
+@click.argument("paths", nargs=-1, required=True)
+@click.option(
+    "--select",
+    type=Parsed("codes", _codes),
+    multiple=True,
+    metavar="CODE,…",
+    help="Look for these codes only; a beginning such as RIG2 means all with it.",
+)
+@click.option(
+    "--ignore",
+    type=Parsed("codes", _codes),
+    multiple=True,
+    metavar="CODE,…",
+    help="Leave these out. Of a code that both name, the longer one decides.",
+)
+@click.option(
+    "--severity",
+    type=Parsed("severity", _severity),
+    multiple=True,
+    metavar="CODE=SEVERITY",
+    help="Take a code for an error, a warning or a note.",
+)
+@click.option("--strict", is_flag=True, help="End with 1 where there are warnings.")
+@click.option("--exit-zero", is_flag=True, help="End with 0 whatever is found.")
+@click.option(
+    "-j",
+    "--jobs",
+    type=Parsed("processes", _jobs),
+    metavar="N",
+    help="Processes to share the files among.  [default: as fits]",
+)
+@click.option(
+    "--format",
+    "report_format",
+    type=click.Choice(FORMATS),
+    default="text",
+    show_default=True,
+    help="text, JSON, annotations of GitHub, SARIF 2.1.0 or JUnit XML.",
+)
+@click.option(
+    "--output-file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Write the report there, and what it comes to on stderr.",
+)
+@common_options
+@click.pass_obj
+def validate(console: Console, /, paths: tuple[str, ...], **given: Any) -> None:
+    """Check rigs, clips, scenes, BVH and USD files, and say what to do.
+
+    PATHS are files, folders, globs ("**" is any folders) or - for a list on stdin,
+    a path a line. animtool explain says more of a code. A finding that is meant is
+    named in the file, with the reason: ignore: [{code, where, why}].
+
+    Ends with 1 where there are errors, 3 where a file cannot be read, 5 where there
+    is none to check.
+    """
+    from animtool.errors import Severity
+    from animtool.validation.files import find_files
+    from animtool.validation.formats import FORMATS as WRITERS
+    from animtool.validation.formats.plain import summary
+    from animtool.validation.options import ValidateOptions
+    from animtool.validation.run import validate_files
+
+    options = ValidateOptions(
+        tuple(code for codes in given["select"] for code in codes),
+        tuple(code for codes in given["ignore"] for code in codes),
+        {code: Severity(name) for code, name in given["severity"]},
+        given["jobs"],
+    )
+    report = validate_files(find_files(_listed(paths)), options)
+    console.faults(report.broken)
+    text = WRITERS[given["report_format"]](report)
+    if given["output_file"] is None:
+        console.result(text)
+    else:
+        _write(given["output_file"], text, report)
+    if given["output_file"] is not None or given["report_format"] != "text":
+        console.say(summary(report))
+    code = report.exit_code(strict=given["strict"], exit_zero=given["exit_zero"])
+    click.get_current_context().exit(int(code))
+
+
+def _listed(paths: tuple[str, ...]) -> Iterator[str]:
+    """Yield the paths; for ``-`` those on stdin."""
+    for path in paths:
+        if path != "-":
+            yield path
+            continue
+        for line in sys.stdin:
+            name = line.rstrip("\r\n")
+            if name:
+                yield name
+
+
+def _write(path: Path, text: str, report: Report) -> None:
+    from animtool.output import check_outputs, output_error, replacing
+
+    check_outputs([path], report.files, overwrite=True)
+    with replacing(path) as temporary:
+        try:
+            temporary.write_text(text, "utf-8", newline="")
+        except OSError as error:
+            raise output_error(path, error) from error

@@ -1,0 +1,21 @@
+"""A report as JSON."""
+
+from __future__ import annotations
+
+import json
+
+from animtool.errors import Severity
+from animtool.validation.run import Report
+
+__all__ = ["json_report"]
+
+
+def json_report(report: Report) -> str:
+    """Return every file that was looked at, and every finding."""
+    value = {
+        "validate": "animtool/1",
+        "files": [str(path) for path in report.files],
+        "findings": [fault.as_dict() for fault in report.findings],
+        "summary": {str(kind): report.count(kind) for kind in Severity},
+    }
+    return json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n"

@@ -1,0 +1,125 @@
+"""A report as SARIF 2.1.0, which code hosts and editors read.
+
+References:
+    OASIS, "Static Analysis Results Interchange Format (SARIF) Version 2.1.0", 2020.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import PurePath
+from typing import Any
+from urllib.parse import quote
+
+from animtool.errors import Fault, Severity
+from animtool.validation.formats.source import Sources
+from animtool.validation.rule import Rule
+from animtool.validation.run import Report
+from animtool.validation.tables import all_rules, page
+
+__all__ = ["sarif_report"]
+
+SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
+_LEVELS = {
+    Severity.ERROR: "error",
+    Severity.WARNING: "warning",
+    Severity.NOTE: "note",
+}
+
+
+def sarif_report(report: Report) -> str:
+    """Return one run: the rules that found something, with their pages, and results."""
+    codes = sorted({fault.code for fault in report.findings})
+    rules, _ = all_rules()
+    sources = Sources()
+    driver = {
+        "name": "animtool",
+        "version": version("animtool"),
+        "rules": [_rule(rules[code]) for code in codes if code in rules],
+    }
+    places = {rule["id"]: i for i, rule in enumerate(driver["rules"])}
+    results = [_result(fault, places, sources) for fault in report.findings]
+    _tell_apart(results)
+    run = {
+        "tool": {"driver": driver},
+        "artifacts": [{"location": _location(str(path))} for path in report.files],
+        "results": results,
+        "columnKind": "unicodeCodePoints",
+    }
+    value = {"$schema": SCHEMA, "version": "2.1.0", "runs": [run]}
+    return json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _rule(rule: Rule) -> dict[str, Any]:
+    found: dict[str, Any] = {
+        "id": rule.code,
+        "shortDescription": {"text": rule.title},
+        "defaultConfiguration": {"level": _LEVELS[rule.severity]},
+    }
+    text = page(rule.code)
+    if text is not None:
+        plain = re.sub(r"(?m)^#+ |^```\w*\n|`", "", text)
+        found["help"] = {"text": plain, "markdown": text}
+    return found
+
+
+def _result(
+    fault: Fault, places: dict[str, int], sources: Sources
+) -> dict[str, Any]:
+    hint = f", {fault.hint}" if fault.hint else ""
+    found: dict[str, Any] = {
+        "ruleId": fault.code,
+        **({"ruleIndex": places[fault.code]} if fault.code in places else {}),
+        "level": _LEVELS[fault.severity],
+        "message": {"text": f"{fault.message}{hint}"},
+    }
+    if fault.path is None:
+        return {**found, "partialFingerprints": _fingerprint(fault, None)}
+    physical: dict[str, Any] = {"artifactLocation": _location(fault.path)}
+    line = None
+    if fault.lines:
+        line = sources.line(fault.path, fault.lines[0])
+        physical["region"] = _region(fault, line)
+    location: dict[str, Any] = {"physicalLocation": physical}
+    if fault.where:
+        location["logicalLocations"] = [{"fullyQualifiedName": fault.where}]
+    found["locations"] = [location]
+    return {**found, "partialFingerprints": _fingerprint(fault, line)}
+
+
+def _region(fault: Fault, line: str | None) -> dict[str, Any]:
+    region: dict[str, Any] = {"startLine": fault.lines[0]}
+    if fault.column is not None:
+        region["startColumn"] = fault.column
+    if line is not None:
+        region["snippet"] = {"text": line}
+    return region
+
+
+def _location(path: str) -> dict[str, str]:
+    """Return a file as a URI: relative where the path is."""
+    pure = PurePath(path)
+    if pure.is_absolute():
+        return {"uri": pure.as_uri()}
+    return {"uri": quote(pure.as_posix())}
+
+
+def _fingerprint(fault: Fault, line: str | None) -> dict[str, str]:
+    """Return what stays the same where lines above are added or taken away."""
+    parts = (fault.code, fault.path or "", line or fault.where or fault.message)
+    digest = hashlib.sha256("\0".join(parts).encode("utf-8", "replace")).hexdigest()
+    return {"animtool/v1": digest[:32]}
+
+
+def _tell_apart(results: Sequence[dict[str, Any]]) -> None:
+    """Number results whose fingerprints are the same."""
+    seen: dict[str, int] = {}
+    for result in results:
+        marks = result["partialFingerprints"]
+        mark = marks["animtool/v1"]
+        seen[mark] = seen.get(mark, 0) + 1
+        marks["animtool/v1"] = f"{mark}:{seen[mark]}"
