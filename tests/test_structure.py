@@ -30,7 +30,7 @@ LAYERS = [
     {"usd"},
     {"edit"},
     {"scene"},
-    {"report"},
+    {"report", "validation"},
     {"cli"},
 ]
 RANK = {name: i for i, names in enumerate(LAYERS) for name in names}
@@ -109,6 +109,13 @@ def test_help_loads_nothing_heavy() -> None:
 def test_a_bvh_is_described_without_usd(walk: Path) -> None:
     code = f"from animtool.cli.main import run\nrun(['info', {str(walk)!r}])"
     assert not loaded(code) & {"pxr", "scipy", "rich"}
+
+
+def test_a_rig_is_checked_without_usd_scipy_or_kernels(root: Path) -> None:
+    path = root / "rigs/head/head.rig.yaml"
+    code = f"from animtool.cli.main import run\nrun(['validate', {str(path)!r}])"
+    heavy = {"pxr", "scipy", "rich", "animtool._kernels", "concurrent.futures.process"}
+    assert not loaded(code) & heavy
 
 
 def test_a_bake_loads_no_more_usd_than_it_needs(walk: Path, tmp_path: Path) -> None:

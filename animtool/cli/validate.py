@@ -106,7 +106,7 @@ def validate(console: Console, /, paths: tuple[str, ...], **given: Any) -> None:
     """
     from animtool.errors import Severity
     from animtool.validation.files import find_files
-    from animtool.validation.formats import FORMATS as WRITERS
+    from animtool.validation.formats import written
     from animtool.validation.formats.plain import summary
     from animtool.validation.options import ValidateOptions
     from animtool.validation.run import validate_files
@@ -119,7 +119,7 @@ def validate(console: Console, /, paths: tuple[str, ...], **given: Any) -> None:
     )
     report = validate_files(find_files(_listed(paths)), options)
     console.faults(report.broken)
-    text = WRITERS[given["report_format"]](report)
+    text = written(report, given["report_format"])
     if given["output_file"] is None:
         console.result(text)
     else:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from pathlib import Path
 
 from animtool.errors import AnimtoolError, ExitCode, Fault, Severity, excerpt
@@ -118,6 +116,9 @@ def _all(
     if processes == 1:
         yield from map(_check, files, settings)
         return
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
     # Fresh processes: a fork of one with threads may stop for ever.
     context = get_context("spawn")
     with ProcessPoolExecutor(processes, context) as pool:

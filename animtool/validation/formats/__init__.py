@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import cast
 
-from animtool.validation.formats.github import github_report
-from animtool.validation.formats.json import json_report
-from animtool.validation.formats.junit import junit_report
-from animtool.validation.formats.plain import text_report
-from animtool.validation.formats.sarif import sarif_report
+from animtool.plugins import load_object
 from animtool.validation.run import Report
 
-__all__ = ["FORMATS"]
+__all__ = ["FORMATS", "written"]
 
-FORMATS: dict[str, Callable[[Report], str]] = {
-    "text": text_report,
-    "json": json_report,
-    "github": github_report,
-    "sarif": sarif_report,
-    "junit": junit_report,
+FORMATS = {
+    "text": "animtool.validation.formats.plain:text_report",
+    "json": "animtool.validation.formats.json:json_report",
+    "github": "animtool.validation.formats.github:github_report",
+    "sarif": "animtool.validation.formats.sarif:sarif_report",
+    "junit": "animtool.validation.formats.junit:junit_report",
 }
+
+
+def written(report: Report, form: str) -> str:
+    """Return a report in one of the forms of `FORMATS`."""
+    write = cast(Callable[[Report], str], load_object(FORMATS[form]))
+    return write(report)

@@ -207,10 +207,22 @@ def _excess(joint: Joint, targets: dict[str, FloatArray]) -> FloatArray | None:
         if not any(name in targets for name in names):
             return None
         parts = [targets.get(name, np.zeros(1)) for name in names]
+        if _well_within(joint.limits, parts):
+            return None
         turn = so3.exp(np.stack(np.broadcast_arrays(*parts), axis=-1))
         finite = np.isfinite(turn).all(axis=-1, keepdims=True)
         return joint.limits.excess(np.where(finite, turn, so3.IDENTITY))
     return None
+
+
+def _well_within(limits: BallLimit, parts: list[FloatArray]) -> bool:
+    """Return whether turns are so small that swing and twist cannot be too large.
+
+    Neither is larger than the turn itself. Most are, and the whole way is slow.
+    """
+    most = float(np.sqrt(sum(np.abs(part).max() ** 2 for part in parts)))
+    low, high = limits.twist or (-np.inf, np.inf)
+    return most <= min(*(limits.swing or (np.inf, np.inf)), -low, high)
 
 
 def _drive(rig: RigSubject, control: Control, target: str) -> Location:
