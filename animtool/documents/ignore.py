@@ -12,9 +12,7 @@ __all__ = ["IgnoreModel"]
 class IgnoreModel(FileModel):
     """A finding of `animtool validate` that is known and stays."""
 
-    code: str = Field(
-        min_length=1, description="Of the finding.", examples=["RIG201"]
-    )
+    code: str = Field(min_length=1, description="Of the finding.", examples=["RIG201"])
     where: str | None = Field(
         default=None,
         min_length=1,

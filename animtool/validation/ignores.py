@@ -48,7 +48,9 @@ class Ignores:
             if code not in rules:
                 message = f"{code!r} is no code"
                 hint = nearest(code, sorted(rules))
-                yield self.document.fault("VAL002", ("ignore", i, "code"), message, hint)
+                yield self.document.fault(
+                    "VAL002", ("ignore", i, "code"), message, hint
+                )
             elif not self.used[i]:
                 where = f" at {entry['where']}" if entry.get("where") else ""
                 message = f"nothing here is {code}{where}"
@@ -103,4 +105,3 @@ def _covers(pattern: str, place: str) -> bool:
     """
     words = ".*".join(map(re.escape, pattern.split("*")))
     return re.fullmatch(rf"{words}(?:[.\[].*)?", place) is not None
-

@@ -86,7 +86,9 @@ def validate(
     return list(validate_files(find_files(given), options).findings)
 
 
-def validate_files(files: Sequence[Path], options: ValidateOptions | None = None) -> Report:
+def validate_files(
+    files: Sequence[Path], options: ValidateOptions | None = None
+) -> Report:
     """Return what is wrong or odd in files; see `validate`.
 
     The same whatever the number of processes.

@@ -15,6 +15,30 @@ HEADINGS = ["What", "Why", "How to mend"]
 PAGES = {code: text for code in RULES if (text := page(code)) is not None}
 # Codes without a page yet. None is added here; each that gets one leaves.
 WITHOUT = (Path(__file__).parent / "without_page.txt").read_text("utf-8").split()
+WALKER = """\
+rig: animtool/1
+name: walker
+joints:
+- {name: hips, type: free, translate: [0, 1, 0]}
+- {name: foot_l, parent: hips, type: free, translate: [0, -1, 0]}
+"""
+CAPTURE = """\
+HIERARCHY
+ROOT hips
+{
+  OFFSET 0 0 0
+  CHANNELS 3 Zrotation Xrotation Yrotation
+  End Site
+  {
+    OFFSET 0 10 0
+  }
+}
+MOTION
+Frames: 2
+Frame Time: 0.0333333
+0 0 0
+0 0 5
+"""
 BASE = "rig: animtool/1\nname: base\njoints: [{name: hips, type: free}]\n"
 
 
@@ -69,6 +93,7 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Path:
         still=points * 0,
     )
     (folder / "base.rig.yaml").write_text(BASE, "utf-8")
+    (folder / "walker.rig.yaml").write_text(WALKER, "utf-8")
     return folder
 
 
@@ -88,3 +113,14 @@ def codes(text: str, stage: Path) -> list[str]:
         head += "name: page\n"
     path.write_text(head + text, "utf-8")
     return [fault.code for fault in validate(path)]
+
+
+@pytest.mark.parametrize("code", [c for c in PAGES if examples(c, "bvh")])
+def test_lines_of_captures_are_true(code: str, tmp_path: Path) -> None:
+    wrong, right = examples(code, "bvh")
+    assert CAPTURE.count(right) == 1
+    path = tmp_path / "take.bvh"
+    path.write_text(CAPTURE, "utf-8")
+    assert validate(path) == []
+    path.write_text(CAPTURE.replace(right, wrong), "utf-8")
+    assert code in [fault.code for fault in validate(path)]

@@ -67,9 +67,7 @@ def _rule(rule: Rule) -> dict[str, Any]:
     return found
 
 
-def _result(
-    fault: Fault, places: dict[str, int], sources: Sources
-) -> dict[str, Any]:
+def _result(fault: Fault, places: dict[str, int], sources: Sources) -> dict[str, Any]:
     hint = f", {fault.hint}" if fault.hint else ""
     found: dict[str, Any] = {
         "ruleId": fault.code,

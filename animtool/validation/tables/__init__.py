@@ -50,7 +50,9 @@ def all_rules() -> tuple[Mapping[str, Rule], tuple[Fault, ...]]:
             continue
         except (ImportError, AttributeError, TypeError) as error:
             hint = "mend or remove the plug-in"
-            message = f"the check of the plug-in rule {name!r} cannot be loaded: {error}"
+            message = (
+                f"the check of the plug-in rule {name!r} cannot be loaded: {error}"
+            )
             broken.append(Fault("VAL004", message, hint=hint))
             continue
         wrong = _wrong(name, rule)

@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 from animtool.errors import Severity
-from animtool.validation.rule import Rule
+from animtool.validation.rule import Kind, Rule
 
 __all__ = ["RULES"]
+
+
+def _rule(code: str, title: str, check: str) -> Rule:
+    place = f"animtool.validation.rules.{check}"
+    return Rule(code, title, Severity.WARNING, Kind.CLIP, place)
+
 
 RULES = (
     Rule("CLIP001", "a target that is none"),
@@ -47,4 +53,12 @@ RULES = (
         "a joint has `local_` keys, which take the place of what a moving control adds",
         Severity.NOTE,
     ),
+    _rule(
+        "CLIP201",
+        "keys outside the clip's range that do nothing",
+        "clip_keys:outside_range",
+    ),
+    _rule("CLIP202", "keys half a turn apart", "clip_keys:half_turns"),
+    _rule("CLIP203", "a joint that jumps in one frame", "clip_motion:jumps"),
+    _rule("CLIP204", "a foot that slides while it stands", "clip_motion:foot_slide"),
 )

@@ -7,6 +7,7 @@ from animtool.validation.rule import Kind, Rule
 
 __all__ = ["RULES"]
 
+
 def _rule(
     code: str, title: str, check: str, severity: Severity = Severity.WARNING
 ) -> Rule:
@@ -67,21 +68,56 @@ RULES = (
     _rule("RIG201", "limits that leave out the rest pose", "rig_limits:rest_outside"),
     _rule("RIG202", "limits that leave a joint no motion", "rig_limits:motionless"),
     _rule("RIG203", "a twist axis across its bone", "rig_limits:across"),
-    _rule("RIG204", "a control that drives a joint beyond its limits", "rig_drivers:beyond_limits"),
-    _rule("RIG205", "a joint that follows another beyond its own limits", "rig_limits:follower"),
-    _rule("RIG206", "a control that drives another beyond its range", "rig_drivers:beyond_range"),
-    _rule("RIG207", "a drive that has no value somewhere in a control's range", "rig_drivers:undefined", Severity.ERROR),
+    _rule(
+        "RIG204",
+        "a control that drives a joint beyond its limits",
+        "rig_drivers:beyond_limits",
+    ),
+    _rule(
+        "RIG205",
+        "a joint that follows another beyond its own limits",
+        "rig_limits:follower",
+    ),
+    _rule(
+        "RIG206",
+        "a control that drives another beyond its range",
+        "rig_drivers:beyond_range",
+    ),
+    _rule(
+        "RIG207",
+        "a drive that has no value somewhere in a control's range",
+        "rig_drivers:undefined",
+        Severity.ERROR,
+    ),
     _rule("RIG208", "a corrective that never acts", "rig_drivers:never_acts"),
     _rule("RIG209", "a shape that moves no point", "rig_meshes:no_effect"),
     _rule("RIG210", "weights that are not summed to 1", "rig_meshes:weight_sums"),
-    _rule("RIG211", "a point that follows too many joints", "rig_meshes:many_influences"),
-    _rule("RIG212", "left and right that are no mirror images at rest", "rig_symmetry:other_place"),
-    _rule("RIG213", "left and right with other types or limits", "rig_symmetry:other_limits"),
+    _rule(
+        "RIG211", "a point that follows too many joints", "rig_meshes:many_influences"
+    ),
+    _rule(
+        "RIG212",
+        "left and right that are no mirror images at rest",
+        "rig_symmetry:other_place",
+    ),
+    _rule(
+        "RIG213",
+        "left and right with other types or limits",
+        "rig_symmetry:other_limits",
+    ),
     _rule("RIG214", "a chain that cannot bend", "rig_chains:cannot_bend"),
-    _rule("RIG215", "a chain that is straight at rest and may bend any way", "rig_chains:open_bend"),
+    _rule(
+        "RIG215",
+        "a chain that is straight at rest and may bend any way",
+        "rig_chains:open_bend",
+    ),
     _rule("RIG216", "a bind pose that is nearly the rest pose", "rig_pose:nearly_rest"),
     _rule("RIG217", "a size that fits another unit better", "rig_pose:odd_size"),
-    _rule("RIG218", "a mesh of quite another size than its skeleton", "rig_meshes:mesh_size"),
+    _rule(
+        "RIG218",
+        "a mesh of quite another size than its skeleton",
+        "rig_meshes:mesh_size",
+    ),
     _rule("RIG219", "names that USD cannot tell apart", "rig_pose:names_collide"),
     _rule("RIG220", "a control without use", "rig_drivers:idle"),
 )

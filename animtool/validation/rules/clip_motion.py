@@ -1,0 +1,122 @@
+"""What a clip does from frame to frame: jumps, and feet that slide."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.clip.clip import Interp
+from animtool.errors import Fault
+from animtool.maths import so3
+from animtool.rig.kinematics import forward, rest_size
+from animtool.validation.subjects.clip import ClipSubject
+
+__all__ = ["foot_slide", "jumps"]
+
+# Less is seen as motion [rad]; of the rig's size [1].
+LEAST_TURN, LEAST_SHIFT = math.radians(40.0), 0.2
+# A jump is as much more than what is done before and behind it.
+STANDS_OUT = 8.0
+
+_FOOT = re.compile(r"(?i)foot|toe|ankle|heel")
+# Of the rig's size: how near to the ground a foot stands, how fast it may rise a frame,
+# how far it may slide while it stands, and how far a clip must travel not to be one on
+# the spot, whose feet slide by intent.
+GROUND, RISE, SLIDE, TRAVEL = 0.02, 0.002, 0.05, 0.2
+# Fewer frames are a foot that passes.
+FEWEST_FRAMES = 4
+
+
+def jumps(subject: ClipSubject) -> Iterator[Fault]:
+    """Yield joints that leap in one frame, apart from steps (CLIP203)."""
+    translations, rotations, _ = subject.take.motion.dense()
+    if len(rotations) < 3:
+        return
+    size = max(rest_size(subject.rig), 1e-6)
+    meant = _stepping(subject)
+    turns = so3.angle_between(rotations[:-1], rotations[1:])
+    shifts = np.linalg.norm(np.diff(translations, axis=0), axis=2) / size
+    for amounts, least, unit in (
+        (turns, LEAST_TURN, "turn"),
+        (shifts, LEAST_SHIFT, "shift"),
+    ):
+        apart = _apart(amounts, least) & ~meant[:, None]
+        for j in np.flatnonzero(apart.any(axis=0)).tolist():
+            f = int(np.flatnonzero(apart[:, j])[0])
+            name = subject.rig.joints[j].name
+            much = f"{math.degrees(amounts[f, j]):.0f}\N{DEGREE SIGN}"
+            if unit == "shift":
+                much = f"{amounts[f, j] * size:.3g} m"
+            more = int(apart[:, j].sum()) - 1
+            message = (
+                f"{name!r} jumps by {much} from frame {subject.frames[f]:g} to "
+                f"{subject.frames[f + 1]:g}"
+            ) + (f", and {more} times more" if more else "")
+            hint = "interp: step says that it is meant"
+            yield subject.fault("CLIP203", subject.at(name), message, hint)
+
+
+def foot_slide(subject: ClipSubject) -> Iterator[Fault]:
+    """Yield feet that slide while they stand, in a clip that travels (CLIP204)."""
+    rig, motion = subject.rig, subject.take.motion
+    feet = [i for i, joint in enumerate(rig.joints) if _FOOT.search(joint.name)]
+    if not feet or len(subject.frames) < FEWEST_FRAMES:
+        return
+    positions = forward(rig, *motion.dense()).positions
+    size = rest_size(rig)
+    up = np.array(rig.up.vector)
+    root = _level(positions[:, rig.roots[0]], up)
+    if not size or float(np.linalg.norm(root[-1] - root[0])) < TRAVEL * size:
+        return
+    for j in feet:
+        height = positions[:, j] @ up
+        near = height <= height.min() + GROUND * size
+        rising = np.abs(np.diff(height, append=height[-1])) > RISE * size
+        level = _level(positions[:, j], up)
+        for start, end in _runs(near & ~rising):
+            far = float(np.linalg.norm(level[end] - level[start]))
+            if end - start + 1 < FEWEST_FRAMES or far < SLIDE * size:
+                continue
+            name = rig.joints[j].name
+            first, last = subject.frames[start], subject.frames[end]
+            message = f"{name!r} slides {far:.3g} m from frame {first:g} to {last:g}"
+            hint = "hold it with IK, or let the clip stay on the spot"
+            yield subject.fault("CLIP204", subject.at(name), message, hint)
+            break
+
+
+def _apart(amounts: FloatArray, least: float) -> FloatArray:
+    """Return where amounts ``(F, J)`` are far more than those beside them."""
+    still = np.zeros((1, amounts.shape[1]))
+    before = np.concatenate([still, amounts[:-1]])
+    behind = np.concatenate([amounts[1:], still])
+    beside = np.maximum(before, behind)
+    return (amounts > least) & (amounts > STANDS_OUT * beside)
+
+
+def _stepping(subject: ClipSubject) -> FloatArray:
+    """Return from which frames to the next a step is keyed ``(F - 1,)``."""
+    frames = np.array(subject.frames)
+    meant = np.zeros(len(frames) - 1, bool)
+    for channel in subject.clip.channels:
+        for k, interp in enumerate(channel.interps[:-1]):
+            if interp is Interp.STEP:
+                at = channel.times[k + 1]
+                meant |= (frames[:-1] < at) & (at <= frames[1:])
+    return meant
+
+
+def _level(points: FloatArray, up: FloatArray) -> FloatArray:
+    """Return points ``(F, 3)`` without their height."""
+    return points - (points @ up)[:, None] * up
+
+
+def _runs(standing: FloatArray) -> Iterator[tuple[int, int]]:
+    """Yield first and last frame of each run."""
+    edges = np.flatnonzero(np.diff(standing.astype(int), prepend=0, append=0))
+    for start, behind in edges.reshape(-1, 2).tolist():
+        yield start, behind - 1
