@@ -54,8 +54,8 @@ class Ignores:
             elif not self.used[i]:
                 where = f" at {entry['where']}" if entry.get("where") else ""
                 message = f"nothing here is {code}{where}"
-                at = ("ignore", i)
-                fault = self.document.fault("VAL001", at, message, "leave it out")
+                hint = "leave it out"
+                fault = self.document.fault("VAL001", ("ignore", i), message, hint)
                 yield replace(fault, severity=Severity.WARNING)
 
     def _hides(self, fault: Fault) -> bool:

@@ -160,7 +160,7 @@ def _run(rule: Rule, opened: Opened) -> list[Fault]:
     try:
         check = rule.load()
         return [replace(f, severity=rule.severity) for f in check(opened.subject)]
-    except Exception as error:  # noqa: BLE001 - a rule may be anybody's
+    except Exception as error:
         path = None if opened.document is None else str(opened.document.path)
         kind = type(error).__name__
         message = f"rule {rule.code} failed: {kind}: {excerpt(str(error), 200)}"

@@ -36,12 +36,13 @@ def sarif_report(report: Report) -> str:
     codes = sorted({fault.code for fault in report.findings})
     rules, _ = all_rules()
     sources = Sources()
+    described = [_rule(rules[code]) for code in codes if code in rules]
     driver = {
         "name": "animtool",
         "version": version("animtool"),
-        "rules": [_rule(rules[code]) for code in codes if code in rules],
+        "rules": described,
     }
-    places = {rule["id"]: i for i, rule in enumerate(driver["rules"])}
+    places = {rule["id"]: i for i, rule in enumerate(described)}
     results = [_result(fault, places, sources) for fault in report.findings]
     _tell_apart(results)
     run = {

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool._types import BoolArray, FloatArray
 from animtool.clip.clip import Interp
 from animtool.errors import Fault
 from animtool.maths import so3
@@ -89,16 +89,16 @@ def foot_slide(subject: ClipSubject) -> Iterator[Fault]:
             break
 
 
-def _apart(amounts: FloatArray, least: float) -> FloatArray:
+def _apart(amounts: FloatArray, least: float) -> BoolArray:
     """Return where amounts ``(F, J)`` are far more than those beside them."""
     still = np.zeros((1, amounts.shape[1]))
     before = np.concatenate([still, amounts[:-1]])
     behind = np.concatenate([amounts[1:], still])
     beside = np.maximum(before, behind)
-    return (amounts > least) & (amounts > STANDS_OUT * beside)
+    return np.asarray((amounts > least) & (amounts > STANDS_OUT * beside))
 
 
-def _stepping(subject: ClipSubject) -> FloatArray:
+def _stepping(subject: ClipSubject) -> BoolArray:
     """Return from which frames to the next a step is keyed ``(F - 1,)``."""
     frames = np.array(subject.frames)
     meant = np.zeros(len(frames) - 1, bool)
@@ -112,10 +112,10 @@ def _stepping(subject: ClipSubject) -> FloatArray:
 
 def _level(points: FloatArray, up: FloatArray) -> FloatArray:
     """Return points ``(F, 3)`` without their height."""
-    return points - (points @ up)[:, None] * up
+    return np.asarray(points - (points @ up)[:, None] * up)
 
 
-def _runs(standing: FloatArray) -> Iterator[tuple[int, int]]:
+def _runs(standing: BoolArray) -> Iterator[tuple[int, int]]:
     """Yield first and last frame of each run."""
     edges = np.flatnonzero(np.diff(standing.astype(int), prepend=0, append=0))
     for start, behind in edges.reshape(-1, 2).tolist():

@@ -83,20 +83,19 @@ def _joints(rig: RigSubject, chain: IkChain) -> list[int]:
 def _bends(rig: RigSubject, i: int, tip: int) -> bool:
     """Return whether a joint can bring the tip nearer to what is above it."""
     joint = rig.rig.joints[i]
+    if joint.type is JointType.FIXED:
+        return False
+    away = _to_tip(rig, i, tip)
     match joint.type, joint.limits:
-        case JointType.FIXED, _:
-            return False
         case JointType.PRISMATIC, limits:
             return not isinstance(limits, RangeLimit) or _wide(limits)
         case JointType.PIN, limits:
-            if isinstance(limits, RangeLimit) and not _wide(limits):
-                return False
-            return not _parallel(_to_tip(rig, i, tip), np.array(joint.axis))
+            still = isinstance(limits, RangeLimit) and not _wide(limits)
+            return not still and not _parallel(away, np.array(joint.axis))
         case JointType.BALL, BallLimit(swing=swing, twist=twist, twist_axis=axis):
-            if swing is None or max(swing) > STILL:
-                return True
             twists = twist is None or twist[1] - twist[0] > STILL
-            return twists and not _parallel(_to_tip(rig, i, tip), np.array(axis))
+            swings = swing is None or max(swing) > STILL
+            return swings or (twists and not _parallel(away, np.array(axis)))
         case _:
             return True
 

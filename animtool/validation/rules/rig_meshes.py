@@ -99,7 +99,10 @@ def mesh_size(rig: RigSubject) -> Iterator[Fault]:
     largest = max(sizes.values(), default=0.0)
     if largest and not rig.size / SIZE_RATIO <= largest <= rig.size * SIZE_RATIO:
         name = max(sizes, key=lambda name: sizes[name])
-        message = f"{name!r} measures {largest:.3g} m, and the joints at rest {rig.size:.3g} m"
+        message = (
+            f"{name!r} measures {largest:.3g} m, and the joints at rest "
+            f"{rig.size:.3g} m"
+        )
         hint = "points are in the file's unit, as joints are; or write geom_bind"
         at = (*rig.at("meshes", name), "points")
         yield rig.fault("RIG218", at, message, hint)

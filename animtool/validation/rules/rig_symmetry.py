@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool._types import BoolArray
 from animtool.errors import Fault
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint
@@ -87,7 +87,7 @@ def _pairs(rig: RigSubject) -> list[tuple[Joint, Joint]]:
     return pairs
 
 
-def _alike(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> FloatArray:
+def _alike(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> BoolArray:
     """Return whether pairs are mirror images ``(P,)``, in the plane that most are."""
     positions, _ = rig.rest
     parents = rig.rig.parents
@@ -108,7 +108,7 @@ def _alike(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> FloatArray:
     return best
 
 
-def _symmetric(alike: FloatArray) -> bool:
+def _symmetric(alike: BoolArray) -> bool:
     """Return whether a rig is meant to have two sides that are alike."""
     return len(alike) > 1 and 2 * int(np.count_nonzero(alike)) >= len(alike)
 

@@ -40,7 +40,8 @@ def all_rules() -> tuple[Mapping[str, Rule], tuple[Fault, ...]]:
 
     An entry point's name is the code of the rule that it leads to.
     """
-    rules, broken = dict(RULES), []
+    rules = dict(RULES)
+    broken: list[Fault] = []
     for name, point in sorted(plugin_points(PLUGIN_GROUP).items()):
         try:
             rule = load_plugin(point, Rule, "VAL004")

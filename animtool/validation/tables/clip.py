@@ -45,7 +45,8 @@ RULES = (
     ),
     Rule(
         "CLIP104",
-        "a handle, `tcb` or `parametrization` that the interpolation beside it does not use",
+        "a handle, `tcb` or `parametrization` that the interpolation beside it "
+        "does not use",
         Severity.WARNING,
     ),
     Rule(

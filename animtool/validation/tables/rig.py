@@ -47,13 +47,16 @@ RULES = (
     Rule("RIG026", "shapes that combine each other in a circle"),
     Rule(
         "RIG027",
-        "an array with a value that is not finite, an index of nothing, a negative weight, a vertex without weight, or neighbours of a strand in one place",
+        "an array with a value that is not finite, an index of nothing, a "
+        "negative weight, a vertex without weight, or neighbours of a strand in "
+        "one place",
     ),
     Rule("RIG028", "a channel of a joint twice"),
     Rule("RIG030", "a `from` that leads back to where it came from, or on and on"),
     Rule(
         "RIG031",
-        "an attachment without a key that its kind wants, or with one that it does not take",
+        "an attachment without a key that its kind wants, or with one that it "
+        "does not take",
     ),
     Rule(
         "RIG101",
@@ -93,7 +96,9 @@ RULES = (
     _rule("RIG209", "a shape that moves no point", "rig_meshes:no_effect"),
     _rule("RIG210", "weights that are not summed to 1", "rig_meshes:weight_sums"),
     _rule(
-        "RIG211", "a point that follows too many joints", "rig_meshes:many_influences"
+        "RIG211",
+        "a point that follows too many joints",
+        "rig_meshes:many_influences",
     ),
     _rule(
         "RIG212",

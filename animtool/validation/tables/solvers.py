@@ -11,7 +11,8 @@ RULES = (
     Rule("IK001", "a goal on a joint that the rig lacks, or one allowed to move"),
     Rule(
         "IK002",
-        "a goal that asks for nothing, or a weight, offset or aim axis that makes no sense",
+        "a goal that asks for nothing, or a weight, offset or aim axis that "
+        "makes no sense",
     ),
     Rule("IK003", "a goal that no joint moves"),
     Rule("IK004", "a pole without a limb of two bones"),
@@ -21,7 +22,8 @@ RULES = (
     Rule("IK010", "targets missing, or of another shape or count than the goals"),
     Rule(
         "IK011",
-        "a target or weight that is not finite, a weight less than 0, or a quaternion without length",
+        "a target or weight that is not finite, a weight less than 0, or a "
+        "quaternion without length",
     ),
     Rule("IK012", "a start of another shape"),
     Rule("IK013", "a start that is not finite"),
