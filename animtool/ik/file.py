@@ -27,7 +27,7 @@ from animtool.rig.parts import IkChain, Vector
 from animtool.rig.skeleton import Rig
 from animtool.units import LengthUnit
 
-__all__ = ["TARGETS_SUFFIXES", "is_targets", "load_targets"]
+__all__ = ["TARGETS_SUFFIXES", "is_targets", "load_targets", "targets_of_document"]
 
 TARGETS_SUFFIXES = (".targets.yaml", ".targets.yml", ".targets.json")
 # Shorter, a direction is a slip.
@@ -55,7 +55,11 @@ def load_targets(path: Path | str, rig: Rig | None = None) -> TargetTracks:
         FormatError: With every fault of the file, each with line and column.
         OptionError: The project's settings are malformed.
     """
-    document = read_document(Path(path))
+    return targets_of_document(read_document(Path(path)), rig)
+
+
+def targets_of_document(document: Document, rig: Rig | None) -> TargetTracks:
+    """Return what a document asks of a rig; see `load_targets`."""
     check_version(document, "targets")
     model = validated(document, TargetsModel)
     with Archives() as archives:

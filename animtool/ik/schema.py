@@ -12,6 +12,7 @@ from pydantic import Field
 
 from animtool.clip.schema import CurveModel, JoinModel, KeyModel
 from animtool.documents.check import FileModel
+from animtool.documents.ignore import IgnoreModel
 
 __all__ = ["AimModel", "GoalModel", "TargetsModel", "ValueModel", "WeightsModel"]
 
@@ -223,4 +224,9 @@ class TargetsModel(FileModel):
     goals: Annotated[list[GoalModel], Len(1)] = Field(
         description="At least one.",
         examples=[[{"effector": "leg_l", "hold": [[1.0, 12.0]]}]],
+    )
+    ignore: list[IgnoreModel] = Field(
+        default=[],
+        description="Findings of `animtool validate` that are known and stay.",
+        examples=[[{"code": "TGT101", "why": "it is meant"}]],
     )

@@ -21,6 +21,7 @@ class Kind(StrEnum):
     RIG = "rig"
     CLIP = "clip"
     SCENE = "scene"
+    TARGETS = "targets"
     BVH = "bvh"
     USD = "usd"
 

@@ -7,7 +7,14 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from animtool.errors import AnimtoolError, ExitCode, Fault, Severity, excerpt
+from animtool.errors import (
+    AnimtoolError,
+    ExitCode,
+    Fault,
+    FormatError,
+    Severity,
+    excerpt,
+)
 from animtool.validation.files import find_files
 from animtool.validation.ignores import Ignores
 from animtool.validation.options import ValidateOptions, check_codes
@@ -17,7 +24,13 @@ from animtool.validation.subjects.open import open_file
 from animtool.validation.subjects.subject import Opened
 from animtool.validation.tables import all_rules
 
-__all__ = ["Finding", "Report", "validate", "validate_files"]
+__all__ = [
+    "Finding",
+    "Report",
+    "findings_of_rule",
+    "validate",
+    "validate_files",
+]
 
 Finding = Fault
 
@@ -153,6 +166,21 @@ def _findings(opened: Opened) -> list[Fault]:
     found = ignores.hide(found)
     # What the reader refused hides findings that an entry may be for.
     return [*found, *(ignores.remarks() if opened.subject is not None else ())]
+
+
+def findings_of_rule(rule: Rule, path: Path) -> list[Fault]:
+    """Return what one rule finds in a file, its own errors not caught.
+
+    Raises:
+        AnimtoolError: The file cannot be opened as what the rule looks at.
+    """
+    opened = open_file(path)
+    if opened.subject is None:
+        raise FormatError(opened.faults)
+    if opened.kind is not rule.kind:
+        message = f"is a {opened.kind} file, and {rule.code} looks at {rule.kind}"
+        raise FormatError(Fault("DOC009", message, str(path)))
+    return [replace(f, severity=rule.severity) for f in rule.load()(opened.subject)]
 
 
 def _run(rule: Rule, opened: Opened) -> list[Fault]:

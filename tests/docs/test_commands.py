@@ -61,20 +61,6 @@ def test_setup_commands_are_run_by_ci(root: Path) -> None:
     assert "README.md" in script
 
 
-def test_every_code_is_in_the_guide(root: Path) -> None:
-    guide = (root / "animtool/docs/guide.md").read_text("utf-8")
-    listed = set(re.findall(r"\b[A-Z]{2,4}\d{3}\b", guide))
-    for family, first, last in re.findall(
-        "([A-Z]{2,4})(\\d{3})\N{EN DASH}[A-Z]{2,4}(\\d{3})", guide
-    ):
-        listed |= {f"{family}{n:03}" for n in range(int(first), int(last) + 1)}
-    used = set()
-    for path in (root / "animtool").rglob("*.py"):
-        used |= set(re.findall(r"\"([A-Z]{2,4}\d{3})\"", path.read_text("utf-8")))
-    assert used <= listed, used - listed
-    assert listed <= used, listed - used
-
-
 def test_every_pass_and_option_is_in_the_guide(root: Path) -> None:
     guide = (root / "animtool/docs/guide.md").read_text("utf-8")
     table = guide.split("| pass | options | |")[1].split("\n\n")[0]

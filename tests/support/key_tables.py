@@ -51,8 +51,9 @@ def schema_of(kind: str) -> dict[str, Any]:
 
 
 def models_of(kind: str) -> list[str]:
-    """Return the names of the models of a kind of file."""
-    return list(schema_of(kind)["$defs"])
+    """Return the names of the models of a kind of file, those of all with the first."""
+    shared = () if kind == "rig" else ("IgnoreModel",)
+    return [name for name in schema_of(kind)["$defs"] if name not in shared]
 
 
 def field_of(model: str, key: str) -> FieldInfo:

@@ -33,7 +33,7 @@ class SceneSubject:
 
 
 def open_scene(document: Document) -> Opened:
-    """Return a scene file as its rules see it; its source and passes are opened too.
+    """Return a scene file as its rules see it; its source is read, its passes done.
 
     Raises:
         FormatError: With every fault of the file.
@@ -41,11 +41,9 @@ def open_scene(document: Document) -> Opened:
     scene = scene_of_document(document)
     opened = Opened(Kind.SCENE, [], SceneSubject(document, scene))
     try:
-        stream = scene.open()
+        faults: tuple[Fault, ...] = scene.open().collect().notices
     except AnimtoolError as error:
-        faults: tuple[Fault, ...] = error.faults
-    else:
-        faults = tuple(stream.notices)
+        faults = error.faults
     path = str(document.path)
     opened.faults = [f if f.path else replace(f, path=path) for f in faults]
     return opened

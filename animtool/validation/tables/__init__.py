@@ -19,6 +19,7 @@ from animtool.validation.tables import (
     rig,
     scene,
     solvers,
+    targets,
     usd,
 )
 
@@ -28,7 +29,7 @@ PLUGIN_GROUP = "animtool.rules"
 
 RULES: dict[str, Rule] = {
     rule.code: rule
-    for table in (bvh, clip, files, findings, rig, scene, solvers, usd)
+    for table in (bvh, clip, files, findings, rig, scene, solvers, targets, usd)
     for rule in table.RULES
 }
 _CODE = re.compile(r"[A-Z]{2,8}[0-9]{3}")

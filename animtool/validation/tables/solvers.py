@@ -19,6 +19,11 @@ RULES = (
     Rule("IK005", "limits that are reversed, or no numbers"),
     Rule("IK006", "no goals"),
     Rule("IK007", "a goal's root that is not above its joint"),
+    Rule(
+        "IK008",
+        "a limb that cannot ease out or stretch: its root is moved, it slides, or has "
+        "no bones of its own",
+    ),
     Rule("IK010", "targets missing, or of another shape or count than the goals"),
     Rule(
         "IK011",
@@ -27,7 +32,10 @@ RULES = (
     ),
     Rule("IK012", "a start of another shape"),
     Rule("IK013", "a start that is not finite"),
-    Rule("IK014", "an option out of its range"),
+    Rule("IK014", "an option, time or rate out of its range"),
+    Rule("IK015", "a method that cannot serve the problem"),
+    Rule("IK101", "a goal missed by more than the tolerance", Severity.WARNING),
+    Rule("IK102", "a joint that jumps, where no other way was found", Severity.WARNING),
     Rule("SKIN001", "arrays whose lengths do not fit each other or the mesh"),
     Rule("SKIN002", "a number that is no joint, or no vertex of the mesh"),
     Rule("SKIN003", "a weight, offset, point or transform that is not finite"),

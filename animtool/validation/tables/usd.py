@@ -34,6 +34,7 @@ RULES = (
     Rule("USD031", "no take of that name, or a file without takes"),
     Rule("USD032", "a rig's own value is stronger than that of a variant"),
     Rule("USD033", "`--prim-path` is of no character in the shot"),
+    Rule("USD034", "a prim that a target follows and the stage lacks"),
     Rule(
         "USD040",
         "`--deform` where there are no meshes or strands, or none of the take's "

@@ -1,0 +1,46 @@
+"""Codes of targets."""
+
+from __future__ import annotations
+
+from animtool.errors import Severity
+from animtool.validation.rule import Rule
+
+__all__ = ["RULES"]
+
+RULES = (
+    Rule("TGT001", "an effector or root that the rig lacks"),
+    Rule("TGT002", "a goal that asks nothing"),
+    Rule("TGT003", "a range reversed or far too long"),
+    Rule("TGT004", "no frame rate"),
+    Rule("TGT005", "held spans reversed, or that meet"),
+    Rule(
+        "TGT006",
+        "an array missing, of the wrong shape, or with other rows than the "
+        "range has frames",
+    ),
+    Rule(
+        "TGT007",
+        "an array with a value that is not finite, a quaternion without length, "
+        "a weight less than 0",
+    ),
+    Rule("TGT008", "an axis without length"),
+    Rule(
+        "TGT009",
+        "a value with neither keys nor a prim, or with a key that it does not take",
+    ),
+    Rule("TGT010", "a file that is not there or outside the project"),
+    Rule("TGT011", "a prim that cannot be read"),
+    Rule("TGT012", "a root that is not above its effector"),
+    Rule("TGT013", "a pass without a targets file"),
+    Rule("TGT014", "targets of another rate than the take"),
+    Rule("TGT015", "arrays for other frames than the take has"),
+    Rule("TGT016", "an effector below a scaled joint"),
+    Rule("TGT017", "a start without a joint of the rig"),
+    Rule("TGT018", "a frame that the start has not"),
+    Rule("TGT101", "a weight of what is not asked", Severity.WARNING),
+    Rule(
+        "TGT102",
+        "joints that only the rig, or only the start, has",
+        Severity.WARNING,
+    ),
+)

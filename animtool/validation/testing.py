@@ -1,0 +1,41 @@
+"""What every rule must do, for the tests of those who write some."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from animtool.validation.rule import Rule
+from animtool.validation.run import Finding, findings_of_rule
+
+__all__ = ["check_rule"]
+
+
+def check_rule(rule: Rule, wrong: Path | str, right: Path | str) -> list[Finding]:
+    """Check that a rule finds what is wrong in one file, and nothing in another.
+
+    Args:
+        rule: To be tested.
+        wrong: A file with the fault.
+        right: One that nearly has it, and has not.
+
+    Returns:
+        What it finds in the wrong file.
+
+    Raises:
+        AssertionError: The rule does otherwise, or what it says is of no use: a file,
+            line or prim is missing, the code is another, the message is empty.
+    """
+    found = findings_of_rule(rule, Path(wrong))
+    if not found:
+        raise AssertionError(f"{rule.code} finds nothing in {wrong}")
+    for finding in found:
+        if finding.code != rule.code:
+            raise AssertionError(f"{rule.code} speaks of {finding.code}")
+        if not finding.message or finding.path is None:
+            raise AssertionError(f"{rule.code} says nothing, or of no file: {finding}")
+        if not finding.lines and not finding.where:
+            raise AssertionError(f"{rule.code} names no place: {finding}")
+    others = findings_of_rule(rule, Path(right))
+    if others:
+        raise AssertionError(f"{rule.code} is a false alarm in {right}: {others[0]}")
+    return found

@@ -1,0 +1,107 @@
+"""``validate`` and ``explain``: what they say and how they end."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+
+import pytest
+from support.cli import animtool, animtool_process
+
+from animtool.cli.validate import FORMATS
+from animtool.validation.formats import FORMATS as WRITERS
+from animtool.validation.tables import RULES
+
+RIG = "rig: animtool/1\nname: leg\njoints:\n- {name: knee, type: pin, axis: [1, 0, 0]"
+WARNED, RIGHT, WRONG = f"{RIG}, limits: [1, 9]}}\n", f"{RIG}}}\n", f"{RIG}, a: 1}}\n"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "right.rig.yaml").write_text(RIGHT, "utf-8")
+    (tmp_path / "warned.rig.yaml").write_text(WARNED, "utf-8")
+    (tmp_path / "wrong.rig.yaml").write_text(WRONG, "utf-8")
+    return tmp_path
+
+
+def test_the_forms_are_those_that_there_are() -> None:
+    assert list(FORMATS) == list(WRITERS)
+
+
+@pytest.mark.parametrize("form", FORMATS)
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (["right.rig.yaml"], 0),
+        (["warned.rig.yaml"], 0),
+        (["warned.rig.yaml", "--strict"], 1),
+        (["warned.rig.yaml", "--severity", "rig201=error"], 1),
+        (["wrong.rig.yaml"], 1),
+        (["wrong.rig.yaml", "--exit-zero"], 0),
+        (["."], 1),
+        (["none.rig.yaml", "wrong.rig.yaml"], 3),
+        (["none.rig.yaml", "--exit-zero"], 3),
+        (["*.bvh"], 5),
+        (["right.rig.yaml", "--select", "RIGG"], 2),
+        (["right.rig.yaml", "--severity", "RIG=bad"], 2),
+        (["right.rig.yaml", "-j", "0"], 2),
+    ],
+)
+def test_how_it_ends(folder: Path, form: str, arguments: list[str], code: int) -> None:
+    done = animtool("validate", *arguments, "--format", form, cwd=folder)
+    assert done.code == code, done.stderr
+    if code in {0, 1, 3}:
+        assert done.stdout or form == "github"
+
+
+def test_what_it_says(folder: Path) -> None:
+    done = animtool("validate", ".", cwd=folder)
+    assert done.stdout.splitlines()[-1] == "3 files: 1 error, 1 warning"
+    assert "warned.rig.yaml:4:52: warning: RIG201" in done.stdout
+    assert done.stderr == ""
+    quiet = animtool("validate", ".", "--ignore", "RIG,DOC020", "-q", cwd=folder)
+    assert (quiet.code, quiet.stdout) == (0, "3 files: nothing found\n")
+
+
+def test_a_list(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        "sys.stdin", io.StringIO("right.rig.yaml\n\nwrong.rig.yaml\r\n")
+    )
+    done = animtool("validate", "-", "--format", "json", cwd=folder)
+    assert json.loads(done.stdout)["files"] == ["right.rig.yaml", "wrong.rig.yaml"]
+
+
+def test_an_output_file(folder: Path) -> None:
+    done = animtool(
+        "validate", ".", "--format", "sarif", "--output-file", "out.sarif", cwd=folder
+    )
+    assert (done.code, done.stdout) == (1, "")
+    assert "3 files: 1 error, 1 warning" in done.stderr
+    assert json.loads((folder / "out.sarif").read_text("utf-8"))["version"] == "2.1.0"
+    refused = animtool("validate", ".", "--output-file", "right.rig.yaml", cwd=folder)
+    assert refused.code == 2
+    assert (folder / "right.rig.yaml").read_text("utf-8") == RIGHT
+
+
+def test_processes_of_a_real_command(folder: Path) -> None:
+    one = animtool_process("validate", ".", "-j", "1", cwd=folder)
+    two = animtool_process("validate", ".", "-j", "2", cwd=folder)
+    assert one == two
+    assert one.code == 1
+
+
+def test_explain() -> None:
+    done = animtool("explain", "rig201")
+    assert done.code == 0
+    assert done.stdout.startswith("# RIG201: limits that leave out the rest pose\n")
+    listed = animtool("explain").stdout.splitlines()
+    assert [line.split()[0] for line in listed] == sorted(RULES)
+    value = json.loads(animtool("explain", "RIG201", "--format", "json").stdout)
+    assert value["rules"][0]["kind"] == "rig"
+
+
+def test_a_code_that_is_none() -> None:
+    done = animtool("explain", "RIF201")
+    assert done.code == 2
+    assert "did you mean 'RIG201'?" in done.stderr

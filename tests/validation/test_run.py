@@ -1,0 +1,246 @@
+"""Validation: what counts, in which order, whatever the number of processes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import animtool
+from animtool.errors import ExitCode, OptionError, Severity
+from animtool.validation.files import NothingFoundError, find_files
+from animtool.validation.options import ValidateOptions
+from animtool.validation.rule import Rule
+from animtool.validation.run import validate, validate_files
+from animtool.validation.tables import RULES
+from animtool.validation.testing import check_rule
+
+KNEE = """\
+rig: animtool/1
+name: leg
+joints:
+- {name: knee, type: pin, axis: [1, 0, 0], limits: [10, 150]}
+- {name: ankle, parent: knee, type: pin, axis: [1, 0, 0], limits: [0, 0]}
+"""
+FOUND = ["RIG201", "RIG202"]
+
+
+@pytest.fixture
+def leg(tmp_path: Path) -> Path:
+    path = tmp_path / "leg.rig.yaml"
+    path.write_text(KNEE, "utf-8")
+    return path
+
+
+def codes(path: Path, **options: object) -> list[str]:
+    found = validate(path, ValidateOptions(**options))  # type: ignore[arg-type]
+    return [fault.code for fault in found]
+
+
+def test_findings_have_places(leg: Path) -> None:
+    first, second = animtool.validate(leg)
+    assert (first.path, first.lines, first.column) == (str(leg), (4,), 52)
+    assert (first.where, first.severity) == ("joints[0].limits", Severity.WARNING)
+    assert second.lines == (5,)
+    assert animtool.Finding is animtool.Fault
+
+
+def test_shipped_files_are_without_findings(root: Path) -> None:
+    assert validate([root / "rigs", root / "samples"]) == []
+
+
+@pytest.mark.parametrize(
+    ("options", "left"),
+    [
+        ({"select": ("RIG202",)}, ["RIG202"]),
+        ({"select": ("CLIP",)}, []),
+        ({"ignore": ("RIG2",)}, []),
+        ({"ignore": ("RIG2",), "select": ("RIG202",)}, ["RIG202"]),
+        ({"ignore": ("RIG202",), "select": ("RIG2",)}, ["RIG201"]),
+        ({"ignore": ("RIG",), "select": ("RIG",)}, []),
+    ],
+)
+def test_select_and_ignore(
+    leg: Path, options: dict[str, object], left: list[str]
+) -> None:
+    assert codes(leg, **options) == left
+
+
+def test_severities(leg: Path) -> None:
+    given = {"RIG": Severity.ERROR, "RIG202": Severity.NOTE}
+    found = validate(leg, ValidateOptions(severity=given))
+    assert [fault.severity for fault in found] == [Severity.ERROR, Severity.NOTE]
+
+
+@pytest.mark.parametrize("key", ["select", "ignore"])
+def test_codes_that_there_are_none_of(leg: Path, key: str) -> None:
+    with pytest.raises(OptionError) as error:
+        codes(leg, **{key: ("RIGG",)})
+    assert error.value.code == "VAL005"
+
+
+def test_exit_codes(leg: Path, tmp_path: Path) -> None:
+    report = validate_files([leg])
+    assert report.exit_code() is ExitCode.OK
+    assert report.exit_code(strict=True) is ExitCode.FINDINGS
+    assert report.exit_code(strict=True, exit_zero=True) is ExitCode.OK
+    wrong = validate_files([leg], ValidateOptions(severity={"RIG": Severity.ERROR}))
+    assert wrong.exit_code() is ExitCode.FINDINGS
+    away = validate_files([leg, tmp_path / "none.rig.yaml"])
+    assert away.exit_code(exit_zero=True) is ExitCode.MALFORMED
+
+
+def test_syntax_is_a_finding(leg: Path) -> None:
+    leg.write_text("rig: [", "utf-8")
+    report = validate_files([leg])
+    assert [fault.code for fault in report.findings] == ["DOC001"]
+    assert report.exit_code() is ExitCode.FINDINGS
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        (
+            "animtool.toml",
+            "[validate]\nignore = ['RIG202']\nseverity = {RIG = 'error'}",
+        ),
+        (
+            "pyproject.toml",
+            "[tool.animtool.validate]\nignore = ['RIG202']\nseverity.RIG = 'error'",
+        ),
+    ],
+)
+def test_settings_of_a_project(leg: Path, name: str, text: str) -> None:
+    (leg.parent / name).write_text(text, "utf-8")
+    (found,) = validate(leg)
+    assert (found.code, found.severity) == ("RIG201", Severity.ERROR)
+    note = ValidateOptions(severity={"RIG201": Severity.NOTE})
+    assert validate(leg, note)[0].severity is Severity.NOTE
+
+
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        ("validate = 1", "CFG003"),
+        ("[validate]\nselct = []", "CFG002"),
+        ("[validate]\nselect = 'RIG'", "CFG003"),
+        ("[validate]\nseverity = ['RIG']", "CFG003"),
+        ("[validate]\nseverity = {RIG = 'bad'}", "CFG003"),
+        ("[validate]\nignore = ['RIGG']", "VAL005"),
+    ],
+)
+def test_settings_that_are_malformed(leg: Path, text: str, code: str) -> None:
+    (leg.parent / "animtool.toml").write_text(text, "utf-8")
+    with pytest.raises(OptionError) as error:
+        validate(leg)
+    assert error.value.code == code
+
+
+@pytest.mark.parametrize(
+    ("entries", "left"),
+    [
+        (["{code: RIG201, why: crouched}"], ["RIG202"]),
+        (['{code: RIG201, where: "joints[0].limits", why: crouched}'], ["RIG202"]),
+        (['{code: RIG201, where: "joints[knee]", why: crouched}'], ["RIG202"]),
+        (['{code: RIG201, where: "joints[k*]", why: crouched}'], ["RIG202"]),
+        (
+            ['{code: RIG201, where: "joints[1]", why: no}'],
+            ["RIG201", "RIG202", "VAL001"],
+        ),
+        (["{code: RIG201, why: a}", "{code: RIG202, why: b}"], []),
+        (["{code: CLIP201, why: no}"], ["RIG201", "RIG202", "VAL001"]),
+        (["{code: RIG2, why: no}"], ["RIG201", "RIG202", "VAL002"]),
+        (["{code: RIG201}"], ["DOC021"]),
+        (["{code: RIG201, why: ''}"], ["DOC022"]),
+    ],
+)
+def test_ignores_in_a_file(leg: Path, entries: list[str], left: list[str]) -> None:
+    lines = "".join(f"- {entry}\n" for entry in entries)
+    leg.write_text(f"{KNEE}ignore:\n{lines}", "utf-8")
+    assert sorted(codes(leg)) == left
+
+
+def test_a_rig_reached_twice_is_said_once(
+    leg: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    leg.write_text(KNEE.replace("type: pin", "type: pni", 1), "utf-8")
+    clip = leg.with_name("walk.clip.yaml")
+    clip.write_text("clip: animtool/1\nrig: leg.rig.yaml\nfps: 24\nrange: [1, 2]\n")
+    monkeypatch.chdir(leg.parent)
+    found = validate(["walk.clip.yaml", "leg.rig.yaml"])
+    assert [(fault.code, fault.path) for fault in found] == [("DOC022", "leg.rig.yaml")]
+    assert validate("walk.clip.yaml") == found
+
+
+def test_processes_do_not_matter(leg: Path) -> None:
+    for i in range(5):
+        leg.with_name(f"leg{i}.rig.yaml").write_text(KNEE, "utf-8")
+    files = find_files([leg.parent])
+    assert len(files) == 6
+    one = validate_files(files)
+    assert one == validate_files(files, ValidateOptions(jobs=2))
+    assert len(one.findings) == 12
+
+
+def test_which_files(leg: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(leg.parent)
+    for name in ("a/b/walk.bvh", "a/.old/walk.bvh", "a/x.yaml", "a/run.clip.json"):
+        Path(name).parent.mkdir(parents=True, exist_ok=True)
+        Path(name).touch()
+    named = [path.as_posix() for path in find_files(["."])]
+    assert named == ["a/b/walk.bvh", "a/run.clip.json", "leg.rig.yaml"]
+    globbed = find_files(["**/*.bvh", "a/*.json", "a/b/walk.bvh", "x.rig.yaml"])
+    shown = [path.as_posix() for path in globbed]
+    assert shown[-3:] == ["a/b/walk.bvh", "a/run.clip.json", "x.rig.yaml"]
+    odd = Path("a[1].rig.yaml")
+    odd.touch()
+    assert find_files([odd]) == [odd]
+    with pytest.raises(NothingFoundError) as error:
+        find_files(["a/b/*.usd"])
+    assert error.value.exit_code is ExitCode.NOTHING_MATCHED
+
+
+def test_a_kind_that_is_not_checked(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").touch()
+    with pytest.raises(OptionError) as error:
+        validate(tmp_path / "a.txt")
+    assert error.value.code == "IO002"
+
+
+def _fails(_: object) -> list[object]:
+    raise ZeroDivisionError("no joints")
+
+
+def test_a_rule_that_fails(leg: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("animtool.validation.rules.rig_limits.motionless", _fails)
+    found = validate(leg)
+    assert [fault.code for fault in found] == ["VAL003", "RIG201"]
+    assert "RIG202 failed: ZeroDivisionError" in found[0].message
+
+
+def test_the_kit_for_rules(leg: Path) -> None:
+    good = leg.with_name("good.rig.yaml")
+    good.write_text(KNEE.replace("[10, 150]", "[0, 150]"), "utf-8")
+    rule = RULES["RIG201"]
+    assert len(check_rule(rule, leg, good)) == 1
+    with pytest.raises(AssertionError, match="false alarm"):
+        check_rule(rule, leg, leg)
+    with pytest.raises(AssertionError, match="finds nothing"):
+        check_rule(rule, good, good)
+    other = Rule("STU001", "another", kind=rule.kind, check=rule.check)
+    with pytest.raises(AssertionError, match="speaks of RIG201"):
+        check_rule(other, leg, good)
+
+
+def test_scenes_and_targets(root: Path, tmp_path: Path) -> None:
+    walk = (root / "samples/walk/walk.bvh").read_bytes()
+    (tmp_path / "walk.bvh").write_bytes(walk)
+    scene = tmp_path / "shot.scene.yaml"
+    scene.write_text("scene: animtool/1\nsource: {file: walk.bvh}\n", "utf-8")
+    assert codes(scene) == []
+    more = "passes: [{trim: {first: 900}}]\n"
+    scene.write_text(scene.read_text("utf-8") + more, "utf-8")
+    assert codes(scene) == ["SCN013"]
+    targets = tmp_path / "feet.targets.yaml"
+    targets.write_text("targets: animtool/1\ngoals: [{effector: foot_l}]\n", "utf-8")
+    assert codes(targets) == ["TGT002"]
