@@ -31,7 +31,10 @@ COMMANDS = {
         "animtool.cli.migrate:migrate",
         "Rewrite files of older versions as the newest.",
     ),
-    "plugins": ("animtool.cli.plugins:plugins", "List the passes there are."),
+    "plugins": (
+        "animtool.cli.plugins:plugins",
+        "List the passes and readers there are.",
+    ),
     "schema": ("animtool.cli.schema:schema", "Print the JSON Schema of a file."),
     "info": ("animtool.cli.info:info", "Say what is in a file."),
     "validate": (

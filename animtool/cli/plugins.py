@@ -20,16 +20,18 @@ Examples:
 @common_options
 @click.pass_obj
 def plugins(console: Console, /, report_format: str) -> None:
-    """List the passes that scenes may name, and the files that are read.
+    """List the passes that scenes may name, the files that are read, and more rules.
 
     animtool's own come first, then those installed: a package adds some through the
-    entry point groups animtool.passes and animtool.readers. One that does not load
-    is listed with the reason, and ends nothing.
+    entry point groups animtool.passes, animtool.readers and animtool.rules. One that
+    does not load is listed with the reason, and ends nothing. animtool explain lists
+    the rules of animtool's own.
     """
     from animtool.passes import listed_passes
     from animtool.readers import listed_readers
+    from animtool.validation.tables import listed_rules
 
-    passes, readers = listed_passes(), listed_readers()
+    passes, readers, rules = listed_passes(), listed_readers(), listed_rules()
     if report_format == "json":
         pass_rows = [
             {"pass": e.name, "source": e.source, "scope": e.scope, "about": e.about}
@@ -39,13 +41,23 @@ def plugins(console: Console, /, report_format: str) -> None:
             {"suffix": e.suffix, "source": e.source, "opens": e.opens, "about": e.about}
             for e in readers
         ]
+        rule_rows = [
+            {"rule": e.code, "source": e.source, "kind": e.kind, "about": e.about}
+            for e in rules
+        ]
         console.result_json(
-            {"plugins": "animtool/1", "passes": pass_rows, "readers": reader_rows}
+            {
+                "plugins": "animtool/1",
+                "passes": pass_rows,
+                "readers": reader_rows,
+                "rules": rule_rows,
+            }
         )
         return
     rows = [(e.name, e.scope or "broken", e.about, e.source) for e in passes]
     rows += [
         (e.suffix, ", ".join(e.opens) or "broken", e.about, e.source) for e in readers
     ]
+    rows += [(e.code, e.kind or "broken", e.about, e.source) for e in rules]
     for name, kind, about, source in rows:
         console.result(f"{name:14} {kind:11} {about} ({source})")

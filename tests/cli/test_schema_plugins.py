@@ -50,3 +50,19 @@ def test_a_broken_plugin_is_named_and_ends_nothing(
     line = next(row for row in done.stdout.splitlines() if row.startswith("shatter"))
     assert "broken" in line
     assert "no_such_module" in line
+
+
+def test_rules_of_plug_ins_are_listed(monkeypatch: pytest.MonkeyPatch) -> None:
+    points = [
+        EntryPoint("STU001", "validation.test_tables:GOOD", "animtool.rules"),
+        EntryPoint("STU002", "no_such_module:RULE", "animtool.rules"),
+    ]
+    monkeypatch.setattr(
+        "importlib.metadata.entry_points",
+        lambda group: EntryPoints(points if group == "animtool.rules" else []),
+    )
+    rows = json.loads(animtool("plugins", "--format", "json").stdout)["rules"]
+    assert [(row["rule"], row["kind"]) for row in rows] == [
+        ("STU001", "rig"),
+        ("STU002", ""),
+    ]

@@ -8,9 +8,14 @@ from functools import cached_property
 from pathlib import Path
 
 from animtool.clip.clip import Clip
-from animtool.clip.file import clip_of_document, load_clip, load_rig_of
+from animtool.clip.file import (
+    check_clip,
+    clip_of_document,
+    load_clip,
+    load_rig_of,
+)
 from animtool.documents.document import Document, Location
-from animtool.errors import AnimtoolError, Fault
+from animtool.errors import AnimtoolError, Fault, Severity
 from animtool.rig.skeleton import Rig
 from animtool.take import Take
 from animtool.validation.rule import Kind
@@ -57,11 +62,18 @@ class ClipSubject:
 def open_clip_document(document: Document) -> Opened:
     """Return a clip file as its rules see it, on the rig that it names.
 
+    Where it names none, what can be told without is checked, and that is noted.
+
     Raises:
         FormatError: With every fault of the file, and of its rig.
-        OptionError: It names no rig (CLIP011).
     """
     file = clip_of_document(document)
+    if file.model.rig is None:
+        check_clip(file)
+        message = "names no rig, without which its targets cannot be checked"
+        hint = "write 'rig: hero.rig.yaml' into it"
+        fault = document.fault("VAL007", ("clip",), message, hint)
+        return Opened(Kind.CLIP, [replace(fault, severity=Severity.NOTE)])
     rig = load_rig_of(file)
     clip = load_clip(file, rig)
     path = document.path

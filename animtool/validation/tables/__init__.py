@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
 from importlib import resources
+from typing import TYPE_CHECKING
 
 from animtool.documents.check import nearest
 from animtool.errors import Fault, OptionError
@@ -23,7 +25,18 @@ from animtool.validation.tables import (
     usd,
 )
 
-__all__ = ["PLUGIN_GROUP", "RULES", "all_rules", "find_rule", "page"]
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+__all__ = [
+    "PLUGIN_GROUP",
+    "RULES",
+    "ListedRule",
+    "all_rules",
+    "find_rule",
+    "listed_rules",
+    "page",
+]
 
 PLUGIN_GROUP = "animtool.rules"
 
@@ -35,6 +48,23 @@ RULES: dict[str, Rule] = {
 _CODE = re.compile(r"[A-Z]{2,8}[0-9]{3}")
 
 
+@dataclass(frozen=True, slots=True)
+class ListedRule:
+    """A rule of a plug-in as `animtool plugins` lists it.
+
+    Attributes:
+        code: The entry point's name.
+        source: The object that it names.
+        kind: Of the files that it looks at; empty where it cannot be loaded.
+        about: Its title, or why it cannot be loaded.
+    """
+
+    code: str
+    source: str
+    kind: str
+    about: str
+
+
 @cache
 def all_rules() -> tuple[Mapping[str, Rule], tuple[Fault, ...]]:
     """Return every rule by code, those of plug-ins included, and broken plug-ins.
@@ -43,27 +73,47 @@ def all_rules() -> tuple[Mapping[str, Rule], tuple[Fault, ...]]:
     """
     rules = dict(RULES)
     broken: list[Fault] = []
-    for name, point in sorted(plugin_points(PLUGIN_GROUP).items()):
-        try:
-            rule = load_plugin(point, Rule, "VAL004")
-            rule.load()
-        except OptionError as error:
-            broken += error.faults
-            continue
-        except (ImportError, AttributeError, TypeError) as error:
-            hint = "mend or remove the plug-in"
-            message = (
-                f"the check of the plug-in rule {name!r} cannot be loaded: {error}"
-            )
-            broken.append(Fault("VAL004", message, hint=hint))
-            continue
-        wrong = _wrong(name, rule)
-        if wrong:
-            message = f"the plug-in rule {name!r} ({point.value}) {wrong}"
-            broken.append(Fault("VAL004", message))
-            continue
-        rules[name] = rule
+    for point in _points():
+        found = _loaded(point)
+        if isinstance(found, Rule):
+            rules[found.code] = found
+        else:
+            broken.append(found)
     return rules, tuple(broken)
+
+
+def listed_rules() -> list[ListedRule]:
+    """Return the rules of plug-ins, loaded."""
+    listed = []
+    for point in _points():
+        found = _loaded(point)
+        if isinstance(found, Rule):
+            kind, about = str(found.kind), found.title
+        else:
+            kind, about = "", found.message
+        listed.append(ListedRule(point.name, point.value, kind, about))
+    return listed
+
+
+def _points() -> list[EntryPoint]:
+    return [point for _, point in sorted(plugin_points(PLUGIN_GROUP).items())]
+
+
+def _loaded(point: EntryPoint) -> Rule | Fault:
+    """Return the rule of a plug-in, or what is wrong with it."""
+    what = f"the plug-in rule {point.name!r} ({point.value})"
+    try:
+        rule = load_plugin(point, Rule, "VAL004")
+        rule.load()
+    except OptionError as error:
+        return error.faults[0]
+    except Exception as error:
+        # Its module may do anything when it is imported.
+        hint = "mend or remove the plug-in"
+        message = f"{what} has a check that cannot be loaded: {error}"
+        return Fault("VAL004", message, hint=hint)
+    wrong = _wrong(point.name, rule)
+    return Fault("VAL004", f"{what} {wrong}") if wrong else rule
 
 
 def _wrong(name: str, rule: Rule) -> str:

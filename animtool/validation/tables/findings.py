@@ -14,4 +14,5 @@ RULES = (
     Rule("VAL004", "a plug-in rule that cannot be loaded"),
     Rule("VAL005", "a code, or the beginning of codes, that there is none of"),
     Rule("VAL006", "no file to check"),
+    Rule("VAL007", "a clip that names no rig", Severity.NOTE),
 )
