@@ -1,0 +1,44 @@
+"""What `validate` says of real files: no error in good ones, one at least in bad ones."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from support.data import data_files
+
+from animtool.errors import Severity
+from animtool.validation.run import validate
+
+# Warnings in good files, each with the reason why it is right.
+KNOWN = {
+    "assimp_boxing_toes.bvh": {
+        "BVH101": "Frames says 3069, and there are 3070 rows",
+    },
+}
+
+
+@pytest.mark.parametrize("path", data_files("rigs", "*.rig.yaml"))
+def test_good_rigs(path: Path) -> None:
+    assert validate(path) == []
+
+
+@pytest.mark.parametrize("path", data_files("bvh", "*.bvh"))
+def test_good_captures(path: Path) -> None:
+    found = validate(path)
+    warnings = {f.code for f in found if f.severity is Severity.WARNING}
+    assert not any(fault.severity is Severity.ERROR for fault in found)
+    assert warnings <= set(KNOWN.get(path.name, {}))
+
+
+@pytest.mark.parametrize("path", data_files("bvh_hard", "*.bvh"))
+def test_hard_captures(path: Path) -> None:
+    cases = json.loads(path.with_name("expected.json").read_text("utf-8"))
+    if path.name not in cases:
+        pytest.skip(f"expected.json says nothing of {path.name}")
+    severities = {fault.severity for fault in validate(path)}
+    outcome = cases[path.name]["outcome"]
+    assert (Severity.ERROR in severities) == (outcome == "error")
+    if outcome != "error":
+        assert (Severity.WARNING in severities) == (outcome == "warn")

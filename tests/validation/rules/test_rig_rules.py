@@ -1,0 +1,172 @@
+"""Rules on rigs beyond the examples of their pages: other ways to have the fault."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from animtool.validation.rules.rig_symmetry import other_side
+from animtool.validation.run import validate
+
+HEAD = "rig: animtool/1\nname: page\njoints:\n"
+ROOT = "- {name: root, type: free}\n"
+LEG = (
+    "- {name: thigh, type: ball}\n"
+    "- {name: knee, parent: thigh, translate: [0, -0.4, 0], KNEE}\n"
+    "- {name: ankle, parent: knee, type: ball, translate: [0, -0.4, 0]}\n"
+    "ik: [{name: leg, root: thigh, tip: ankle, pole_dir: [0, 0, 1]}]\n"
+)
+TWO = (
+    "- {name: a, type: pin, axis: [1, 0, 0], limits: [0, 90]}\n"
+    "- {name: b, type: pin, axis: [1, 0, 0], limits: LIMITS, mimic: MIMIC}\n"
+)
+BALL = "- {name: arm, type: ball, limits: {LIMITS}, tips: [[0.3, 0, 0]]}\n"
+SIDES = (
+    "- {name: hips, type: free}\n"
+    "- {name: hip_l, parent: hips, type: ball, translate: [0.1, 0, 0]}\n"
+    "- {name: hip_r, parent: hips, type: ball, translate: [-0.1, 0, 0]}\n"
+)
+CASES: dict[str, tuple[str, list[str]]] = {
+    "a twist that leaves out rest": (
+        BALL.replace("LIMITS", "twist: [10, 40], twist_axis: [1, 0, 0]"),
+        ["RIG201"],
+    ),
+    "a twist that ends at rest": (
+        BALL.replace("LIMITS", "twist: [0, 40], twist_axis: [1, 0, 0]"),
+        [],
+    ),
+    "a follower that rests outside": (
+        TWO.replace("LIMITS", "[0, 90]").replace("MIMIC", "{joint: a, offset: 95}"),
+        ["RIG201", "RIG205"],
+    ),
+    "a follower that rests inside": (
+        TWO.replace("LIMITS", "[5, 95]").replace("MIMIC", "{joint: a, offset: 5}"),
+        [],
+    ),
+    "a mirrored joint, said once": (
+        "- {name: k_l, type: pin, axis: [1, 0, 0], limits: [5, 9], mirror: k_r, "
+        "translate: [1, 0, 0]}\n",
+        ["RIG201"],
+    ),
+    "a ball that may neither swing nor twist": (
+        BALL.replace("LIMITS", "swing: 0, twist: locked, twist_axis: [1, 0, 0]"),
+        ["RIG202"],
+    ),
+    "a ball that may only twist": (
+        BALL.replace("LIMITS", "swing: 0, twist: [-9, 9], twist_axis: [1, 0, 0]"),
+        [],
+    ),
+    "a swing without a twist, about any axis": (
+        BALL.replace("LIMITS", "swing: 40"),
+        [],
+    ),
+    "a bone that is aslant": (
+        BALL.replace("LIMITS", "twist: [-9, 9], twist_axis: [0.5, 1, 0]"),
+        [],
+    ),
+    "a knee that is fixed": (LEG.replace("KNEE", "type: fixed"), ["RIG214"]),
+    "a knee without width": (
+        LEG.replace("KNEE", "type: pin, axis: [1, 0, 0], limits: [0, 0]"),
+        ["RIG202", "RIG214"],
+    ),
+    "a knee that slides": (
+        LEG.replace("KNEE", "type: prismatic, axis: [0, 1, 0], limits: [0, 0.1]"),
+        [],
+    ),
+    "a knee that only twists": (
+        LEG.replace("KNEE", "type: ball, limits: {swing: 0, twist: [-9, 9]}"),
+        ["RIG214"],
+    ),
+    "a pole along the chain": (
+        LEG.replace("KNEE", "type: ball").replace("[0, 0, 1]", "[0, 1, 0]"),
+        ["RIG215"],
+    ),
+    "a chain of two joints": (
+        "- {name: eye, type: ball}\n"
+        "- {name: look, parent: eye, type: fixed, translate: [0, 0, 1]}\n"
+        "ik: [{name: gaze, root: eye, tip: look}]\n",
+        [],
+    ),
+    "a rig of one side": (SIDES.replace("-0.1, 0, 0", "-0.1, 0.01, 0"), []),
+    "a ball driven beyond its cone": (
+        BALL.replace("LIMITS", "swing: 30")
+        + "controls: [{name: up, range: [0, 1], drives: "
+        "[{joint: arm.rotation.z, expr: up * 40}]}]\n",
+        ["RIG204"],
+    ),
+    "a ball driven to its cone": (
+        BALL.replace("LIMITS", "swing: 30")
+        + "controls: [{name: up, range: [-1, 1], drives: "
+        "[{joint: arm.rotation.z, expr: up * 30}]}]\n",
+        [],
+    ),
+    "a curve that peaks between samples": (
+        TWO.replace("LIMITS", "[0, 200]").replace("MIMIC", "{joint: a}")
+        + "controls: [{name: up, range: [0, 1], drives: "
+        "[{joint: a.angle, curve: [[0, 0], [0.51, 95], [0.52, 0]]}]}]\n",
+        ["RIG204"],
+    ),
+    "a chain of controls": (
+        TWO.replace("LIMITS", "[0, 90]").replace("MIMIC", "{joint: a}")
+        + "controls:\n- {name: up, range: [0, 2], drives: [{control: mid, expr: up}]}\n"
+        "- {name: mid, drives: [{joint: a.angle, expr: mid * 50}]}\n",
+        ["RIG204"],
+    ),
+    "a control that an expression reads": (
+        ROOT + "controls:\n- {name: gain, range: [0, 1]}\n"
+        "- {name: up, drives: [{joint: root.translation.y, expr: up * gain}]}\n",
+        [],
+    ),
+    "a shape that no control drives": (
+        ROOT + "shapes: [{name: a}, {name: b}, {name: ab, combine: [a, b]}]\n"
+        "controls: [{name: up, drives: [{shape: a, expr: up}]}]\n",
+        ["RIG208"],
+    ),
+    "shapes of a rig that clips drive": (
+        ROOT + "shapes: [{name: a}, {name: b}, {name: ab, combine: [a, b]}]\n",
+        [],
+    ),
+    "a name that begins with a digit": (
+        '- {name: "1st", type: free}\n- {name: _1st, parent: "1st", type: ball}\n',
+        ["RIG219"],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_rig(name: str, tmp_path: Path) -> None:
+    text, wanted = CASES[name]
+    path = tmp_path / "page.rig.yaml"
+    path.write_text(HEAD + text, "utf-8")
+    assert sorted(fault.code for fault in validate(path)) == wanted
+
+
+@pytest.mark.parametrize(
+    ("left", "right"),
+    [
+        ("arm_l", "arm_r"),
+        ("L_arm", "R_arm"),
+        ("arm.L.001", "arm.R.001"),
+        ("LeftUpLeg", "RightUpLeg"),
+        ("mixamorig:LeftHand", "mixamorig:RightHand"),
+        ("left_leg_2", "right_leg_2"),
+        ("thumb_1_l", "thumb_1_r"),
+    ],
+)
+def test_the_other_side(left: str, right: str) -> None:
+    assert other_side(left) == right
+    assert other_side(right) == left
+
+
+@pytest.mark.parametrize("name", ["clavicle", "lower_leg", "rib_3", "bright", "Lr"])
+def test_names_without_a_side(name: str) -> None:
+    assert other_side(name) is None
+
+
+@given(st.text("lrLR_.:ab1", max_size=12))
+def test_the_other_side_of_the_other_side(name: str) -> None:
+    other = other_side(name)
+    assert other is None or other_side(other) == name
