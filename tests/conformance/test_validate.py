@@ -1,4 +1,4 @@
-"""What `validate` says of real files: no error in good ones, one at least in bad ones."""
+"""What `validate` says of real files: no error in good ones, one in bad ones."""
 
 from __future__ import annotations
 
@@ -17,11 +17,6 @@ KNOWN = {
         "BVH101": "Frames says 3069, and there are 3070 rows",
     },
 }
-
-
-@pytest.mark.parametrize("path", data_files("rigs", "*.rig.yaml"))
-def test_good_rigs(path: Path) -> None:
-    assert validate(path) == []
 
 
 @pytest.mark.parametrize("path", data_files("bvh", "*.bvh"))

@@ -28,9 +28,23 @@ ROOT hips
 {
   OFFSET 0 0 0
   CHANNELS 3 Zrotation Xrotation Yrotation
-  End Site
+  JOINT leg.l
   {
-    OFFSET 0 10 0
+    OFFSET 10 0 0
+    CHANNELS 0
+    End Site
+    {
+      OFFSET 0 -10 0
+    }
+  }
+  JOINT leg.r
+  {
+    OFFSET -10 0 0
+    CHANNELS 0
+    End Site
+    {
+      OFFSET 0 -10 0
+    }
   }
 }
 MOTION

@@ -1,10 +1,9 @@
-"""The bind pose, the size and the names of a rig."""
+"""The bind pose and the size of a rig."""
 
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from animtool.maths import so3
 from animtool.units import LengthUnit, unit_name
 from animtool.validation.subjects.rig import RigSubject
 
-__all__ = ["names_collide", "nearly_rest", "odd_size"]
+__all__ = ["nearly_rest", "odd_size"]
 
 # A bind pose that differs by less of the rig's size, and by a smaller angle, is a slip.
 SLIP = 1e-3
@@ -57,27 +56,3 @@ def odd_size(rig: RigSubject) -> Iterator[Fault]:
     message = f"the rig measures {rig.size:.3g} m, its lengths being {unit_name(own)}"
     hint = f"length: {' or '.join(fitting)} fits better" if fitting else None
     yield rig.fault("RIG217", at, message, hint)
-
-
-def names_collide(rig: RigSubject) -> Iterator[Fault]:
-    """Yield names that USD cannot tell apart (RIG219)."""
-    groups: dict[str, Sequence[str]] = {
-        "joints": rig.rig.names,
-        "meshes": [mesh.name for mesh in rig.rig.meshes],
-        "shapes": [shape.name for shape in rig.rig.shapes],
-    }
-    for key, names in groups.items():
-        first: dict[str, str] = {}
-        for name in names:
-            legal = _legal(name)
-            if legal in first:
-                message = f"{name!r} and {first[legal]!r} both become {legal!r} in USD"
-                hint = "the second gets a number there; rename one"
-                yield rig.fault("RIG219", rig.at(key, name), message, hint)
-            first.setdefault(legal, name)
-
-
-def _legal(name: str) -> str:
-    """Return a name with `_` for whatever cannot stand in the name of a prim."""
-    legal = re.sub(r"\W", "_", name)
-    return f"_{legal}" if legal[:1].isdigit() else legal

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from animtool.errors import Severity
-from animtool.validation.rule import Rule
+from animtool.validation.rule import Kind, Rule
 
 __all__ = ["RULES"]
 
@@ -54,5 +54,12 @@ RULES = (
         "BVH110",
         "a BVH written in another unit or up axis than is usual",
         Severity.NOTE,
+    ),
+    Rule(
+        "BVH201",
+        "names of joints that USD cannot tell apart",
+        Severity.WARNING,
+        Kind.BVH,
+        "animtool.validation.rules.names:in_capture",
     ),
 )

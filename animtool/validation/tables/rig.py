@@ -123,6 +123,6 @@ RULES = (
         "a mesh of quite another size than its skeleton",
         "rig_meshes:mesh_size",
     ),
-    _rule("RIG219", "names that USD cannot tell apart", "rig_pose:names_collide"),
+    _rule("RIG219", "names that USD cannot tell apart", "names:in_rig"),
     _rule("RIG220", "a control without use", "rig_drivers:idle"),
 )
