@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from animtool.errors import FormatError
 from animtool.scene.sources import open_source
 from animtool.take import Take
 from animtool.validation.rule import Kind
@@ -38,10 +39,17 @@ def open_bvh(path: Path) -> Opened:
 def open_usd(path: Path) -> Opened:
     """Return the animation of a USD file as its rules see it.
 
+    A layer without any, as of props or a stage, is no fault.
+
     Raises:
-        FormatError: It is malformed, or holds none.
+        FormatError: It is malformed.
     """
-    return _opened(Kind.USD, path)
+    try:
+        return _opened(Kind.USD, path)
+    except FormatError as error:
+        if error.code != "USD008":
+            raise
+        return Opened(Kind.USD)
 
 
 def _opened(kind: Kind, path: Path) -> Opened:
