@@ -193,7 +193,8 @@ def _values(control: Control) -> FloatArray:
     corners = [x for drive in control.drives for x, _ in drive.curve]
     spread = np.linspace(control.low, control.high, SAMPLES)
     found = np.concatenate([spread, np.array(corners, np.float64)])
-    return np.unique(np.clip(found, control.low, control.high))
+    # `numpy.unique` would import numpy.ma.
+    return np.array(sorted(set(np.clip(found, control.low, control.high).tolist())))
 
 
 def _excess(joint: Joint, targets: dict[str, FloatArray]) -> FloatArray | None:
