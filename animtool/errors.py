@@ -113,6 +113,10 @@ class AnimtoolError(Exception):
         )
         super().__init__("\n".join(map(str, self.faults)))
 
+    def __reduce__(self) -> tuple[type[AnimtoolError], tuple[tuple[Fault, ...]]]:
+        """Let an error come back from another process with its faults."""
+        return type(self), (self.faults,)
+
     @property
     def code(self) -> str:
         """Code of the first fault."""

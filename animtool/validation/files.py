@@ -22,9 +22,10 @@ class NothingFoundError(AnimtoolError):
 def find_files(paths: Iterable[Path | str]) -> list[Path]:
     """Return the files that paths mean, each once, in the order of the paths.
 
-    Of a folder all files by which animtool knows one, those of folders in it too, but
-    none whose name begins with a dot. Of a glob the files that it matches; ``**`` is
-    any number of folders. A name that is there is meant as it is.
+    Of a folder all files that animtool knows by name, those of folders in it too. Of a
+    glob the files that it matches; ``**`` is any number of folders. Names that begin
+    with a dot are left out where the glob has none. A name that is there is meant as it
+    is.
 
     Raises:
         NothingFoundError: There is none (VAL006).
@@ -48,12 +49,18 @@ def _files(text: str) -> Iterator[Path]:
         parts = path.parts
         first = next(i for i, part in enumerate(parts) if _WILD & set(part))
         base = Path(*parts[:first])
-        matched = base.glob("/".join(parts[first:]))
-        yield from sorted(file for file in matched if file.is_file())
+        pattern = "/".join(parts[first:])
+        named = any(part.startswith(".") for part in parts[first:])
+        matched = (file for file in base.glob(pattern) if file.is_file())
+        yield from sorted(file for file in matched if named or not _hidden(file, base))
     else:
         yield path
 
 
 def _is_ours(file: Path, folder: Path) -> bool:
-    hidden = any(part.startswith(".") for part in file.relative_to(folder).parts)
-    return file.name.lower().endswith(SUFFIXES) and not hidden and file.is_file()
+    known = file.name.lower().endswith(SUFFIXES)
+    return known and not _hidden(file, folder) and file.is_file()
+
+
+def _hidden(file: Path, folder: Path) -> bool:
+    return any(part.startswith(".") for part in file.relative_to(folder).parts)

@@ -64,7 +64,7 @@ class Report:
         return frozenset(
             fault.path
             for fault in self.findings
-            if fault.code == "IO001" and fault.path in named
+            if fault.path in named and _unreadable(fault, fault.path)
         )
 
     def exit_code(self, *, strict: bool = False, exit_zero: bool = False) -> ExitCode:
@@ -150,7 +150,16 @@ def _check(path: Path, options: ValidateOptions) -> list[Fault]:
         found = list(error.faults)
     else:
         found = _findings(opened)
-    return [options.of(fault) for fault in found if options.counts(fault.code)]
+    return [
+        options.of(fault)
+        for fault in found
+        if options.counts(fault.code) or _unreadable(fault, str(path))
+    ]
+
+
+def _unreadable(fault: Fault, path: str) -> bool:
+    """Return whether a finding is that the file cannot be read, which always counts."""
+    return fault.code == "IO001" and fault.path == path
 
 
 def _findings(opened: Opened) -> list[Fault]:

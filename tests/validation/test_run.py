@@ -90,6 +90,30 @@ def test_exit_codes(leg: Path, tmp_path: Path) -> None:
     assert away.exit_code(exit_zero=True) is ExitCode.MALFORMED
 
 
+def test_what_cannot_be_read_always_counts(tmp_path: Path) -> None:
+    files = [tmp_path / "none.rig.yaml"]
+    report = validate_files(files, ValidateOptions(select=("RIG2",)))
+    assert report.exit_code(exit_zero=True) is ExitCode.MALFORMED
+
+
+def test_errors_of_other_processes_come_back(leg: Path) -> None:
+    text = leg.with_name("a.txt")
+    text.touch()
+    with pytest.raises(OptionError) as error:
+        validate([leg, text], ValidateOptions(jobs=2))
+    assert [fault.code for fault in error.value.faults] == ["IO002"]
+
+
+def test_what_is_odd_about_a_rig_is_not_said_of_its_clip(leg: Path) -> None:
+    parent = "- {name: knee, type: free, translate: [0.1, 0, 0]}\n"
+    arms = "- {name: a_l, parent: knee, type: ball, mirror: a_r}\n"
+    leg.write_text("rig: animtool/1\nname: leg\njoints:\n" + parent + arms, "utf-8")
+    clip = leg.with_name("walk.clip.yaml")
+    clip.write_text("clip: animtool/1\nrig: leg.rig.yaml\nfps: 24\nrange: [1, 2]\n")
+    assert codes(clip) == []
+    assert codes(leg) == ["RIG101"]
+
+
 def test_syntax_is_a_finding(leg: Path) -> None:
     leg.write_text("rig: [", "utf-8")
     report = validate_files([leg])
@@ -192,6 +216,9 @@ def test_which_files(leg: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     globbed = find_files(["**/*.bvh", "a/*.json", "a/b/walk.bvh", "x.rig.yaml"])
     shown = [path.as_posix() for path in globbed]
     assert shown[-3:] == ["a/b/walk.bvh", "a/run.clip.json", "x.rig.yaml"]
+    assert [path.as_posix() for path in find_files(["**/.old/*.bvh"])] == [
+        "a/.old/walk.bvh"
+    ]
     odd = Path("a[1].rig.yaml")
     odd.touch()
     assert find_files([odd]) == [odd]

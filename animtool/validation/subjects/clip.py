@@ -77,7 +77,7 @@ def open_clip_document(document: Document) -> Opened:
     rig = load_rig_of(file)
     clip = load_clip(file, rig)
     path = document.path
-    opened = Opened(Kind.CLIP, [*rig.notices, *clip.notices])
+    opened = Opened(Kind.CLIP, list(clip.notices))
     take = _placed(path, lambda: clip.sample(rig), opened)
     if take is not None:
         opened.faults += [_named(fault, path) for fault in take.notices]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from animtool.documents.document import Document, Location
@@ -39,11 +40,13 @@ def open_scene(document: Document) -> Opened:
         FormatError: With every fault of the file.
     """
     scene = scene_of_document(document)
-    opened = Opened(Kind.SCENE, [], SceneSubject(document, scene))
-    try:
-        faults: tuple[Fault, ...] = scene.open().collect().notices
-    except AnimtoolError as error:
-        faults = error.faults
     path = str(document.path)
-    opened.faults = [f if f.path else replace(f, path=path) for f in faults]
-    return opened
+    try:
+        notices = scene.open().collect().notices
+    except AnimtoolError as error:
+        faults: Iterable[Fault] = error.faults
+    else:
+        # What is odd about another file is said of that one.
+        faults = (fault for fault in notices if fault.path in {None, path})
+    found = [f if f.path else replace(f, path=path) for f in faults]
+    return Opened(Kind.SCENE, found, SceneSubject(document, scene))
