@@ -56,9 +56,18 @@ class Row:
 
 @dataclass(frozen=True)
 class Run:
-    """What one process took, and what it printed."""
+    """What one process took, and what it printed.
+
+    Attributes:
+        seconds: From start to end.
+        processor_seconds: Of its own and of the processes that it started, which other
+            work on the machine hardly changes.
+        peak_bytes: Of memory.
+        report: What it printed.
+    """
 
     seconds: float
+    processor_seconds: float
     peak_bytes: int
     report: dict[str, Any]
 
@@ -78,7 +87,8 @@ def run(command: list[str], *, report: bool = True) -> Run:
             sys.exit(f"{' '.join(command)}\n{err.read().decode(errors='replace')}")
         out.seek(0)
         found = _last_object("\n" + out.read().decode()) if report else {}
-    return Run(seconds, usage.ru_maxrss * RSS_UNIT, found)
+    spent = usage.ru_utime + usage.ru_stime
+    return Run(seconds, spent, usage.ru_maxrss * RSS_UNIT, found)
 
 
 def _last_object(text: str) -> dict[str, Any]:
