@@ -105,3 +105,18 @@ def test_a_code_that_is_none() -> None:
     done = animtool("explain", "RIF201")
     assert done.code == 2
     assert "did you mean 'RIG201'?" in done.stderr
+
+
+HERO = """\
+rig: animtool/1
+name: hero
+joints:
+- {name: hips, type: free}
+- {name: knee, parent: hips, type: pin, axis: [1, 0, 0], limits: [10, 150]}
+"""
+
+
+def test_the_guide_shows_what_is_said(root: Path, tmp_path: Path) -> None:
+    (tmp_path / "hero.rig.yaml").write_text(HERO, "utf-8")
+    said = animtool("validate", "hero.rig.yaml", cwd=tmp_path).stdout
+    assert f"\n```\n{said}```\n" in (root / "animtool/docs/guide.md").read_text("utf-8")

@@ -22,6 +22,15 @@ joints:
 - {name: hips, type: free, translate: [0, 1, 0]}
 - {name: foot_l, parent: hips, type: free, translate: [0, -1, 0]}
 """
+PUPPET = """\
+rig: animtool/1
+name: puppet
+joints:
+- {name: elbow, type: pin, axis: [0, 0, 1], limits: [0, 140]}
+- {name: twin, type: pin, axis: [0, 0, 1], limits: [0, 140], mimic: {joint: elbow}}
+controls:
+- {name: curl, range: [0, 1], drives: [{joint: elbow.angle, expr: curl * 90}]}
+"""
 CAPTURE = """\
 HIERARCHY
 ROOT hips
@@ -108,6 +117,7 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     (folder / "base.rig.yaml").write_text(BASE, "utf-8")
     (folder / "walker.rig.yaml").write_text(WALKER, "utf-8")
+    (folder / "puppet.rig.yaml").write_text(PUPPET, "utf-8")
     return folder
 
 
