@@ -91,9 +91,9 @@ def validate(
         options: Which codes count, and how much.
 
     Raises:
-        OptionError: There is no file to look at (VAL006), a code that there is none
-            of (VAL005), a file of a kind that is not checked (IO002), or settings of
-            a project that are malformed.
+        NothingFoundError: There is no file to look at (VAL006).
+        OptionError: A code that there is none of (VAL005), a file of a kind that is
+            not checked (IO002), or settings of a project that are malformed.
     """
     given = [paths] if isinstance(paths, Path | str) else list(paths)
     return list(validate_files(find_files(given), options).findings)
