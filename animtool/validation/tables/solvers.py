@@ -24,6 +24,7 @@ RULES = (
         "a limb that cannot ease out or stretch: its root is moved, it slides, or has "
         "no bones of its own",
     ),
+    Rule("IK009", "a bone longer than numbers can be reckoned with"),
     Rule("IK010", "targets missing, or of another shape or count than the goals"),
     Rule(
         "IK011",

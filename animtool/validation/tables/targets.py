@@ -8,7 +8,7 @@ from animtool.validation.rule import Rule
 __all__ = ["RULES"]
 
 RULES = (
-    Rule("TGT001", "an effector or root that the rig lacks"),
+    Rule("TGT001", "an effector, root or chain that the rig lacks"),
     Rule("TGT002", "a goal that asks nothing"),
     Rule("TGT003", "a range reversed or far too long"),
     Rule("TGT004", "no frame rate"),
@@ -37,10 +37,17 @@ RULES = (
     Rule("TGT016", "an effector below a scaled joint"),
     Rule("TGT017", "a start without a joint of the rig"),
     Rule("TGT018", "a frame that the start has not"),
+    Rule("TGT019", "a rig without chains to match"),
     Rule("TGT101", "a weight of what is not asked", Severity.WARNING),
     Rule(
         "TGT102",
         "joints that only the rig, or only the start, has",
         Severity.WARNING,
     ),
+    Rule(
+        "TGT103",
+        "joints that leave their rest pose and of which matched targets say nothing",
+        Severity.NOTE,
+    ),
+    Rule("TGT104", "a span to hold that has none of the frames", Severity.WARNING),
 )
