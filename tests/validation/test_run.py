@@ -271,3 +271,11 @@ def test_scenes_and_targets(root: Path, tmp_path: Path) -> None:
     targets = tmp_path / "feet.targets.yaml"
     targets.write_text("targets: animtool/1\ngoals: [{effector: foot_l}]\n", "utf-8")
     assert codes(targets) == ["TGT002"]
+
+
+def test_usd_layers(tmp_path: Path) -> None:
+    layer = tmp_path / "shot.usda"
+    text = "#usda 1.0\n(\n    startTimeCode = 9\n    endTimeCode = 1\n)\n"
+    layer.write_text(text, "utf-8")
+    (found,) = validate(layer, ValidateOptions(select=("USD254",)))
+    assert (found.path, found.severity) == (str(layer), Severity.ERROR)

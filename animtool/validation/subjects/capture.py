@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from animtool.errors import FormatError
 from animtool.scene.sources import open_source
 from animtool.take import Take
 from animtool.validation.rule import Kind
@@ -37,19 +36,10 @@ def open_bvh(path: Path) -> Opened:
 
 
 def open_usd(path: Path) -> Opened:
-    """Return the animation of a USD file as its rules see it.
+    """Return what is wrong with a USD layer and what it brings in."""
+    from animtool.usd.checks import check_layer
 
-    A layer without any, as of props or a stage, is no fault.
-
-    Raises:
-        FormatError: It is malformed.
-    """
-    try:
-        return _opened(Kind.USD, path)
-    except FormatError as error:
-        if error.code != "USD008":
-            raise
-        return Opened(Kind.USD)
+    return Opened(Kind.USD, check_layer(path))
 
 
 def _opened(kind: Kind, path: Path) -> Opened:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from animtool.errors import Severity
+from animtool.usd.checks.table import CODES
 from animtool.validation.rule import Rule
 
 __all__ = ["RULES"]
@@ -120,4 +121,5 @@ RULES = (
     ),
     Rule("USD142", "prims that stop following their skeleton", Severity.WARNING),
     Rule("USD143", "normals that are not one a vertex are blocked", Severity.NOTE),
+    *(Rule(code, entry.title, entry.severity) for code, entry in CODES.items()),
 )
