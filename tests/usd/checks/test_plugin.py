@@ -46,7 +46,7 @@ def asked(folder: Path, before: str = "", plugins: str = "") -> list[list[object
     path = folder / "bad.usda"
     path.write_text(BAD, "utf-8")
     done = subprocess.run(
-        [sys.executable, "-c", ASK.format(before=before), str(path)],
+        [sys.executable, "-P", "-c", ASK.format(before=before), str(path)],
         env={**os.environ, "PXR_PLUGINPATH_NAME": plugins},
         capture_output=True,
         text=True,

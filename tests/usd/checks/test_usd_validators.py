@@ -96,7 +96,7 @@ V.ValidationRegistry().RegisterStageValidator(metadata, check)
 print(*check_layer(sys.argv[1]))
 """
     done = subprocess.run(
-        [sys.executable, "-c", script, str(path)],
+        [sys.executable, "-P", "-c", script, str(path)],
         capture_output=True,
         text=True,
         check=True,
