@@ -398,6 +398,7 @@ class _Run:
             seed=options.seed,
             seconds=options.seconds,
             warm=warm,
+            near=not warm,
         )
         began = time.perf_counter()
         if options.method in FOLLOWED and len(np.asarray(targets.positions)) > 1:

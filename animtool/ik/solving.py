@@ -58,6 +58,8 @@ class IkOptions:
         seconds: Most time for one problem [s]; 0 is no bound. With a bound, what is
             found depends on the machine.
         warm: Each problem starts where the one before it ended, as frames of a clip.
+        near: Poses that came of new starts are then drawn to those preferred, while
+            goals stay met; that takes longer than finding them.
     """
 
     method: IkMethod = IkMethod.AUTO
@@ -68,6 +70,7 @@ class IkOptions:
     seed: int = 0
     seconds: float = 0.0
     warm: bool = False
+    near: bool = False
 
 
 def solve(
@@ -125,7 +128,7 @@ def solve(
         found = _limbs(problem, asked, options)
     else:
         found = _damped(problem, asked, options)
-    if not options.warm and options.method in _CLOSED | {IkMethod.DAMPED}:
+    if options.near and options.method in _CLOSED | {IkMethod.DAMPED}:
         _settle(problem, asked, options, found)
     reached = _met(found, options)
     _explain(found, asked, reached)
