@@ -240,6 +240,10 @@ def document_of(text: str, path: Path) -> Document:
         FormatError: It is no YAML, holds an anchor, alias or tag, a key that stands
             twice, or is no mapping.
     """
+    if path.suffix == ".json":
+        # Ends of lines in YAML, but letters like others in JSON's strings.
+        for letter in "\x85\u2028\u2029":
+            text = text.replace(letter, f"\\u{ord(letter):04x}")
     reader = _Reader(path)
     try:
         value = reader.read(text)
