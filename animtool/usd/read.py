@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +19,20 @@ from animtool.rig.parts import AttachKind, Shape
 from animtool.rig.skeleton import Rig
 from animtool.take import Channel, Clock, Motion, Take, TakeStream
 from animtool.units import unit_name
+from animtool.usd.animation_values import (
+    animated_shapes,
+    sampled_values,
+    scale_channel,
+    shape_weights,
+)
+from animtool.usd.carried_roots import carry_roots, moving_carriers
 from animtool.usd.layers import usd_errors
-from animtool.usd.library import TakeSet, find_take_set, select_take, take_range
+from animtool.usd.library import TakeSet, find_take_set, select_take
 from animtool.usd.placement import MOST_NAMED, character_paths
 from animtool.usd.rig_prims import (
     SkeletonRig,
     array_value,
     composition_notices,
-    decompose,
     find_skeletons,
     open_stage,
     others_notice,
@@ -37,17 +41,9 @@ from animtool.usd.rig_prims import (
     skeleton_rig,
     up_axis,
 )
+from animtool.usd.sample_grid import SampleGrid, sample_grid, time_fraction
 
 __all__ = ["read_usd"]
-
-# Time codes are doubles of fractions such as 1001 + 1/5: this finds them again.
-LARGEST_STEP_DENOMINATOR = 10_000
-# Sub-frame samples about each frame make a grid finer than the samples; beyond this
-# it is no grid but a curve's own keys.
-FINEST_GRID = 8
-UNIT_SCALE_TOLERANCE = 1e-6
-# More frames than any take of unevenly spaced keys: there, a key has gone astray.
-MOST_FRAMES = 100_000
 
 
 def read_usd(
@@ -242,10 +238,10 @@ def _resting(skeleton: SkeletonRig, stage: Any, path: Path) -> TakeStream:
     motion = Motion(
         Channel.from_dense(rig.rest_translations[None]),
         Channel.from_dense(rig.rest_rotations[None]),
-        _scales(skeleton.rest_scales[None]),
+        scale_channel(skeleton.rest_scales[None]),
     )
     fps = rate_from_float(stage.GetTimeCodesPerSecond())
-    start = _fraction(stage.GetStartTimeCode())
+    start = time_fraction(stage.GetStartTimeCode())
     stream = TakeStream.of(Take(rig, Clock(fps, start, Fraction(1), 1), motion))
     stream.details = _details(stage, skeleton)
     stream.details["animation"] = None
@@ -258,129 +254,43 @@ def _resting(skeleton: SkeletonRig, stage: Any, path: Path) -> TakeStream:
     return stream
 
 
-@dataclass(frozen=True, slots=True)
-class _Grid:
-    """Evenly spaced time codes that hold every sample."""
-
-    start: Fraction
-    step: Fraction
-    count: int
-    even: bool
-
-
-@dataclass(frozen=True, slots=True)
-class _Span:
-    """First frame, and the last where the take or its stage states one."""
-
-    first: Fraction
-    last: Fraction | None
-
-
-def _span(stage: Any, animation: Any) -> _Span:
-    own = take_range(animation)
-    if own is not None:
-        return _Span(*own)
-    stated = stage.HasAuthoredTimeCodeRange()
-    last = _fraction(stage.GetEndTimeCode()) if stated else None
-    return _Span(_fraction(stage.GetStartTimeCode()), last)
-
-
-def _grid(times: list[float], span: _Span, where: str) -> _Grid:
-    if not times and span.last is not None:
-        # Nothing moves, for as long as the take or its stage lasts.
-        still = min(max(0, math.floor(span.last - span.first)), MOST_FRAMES) + 1
-        return _Grid(span.first, Fraction(1), still, True)
-    if len(times) < 2:
-        start = _fraction(times[0]) if times else span.first
-        return _Grid(start, Fraction(1), 1, True)
-    exact = [_fraction(time) for time in times]
-    gaps = {b - a for a, b in pairwise(exact)}
-    step = _common_divisor(gaps)
-    count = int((exact[-1] - exact[0]) / step) + 1
-    if count > FINEST_GRID * len(times):
-        first, last = math.floor(exact[0]), math.ceil(exact[-1])
-        if last - first > MOST_FRAMES:
-            message = f"{len(times)} samples spread over {last - first} time codes"
-            raise FormatError(Fault("USD016", message, where, (), "a stray sample?"))
-        return _Grid(Fraction(first), Fraction(1), last - first + 1, False)
-    # Samples within a frame before the first serve its motion blur.
-    start = span.first
-    early = (start - exact[0]) / step
-    if exact[0] < start < exact[0] + 1 and early.denominator == 1 and early < count:
-        return _Grid(start, step, count - int(early), len(gaps) == 1)
-    return _Grid(exact[0], step, count, len(gaps) == 1)
-
-
-def _fraction(time: float) -> Fraction:
-    return Fraction(time).limit_denominator(LARGEST_STEP_DENOMINATOR)
-
-
-def _common_divisor(gaps: set[Fraction]) -> Fraction:
-    """Return the largest step that every gap is a multiple of."""
-    denominator = math.lcm(*(gap.denominator for gap in gaps))
-    return Fraction(math.gcd(*(int(gap * denominator) for gap in gaps)), denominator)
-
-
 def _read(
     stage: Any, path: Path, skeleton: SkeletonRig, animation: Any, prim: Any
 ) -> TakeStream:
     where = f"{path}<{animation.GetPath()}>"
-    rig, notices = skeleton.rig, []
-    tokens = [str(token) for token in array_value(animation.GetJointsAttr())]
-    index = {token: i for i, token in enumerate(skeleton.tokens)}
-    places = np.array([index.get(token, -1) for token in tokens], np.int64)
-    unknown = [token for token, place in zip(tokens, places, strict=True) if place < 0]
-    if unknown:
-        message = f"joint {excerpt(unknown[0])} is not in the Skeleton"
-        hint = f"{len(unknown)} such are left out"
-        notices.append(Fault("USD104", message, where, (), hint, Severity.WARNING))
-    attributes = {
-        "translations": animation.GetTranslationsAttr(),
-        "rotations": animation.GetRotationsAttr(),
-        "scales": animation.GetScalesAttr(),
-    }
-    for name, attr in attributes.items():
-        if not attr.HasAuthoredValue():
-            message = f"{name} has no value"
-            hint = "UsdSkel ignores an animation that lacks one of the three"
-            raise FormatError(Fault("USD012", message, where, (), hint))
-    movers = _movers(prim)
-    weights = animation.GetBlendShapeWeightsAttr()
-    shapes = _shapes(animation)
-    sampled = [*attributes.values(), *([weights] if shapes else [])]
-    times = {t for attr in sampled for t in attr.GetTimeSamples()}
-    times |= {time for mover in movers for time in mover.GetTimeSamples()}
-    grid = _grid(sorted(times), _span(stage, animation), where)
-    if not grid.even:
-        message = (
-            f"samples are unevenly spaced; read every {float(grid.step):g} time codes"
-        )
-        notices.append(Fault("USD105", message, where, severity=Severity.NOTE))
+    attributes = _attributes(animation, where)
+    shapes = animated_shapes(animation)
+    movers = moving_carriers(prim)
+    sources = [*attributes.values(), *movers]
+    sources += [animation.GetBlendShapeWeightsAttr()] if shapes else []
+    times = sorted({time for source in sources for time in source.GetTimeSamples()})
+    grid = sample_grid(stage, animation, times, where)
     fps = rate_from_float(stage.GetTimeCodesPerSecond())
     clock = Clock(fps, grid.start, grid.step, grid.count)
     codes = clock.times.tolist()
-    known = places >= 0
 
-    def values(name: str, rest: FloatArray) -> FloatArray:
-        attr, width = attributes[name], rest.shape[1]
-        rows = _values(attr, codes, len(tokens), width, where)
-        whole = np.repeat(rest[None], len(codes), axis=0)
-        whole[:, places[known]] = rows[:, known]
-        return whole
-
+    rig = skeleton.rig
+    joints, notices = _joints(skeleton, animation, where)
+    if not grid.even:
+        notices.append(_uneven(grid, where))
     meters = rig.meters_per_unit
-    translations = values("translations", rig.rest_translations / meters) * meters
-    rotations = values("rotations", rig.rest_rotations)
+    translations, rotations, scales = (
+        joints.whole(attribute, rest, codes, where)
+        for attribute, rest in zip(
+            attributes.values(),
+            (rig.rest_translations / meters, rig.rest_rotations, skeleton.rest_scales),
+            strict=True,
+        )
+    )
+    translations *= meters
     rotations = so3.align_signs(so3.normalize(rotations))
-    scales = values("scales", skeleton.rest_scales)
     if movers:
-        matrices = _carriers(prim, codes)
-        notices += _carry_roots(rig, matrices, translations, rotations, scales, where)
+        notices += carry_roots(rig, prim, codes, translations, rotations, scales, where)
     motion = Motion(
         Channel.from_dense(translations),
         Channel.from_dense(rotations),
-        _scales(scales),
-        _weights(weights, codes, len(shapes), where) if shapes else None,
+        scale_channel(scales),
+        shape_weights(animation, codes, len(shapes), where) if shapes else None,
     )
     rig = replace(rig, shapes=tuple(Shape(name) for name in shapes))
     stream = TakeStream.of(Take(rig, clock, motion))
@@ -390,104 +300,63 @@ def _read(
     return stream
 
 
-def _scales(dense: FloatArray) -> Channel | None:
-    return None if (dense == 1.0).all() else Channel.from_dense(dense)
+def _attributes(animation: Any, where: str) -> dict[str, Any]:
+    """Return what an animation must have for UsdSkel to use it, by name."""
+    attributes = {
+        "translations": animation.GetTranslationsAttr(),
+        "rotations": animation.GetRotationsAttr(),
+        "scales": animation.GetScalesAttr(),
+    }
+    for name, attribute in attributes.items():
+        if not attribute.HasAuthoredValue():
+            message = f"{name} has no value"
+            hint = "UsdSkel ignores an animation that lacks one of the three"
+            raise FormatError(Fault("USD012", message, where, (), hint))
+    return attributes
 
 
-def _shapes(animation: Any) -> list[str]:
-    """Return the shapes that an animation has weights of."""
-    if not animation.GetBlendShapeWeightsAttr().HasAuthoredValue():
-        return []
-    return [str(token) for token in array_value(animation.GetBlendShapesAttr())]
+@dataclass(frozen=True, slots=True)
+class _Joints:
+    """The joints of an animation among those of its Skeleton.
+
+    Attributes:
+        places: Index in the Skeleton; -1 where it has none such.
+    """
+
+    places: IntArray
+
+    def whole(
+        self, attribute: Any, rest: FloatArray, codes: list[float], where: str
+    ) -> FloatArray:
+        """Return an attribute for the Skeleton's joints, at rest if not animated."""
+        count, width = len(self.places), rest.shape[1]
+        rows = sampled_values(attribute, codes, count, width, where)
+        found = np.repeat(rest[None], len(codes), axis=0)
+        known = self.places >= 0
+        found[:, self.places[known]] = rows[:, known]
+        return found
 
 
-def _weights(attr: Any, codes: list[float], shapes: int, where: str) -> Channel:
-    rows = _values(attr, codes, shapes, 1, where, of="shape")
-    return Channel.from_dense(np.repeat(rows, len(codes) // len(rows), axis=0))
+def _joints(
+    skeleton: SkeletonRig, animation: Any, where: str
+) -> tuple[_Joints, list[Fault]]:
+    """Return an animation's joints, and a warning of those that are left out."""
+    tokens = [str(token) for token in array_value(animation.GetJointsAttr())]
+    index = {token: i for i, token in enumerate(skeleton.tokens)}
+    joints = _Joints(np.array([index.get(token, -1) for token in tokens], np.int64))
+    unknown = [token for token in tokens if token not in index]
+    if not unknown:
+        return joints, []
+    message = f"joint {excerpt(unknown[0])} is not in the Skeleton"
+    hint = f"{len(unknown)} such are left out"
+    warning = Fault("USD104", message, where, (), hint, Severity.WARNING)
+    return joints, [warning]
 
 
-def _values(
-    attr: Any,
-    codes: list[float],
-    count: int,
-    width: int,
-    where: str,
-    *,
-    of: str = "joint",
-) -> FloatArray:
-    """Return samples ``(F, J, K)``; F is 1 where the attribute does not change."""
-    changes = attr.GetNumTimeSamples() > 1
-    when = (
-        [Usd.TimeCode(c) for c in codes] if changes else [Usd.TimeCode.EarliestTime()]
-    )
-    rows = np.empty((len(when), count, width))
-    for i, time in enumerate(when):
-        value = array_value(attr, time)
-        if len(value) != count:
-            message = f"{attr.GetName()} has {len(value)} values for {count} {of}s"
-            hint = f"time code {time.GetValue():g}; UsdSkel falls back to rest"
-            raise FormatError(Fault("USD013", message, where, (), hint))
-        rows[i] = np.array(value, np.float64).reshape(count, width)
-    if not np.isfinite(rows).all():
-        frame, joint, _ = np.argwhere(~np.isfinite(rows))[0]
-        message = f"{attr.GetName()} is not finite"
-        hint = f"time code {when[frame].GetValue():g}, {of} {joint}"
-        raise FormatError(Fault("USD014", message, where, (), hint))
-    return rows
-
-
-def _movers(skeleton: Any) -> list[Any]:
-    """Return the prims from the SkelRoot to the Skeleton, if one of them moves."""
-    chain: list[Any] = []
-    prim = skeleton
-    while prim and prim.GetPath().pathElementCount:
-        chain.append(UsdGeom.Xformable(prim))
-        if prim.IsA(UsdSkel.Root):
-            break
-        prim = prim.GetParent()
-    moves = any(mover and mover.TransformMightBeTimeVarying() for mover in chain)
-    return [mover for mover in chain if mover] if moves else []
-
-
-def _carriers(skeleton: Any, codes: list[float]) -> FloatArray:
-    """Return the Skeleton's transforms above its SkelRoot's parent ``(F, 4, 4)``."""
-    above = UsdSkel.Root.Find(skeleton).GetPrim().GetParent()
-    matrices = []
-    for code in codes:
-        cache = UsdGeom.XformCache(Usd.TimeCode(code))
-        world = cache.GetLocalToWorldTransform(skeleton)
-        matrices.append(world * cache.GetLocalToWorldTransform(above).GetInverse())
-    return np.array(matrices)
-
-
-def _carry_roots(
-    rig: Rig,
-    matrices: FloatArray,
-    translations: FloatArray,
-    rotations: FloatArray,
-    scales: FloatArray,
-    where: str,
-) -> list[Fault]:
-    """Give the roots the motion of what carries them, in place."""
-    if not np.isfinite(matrices).all():
-        raise FormatError(
-            Fault("USD014", "the SkelRoot's transform is not finite", where)
-        )
-    moves, turns, sizes = decompose(matrices)
-    for root in rig.roots:
-        sized = sizes * translations[:, root]
-        translations[:, root] = so3.rotate(turns, sized) + moves * rig.meters_per_unit
-        rotations[:, root] = so3.multiply(turns, rotations[:, root])
-        scales[:, root] *= sizes
-    rotations[:] = so3.align_signs(rotations)
-    # Rounding of the matrices is no scale.
-    near = np.abs(scales - 1.0) < UNIT_SCALE_TOLERANCE
-    scales[near] = 1.0
-    if np.ptp(sizes, axis=-1).max() <= UNIT_SCALE_TOLERANCE:
-        return []
-    message = "the SkelRoot is scaled by different factors along its axes"
-    hint = "joints that turn under it are not read exactly"
-    return [Fault("USD109", message, where, (), hint, Severity.WARNING)]
+def _uneven(grid: SampleGrid, where: str) -> Fault:
+    every = f"{float(grid.step):g} time codes"
+    message = f"samples are unevenly spaced; read every {every}"
+    return Fault("USD105", message, where, severity=Severity.NOTE)
 
 
 def _details(stage: Any, skeleton: SkeletonRig) -> dict[str, object]:
