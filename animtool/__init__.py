@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from animtool.rig.skeleton import Rig as Rig
     from animtool.scene.bake import bake as bake
     from animtool.scene.convert import convert as convert
+    from animtool.scene.file import load_scene as load_scene
     from animtool.scene.options import BakeOptions as BakeOptions
     from animtool.scene.sources import SourceOptions as SourceOptions
     from animtool.scene.sources import open_source as open_source
@@ -45,6 +46,7 @@ _PUBLIC = {
     "convert": "animtool.scene.convert",
     "describe": "animtool.report.describe",
     "ik": "animtool.ik",
+    "load_scene": "animtool.scene.file",
     "open_source": "animtool.scene.sources",
     "read_bvh": "animtool.formats.bvh",
     "usd": "animtool.usd",

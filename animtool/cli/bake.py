@@ -16,6 +16,7 @@ from animtool.cli.options import (
     common_options,
     format_option,
     reduce_at_option,
+    set_option,
     skips,
     source_options,
     source_options_record,
@@ -44,6 +45,7 @@ Examples:
   animtool bake walk.bvh -o hero.usda --split
   animtool bake wave.clip.yaml --rig hero.rig.yaml -o wave.usdc --fps 60
   animtool bake shot.scene.yaml
+  animtool bake shot.scene.yaml --set shot=sh020
   animtool bake walk.bvh run.bvh idle.clip.yaml -o library.usda
   animtool bake library.usda --take run -o run.usdc
   animtool bake walk.bvh -o walk_layer.usdc --rig-layer hero.rig.usda
@@ -115,6 +117,7 @@ Examples:
     is_flag=True,
     help="Bring a clip's controls into their ranges and joints into their limits.",
 )
+@set_option
 @source_options
 @click.option(
     "--source-prim",
@@ -231,12 +234,12 @@ def bake(
         raise click.UsageError("-o - and --format json both want stdout.")
     if given["split"] and given["form"] == "layer":
         raise click.UsageError("--split is a stage in three files, not --as layer.")
-    if given["table"]:
-        _table(console, sources, output, _options(given), as_json=as_json)
-        return
-    if output is None and len(sources) > 1:
+    if output is None and len(sources) > 1 and not given["table"]:
         raise click.UsageError("Several sources make one library: name it with -o.")
-    opened = [_opened(source) for source in sources]
+    opened = _opened(sources, dict(given["variables"]))
+    if given["table"]:
+        _table(console, opened, output, _options(given), as_json=as_json)
+        return
     path = None if to_stdout else output or _output_beside(opened[0])
     if path is not None and _skips(opened, path, given):
         console.say(f"{path} exists: skipped")
@@ -261,15 +264,30 @@ def bake(
         console.detail(line)
 
 
-def _opened(source: Path) -> Path | Scene:
-    """Return a source, loaded where it is a scene."""
+def _opened(sources: Sequence[Path], variables: dict[str, str]) -> list[Path | Scene]:
+    """Return sources, those loaded that are scenes.
+
+    Raises:
+        OptionError: No scene uses a variable that is given.
+    """
     from animtool.scene.sources import is_scene
 
-    if not is_scene(source):
-        return source
-    from animtool.scene.file import load_scene
+    opened: list[Path | Scene] = []
+    used: set[str] = set()
+    for source in sources:
+        if not is_scene(source):
+            opened.append(source)
+            continue
+        from animtool.scene.file import load_scene
 
-    return load_scene(source)
+        scene = load_scene(source, variables)
+        used |= scene.variables
+        opened.append(scene)
+    if variables:
+        from animtool.documents.variables import check_given
+
+        check_given(variables, used)
+    return opened
 
 
 def _skips(sources: Sequence[Path | Scene], path: Path, given: dict[str, Any]) -> bool:
@@ -282,7 +300,7 @@ def _skips(sources: Sequence[Path | Scene], path: Path, given: dict[str, Any]) -
 
 def _table(
     console: Console,
-    sources: tuple[Path, ...],
+    sources: Sequence[Path | Scene],
     output: Path | None,
     options: Any,
     *,
@@ -296,10 +314,11 @@ def _table(
     if options.deform:
         raise click.UsageError("--table measures joints, not --deform.")
     source = sources[0]
+    name = source.name if isinstance(source, Path) else source.path.name
     from animtool.cli.summary import table_json, table_text
     from animtool.scene.table import bake_table
 
-    with console.progress(f"measure {source.name}") as progress:
+    with console.progress(f"measure {name}") as progress:
         table = bake_table(source, options, progress=progress)
     if as_json:
         console.result_json(table_json(table))

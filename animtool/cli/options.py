@@ -18,6 +18,7 @@ __all__ = [
     "common_options",
     "format_option",
     "reduce_at_option",
+    "set_option",
     "skips",
     "source_options",
     "source_options_record",
@@ -71,6 +72,15 @@ def _joint_length(text: str) -> tuple[str, float]:
     if not equals or not name:
         raise ValueError(f"{text!r} is not a joint and a length, such as hand_l=0.1mm")
     return name, _length(length)
+
+
+def _variable(text: str) -> tuple[str, str]:
+    from animtool.documents.variables import is_variable_name
+
+    name, equals, value = text.partition("=")
+    if not equals or not is_variable_name(name):
+        raise ValueError(f"{text!r} is not a name and a value, such as shot=sh020")
+    return name, value
 
 
 RATE = Parsed("rate", _rate)
@@ -139,6 +149,19 @@ def reduce_at_option(command: Command) -> Command:
         multiple=True,
         help="Another tolerance of --reduce for a joint, or for those that fit a "
         "pattern, such as 'hand_*=0.1mm'; can be given several times.",
+    )(command)
+
+
+def set_option(command: Command) -> Command:
+    """Add ``--set``."""
+    return click.option(
+        "--set",
+        "variables",
+        type=Parsed("variable", _variable),
+        metavar="NAME=VALUE",
+        multiple=True,
+        help="What ${NAME} stands for in a scene, such as shot=sh020; can be given "
+        "several times.",
     )(command)
 
 

@@ -75,6 +75,7 @@ class Document:
         partial: Keys of lists that have more entries in another file, which cannot be
             read.
         spellings: The key as written, of a value that is read under another key.
+        plain: What is written without quotes, as written, by its number in `places`.
     """
 
     path: Path
@@ -85,12 +86,21 @@ class Document:
     doubts: set[Location] = field(default_factory=set)
     partial: set[str] = field(default_factory=set)
     spellings: dict[Location, str] = field(default_factory=dict)
+    plain: dict[int, str] = field(default_factory=dict, repr=False)
     _starts: dict[tuple[int, str | int], int] = field(
         default_factory=dict, init=False, repr=False
     )
 
     def place(self, location: Location) -> tuple[int, int]:
         """Return line and column of a value, or of the nearest one around it."""
+        return self.places[self._index(location)]
+
+    def written(self, location: Location) -> str | None:
+        """Return a scalar as it is written; None where it is none, or has quotes."""
+        return self.plain.get(self._index(location))
+
+    def _index(self, location: Location) -> int:
+        """Return the number in `places` of a value, or of the nearest around it."""
         if not self._starts:
             self._number(self.value, 0)
         node: Any = self.value
@@ -99,7 +109,7 @@ class Document:
             found = self._starts.get((id(node), step))
             if found is not None:
                 node, index = node[step], found
-        return self.places[index]
+        return index
 
     def _number(self, node: Any, index: int) -> int:
         """Note where the values in a node stand in `places`; return what follows."""
@@ -252,6 +262,8 @@ def document_of(text: str, path: Path) -> Document:
         spot = (mark.line + 1, mark.column + 1) if mark else (1, 1)
         problem = " ".join(filter(None, (error.context, error.problem)))
         hint = "tabs may not indent" if "cannot start any token" in problem else None
+        if _is_variable(text, mark):
+            hint = 'between brackets, a text with ${…} stands in quotes: "${…}"'
         reader.fault("DOC001", f"is no YAML: {problem}", spot, hint)
         value = {}
     except yaml.YAMLError as error:
@@ -264,7 +276,15 @@ def document_of(text: str, path: Path) -> Document:
         hint = "begin with a line such as 'rig: animtool/1'"
         reader.fault("DOC007", f"is {kind}, not a mapping of keys", (1, 1), hint)
         raise FormatError(reader.faults)
-    return Document(path, value, reader.places)
+    return Document(path, value, reader.places, plain=reader.plain)
+
+
+def _is_variable(text: str, mark: Any) -> bool:
+    """Return whether the bracket of a ``${name}`` is where the reader stopped."""
+    if mark is None:
+        return False
+    line = text.splitlines()[mark.line : mark.line + 1]
+    return bool(line) and line[0][max(0, mark.column - 1) :].startswith("${")
 
 
 def read_text(path: Path) -> str:
@@ -340,6 +360,7 @@ class _Reader:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.places: list[tuple[int, int]] = []
+        self.plain: dict[int, str] = {}
         self.faults: list[Fault] = []
 
     def fault(
@@ -360,6 +381,8 @@ class _Reader:
             if kind is yaml.ScalarEvent:
                 place = self._place(event)
                 plain = event.value if event.implicit[0] else ""
+                if plain:
+                    self.plain[len(self.places) - 1] = plain
                 stack[-1].put(self._scalar(event, place), place, self, plain)
             elif kind is yaml.MappingStartEvent or kind is yaml.SequenceStartEvent:
                 place = self._place(event)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from fractions import Fraction
@@ -15,6 +15,7 @@ from animtool.config import project_roots
 from animtool.documents.arrays import referred
 from animtool.documents.check import check_version, nearest, validated, wrong_values
 from animtool.documents.document import Document, Location, read_document, spelled
+from animtool.documents.variables import resolve_variables
 from animtool.edit.resample import FrameRange
 from animtool.errors import AnimtoolError, FormatError, OptionError
 from animtool.passes import Pass, PassContext, apply_pass, find_pass
@@ -56,6 +57,7 @@ class Scene:
         passes: What to do to it, in order.
         output: The file to write; None where it names none.
         bake: Options of the bake that it sets.
+        variables: Names of the variables that it uses or gives a value.
     """
 
     path: Path
@@ -64,6 +66,7 @@ class Scene:
     passes: tuple[ScenePass, ...]
     output: Path | None
     bake: BakeOptions
+    variables: frozenset[str] = frozenset()
 
     def open(self) -> TakeStream:
         """Return the source with every pass applied.
@@ -116,29 +119,42 @@ class Scene:
         return open_source(path, options).collect()
 
 
-def load_scene(path: Path | str) -> Scene:
+def load_scene(path: Path | str, variables: Mapping[str, str] | None = None) -> Scene:
     """Return the scene of a scene file.
+
+    Args:
+        path: The file.
+        variables: Values of ``${name}`` in it, which come before those that it gives
+            itself; it need not use them all, see `Scene.variables`. Files below an
+            absolute path among them may be read, wherever that is.
 
     Raises:
         FormatError: With every fault of the file, each with line and column.
     """
-    return scene_of_document(read_document(Path(path)))
+    return scene_of_document(read_document(Path(path)), variables)
 
 
-def scene_of_document(document: Document) -> Scene:
+def scene_of_document(
+    document: Document, variables: Mapping[str, str] | None = None
+) -> Scene:
     """Return the scene of a document; see `load_scene`."""
+    given = variables or {}
     check_version(document, "scene")
+    used = resolve_variables(document, SceneModel, given)
     model = validated(document, SceneModel)
-    reader = _SceneReader(document, model)
-    scene = reader.scene()
+    named = [Path(text) for text in given.values() if Path(text).is_absolute()]
+    reader = _SceneReader(document, model, named)
+    scene = replace(reader.scene(), variables=used)
     document.check()
     return scene
 
 
 class _SceneReader:
-    def __init__(self, document: Document, model: SceneModel) -> None:
+    def __init__(
+        self, document: Document, model: SceneModel, named: list[Path]
+    ) -> None:
         self.document, self.model = document, model
-        self.roots = project_roots(document.path)
+        self.roots = (*project_roots(document.path), *named)
 
     def scene(self) -> Scene:
         model, output = self.model, self.model.output

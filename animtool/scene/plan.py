@@ -30,9 +30,21 @@ if TYPE_CHECKING:
     from animtool.scene.file import Scene
     from animtool.usd.target import JointMap, RigTarget
 
-__all__ = ["BakePlan", "Source", "TakePlan", "bake_outputs", "plan_bake"]
+__all__ = [
+    "BakePlan",
+    "Source",
+    "TakePlan",
+    "bake_outputs",
+    "plan_bake",
+    "source_file",
+]
 
 Source: TypeAlias = "Path | str | Scene"
+
+
+def source_file(source: Source) -> Path:
+    """Return the file that a source is read from."""
+    return Path(source) if isinstance(source, Path | str) else source.path
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,13 +242,11 @@ def _opened(given: Sequence[Source]) -> tuple[list[Path], dict[Path, Scene]]:
     paths: list[Path] = []
     scenes: dict[Path, Scene] = {}
     for source in given:
-        if not isinstance(source, (Path, str)):
-            scenes[source.path] = source
-            paths.append(source.path)
-            continue
-        path = Path(source)
+        path = source_file(source)
         paths.append(path)
-        if is_scene(path):
+        if not isinstance(source, Path | str):
+            scenes[path] = source
+        elif is_scene(path):
             from animtool.scene.file import load_scene
 
             scenes[path] = load_scene(path)

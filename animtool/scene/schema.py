@@ -146,6 +146,12 @@ class SceneModel(FileModel):
         description="What the file is, and the version of its format.",
         examples=["animtool/1"],
     )
+    variables: dict[str, str | float | bool] = Field(
+        default={},
+        description="What `${name}` stands for in the texts of the file; `--set` of "
+        "the command line comes first.",
+        examples=[{"shot": "sh010"}],
+    )
     rig: str | None = Field(
         default=None,
         description="Of a clip: its rig. Not given: the one that the clip names.",

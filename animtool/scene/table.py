@@ -22,7 +22,7 @@ from animtool.rig.kinematics import WorldTransforms, forward, rest_size
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake import run_bake
 from animtool.scene.options import BakeOptions
-from animtool.scene.plan import plan_bake
+from animtool.scene.plan import Source, plan_bake, source_file
 from animtool.take import Take
 from animtool.usd.play import played_world
 
@@ -89,7 +89,7 @@ class BakeTable:
 
 
 def bake_table(
-    source: Path | str,
+    source: Source,
     options: BakeOptions | None = None,
     *,
     progress: Callable[[float], None] | None = None,
@@ -111,7 +111,7 @@ def bake_table(
     """
     options = options or BakeOptions()
     plain = BakeOptions(source=options.source, to_up=options.to_up)
-    truth, take = _truth(Path(source), plain)
+    truth, take = _truth(source, plain)
     rates = CURVE_RATES if truth.curved else SAMPLE_RATES
     size = rest_size(take.rig) or 1.0
     scale = 10.0 ** math.floor(math.log10(size))
@@ -128,14 +128,14 @@ def bake_table(
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         for kind, setting, made in trials:
-            rows.append(_baked(Path(source), Path(folder), made, kind, setting, truth))
+            rows.append(_baked(source, Path(folder), made, kind, setting, truth))
             if progress is not None:
                 progress(len(rows) / (len(trials) + len(tolerances)))
     for tolerance in tolerances:
         rows.append(_keyed(take, tolerance, dict(options.reduce_at)))
         if progress is not None:
             progress(len(rows) / (len(trials) + len(tolerances)))
-    return BakeTable(Path(source), len(truth.seconds), rows)
+    return BakeTable(source_file(source), len(truth.seconds), rows)
 
 
 def _millimetres(meters: float) -> str:
@@ -152,11 +152,11 @@ class _Truth:
     curved: bool
 
 
-def _truth(source: Path, options: BakeOptions) -> tuple[_Truth, Take]:
+def _truth(source: Source, options: BakeOptions) -> tuple[_Truth, Take]:
     plan = plan_bake(source, None, options)
     if plan.character is not None:
         message = "--table measures joints, and the scene writes deformed points"
-        raise OptionError(Fault("CLI002", message, str(source)))
+        raise OptionError(Fault("CLI002", message, str(source_file(source))))
     stream = plan.takes[0].stream
     take = stream.collect()
     clock = take.clock
@@ -176,7 +176,7 @@ def _truth(source: Path, options: BakeOptions) -> tuple[_Truth, Take]:
 
 
 def _baked(
-    source: Path,
+    source: Source,
     folder: Path,
     options: BakeOptions,
     kind: RowKind,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -55,9 +56,9 @@ def test_a_bake_reads_its_scene_once(
 ) -> None:
     read: list[Path] = []
 
-    def counted(path: Path | str) -> Scene:
+    def counted(path: Path | str, variables: Mapping[str, str]) -> Scene:
         read.append(Path(path))
-        return load_scene(path)
+        return load_scene(path, variables)
 
     monkeypatch.setattr("animtool.scene.file.load_scene", counted)
     assert animtool("bake", shot, "--skip-existing").code == 0
@@ -253,3 +254,51 @@ def test_what_a_pass_finds_in_a_take_has_the_place_of_the_pass(
     name = entry.partition(":")[0]
     assert (fault.code, fault.path) == (code, str(shot))
     assert (fault.lines, fault.where) == ((5,), f"passes[1].{name}")
+
+
+TEMPLATE = """scene: animtool/1
+variables: {capture: walk, rate: 24}
+fps: ${rate}
+source:
+  file: ${capture}.bvh
+passes:
+- trim:
+    first: ${first}
+    last: 20
+output: {file: "${capture}_${rate}.usda"}
+"""
+
+
+def test_variables_of_the_command_line(shot: Path) -> None:
+    shot.write_text(TEMPLATE, "utf-8")
+    done = animtool("bake", shot, "--set", "first=5", "--set", "rate=30")
+    assert done.code == 0, done.stderr
+    assert "timeCodesPerSecond = 30\n" in (shot.parent / "walk_30.usda").read_text()
+    assert load_scene(shot, {"first": "6"}).variables == {"capture", "rate", "first"}
+
+
+def test_variables_that_are_missing_or_spare(shot: Path) -> None:
+    shot.write_text(TEMPLATE, "utf-8")
+    done = animtool("bake", shot)
+    assert done.code == 3
+    assert f"{shot}:8:12: SCN030 passes[0].trim.first" in done.stderr
+    done = animtool("bake", shot, "--set", "first=5", "--set", "frist=6")
+    assert done.code == 2
+    assert "SCN031" in done.stderr
+    assert "did you mean 'first'?" in done.stderr
+    walk = shot.with_name("walk.bvh")
+    assert animtool("bake", walk, "--set", "first=5").code == 2
+    assert animtool("bake", walk, "--set", "first").code == 2
+    assert animtool("bake", walk, "--set", "a b=1").code == 2
+
+
+def test_a_file_that_a_variable_names_may_be_anywhere(
+    shot: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    away = tmp_path_factory.mktemp("away") / "far.bvh"
+    shutil.copy(shot.with_name("walk.bvh"), away)
+    shot.write_text(GOOD.replace("walk.bvh", '"${input}"'), "utf-8")
+    assert load_scene(shot, {"input": str(away)}).source == away.resolve()
+    outside = {"input": "../" + away.parent.name + "/far.bvh"}
+    with pytest.raises(FormatError, match="SCN004"):
+        load_scene(shot, outside)

@@ -115,6 +115,7 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Path:
         half=points / 2,
         still=points * 0,
     )
+    (folder / "walk.bvh").write_text(CAPTURE, "utf-8")
     (folder / "base.rig.yaml").write_text(BASE, "utf-8")
     (folder / "walker.rig.yaml").write_text(WALKER, "utf-8")
     (folder / "puppet.rig.yaml").write_text(PUPPET, "utf-8")

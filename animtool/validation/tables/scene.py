@@ -29,6 +29,9 @@ RULES = (
     Rule("SCN023", "a base whose scale is 0"),
     Rule("SCN024", "an option that must name another take"),
     Rule("SCN025", "a word that is none of those an option has"),
+    Rule("SCN030", "a variable that has no value"),
+    Rule("SCN031", "a variable of the command line that no scene uses"),
+    Rule("SCN032", "a `${` without a name and `}`, or a variable of no name"),
     Rule(
         "SCN101",
         "a loop whose ends differ by more than a fifth of what it moves",

@@ -1,0 +1,175 @@
+"""Variables in the text of a document: ``${name}``, with defaults in the file."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from pydantic import BaseModel
+
+from animtool.documents.check import nearest
+from animtool.documents.document import Document, Location, plain_scalar
+from animtool.documents.mend import annotation_at, replaced, stand_in
+from animtool.errors import Fault, OptionError
+
+__all__ = ["check_given", "is_variable_name", "resolve_variables"]
+
+# Where a document gives variables their usual values.
+DEFAULTS = "variables"
+_NAME = r"[A-Za-z_][A-Za-z0-9_]*"
+# Two dollars stand for one, and what follows is text.
+_USE = re.compile(rf"\$(?P<kept>\$)?\{{(?:(?P<name>{_NAME})\}})?")
+
+
+def is_variable_name(text: str) -> bool:
+    """Return whether a variable may have a name.
+
+    >>> is_variable_name("shot_2"), is_variable_name("2nd shot")
+    (True, False)
+    """
+    return re.fullmatch(_NAME, text) is not None
+
+
+def resolve_variables(
+    document: Document, model: type[BaseModel], given: Mapping[str, str]
+) -> frozenset[str]:
+    """Put the values of variables into the text of a document; keys stay.
+
+    What is written without quotes is read anew with its values in place, so that it
+    may become a number. A default may use those that stand above it, and those given.
+    Faults are noted: a name that is not known (SCN030), a ``${`` without name and
+    ``}``, or a name that is none (SCN032). Something stands in for the value there.
+
+    Args:
+        document: Changed in place.
+        model: What the document should be.
+        given: Values by name; they come before the document's own.
+
+    Returns:
+        The names of the variables that the document uses or gives a value.
+    """
+    resolver = _Resolver(document, model, dict(given))
+    resolver.defaults()
+    for location, text in list(_texts(document.value, ())):
+        if location[0] != DEFAULTS:
+            resolver.put(location, text)
+    return frozenset(resolver.used)
+
+
+def check_given(given: Iterable[str], used: Iterable[str]) -> None:
+    """Refuse variables that are given and that nothing uses.
+
+    Raises:
+        OptionError: With a fault for each (SCN031).
+
+    >>> check_given(["shot"], ["shot", "rate"])
+    """
+    names = sorted(used)
+    faults = [
+        Fault("SCN031", f"no scene uses a variable {name!r}", hint=nearest(name, names))
+        for name in given
+        if name not in names
+    ]
+    if faults:
+        raise OptionError(faults)
+
+
+def _texts(node: Any, location: Location) -> Iterator[tuple[Location, str]]:
+    """Yield every text in a node that may use a variable, and where it stands."""
+    if isinstance(node, str):
+        if "${" in node:
+            yield location, node
+    elif isinstance(node, dict):
+        for key, value in node.items():
+            yield from _texts(value, (*location, key))
+    elif isinstance(node, list):
+        for i, value in enumerate(node):
+            yield from _texts(value, (*location, i))
+
+
+@dataclass(slots=True)
+class _Resolver:
+    """Puts values into texts.
+
+    Attributes:
+        document: Changed in place.
+        model: What it should be.
+        values: Of the variables that are known.
+        used: Names of those that the document knows.
+        faulty: Names of those whose own value is faulty.
+    """
+
+    document: Document
+    model: type[BaseModel]
+    values: dict[str, str]
+    used: set[str] = field(default_factory=set)
+    faulty: set[str] = field(default_factory=set)
+
+    def defaults(self) -> None:
+        """Learn the values that the document gives, each with those above it."""
+        stated = self.document.value.get(DEFAULTS)
+        for name, value in (stated if isinstance(stated, dict) else {}).items():
+            location = (DEFAULTS, name)
+            if not is_variable_name(name):
+                message = f"{name!r} is no name of a variable"
+                hint = "letters, digits and _ make one, and no digit begins it"
+                self.document.add("SCN032", location, message, hint)
+                continue
+            self.used.add(name)
+            if name in self.values:
+                continue
+            written = self.document.written(location)
+            text = self.resolved(location, str(value) if written is None else written)
+            if text is None or isinstance(value, dict | list) or value is None:
+                self.faulty.add(name)
+            else:
+                self.values[name] = text
+
+    def put(self, location: Location, text: str) -> None:
+        """Put the values of variables into a text of the document."""
+        found = self.resolved(location, text)
+        value: Any = found
+        if found is not None and self.document.written(location) is not None:
+            try:
+                value = plain_scalar(found)
+            except OverflowError:
+                self.document.add("DOC001", location, "a number of too many digits")
+                found = None
+        if found is None:
+            annotation = annotation_at(self.model, self.document.value, location)
+            value = stand_in(annotation)
+            self.document.doubts.add(location)
+        replaced(self.document.value, location, value)
+
+    def resolved(self, location: Location, text: str) -> str | None:
+        """Return a text with values in place; None where that cannot be."""
+        parts: list[str] = []
+        whole, end = True, 0
+        for found in _USE.finditer(text):
+            part = self._value(location, found)
+            whole &= part is not None
+            parts += [text[end : found.start()], part or ""]
+            end = found.end()
+        return "".join([*parts, text[end:]]) if whole else None
+
+    def _value(self, location: Location, found: re.Match[str]) -> str | None:
+        """Return what stands for a use of a variable; None, and a fault, for none."""
+        if found["kept"]:
+            return found[0][1:]
+        name = found["name"]
+        if name is None:
+            message = "a ${ has no name and } behind it"
+            hint = "write ${name}, or $${ where those letters are meant"
+            self.document.add("SCN032", location, message, hint)
+            return None
+        self.used.add(name)
+        if name not in self.values and name not in self.faulty:
+            message = f"there is no variable {name!r}"
+            hint = nearest(name, sorted(self.values))
+            hint += (
+                f"; --set {name}=… gives one, and variables: in the file a usual one"
+            )
+            self.document.add("SCN030", location, message, hint)
+        return self.values.get(name)

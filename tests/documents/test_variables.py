@@ -1,0 +1,158 @@
+"""Variables: what they become, where they may stand, what is wrong with them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import Field
+
+from animtool.documents.check import FileModel, validated
+from animtool.documents.document import Document, document_of
+from animtool.documents.variables import check_given, resolve_variables
+from animtool.errors import FormatError, OptionError
+
+HEAD = "scene: animtool/1\n"
+
+
+class Model(FileModel):
+    scene: str
+    variables: dict[str, str | float | bool] = Field(default={})
+    text: str = ""
+    number: float = 0
+    several: list[Any] = Field(default=[])
+
+
+def resolved(text: str, **given: str) -> Document:
+    document = document_of(HEAD + text, Path("a.scene.yaml"))
+    resolve_variables(document, Model, given)
+    return document
+
+
+def refused(text: str, **given: str) -> list[tuple[str, tuple[int, int]]]:
+    """Return code and place of every fault, those of the schema among them."""
+    document = resolved(text, **given)
+    validated(document, Model)
+    with pytest.raises(FormatError) as caught:
+        document.check()
+    return [(f.code, (f.lines[0], f.column or 0)) for f in caught.value.faults]
+
+
+@pytest.mark.parametrize(
+    ("written", "value"),
+    [
+        ("${shot}", "sh020"),
+        ("a/${shot}/${shot}_v1.usdc", "a/sh020/sh020_v1.usdc"),
+        ("${count}", 12),
+        ("1${count}.5", 112.5),
+        ('"${count}"', "12"),
+        ("'x ${count}'", "x 12"),
+        ("${off}", False),
+        ("${nothing}", None),
+        ("$${shot}", "${shot}"),
+        ("$$${shot}", "$${shot}"),
+        ("$shot {shot} $", "$shot {shot} $"),
+    ],
+)
+def test_what_a_text_becomes(written: str, value: object) -> None:
+    text = f"text: {written}\n"
+    found = resolved(text, shot="sh020", count="12", off="false", nothing="")
+    assert found.value["text"] == value
+    assert type(found.value["text"]) is type(value)
+    assert not found.faults
+
+
+def test_lists_and_mappings_are_searched_and_keys_stay() -> None:
+    text = "several:\n- ${n}\n- ${n}: [\"${n}\", {x: 'a${n}'}]\n"
+    found = resolved(text, n="3")
+    assert found.value["several"] == [3, {"${n}": ["3", {"x": "a3"}]}]
+    assert found.place(("several", 1, "${n}", 1, "x")) == (4, 22)
+
+
+def test_values_of_the_file_come_after_those_given() -> None:
+    text = "variables: {shot: a, take: b}\ntext: ${shot}${take}\n"
+    assert resolved(text).value["text"] == "ab"
+    assert resolved(text, take="c").value["text"] == "ac"
+
+
+def test_a_value_uses_those_above_it_and_those_given() -> None:
+    text = 'variables: {shot: sh, out: "${shot}/${stem}"}\ntext: ${out}\n'
+    assert resolved(text, stem="walk").value["text"] == "sh/walk"
+    below = 'variables: {out: "${shot}", shot: sh}\ntext: ${out}\n'
+    assert refused(below) == [("SCN030", (2, 18))]
+
+
+def test_numbers_of_the_file_stay_as_they_are_written() -> None:
+    text = "variables: {take: 007, rate: 2e1}\ntext: s${take}\nnumber: ${rate}\n"
+    found = resolved(text)
+    assert found.value["text"] == "s007"
+    assert found.value["number"] == 20.0
+
+
+@pytest.mark.parametrize(
+    ("text", "faults"),
+    [
+        ("text: ${shto}\n", [("SCN030", (2, 7))]),
+        ("text: ${}\n", [("SCN032", (2, 7))]),
+        ("text: ${a b}\n", [("SCN032", (2, 7))]),
+        ("text: x ${shot\n", [("SCN032", (2, 7))]),
+        ("variables: {2a: x}\n", [("SCN032", (2, 17))]),
+        ("variables: [x]\ntext: x\n", [("DOC022", (2, 12))]),
+        ("variables: {a: [x]}\ntext: ${a}\n", [("DOC022", (2, 16))]),
+        ("variables: {a: }\ntext: ${a}\n", [("DOC022", (2, 16))]),
+        ("number: 1${shot}\n", [("DOC022", (2, 9))]),
+        (
+            "text: ${a}\nnumber: ${b}\nseveral: ['${']\n",
+            [("SCN030", (2, 7)), ("SCN030", (3, 9)), ("SCN032", (4, 11))],
+        ),
+        (
+            "variables: {a: '${none}'}\ntext: ${a}\nnumber: x\n",
+            [("SCN030", (2, 16)), ("DOC022", (4, 9))],
+        ),
+    ],
+)
+def test_each_fault_once_and_at_its_place(
+    text: str, faults: list[tuple[str, tuple[int, int]]]
+) -> None:
+    assert refused(text, shot="sh") == faults
+
+
+def test_the_nearest_name_is_given() -> None:
+    document = resolved("text: ${shto}\n", shot="a")
+    [fault] = document.faults
+    assert fault.hint is not None
+    assert "'shot'" in fault.hint
+
+
+def test_brackets_around_a_variable_ask_for_quotes() -> None:
+    with pytest.raises(FormatError, match="quotes") as caught:
+        resolved("several: [${shot}]\n")
+    assert caught.value.code == "DOC001"
+
+
+def test_a_number_of_too_many_digits() -> None:
+    assert refused("number: ${n}\n", n="1" * 500) == [("DOC001", (2, 9))]
+
+
+def test_what_is_given_must_be_used() -> None:
+    check_given([], [])
+    with pytest.raises(OptionError) as caught:
+        check_given(["shto", "shot", "x"], {"shot"})
+    assert [f.code for f in caught.value.faults] == ["SCN031", "SCN031"]
+    assert "'shot'" in (caught.value.faults[0].hint or "")
+
+
+@given(st.text(st.sampled_from("${}ab\\ '")))
+def test_any_text_can_be_written(text: str) -> None:
+    written = text.replace("${", "$${")
+    quoted = "'" + written.replace("'", "''") + "'"
+    assert resolved(f"text: {quoted}\n").value["text"] == text
+
+
+@given(st.text("ab_1", min_size=1).filter(lambda s: s[0] != "1"), st.text("${}x,:#"))
+def test_values_are_taken_as_they_are(name: str, value: str) -> None:
+    found = resolved(f"text: 'x${{{name}}}'\n", **{name: value})
+    assert found.value["text"] == f"x{value}"
