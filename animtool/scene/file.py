@@ -68,6 +68,19 @@ class Scene:
     bake: BakeOptions
     variables: frozenset[str] = frozenset()
 
+    @property
+    def inputs(self) -> list[Path]:
+        """The files that it names to be read: of its source, rig and passes."""
+        folder = self.path.resolve().parent
+        named = [
+            folder / value
+            for entry in self.passes
+            for field in fields(entry.options)
+            if isinstance(value := getattr(entry.options, field.name), Path)
+        ]
+        rig = [] if self.options.rig is None else [self.options.rig]
+        return [self.source, *rig, *named]
+
     def open(self) -> TakeStream:
         """Return the source with every pass applied.
 

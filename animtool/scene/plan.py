@@ -140,6 +140,7 @@ def plan_bake(
     if path is not None:
         check_suffix(path)
         inputs = sources + ([options.rig_layer] if options.rig_layer else [])
+        inputs += [file for scene in scenes.values() for file in scene.inputs]
         check_outputs(
             _outputs(path, form, options), inputs, overwrite=options.overwrite
         )

@@ -47,6 +47,20 @@ def test_a_plan_finds_what_is_wrong_before_the_rows(take: Path, tmp_path: Path) 
     plan_bake(take, tmp_path / "new.usda")
 
 
+@pytest.mark.parametrize("name", ["take.usda", "other.usda"])
+def test_what_a_scene_reads_is_not_replaced(
+    take: Path, name: str, tmp_path: Path
+) -> None:
+    for stem in ("take", "other"):
+        run_bake(plan_bake(take, tmp_path / f"{stem}.usda"))
+    scene = tmp_path / "shot.scene.yaml"
+    text = "scene: animtool/1\nsource: {file: take.usda}\n"
+    scene.write_text(f"{text}passes:\n- blend: {{take: other.usda}}\n", "utf-8")
+    with pytest.raises(OptionError) as caught:
+        plan_bake(scene, tmp_path / name, BakeOptions(overwrite=True))
+    assert caught.value.code == "OUT003"
+
+
 def test_every_clash_of_options_is_said_at_once() -> None:
     options = BakeOptions(form="layer", bones=True, rest_frame=3)
     with pytest.raises(AnimtoolError) as caught:

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import re
+import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.cli import animtool
+from support.page_stage import CAPTURE, make_stage
 
+import animtool as animtool_package
+from animtool.errors import AnimtoolError
 from animtool.validation.run import validate
 from animtool.validation.tables import RULES, page
 
@@ -15,54 +20,6 @@ HEADINGS = ["What", "Why", "How to mend"]
 PAGES = {code: text for code in RULES if (text := page(code)) is not None}
 # Codes without a page yet. None is added here; each that gets one leaves.
 WITHOUT = (Path(__file__).parent / "without_page.txt").read_text("utf-8").split()
-WALKER = """\
-rig: animtool/1
-name: walker
-joints:
-- {name: hips, type: free, translate: [0, 1, 0]}
-- {name: foot_l, parent: hips, type: free, translate: [0, -1, 0]}
-"""
-PUPPET = """\
-rig: animtool/1
-name: puppet
-joints:
-- {name: elbow, type: pin, axis: [0, 0, 1], limits: [0, 140]}
-- {name: twin, type: pin, axis: [0, 0, 1], limits: [0, 140], mimic: {joint: elbow}}
-controls:
-- {name: curl, range: [0, 1], drives: [{joint: elbow.angle, expr: curl * 90}]}
-"""
-CAPTURE = """\
-HIERARCHY
-ROOT hips
-{
-  OFFSET 0 0 0
-  CHANNELS 3 Zrotation Xrotation Yrotation
-  JOINT leg.l
-  {
-    OFFSET 10 0 0
-    CHANNELS 0
-    End Site
-    {
-      OFFSET 0 -10 0
-    }
-  }
-  JOINT leg.r
-  {
-    OFFSET -10 0 0
-    CHANNELS 0
-    End Site
-    {
-      OFFSET 0 -10 0
-    }
-  }
-}
-MOTION
-Frames: 2
-Frame Time: 0.0333333
-0 0 0
-0 0 5
-"""
-BASE = "rig: animtool/1\nname: base\njoints: [{name: hips, type: free}]\n"
 
 
 def examples(code: str, language: str) -> list[str]:
@@ -88,38 +45,11 @@ def test_the_form_of_a_page(code: str) -> None:
     assert max(map(len, outside.splitlines()[1:])) <= 88
 
 
-@pytest.fixture(scope="module")
-def stage(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture
+def stage(tmp_path: Path) -> Path:
     """Return a folder with what the examples refer to."""
-    folder = tmp_path_factory.mktemp("stage")
-    points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
-    ninth = np.full((4, 9), 1 / 9)
-    eighth = np.tile([0.125] * 8 + [0.0], (4, 1))
-    np.savez(
-        folder / "body.npz",
-        points=points,
-        large=points * 100,
-        holed=points * [1, np.nan, 1],
-        normals=points,
-        short=points[:3],
-        faces=np.array([[0, 1, 2, 3]]),
-        objects=np.array([{}], object),
-        indices=np.array([[0, 1]] * 4),
-        weights=np.full((4, 2), 0.5),
-        loose=np.full((4, 2), 0.45),
-        rounded=np.full((4, 2), 128 / 255),
-        nine=np.tile(np.arange(9), (4, 1)),
-        ninth=ninth,
-        eighth=eighth,
-        smile=points,
-        half=points / 2,
-        still=points * 0,
-    )
-    (folder / "walk.bvh").write_text(CAPTURE, "utf-8")
-    (folder / "base.rig.yaml").write_text(BASE, "utf-8")
-    (folder / "walker.rig.yaml").write_text(WALKER, "utf-8")
-    (folder / "puppet.rig.yaml").write_text(PUPPET, "utf-8")
-    return folder
+    make_stage(tmp_path)
+    return tmp_path
 
 
 @pytest.mark.parametrize("code", [c for c in PAGES if examples(c, "yaml")])
@@ -131,13 +61,50 @@ def test_the_examples_are_true(code: str, stage: Path) -> None:
 
 def codes(text: str, stage: Path) -> list[str]:
     """Return what is found in an example, put into a file where it is a part."""
-    kind = re.match("(rig|clip|scene): animtool", text)
+    kind = re.match("(rig|clip|scene|targets): animtool", text)
     path = stage / f"page.{kind[1] if kind else 'rig'}.yaml"
     head = "" if kind else "rig: animtool/1\n"
     if not kind and not re.search("^name:", text, re.M):
         head += "name: page\n"
     path.write_text(head + text, "utf-8")
-    return [fault.code for fault in validate(path)]
+    found = [fault.code for fault in validate(path)]
+    if path.name == "page.targets.yaml" and not found:
+        # What is known of the rig alone.
+        found = said("animtool ik hero.rig.yaml --targets page.targets.yaml", stage)
+    return found
+
+
+def said(commands: str, folder: Path) -> list[str]:
+    """Return the codes in what commands say, each of which but the last succeeds."""
+    lines = [shlex.split(line) for line in commands.replace("\\\n", " ").splitlines()]
+    done = [animtool(*line[1:], cwd=folder) for line in lines if line]
+    assert all(one.code == 0 for one in done[:-1])
+    return [c for c in re.findall(r"\b[A-Z]+\d{3}\b", done[-1].stderr) if c in RULES]
+
+
+@pytest.mark.parametrize("code", [c for c in PAGES if examples(c, "sh")])
+def test_commands_are_true(code: str, tmp_path: Path) -> None:
+    found = []
+    for i, commands in enumerate(examples(code, "sh")):
+        folder = tmp_path / str(i)
+        folder.mkdir()
+        make_stage(folder)
+        found.append(said(commands, folder))
+    wrong, right = found
+    assert code in wrong
+    assert right == []
+
+
+@pytest.mark.parametrize("code", [c for c in PAGES if examples(c, "python")])
+def test_python_is_true(
+    code: str, stage: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(stage)
+    wrong, right = examples(code, "python")
+    with pytest.raises(AnimtoolError) as caught:
+        exec(wrong, {"animtool": animtool_package, "np": np})
+    assert code in [fault.code for fault in caught.value.faults]
+    exec(right, {"animtool": animtool_package, "np": np})
 
 
 @pytest.mark.parametrize("code", [c for c in PAGES if examples(c, "bvh")])

@@ -1,0 +1,149 @@
+"""A folder with the files that examples of pages of codes refer to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+__all__ = ["CAPTURE", "make_stage"]
+
+WALKER = """\
+rig: animtool/1
+name: walker
+joints:
+- {name: hips, type: free, translate: [0, 1, 0]}
+- {name: foot_l, parent: hips, type: free, translate: [0, -1, 0]}
+"""
+PUPPET = """\
+rig: animtool/1
+name: puppet
+joints:
+- {name: elbow, type: pin, axis: [0, 0, 1], limits: [0, 140]}
+- {name: twin, type: pin, axis: [0, 0, 1], limits: [0, 140], mimic: {joint: elbow}}
+controls:
+- {name: curl, range: [0, 1], drives: [{joint: elbow.angle, expr: curl * 90}]}
+"""
+HERO = """\
+rig: animtool/1
+name: hero
+joints:
+- {name: hips, type: free, translate: [0, 1, 0]}
+- {name: chest, parent: hips, type: ball, translate: [0, 0.4, 0]}
+- {name: shoulder_l, parent: chest, type: ball, translate: [0.2, 0, 0],
+   mirror: shoulder_r}
+- {name: elbow_l, parent: shoulder_l, type: pin, axis: [0, 1, 0],
+   translate: [0.3, 0, 0], limits: [-150, 0], mirror: elbow_r}
+- {name: wrist_l, parent: elbow_l, type: ball, translate: [0.25, 0, 0],
+   mirror: wrist_r}
+ik:
+- {name: arm_l, root: shoulder_l, tip: wrist_l, pole_dir: [0, 0, -1]}
+- {name: arm_r, root: shoulder_r, tip: wrist_r, pole_dir: [0, 0, -1]}
+"""
+# Both arms swing once in 24 frames; the hips go straight on.
+WALK = """\
+clip: animtool/1
+rig: hero.rig.yaml
+fps: 24
+range: [1, 49]
+channels:
+- {target: joint/hips.translation,
+   keys: [{t: 1, v: [0, 0, 0]}, {t: 49, v: [0, 0, 2]}]}
+- {target: joint/elbow_l.angle, post: cycle,
+   keys: [{t: 1, v: -20}, {t: 13, v: -60}, {t: 25, v: -20}]}
+- {target: joint/elbow_r.angle, post: cycle,
+   keys: [{t: 1, v: -60}, {t: 13, v: -20}, {t: 25, v: -60}]}
+"""
+WAVE = """\
+clip: animtool/1
+rig: hero.rig.yaml
+fps: 24
+range: [1, 49]
+channels:
+- {target: joint/elbow_l.angle, keys: [{t: 1, v: 0}, {t: 49, v: -90}]}
+"""
+CURL = """\
+clip: animtool/1
+rig: puppet.rig.yaml
+fps: 24
+channels:
+- {target: control/curl, keys: [{t: 1, v: 0}, {t: 24, v: 1}]}
+"""
+CAPTURE = """\
+HIERARCHY
+ROOT hips
+{
+  OFFSET 0 0 0
+  CHANNELS 3 Zrotation Xrotation Yrotation
+  JOINT leg.l
+  {
+    OFFSET 10 0 0
+    CHANNELS 0
+    End Site
+    {
+      OFFSET 0 -10 0
+    }
+  }
+  JOINT leg.r
+  {
+    OFFSET -10 0 0
+    CHANNELS 0
+    End Site
+    {
+      OFFSET 0 -10 0
+    }
+  }
+}
+MOTION
+Frames: 2
+Frame Time: 0.0333333
+0 0 0
+0 0 5
+"""
+BASE = "rig: animtool/1\nname: base\njoints: [{name: hips, type: free}]\n"
+FILES = {
+    "base.rig.yaml": BASE,
+    "walker.rig.yaml": WALKER,
+    "puppet.rig.yaml": PUPPET,
+    "hero.rig.yaml": HERO,
+    "walk.clip.yaml": WALK,
+    "wave.clip.yaml": WAVE,
+    "curl.clip.yaml": CURL,
+    "other.bvh": CAPTURE,
+}
+
+
+def make_stage(folder: Path) -> None:
+    """Write the files into a folder."""
+    for name, text in FILES.items():
+        (folder / name).write_text(text, "utf-8")
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    ninth = np.full((4, 9), 1 / 9)
+    eighth = np.tile([0.125] * 8 + [0.0], (4, 1))
+    np.savez(
+        folder / "body.npz",
+        points=points,
+        large=points * 100,
+        holed=points * [1, np.nan, 1],
+        normals=points,
+        short=points[:3],
+        faces=np.array([[0, 1, 2, 3]]),
+        objects=np.array([{}], object),
+        indices=np.array([[0, 1]] * 4),
+        weights=np.full((4, 2), 0.5),
+        loose=np.full((4, 2), 0.45),
+        rounded=np.full((4, 2), 128 / 255),
+        nine=np.tile(np.arange(9), (4, 1)),
+        ninth=ninth,
+        eighth=eighth,
+        smile=points,
+        half=points / 2,
+        still=points * 0,
+    )
+    places = np.linspace([0.4, 1.4, 0.2], [0.5, 1.5, 0.3], 24)
+    np.savez(
+        folder / "hands.npz",
+        left=places,
+        short=places[:23],
+        holed=np.where(np.arange(24)[:, None] == 7, np.nan, places),
+    )
