@@ -234,7 +234,7 @@ class _SceneReader:
         """Return a file to read, which must be there."""
         found = referred(self.document, at, name, self.roots, "SCN004")
         if found is not None and not found.exists():
-            self._missing(at, name)
+            self.document.add("SCN005", at, f"{name!r} does not exist")
         return Path(name) if found is None else found
 
     def _rate(self, at: Location, given: float | str | None) -> Fraction | None:
@@ -292,12 +292,4 @@ class _SceneReader:
         for field in fields(found.options):
             value = getattr(options, field.name)
             if isinstance(value, Path):
-                self._exists((*at, field.name), str(value))
-
-    def _exists(self, at: Location, name: str) -> None:
-        """Refuse a file to read that is not there."""
-        if not (self.document.path.resolve().parent / name).exists():
-            self._missing(at, name)
-
-    def _missing(self, at: Location, name: str) -> None:
-        self.document.add("SCN005", at, f"{name!r} does not exist")
+                self._input((*at, field.name), str(value))

@@ -168,6 +168,7 @@ SCENES = {
     "a range that is reversed": ("SCN003", "range: [9, 1]"),
     "a rate that is none": ("SCN003", "fps: fast"),
     "a file outside the project": ("SCN004", "output: {file: ../../out.usda}"),
+    "a take outside the project": ("SCN004", "passes: [{blend: {take: ../../a.bvh}}]"),
     "a file that is not there": ("SCN005", "passes: [{layer: {take: no.bvh}}]"),
     "no such pass": ("SCN010", "passes: [{trm: }]"),
     "a plug-in that breaks": ("SCN011", "passes: [{broken: }]"),

@@ -109,7 +109,7 @@ FILES = {
     "walk.clip.yaml": WALK,
     "wave.clip.yaml": WAVE,
     "curl.clip.yaml": CURL,
-    "other.bvh": CAPTURE,
+    "walk.bvh": CAPTURE,
 }
 
 

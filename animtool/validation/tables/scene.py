@@ -10,7 +10,7 @@ __all__ = ["RULES"]
 RULES = (
     Rule("SCN001", "an option that a pass has not"),
     Rule("SCN002", "an option of a wrong value"),
-    Rule("SCN003", "a range reversed, or no frame rate"),
+    Rule("SCN003", "a range reversed, or a frame rate or length that is none"),
     Rule("SCN004", "a file outside the project"),
     Rule("SCN005", "a file that is not there"),
     Rule("SCN010", "no pass of that name"),
@@ -28,7 +28,7 @@ RULES = (
     Rule("SCN022", "a frame rate that is none"),
     Rule("SCN023", "a base whose scale is 0"),
     Rule("SCN024", "an option that must name another take"),
-    Rule("SCN025", "a word that is none of those an option has"),
+    Rule("SCN025", "in Python: a word that is none of those an option has"),
     Rule("SCN030", "a variable that has no value"),
     Rule("SCN031", "a variable of the command line that no scene uses"),
     Rule("SCN032", "a `${` without a name and `}`, or a variable of no name"),
