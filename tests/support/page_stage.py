@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -58,9 +59,8 @@ WAVE = """\
 clip: animtool/1
 rig: hero.rig.yaml
 fps: 24
-range: [1, 49]
 channels:
-- {target: joint/elbow_l.angle, keys: [{t: 1, v: 0}, {t: 49, v: -90}]}
+- {target: joint/elbow_l.angle, keys: [{t: 1, v: 0}, {t: 24, v: -90}]}
 """
 CURL = """\
 clip: animtool/1
@@ -68,6 +68,27 @@ rig: puppet.rig.yaml
 fps: 24
 channels:
 - {target: control/curl, keys: [{t: 1, v: 0}, {t: 24, v: 1}]}
+"""
+REACH = """\
+targets: animtool/1
+goals:
+- {effector: arm_l, position: [0.4, 1.4, 0.2]}
+"""
+PROP = """\
+#usda 1.0
+(
+    metersPerUnit = 1
+    upAxis = "Y"
+)
+
+def Xform "World"
+{
+    def Xform "box"
+    {
+        double3 xformOp:translate = (0.4, 1.4, 0.2)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }
+}
 """
 CAPTURE = """\
 HIERARCHY
@@ -109,7 +130,10 @@ FILES = {
     "walk.clip.yaml": WALK,
     "wave.clip.yaml": WAVE,
     "curl.clip.yaml": CURL,
-    "walk.bvh": CAPTURE,
+    "reach.targets.yaml": REACH,
+    "prop.usda": PROP,
+    "other.bvh": CAPTURE,
+    "dog.bvh": re.sub("hips|leg", "paw", CAPTURE),
 }
 
 
@@ -140,10 +164,5 @@ def make_stage(folder: Path) -> None:
         half=points / 2,
         still=points * 0,
     )
-    places = np.linspace([0.4, 1.4, 0.2], [0.5, 1.5, 0.3], 24)
-    np.savez(
-        folder / "hands.npz",
-        left=places,
-        short=places[:23],
-        holed=np.where(np.arange(24)[:, None] == 7, np.nan, places),
-    )
+    places = np.linspace([0.4, 1.4, 0.2], [0.5, 1.5, 0.3], 49)
+    np.savez(folder / "hands.npz", left=places[:24], short=places[:23], long=places)

@@ -69,8 +69,9 @@ def codes(text: str, stage: Path) -> list[str]:
     path.write_text(head + text, "utf-8")
     found = [fault.code for fault in validate(path)]
     if path.name == "page.targets.yaml" and not found:
-        # What is known of the rig alone.
-        found = said("animtool ik hero.rig.yaml --targets page.targets.yaml", stage)
+        # What is known of the rig and a clip alone.
+        solve = "animtool ik hero.rig.yaml --targets page.targets.yaml"
+        found = said(solve, stage) or said(f"{solve} --clip wave.clip.yaml", stage)
     return found
 
 
