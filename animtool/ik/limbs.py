@@ -92,16 +92,16 @@ def _fault(
 ) -> str | None:
     what = "a limb that eases out or stretches"
     if not goal.position > 0:
-        return f"{what} has a position to reach"
+        return f"{what} must have a position to reach"
     if (chain.nodes[_path(chain, limb.goal), 0] == SLIDE).any():
-        return f"{what} has joints that turn only, and a root that stays in its place"
+        return f"{what} must have joints that turn, and a root that stays in its place"
     above = _above(rig, goal)
     if goal.root is not None:
         own = above[: above.index(rig.index(goal.root)) + 1]
         others = [j for j in above if j in moving and j not in own]
         if others:
             name = rig.joints[others[0]].name
-            return f"{what} has a root that stays in its place, but {name!r} moves it"
+            return f"{what} must have a root that stays in its place: {name!r} moves it"
     if goal.stretch > 0 and limb.bones <= NO_LENGTH:
         return "it has no bones to stretch"
     return None

@@ -153,7 +153,7 @@ def _faults(
             faults.append(Fault("IK005", message))
         if not max(map(abs, joint.translation)) <= FARTHEST:
             message = f"{joint.name!r} is more than {FARTHEST:g} m from its parent"
-            faults.append(Fault("IK009", message, hint="is its length in the unit?"))
+            faults.append(Fault("IK009", message, hint="a Rig is in metres"))
     return faults
 
 

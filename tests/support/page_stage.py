@@ -74,6 +74,11 @@ targets: animtool/1
 goals:
 - {effector: arm_l, position: [0.4, 1.4, 0.2]}
 """
+TURN = """\
+targets: animtool/1
+goals:
+- {effector: arm_l, orientation: [1, 0, 0, 0]}
+"""
 PROP = """\
 #usda 1.0
 (
@@ -131,6 +136,7 @@ FILES = {
     "wave.clip.yaml": WAVE,
     "curl.clip.yaml": CURL,
     "reach.targets.yaml": REACH,
+    "turn.targets.yaml": TURN,
     "prop.usda": PROP,
     "other.bvh": CAPTURE,
     "dog.bvh": re.sub("hips|leg", "paw", CAPTURE),
