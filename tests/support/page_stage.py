@@ -138,7 +138,7 @@ FILES = {
     "reach.targets.yaml": REACH,
     "turn.targets.yaml": TURN,
     "prop.usda": PROP,
-    "other.bvh": CAPTURE,
+    "walk.bvh": CAPTURE,
     "dog.bvh": re.sub("hips|leg", "paw", CAPTURE),
 }
 
