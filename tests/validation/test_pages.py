@@ -20,6 +20,8 @@ HEADINGS = ["What", "Why", "How to mend"]
 PAGES = {code: text for code in RULES if (text := page(code)) is not None}
 # Codes without a page yet. None is added here; each that gets one leaves.
 WITHOUT = (Path(__file__).parent / "without_page.txt").read_text("utf-8").split()
+# What the wrong example of a page has beside its own code: what is no longer hidden.
+BESIDE = {"VAL002": {"RIG201"}}
 
 
 def examples(code: str, language: str) -> list[str]:
@@ -55,7 +57,7 @@ def stage(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("code", [c for c in PAGES if examples(c, "yaml")])
 def test_the_examples_are_true(code: str, stage: Path) -> None:
     wrong, right = examples(code, "yaml")
-    assert code in codes(wrong, stage)
+    assert set(codes(wrong, stage)) - BESIDE.get(code, set()) == {code}
     assert codes(right, stage) == []
 
 
@@ -92,7 +94,7 @@ def test_commands_are_true(code: str, tmp_path: Path) -> None:
         make_stage(folder)
         found.append(said(commands, folder))
     wrong, right = found
-    assert code in wrong
+    assert set(wrong) == {code}
     assert right == []
 
 
@@ -104,7 +106,7 @@ def test_python_is_true(
     wrong, right = examples(code, "python")
     with pytest.raises(AnimtoolError) as caught:
         exec(wrong, {"animtool": animtool_package, "np": np})
-    assert code in [fault.code for fault in caught.value.faults]
+    assert {fault.code for fault in caught.value.faults} == {code}
     exec(right, {"animtool": animtool_package, "np": np})
 
 
