@@ -16,7 +16,6 @@ from animtool.errors import Fault, FormatError, Severity, excerpt, listed
 from animtool.maths import so3
 from animtool.rates import rate_from_float
 from animtool.rig.parts import AttachKind, Shape
-from animtool.rig.skeleton import Rig
 from animtool.take import Channel, Clock, Motion, Take, TakeStream
 from animtool.units import unit_name
 from animtool.usd.animation_values import (
