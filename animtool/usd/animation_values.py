@@ -74,12 +74,19 @@ def sampled_values(
         value = array_value(attr, time)
         if len(value) != count:
             message = f"{attr.GetName()} has {len(value)} values for {count} {of}s"
-            hint = f"time code {time.GetValue():g}; UsdSkel falls back to rest"
+            hint = f"{_moment(time)}; UsdSkel falls back to rest"
             raise FormatError(Fault("USD013", message, where, (), hint))
         rows[i] = np.array(value, np.float64).reshape(count, width)
     if not np.isfinite(rows).all():
         frame, joint, _ = np.argwhere(~np.isfinite(rows))[0]
         message = f"{attr.GetName()} is not finite"
-        hint = f"time code {when[frame].GetValue():g}, {of} {joint}"
+        hint = f"{_moment(when[frame])}, {of} {joint}"
         raise FormatError(Fault("USD014", message, where, (), hint))
     return rows
+
+
+def _moment(time: Any) -> str:
+    """Return a time in words; the earliest is that of a value that does not change."""
+    if time.IsEarliestTime():
+        return "the only value"
+    return f"time code {time.GetValue():g}"

@@ -180,7 +180,9 @@ def _misfits(mesh: Any, name: str, count: int, rig: RigTarget) -> list[Fault]:
     points = mesh.GetPointsAttr().Get(Usd.TimeCode.EarliestTime()) or ()
     if len(points) == count:
         return []
-    message = f"mesh {name!r} has {len(points)} points here, and {count} in the rig"
+    message = (
+        f"mesh {name!r} has {len(points)} points here, and {count} in the take's rig"
+    )
     hint = "the cache would not fit its faces"
     return [Fault("USD041", message, f"{rig.path}<{mesh.GetPath()}>", (), hint)]
 
@@ -193,7 +195,7 @@ def _uneven(
     if here == shape:
         return []
     message = f"{entry.name!r} has {here[0]} strands of {here[1]} points here, and "
-    message += f"{shape[0]} of {shape[1]} in the rig"
+    message += f"{shape[0]} of {shape[1]} in the take's rig"
     hint = "the cache would not fit its curves"
     return [Fault("USD041", message, f"{rig.path}<{curves.GetPath()}>", (), hint)]
 

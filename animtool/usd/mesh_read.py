@@ -59,7 +59,8 @@ def read_meshes(
         bind = _bind(query, skeleton, at)
         meshes.append(_mesh(query, name, rig, at, bind, notices))
         count = len(meshes[-1].points.load())
-        shapes += _shapes(query, name, count, at, {shape.name for shape in shapes})
+        known = {shape.name for shape in shapes}
+        shapes += _shapes(query, name, count, where, known)
     return tuple(meshes), tuple(shapes), notices
 
 
@@ -134,8 +135,11 @@ def _faces(mesh: Any, points: int, at: str) -> FloatArray:
     )
     if not len(counts):
         _fail("USD017", "the mesh has no faces", at)
-    if counts.sum() != len(indices) or (counts < 3).any():
-        _fail("USD017", f"{len(indices)} face vertices for faces of others", at)
+    if (counts < 3).any():
+        _fail("USD017", f"a face has {counts.min()} vertices, and needs 3", at)
+    if counts.sum() != len(indices):
+        message = f"{len(indices)} faceVertexIndices for faces of {counts.sum()} in all"
+        _fail("USD017", message, at)
     if len(indices) and not 0 <= indices.min() <= indices.max() < points:
         _fail("USD018", f"a face has a vertex that is not in 0 to {points - 1}", at)
     width = int(counts.max(initial=3))
@@ -163,7 +167,7 @@ def _skin(query: Any, points: int, rig: SkeletonRig, at: str) -> Skin:
         _fail("USD017", message, at)
     if not np.isfinite(weights).all():
         _fail("USD017", "jointWeights hold a value that is not finite", at)
-    names = joint_names(query, rig)
+    names = joint_names(query, rig, at)
     if len(indices) and not 0 <= indices.min() <= indices.max() < len(names):
         _fail("USD018", f"a jointIndex is not in 0 to {len(names) - 1}", at)
     shape = (points, width)
@@ -177,7 +181,7 @@ def _skin(query: Any, points: int, rig: SkeletonRig, at: str) -> Skin:
 
 
 def _shapes(
-    query: Any, mesh: str, points: int, at: str, known: set[str]
+    query: Any, mesh: str, points: int, where: str, known: set[str]
 ) -> list[Shape]:
     """Return the shapes of a mesh; one that another mesh has too gets its name."""
     if not query.HasBlendShapes():
@@ -186,7 +190,7 @@ def _shapes(
     targets = query.GetBlendShapeTargetsRel().GetTargets()
     if len(order) != len(targets):
         message = f"{len(order)} blendShapes for {len(targets)} targets"
-        _fail("USD017", message, at)
+        _fail("USD017", message, f"{where}<{query.GetPrim().GetPath()}>")
     stage = query.GetPrim().GetStage()
     return [
         _shape(
@@ -194,13 +198,14 @@ def _shapes(
             token if token not in known else f"{mesh}_{token}",
             mesh,
             points,
+            where,
         )
         for token, target in zip(order, targets, strict=True)
     ]
 
 
-def _shape(shape: Any, name: str, mesh: str, points: int) -> Shape:
-    at = str(shape.GetPath())
+def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
+    at = f"{where}<{shape.GetPath()}>"
     deltas = floats(shape.GetOffsetsAttr(), 3, at)
     vertices = np.array(array_value(shape.GetPointIndicesAttr()), np.int64)
     rows = len(vertices) or points
@@ -221,7 +226,8 @@ def _shape(shape: Any, name: str, mesh: str, points: int) -> Shape:
     for step in shape.GetInbetweens():
         weight, found = step.GetWeight(), rows_of(step.GetAttr())
         if weight is None or found is None or not np.isfinite(weight):
-            _fail("USD017", f"{step.GetAttr().GetName()} has no weight", at)
+            message = f"{step.GetAttr().GetName()} has no weight or no offsets"
+            _fail("USD017", message, at)
         normals = rows_of(step.GetNormalOffsetsAttr())
         between.append(Inbetween(float(weight), found, normals))
     return Shape(

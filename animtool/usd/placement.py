@@ -55,7 +55,7 @@ def holds_character(stage: Any, prim_path: str, where: str) -> bool:
         return False
     there = listed(characters, MOST_NAMED)
     message = f"has no character at {prim_path}, but at {there}"
-    hint = "only a file of the rig alone is for a path that it does not have"
+    hint = "only a file of one rig alone may be given a path that it lacks"
     raise OptionError(Fault("USD033", message, where, (), hint))
 
 

@@ -219,7 +219,7 @@ def skeleton_rig(skeleton: Any, path: Path) -> SkeletonRig:
     matrices = array_value(skeleton.GetRestTransformsAttr())
     if len(matrices) != len(tokens):
         message = f"{len(matrices)} restTransforms for {len(tokens)} joints"
-        _fail("USD003", message, where, "UsdSkel ignores such a Skeleton")
+        _fail("USD003", message, where, "UsdSkel has no rest pose then")
     rest = np.array(matrices, np.float64).reshape(-1, 4, 4)
     if not (np.abs(rest) <= LARGEST_REST).all():
         _fail("USD004", "a rest transform is not a finite float32", where)
@@ -242,7 +242,8 @@ def rig_from_tokens(
     """Return the rig of joint paths and rest transforms ``(J, 4, 4)``, file units."""
     index = {token: i for i, token in enumerate(tokens)}
     if len(index) != len(tokens):
-        _fail("USD005", "a joint stands twice", where)
+        twice = next(t for i, t in enumerate(tokens) if index[t] != i)
+        _fail("USD005", f"joint {excerpt(twice)} stands twice", where)
     if not isinstance(data, dict) or not all(
         isinstance(data.get(key, {}), dict) for key in ("names", "pins")
     ):

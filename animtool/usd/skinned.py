@@ -62,7 +62,7 @@ def floats(attr: Any, width: int, at: str) -> FloatArray:
     return values
 
 
-def joint_names(query: Any, rig: SkeletonRig) -> tuple[str, ...]:
+def joint_names(query: Any, rig: SkeletonRig, at: str) -> tuple[str, ...]:
     """Return the rig's names of the joints that a prim's indices count.
 
     Raises:
@@ -73,7 +73,6 @@ def joint_names(query: Any, rig: SkeletonRig) -> tuple[str, ...]:
     tokens: Sequence[str] = rig.tokens if order is None else [str(t) for t in order]
     unknown = [token for token in tokens if token not in index]
     if unknown:
-        at = str(query.GetPrim().GetPath())
         message = f"{unknown[0]!r} is no joint of the Skeleton"
         raise FormatError(Fault("USD018", message, at))
     return tuple(rig.rig.names[index[token]] for token in tokens)

@@ -158,7 +158,7 @@ def _edited(stored: Rig, read: Rig, where: str) -> tuple[Rig, list[Fault]]:
         return stored, []
     message = "the Skeleton was edited after it was written; what it says now counts"
     if changed:
-        message += f"; other joints: {listed(changed)}"
+        message += f"; joints that differ: {listed(changed)}"
     if gone:
         message += f"; gone: {listed(gone)}"
     notice = Fault("USD117", message, where, severity=Severity.WARNING)

@@ -70,7 +70,7 @@ def _carrier(query: Any, rig: SkeletonRig, at: str) -> str | None:
     weights = np.array(query.GetJointWeightsPrimvar().Get() or (), np.float64)
     if len(indices) != 1 or len(weights) != 1:
         return None
-    names = joint_names(query, rig)
+    names = joint_names(query, rig, at)
     if not 0 <= indices[0] < len(names):
         message = f"a jointIndex is not in 0 to {len(names) - 1}"
         raise FormatError(Fault("USD018", message, at))

@@ -376,3 +376,20 @@ def test_a_path_of_no_character_names_those_there(take: Path, tmp_path: Path) ->
         read_usd(tmp_path / "one.usda", prim_path="/World/b")
     assert caught.value.code == "USD008"
     assert "/World/a" in str(caught.value.faults[0].hint)
+
+
+@pytest.mark.parametrize("value", [[(0, 0, 0)], [(np.nan, 0, 0)] * 2])
+def test_what_does_not_change_has_no_time_code(
+    take: Path, tmp_path: Path, value: list[tuple[float, float, float]]
+) -> None:
+    bake(take, tmp_path / "o.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "o.usda"))
+    prim = next(p for p in stage.Traverse() if p.IsA(UsdSkel.Animation))
+    attr = prim.GetAttribute("translations")
+    attr.Clear()
+    attr.Set(value)
+    stage.Save()
+    with pytest.raises(FormatError) as caught:
+        read_usd(tmp_path / "o.usda")
+    assert caught.value.code in {"USD013", "USD014"}
+    assert "time code" not in str(caught.value)
