@@ -20,8 +20,8 @@ SHOT = """\
 #usda 1.0
 (
     endTimeCode = 4
-    metersPerUnit = 0.01
     startTimeCode = 1
+    metersPerUnit = 0.01
     timeCodesPerSecond = 24
     upAxis = "Y"
 )
@@ -40,6 +40,15 @@ def Xform "World"
     {
     }
 }
+"""
+OVER = """\
+#usda 1.0
+(
+    endTimeCode = 4
+    startTimeCode = 1
+    subLayers = [@./layer.usda@, @./hero.usda@]
+    timeCodesPerSecond = 24
+)
 """
 BVH = """\
 HIERARCHY
@@ -72,10 +81,10 @@ FILES = {
     "rig.usda": LAYER.replace(NAME, ""),
     "props.usda": '#usda 1.0\ndef Scope "lamp"\n{\n}\n',
     "shot.usda": SHOT,
+    "over.usda": OVER,
     "walk.bvh": BVH,
     "run.bvh": BVH.replace("0.0416667", "0.0333333"),
     "tail.bvh": BVH.replace("chest", "tail"),
-    "tall.bvh": BVH.replace("OFFSET 0 5 0\n    CH", "OFFSET 0 6 0\n    CH"),
     "studio.bvh": BVH.replace("ROOT ", "ROOT actor:").replace("JOINT ", "JOINT actor:"),
 }
 READ = "info hero.usda"
@@ -98,7 +107,6 @@ COMMANDS = {
     "USD116": CONVERT,
     "USD120": CONVERT,
     "USD132": IN_SHOT,
-    "USD142": LAYER_OVER + "hero.usda --deform",
     "USD143": LAYER_OVER + "hero.usda --deform",
 }
 
