@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-
-import numpy as np
 
 from animtool.documents.check import nearest
 from animtool.documents.document import Document, Location
@@ -285,7 +284,7 @@ def _ball_limit(
     swing = None
     if model.swing is not None:
         both = model.swing if isinstance(model.swing, list) else [model.swing] * 2
-        if not all(0 <= angle * units.angle <= np.pi for angle in both):
+        if not all(0 <= angle * units.angle <= math.pi for angle in both):
             message = f"swing {model.swing} is not between 0 and half a turn"
             document.add("RIG007", (*at, "swing"), message)
         swing = (both[0] * units.angle, both[1] * units.angle)
@@ -361,17 +360,19 @@ def quaternion(
 ) -> tuple[float, float, float, float]:
     """Return the rotation (x, y, z, w) of [w, x, y, z] in a file, at unit length."""
     w, x, y, z = values
-    if not np.linalg.norm(values) > SHORTEST:
-        document.add("RIG006", location, f"quaternion {values} has no length")
-    if abs(float(np.linalg.norm(values)) - 1.0) <= UNIT_LENGTH:
+    length = math.hypot(*values)
+    if abs(length - 1.0) <= UNIT_LENGTH:
         return (x, y, z, w)
+    if not SHORTEST < length < 1 / SHORTEST:
+        document.add("RIG006", location, f"quaternion {values} gives no rotation")
+        return (0.0, 0.0, 0.0, 1.0)
     a, b, c, d = so3.normalize([x, y, z, w]).tolist()
     return (a, b, c, d)
 
 
 def unit_vector(document: Document, location: Location, values: list[float]) -> Vector:
     """Return a direction at unit length."""
-    length = float(np.linalg.norm(values))
+    length = math.hypot(*values)
     if abs(length - 1.0) <= UNIT_LENGTH:
         length = 1.0
     if not SHORTEST < length < 1 / SHORTEST:
