@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool._types import BoolArray, FloatArray
 from animtool.ik.chain import limb_joints
 from animtool.ik.goals import Goal
+from animtool.ik.holds import smoothstep
+from animtool.ik.two_bone import bend
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import JointType, Rig
@@ -17,6 +19,9 @@ __all__ = ["FreeEffector", "swung"]
 
 # Shorter than this share of what it points along, a direction is unknown.
 UNKNOWN = 1e-6
+# Limbs that bend by less than the first of these are straight, and those that bend by
+# more than the second are not [rad].
+STRAIGHT, BENT = np.radians([5.0, 20.0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +53,9 @@ class FreeEffector:
         """Return targets on the way from where it is to where they are to be.
 
         Points go straight, rotations by the shortest arc; points that an axis or a
-        limb's middle is to point at go about the effector or the limb's root.
+        limb's middle is to point at go about the effector or the limb's root. Points at
+        the end of a straight limb go about its root too, as far off as a limb is that
+        bends evenly: on the straight way its first degrees would take no time.
 
         Args:
             part: ``position``, ``orientation``, ``aim`` or ``pole``.
@@ -64,13 +71,57 @@ class FreeEffector:
             out[rows] = so3.slerp(self.turn()[rows], values[rows], share)
             return so3.align_signs(out)
         if part == "position":
-            here = self.place()[rows]
-            out[rows] = here + share[:, None] * (values[rows] - here)
+            out[rows] = self._reaching(values, rows, share)
             return out
         origins, directions = self._axis() if part == "aim" else self._bend(values)
         away = values[rows] - origins[rows]
         out[rows] = origins[rows] + swung(directions[rows], away, share)
         return out
+
+    def _reaching(
+        self, values: FloatArray, rows: BoolArray, share: FloatArray
+    ) -> FloatArray:
+        """Return positions on the way in some rows ``(N, 3)``."""
+        here, there = self.place()[rows], values[rows]
+        straight = here + share[:, None] * (there - here)
+        limb = self._limb()
+        if limb is None or not self._is_whole(limb[0]):
+            return np.asarray(straight)
+        root, middle = (self.world.positions[rows, j] for j in limb)
+        a, b, reach, wanted = (
+            np.linalg.norm(way, axis=1)
+            for way in (middle - root, here - middle, here - root, there - root)
+        )
+        bends = bend(a, b, reach), bend(a, b, wanted)
+        angle = bends[0] + share * (bends[1] - bends[0])
+        away = np.sqrt(np.maximum(a**2 + b**2 + 2 * a * b * np.cos(angle), 0.0))
+        away += share * np.maximum(wanted - (a + b), 0.0)
+        known = (wanted > UNKNOWN * (a + b))[:, None]
+        ends = np.where(known, there - root, here - root)
+        way = swung(here - root, ends, share)
+        size = np.maximum(np.linalg.norm(way, axis=1), 1e-300)
+        bent = smoothstep((bends[0] - STRAIGHT) / (BENT - STRAIGHT))
+        about = root + way * (away / size)[:, None]
+        return np.asarray(about + bent[:, None] * (straight - about))
+
+    def _limb(self) -> tuple[int, int] | None:
+        """Return the joints at the root and in the middle of the limb."""
+        moving = {
+            j
+            for j, joint in enumerate(self.rig.joints)
+            if joint.type is not JointType.FIXED
+        }
+        origins, point = self.world.positions[0], self.place()[0]
+        return limb_joints(self.rig, self.goal, moving, origins, point)
+
+    def _is_whole(self, root: int) -> bool:
+        """Whether no joint above a limb's root moves for its goal."""
+        if self.goal.root is not None:
+            return True
+        above = self.rig.joints[root].parent
+        while above >= 0 and self.rig.joints[above].type is JointType.FIXED:
+            above = self.rig.joints[above].parent
+        return above < 0
 
     def _axis(self) -> tuple[FloatArray, FloatArray]:
         """Return where the aiming axis begins and points ``(F, 3)``."""
@@ -82,16 +133,10 @@ class FreeEffector:
         A straight limb has no such direction; it is taken to bend towards its poles.
         """
         point = self.place()
-        moving = {
-            j
-            for j, joint in enumerate(self.rig.joints)
-            if joint.type is not JointType.FIXED
-        }
-        origins = self.world.positions
-        found = limb_joints(self.rig, self.goal, moving, origins[0], point[0])
+        found = self._limb()
         if found is None:
             return point, poles - point
-        root, middle = (origins[:, j] for j in found)
+        root, middle = (self.world.positions[:, j] for j in found)
         along, bone = point - root, middle - root
         square = np.maximum((along**2).sum(axis=1, keepdims=True), 1e-300)
         off = bone - (bone * along).sum(axis=1, keepdims=True) / square * along

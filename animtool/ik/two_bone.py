@@ -16,7 +16,15 @@ from animtool.ik.chain import BALL, PIN, Chain
 from animtool.ik.problem import Problem
 from animtool.maths import so3
 
-__all__ = ["LimbSolution", "fits", "misfit", "perpendicular", "solve_limb", "wanted"]
+__all__ = [
+    "LimbSolution",
+    "bend",
+    "fits",
+    "misfit",
+    "perpendicular",
+    "solve_limb",
+    "wanted",
+]
 
 # A pin is across a bone within this [1].
 ACROSS = 1e-12
@@ -107,8 +115,9 @@ def solve_limb(
     placed, poled = wanted(problem, targets)
     towards = sought[:, 0, :3] - base
     distance = np.linalg.norm(towards, axis=1)
-    bend = _bend(upper, lower, distance)
-    valid = _open_elbow(chain, q, upper, lower, bend)
+    lengths = np.linalg.norm(upper, axis=1), np.linalg.norm(lower, axis=1)
+    opened = bend(*lengths, distance)
+    valid = _open_elbow(chain, q, upper, lower, opened)
     tip = _tip(chain, q, upper, lower)
     _turn_shoulder(chain, q, tip, towards)
     if poled.any():
@@ -146,9 +155,17 @@ def _bones(chain: Chain, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
     return scales * chain.numbers[1, 9:12], scales * bone + tool
 
 
-def _bend(upper: FloatArray, lower: FloatArray, distance: FloatArray) -> FloatArray:
-    """Return the angle between the bones' directions ``(B,)``, 0 where straight."""
-    a, b = np.linalg.norm(upper, axis=1), np.linalg.norm(lower, axis=1)
+def bend(a: FloatArray, b: FloatArray, distance: FloatArray) -> FloatArray:
+    """Return the angle between two bones' directions, 0 where straight.
+
+    Args:
+        a: Length of the upper bone ``(B,)``.
+        b: Of the lower.
+        distance: From root to tip, brought into reach.
+
+    >>> bend(np.ones(2), np.ones(2), np.array([2.0, 0.0])).round(6).tolist()
+    [0.0, 3.141593]
+    """
     reach = np.clip(distance, np.abs(a - b), a + b)
     # The half-angle form keeps its digits at both ends.
     short = (a + b - reach) * (a + b + reach)
@@ -158,7 +175,11 @@ def _bend(upper: FloatArray, lower: FloatArray, distance: FloatArray) -> FloatAr
 
 
 def _open_elbow(
-    chain: Chain, q: FloatArray, upper: FloatArray, lower: FloatArray, bend: FloatArray
+    chain: Chain,
+    q: FloatArray,
+    upper: FloatArray,
+    lower: FloatArray,
+    opened: FloatArray,
 ) -> BoolArray:
     """Set the elbow; return where its limits allow it."""
     across = upper @ _rest(chain, 1)
@@ -168,7 +189,7 @@ def _open_elbow(
         side = np.where(np.sin(q[:, 4] + offset) < 0, -1.0, 1.0)
         low, high = chain.numbers[1, 14:16]
         first, other = (
-            _nearest_turn(s * bend - offset, q[:, 4]) for s in (side, -side)
+            _nearest_turn(s * opened - offset, q[:, 4]) for s in (side, -side)
         )
         inside = (first >= low) & (first <= high)
         q[:, 4] = np.where(inside, first, other)
@@ -180,7 +201,7 @@ def _open_elbow(
         np.sum(axis * np.cross(across, direction), axis=1),
         np.sum(across * direction, axis=1),
     )
-    turned = so3.multiply(so3.from_axis_angle(axis, bend - now), own)
+    turned = so3.multiply(so3.from_axis_angle(axis, opened - now), own)
     q[:, 4:8] = so3.normalize(turned)
     return np.ones(len(q), np.bool_)
 

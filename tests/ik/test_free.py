@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
-from support.targets import legs, point_of, tracks_of, walk_of
+from support.targets import HEAD, legs, point_of, tracks_of, walk_of
 
 from animtool._types import FloatArray
 from animtool.ik.free import FreeEffector, swung
@@ -19,6 +19,8 @@ from animtool.ik.goals import Goal, Targets
 from animtool.ik.on_take import solve_take
 from animtool.ik.result import IkStatus
 from animtool.maths import so3
+from animtool.rig.skeleton import Joint, JointType, Rig
+from animtool.scene.start import rest_take
 from animtool.take import Channel, Clock, Motion, Take
 
 FIRST, LAST, EASE = 14, 26, 6
@@ -107,6 +109,45 @@ def test_directions_turn_from_one_to_the_other(
 
     assert_allclose(angle(start, found), share * angle(start, end), atol=1e-7)
     assert_allclose(swung(start, end, np.ones(1)), end, atol=1e-7)
+
+
+def straight_arm(elbow: JointType) -> Rig:
+    joints = (
+        Joint("shoulder", -1, JointType.BALL),
+        Joint("elbow", 0, elbow, translation=(0.3, 0.0, 0.0), axis=(0.0, 0.0, 1.0)),
+        Joint("wrist", 1, JointType.FIXED, translation=(0.25, 0.0, 0.0)),
+    )
+    return Rig("arm", joints)
+
+
+@pytest.mark.parametrize("elbow", [JointType.PIN, JointType.BALL])
+@pytest.mark.parametrize("place", ["[0.3, 0.2, 0.1]", "[-0.2, 0.3, 0.1]"])
+def test_a_straight_limb_starts_and_stops_softly(
+    tmp_path: Path, elbow: JointType, place: str
+) -> None:
+    rig = straight_arm(elbow)
+    goal = f"- {{effector: wrist, position: {place}, during: [[20, 24]], ease: 8}}\n"
+    tracks = tracks_of(tmp_path, goal, rig, f"{HEAD}range: [1, 40]\n")
+    found = solve_take(rest_take(rig, tracks.clock), tracks, still=True)
+    assert set(found.statuses) == {IkStatus.CONVERGED}
+    turns = found.take.motion.rotations.dense()
+    steps = so3.angle_between(turns[1:, 1], turns[:-1, 1])
+    bend = so3.angle_between(turns[19, 1], turns[0, 1])
+    # An ease of the third order is steepest at 15/8 of its mean.
+    assert steps.max() < 1.9 * bend / 8
+    assert np.abs(np.diff(steps)).max() < 0.8 * steps.max()
+    assert steps[:11].max() < 1e-6
+    # The frame behind the ease asks nothing, and stays where the last one ended.
+    assert_allclose(steps[12:19], steps[29:22:-1], atol=1e-4)
+
+
+def test_limbs_that_bend_and_those_that_hang_from_others_go_straight() -> None:
+    take = walk_of(legs())
+    there, share = np.full((40, 3), 0.3), np.full(40, 0.5)
+    for root in ("hip_l", None):
+        free = FreeEffector(take.rig, Goal("ankle_l", root=root), take.world())
+        found = free.towards("position", there, share)
+        assert_allclose(found, (free.place() + there) / 2, atol=1e-12)
 
 
 def test_a_pole_begins_where_the_limb_bends() -> None:
