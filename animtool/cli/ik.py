@@ -125,7 +125,8 @@ Examples:
     "--output",
     type=click.Path(path_type=Path, allow_dash=True, readable=False),
     help="What to write: a USD file (.usda, .usdc, .usd), .clip.yaml or .bvh, or - for "
-    "usda on stdout; with --match .targets.yaml.  [default: nothing]",
+    "usda on stdout; with --match .targets.yaml. USD is a stage with the rig in it, or "
+    "with --rig-layer an animation layer over that.  [default: nothing]",
 )
 @click.option(
     "--method", type=_Method(), default="auto", show_default=True, help="The solver."
@@ -165,8 +166,8 @@ Examples:
     type=TOLERANCE,
     default=0.0,
     metavar="SECONDS",
-    help="Most time for one frame; what is found then depends on the machine.  "
-    "[default: none]",
+    help="Most time for one frame, such as 0.01; what is found then depends on the "
+    "machine.  [default: none]",
 )
 @click.option(
     "--joints",
@@ -279,6 +280,9 @@ def ik(console: Console, /, **given: Any) -> None:
     if given["table"]:
         if output is not None:
             raise click.UsageError("--table writes no file: no -o.")
+        if given["strict"]:
+            message = "--table measures, and its rows miss by design: no --strict."
+            raise click.UsageError(message)
         _table(console, given, as_json=as_json)
         return
     if output is not None and not to_stdout and _skips(given):

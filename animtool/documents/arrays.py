@@ -186,6 +186,12 @@ def _reading(path: Path) -> Iterator[None]:
         raise ValueError(f"{path.name} cannot be read: {reason}") from error
 
 
+def _is_bare(path: Path) -> bool:
+    """Return whether a file is one array by itself (``.npy``)."""
+    with path.open("rb") as file:
+        return file.read(len(npy.MAGIC_PREFIX)) == npy.MAGIC_PREFIX
+
+
 @dataclass(frozen=True, slots=True)
 class _Member:
     """An array in an archive.
@@ -208,6 +214,9 @@ class _Archive:
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        if _is_bare(path):
+            message = f"{path.name} is a single array, as numpy.save writes, not an "
+            raise ValueError(f"{message}archive of named ones, as numpy.savez does")
         self._zip = zipfile.ZipFile(path)
         self._members: dict[str, _Member] = {}
 

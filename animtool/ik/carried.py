@@ -25,7 +25,7 @@ from animtool.rig.joints import (
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 
-__all__ = ["Part", "parts_of"]
+__all__ = ["Part", "Parts", "parts_of"]
 
 # Transforms that differ by less are the same but for rounding [m], [rad].
 SAME = 1e-9
@@ -66,14 +66,27 @@ class Part:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """The frames of a take as parts.
+
+    Attributes:
+        all: One, or where none fits all frames, one each.
+        between: Names of the joints for which none does.
+    """
+
+    all: list[Part]
+    between: tuple[str, ...]
+
+
 def parts_of(
     rig: Rig,
     local: LocalTransforms,
     world: WorldTransforms,
     goals: Sequence[Goal],
     joints: Collection[str] | None,
-) -> list[Part]:
-    """Return the frames of a take as parts: one, or where none fits all, one each.
+) -> Parts:
+    """Return the frames of a take as parts.
 
     Args:
         rig: J joints.
@@ -93,14 +106,20 @@ def parts_of(
     carriers = [rig.parents[path[top]] for path, top in zip(paths, tops, strict=True)]
     inside = {j for path, top in zip(paths, tops, strict=True) for j in path[: top + 1]}
     rests = _rests(rig, local, coordinates)
-    changes = _changes(local)
-    strays = _changes(rests)
-    split = any(strays[j] if j in moving else changes[j] for j in inside)
+    pivots = inside - _turning(goals, paths)
+    changes = _moved(local), _turned(local)
+    strays = _moved(rests) | _turned(rests)
+    between = [
+        j
+        for j in sorted(inside)
+        if (strays[j] if j in moving else changes[0][j])
+        or (j not in moving | pivots and changes[1][j])
+    ]
     count = len(coordinates)
-    spans = [slice(f, f + 1) for f in range(count)] if split else [slice(0, count)]
+    spans = [slice(f, f + 1) for f in range(count)] if between else [slice(0, count)]
     places, turns = _carriers(world, carriers)
     wanted = sorted({j for path in paths for j in path})
-    return [
+    parts = [
         Part(
             _with_rests(rig, rests, span.start, wanted),
             span,
@@ -110,6 +129,16 @@ def parts_of(
         )
         for span in spans
     ]
+    return Parts(parts, tuple(rig.names[j] for j in between))
+
+
+def _turning(goals: Sequence[Goal], paths: Sequence[Sequence[int]]) -> set[int]:
+    """Return the joints whose rotation matters: not those that turn about the point."""
+    found: set[int] = set()
+    for goal, path in zip(goals, paths, strict=True):
+        turned = goal.orientation > 0 or goal.aim > 0 or any(goal.offset)
+        found.update(path if turned else path[1:])
+    return found
 
 
 def _path(rig: Rig, joint: int) -> list[int]:
@@ -135,11 +164,16 @@ def _rests(
     return LocalTransforms(places, turns)
 
 
-def _changes(local: LocalTransforms) -> BoolArray:
-    """Return which joints are not in every frame what they are in the first."""
-    moved = np.abs(local.translations - local.translations[:1]).max(axis=(0, 2))
+def _moved(local: LocalTransforms) -> BoolArray:
+    """Return which joints are not in every frame where they are in the first."""
+    away = np.abs(local.translations - local.translations[:1]).max(axis=(0, 2))
+    return np.asarray(away > SAME, np.bool_)
+
+
+def _turned(local: LocalTransforms) -> BoolArray:
+    """Return which joints are not in every frame turned as in the first."""
     turned = so3.angle_between(local.rotations, local.rotations[:1]).max(axis=0)
-    return np.asarray((moved > SAME) | (turned > SAME), np.bool_)
+    return np.asarray(turned > SAME, np.bool_)
 
 
 def _with_rests(

@@ -105,6 +105,7 @@ class _Reader:
             self.last,
             tuple(goals),
             tuple(self.document.notices),
+            self.document.place(("fps",)),
         )
 
     def _units(self) -> ClipUnits:

@@ -17,6 +17,7 @@ from animtool.documents.check import nearest
 from animtool.errors import Fault, OptionError
 from animtool.ik.carried import Part, parts_of
 from animtool.ik.followers import followers
+from animtool.ik.free import FreeEffector
 from animtool.ik.goals import Goal, Targets, rows_of
 from animtool.ik.methods import IkMethod, serving
 from animtool.ik.on_limits import frames_on_limits
@@ -65,6 +66,11 @@ class TakeIk:
         seconds: Time of all frames [s], the one part that differs between runs.
         jumps: Where joints jump and no other way was found.
         on_limits: By joint, in which frames it stands on a limit ``(F,)``.
+        between: Joints between those that were solved which move by themselves, or in
+            ways that their types have not: each frame was then solved on its own.
+        away: How far the positions that each goal asks for are from its effector in
+            the take, in the frame where they are nearest ``(E,)`` [m]; 0 of none.
+        size: Of the rig, the largest extent of its joints in the first frame [m].
     """
 
     take: Take
@@ -78,6 +84,9 @@ class TakeIk:
     seconds: float
     jumps: tuple[Jump, ...]
     on_limits: dict[str, BoolArray]
+    between: tuple[str, ...] = ()
+    away: tuple[float, ...] = ()
+    size: float = 0.0
 
 
 def solve_take(
@@ -172,10 +181,32 @@ def _brought(
             take, local, world, targets = _selected(take, local, world, targets, only)
         rate = float(take.clock.rate)
         run = _Run(rig, tracks, targets, world, options, joints, still, rate)
-        for part in parts_of(rig, local, world, goals, joints):
+        parts = parts_of(rig, local, world, goals, joints)
+        for part in parts.all:
             found.append(run.solved(part))
             progress(found[-1].part.frames.stop / take.clock.count)
-    return _gathered(take, own, local, tracks, targets, found)
+    gathered = _gathered(take, own, local, tracks, targets, found)
+    extent = float(np.ptp(world.positions[0], axis=0).max())
+    return replace(
+        gathered,
+        between=parts.between,
+        away=_away(goals, rig, world, targets),
+        size=max(extent, gathered.problem.length),
+    )
+
+
+def _away(
+    goals: Sequence[Goal], rig: Rig, world: WorldTransforms, targets: Targets
+) -> tuple[float, ...]:
+    """Return how far each goal's positions are from its effector, where nearest [m]."""
+    found = []
+    for e, goal in enumerate(goals):
+        asked = np.asarray(targets.weights)[:, e, 0] * goal.position > 0
+        places = FreeEffector(rig, goal, world).place()[asked]
+        ways = np.asarray(targets.positions)[asked, e] - places
+        # The longest part of a way needs no square, which huge numbers lack.
+        found.append(float(np.abs(ways).max(axis=1).min(initial=np.inf)))
+    return tuple(0.0 if away == np.inf else away for away in found)
 
 
 def _world(

@@ -19,6 +19,8 @@ __all__ = [
     "GoalReport",
     "MissedSpan",
     "Misses",
+    "apart_notices",
+    "away_notices",
     "goal_reports",
     "jump_notices",
     "limit_counts",
@@ -33,6 +35,8 @@ __all__ = [
 MISSED_LENGTH, MISSED_ANGLE = 1e-4, float(np.radians(0.1))
 # What is missed by more lengths of the chains than this is likely in other units.
 FAR = 10.0
+# So are targets that are this many sizes of the rig away from it in every frame.
+AWAY = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,15 +171,20 @@ def _spans(solved: TakeIk, misses: FloatArray, short: BoolArray) -> list[MissedS
     return found
 
 
-def take_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:
+def take_notices(
+    solved: TakeIk, reports: list[GoalReport], *, smooth: bool = False
+) -> list[Fault]:
     """Return all warnings of a take that was brought to targets.
 
     Args:
         solved: A take at its targets.
         reports: What became of its goals, from `goal_reports`.
+        smooth: Motion was to be evened out.
     """
     return [
         *span_notices(solved),
+        *apart_notices(solved, smooth=smooth),
+        *away_notices(solved, reports),
         *missed_notices(solved, reports),
         *jump_notices(solved),
     ]
@@ -183,16 +192,24 @@ def take_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:
 
 def missed_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:
     """Return a warning for each goal that is missed."""
-    far = FAR * solved.problem.length
-    hint = "far beyond the reach: are units and space of the targets those meant?"
     return [
         replace(
-            _warning(solved, "IK101", i, _missed(report)),
-            hint=hint if any(span.distance > far for span in report.spans) else None,
+            _warning(solved, "IK101", i, _missed(report)), hint=_advice(solved, report)
         )
         for i, report in enumerate(reports)
         if report.spans
     ]
+
+
+def _advice(solved: TakeIk, report: GoalReport) -> str | None:
+    """Return what to do about a goal that is missed, where that is known."""
+    far = FAR * solved.problem.length
+    if any(span.distance > far for span in report.spans):
+        return "far beyond the reach: are units and space of the targets those meant?"
+    if any(span.status is IkStatus.BUDGET for span in report.spans):
+        hint = "steps or time ran out: give a larger --time-budget, or none, or a "
+        return f"{hint}start that is nearer"
+    return None
 
 
 def span_notices(solved: TakeIk) -> list[Fault]:
@@ -234,6 +251,46 @@ def jump_notices(solved: TakeIk) -> list[Fault]:
     hint += "turn the other way or ask for less may leave one"
     path = str(solved.tracks.path)
     return [Fault("IK102", message, path, (), hint, Severity.WARNING)]
+
+
+def away_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:
+    """Return a warning for each goal that is far from where its effector starts.
+
+    Those that are missed for it say so themselves.
+
+    Args:
+        solved: A take at its targets.
+        reports: What became of its goals, from `goal_reports`.
+    """
+    found = []
+    for i, (report, away) in enumerate(zip(reports, solved.away, strict=True)):
+        if report.spans or not away > AWAY * solved.size:
+            continue
+        message = f"the positions of {report.name!r} are at least {away:.3g} m from "
+        message += f"where it starts, and the rig is {solved.size:.3g} m large"
+        hint = "are units and space of the targets those meant?"
+        found.append(replace(_warning(solved, "TGT106", i, message), hint=hint))
+    return found
+
+
+def apart_notices(solved: TakeIk, *, smooth: bool = False) -> list[Fault]:
+    """Return a notice where each frame was solved on its own: a warning if ``smooth``.
+
+    Args:
+        solved: A take at its targets.
+        smooth: Motion was to be evened out, which takes frames that know of each other.
+    """
+    frames = len(solved.statuses)
+    if not solved.between or frames == 1:
+        return []
+    message = f"each of {counted(frames, 'frame')} is solved on its own, as "
+    message += f"{listed([repr(name) for name in solved.between], most=6)} "
+    message += "between the joints that may move "
+    message += "moves too" if len(solved.between) == 1 else "move too"
+    hint = "that takes longer, jumps are neither mended nor named, and nothing is "
+    hint += "evened out; let these joints move, or move by what their types have"
+    level = Severity.WARNING if smooth else Severity.NOTE
+    return [Fault("TGT105", message, str(solved.tracks.path), (), hint, level)]
 
 
 def _warning(solved: TakeIk, code: str, goal: int, message: str) -> Fault:

@@ -69,7 +69,8 @@ def _run(take: Take, options: IkPassOptions, context: PassContext) -> Take:
         max(settings.tolerance, MISSED_LENGTH),
         max(settings.angle_tolerance, MISSED_ANGLE),
     )
-    context.notices.extend(take_notices(solved, goals))
+    odd = take_notices(solved, goals, smooth=options.smooth > 0)
+    context.notices.extend(odd)
     return replace(solved.take, rig=take.rig)
 
 

@@ -70,6 +70,7 @@ class TargetTracks:
         last: Last frame, likewise.
         goals: E of them.
         notices: What is odd about the file.
+        rate_place: Line and column of its frames a second.
     """
 
     path: Path
@@ -78,6 +79,7 @@ class TargetTracks:
     last: Fraction | None
     goals: tuple[GoalTrack, ...]
     notices: tuple[Fault, ...] = ()
+    rate_place: tuple[int, int] = (1, 1)
 
     @property
     def clock(self) -> Clock:
@@ -108,7 +110,9 @@ class TargetTracks:
             message = f"the targets are at {rate_label(self.fps)}, the take at "
             hint = f"leave fps out, or write fps: {clock.fps} and frames of that rate"
             message += rate_label(clock.fps)
-            faults.append(Fault("TGT014", message, str(self.path), (), hint))
+            line, column = self.rate_place
+            place = str(self.path), (line,)
+            faults.append(Fault("TGT014", message, *place, hint, column=column))
         count = int((clock.count - 1) * clock.step // 1) + 1
         for track in self.goals:
             for value in track.values.values():
@@ -119,7 +123,7 @@ class TargetTracks:
                     message = f"{value.name!r} has {counted(rows, 'row')}, and the take"
                     message += f" {counted(count, 'frame')}"
                     hint = "range says which frames the rows are for"
-                    faults.append(Fault("TGT015", message, str(self.path), (), hint))
+                    faults.append(value.fault(message, hint, str(self.path)))
         if faults:
             raise OptionError(faults)
         goals = tuple(

@@ -193,11 +193,12 @@ class ValueReader:
             message += "numbers"
             self.document.add("TGT007", at, message)
             return None
+        place = self.document.place(at)
         if values.shape[1] == 3:
-            return Rows(text, values * self.units.length, first)
+            return Rows(text, values * self.units.length, first, place)
         rotations, wrong = file_quaternions(values)
         if wrong:
             message = f"{text!r} holds a quaternion without length in row {wrong[0]}"
             self.document.add("TGT007", at, message)
             return None
-        return Rows(text, rotations, first)
+        return Rows(text, rotations, first, place)

@@ -92,11 +92,13 @@ class Rows:
         name: As the file spells it.
         values: ``(R, 3)`` or ``(R, 4)``.
         first: Frame of the first row; None where nothing says: 1.
+        place: Line and column of the name in the file.
     """
 
     name: str
     values: FloatArray = field(repr=False)
     first: Fraction | None
+    place: tuple[int, int] = (1, 1)
 
     def at(self, frames: Frames) -> FloatArray:
         """Return the rows at times, and between two rows what lies between them.
@@ -114,8 +116,13 @@ class Rows:
                 f"{first + last:g}, and none for frame {frames.times[beyond][0]:g}"
             )
             hint = "write range into the targets, or an array of another length"
-            raise OptionError(Fault("TGT015", message, hint=hint))
+            raise OptionError(self.fault(message, hint))
         return between(self.values, places)
+
+    def fault(self, message: str, hint: str, path: str | None = None) -> Fault:
+        """Return what is wrong with frames and rows, in its place (TGT015)."""
+        line, column = self.place
+        return Fault("TGT015", message, path, (line,), hint, column=column)
 
 
 def between(values: FloatArray, places: FloatArray) -> FloatArray:

@@ -22,6 +22,8 @@ from animtool.ik.report import (
     MISSED_ANGLE,
     MISSED_LENGTH,
     GoalReport,
+    apart_notices,
+    away_notices,
     goal_reports,
     jump_notices,
     missed_notices,
@@ -282,7 +284,13 @@ def _solved(job: IkJob, progress: Progress) -> IkReport:
     seconds = {"read": read - began, "solve": time.perf_counter() - read}
     goals = goal_reports(solved, *_missed_by(job))
     missed = missed_notices(solved, goals)
-    odd = [*opened.notices, *span_notices(solved), *jump_notices(solved)]
+    odd = [
+        *opened.notices,
+        *span_notices(solved),
+        *apart_notices(solved, smooth=job.options.smooth > 0),
+        *away_notices(solved, goals),
+        *jump_notices(solved),
+    ]
     report = IkReport(solved, goals, [*odd, *missed], seconds)
     if job.strict and missed:
         raise MissedGoalsError(missed, report)

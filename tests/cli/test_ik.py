@@ -285,6 +285,7 @@ def test_arrays_of_another_length(place: Path) -> None:
         (("-t", "reach.targets.yaml", "-o", "x.txt"), 2),
         (("-t", "reach.targets.yaml", "-o", "reach.targets.yaml"), 2),
         (("-t", "reach.targets.yaml", "--table", "-o", "x.usda"), 2),
+        (("-t", "reach.targets.yaml", "--table", "--strict"), 2),
         (("-t", "none.targets.yaml"), 3),
         (("-t", "reach.targets.yaml", "--clip", "none.bvh"), 3),
         (("-t", "reach.targets.yaml", "-o", "no/folder.usda"), 3),
@@ -295,6 +296,28 @@ def test_exit_codes(place: Path, arguments: tuple[str, ...], code: int) -> None:
     done = run(place, *arguments)
     assert done.code == code, done.stderr
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("unit", ["m", "cm"])
+def test_targets_in_another_unit_are_asked_after(place: Path, unit: str) -> None:
+    # The hips travel there, so that no goal is missed.
+    text = (
+        f"targets: animtool/1\nunits: {{length: {unit}}}\ngoals:\n"
+        "- {effector: wrist_l, position: [60, 130, 20]}\n"
+    )
+    (place / "unit.targets.yaml").write_text(text)
+    done = run(place, "-t", "unit.targets.yaml")
+    assert done.code == 0, done.stderr
+    assert "IK101" not in done.stderr
+    assert ("unit.targets.yaml:4:3: warning: TGT106" in done.stderr) == (unit == "m")
+    assert run(place, "-t", "unit.targets.yaml", "--strict").code == int(unit == "m")
+
+
+def test_what_runs_out_of_time_is_told_what_to_do(place: Path) -> None:
+    done = run(place, "-t", "far.targets.yaml", "--time-budget", "1e-9")
+    assert done.code == 0, done.stderr
+    assert "out of budget" in done.stderr
+    assert "--time-budget" in done.stderr
 
 
 def test_a_target_beyond_all_numbers(place: Path) -> None:

@@ -75,10 +75,16 @@ def test_what_is_not_there(tmp_path: Path) -> None:
 
 
 def test_no_archive(tmp_path: Path) -> None:
-    path = tmp_path / "x.npy"
-    np.save(path, np.ones(3))
+    path = tmp_path / "x.npz"
+    path.write_text("x")
     with pytest.raises(ValueError, match="cannot be read"):
         array_header(path, "x")
+
+
+def test_a_bare_array(tmp_path: Path) -> None:
+    np.save(tmp_path / "body.npy", np.zeros((4, 3)))
+    with pytest.raises(ValueError, match=r"body\.npy is a single array.*savez"):
+        array_header(tmp_path / "body.npy", "points")
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.99])

@@ -235,7 +235,10 @@ def test_frames_of_another_rate_or_length_are_refused(folder: Path) -> None:
     tracks = tracks_of(folder, "- {effector: leg_l, position: arrays.npz#places}")
     with pytest.raises(OptionError) as caught:
         tracks.placed(clock)
-    assert [fault.code for fault in caught.value.faults] == ["TGT014", "TGT015"]
+    faults = caught.value.faults
+    assert [fault.code for fault in faults] == ["TGT014", "TGT015"]
+    places = [(fault.path, fault.lines[0], fault.column) for fault in faults]
+    assert places == [(str(tracks.path), 3, 6), (str(tracks.path), 5, 31)]
 
 
 def test_a_file_is_checked_without_its_rig(folder: Path) -> None:

@@ -11,9 +11,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from support.targets import HEAD, legs, point_of, tracks_of, walk_of
 
-from animtool.errors import FormatError, OptionError
+from animtool.errors import FormatError, OptionError, Severity
 from animtool.ik.on_take import TakeIk, solve_take
-from animtool.ik.report import goal_reports
+from animtool.ik.report import apart_notices, goal_reports
 from animtool.ik.result import IkStatus
 from animtool.ik.sub_rig import dressed
 from animtool.ik.take_options import TakeOptions
@@ -220,6 +220,38 @@ def test_only_some_joints_may_move(tmp_path: Path) -> None:
     # A knee that no goal moves bends from frame to frame between joints that it does.
     points = point_of(found.take, "ankle_l")
     assert_allclose(points, np.tile([0.2, 0.3, 0.2], (40, 1)), atol=2e-6)
+    assert found.between == ("knee_l",)
+
+
+def test_frames_on_their_own_are_counted(tmp_path: Path) -> None:
+    take = walk_of(legs())
+    goal = "- {effector: ankle_l, position: [0.2, 0.3, 0.2]}"
+    options = TakeOptions(joints=("hip_l", "hips"))
+    found = solve_take(take, tracks_of(tmp_path, goal, take.rig), options)
+    (note,) = apart_notices(found)
+    assert (note.code, note.severity) == ("TGT105", Severity.NOTE)
+    assert "40 frames" in note.message
+    assert "'knee_l'" in note.message
+    (warning,) = apart_notices(found, smooth=True)
+    assert warning.severity is Severity.WARNING
+    assert apart_notices(held(tmp_path, take, goal)) == []
+
+
+def test_a_joint_that_turns_about_its_goal_leaves_frames_together(
+    tmp_path: Path,
+) -> None:
+    take = walk_of(legs())
+    turned = held(tmp_path, take, "- {effector: ankle_l, position: [0.2, 0.3, 0.2]}")
+    assert turned.between == ()
+    assert turned.misses[..., 0].max() < 2e-6
+    ankle = take.rig.index("ankle_l")
+    ours, theirs = (one.motion.rotations.dense() for one in (turned.take, take))
+    assert_array_equal(ours[:, ankle], theirs[:, ankle])
+    goal = "- {effector: ankle_l, position: [0.2, 0.3, 0.2], offset: [0, 0, 0.1]}"
+    tracks = tracks_of(tmp_path, goal, take.rig)
+    beside = solve_take(take, tracks, TakeOptions(joints=("hip_l", "knee_l", "hips")))
+    assert beside.between == ("ankle_l",)
+    assert beside.misses[..., 0].max() < 2e-6
 
 
 def test_what_joints_do_beside_their_types_is_kept(tmp_path: Path) -> None:
@@ -384,7 +416,10 @@ def test_arrays_that_end_before_the_take_are_refused(tmp_path: Path) -> None:
     for head in (HEAD, f"{HEAD}range: [1, 10]\n"):
         with pytest.raises(OptionError) as caught:
             held(tmp_path, take, "- {effector: leg_l, position: a.npz}", head)
-        assert caught.value.code == "TGT015"
+        (fault,) = caught.value.faults
+        line = len(head.splitlines()) + 2
+        assert (fault.code, fault.lines, fault.column) == ("TGT015", (line,), 31)
+        assert fault.path == str(tmp_path / "feet.targets.yaml")
     with pytest.raises(FormatError):
         held(tmp_path, take, "- {effector: leg_l, position: a.npz}",
              f"{HEAD}range: [1, 40]\n")  # fmt: skip

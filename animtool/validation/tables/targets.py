@@ -50,4 +50,10 @@ RULES = (
         Severity.NOTE,
     ),
     Rule("TGT104", "a span to hold that has none of the frames", Severity.WARNING),
+    Rule(
+        "TGT105",
+        "joints that move between those that may: each frame is solved on its own",
+        Severity.NOTE,
+    ),
+    Rule("TGT106", "targets many sizes of the rig away from it", Severity.WARNING),
 )
