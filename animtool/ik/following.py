@@ -43,7 +43,7 @@ class FollowOptions:
     """How to follow targets through a clip.
 
     Attributes:
-        solving: Of the frames; ``warm`` has no say.
+        solving: Of the frames; ``ordered`` and ``warm`` have no say.
         fps: Frames a second.
         smooth: Time over which motion that the goals leave free is evened out [s], as
             of `animtool.ik.smooth`; 0 leaves it.
@@ -234,7 +234,7 @@ class _Clip:
 
     def _solved(self, frames: slice, starts: FloatArray) -> IkResult:
         """Return frames solved each after the one before it, or from its own start."""
-        chosen = replace(self.options.solving, warm=not self.moving)
+        chosen = replace(self.options.solving, ordered=True, warm=not self.moving)
         return solve(
             self.problem,
             starts[frames] if self.moving or not len(starts) else starts[frames.start],

@@ -11,8 +11,9 @@ from animtool.rig.limits import BallLimit, RangeLimit
 
 __all__ = ["frames_on_limits"]
 
-# A coordinate this near to its limit is on it [rad] or [m].
-ON_LIMIT = 1e-9
+# A coordinate this near to its limit is on it [rad] or [m]: farther than what counts as
+# inside a narrower one.
+ON_LIMIT = 1e-8
 
 
 def frames_on_limits(problem: Problem, coordinates: FloatArray) -> dict[str, BoolArray]:

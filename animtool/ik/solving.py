@@ -57,7 +57,9 @@ class IkOptions:
         seed: Of the new starts; the same seed gives the same poses.
         seconds: Most time for one problem [s]; 0 is no bound. With a bound, what is
             found depends on the machine.
-        warm: Each problem starts where the one before it ended, as frames of a clip.
+        ordered: The problems are frames of a clip. One that ends as far from its goals
+            as the one before it is not searched all over again.
+        warm: They also start where the one before ended, but for the first.
         near: Poses that came of new starts are then drawn to those preferred, while
             goals stay met; that takes longer than finding them.
     """
@@ -69,6 +71,7 @@ class IkOptions:
     restarts: int = 200
     seed: int = 0
     seconds: float = 0.0
+    ordered: bool = False
     warm: bool = False
     near: bool = False
 
@@ -216,6 +219,7 @@ def _damped(problem: Problem, asked: _Asked, options: IkOptions) -> _Found:
         options.restarts,
         options.seed,
         options.seconds,
+        options.ordered,
         options.warm,
         KERNEL_METHODS[options.method],
     )

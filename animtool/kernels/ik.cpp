@@ -158,13 +158,14 @@ IkSolved solve_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int6
                   In<double, 3> sought, In<double, 2> stretches, In<double, 2> rests,
                   double rest_weight, double length_tolerance, double angle_tolerance,
                   double damping, int iterations, int restarts, std::uint64_t seed,
-                  double seconds, bool warm, int method) {
+                  double seconds, bool ordered, bool warm, int method) {
   Task task = read_task(nodes, numbers, goals, goal_numbers, rest_weight);
   const Chain plain = task.chain;
   check_batch(task, starts, targets, rests);
   check_batch(task, starts, sought, rests);
   const Settings settings{length_tolerance, angle_tolerance, damping, iterations,
-                          restarts,         seed,            seconds};
+                          restarts,         seed,            seconds,
+                          ordered && !warm};
   const std::size_t batch = starts.shape(0), width = starts.shape(1), e = goals.shape(0);
   if (stretches.shape(0) != batch || stretches.shape(1) != e)
     throw std::invalid_argument("stretches are (B, E)");
@@ -176,8 +177,8 @@ IkSolved solve_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int6
     for (std::size_t b = 0; b < batch; ++b) {
       const auto began = std::chrono::steady_clock::now();
       const std::size_t at = b * e * TARGET_WIDTH;
-      const bool next = warm && b > 0;
-      const double* start = next ? solved.get() + (b - 1) * width : starts.data() + b * width;
+      const bool next = (ordered || warm) && b > 0;
+      const double* start = warm && b > 0 ? solved.get() + (b - 1) * width : starts.data() + b * width;
       const double* given = targets.data() + at;
       stretch(plain, stretches.data() + b * e, task);
       const Outcome outcome =
@@ -254,7 +255,7 @@ IkSmoothed smooth_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
   if (first > end || end > frames) throw std::invalid_argument("0 <= first <= end <= F");
   if (drifts.shape(0) + 1 < frames || static_cast<int>(drifts.shape(1)) != task.chain.dofs)
     throw std::invalid_argument("drifts are (F - 1, D)");
-  const Settings settings{length_tolerance, angle_tolerance, damping, 1, 0, 0, 0};
+  const Settings settings{length_tolerance, angle_tolerance, damping, 1, 0, 0, 0, false};
   const PathSettings over{{anchor, speed, acceleration},
                           static_cast<int>(first), static_cast<int>(end), rounds};
   Buffer<double> smoothed(frames * width), misses(frames * e * PARTS);

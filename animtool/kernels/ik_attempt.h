@@ -16,7 +16,8 @@ struct Settings {
   int iterations;           // of all descents of one problem
   int restarts;
   std::uint64_t seed;
-  double seconds;  // 0 is no bound
+  double seconds;   // 0 is no bound
+  bool own_starts;  // frames of a clip begin at poses of their own
 };
 
 enum class Status {
@@ -40,7 +41,7 @@ class Solver {
  public:
   virtual ~Solver() = default;
 
-  // Finds the best pose; `next` is the frame after the last run, from whose end it starts.
+  // Finds the best pose; `next` is the frame after the last run.
   virtual Outcome run(const double* start, const double* targets, const double* rest,
                       bool next) = 0;
   // Measures it by other targets.

@@ -8,9 +8,10 @@ namespace animtool::ik {
 
 class Search : public Descent {
  public:
-  Search(const Task& task, const Settings& settings) : Descent(task, settings), first_(task) {}
+  Search(const Task& task, const Settings& settings)
+      : Descent(task, settings), first_(task), last_(task) {}
 
-  // Finds the best pose; `next` is the frame after the last run, from whose end it starts.
+  // Finds the best pose; `next` is the frame after the last run.
   Status run(const double* start, const double* targets, const double* rest, bool next) {
     short_ = next && outcome_.status == Status::NEAREST;
     // Frames that go on searching look elsewhere each time.
@@ -18,6 +19,7 @@ class Search : public Descent {
     if (!open(start, targets, rest)) return outcome_.status = Status::BROKEN;
     outcome_.status = look();
     last_cost_ = best_.cost;
+    last_.q = best_.q;
     return outcome_.status;
   }
 
@@ -64,6 +66,8 @@ class Search : public Descent {
   // What a descent may leave, in shares of the cost: where levels follow, and where a
   // preference for a pose keeps the cost from 0.
   static constexpr double ROUGH = 1e-6, FINE = 1e-12;
+  // New starts are compared when they have come so near to where they go.
+  static constexpr double COMPARED = 1e-6;
   // After so many starts the best is followed to its end.
   static constexpr int POLISHED = 8;
   // How many other starts must end where the best did before it is taken for the
@@ -95,6 +99,7 @@ class Search : public Descent {
     begin(best_);
     const End end = descend(settings_.damping, sure || short_);
     if (keep()) return Status::REACHED;
+    if (short_ && settings_.own_starts && go_on(sure)) return Status::REACHED;
     if (same(end)) {
       const double before = best_.cost;
       const int restarts = task_.levels > 1 ? 0 : std::min(RESTARTS_NEXT, settings_.restarts);
@@ -106,19 +111,37 @@ class Search : public Descent {
       }
       if (best_.cost == before) return Status::NEAREST;
     }
+    const double exact = still_gain_;
+    const bool found = elsewhere(end == End::STILL, sure);
+    still_gain_ = exact;
+    return found && !mixed ? Status::REACHED : polish();
+  }
+
+  // From where the frame before it ended, if that is nearer to the goals than the end of
+  // the way from the frame's own start; whether they are reached.
+  bool go_on(bool sure) {
+    begin(last_);
+    descend(WARM, sure);
+    return (now_.cost < best_.cost * BETTER || reached(now_)) && keep();
+  }
+
+  // Descents from new starts; whether the goals are reached.
+  bool elsewhere(bool still, bool sure) {
+    const double exact = still_gain_;
     int agreeing = 0;
     for (int i = 0; i < settings_.restarts && !spent() && !settled(); ++i) {
-      restart(i, end == End::STILL);
+      restart(i, still);
+      still_gain_ = i == POLISHED ? exact : std::max(exact, COMPARED);
       descend(COLD, sure || i == POLISHED);
       const double before = best_.cost;
       if (now_.cost < before * BETTER)
         agreeing = 0;
       else if (now_.cost < before * (1 + 1e-2))
         ++agreeing;
-      if (keep()) return Status::REACHED;
+      if (keep()) return true;
       if (agreeing >= AGREEING) break;
     }
-    return polish();
+    return false;
   }
 
   // Whether the frame is as far from the goals as the one before it, whose search was
@@ -178,7 +201,7 @@ class Search : public Descent {
     }
   }
 
-  State first_;
+  State first_, last_;
   double floor_ = 0;  // no pose costs less
   bool short_ = false;  // the frame before ended short of the goals, at this cost:
   double last_cost_ = 0;

@@ -88,7 +88,7 @@ IkSolved solve_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int6
                   In<double, 3> sought, In<double, 2> stretches, In<double, 2> rests,
                   double rest_weight, double length_tolerance, double angle_tolerance,
                   double damping, int iterations, int restarts, std::uint64_t seed,
-                  double seconds, bool warm, int method);
+                  double seconds, bool ordered, bool warm, int method);
 
 IkLinearized linearize_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
                           In<std::int64_t, 2> goals, In<double, 2> goal_numbers,

@@ -129,7 +129,7 @@ the identity, and seen from the nodes: ``frames`` ``(E, 4)`` are node_from_joint
   m.def("solve_ik", &solve_ik, "nodes"_a, "numbers"_a, "goals"_a, "goal_numbers"_a, "starts"_a,
         "targets"_a, "sought"_a, "stretches"_a, "rests"_a, "rest_weight"_a,
         "length_tolerance"_a, "angle_tolerance"_a, "damping"_a, "iterations"_a, "restarts"_a,
-        "seed"_a, "seconds"_a, "warm"_a, "method"_a,
+        "seed"_a, "seconds"_a, "ordered"_a, "warm"_a, "method"_a,
         R"(Solve B inverse kinematics problems of one chain.
 
 ``nodes`` ``(N, 4)``: kind (0 pin, 1 slide, 2 ball), parent, first coordinate, whether

@@ -213,6 +213,31 @@ def test_frames_out_of_reach_follow_the_nearest_branch_without_a_search_each() -
     assert worse.mean() < 0.05
 
 
+def test_ordered_frames_with_starts_of_their_own_search_once() -> None:
+    problem = build(arm(4, limit=0.5), [Goal("b3", (0.4, 0.0, 0.0))])
+    turn = np.linspace(0, 1, 40)
+    path = np.stack([np.cos(turn), np.sin(turn), 0.4 * np.sin(3 * turn)], axis=-1)
+    targets = Targets(1.3 * path[:, None])
+    starts = 0.3 * np.sin(turn[:, None] + np.arange(4))
+    alone = solve(problem, starts, targets)
+    ordered = solve(problem, starts, targets, IkOptions(ordered=True))
+    assert set(ordered.statuses) == {IkStatus.NEAREST}
+    assert np.median(ordered.descents) <= 5 < np.median(alone.descents)
+    # What the first search found is kept up with.
+    assert (ordered.positions < 1.01 * alone.positions + 1e-3).mean() > 0.9
+    assert beyond_limits(problem, ordered.coordinates) == 0.0
+
+
+def test_ordered_frames_in_reach_are_solved_from_their_own_starts() -> None:
+    problem = build(mixed_rig(), every_goal()[:1])
+    first = random_pose(problem, 3)
+    starts = np.repeat(first, 3, axis=0)
+    targets = reached_by(problem, starts)
+    ordered = solve(problem, starts, targets, IkOptions(ordered=True))
+    assert ordered.converged.all()
+    np.testing.assert_allclose(ordered.coordinates, starts, atol=1e-9)
+
+
 @FEW
 @given(SEEDS)
 def test_what_a_frame_does_not_ask_for_is_as_if_the_goal_had_no_such_weight(
