@@ -27,6 +27,8 @@ SAME = 1e-3
 DESCENT, STEPS = 100, 30
 # Solutions looked for at each place along a whole clip, and branches side by side.
 STRANDS, LAYERS = 12, 8
+# A branch is followed so many frames at a time, as it may end in any.
+AT_A_TIME = 48
 # Random turns of joints that no limits hold [rad], of one seed after the other.
 SPREAD = (0.5, 1.5, 3.0)
 
@@ -81,13 +83,18 @@ class Stretch:
 
     def tracked(self, pose: FloatArray, rows: IntArray) -> tuple[FloatArray, int]:
         """Return poses that follow one through rows, and how many reach their goals."""
-        frames = self.frames.start + rows
-        start = self.problem.chain.into_rig(pose[None], self._whole(1))[0]
         chosen = replace(self.options, warm=True, restarts=0, iterations=STEPS)
-        found = self._solve(start, frames, chosen)
-        lost = np.flatnonzero(~found.converged)
-        ok = int(lost[0]) if len(lost) else len(rows)
-        return self.chain.from_rig(found.coordinates), ok
+        start = self.problem.chain.into_rig(pose[None], self._whole(1))[0]
+        poses = np.zeros((len(rows), len(pose)))
+        for first in range(0, len(rows), AT_A_TIME):
+            some = slice(first, min(first + AT_A_TIME, len(rows)))
+            found = self._solve(start, self.frames.start + rows[some], chosen)
+            poses[some] = self.chain.from_rig(found.coordinates)
+            lost = np.flatnonzero(~found.converged)
+            if len(lost):
+                return poses, first + int(lost[0])
+            start = found.coordinates[-1]
+        return poses, len(rows)
 
     def _solve(
         self, starts: FloatArray, frames: IntArray, options: IkOptions

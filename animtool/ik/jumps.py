@@ -9,6 +9,7 @@ from animtool.ik.chain import BALL
 from animtool.ik.path import Path
 from animtool.ik.problem import Problem
 from animtool.ik.result import Jump
+from animtool.ik.tangent import seamless
 from animtool.maths import so3
 from animtool.rig.joints import coordinate_slices
 
@@ -59,11 +60,14 @@ def jumping(path: Path, poses: FloatArray, allowed: FloatArray) -> IntArray:
 
 
 def named(path: Path, poses: FloatArray, allowed: FloatArray) -> tuple[Jump, ...]:
-    """Return the jumps of poses: frame, joint and size."""
-    steps = np.abs(path.steps(poses))
+    """Return the jumps of poses: frame, joint and size.
+
+    One from a limit to that a whole turn away is none: the joint stays as it is.
+    """
+    steps = np.abs(seamless(path.problem.chain, path.steps(poses)))
     joints = _joints(path.problem)
     found = []
-    for frame in jumping(path, poses, allowed):
+    for frame in np.flatnonzero(steps.max(axis=1, initial=0.0) > allowed) + 1:
         d = int(steps[frame - 1].argmax())
         found.append(Jump(int(frame), joints[d], float(steps[frame - 1, d])))
     return tuple(found)

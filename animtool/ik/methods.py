@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-from animtool.errors import Fault, OptionError
-from animtool.ik.chain import SLIDE
+from animtool.errors import Fault, OptionError, listed
 from animtool.ik.problem import Problem
 from animtool.ik.two_bone import misfit
+from animtool.rig.skeleton import JointType
 
 __all__ = ["IkMethod", "check_method", "serving"]
 
@@ -81,6 +81,8 @@ def check_method(problem: Problem, method: IkMethod) -> None:
     if obstacle is None:
         return
     hint = f"methods for this problem: {', '.join(serving(problem))}"
+    if method == IkMethod.FABRIK and _sliding(problem):
+        hint += "; or choose joints that do not travel, or a root below them"
     raise OptionError(Fault("IK015", f"{method} {obstacle}", hint=hint))
 
 
@@ -94,14 +96,25 @@ def _obstacle(problem: Problem, method: IkMethod) -> str | None:
     goals = problem.goals
     plain = {IkMethod.CCD, IkMethod.FABRIK}
     turned = any(goal.orientation > 0 or goal.aim > 0 for goal in goals)
-    slides = bool((problem.chain.nodes[:, 0] == SLIDE).any())
+    slides = _sliding(problem)
     levels = bool(problem.chain.goals[:, 3].any())
     rules = [
         (levels, {*plain, IkMethod.GRADIENT, IkMethod.NEWTON}, "heeds no priorities"),
         (problem.rest_weight > 0, plain, "heeds no preference for a pose"),
         (any(goal.pole > 0 for goal in goals), plain, "heeds no poles"),
         (turned, {IkMethod.FABRIK}, "is for positions only"),
-        (slides, {IkMethod.FABRIK}, "is for joints that turn only"),
+        (bool(slides), {IkMethod.FABRIK}, _stiff(slides)),
     ]
     found = (why for holds, methods, why in rules if holds and method in methods)
     return next(found, None)
+
+
+def _sliding(problem: Problem) -> list[str]:
+    """Return the names of the problem's joints that travel."""
+    rig = problem.rig
+    kinds = {JointType.FREE, JointType.PRISMATIC}
+    return [n for n in problem.joints if rig.joints[rig.index(n)].type in kinds]
+
+
+def _stiff(sliding: list[str]) -> str:
+    return f"is for joints that turn only, and {listed(sliding)} may travel"

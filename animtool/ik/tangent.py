@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.ik.chain import BALL, PIN, Chain
+from animtool.ik.chain import BALL, GAP, PIN, Chain
 from animtool.maths import so3
 
-__all__ = ["difference", "moved", "unwound", "with_periods"]
+__all__ = ["difference", "moved", "seamless", "unwound", "with_periods"]
 
 
 def difference(chain: Chain, start: FloatArray, end: FloatArray) -> FloatArray:
@@ -57,6 +57,20 @@ def unwound(chain: Chain, poses: FloatArray) -> FloatArray:
     columns = _layout(chain)[0][_endless(chain)]
     out = poses.copy()
     out[:, columns] = np.unwrap(poses[:, columns], axis=0)
+    return out
+
+
+def seamless(chain: Chain, steps: FloatArray) -> FloatArray:
+    """Return steps ``(..., D)`` without whole turns of pins whose limits are one apart.
+
+    What crosses such limits ends at the other one, and is turned as if there were none.
+    """
+    columns, places, balls = _layout(chain)
+    low, high = chain.periods[columns[~balls]].T
+    turns = (high > low) & (high - low <= 2 * np.pi + GAP)
+    own = places[~balls][turns]
+    out = steps.copy()
+    out[..., own] -= 2 * np.pi * np.round(out[..., own] / (2 * np.pi))
     return out
 
 

@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.ik import every_goal, mixed_rig, random_pose, reached_by
+from support.ik import arm, every_goal, mixed_rig, random_pose, reached_by
 
-from animtool.ik import IkOptions, build
+from animtool.ik import Goal, IkOptions, build, follow
 from animtool.ik.jumps import explained, jumping, named, strain
 from animtool.ik.path import Path, path_of
 from animtool.ik.result import Jump
+from animtool.ik.tangent import seamless
+from animtool.rig.limits import RangeLimit
 
 
 def standing(frames: int = 6) -> tuple[Path, np.ndarray]:
@@ -68,3 +70,22 @@ def test_the_motion_of_a_clip_is_no_jump() -> None:
     poses = problem.chain.from_rig(rows)
     np.testing.assert_allclose(path.steps(poses), 0.0, atol=1e-12)
     assert len(jumping(path, poses, explained(path, 24.0))) == 0
+
+
+@pytest.mark.parametrize("low", [-np.pi, 0.0])
+def test_a_whole_turn_has_no_end_to_jump_over(low: float) -> None:
+    rig = arm(2)
+    limits = RangeLimit(low, low + 2 * np.pi)
+    joints = (replace(rig.joints[0], limits=limits), rig.joints[1])
+    problem = build(replace(rig, joints=joints), [Goal("b1", (0.4, 0.0, 0.0))])
+    base = np.linspace(low - 0.5, low + 0.5, 60)
+    rows = np.stack([np.where(base < low, base + 2 * np.pi, base), 0 * base + 0.5], 1)
+    found = follow(problem, rows[0], reached_by(problem, rows))
+    assert found.converged.all()
+    assert found.jumps == ()
+    assert (found.coordinates[:, 0] >= low).all()
+    # Where the range is wider, it matters which of its turns a joint is in.
+    steps = np.array([[2 * np.pi, 0.1]])
+    np.testing.assert_allclose(seamless(problem.chain, steps), [[0, 0.1]], atol=1e-12)
+    wide = build(arm(2, 2 * np.pi), [Goal("b1", (0.4, 0.0, 0.0))])
+    np.testing.assert_array_equal(seamless(wide.chain, steps), steps)

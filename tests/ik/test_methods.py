@@ -217,3 +217,15 @@ def test_names_of_methods_are_checked(name: str) -> None:
     with pytest.raises(OptionError, match=name) as caught:
         solve(problem, None, Targets([[[1.0, 1.0, 0.0]]]), IkOptions(method=name))  # type: ignore[arg-type]
     assert caught.value.code == "IK015"
+
+
+def test_fabrik_names_the_joints_that_travel() -> None:
+    rig = balls()
+    root = replace(rig.joints[0], type=JointType.FREE)
+    problem = build(replace(rig, joints=(root, *rig.joints[1:])), [TIP])
+    with pytest.raises(OptionError, match=f"{root.name} may travel") as caught:
+        solve(problem, None, Targets([[[1.0, 0.2, 0.0]]]), IkOptions(IkMethod.FABRIK))
+    (fault,) = caught.value.faults
+    assert fault.code == "IK015"
+    assert "auto, damped" in (fault.hint or "")
+    assert "a root below" in (fault.hint or "")
