@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from animtool.ik.matching import Matched as Matched
     from animtool.ik.matching import match as match
     from animtool.ik.methods import IkMethod as IkMethod
-    from animtool.ik.on_take import TakeIk as TakeIk
     from animtool.ik.on_take import solve_take as solve_take
     from animtool.ik.problem import Problem as Problem
     from animtool.ik.problem import build as build
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
     from animtool.ik.smoothing import smooth as smooth
     from animtool.ik.solving import IkOptions as IkOptions
     from animtool.ik.solving import solve as solve
+    from animtool.ik.take_ik import TakeIk as TakeIk
     from animtool.ik.take_options import TakeOptions as TakeOptions
     from animtool.ik.tracks import TargetTracks as TargetTracks
 
@@ -39,7 +39,7 @@ _PUBLIC = {
     "Jump": "animtool.ik.result",
     "Matched": "animtool.ik.matching",
     "Problem": "animtool.ik.problem",
-    "TakeIk": "animtool.ik.on_take",
+    "TakeIk": "animtool.ik.take_ik",
     "TakeOptions": "animtool.ik.take_options",
     "TargetTracks": "animtool.ik.tracks",
     "Targets": "animtool.ik.goals",

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray
-from animtool.ik.chain import limb_joints
 from animtool.ik.goals import Goal
 from animtool.ik.holds import smoothstep
+from animtool.ik.limb_ends import limb_joints
 from animtool.ik.two_bone import bend
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms

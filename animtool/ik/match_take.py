@@ -21,7 +21,7 @@ from animtool.clip.units import ClipUnits
 from animtool.documents.check import nearest
 from animtool.errors import Fault, OptionError, Severity, listed
 from animtool.ik.matching import Matched, match
-from animtool.ik.on_take import refuse_scales
+from animtool.ik.scales import refuse_scales
 from animtool.ik.sub_rig import sub_rig
 from animtool.ik.tracks import PARTS, GoalTrack, TargetTracks
 from animtool.ik.values import Keyed, Rows, Still, Value

@@ -10,7 +10,8 @@ import numpy as np
 
 from animtool._types import ArrayLike, FloatArray, as_floats
 from animtool.errors import Fault, OptionError, listed
-from animtool.ik.chain import Chain, assemble
+from animtool.ik.assembly import assemble
+from animtool.ik.chain import Chain
 from animtool.ik.goals import FARTHEST, Goal, goal_faults
 from animtool.ik.limbs import Limb, find_limbs
 from animtool.rig.joints import coordinate_slices

@@ -9,8 +9,8 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray
 from animtool.errors import Fault, Severity, counted, listed
-from animtool.ik.on_take import TakeIk
 from animtool.ik.result import IkStatus
+from animtool.ik.take_ik import TakeIk
 from animtool.ik.tracks import PARTS
 
 __all__ = [

@@ -17,7 +17,7 @@ from animtool.errors import (
     refuse_warnings,
 )
 from animtool.ik.file import load_targets
-from animtool.ik.on_take import TakeIk, solve_take
+from animtool.ik.on_take import solve_take
 from animtool.ik.report import (
     MISSED_ANGLE,
     MISSED_LENGTH,
@@ -29,6 +29,7 @@ from animtool.ik.report import (
     missed_notices,
     span_notices,
 )
+from animtool.ik.take_ik import TakeIk
 from animtool.ik.take_options import TakeOptions
 from animtool.ik.tracks import TargetTracks
 from animtool.output import check_outputs

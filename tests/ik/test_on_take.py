@@ -12,10 +12,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from support.targets import HEAD, legs, point_of, tracks_of, walk_of
 
 from animtool.errors import FormatError, OptionError, Severity
-from animtool.ik.on_take import TakeIk, solve_take
+from animtool.ik.on_take import solve_take
 from animtool.ik.report import apart_notices, goal_reports
 from animtool.ik.result import IkStatus
 from animtool.ik.sub_rig import dressed
+from animtool.ik.take_ik import TakeIk
 from animtool.ik.take_options import TakeOptions
 from animtool.maths import so3
 from animtool.rig.limits import RangeLimit

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.targets import HEAD, legs, tracks_of, walk_of
 
-from animtool.ik.on_take import TakeIk, solve_take
+from animtool.ik.on_take import solve_take
 from animtool.ik.report import (
     goal_reports,
     jump_notices,
@@ -18,6 +18,7 @@ from animtool.ik.report import (
     status_counts,
 )
 from animtool.ik.result import Jump
+from animtool.ik.take_ik import TakeIk
 
 
 @pytest.fixture

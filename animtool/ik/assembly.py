@@ -1,0 +1,334 @@
+"""From a rig, goals and a pose to the chain of the joints that move."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.errors import Fault
+from animtool.ik.chain import BALL, GAP, PIN, SLIDE, Chain
+from animtool.ik.goals import Goal
+from animtool.ik.limb_ends import limb_joints
+from animtool.maths import so3
+from animtool.rig.joints import (
+    LocalTransforms,
+    coordinate_slices,
+    local_from_coordinates,
+)
+from animtool.rig.kinematics import forward
+from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.skeleton import Joint, JointType, Rig
+
+__all__ = ["assemble"]
+
+
+@dataclass
+class _Frame:
+    """A joint's place in the frame of the node that carries it, lengths in metres."""
+
+    node: int
+    translation: FloatArray
+    rotation: FloatArray
+
+    def carry(self, translation: FloatArray, rotation: FloatArray) -> _Frame:
+        moved = self.translation + so3.rotate(self.rotation, translation)
+        return _Frame(self.node, moved, so3.multiply(self.rotation, rotation))
+
+
+class _Builder:
+    """Nodes and coordinates, as they are found."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+        self.slices = coordinate_slices(rig)
+        self.ranges = _ranges(rig)
+        self.nodes: list[list[int]] = []
+        self.rests: list[FloatArray] = []
+        self.offsets: list[FloatArray] = []
+        self.gains: list[tuple[float, float]] = []
+        self.limits: list[tuple[float, float, float, float]] = []
+        self.columns: list[int] = []
+        self.lengths: list[bool] = []
+        self.periods: list[tuple[float, float]] = []
+        self.turns: list[tuple[int, FloatArray]] = []
+        self.places: dict[int, int] = {}
+
+    def add(
+        self,
+        joint: int,
+        frame: _Frame,
+    ) -> _Frame:
+        """Append a joint's nodes to those of its rest frame; return its own frame."""
+        spec = self.rig.joints[joint]
+        match spec.type:
+            case JointType.PIN | JointType.PRISMATIC:
+                return self._single(joint, frame)
+            case JointType.FREE:
+                first = self.slices[joint].start
+                for i in range(3):
+                    frame = self._slide(first + i, frame, np.eye(3)[i])
+                return self._ball(first + 3, spec, frame)
+        return self._ball(self.slices[joint].start, spec, frame)
+
+    def _node(
+        self,
+        kind: int,
+        frame: _Frame,
+        turn: FloatArray,
+        coordinate: int,
+        *,
+        follows: bool = False,
+        gain: tuple[float, float] = (1.0, 0.0),
+        limit: tuple[float, float, float, float] = (-np.inf, np.inf, 0.0, 0.0),
+    ) -> _Frame:
+        self.nodes.append([kind, frame.node, coordinate, int(follows)])
+        self.rests.append(so3.to_matrix(so3.multiply(frame.rotation, turn)))
+        self.offsets.append(frame.translation)
+        self.gains.append(gain)
+        self.limits.append(limit)
+        return _Frame(len(self.nodes) - 1, np.zeros(3), so3.conjugate(turn))
+
+    def _slide(self, column: int, frame: _Frame, axis: FloatArray) -> _Frame:
+        self.columns.append(column)
+        self.lengths.append(True)
+        self.periods.append((-np.inf, np.inf))
+        return self._node(SLIDE, frame, _z_onto(axis), len(self.columns) - 1)
+
+    def _single(self, joint: int, frame: _Frame) -> _Frame:
+        leader, gain, shift = _leader(self.rig, joint)
+        spec = self.rig.joints[joint]
+        kind = PIN if spec.type is JointType.PIN else SLIDE
+        follows = leader in self.places
+        turn = _z_onto(np.asarray(spec.axis, np.float64))
+        if follows:
+            place = self.places[leader]
+            return self._node(
+                kind, frame, turn, place, follows=True, gain=(gain, shift)
+            )
+        low, high = self.ranges.get(leader, (-np.inf, np.inf))
+        lead = self.rig.joints[leader]
+        length = lead.type is JointType.PRISMATIC
+        place = self.places[leader] = len(self.columns)
+        self.columns.append(self.slices[leader].start)
+        self.lengths.append(length)
+        free = not length and high - low >= 2 * np.pi - GAP and gain == 1.0
+        bounded = free and math.isfinite(high - low)
+        self.periods.append((low, high) if bounded else (-np.inf, np.inf))
+        limit = (-np.inf, np.inf) if free else (low, high)
+        return self._node(
+            kind, frame, turn, place, gain=(gain, shift), limit=(*limit, 0.0, 0.0)
+        )
+
+    def _ball(self, column: int, spec: Joint, frame: _Frame) -> _Frame:
+        turn, limit = so3.IDENTITY, (np.inf, np.inf, -np.inf, np.inf)
+        if isinstance(spec.limits, BallLimit):
+            twist_axis, first, second = spec.limits.axes
+            basis = np.stack([first, second, twist_axis], axis=1)
+            turn = so3.from_matrix(basis)
+            swing = spec.limits.swing or (np.inf, np.inf)
+            twist = spec.limits.twist or (-np.inf, np.inf)
+            if twist[1] - twist[0] >= 2 * np.pi - GAP:
+                twist = (-np.inf, np.inf)
+            limit = (*swing, *twist)
+        place = len(self.columns)
+        self.columns += range(column, column + 4)
+        self.lengths += [False] * 4
+        self.periods += [(-np.inf, np.inf)] * 4
+        self.turns.append((place, so3.conjugate(turn)))
+        return self._node(BALL, frame, turn, place, limit=limit)
+
+
+def _z_onto(axis: FloatArray) -> FloatArray:
+    """Return the shortest rotation that takes z onto a unit axis."""
+    if axis[2] < -1 + 1e-9:
+        return np.array([1.0, 0.0, 0.0, 0.0])
+    return so3.normalize(np.array([-axis[1], axis[0], 0.0, 1 + axis[2]]))
+
+
+def _leader(rig: Rig, joint: int) -> tuple[int, float, float]:
+    """Return whose coordinate moves a joint, with gain and offset."""
+    gain, shift = 1.0, 0.0
+    seen = set()
+    while (mimic := rig.joints[joint].mimic) is not None and joint not in seen:
+        seen.add(joint)
+        shift += gain * mimic.offset
+        gain *= mimic.gain
+        joint = rig.index(mimic.joint)
+    return joint, gain, shift
+
+
+def _ranges(rig: Rig) -> dict[int, tuple[float, float]]:
+    """Return how far coordinates may go, by joint, their followers' limits kept too."""
+    ranges: dict[int, tuple[float, float]] = {}
+    for j, joint in enumerate(rig.joints):
+        if not isinstance(joint.limits, RangeLimit):
+            continue
+        if joint.type not in {JointType.PIN, JointType.PRISMATIC}:
+            continue
+        leader, gain, shift = _leader(rig, j)
+        if gain == 0:
+            continue
+        ends = sorted(
+            [(joint.limits.low - shift) / gain, (joint.limits.high - shift) / gain]
+        )
+        low, high = ranges.get(leader, (-np.inf, np.inf))
+        ranges[leader] = max(low, ends[0]), min(high, ends[1])
+    return {leader: (low, max(low, high)) for leader, (low, high) in ranges.items()}
+
+
+def assemble(
+    rig: Rig, goals: Sequence[Goal], moving: set[int], pose: FloatArray
+) -> tuple[Chain, list[Fault]]:
+    """Return the chain of the moving joints, the others standing in a pose ``(Q,)``.
+
+    Of each goal at least one joint above it moves.
+    """
+    local = local_from_coordinates(rig, pose[None])
+    builder = _Builder(rig)
+    frames: dict[int, _Frame] = {}
+    for j in sorted(_ancestors(rig, goals)):
+        joint = rig.joints[j]
+        at_root = _Frame(-1, np.zeros(3), so3.IDENTITY)
+        parent = frames[joint.parent] if joint.parent >= 0 else at_root
+        if j in moving:
+            rest = parent.carry(rig.rest_translations[j], rig.rest_rotations[j])
+            frames[j] = builder.add(j, rest)
+        else:
+            frames[j] = parent.carry(local.translations[0, j], local.rotations[0, j])
+    limbs, faults = _limbs(rig, goals, moving, frames, local)
+    return _finish(builder, rig, goals, frames, limbs), faults
+
+
+def _ancestors(rig: Rig, goals: Sequence[Goal]) -> set[int]:
+    found: set[int] = set()
+    for goal in goals:
+        j = rig.index(goal.joint)
+        while j >= 0 and j not in found:
+            found.add(j)
+            j = rig.joints[j].parent
+    return found
+
+
+def _limbs(
+    rig: Rig,
+    goals: Sequence[Goal],
+    moving: set[int],
+    frames: dict[int, _Frame],
+    local: LocalTransforms,
+) -> tuple[list[tuple[int, int]], list[Fault]]:
+    """Return the nodes at the root and in the middle of each goal's limb."""
+    if not any(goal.pole > 0 for goal in goals):
+        return [(-1, -1)] * len(goals), []
+    world = forward(rig, local.translations, local.rotations)
+    origins = world.positions[0]
+    limbs, faults = [], []
+    for i, goal in enumerate(goals):
+        if goal.pole <= 0:
+            limbs.append((-1, -1))
+            continue
+        tip = rig.index(goal.joint)
+        point = origins[tip] + world.linear[0, tip] @ np.asarray(goal.offset)
+        found = limb_joints(rig, goal, moving, origins, point)
+        if found is None:
+            message = f"{goal.joint!r} ends no limb of two bones: its pole has no place"
+            faults.append(Fault("IK004", message, where=f"goals[{i}]"))
+            limbs.append((-1, -1))
+            continue
+        root, middle = found
+        limbs.append((frames[root].node, frames[middle].node))
+    return limbs, faults
+
+
+def _finish(
+    builder: _Builder,
+    rig: Rig,
+    goals: Sequence[Goal],
+    frames: dict[int, _Frame],
+    limbs: list[tuple[int, int]],
+) -> Chain:
+    ends = [frames[rig.index(goal.joint)] for goal in goals]
+    tools = [
+        so3.rotate(end.rotation, np.asarray(goal.offset, np.float64))
+        for goal, end in zip(goals, ends, strict=True)
+    ]
+    points = [end.translation + tool for end, tool in zip(ends, tools, strict=True)]
+    length = _length(builder, ends, points)
+    nodes = np.array(builder.nodes, np.int64).reshape(-1, 4)
+    scales = np.where(builder.lengths, length, 1.0)
+    own = np.where(nodes[:, 0] == SLIDE, length, 1.0)
+    of = scales[nodes[:, 2]]
+    gains = np.array(builder.gains)
+    limits = np.array(builder.limits)
+    single = nodes[:, 0] != BALL
+    limits[single, :2] /= of[single, None]
+    numbers = np.concatenate(
+        [
+            np.array(builder.rests).reshape(-1, 9),
+            np.array(builder.offsets) / length,
+            (gains[:, 0] * of / own)[:, None],
+            (gains[:, 1] / own)[:, None],
+            limits,
+        ],
+        axis=1,
+    )
+    goal_numbers = [
+        [
+            *(end.translation / length),
+            *(tool / length),
+            *so3.rotate(end.rotation, np.asarray(goal.aim_axis, np.float64)),
+            *goal.weights,
+        ]
+        for goal, end, tool in zip(goals, ends, tools, strict=True)
+    ]
+    widths = {PIN: 1, SLIDE: 1, BALL: 3}
+    return Chain(
+        nodes,
+        np.ascontiguousarray(numbers),
+        np.array(
+            [
+                [end.node, *limb, level]
+                for end, limb, level in zip(ends, limbs, _levels(goals), strict=True)
+            ],
+            np.int64,
+        ),
+        np.array(goal_numbers, np.float64),
+        np.array([end.rotation for end in ends]),
+        np.array(builder.columns, np.int64),
+        scales,
+        np.array(builder.periods, np.float64),
+        tuple(builder.turns),
+        sum(widths[kind] for kind, _, _, follows in builder.nodes if not follows),
+        length,
+    )
+
+
+def _levels(goals: Sequence[Goal]) -> list[int]:
+    """Return the ranks of the goals' priorities, from 0 without gaps."""
+    ranks = sorted({goal.priority for goal in goals})
+    return [ranks.index(goal.priority) for goal in goals]
+
+
+def _length(builder: _Builder, ends: list[_Frame], points: list[FloatArray]) -> float:
+    """Return the longest way along the bones to a goal, or of the slides, or 1."""
+    ways = np.zeros(len(builder.nodes))
+    for n, (_, parent, _, _) in enumerate(builder.nodes):
+        if parent >= 0:
+            ways[n] = ways[parent] + np.linalg.norm(builder.offsets[n])
+    longest = max(
+        float(ways[end.node] + np.linalg.norm(point))
+        for end, point in zip(ends, points, strict=True)
+    )
+    if longest > 0:
+        return longest
+    spans = [
+        high - low
+        for (kind, *_), (low, high, *_) in zip(
+            builder.nodes, builder.limits, strict=True
+        )
+        if kind == SLIDE and 0 < high - low < np.inf
+    ]
+    return float(max(spans, default=1.0))
