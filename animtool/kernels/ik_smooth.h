@@ -11,6 +11,7 @@
 
 #include "ik_band.h"
 #include "ik_search.h"
+#include "ik_space.h"
 #include "ik_stretch.h"
 #include "ik_tangent.h"
 
@@ -61,8 +62,6 @@ class PathSmoother {
   }
 
  private:
-  // What the Gram matrix of a frame's goals is damped by: rows of length 1 lose as much.
-  static constexpr double DAMPING = 1e-10;
   // Goals are brought back to this share of their tolerance, in this many steps.
   static constexpr double TIGHT = 1e-2;
   static constexpr int STEPS = 30;
@@ -80,14 +79,6 @@ class PathSmoother {
   // Passes over the limits, steps of conjugate gradients and where these end.
   static constexpr int PASSES = 4, MOST_ROUNDS = 60;
   static constexpr double LOOSE = 1e-2;
-
-  // Of one frame: an orthonormal basis (M, D) of what the goals feel, directions that
-  // limits fix, and the least step that serves these.
-  struct Space {
-    std::vector<double> rows, step;
-    std::vector<Fixed> fixed;
-    std::vector<Stepper::Pinned> pinned;
-  };
 
   // What goals come to is kept, whoever gave way, and for whatever preference.
   static Task of_goals_alone(Task task) {
@@ -349,104 +340,25 @@ class PathSmoother {
 
   // Limits that have no width, and the goals' space, at the present pose.
   void open(int t) {
-    Space& space = spaces_[t];
     look(t);
-    stepper_.shut(state_, space.fixed, space.pinned);
+    stepper_.shut(state_, spaces_[t].fixed, spaces_[t].pinned);
     span(t);
   }
 
-  // The basis of what a frame's goals feel of the directions that are not fixed.
   void span(int t) {
-    Space& space = spaces_[t];
-    const int m = task_.rows;
     differentiate(task_, target(t), state_, linear_.columns);
-    gram_.assign(static_cast<std::size_t>(m) * m, 0.0);
-    missing_.assign(m, 0.0);
-    space.step.assign(width_, 0.0);
-    for (const Fixed& fixed : space.fixed) {
-      double* columns = &linear_.columns[static_cast<std::size_t>(fixed.dof) * m];
-      for (int i = 0; i < m; ++i) {
-        double along = 0;
-        for (int k = 0; k < fixed.width; ++k) along += columns[k * m + i] * fixed.direction[k];
-        for (int k = 0; k < fixed.width; ++k) columns[k * m + i] -= along * fixed.direction[k];
-        missing_[i] -= along * fixed.value;
-      }
-      for (int k = 0; k < fixed.width; ++k)
-        space.step[fixed.dof + k] += fixed.value * fixed.direction[k];
-    }
-    space.rows.resize(static_cast<std::size_t>(m) * width_);
-    for (int d = 0; d < width_; ++d) {
-      const double* column = &linear_.columns[static_cast<std::size_t>(d) * m];
-      for (int i = 0; i < m; ++i) {
-        space.rows[static_cast<std::size_t>(i) * width_ + d] = column[i];
-        if (column[i] == 0) continue;
-        double* row = &gram_[static_cast<std::size_t>(i) * m];
-        for (int j = 0; j <= i; ++j) row[j] += column[i] * column[j];
-      }
-    }
-    orthonormalize(space);
-  }
-
-  // rows <- L^-1 rows, where L L^T is the damped Gram matrix.
-  void orthonormalize(Space& space) {
-    const int m = task_.rows;
-    for (int i = 0; i < m; ++i) {
-      double* own = &gram_[static_cast<std::size_t>(i) * m];
-      double* row = &space.rows[static_cast<std::size_t>(i) * width_];
-      for (int j = 0; j < i; ++j) {
-        const double* other = &gram_[static_cast<std::size_t>(j) * m];
-        for (int k = 0; k < j; ++k) own[j] -= own[k] * other[k];
-        own[j] *= other[j];
-        const double* done = &space.rows[static_cast<std::size_t>(j) * width_];
-        for (int d = 0; d < width_; ++d) row[d] -= own[j] * done[d];
-        missing_[i] -= own[j] * missing_[j];
-      }
-      double pivot = own[i] + DAMPING;
-      for (int k = 0; k < i; ++k) pivot -= own[k] * own[k];
-      // The diagonal holds its inverse.
-      own[i] = pivot > DAMPING / 2 ? 1 / std::sqrt(pivot) : 0;
-      for (int d = 0; d < width_; ++d) row[d] *= own[i];
-      missing_[i] *= own[i];
-    }
-    for (int i = 0; i < m; ++i) {
-      const double* row = &space.rows[static_cast<std::size_t>(i) * width_];
-      for (int d = 0; d < width_; ++d) space.step[d] += missing_[i] * row[d];
-    }
+    spaces_[t].span(task_.rows, width_, linear_.columns, work_);
   }
 
   // Takes out of x what goals and limits feel, frame by frame.
   void project(std::vector<double>& x) {
-    felt_.resize(task_.rows);
     for (int t = first_; t < end_; ++t) {
-      const Space& space = spaces_[t];
       double* own = frame(x, t);
-      if (held_[t]) {
+      if (held_[t])
         std::fill(own, own + width_, 0.0);
-        continue;
-      }
-      for (const Fixed& fixed : space.fixed) {
-        double along = 0;
-        for (int k = 0; k < fixed.width; ++k) along += own[fixed.dof + k] * fixed.direction[k];
-        for (int k = 0; k < fixed.width; ++k) own[fixed.dof + k] -= along * fixed.direction[k];
-      }
-      const double* rows = space.rows.data();
-      for (int i = 0; i < task_.rows; ++i) felt_[i] = inner(rows + i * width_, own, width_);
-      for (int i = 0; i < task_.rows; ++i) {
-        const double* row = rows + i * width_;
-        const double along = felt_[i];
-        for (int d = 0; d < width_; ++d) own[d] -= along * row[d];
-      }
+      else
+        spaces_[t].project(own, work_);
     }
-  }
-
-  // In four sums, that the processor adds side by side.
-  static double inner(const double* a, const double* b, int count) {
-    double sums[4] = {0, 0, 0, 0};
-    int i = 0;
-    for (; i + 4 <= count; i += 4)
-      for (int k = 0; k < 4; ++k) sums[k] += a[i + k] * b[i + k];
-    for (; i < count; ++i) sums[0] += a[i] * b[i];
-    return (sums[0] + sums[1]) + (sums[2] + sums[3]);
   }
 
   // step_ <- the best one that goals and fixed limits leave, from that before.
@@ -503,7 +415,7 @@ class PathSmoother {
   bool fix_violations() {
     bool found = false;
     for (int t = first_; t < end_; ++t) {
-      Space& space = spaces_[t];
+      GoalSpace& space = spaces_[t];
       std::copy(pose(now_, t), pose(now_, t) + coordinates_, state_.q.begin());
       if (!stepper_.fix_violations(state_, frame(step_, t), space.fixed, space.pinned)) continue;
       look(t);
@@ -542,10 +454,11 @@ class PathSmoother {
   Stepper stepper_;
   State state_;
   Linearized linear_;
-  std::vector<Space> spaces_;
+  std::vector<GoalSpace> spaces_;
+  GoalSpace::Work work_;
   std::vector<char> held_;
   std::vector<double> now_, next_, bends_, anchors_, speeds_, forces_, away_, slope_, step_, image_;
-  std::vector<double> rest_, along_, conditioned_, gram_, missing_, felt_, moved_;
+  std::vector<double> rest_, along_, conditioned_, moved_;
   double damping_ = 0;
 };
 
