@@ -17,6 +17,8 @@ __all__ = ["Extension", "Limb", "extend", "find_limbs", "soft_distance"]
 
 # Lengths below this share of the problem's are none.
 NO_LENGTH = 1e-12
+# A limb that lacks less than this share of its reach is straight.
+STRAIGHT = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +29,7 @@ class Limb:
         goal: Which of the problem's goals.
         joints: Those whose translations are its bones.
         origin: Of its root, in shares of the problem's length ``(3,)``.
-        reach: Its length when straight, in such shares.
+        reach: Its length when as straight as it can be, in such shares.
         bones: By how much that grows while the bones grow by 1 of their length.
         soft: Share of the reach over which its extension eases out.
         stretch: Most that its bones grow by.
@@ -76,15 +78,47 @@ def _limb(rig: Rig, goal: Goal, e: int, moving: set[int], chain: Chain) -> Limb:
     end = bone + tool
     length = float(np.linalg.norm(end))
     along = max(float(bone @ end) / length, 0.0) if length > NO_LENGTH else 0.0
+    straight = between + length
+    share = min(_reach(chain, path, end) / straight, 1.0) if straight > 0 else 1.0
+    if share > 1 - STRAIGHT:
+        share = 1.0
     return Limb(
         e,
         tuple(above[:top]),
         chain.numbers[path[0], 9:12],
-        between + length,
-        between + along,
+        share * straight,
+        share * (between + along),
         goal.soft,
         goal.stretch,
     )
+
+
+def _reach(chain: Chain, path: list[int], end: FloatArray) -> float:
+    """Return how far a limb of two bones and a pin comes; infinite of others.
+
+    Args:
+        chain: Whose limb it is.
+        path: Its nodes, from the root.
+        end: The point that reaches, in the frame of the last ``(3,)``.
+    """
+    bent = [n for n in path[1:] if np.linalg.norm(chain.numbers[n, 9:12]) > NO_LENGTH]
+    last = path[-1]
+    if bent != [last] or len(path) != 2 or chain.nodes[last, [0, 3]].any():
+        return np.inf
+    if chain.numbers[last, 12] != 1 or chain.numbers[last, 13] != 0:
+        return np.inf
+    offset = chain.numbers[last, 9:12]
+    x, y, z = chain.numbers[last, :9].reshape(3, 3).T @ offset
+    even, odd = x * end[0] + y * end[1], y * end[0] - x * end[1]
+    # The square of the reach is a constant and a cosine about its farthest angle.
+    low, high = chain.numbers[last, 14:16]
+    farthest = float(np.arctan2(odd, even))
+    if np.isfinite(low):
+        farthest += 2 * np.pi * float(np.ceil((low - farthest) / (2 * np.pi)))
+    angles = [farthest] if farthest <= high else [low, high]
+    most = max(even * np.cos(a) + odd * np.sin(a) for a in angles)
+    square = offset @ offset + end @ end + 2 * (z * end[2] + most)
+    return float(np.sqrt(max(square, 0.0)))
 
 
 def _fault(
@@ -175,8 +209,9 @@ def extend(limbs: Sequence[Limb], targets: FloatArray) -> Extension:
         limbs: Of E goals.
         targets: As packed ``(B, E, 17)``, in shares of the problem's length.
 
-    Limits of the method: the reach is that of the straight limb, whatever limits keep
-    it from that.
+    Limits of the method: the reach is that of the straight limb, or where a pin joins
+    two bones of as straight a one as its limits let be; whatever other limits keep it
+    from that.
     """
     scales: FloatArray = np.ones((len(targets), targets.shape[1]))
     eased: BoolArray = np.zeros((len(targets), targets.shape[1]), np.bool_)

@@ -25,6 +25,7 @@ from animtool.ik.limbs import soft_distance
 from animtool.maths import so3
 from animtool.rig.joints import local_from_coordinates
 from animtool.rig.kinematics import forward
+from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 
 SHOULDER = np.array([0.1, 1.2, 0.0])
@@ -170,3 +171,25 @@ def test_shares_are_checked(wrong: dict[str, float]) -> None:
     with pytest.raises(OptionError) as caught:
         build(arm(3), [replace(Goal("b2"), **wrong)])
     assert caught.value.code == "IK002"
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize("least", [0.2, 0.6])
+def test_a_limb_that_limits_keep_bent_stretches_from_there(
+    least: float, way: float
+) -> None:
+    rig = hand().rig
+    ends = sorted((way * least, way * 2.5))
+    elbow = replace(rig.joints[1], limits=RangeLimit(*ends))
+    bent = replace(rig, joints=(rig.joints[0], elbow, *rig.joints[2:]))
+    reach = float(np.sqrt(0.32**2 + 0.27**2 + 2 * 0.32 * 0.27 * np.cos(least)))
+    problem = build(bent, [Goal("hand", stretch=0.2)])
+    assert problem.limbs[0].reach * problem.length == pytest.approx(reach)
+    distances = reach * np.array([0.9, 0.999, 1.01, 1.1, 1.19])
+    targets = pulled(distances)
+    result = solve(problem, None, targets)
+    assert result.converged.all()
+    wanted = np.asarray(targets.positions)[:, 0]
+    np.testing.assert_allclose(tips(result), wanted, atol=2e-6)
+    grown = np.maximum(distances / reach, 1.0)
+    np.testing.assert_allclose(result.stretches[:, 0], grown, rtol=1e-9)
