@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator
 
@@ -11,16 +10,11 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray
 from animtool.clip.clip import Interp
 from animtool.errors import Fault
-from animtool.maths import so3
 from animtool.rig.kinematics import forward, rest_size
+from animtool.validation.rules.leaps import leaps
 from animtool.validation.subjects.clip import ClipSubject
 
 __all__ = ["foot_slide", "jumps"]
-
-# Less is seen as motion [rad]; of the rig's size [1].
-LEAST_TURN, LEAST_SHIFT = math.radians(40.0), 0.2
-# A jump is as much more than what is done before and behind it.
-STANDS_OUT = 8.0
 
 _FOOT = re.compile(r"(?i)foot|toe|ankle|heel")
 # Of the rig's size: how near to the ground a foot stands, how fast it may rise a frame,
@@ -33,31 +27,11 @@ FEWEST_FRAMES = 4
 
 def jumps(subject: ClipSubject) -> Iterator[Fault]:
     """Yield joints that leap in one frame, apart from steps (CLIP203)."""
-    translations, rotations, _ = subject.take.motion.dense()
-    if len(rotations) < 3:
-        return
-    size = max(rest_size(subject.rig), 1e-6)
-    meant = _stepping(subject)
-    turns = so3.angle_between(rotations[:-1], rotations[1:])
-    shifts = np.linalg.norm(np.diff(translations, axis=0), axis=2) / size
-    for amounts, least, unit in (
-        (turns, LEAST_TURN, "turn"),
-        (shifts, LEAST_SHIFT, "shift"),
-    ):
-        apart = _apart(amounts, least) & ~meant[:, None]
-        for j in np.flatnonzero(apart.any(axis=0)).tolist():
-            f = int(np.flatnonzero(apart[:, j])[0])
-            name = subject.rig.joints[j].name
-            much = f"{math.degrees(amounts[f, j]):.0f}\N{DEGREE SIGN}"
-            if unit == "shift":
-                much = f"{amounts[f, j] * size:.3g} m"
-            more = int(apart[:, j].sum()) - 1
-            message = (
-                f"{name!r} jumps by {much} from frame {subject.frames[f]:g} to "
-                f"{subject.frames[f + 1]:g}"
-            ) + (f", and {more} times more" if more else "")
-            hint = "interp: step says that it is meant"
-            yield subject.fault("CLIP203", subject.at(name), message, hint)
+    for leap in leaps(subject.take, _stepping(subject)):
+        name = subject.rig.joints[leap.joint].name
+        at = subject.at(name, subject.frames[leap.frame])
+        hint = "interp: step says that it is meant"
+        yield subject.fault("CLIP203", at, leap.message(subject.take), hint)
 
 
 def foot_slide(subject: ClipSubject) -> Iterator[Fault]:
@@ -85,17 +59,8 @@ def foot_slide(subject: ClipSubject) -> Iterator[Fault]:
             first, last = subject.frames[start], subject.frames[end]
             message = f"{name!r} slides {far:.3g} m from frame {first:g} to {last:g}"
             hint = "hold it with IK, or let the clip stay on the spot"
-            yield subject.fault("CLIP204", subject.at(name), message, hint)
+            yield subject.fault("CLIP204", subject.at(name, first), message, hint)
             break
-
-
-def _apart(amounts: FloatArray, least: float) -> BoolArray:
-    """Return where amounts ``(F, J)`` are far more than those beside them."""
-    still = np.zeros((1, amounts.shape[1]))
-    before = np.concatenate([still, amounts[:-1]])
-    behind = np.concatenate([amounts[1:], still])
-    beside = np.maximum(before, behind)
-    return np.asarray((amounts > least) & (amounts > STANDS_OUT * beside))
 
 
 def _stepping(subject: ClipSubject) -> BoolArray:

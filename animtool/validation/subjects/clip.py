@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+
 from animtool.clip.clip import Clip
 from animtool.clip.file import (
     check_clip,
@@ -19,44 +21,45 @@ from animtool.errors import AnimtoolError, Fault, Severity
 from animtool.rig.skeleton import Rig
 from animtool.take import Take
 from animtool.validation.rule import Kind
-from animtool.validation.subjects.subject import Opened
+from animtool.validation.subjects.subject import DocumentSubject, Opened
 
 __all__ = ["ClipSubject", "open_clip_document"]
 
 
 @dataclass(frozen=True, eq=False)
-class ClipSubject:
+class ClipSubject(DocumentSubject):
     """A clip, its rig, and the file that says it.
 
     Attributes:
-        document: The file.
         clip: What it makes.
         rig: What it moves.
         take: The clip at its frames.
     """
 
-    document: Document
     clip: Clip
     rig: Rig
     take: Take
-
-    def fault(
-        self, code: str, location: Location, message: str, hint: str | None = None
-    ) -> Fault:
-        """Return a fault at a place of the file, or the nearest around it."""
-        return self.document.fault(code, location, message, hint)
 
     @cached_property
     def frames(self) -> list[float]:
         """Number of each frame."""
         return [float(time) for time in self.take.clock.times]
 
-    def at(self, joint: str) -> Location:
-        """Return the channel of a joint, else the list of them."""
+    def at(self, joint: str, frame: float) -> Location:
+        """Return the key of a joint's first channel before a frame.
+
+        Where it has no channel, the list of them.
+        """
         for i, channel in enumerate(self.clip.channels):
             if channel.target.startswith(f"joint/{joint}."):
-                return ("channels", i)
+                return self.key(i, frame)
         return ("channels",)
+
+    def key(self, channel: int, frame: float) -> Location:
+        """Return the last key of a channel that is not behind a frame, or its first."""
+        times = self.clip.channels[channel].times
+        k = max(int(np.searchsorted(times, frame, "right")) - 1, 0)
+        return ("channels", channel, "keys", k)
 
 
 def open_clip_document(document: Document) -> Opened:

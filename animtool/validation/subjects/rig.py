@@ -15,28 +15,20 @@ from animtool.maths import so3
 from animtool.rig.file import rig_of_document
 from animtool.rig.skeleton import Rig
 from animtool.validation.rule import Kind
-from animtool.validation.subjects.subject import Opened
+from animtool.validation.subjects.subject import DocumentSubject, Opened
 
 __all__ = ["RigSubject", "open_rig"]
 
 
 @dataclass(frozen=True, eq=False)
-class RigSubject:
+class RigSubject(DocumentSubject):
     """A rig, and the file that says it.
 
     Attributes:
-        document: The file.
         rig: What it makes.
     """
 
-    document: Document
     rig: Rig
-
-    def fault(
-        self, code: str, location: Location, message: str, hint: str | None = None
-    ) -> Fault:
-        """Return a fault at a place of the file, or the nearest around it."""
-        return self.document.fault(code, location, message, hint)
 
     def written(self, key: str) -> list[Any]:
         """Return a list of the file; empty where it has none."""

@@ -9,28 +9,20 @@ from animtool.documents.document import Document, Location
 from animtool.errors import AnimtoolError, Fault
 from animtool.scene.file import Scene, scene_of_document
 from animtool.validation.rule import Kind
-from animtool.validation.subjects.subject import Opened
+from animtool.validation.subjects.subject import DocumentSubject, Opened
 
 __all__ = ["SceneSubject", "open_scene"]
 
 
 @dataclass(frozen=True, eq=False)
-class SceneSubject:
+class SceneSubject(DocumentSubject):
     """A scene, and the file that says it.
 
     Attributes:
-        document: The file.
         scene: What it makes.
     """
 
-    document: Document
     scene: Scene
-
-    def fault(
-        self, code: str, location: Location, message: str, hint: str | None = None
-    ) -> Fault:
-        """Return a fault at a place of the file, or the nearest around it."""
-        return self.document.fault(code, location, message, hint)
 
 
 def open_scene(document: Document) -> Opened:

@@ -1,15 +1,15 @@
-"""A file as the rules see it, and what reading it found."""
+"""Files as the rules see them, and what reading them found."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import Any
 
-from animtool.documents.document import Document
+from animtool.documents.document import Document, Location
 from animtool.errors import Fault
 from animtool.validation.rule import Kind
 
-__all__ = ["Opened"]
+__all__ = ["DocumentSubject", "Opened"]
 
 
 @dataclass(slots=True)
@@ -27,3 +27,20 @@ class Opened:
     faults: list[Fault] = field(default_factory=list)
     subject: Any = None
     document: Document | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class DocumentSubject:
+    """What a file says, and where.
+
+    Attributes:
+        document: The file.
+    """
+
+    document: Document
+
+    def fault(
+        self, code: str, location: Location, message: str, hint: str | None = None
+    ) -> Fault:
+        """Return a fault at a place of the file, or the nearest around it."""
+        return self.document.fault(code, location, message, hint)

@@ -9,28 +9,20 @@ from animtool.errors import Fault
 from animtool.ik.file import targets_of_document
 from animtool.ik.tracks import TargetTracks
 from animtool.validation.rule import Kind
-from animtool.validation.subjects.subject import Opened
+from animtool.validation.subjects.subject import DocumentSubject, Opened
 
 __all__ = ["TargetsSubject", "open_targets"]
 
 
 @dataclass(frozen=True, eq=False)
-class TargetsSubject:
+class TargetsSubject(DocumentSubject):
     """What is asked of a rig, and the file that says it.
 
     Attributes:
-        document: The file.
         targets: What it makes, of a rig that is not known.
     """
 
-    document: Document
     targets: TargetTracks
-
-    def fault(
-        self, code: str, location: Location, message: str, hint: str | None = None
-    ) -> Fault:
-        """Return a fault at a place of the file, or the nearest around it."""
-        return self.document.fault(code, location, message, hint)
 
 
 def open_targets(document: Document) -> Opened:

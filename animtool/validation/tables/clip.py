@@ -62,4 +62,19 @@ RULES = (
     _rule("CLIP202", "keys half a turn apart", "clip_keys:half_turns"),
     _rule("CLIP203", "a joint that jumps in one frame", "clip_motion:jumps"),
     _rule("CLIP204", "a foot that slides while it stands", "clip_motion:foot_slide"),
+    _rule(
+        "CLIP205",
+        "a curve that leaves limits between keys that keep them",
+        "clip_curves:overshoot",
+    ),
+    _rule(
+        "CLIP206",
+        "an angle that goes a whole turn round between keys",
+        "clip_curves:wrong_way_round",
+    ),
+    _rule(
+        "CLIP207",
+        "a cycle that jumps where it begins again",
+        "clip_curves:open_cycles",
+    ),
 )

@@ -1,0 +1,167 @@
+"""Curves of a clip between their keys, and beyond them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.clip.clip import ClipChannel, Interp
+from animtool.clip.evaluate import evaluate_channels
+from animtool.errors import Fault
+from animtool.maths import so3
+from animtool.maths.extrapolation import Extrapolation
+from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.skeleton import Rig
+from animtool.validation.subjects.clip import ClipSubject
+
+__all__ = ["open_cycles", "overshoot", "wrong_way_round"]
+
+# How far values lie beyond what is allowed, signed or not.
+Excess = Callable[[FloatArray], FloatArray]
+
+# Beyond a limit by less is rounding of what a file holds [rad], [m], [1].
+SLACK = 1e-6
+# Keys so near [frame] are of a curve that was sampled, in which angles jump by a
+# whole turn and mean none.
+SAMPLED = 2.0
+# A turn beyond which the other way round is shorter [rad].
+HALF = math.pi
+# Ends of a cycle that differ by less are seen as one [rad]; of all its values [1].
+OPEN = 1e-3
+
+
+def overshoot(subject: ClipSubject) -> Iterator[Fault]:
+    """Yield curves that leave limits between keys that keep them (CLIP205)."""
+    times = np.array(subject.frames)
+    for i, channel in enumerate(subject.clip.channels):
+        excess = _excess(channel, subject.rig)
+        if excess is None or len(channel.times) < 2:
+            continue
+        inside = np.abs(excess(_at(channel, channel.times))) <= SLACK
+        over = np.abs(excess(_at(channel, times)))
+        segments = np.searchsorted(channel.times, times, "right") - 1
+        for k in np.flatnonzero(inside[:-1] & inside[1:]).tolist():
+            frames = np.flatnonzero((segments == k) & (over > SLACK))
+            if len(frames):
+                message = _beyond(channel, k, times[frames], over[frames])
+                hint = "tangents: auto_clamped, shorter handles, or a key between"
+                at = ("channels", i, "keys", k)
+                yield subject.fault("CLIP205", at, message, hint)
+
+
+def _beyond(
+    channel: ClipChannel, k: int, frames: FloatArray, over: FloatArray
+) -> str:
+    """Return what to say of the frames of a segment that lie beyond limits."""
+    most = float(over.max())
+    angle = channel.target.endswith((".angle", ".rotation"))
+    much = f"{math.degrees(most):.3g}\N{DEGREE SIGN}" if angle else f"{most:.3g}"
+    ends = f"{channel.times[k]:g} and {channel.times[k + 1]:g}"
+    where = f"frame {frames[0]:g}"
+    if len(frames) > 1:
+        where = f"frames {frames[0]:g} to {frames[-1]:g}"
+    return (
+        f"{channel.target!r} keeps its limits at the keys of frames {ends}, and is up "
+        f"to {much} beyond them between, in {where}"
+    )
+
+
+def _excess(channel: ClipChannel, rig: Rig) -> Excess | None:
+    """Return what tells how far a channel's values are beyond what its target may."""
+    kind, _, name = channel.target.partition("/")
+    if kind == "control":
+        control = next(c for c in rig.controls if c.name == name)
+        low, high = control.low, control.high
+        if low is None or high is None:
+            return None
+        limits = RangeLimit(low, high)
+        return lambda values: limits.excess(values[:, 0])
+    joint, _, part = name.rpartition(".")
+    if kind != "joint" or part not in {"angle", "slide", "rotation"}:
+        return None
+    match rig.joints[rig.index(joint)].limits:
+        case RangeLimit() as limits if part != "rotation":
+            return lambda values: limits.excess(values[:, 0])
+        case BallLimit() as ball if part == "rotation":
+            return ball.excess
+        case _:
+            return None
+
+
+def _at(channel: ClipChannel, times: FloatArray) -> FloatArray:
+    """Return the values of a channel at times ``(F, D)``, rotations as quaternions."""
+    found = evaluate_channels([channel], times)[channel.target]
+    return np.broadcast_to(found, (len(times), found.shape[1]))
+
+
+def wrong_way_round(subject: ClipSubject) -> Iterator[Fault]:
+    """Yield angles that go a whole turn round from a key to the next (CLIP206)."""
+    for i, channel in enumerate(subject.clip.channels):
+        if not channel.euler and not channel.target.endswith(".angle"):
+            continue
+        found = _flips(channel)
+        if not len(found):
+            continue
+        k = int(found[0])
+        steps = np.abs(channel.values[k + 1] - channel.values[k])
+        more = f", and {len(found) - 1} times more" if len(found) > 1 else ""
+        message = (
+            f"{channel.target!r} goes {math.degrees(steps.max()):.0f}\N{DEGREE SIGN} "
+            f"round from frame {channel.times[k]:g} to {channel.times[k + 1]:g}, where "
+            f"{math.degrees(_shortest(channel, k)):.0f}\N{DEGREE SIGN} would do{more}"
+        )
+        hint = "an angle that is a whole turn more or less goes the short way"
+        at = ("channels", i, "keys", k + 1, "v")
+        yield subject.fault("CLIP206", at, message, hint)
+
+
+def _flips(channel: ClipChannel) -> IntArray:
+    """Return the keys behind which angles go round for nothing."""
+    near = np.diff(channel.times) <= SAMPLED
+    far = (np.abs(np.diff(channel.values, axis=0)) > HALF).any(axis=1)
+    moving = np.array([how is not Interp.STEP for how in channel.interps[:-1]], bool)
+    found = np.flatnonzero(near & far & moving)
+    return found[[_shortest(channel, k) < HALF / 2 for k in found.tolist()]]
+
+
+def _shortest(channel: ClipChannel, k: int) -> float:
+    """Return the angle between what two keys mean [rad]."""
+    if not channel.euler:
+        step = float(channel.values[k + 1, 0] - channel.values[k, 0])
+        return abs(math.remainder(step, math.tau))
+    one, two = _at(channel, channel.times[k : k + 2])
+    return float(so3.angle_between(one[None], two[None])[0])
+
+
+def open_cycles(subject: ClipSubject) -> Iterator[Fault]:
+    """Yield channels that jump where their cycle begins again (CLIP207)."""
+    clip = subject.clip
+    for i, channel in enumerate(clip.channels):
+        for key, how, reached in (
+            ("pre", channel.pre, float(clip.first) < channel.times[0]),
+            ("post", channel.post, float(clip.last) > channel.times[-1]),
+        ):
+            if how is not Extrapolation.CYCLE or not reached or _meets(channel):
+                continue
+            first, last = channel.times[0], channel.times[-1]
+            message = (
+                f"{channel.target!r} repeats frames {first:g} to {last:g}, and is not "
+                "at the last what it is at the first: it jumps each time"
+            )
+            hint = "give both the same value; cycle_offset goes on from the last"
+            yield subject.fault("CLIP207", ("channels", i, key), message, hint)
+
+
+def _meets(channel: ClipChannel) -> bool:
+    """Return whether a channel ends as it begins; whole turns are none."""
+    first, last = channel.values[0], channel.values[-1]
+    if channel.target.endswith(".angle") and abs(last[0] - first[0]) > HALF:
+        return abs(math.remainder(float(last[0] - first[0]), math.tau)) <= OPEN
+    if channel.euler or channel.values.shape[1] == 4:
+        ends = _at(channel, channel.times[[0, -1]])
+        return float(so3.angle_between(ends[:1], ends[1:])[0]) <= OPEN
+    spread = float(np.ptp(channel.values, axis=0).max())
+    return float(np.abs(last - first).max()) <= OPEN * spread

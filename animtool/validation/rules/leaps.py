@@ -1,0 +1,92 @@
+"""What is far more in one frame than before and behind it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray
+from animtool.maths import so3
+from animtool.rig.kinematics import rest_size
+from animtool.take import Take
+
+__all__ = ["Leap", "leaps"]
+
+# Less is seen as motion [rad]; of the rig's size [1].
+LEAST_TURN, LEAST_SHIFT = math.radians(40.0), 0.2
+# A leap is as much more than what is done before and behind it.
+STANDS_OUT = 8.0
+
+
+@dataclass(frozen=True, slots=True)
+class Leap:
+    """A joint that leaps from one frame to the next.
+
+    Attributes:
+        joint: Which.
+        frame: Index of the frame before the first leap.
+        angle: How far it turns [rad]; 0 where it is moved.
+        length: How far it is moved [m]; 0 where it turns.
+        count: How often it does so.
+    """
+
+    joint: int
+    frame: int
+    angle: float
+    length: float
+    count: int
+
+    @property
+    def much(self) -> str:
+        """How far, with its unit."""
+        if self.angle:
+            return f"{math.degrees(self.angle):.0f}\N{DEGREE SIGN}"
+        return f"{self.length:.3g} m"
+
+    def message(self, take: Take) -> str:
+        """Return what is to be said of it in a take."""
+        times = take.clock.times
+        more = f", and {self.count - 1} times more" if self.count > 1 else ""
+        return (
+            f"{take.rig.joints[self.joint].name!r} jumps by {self.much} from frame "
+            f"{times[self.frame]:g} to {times[self.frame + 1]:g}{more}"
+        )
+
+
+def leaps(take: Take, meant: BoolArray | None = None) -> Iterator[Leap]:
+    """Yield joints that leap in one frame, each once.
+
+    Args:
+        take: F frames.
+        meant: Frames from which to the next a leap is meant ``(F - 1,)``.
+    """
+    translations, rotations, _ = take.motion.dense()
+    if len(rotations) < 3:
+        return
+    turns = so3.angle_between(rotations[:-1], rotations[1:])
+    shifts = np.linalg.norm(np.diff(translations, axis=0), axis=2)
+    size = max(rest_size(take.rig), 1e-6)
+    for amounts, least, turn in (
+        (turns, LEAST_TURN, 1.0),
+        (shifts, LEAST_SHIFT * size, 0.0),
+    ):
+        apart = _apart(amounts, least)
+        if meant is not None:
+            apart &= ~meant[:, None]
+        for j in np.flatnonzero(apart.any(axis=0)).tolist():
+            frame = int(apart[:, j].argmax())
+            much = float(amounts[frame, j])
+            count = int(apart[:, j].sum())
+            yield Leap(j, frame, turn * much, (1.0 - turn) * much, count)
+
+
+def _apart(amounts: FloatArray, least: float) -> BoolArray:
+    """Return where amounts ``(F, J)`` are far more than those beside them."""
+    still = np.zeros((1, amounts.shape[1]))
+    before = np.concatenate([still, amounts[:-1]])
+    behind = np.concatenate([amounts[1:], still])
+    beside = np.maximum(before, behind)
+    return np.asarray((amounts > least) & (amounts > STANDS_OUT * beside))
