@@ -52,9 +52,7 @@ def overshoot(subject: ClipSubject) -> Iterator[Fault]:
                 yield subject.fault("CLIP205", at, message, hint)
 
 
-def _beyond(
-    channel: ClipChannel, k: int, frames: FloatArray, over: FloatArray
-) -> str:
+def _beyond(channel: ClipChannel, k: int, frames: FloatArray, over: FloatArray) -> str:
     """Return what to say of the frames of a segment that lie beyond limits."""
     most = float(over.max())
     angle = channel.target.endswith((".angle", ".rotation"))

@@ -84,9 +84,12 @@ def leaps(take: Take, meant: BoolArray | None = None) -> Iterator[Leap]:
 
 
 def _apart(amounts: FloatArray, least: float) -> BoolArray:
-    """Return where amounts ``(F, J)`` are far more than those beside them."""
-    still = np.zeros((1, amounts.shape[1]))
-    before = np.concatenate([still, amounts[:-1]])
-    behind = np.concatenate([amounts[1:], still])
-    beside = np.maximum(before, behind)
-    return np.asarray((amounts > least) & (amounts > STANDS_OUT * beside))
+    """Return where amounts ``(F, J)`` are far more than those beside them.
+
+    Of a leap there and back in the next frame, the one there.
+    """
+    rows = np.pad(amounts, ((1, 2), (0, 0)))
+    before, now, behind, after = rows[:-3], rows[1:-2], rows[2:-1], rows[3:]
+    once = now > STANDS_OUT * np.maximum(before, behind)
+    twice = np.minimum(now, behind) > STANDS_OUT * np.maximum(before, after)
+    return np.asarray((now > least) & (once | (twice & (behind > least))))

@@ -32,9 +32,8 @@ def in_rig(rig: RigSubject) -> Iterator[Fault]:
 
 def in_capture(subject: TakeSubject) -> Iterator[Fault]:
     """Yield names of joints in a capture that become one (BVH201)."""
-    path = str(subject.path)
     for name, message in _collisions(subject.take.rig.names):
-        yield Fault("BVH201", message, path, (), HINT, where=name)
+        yield subject.fault("BVH201", name, message, HINT)
 
 
 def _collisions(names: Sequence[str]) -> Iterator[tuple[str, str]]:

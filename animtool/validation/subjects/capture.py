@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from animtool.errors import Fault
 from animtool.scene.sources import open_source
 from animtool.take import Take
 from animtool.validation.rule import Kind
@@ -24,6 +25,10 @@ class TakeSubject:
 
     path: Path
     take: Take
+
+    def fault(self, code: str, joint: str, message: str, hint: str) -> Fault:
+        """Return a fault of a joint."""
+        return Fault(code, message, str(self.path), (), hint, where=joint)
 
 
 def open_bvh(path: Path) -> Opened:

@@ -10,7 +10,6 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.documents.document import Document, Location
-from animtool.errors import Fault
 from animtool.maths import so3
 from animtool.rig.file import rig_of_document
 from animtool.rig.skeleton import Rig

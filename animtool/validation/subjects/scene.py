@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from animtool.documents.document import Document, Location
+from animtool.documents.document import Document
 from animtool.errors import AnimtoolError, Fault
 from animtool.scene.file import Scene, scene_of_document
 from animtool.validation.rule import Kind

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from animtool.documents.document import Document, Location
-from animtool.errors import Fault
+from animtool.documents.document import Document
 from animtool.ik.file import targets_of_document
 from animtool.ik.tracks import TargetTracks
 from animtool.validation.rule import Kind

@@ -7,6 +7,14 @@ from animtool.validation.rule import Kind, Rule
 
 __all__ = ["RULES"]
 
+
+def _rule(
+    code: str, title: str, check: str, severity: Severity = Severity.WARNING
+) -> Rule:
+    place = f"animtool.validation.rules.{check}"
+    return Rule(code, title, severity, Kind.BVH, place)
+
+
 RULES = (
     Rule("BVH001", "not the text of a BVH"),
     Rule("BVH002", "empty"),
@@ -55,11 +63,20 @@ RULES = (
         "a BVH written in another unit or up axis than is usual",
         Severity.NOTE,
     ),
-    Rule(
-        "BVH201",
-        "names of joints that USD cannot tell apart",
-        Severity.WARNING,
-        Kind.BVH,
-        "animtool.validation.rules.names:in_capture",
+    _rule("BVH201", "names of joints that USD cannot tell apart", "names:in_capture"),
+    _rule("BVH202", "a take in which nothing moves", "capture_motion:motionless"),
+    _rule("BVH203", "a joint that jumps in one frame", "capture_motion:jumps"),
+    _rule("BVH204", "a joint that turns over in one frame", "capture_motion:flips"),
+    _rule("BVH205", "a bone whose length changes by half", "capture_motion:stretched"),
+    _rule(
+        "BVH206",
+        "a joint that never turns while its other side does",
+        "capture_motion:dead_side",
+    ),
+    _rule(
+        "BVH207",
+        "a first frame that is a pose of its own",
+        "capture_motion:reference_pose",
+        Severity.NOTE,
     ),
 )
