@@ -14,12 +14,13 @@ from animtool.ik.on_take import solve_take
 from animtool.ik.report import MISSED_ANGLE, MISSED_LENGTH, goal_reports, take_notices
 from animtool.ik.sub_rig import dressed
 from animtool.ik.take_options import TakeOptions, take_option_faults
+from animtool.ik.tracks import TargetTracks
 from animtool.passes import OptionChecks, Pass, PassContext, Scope
 from animtool.rig.skeleton import Rig
 from animtool.take import Take
 from animtool.units import parse_length
 
-__all__ = ["PASS", "IkPassOptions"]
+__all__ = ["PASS", "IkPassOptions", "asked_of"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,14 +56,32 @@ class IkPassOptions:
     smooth: float = TakeOptions().smooth
 
 
-def _run(take: Take, options: IkPassOptions, context: PassContext) -> Take:
-    path = context.folder / _targets(options)
-    rig = take.rig
+def asked_of(
+    take: Take, options: IkPassOptions, folder: Path
+) -> tuple[Take, TargetTracks]:
+    """Return a take with the rig that is to be solved, and what is asked of it.
+
+    Args:
+        take: That the pass is given.
+        options: Of the pass.
+        folder: Where relative paths start.
+
+    Raises:
+        FormatError: The targets or the rig are malformed.
+        OptionError: No targets are named (TGT013).
+    """
+    path = folder / _targets(options)
     if options.rig is not None:
-        rig = dressed(rig, Rig.load(context.folder / options.rig))
-    tracks = load_targets(path, rig)
+        rig = dressed(take.rig, Rig.load(folder / options.rig))
+        take = replace(take, rig=rig)
+    return take, load_targets(path, take.rig)
+
+
+def _run(take: Take, options: IkPassOptions, context: PassContext) -> Take:
+    rig = take.rig
+    take, tracks = asked_of(take, options, context.folder)
     settings = replace(_settings(options), tolerance=_length(options.tolerance))
-    solved = solve_take(replace(take, rig=rig), tracks, settings)
+    solved = solve_take(take, tracks, settings)
     context.notices.extend(tracks.notices)
     goals = goal_reports(
         solved,
@@ -71,7 +90,7 @@ def _run(take: Take, options: IkPassOptions, context: PassContext) -> Take:
     )
     odd = take_notices(solved, goals, smooth=options.smooth > 0)
     context.notices.extend(odd)
-    return replace(solved.take, rig=take.rig)
+    return replace(solved.take, rig=rig)
 
 
 def _settings(options: IkPassOptions) -> TakeOptions:

@@ -90,15 +90,39 @@ class Scene:
             OptionError: An option does not apply to the source.
         """
         stream = open_source(self.source, self.options)
-        context = PassContext(self._take, self.path.resolve().parent)
+        context = self._context()
         for entry in self.passes:
-            notices, details = stream.notices, stream.details
-            with self._placed(entry):
-                stream = apply_pass(stream, entry.pass_, entry.options, context)
-            blocks = self._read(entry, stream.blocks)
-            stream = replace(stream, notices=notices, details=details, blocks=blocks)
+            stream = self._passed(stream, entry, context)
         stream.notices += context.notices
         return stream
+
+    def steps(self) -> Iterator[tuple[Take, TakeStream]]:
+        """Yield the source and what it is after each pass, as takes and as streams.
+
+        Raises:
+            FormatError: As `open`, at the step that raises it.
+            OptionError: Likewise.
+        """
+        take, stream = _gathered(open_source(self.source, self.options))
+        yield take, stream
+        context = self._context()
+        for entry in self.passes:
+            take, stream = _gathered(self._passed(stream, entry, context))
+            stream.notices += context.notices
+            context.notices.clear()
+            yield take, stream
+
+    def _context(self) -> PassContext:
+        return PassContext(self._take, self.path.resolve().parent)
+
+    def _passed(
+        self, stream: TakeStream, entry: ScenePass, context: PassContext
+    ) -> TakeStream:
+        notices, details = stream.notices, stream.details
+        with self._placed(entry):
+            stream = apply_pass(stream, entry.pass_, entry.options, context)
+        blocks = self._read(entry, stream.blocks)
+        return replace(stream, notices=notices, details=details, blocks=blocks)
 
     def _read(self, entry: ScenePass, blocks: Iterator[Motion]) -> Iterator[Motion]:
         with self._placed(entry):
@@ -130,6 +154,12 @@ class Scene:
             SourceOptions(rig=self.options.rig) if takes_option(path, "rig") else None
         )
         return open_source(path, options).collect()
+
+
+def _gathered(stream: TakeStream) -> tuple[Take, TakeStream]:
+    """Return a take, and its stream in one block."""
+    take = stream.collect()
+    return take, replace(stream, blocks=iter([take.motion]))
 
 
 def load_scene(path: Path | str, variables: Mapping[str, str] | None = None) -> Scene:

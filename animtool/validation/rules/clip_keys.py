@@ -7,13 +7,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from animtool.clip.clip import Interp
+from animtool._types import IntArray
+from animtool.clip.clip import ClipChannel, Interp
 from animtool.errors import Fault, counted, listed
 from animtool.maths import so3
 from animtool.maths.extrapolation import Extrapolation
 from animtool.validation.subjects.clip import ClipSubject
 
-__all__ = ["half_turns", "outside_range"]
+__all__ = ["beyond", "half_turns", "outside_range"]
 
 # Nearer to half a turn, rounding decides which way a turn goes.
 HALF_TURN = math.radians(178.0)
@@ -30,10 +31,8 @@ def outside_range(subject: ClipSubject) -> Iterator[Fault]:
     clip = subject.clip
     first, last = float(clip.first), float(clip.last)
     for i, channel in enumerate(clip.channels):
-        before = np.flatnonzero(channel.times < first)[:-1]
-        behind = np.flatnonzero(channel.times > last)[1:]
-        outside = np.concatenate([before, behind])
-        if not len(outside) or not {channel.pre, channel.post} <= _STILL:
+        outside = beyond(channel, first, last)
+        if not len(outside):
             continue
         k = int(outside[0])
         keys = counted(len(outside), "key")
@@ -44,6 +43,15 @@ def outside_range(subject: ClipSubject) -> Iterator[Fault]:
         )
         hint = "widen the range, or leave out what is never played"
         yield subject.fault("CLIP201", ("channels", i, "keys", k, "t"), message, hint)
+
+
+def beyond(channel: ClipChannel, first: float, last: float) -> IntArray:
+    """Return the keys of a channel outside some frames that do nothing in them."""
+    if not {channel.pre, channel.post} <= _STILL:
+        return np.zeros(0, np.int64)
+    before = np.flatnonzero(channel.times < first)[:-1]
+    behind = np.flatnonzero(channel.times > last)[1:]
+    return np.concatenate([before, behind])
 
 
 def half_turns(subject: ClipSubject) -> Iterator[Fault]:

@@ -2,27 +2,60 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property
 
-from animtool.documents.document import Document
+import numpy as np
+
+from animtool.documents.document import Document, Location
 from animtool.errors import AnimtoolError, Fault
+from animtool.ik.take_pass import IkPassOptions, asked_of
+from animtool.ik.tracks import TargetTracks
 from animtool.scene.file import Scene, scene_of_document
+from animtool.take import Channel, Take
 from animtool.validation.rule import Kind
 from animtool.validation.subjects.subject import DocumentSubject, Opened
 
 __all__ = ["SceneSubject", "open_scene"]
 
+# Values that differ by less are the same [m], [1].
+SAME = 1e-9
+
 
 @dataclass(frozen=True, eq=False)
 class SceneSubject(DocumentSubject):
-    """A scene, and the file that says it.
+    """A scene, and what comes of its source and passes.
 
     Attributes:
-        scene: What it makes.
+        scene: What the file makes.
+        take: Its source with all passes done.
+        start: Time code of its first frame; None where nothing states one.
+        curves: Whether it has curves of controls.
+        idle: Which passes change nothing.
+        solved: The takes that passes of the kind `ik` are given, by index.
     """
 
     scene: Scene
+    take: Take
+    start: Fraction | None
+    curves: bool
+    idle: tuple[int, ...]
+    solved: dict[int, Take]
+
+    @cached_property
+    def asked(self) -> list[tuple[Take, TargetTracks]]:
+        """Takes that are solved, with their rigs, and what is asked of them."""
+        folder = self.scene.path.resolve().parent
+        found = []
+        for i, given in self.solved.items():
+            take, tracks = asked_of(given, self.scene.passes[i].options, folder)
+            found.append((take, tracks.placed(take.clock)))
+        return found
+
+    def at_pass(self, i: int) -> Location:
+        """Return where a pass stands."""
+        return ("passes", i, self.scene.passes[i].pass_.name)
 
 
 def open_scene(document: Document) -> Opened:
@@ -33,12 +66,55 @@ def open_scene(document: Document) -> Opened:
     """
     scene = scene_of_document(document)
     path = str(document.path)
+    opened = Opened(Kind.SCENE)
     try:
-        notices = scene.open().collect().notices
+        opened.subject, notices = _played(document, scene)
     except AnimtoolError as error:
-        faults: Iterable[Fault] = error.faults
+        faults = list(error.faults)
     else:
         # What is odd about another file is said of that one.
-        faults = (fault for fault in notices if fault.path in {None, path})
-    found = [f if f.path else replace(f, path=path) for f in faults]
-    return Opened(Kind.SCENE, found, SceneSubject(document, scene))
+        faults = [fault for fault in notices if fault.path in {None, path}]
+    opened.faults = [f if f.path else replace(f, path=path) for f in faults]
+    return opened
+
+
+def _played(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fault]]:
+    """Return a scene with what its passes do, and what is noticed on the way."""
+    idle: list[int] = []
+    solved: dict[int, Take] = {}
+    steps = scene.steps()
+    take, stream = next(steps)
+    for i, step in enumerate(steps):
+        after, stream = step
+        if isinstance(scene.passes[i].options, IkPassOptions):
+            solved[i] = take
+        if _alike(take, after):
+            idle.append(i)
+        take = after
+    subject = SceneSubject(
+        document,
+        scene,
+        take,
+        stream.start,
+        bool(stream.control_curves),
+        tuple(idle),
+        solved,
+    )
+    return subject, stream.notices
+
+
+def _alike(before: Take, after: Take) -> bool:
+    """Return whether a pass left a take as it was."""
+    if before.clock != after.clock or before.rig.names != after.rig.names:
+        return False
+    parts = ("translations", "rotations", "scales", "weights", "controls")
+    return all(
+        _same(getattr(before.motion, part), getattr(after.motion, part))
+        for part in parts
+    )
+
+
+def _same(one: Channel | None, two: Channel | None) -> bool:
+    if one is None or two is None:
+        return one is two
+    return np.allclose(one.dense(), two.dense(), rtol=0.0, atol=SAME)

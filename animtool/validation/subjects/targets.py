@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from animtool.documents.document import Document
+from animtool.documents.document import Document, Location
+from animtool.errors import Fault
 from animtool.ik.file import targets_of_document
 from animtool.ik.tracks import TargetTracks
 from animtool.validation.rule import Kind
@@ -22,6 +23,14 @@ class TargetsSubject(DocumentSubject):
     """
 
     targets: TargetTracks
+
+    def outside(
+        self, goal: int, key: Location, message: str, first: float, last: float
+    ) -> Fault:
+        """Return a fault of what lies outside the file's range (TGT201)."""
+        message += f"; the range is {first:g} to {last:g}"
+        hint = "widen the range, or leave it out"
+        return self.fault("TGT201", ("goals", goal, *key), message, hint)
 
 
 def open_targets(document: Document) -> Opened:

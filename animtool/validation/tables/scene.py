@@ -3,9 +3,17 @@
 from __future__ import annotations
 
 from animtool.errors import Severity
-from animtool.validation.rule import Rule
+from animtool.validation.rule import Kind, Rule
 
 __all__ = ["RULES"]
+
+
+def _rule(
+    code: str, title: str, check: str, severity: Severity = Severity.WARNING
+) -> Rule:
+    place = f"animtool.validation.rules.{check}"
+    return Rule(code, title, severity, Kind.SCENE, place)
+
 
 RULES = (
     Rule("SCN001", "an option that a pass has not"),
@@ -38,4 +46,30 @@ RULES = (
         Severity.WARNING,
     ),
     Rule("SCN102", "the cycle that was found", Severity.NOTE),
+    _rule("SCN201", "a pass that changes nothing", "scene_passes:idle"),
+    _rule("SCN202", "a range beyond the take", "scene_passes:outside_take"),
+    _rule(
+        "SCN203",
+        "an output that is an input",
+        "scene_output:over_input",
+        Severity.ERROR,
+    ),
+    _rule(
+        "SCN204",
+        "an output that another scene writes too",
+        "scene_output:over_other",
+    ),
+    _rule("SCN205", "a rate that is nearly the take's", "scene_passes:near_rate"),
+    _rule("SCN206", "a rig that the source does not use", "scene_passes:unused_rig"),
+    _rule(
+        "SCN207",
+        "options of the output that a bake refuses",
+        "scene_output:refused",
+        Severity.ERROR,
+    ),
+    _rule(
+        "SCN208",
+        "`keep_curves` where no control has a curve",
+        "scene_output:without_curves",
+    ),
 )

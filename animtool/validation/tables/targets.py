@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 from animtool.errors import Severity
-from animtool.validation.rule import Rule
+from animtool.validation.rule import Kind, Rule
 
 __all__ = ["RULES"]
+
+
+def _rule(code: str, title: str, check: str, kind: Kind = Kind.TARGETS) -> Rule:
+    place = f"animtool.validation.rules.{check}"
+    return Rule(code, title, Severity.WARNING, kind, place)
+
 
 RULES = (
     Rule("TGT001", "an effector, root or chain that the rig lacks"),
@@ -56,4 +62,30 @@ RULES = (
         Severity.NOTE,
     ),
     Rule("TGT106", "targets many sizes of the rig away from it", Severity.WARNING),
+    _rule(
+        "TGT201",
+        "keys or spans outside the range that do nothing",
+        "targets_goals:outside_range",
+    ),
+    _rule("TGT202", "two goals that ask the same", "targets_goals:twice"),
+    _rule("TGT203", "a weight of 0 throughout", "targets_goals:weightless"),
+    _rule(
+        "TGT204",
+        "a span to hold in which nothing is asked",
+        "targets_goals:idle_holds",
+    ),
+    # A targets file names no rig; a scene names both.
+    _rule("TGT205", "a goal out of reach", "targets_reach:out_of_reach", Kind.SCENE),
+    _rule(
+        "TGT206",
+        "points that fit the rig in another unit",
+        "targets_reach:odd_unit",
+        Kind.SCENE,
+    ),
+    _rule(
+        "TGT207",
+        "what is asked in frames that the take has not",
+        "targets_reach:beyond_take",
+        Kind.SCENE,
+    ),
 )

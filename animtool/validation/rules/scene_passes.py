@@ -1,0 +1,71 @@
+"""The passes and the frames of a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from fractions import Fraction
+
+from animtool.config import find_config
+from animtool.errors import Fault
+from animtool.rates import rate_label
+from animtool.validation.subjects.scene import SceneSubject
+
+__all__ = ["idle", "near_rate", "outside_take", "unused_rig"]
+
+# Rates that differ by less are meant to be one: 24 and 23.976, 30 and 29.97 [1].
+NEAR_RATES = Fraction(1, 50)
+
+
+def idle(subject: SceneSubject) -> Iterator[Fault]:
+    """Yield passes that change nothing (SCN201)."""
+    for i in subject.idle:
+        name = subject.scene.passes[i].pass_.name
+        message = f"the pass {name} changes nothing"
+        hint = "leave it out, or give it the options that do"
+        yield subject.fault("SCN201", subject.at_pass(i), message, hint)
+
+
+def outside_take(subject: SceneSubject) -> Iterator[Fault]:
+    """Yield a range that reaches beyond what there is to write (SCN202)."""
+    scene, clock = subject.scene, subject.take.clock
+    wanted, start = scene.bake.frame_range, _start(subject)
+    if wanted is None or start is None:
+        return
+    last = start + clock.duration * (scene.bake.fps or clock.fps)
+    if start <= wanted.first and wanted.last <= last:
+        return
+    message = (
+        f"the range from {wanted.first} to {wanted.last} reaches beyond the take, "
+        f"which the output numbers {float(start):g} to {float(last):g}"
+    )
+    hint = "range counts as the output does, from its start"
+    yield subject.fault("SCN202", ("range",), message, hint)
+
+
+def _start(subject: SceneSubject) -> Fraction | None:
+    """Return the first time code of the output; None where a rig layer decides."""
+    bake = subject.scene.bake
+    if bake.start is not None or bake.rig_layer is not None:
+        return bake.start
+    if subject.start is not None:
+        return subject.start
+    return find_config(subject.scene.source).start or Fraction(1)
+
+
+def near_rate(subject: SceneSubject) -> Iterator[Fault]:
+    """Yield a rate that is nearly that of the take (SCN205)."""
+    given, own = subject.scene.bake.fps, subject.take.clock.rate
+    if given is None or given == own or abs(given - own) > NEAR_RATES * own:
+        return
+    message = f"the output has {rate_label(given)}, and the take {rate_label(own)}"
+    hint = "leave fps out; of a BVH that states a wrong rate, source.fps says the true"
+    yield subject.fault("SCN205", ("fps",), message, hint)
+
+
+def unused_rig(subject: SceneSubject) -> Iterator[Fault]:
+    """Yield a rig that the source does not use (SCN206)."""
+    if "rig" in subject.document.value and subject.scene.options.rig is None:
+        name = subject.scene.source.name
+        message = f"the rig is not used: {name!r} brings its own joints"
+        hint = "a rig is for clips; the pass ik and output.rig_layer name their own"
+        yield subject.fault("SCN206", ("rig",), message, hint)

@@ -1,0 +1,222 @@
+"""Targets on the take that a scene brings to them: what is too far, or too late.
+
+A targets file names no rig. These look at the scenes that name both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray
+from animtool.documents.document import Document, read_document
+from animtool.errors import Fault
+from animtool.ik.goals import Goal, Targets
+from animtool.ik.tracks import GoalTrack, TargetTracks
+from animtool.ik.values import Keyed, Rows, Still
+from animtool.rig.kinematics import WorldTransforms, rest_size
+from animtool.rig.limits import RangeLimit
+from animtool.rig.skeleton import Joint, JointType, Rig
+from animtool.take import Take
+from animtool.units import LengthUnit, unit_name
+from animtool.validation.rules.clip_keys import beyond
+from animtool.validation.subjects.scene import SceneSubject
+
+__all__ = ["beyond_take", "odd_unit", "out_of_reach"]
+
+# Of a chain's reach, beyond rounding and what limits of a tolerance leave [1].
+SLACK = 1e-3
+# Points farther from the root joint than so many sizes of the rig, all of them, are in
+# another unit, in which they would be nearer than LIKELY sizes [1].
+FAR, LIKELY = 8.0, 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """Targets of a scene, over the frames of its take.
+
+    Attributes:
+        document: Their file.
+        take: F frames.
+        tracks: E goals.
+        world: Where the joints are without them.
+        targets: Where the goals are.
+    """
+
+    document: Document
+    take: Take
+    tracks: TargetTracks
+    world: WorldTransforms
+    targets: Targets
+
+    def points(self, e: int) -> tuple[FloatArray, BoolArray]:
+        """Return where a goal's point is to be ``(F, 3)``, and when it is asked."""
+        weights = np.asarray(self.targets.weights)[:, e, 0]
+        asked = (weights > 0) & (self.tracks.goals[e].goal.position > 0)
+        return np.asarray(self.targets.positions)[:, e], np.asarray(asked)
+
+    @property
+    def unit(self) -> float:
+        """Of the lengths in the file [m]."""
+        given = self.document.value.get("units", {}).get("length")
+        return LengthUnit(given).meters if given else self.take.rig.meters_per_unit
+
+    def fault(self, code: str, e: int, key: str, message: str, hint: str) -> Fault:
+        """Return a fault of a goal, in the file of the targets."""
+        return self.document.fault(code, ("goals", e, key), message, hint)
+
+
+@lru_cache(maxsize=1)
+def _all_asked(subject: SceneSubject) -> tuple[_Asked, ...]:
+    found = []
+    for take, tracks in subject.asked:
+        world = take.world()
+        targets = tracks.sample(take.rig, take.clock, world)
+        document = read_document(tracks.path)
+        found.append(_Asked(document, take, tracks, world, targets))
+    return tuple(found)
+
+
+def out_of_reach(subject: SceneSubject) -> Iterator[Fault]:
+    """Yield goals that no bend of the whole chain reaches (TGT205)."""
+    for asked in _all_asked(subject):
+        rig, times = asked.take.rig, asked.take.clock.times
+        moving = _moving(rig, asked.tracks.goals)
+        for e, track in enumerate(asked.tracks.goals):
+            points, when = asked.points(e)
+            chain = _chain(rig, track.goal, moving)
+            if chain is None or not when.any():
+                continue
+            base, reach = _reach(rig, asked.world, track.goal, chain)
+            far = np.linalg.norm(points - base, axis=1)
+            over = np.where(when, far - reach * (1.0 + SLACK), 0.0)
+            frames = np.flatnonzero(over > 0)
+            if not len(frames):
+                continue
+            worst = int(np.argmax(far - reach + np.where(when, 0.0, -np.inf)))
+            message = (
+                f"{track.name!r} is {far[worst] - reach[worst]:.3g} m out of reach at "
+                f"frame {times[worst]:g}: {rig.joints[chain[0]].name!r} is "
+                f"{far[worst]:.3g} m away, and the chain is {reach[worst]:.3g} m long"
+            )
+            if len(frames) > 1:
+                message += f"; so it is in {len(frames)} frames"
+            hint = "bring it nearer, or let joints above move: root, or goals of theirs"
+            yield asked.fault("TGT205", e, "position", message, hint)
+
+
+def _moving(rig: Rig, goals: Sequence[GoalTrack]) -> frozenset[int]:
+    """Return the joints that some goal may move."""
+    found: set[int] = set()
+    for track in goals:
+        j = rig.index(track.goal.joint)
+        root = -1 if track.goal.root is None else rig.index(track.goal.root)
+        while j >= 0:
+            found.add(j)
+            j = -1 if j == root else rig.joints[j].parent
+    return frozenset(j for j in found if rig.joints[j].type is not JointType.FIXED)
+
+
+def _chain(rig: Rig, goal: Goal, moving: frozenset[int]) -> list[int] | None:
+    """Return the joints from the topmost that moves to a goal's own.
+
+    None where its length has no bound, or nothing moves.
+    """
+    path = [rig.index(goal.joint)]
+    while rig.joints[path[-1]].parent >= 0:
+        path.append(rig.joints[path[-1]].parent)
+    tops = [k for k, j in enumerate(path) if j in moving]
+    if not tops or goal.stretch:
+        return None
+    chain = path[tops[-1] :: -1]
+    if any(j in moving and _slides_freely(rig.joints[j]) for j in chain):
+        return None
+    return chain
+
+
+def _slides_freely(joint: Joint) -> bool:
+    free = joint.type is JointType.PRISMATIC and not isinstance(
+        joint.limits, RangeLimit
+    )
+    return free or joint.type is JointType.FREE
+
+
+def _reach(
+    rig: Rig, world: WorldTransforms, goal: Goal, chain: Sequence[int]
+) -> tuple[FloatArray, FloatArray]:
+    """Return where a chain hangs ``(F, 3)``, and how long it is at most ``(F,)``.
+
+    Straight, with every slide at its end: what limits of joints leave is less.
+    """
+    joints = world.positions[:, list(chain)]
+    bones = np.linalg.norm(np.diff(joints, axis=1), axis=2).sum(axis=1)
+    slides = sum(
+        limits.high - limits.low
+        for j in chain
+        if rig.joints[j].type is JointType.PRISMATIC
+        and isinstance(limits := rig.joints[j].limits, RangeLimit)
+    )
+    return joints[:, 0], bones + slides + float(np.linalg.norm(goal.offset))
+
+
+def odd_unit(subject: SceneSubject) -> Iterator[Fault]:
+    """Yield targets whose points fit the rig in another unit (TGT206)."""
+    for asked in _all_asked(subject):
+        size = rest_size(asked.take.rig)
+        own = asked.unit
+        still = [e for e, track in enumerate(asked.tracks.goals) if _is_written(track)]
+        points = [asked.points(e)[0][asked.points(e)[1]] for e in still]
+        found = np.concatenate(points) if points else np.zeros((0, 3))
+        if not len(found):
+            continue
+        root = asked.world.positions[0, asked.take.rig.roots[0]]
+        if np.linalg.norm(found - root, axis=1).min() <= FAR * size:
+            continue
+        fitting = [
+            unit
+            for unit in LengthUnit
+            if np.linalg.norm(found * (unit.meters / own) - root, axis=1).max()
+            <= LIKELY * size
+        ]
+        if fitting:
+            message = (
+                f"the points are {unit_name(own)}, and all farther from the rig than "
+                f"{FAR:g} times its size"
+            )
+            hint = f"units: {{length: {fitting[0]}}} fits better"
+            yield asked.fault("TGT206", still[0], "position", message, hint)
+
+
+def _is_written(track: GoalTrack) -> bool:
+    """Return whether a goal's points are numbers of the file, not a prim's."""
+    return isinstance(track.values["position"], Still | Keyed | Rows)
+
+
+def beyond_take(subject: SceneSubject) -> Iterator[Fault]:
+    """Yield what targets ask in frames that the take has not (TGT207)."""
+    for asked in _all_asked(subject):
+        times = asked.take.clock.times
+        first, last = float(times[0]), float(times[-1])
+        for e, track in enumerate(asked.tracks.goals):
+            for key, what in _late(track, first, last):
+                message = f"the {key} of {track.name!r} {what} in no frame of the take,"
+                message += f" which has {first:g} to {last:g}"
+                hint = "frames of targets count as the take does"
+                yield asked.fault("TGT207", e, key, message, hint)
+
+
+def _late(track: GoalTrack, first: float, last: float) -> Iterator[tuple[str, str]]:
+    """Yield keys of a goal that ask something outside of frames, and what."""
+    for part, value in track.values.items():
+        if isinstance(value, Keyed):
+            outside = beyond(value.channel, first, last)
+            if len(outside):
+                at = value.channel.times[outside[0]]
+                yield part, f"has a key at {at:g}, which counts"
+    for key, spans in (("hold", track.spans), ("during", track.during)):
+        for a, b in spans:
+            if b < first or a > last:
+                yield key, f"from {a:g} to {b:g} is"
