@@ -148,6 +148,7 @@ def _write(path: Path, text: str, report: Report) -> None:
     check_outputs([path], report.files, overwrite=True)
     with replacing(path) as temporary:
         try:
-            temporary.write_text(text, "utf-8", newline="")
+            # Names of files may hold bytes that are no text.
+            temporary.write_bytes(text.encode("utf-8", "replace"))
         except OSError as error:
             raise output_error(path, error) from error

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -120,3 +121,15 @@ def test_the_guide_shows_what_is_said(root: Path, tmp_path: Path) -> None:
     (tmp_path / "hero.rig.yaml").write_text(HERO, "utf-8")
     said = animtool("validate", "hero.rig.yaml", cwd=tmp_path).stdout
     assert f"\n```\n{said}```\n" in (root / "animtool/docs/guide.md").read_text("utf-8")
+
+
+def test_a_report_of_a_name_that_is_no_text(tmp_path: Path) -> None:
+    try:
+        (tmp_path / os.fsdecode(b"a\xff.rig.yaml")).write_text(WRONG, "utf-8")
+    except OSError:
+        pytest.skip("this file system has no such names")
+    for form in FORMATS:
+        animtool(
+            "validate", ".", "--format", form, "--output-file", "report", cwd=tmp_path
+        )
+        assert "DOC020" in (tmp_path / "report").read_text("utf-8")

@@ -7,10 +7,11 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
+from support.broken_usd import BROKEN, NEAR
 
 from animtool.errors import OptionError
 from animtool.validation.rule import Rule
-from animtool.validation.tables import RULES, all_rules, find_rule
+from animtool.validation.tables import RULES, all_rules, find_rule, page
 
 
 def test_every_code_is_in_the_table(root: Path) -> None:
@@ -29,6 +30,48 @@ def test_a_check_is_there_and_of_a_kind(rule: Rule) -> None:
     assert callable(rule.load())
     assert rule.kind is not None
     assert int(rule.code[-3:]) >= 201
+
+
+# Tests that have a file with the fault and one that is nearly so: those of the examples
+# of pages, by their language, and those of layers that are broken on purpose.
+EXAMPLES = {
+    "yaml": "validation/test_pages.py::test_the_examples_are_true",
+    "bvh": "validation/test_pages.py::test_lines_of_captures_are_true",
+    "usda": "usd/checks/test_pages.py::test_an_example_is_true",
+}
+LAYERS = "usd/checks/test_broken_layers.py::test_a_near_miss_has_no_finding"
+OTHERS = "usd/checks/test_usd_validators.py"
+VALIDATORS = {
+    "USD280": "test_a_finding_of_usd_names_its_validator_and_the_prim",
+    "USD283": "test_a_finding_of_usd_names_its_validator_and_the_prim",
+    "USD284": "test_a_finding_of_usd_names_its_validator_and_the_prim",
+    "USD285": "test_a_package_with_a_foreign_file_is_found",
+    "USD286": "test_a_validator_of_another_plug_in_has_a_code",
+}
+
+
+def shown_in(code: str) -> list[str]:
+    """Return the tests that a rule is shown in to find its fault, and nothing else."""
+    text = page(code) or ""
+    found = [
+        test
+        for language, test in EXAMPLES.items()
+        if len(re.findall(rf"^```{language}$", text, re.M)) == 2
+    ]
+    if code in {case.code for case in BROKEN} & {case.code for case in NEAR}:
+        found.append(LAYERS)
+    if code in VALIDATORS:
+        found.append(f"{OTHERS}::{VALIDATORS[code]}")
+    return found
+
+
+@pytest.mark.parametrize("code", [code for code in RULES if int(code[-3:]) >= 200])
+def test_every_rule_has_its_test(code: str, root: Path) -> None:
+    tests = shown_in(code)
+    assert tests
+    for test in tests:
+        path, _, name = test.partition("::")
+        assert f"def {name}(" in (root / "tests" / path).read_text("utf-8")
 
 
 def test_titles_are_lines() -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 from collections.abc import Sequence
 from importlib.metadata import version
@@ -45,9 +46,10 @@ def sarif_report(report: Report) -> str:
     places = {rule["id"]: i for i, rule in enumerate(described)}
     results = [_result(fault, places, sources) for fault in report.findings]
     _tell_apart(results)
+    named = dict.fromkeys(map(str, report.files))
     run = {
         "tool": {"driver": driver},
-        "artifacts": [{"location": _location(str(path))} for path in report.files],
+        "artifacts": [{"location": _location(path)} for path in named],
         "results": results,
         "columnKind": "unicodeCodePoints",
     }
@@ -74,7 +76,7 @@ def _result(fault: Fault, places: dict[str, int], sources: Sources) -> dict[str,
         "ruleId": fault.code,
         **({"ruleIndex": places[fault.code]} if fault.code in places else {}),
         "level": _LEVELS[fault.severity],
-        "message": {"text": f"{fault.message}{hint}"},
+        "message": {"text": _literal(f"{fault.message}{hint}")},
     }
     if fault.path is None:
         return {**found, "partialFingerprints": _fingerprint(fault, None)}
@@ -104,7 +106,12 @@ def _location(path: str) -> dict[str, str]:
     pure = PurePath(path)
     if pure.is_absolute():
         return {"uri": pure.as_uri()}
-    return {"uri": quote(pure.as_posix())}
+    return {"uri": quote(os.fsencode(pure.as_posix()))}
+
+
+def _literal(text: str) -> str:
+    """Return text of a message in which nothing is a placeholder (3.11.5)."""
+    return text.replace("{", "{{").replace("}", "}}")
 
 
 def _fingerprint(fault: Fault, line: str | None) -> dict[str, str]:

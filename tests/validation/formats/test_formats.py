@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import json
+import os
 import re
-from pathlib import Path
-from typing import Annotated, Literal
-from urllib.parse import unquote
+from pathlib import Path, PurePath
+from typing import Annotated, Any, Literal
+from urllib.parse import unquote_to_bytes
 from xml.etree import ElementTree
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from animtool.errors import Fault, Severity
 from animtool.validation.formats import FORMATS, written
@@ -110,6 +111,31 @@ def test_github_escapes_come_back(text: str) -> None:
     assert unescaped(found[3]) == text
 
 
+UNRESERVED = r"[A-Za-z0-9._~!$&'()*+,;=@-]|%[0-9A-F]{2}"
+ABSOLUTE = re.compile(rf"file:///(?:{UNRESERVED}|[:/])*")
+# A colon before the first slash would end a scheme.
+RELATIVE = re.compile(rf"(?!/)(?:{UNRESERVED})+(?:/(?:{UNRESERVED}|:)*)*")
+
+
+def uri_reference(text: str) -> str:
+    """Check that text is a URI of a file, or relative to one, by RFC 3986."""
+    assert ABSOLUTE.fullmatch(text) or RELATIVE.fullmatch(text), text
+    return text
+
+
+def unique(values: list[Any]) -> list[Any]:
+    """Check that no value is there twice."""
+    assert all(value not in values[:i] for i, value in enumerate(values))
+    return values
+
+
+def plain(text: str) -> str:
+    """Return a message as it is shown: section 3.11.5, and no placeholder in it."""
+    assert not re.search(r"(?<!\{)(?:\{\{)*\{(?!\{)", text), text
+    assert not re.search(r"(?<!\})(?:\}\})*\}(?!\})", text), text
+    return text.replace("{{", "{").replace("}}", "}")
+
+
 class Strict(BaseModel):
     """An object of the standard, with the properties that are used and no others."""
 
@@ -126,7 +152,7 @@ class Message(Strict):
 class ArtifactLocation(Strict):
     """Section 3.4."""
 
-    uri: Annotated[str, Field(pattern=r"^[A-Za-z0-9._~:/?@!$&'()*+,;=%-]+$")]
+    uri: Annotated[str, AfterValidator(uri_reference)]
 
 
 class Region(Strict):
@@ -180,7 +206,7 @@ class Configuration(Strict):
 class Descriptor(Strict):
     """Section 3.49."""
 
-    id: str
+    id: Annotated[str, Field(min_length=1)]
     shortDescription: Message  # noqa: N815
     defaultConfiguration: Configuration  # noqa: N815
     help: Message | None = None
@@ -189,9 +215,9 @@ class Descriptor(Strict):
 class Driver(Strict):
     """Section 3.19."""
 
-    name: str
-    version: str
-    rules: list[Descriptor]
+    name: Annotated[str, Field(min_length=1)]
+    version: Annotated[str, Field(min_length=1)]
+    rules: Annotated[list[Descriptor], AfterValidator(unique)]
 
 
 class Tool(Strict):
@@ -210,7 +236,7 @@ class Run(Strict):
     """Section 3.14."""
 
     tool: Tool
-    artifacts: list[Artifact]
+    artifacts: Annotated[list[Artifact], AfterValidator(unique)]
     results: list[Result]
     columnKind: Literal["utf16CodeUnits", "unicodeCodePoints"]  # noqa: N815
 
@@ -223,31 +249,88 @@ class Log(Strict):
     runs: list[Run]
 
 
-def test_sarif(report: Report) -> None:
-    text = written(report, "sarif")
-    (run,) = Log.model_validate_json(text).runs
+def checked(report: Report) -> Run:
+    """Return the one run of a report, checked as the standard has it."""
+    (run,) = Log.model_validate_json(written(report, "sarif")).runs
     rules = run.tool.driver.rules
     assert len({rule.id for rule in rules}) == len(rules)
+    assert {rule.id for rule in rules} <= {result.ruleId for result in run.results}
     assert len(run.results) == len(report.findings)
     for result, fault in zip(run.results, report.findings, strict=True):
-        assert result.ruleId == fault.code
-        if result.ruleIndex is not None:
-            assert rules[result.ruleIndex].id == fault.code
-        if fault.path:
-            assert result.locations
-            place = result.locations[0].physicalLocation
-            assert unquote(place.artifactLocation.uri) == Path(fault.path).as_posix()
+        check_result(result, fault, [rule.id for rule in rules])
+    prints = [result.partialFingerprints["animtool/v1"] for result in run.results]
+    assert len(set(prints)) == len(prints)
+    return run
+
+
+def check_result(result: Result, fault: Fault, rules: list[str]) -> None:
+    """Check a result against the finding that it is of."""
+    assert result.ruleId == fault.code
+    # 3.27.6: the index is of the rule with that id, and only such have one.
+    known = fault.code in rules
+    assert result.ruleIndex == (rules.index(fault.code) if known else None)
+    assert result.level == str(fault.severity)
+    said = plain(result.message.text)
+    assert said == fault.message + (f", {fault.hint}" if fault.hint else "")
+    assert bool(result.locations) == (fault.path is not None)
+    for location in result.locations or ():
+        place = location.physicalLocation
+        assert fault.path is not None
+        check_uri(place.artifactLocation.uri, fault.path)
+        if place.region is not None:
+            check_region(place.region, Path(fault.path))
+
+
+def check_uri(uri: str, path: str) -> None:
+    """Check that a URI leads to a file."""
+    if Path(path).is_absolute():
+        assert uri == Path(path).as_uri()
+    else:
+        assert os.fsdecode(unquote_to_bytes(uri)) == PurePath(path).as_posix()
+
+
+def check_region(region: Region, path: Path) -> None:
+    """Check that a region is in the text of a file, and its snippet what is there."""
+    if region.snippet is None:
+        return
+    lines = path.read_text("utf-8").split("\n")
+    assert region.startLine <= len(lines)
+    assert region.snippet.text == lines[region.startLine - 1]
+    # 3.30.6: the column behind the last character is that of the end of the line.
+    assert (region.startColumn or 1) <= len(region.snippet.text) + 1
+
+
+def test_sarif(report: Report) -> None:
+    run = checked(report)
     assert run.results[0].locations
     region = run.results[0].locations[0].physicalLocation.region
     assert region == Region(
         startLine=4, startColumn=10, snippet=Message(text="- {name: knee}")
     )
-    prints = [result.partialFingerprints["animtool/v1"] for result in run.results]
-    assert len(set(prints)) == len(prints)
+    rules = run.tool.driver.rules
     documented = next(rule for rule in rules if rule.id == "RIG201")
     assert documented.help
     assert documented.help.markdown
     assert "#" not in documented.help.text
+
+
+NAMES = st.text(
+    st.characters(exclude_categories=["Cs"], exclude_characters="/\\\0"),
+    min_size=1,
+    max_size=12,
+).filter(lambda name: name not in {".", ".."})
+
+
+@given(TEXTS, st.lists(NAMES, min_size=1, max_size=3), st.sampled_from(Severity))
+def test_sarif_takes_any_text(text: str, parts: list[str], severity: Severity) -> None:
+    path = "/".join(parts)
+    fault = Fault("RIG201", text, path, (3,), text, severity=severity, where=text)
+    checked(Report((Path(path), Path(path)), (fault, fault)))
+
+
+def test_sarif_of_names_that_are_no_text() -> None:
+    path = os.fsdecode(b"a\xff.rig.yaml")
+    checked(Report((Path(path),), (Fault("RIG001", "twice", path),)))
 
 
 def test_sarif_of_absolute_paths(tmp_path: Path) -> None:
@@ -296,7 +379,34 @@ def test_junit(report: Report) -> None:
     assert "RIG201" in (said.text or "")
 
 
-@given(st.text(max_size=60))
-def test_junit_takes_any_text(text: str) -> None:
-    made = written(Report((), (Fault("RIG001", text, "a"),)), "junit")
-    ElementTree.fromstring(made.encode("utf-8", "surrogatepass"))
+def shown(text: str) -> str:
+    """Return text as XML 1.0 can hold it, in an attribute."""
+    allowed = "\t\n\r" + "".join(map(chr, range(0x20, 0x7F)))
+    return "".join(
+        c if c in allowed or (c >= "\x7f" and c not in "\ufffe\uffff") else "\ufffd"
+        for c in text
+    )
+
+
+@given(st.text(max_size=60), st.sampled_from(Severity))
+def test_junit_takes_any_text(text: str, severity: Severity) -> None:
+    fault = Fault("RIG001", text, "a", severity=severity)
+    made = written(Report((Path("a"),), (fault,)), "junit")
+    root = ElementTree.fromstring(made.encode("utf-8"))
+    check_junit(root)
+    ((case,),) = root
+    (entry,) = case
+    # A parser makes one line break of each way to write one.
+    lines = re.sub("\r\n?", "\n", shown(str(fault)))
+    assert re.sub("\r\n?", "\n", entry.text or "") == lines
+    failed = severity is Severity.ERROR
+    assert entry.tag == ("failure" if failed else "system-out")
+    if failed:
+        assert entry.attrib["type"] == "RIG001"
+        assert entry.attrib["message"] == shown(text)
+
+
+def test_junit_of_names_that_are_no_text() -> None:
+    path = os.fsdecode(b"a\xff.rig.yaml")
+    made = written(Report((Path(path),), (Fault("RIG001", "twice", path),)), "junit")
+    check_junit(ElementTree.fromstring(made.encode("utf-8")))
