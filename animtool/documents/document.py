@@ -471,7 +471,7 @@ class _Open:
         if self.key is not None:
             self.made[self.key] = value
             self.key = None
-            if self.flow:
+            if self.flow and (self.pieces or "(" in plain):
                 self._piece(value, place, reader, plain)
             return
         if not isinstance(value, str):

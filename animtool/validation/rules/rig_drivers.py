@@ -30,6 +30,7 @@ POSES = 2048
 AT_ENDS = 0.8
 # Beyond rounding of degrees in a file [rad], [m]; of a range, as a share [1].
 SLACK = 1e-6
+_NONE: FloatArray = np.zeros(1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,9 +47,18 @@ class _Sweep:
     keyed: dict[str, FloatArray]
     driven: DrivenValues
 
+    def spread(self, values: FloatArray) -> FloatArray:
+        """Return a value for each frame ``(F,)``."""
+        return np.broadcast_to(values, len(self.moved))
+
+    def keys(self, frame: int) -> str:
+        """Return which control is where in a frame."""
+        name = self.moved[frame].name
+        return f"{name!r} at {float(self.keyed[name][frame]):g}"
+
     def worst(self, excess: FloatArray) -> Iterator[tuple[Control, int]]:
         """Yield controls that lead beyond something, and the frame where most."""
-        wide = np.broadcast_to(np.abs(excess), len(self.moved))
+        wide = self.spread(np.abs(excess))
         worst: dict[str, int] = {}
         for frame in np.flatnonzero(wide > SLACK).tolist():
             name = self.moved[frame].name
@@ -62,19 +72,12 @@ class _Sweep:
 def beyond_limits(rig: RigSubject) -> Iterator[Fault]:
     """Yield controls that drive a joint beyond its limits (RIG204)."""
     sweep = _sweep(rig)
-    if sweep is None:
-        return
     for joint in rig.rig.joints:
         excess = _excess(joint, sweep.driven.targets)
-        if excess is None:
-            continue
         for control, frame in sweep.worst(excess):
-            value = float(sweep.keyed[control.name][frame])
-            far = float(np.broadcast_to(excess, len(sweep.moved))[frame])
-            message = (
-                f"{control.name!r} at {value:g} drives {joint.name!r} "
-                f"{shown(rig, joint, abs(far))} beyond its limits"
-            )
+            far = shown(rig, joint, abs(float(sweep.spread(excess)[frame])))
+            message = f"{sweep.keys(frame)} drives {joint.name!r} {far} beyond its "
+            message += "limits"
             at = _drive(rig, control, f"joint/{joint.name}.")
             hint = "widen the limits, or drive it less far"
             yield rig.fault("RIG204", at, message, hint)
@@ -83,8 +86,6 @@ def beyond_limits(rig: RigSubject) -> Iterator[Fault]:
 def beyond_range(rig: RigSubject) -> Iterator[Fault]:
     """Yield controls that drive another beyond its range (RIG206)."""
     sweep = _sweep(rig)
-    if sweep is None:
-        return
     for control in rig.rig.controls:
         if control.low is None or control.high is None:
             continue
@@ -92,11 +93,10 @@ def beyond_range(rig: RigSubject) -> Iterator[Fault]:
         width = max(control.high - control.low, SLACK)
         excess = (reached - np.clip(reached, control.low, control.high)) / width
         for by, frame in sweep.worst(excess):
-            value = float(sweep.keyed[by.name][frame])
-            there = float(np.broadcast_to(reached, len(sweep.moved))[frame])
             message = (
-                f"{by.name!r} at {value:g} drives {control.name!r} to {there:.4g}; its "
-                f"range is {control.low:g} to {control.high:g}"
+                f"{sweep.keys(frame)} drives {control.name!r} to "
+                f"{float(sweep.spread(reached)[frame]):.4g}; its range is "
+                f"{control.low:g} to {control.high:g}"
             )
             at = _drive(rig, by, f"control/{control.name}")
             hint = "clamp(…) in the expression, or a wider range"
@@ -106,14 +106,12 @@ def beyond_range(rig: RigSubject) -> Iterator[Fault]:
 def undefined(rig: RigSubject) -> Iterator[Fault]:
     """Yield drives that have no value somewhere in a control's range (RIG207)."""
     sweep = _sweep(rig)
-    if sweep is None:
-        return
     values = sweep.driven.controls
     for control in rig.rig.controls:
         for k, drive in enumerate(control.drives):
             with np.errstate(all="ignore"):
                 added = drive.evaluate(control.name, values)
-            wrong = np.broadcast_to(~np.isfinite(added), len(sweep.moved))
+            wrong = sweep.spread(~np.isfinite(added))
             if not wrong.any():
                 continue
             frame = int(wrong.argmax())
@@ -167,13 +165,11 @@ def idle(rig: RigSubject) -> Iterator[Fault]:
 
 
 @lru_cache(maxsize=1)
-def _sweep(rig: RigSubject) -> _Sweep | None:
+def _sweep(rig: RigSubject) -> _Sweep:
     """Return what each control does while the others are at their defaults."""
     controls = rig.rig.controls
     ranges = {control.name: _values(control) for control in controls}
     count = sum(map(len, ranges.values()))
-    if not count:
-        return None
     keyed: dict[str, FloatArray] = {}
     moved: list[Control] = []
     for control in controls:
@@ -197,23 +193,23 @@ def _values(control: Control) -> FloatArray:
     return np.array(sorted(set(np.clip(found, control.low, control.high).tolist())))
 
 
-def _excess(joint: Joint, targets: dict[str, FloatArray]) -> FloatArray | None:
-    """Return how far controls drive a joint beyond its limits ``(F,)``."""
+def _excess(joint: Joint, targets: dict[str, FloatArray]) -> FloatArray:
+    """Return how far controls drive a joint beyond its limits ``(F,)`` or ``(1,)``."""
     if isinstance(joint.limits, RangeLimit):
         part = "slide" if joint.type == "prismatic" else "angle"
         value = targets.get(f"joint/{joint.name}.{part}")
-        return None if value is None else joint.limits.excess(value)
+        return _NONE if value is None else joint.limits.excess(value)
     if isinstance(joint.limits, BallLimit):
         names = [f"joint/{joint.name}.rotation.{axis}" for axis in "xyz"]
-        if not any(name in targets for name in names):
-            return None
-        parts = [targets.get(name, np.zeros(1)) for name in names]
-        if _well_within(joint.limits, parts):
-            return None
+        parts = [targets.get(name, _NONE) for name in names]
+        if not any(name in targets for name in names) or _well_within(
+            joint.limits, parts
+        ):
+            return _NONE
         turn = so3.exp(np.stack(np.broadcast_arrays(*parts), axis=-1))
         finite = np.isfinite(turn).all(axis=-1, keepdims=True)
         return joint.limits.excess(np.where(finite, turn, so3.IDENTITY))
-    return None
+    return _NONE
 
 
 def _well_within(limits: BallLimit, parts: list[FloatArray]) -> bool:

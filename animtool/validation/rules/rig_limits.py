@@ -40,7 +40,7 @@ def rest_outside(rig: RigSubject) -> Iterator[Fault]:
                 message = f"{joint.name!r} may twist from {ends}, and rests outside"
             case _:
                 continue
-        if joint.name in _mirrored(rig):
+        if joint.name in rig.mirrored:
             continue
         yield rig.fault("RIG201", at, message, hint)
 
@@ -55,7 +55,7 @@ def motionless(rig: RigSubject) -> Iterator[Fault]:
                 still = max(a, b, high - low) <= SLACK
             case _:
                 continue
-        if still and joint.name not in _mirrored(rig):
+        if still and joint.name not in rig.mirrored:
             at = (*rig.at("joints", joint.name), "limits")
             message = f"the {joint.type} joint {joint.name!r} can go nowhere"
             yield rig.fault("RIG202", at, message, "type: fixed says so")
@@ -69,7 +69,7 @@ def across(rig: RigSubject) -> Iterator[Fault]:
         if not isinstance(limits, BallLimit) or limits.twist is None or bone is None:
             continue
         if abs(float(bone @ np.array(limits.twist_axis))) < ACROSS:
-            if joint.name in _mirrored(rig):
+            if joint.name in rig.mirrored:
                 continue
             at = (*rig.at("joints", joint.name), "limits", "twist_axis")
             axis = _rounded(np.array(limits.twist_axis))
@@ -87,7 +87,7 @@ def follower(rig: RigSubject) -> Iterator[Fault]:
         if joint.mimic is None or not isinstance(joint.limits, RangeLimit):
             continue
         leader = rig.rig.joints[rig.rig.index(joint.mimic.joint)]
-        if not isinstance(leader.limits, RangeLimit) or joint.name in _mirrored(rig):
+        if not isinstance(leader.limits, RangeLimit) or joint.name in rig.mirrored:
             continue
         for end in (leader.limits.low, leader.limits.high):
             value = joint.mimic.gain * end + joint.mimic.offset
@@ -112,12 +112,6 @@ def shown(rig: RigSubject, joint: Joint, value: float) -> str:
     unit = rig.rig.radians_per_unit
     name = " rad" if unit == 1.0 else "\N{DEGREE SIGN}"
     return f"{value / unit:.4g}{name}"
-
-
-def _mirrored(rig: RigSubject) -> frozenset[str]:
-    """Return the joints that a mirror wrote, which share their entry's faults."""
-    entries = rig.written("joints")
-    return frozenset(entry["mirror"] for entry in entries if "mirror" in entry)
 
 
 def _bone(rig: RigSubject, i: int) -> FloatArray | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from functools import lru_cache
 
 import numpy as np
 
@@ -45,8 +46,7 @@ def other_side(name: str) -> str | None:
 
 def other_place(rig: RigSubject) -> Iterator[Fault]:
     """Yield bones of a pair that are no mirror images at rest (RIG212)."""
-    pairs = _pairs(rig)
-    alike = _alike(rig, pairs)
+    pairs, alike = _compared(rig)
     if not _symmetric(alike):
         return
     for (left, right), same in zip(pairs, alike.tolist(), strict=True):
@@ -59,8 +59,8 @@ def other_place(rig: RigSubject) -> Iterator[Fault]:
 
 def other_limits(rig: RigSubject) -> Iterator[Fault]:
     """Yield joints of a pair with other types or limits (RIG213)."""
-    pairs = _pairs(rig)
-    if not _symmetric(_alike(rig, pairs)):
+    pairs, alike = _compared(rig)
+    if not _symmetric(alike):
         return
     for left, right in pairs:
         what = "limits"
@@ -74,6 +74,13 @@ def other_limits(rig: RigSubject) -> Iterator[Fault]:
             message = f"{right.name!r} has other limits than {left.name!r}"
         hint = f"mirror: {right.name} in {left.name!r} writes it"
         yield rig.fault("RIG213", at, message, hint)
+
+
+@lru_cache(maxsize=1)
+def _compared(rig: RigSubject) -> tuple[list[tuple[Joint, Joint]], BoolArray]:
+    """Return the pairs of a rig, and which are mirror images."""
+    pairs = _pairs(rig)
+    return pairs, _alike(rig, pairs)
 
 
 def _pairs(rig: RigSubject) -> list[tuple[Joint, Joint]]:

@@ -40,12 +40,27 @@ class RigSubject(DocumentSubject):
         A joint that a mirror wrote is where the other side is; what comes from
         another file is where that is named.
         """
-        entries = self.written(key)
-        for label in ("name", "mirror"):
-            for i, entry in enumerate(entries):
-                if entry.get(label) == name:
-                    return (key, i)
+        place = self._places.get((key, name))
+        if place is not None:
+            return place
         return ("from",) if "from" in self.document.value else (key,)
+
+    @cached_property
+    def _places(self) -> dict[tuple[str, str], Location]:
+        """Where the entries of lists stand, by list and name, then by mirror."""
+        found: dict[tuple[str, str], Location] = {}
+        for label in ("name", "mirror"):
+            for key in self.document.value:
+                for i, entry in enumerate(self.written(key)):
+                    if isinstance(entry, dict) and isinstance(entry.get(label), str):
+                        found.setdefault((key, entry[label]), (key, i))
+        return found
+
+    @cached_property
+    def mirrored(self) -> frozenset[str]:
+        """The joints that a mirror wrote, which share their entry's faults."""
+        entries = self.written("joints")
+        return frozenset(entry["mirror"] for entry in entries if "mirror" in entry)
 
     @cached_property
     def rest(self) -> tuple[FloatArray, FloatArray]:
