@@ -27,8 +27,9 @@ SLACK = 1e-6
 # Keys so near [frame] are of a curve that was sampled, in which angles jump by a
 # whole turn and mean none.
 SAMPLED = 2.0
-# A turn beyond which the other way round is shorter [rad].
-HALF = math.pi
+# Angles that go farther from a key to the next, while what they mean is nearer, take a
+# way round: by a whole turn, or by half a turn of two of three [rad].
+FAR, NEAR = math.radians(150.0), math.radians(90.0)
 # Ends of a cycle that differ by less are seen as one [rad]; of all its values [1].
 OPEN = 1e-3
 
@@ -119,10 +120,10 @@ def wrong_way_round(subject: ClipSubject) -> Iterator[Fault]:
 def _flips(channel: ClipChannel) -> IntArray:
     """Return the keys behind which angles go round for nothing."""
     near = np.diff(channel.times) <= SAMPLED
-    far = (np.abs(np.diff(channel.values, axis=0)) > HALF).any(axis=1)
+    far = (np.abs(np.diff(channel.values, axis=0)) > FAR).any(axis=1)
     moving = np.array([how is not Interp.STEP for how in channel.interps[:-1]], bool)
     found = np.flatnonzero(near & far & moving)
-    return found[[_shortest(channel, k) < HALF / 2 for k in found.tolist()]]
+    return found[[_shortest(channel, k) < NEAR for k in found.tolist()]]
 
 
 def _shortest(channel: ClipChannel, k: int) -> float:
@@ -156,7 +157,7 @@ def open_cycles(subject: ClipSubject) -> Iterator[Fault]:
 def _meets(channel: ClipChannel) -> bool:
     """Return whether a channel ends as it begins; whole turns are none."""
     first, last = channel.values[0], channel.values[-1]
-    if channel.target.endswith(".angle") and abs(last[0] - first[0]) > HALF:
+    if channel.target.endswith(".angle") and abs(last[0] - first[0]) > FAR:
         return abs(math.remainder(float(last[0] - first[0]), math.tau)) <= OPEN
     if channel.euler or channel.values.shape[1] == 4:
         ends = _at(channel, channel.times[[0, -1]])

@@ -9,8 +9,10 @@ from pathlib import Path
 
 from animtool.clip.points import joint_bounds
 from animtool.documents.document import read_document
+from animtool.documents.variables import resolve_variables
 from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.scene.options import BakeOptions, check_options
+from animtool.scene.schema import SceneModel
 from animtool.scene.sources import SCENE_SUFFIXES
 from animtool.validation.subjects.scene import SceneSubject
 
@@ -66,9 +68,12 @@ def over_other(subject: SceneSubject) -> Iterator[Fault]:
 def _output(path: Path, _changed: int, _size: int) -> Path | None:
     """Return the file that a scene writes, once a scene and version of it."""
     try:
-        written = read_document(path).value.get("output")
+        document = read_document(path)
+        resolve_variables(document, SceneModel, {})
+        document.check()
     except AnimtoolError:
         return None
+    written = document.value.get("output")
     name = written.get("file") if isinstance(written, dict) else None
     return (path.parent / name).resolve() if isinstance(name, str) else None
 

@@ -1,0 +1,111 @@
+"""Rules on clips beyond the examples of their pages: other ways to have the fault."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from animtool.validation.run import validate
+
+RIG = """\
+rig: animtool/1
+name: page
+joints:
+- {name: hips, type: free}
+- {name: wheel, parent: hips, type: pin, axis: [1, 0, 0]}
+- {name: arm, parent: hips, type: ball, translate: [0, 0.5, 0], limits: {swing: 60}}
+controls:
+- {name: curl, range: [0, 1], drives: [{joint: wheel.angle, expr: curl * 90}]}
+"""
+HEAD = "clip: animtool/1\nrig: page.rig.yaml\nfps: 24\n"
+EULER = "channels: [{{target: joint/{}, {}interp: linear, keys: [{}]}}]\n"
+WHEEL = "channels: [{target: joint/wheel.angle, interp: linear, post: cycle, keys: "
+CASES: dict[str, tuple[str, list[str]]] = {
+    "a ball that swings out of its cone between keys": (
+        "channels: [{target: joint/arm.rotation, euler: XYZ, tangents: auto, keys: "
+        "[{t: 1, v: [0, 0, 0]}, {t: 9, v: [59, 0, 0]}, {t: 17, v: [59, 0, 0]}, "
+        "{t: 25, v: [0, 0, 0]}]}]\n",
+        ["CLIP102", "CLIP205"],
+    ),
+    "a ball that swings out at a key": (
+        "channels: [{target: joint/arm.rotation, euler: XYZ, interp: linear, keys: "
+        "[{t: 1, v: [0, 0, 0]}, {t: 9, v: [70, 0, 0]}, {t: 17, v: [0, 0, 0]}]}]\n",
+        ["CLIP102"],
+    ),
+    "a control that eases": (
+        "channels: [{target: control/curl, keys: "
+        "[{t: 1, v: 0}, {t: 9, v: 1}, {t: 17, v: 1}, {t: 25, v: 0}]}]\n",
+        [],
+    ),
+    "an angle that flips": (
+        EULER.format("wheel.angle", "", "{t: 1, v: 179}, {t: 2, v: -179}"),
+        ["CLIP206"],
+    ),
+    "an angle that turns round slowly": (
+        EULER.format("wheel.angle", "", "{t: 1, v: 0}, {t: 49, v: 1080}"),
+        [],
+    ),
+    "angles that flip, but step": (
+        EULER.format(
+            "hips.rotation",
+            "euler: XYZ, ",
+            "{t: 1, v: [0, 0, 178], interp: step}, {t: 2, v: [0, 0, -178]}",
+        ),
+        [],
+    ),
+    "angles that flip two of three": (
+        EULER.format(
+            "hips.rotation",
+            "euler: XYZ, ",
+            "{t: 1, v: [0, 89, 0]}, {t: 2, v: [180, 91, 180]}",
+        ),
+        ["CLIP206"],
+    ),
+    "a wheel that cycles whole turns": (
+        f"range: [1, 48]\n{WHEEL}[{{t: 1, v: 0}}, {{t: 13, v: 360}}]}}]\n",
+        [],
+    ),
+    "a wheel that cycles three quarters": (
+        f"range: [1, 48]\n{WHEEL}[{{t: 1, v: 0}}, {{t: 25, v: 270}}]}}]\n",
+        ["CLIP203", "CLIP207"],
+    ),
+    "an open cycle that is never repeated": (
+        f"range: [1, 25]\n{WHEEL}[{{t: 1, v: 0}}, {{t: 25, v: 270}}]}}]\n",
+        [],
+    ),
+    "a cycle of one key": (
+        f"range: [1, 25]\n{WHEEL}[{{t: 1, v: 20}}]}}]\n",
+        [],
+    ),
+    "a joint that leaps and is back": (
+        EULER.format(
+            "hips.rotation",
+            "euler: XYZ, ",
+            "{t: 1, v: [0, 0, 0]}, {t: 9, v: [0, 0, 2]}, {t: 10, v: [80, 0, 2]}, "
+            "{t: 11, v: [0, 0, 2]}, {t: 20, v: [0, 0, 4]}",
+        ),
+        ["CLIP203"],
+    ),
+}
+
+
+@pytest.fixture
+def clip(tmp_path: Path) -> Path:
+    (tmp_path / "page.rig.yaml").write_text(RIG, "utf-8")
+    return tmp_path / "page.clip.yaml"
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_clip(name: str, clip: Path) -> None:
+    text, wanted = CASES[name]
+    clip.write_text(HEAD + text, "utf-8")
+    assert sorted(fault.code for fault in validate(clip)) == wanted
+
+
+def test_overshoot_names_its_key_and_frames(clip: Path) -> None:
+    clip.write_text(HEAD + CASES["a ball that swings out of its cone between keys"][0])
+    (fault,) = [fault for fault in validate(clip) if fault.code == "CLIP205"]
+    assert fault.lines == (4,)
+    assert fault.where == "channels[0].keys[1]"
+    assert "frames 10 to 16" in fault.message

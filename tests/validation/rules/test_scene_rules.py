@@ -1,0 +1,136 @@
+"""Rules on scenes and what they solve, beyond the examples of their pages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from animtool.errors import Severity
+from animtool.scene.file import load_scene
+from animtool.validation.run import validate
+
+RIG = """\
+rig: animtool/1
+name: limb
+joints:
+- {name: base, type: TYPE, translate: [0, 1, 0]}
+- {name: upper, parent: base, type: ball}
+- {name: lower, parent: upper, type: pin, axis: [1, 0, 0], translate: [0, -0.4, 0]}
+- {name: hand, parent: lower, type: HAND, translate: [0, -0.4, 0]}
+ik: [{name: arm, root: upper, tip: hand, pole_dir: [0, 0, -1]}]
+"""
+CLIP = """\
+clip: animtool/1
+rig: limb.rig.yaml
+fps: 24
+channels: [{target: joint/lower.angle, keys: [{t: 1, v: 20}, {t: 12, v: 60}]}]
+"""
+SCENE = "scene: animtool/1\nsource: {file: limb.clip.yaml}\n"
+SOLVED = f"{SCENE}passes: [{{ik: {{targets: page.targets.yaml}}}}]\n"
+TARGETS = "targets: animtool/1\nunits: {length: m}\nfps: 24\ngoals:\n"
+FAR = "- {effector: arm, position: [0, 0.2, 0.6]}\n"
+HIPS = "- {effector: base, position: [0, 0.9, 0.2]}\n"
+
+
+@pytest.fixture
+def shot(tmp_path: Path) -> Path:
+    write_rig(tmp_path)
+    (tmp_path / "limb.clip.yaml").write_text(CLIP, "utf-8")
+    return tmp_path / "shot.scene.yaml"
+
+
+def write_rig(folder: Path, base: str = "fixed", hand: str = "fixed") -> None:
+    text = RIG.replace("TYPE", base).replace("HAND", hand)
+    (folder / "limb.rig.yaml").write_text(text, "utf-8")
+
+
+def codes(path: Path) -> list[str]:
+    return [fault.code for fault in validate(path)]
+
+
+@pytest.mark.parametrize(
+    ("base", "hand", "goals", "wanted"),
+    [
+        ("fixed", "fixed", FAR, ["TGT205"]),
+        # The chain's root is its topmost joint; what is above moves for no goal.
+        ("free", "fixed", FAR, ["TGT205"]),
+        ("free", "fixed", FAR + HIPS, []),
+        ("fixed", "prismatic, axis: [0, 1, 0], limits: [0, 0.4]", FAR, []),
+        ("fixed", "prismatic, axis: [0, 1, 0], limits: [0, 0.1]", FAR, ["TGT205"]),
+        ("fixed", "prismatic, axis: [0, 1, 0]", FAR, []),
+        ("fixed", "fixed", FAR.replace("}", ", stretch: 0.5}"), []),
+        ("fixed", "fixed", FAR.replace("}", ", offset: [0, -0.3, 0]}"), []),
+        ("fixed", "fixed", FAR.replace("}", ", during: [[30, 40]]}"), ["TGT207"]),
+    ],
+)
+def test_reach(base: str, hand: str, goals: str, wanted: list[str], shot: Path) -> None:
+    write_rig(shot.parent, base, hand)
+    shot.write_text(SOLVED, "utf-8")
+    (shot.parent / "page.targets.yaml").write_text(TARGETS + goals, "utf-8")
+    found = [c for c in codes(shot) if c.startswith("TGT2")]
+    assert found == wanted
+
+
+def test_a_goal_out_of_reach_is_said_of_its_line(shot: Path) -> None:
+    shot.write_text(SOLVED, "utf-8")
+    targets = shot.parent / "page.targets.yaml"
+    targets.write_text(TARGETS + FAR, "utf-8")
+    (fault,) = [fault for fault in validate(shot) if fault.code == "TGT205"]
+    assert fault.path is not None
+    assert Path(fault.path).name == targets.name
+    assert fault.lines == (5,)
+    assert "0.2 m out of reach" in fault.message
+    assert "12 frames" in fault.message
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("output: {file: shot.usda, start: 1001}\nrange: [1001, 1012]\n", []),
+        ("output: {file: shot.usda, start: 1001}\nrange: [1, 12]\n", ["SCN202"]),
+        ("fps: 48\nrange: [1, 23]\n", []),
+        ("fps: 48\nrange: [1, 24]\n", ["SCN202"]),
+        ("passes: [{time_scale: {speed: 1}}]\n", ["SCN201"]),
+        ("passes: [{time_scale: {speed: 2}}]\n", []),
+        ("output: {file: o.usda, reduce: 1mm, reduce_at: {paw: 2mm}}\n", ["SCN207"]),
+        ("output: {file: o.usda, reduce: 1mm, reduce_at: {hand: 2mm}}\n", []),
+        ("output: {file: o.usda, reduce_at: {hand: 2mm}}\n", ["SCN207"]),
+    ],
+)
+def test_a_scene(text: str, wanted: list[str], shot: Path) -> None:
+    shot.write_text(SCENE + text, "utf-8")
+    assert codes(shot) == wanted
+
+
+def test_scenes_that_write_one_file_are_found_while_they_do(shot: Path) -> None:
+    other = shot.with_name("other.scene.yaml")
+    text = f"{SCENE}output: {{file: o.usda}}\n"
+    shot.write_text(text, "utf-8")
+    other.write_text(f"{SCENE}variables: {{o: o}}\noutput: {{file: '${{o}}.usda'}}\n")
+    assert codes(shot.parent).count("SCN204") == 2
+    other.write_text(f"{SCENE}output: {{file: another.usda}}\n", "utf-8")
+    assert codes(shot.parent) == []
+    other.write_text("scene: [", "utf-8")
+    assert codes(shot) == []
+
+
+def test_a_scene_that_writes_over_its_source_is_an_error(shot: Path) -> None:
+    (shot.parent / "a.usda").write_text("#usda 1.0\n", "utf-8")
+    text = f"{SCENE}output: {{file: a.usda, as: layer, rig_layer: a.usda}}\n"
+    shot.write_text(text, "utf-8")
+    (fault,) = validate(shot)
+    assert (fault.code, fault.severity) == ("SCN203", Severity.ERROR)
+
+
+def test_the_last_step_is_what_a_scene_opens_as(shot: Path) -> None:
+    passes = "passes: [{mirror: {}}, {trim: {first: 3}}, {time_scale: {speed: 2}}]\n"
+    shot.write_text(SCENE + passes, "utf-8")
+    scene = load_scene(shot)
+    steps = list(scene.steps())
+    opened = scene.open().collect()
+    assert len(steps) == 4
+    assert steps[-1][0].clock == opened.clock
+    assert (
+        steps[-1][0].motion.rotations.dense() == opened.motion.rotations.dense()
+    ).all()
