@@ -10,7 +10,7 @@ from typing import Any, cast
 from animtool.errors import Fault, Severity
 from animtool.plugins import load_object
 
-__all__ = ["Check", "Kind", "Rule"]
+__all__ = ["Check", "Kind", "Rule", "own_rule"]
 
 Check = Callable[[Any], Iterable[Fault]]
 
@@ -49,3 +49,19 @@ class Rule:
     def load(self) -> Check:
         """Return the function of a rule that has one."""
         return cast(Check, load_object(self.check))
+
+
+def own_rule(
+    kind: Kind,
+    code: str,
+    title: str,
+    check: str,
+    severity: Severity = Severity.WARNING,
+) -> Rule:
+    """Return a rule whose check is a function of a module of ``validation.rules``.
+
+    >>> own_rule(Kind.RIG, "RIG219", "names alike", "names:in_rig").check
+    'animtool.validation.rules.names:in_rig'
+    """
+    place = f"animtool.validation.rules.{check}"
+    return Rule(code, title, severity, kind, place)

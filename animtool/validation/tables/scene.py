@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from animtool.errors import Severity
-from animtool.validation.rule import Kind, Rule
+from animtool.validation.rule import Kind, Rule, own_rule
 
 __all__ = ["RULES"]
 
-
-def _rule(
-    code: str, title: str, check: str, severity: Severity = Severity.WARNING
-) -> Rule:
-    place = f"animtool.validation.rules.{check}"
-    return Rule(code, title, severity, Kind.SCENE, place)
+_rule = partial(own_rule, Kind.SCENE)
 
 
 RULES = (

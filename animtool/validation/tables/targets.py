@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from animtool.errors import Severity
-from animtool.validation.rule import Kind, Rule
+from animtool.validation.rule import Kind, Rule, own_rule
 
 __all__ = ["RULES"]
 
-
-def _rule(code: str, title: str, check: str, kind: Kind = Kind.TARGETS) -> Rule:
-    place = f"animtool.validation.rules.{check}"
-    return Rule(code, title, Severity.WARNING, kind, place)
+_rule = partial(own_rule, Kind.TARGETS)
+# A targets file names no rig; a scene names both.
+_of_scene = partial(own_rule, Kind.SCENE)
 
 
 RULES = (
@@ -74,18 +75,13 @@ RULES = (
         "a span to hold in which nothing is asked",
         "targets_goals:idle_holds",
     ),
-    # A targets file names no rig; a scene names both.
-    _rule("TGT205", "a goal out of reach", "targets_reach:out_of_reach", Kind.SCENE),
-    _rule(
-        "TGT206",
-        "points that fit the rig in another unit",
-        "targets_reach:odd_unit",
-        Kind.SCENE,
+    _of_scene("TGT205", "a goal out of reach", "targets_reach:out_of_reach"),
+    _of_scene(
+        "TGT206", "points that fit the rig in another unit", "targets_reach:odd_unit"
     ),
-    _rule(
+    _of_scene(
         "TGT207",
         "what is asked in frames that the take has not",
         "targets_reach:beyond_take",
-        Kind.SCENE,
     ),
 )
