@@ -211,6 +211,7 @@ def test_a_scene_is_refused(
 
 def test_no_code_is_left_out() -> None:
     text = "".join(path.read_text("utf-8") for path in PACKAGE.rglob("*.py"))
-    spoken = set(re.findall(r"SCN\d{3}", text))
+    # From 201 they are what validate looks for: tests/validation raises these.
+    spoken = set(re.findall(r"SCN[01]\d{2}", text))
     raised = {case.code for case in CASES.values()} | {c for c, _ in SCENES.values()}
     assert raised | ELSEWHERE == spoken

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-__all__ = ["CAPTURE", "make_stage"]
+__all__ = ["CAPTURE", "HOPS", "make_stage"]
 
 WALKER = """\
 rig: animtool/1
@@ -126,6 +126,55 @@ Frame Time: 0.0333333
 0 0 0
 0 0 5
 """
+# Both legs swing, one forward, one back.
+HOPS = """\
+HIERARCHY
+ROOT hips
+{
+  OFFSET 0 0 0
+  CHANNELS 1 Xrotation
+  JOINT leg_l
+  {
+    OFFSET 10 0 0
+    CHANNELS 2 Yposition Xrotation
+    End Site
+    {
+      OFFSET 0 -10 0
+    }
+  }
+  JOINT leg_r
+  {
+    OFFSET -10 0 0
+    CHANNELS 1 Xrotation
+    End Site
+    {
+      OFFSET 0 -10 0
+    }
+  }
+}
+MOTION
+Frames: 8
+Frame Time: 0.0333333
+0 0 0 0
+2 0 5 -5
+4 0 10 -10
+6 0 15 -15
+8 0 20 -20
+10 0 25 -25
+12 0 30 -30
+14 0 35 -35
+"""
+OTHER = """\
+scene: animtool/1
+source: {file: wave.clip.yaml}
+output: {file: other.usda}
+"""
+# Brings the clip to the targets of an example.
+SOLVED = """\
+scene: animtool/1
+source: {file: wave.clip.yaml}
+passes: [{ik: {targets: page.targets.yaml}}]
+"""
 BASE = "rig: animtool/1\nname: base\njoints: [{name: hips, type: free}]\n"
 FILES = {
     "base.rig.yaml": BASE,
@@ -137,6 +186,9 @@ FILES = {
     "curl.clip.yaml": CURL,
     "reach.targets.yaml": REACH,
     "turn.targets.yaml": TURN,
+    "other.scene.yaml": OTHER,
+    "solved.scene.yaml": SOLVED,
+    "body.usda": "#usda 1.0\n",
     "prop.usda": PROP,
     "walk.bvh": CAPTURE,
     "dog.bvh": re.sub("hips|leg", "paw", CAPTURE),

@@ -15,11 +15,16 @@ __all__ = ["idle", "near_rate", "outside_take", "unused_rig"]
 # Rates that differ by less are meant to be one: 24 and 23.976, 30 and 29.97 [1].
 NEAR_RATES = Fraction(1, 50)
 
+# What these come to is stated, not how: a take may have it already.
+_STATES = frozenset({"ik", "resample"})
+
 
 def idle(subject: SceneSubject) -> Iterator[Fault]:
     """Yield passes that change nothing (SCN201)."""
     for i in subject.idle:
         name = subject.scene.passes[i].pass_.name
+        if name in _STATES:
+            continue
         message = f"the pass {name} changes nothing"
         hint = "leave it out, or give it the options that do"
         yield subject.fault("SCN201", subject.at_pass(i), message, hint)
