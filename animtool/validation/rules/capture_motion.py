@@ -57,7 +57,7 @@ def jumps(subject: TakeSubject) -> Iterator[Fault]:
     take = subject.take
     if take.motion.frames < FEWEST_FRAMES:
         return
-    for leap in leaps(take, _first(take)):
+    for leap in leaps(subject.steps, _first(take)):
         if leap.angle < FLIP:
             name = take.rig.joints[leap.joint].name
             hint = "fill the frames around it in the program that recorded them"
@@ -69,8 +69,7 @@ def flips(subject: TakeSubject) -> Iterator[Fault]:
     take = subject.take
     if take.motion.frames < FEWEST_FRAMES:
         return
-    _, rotations, _ = take.motion.dense()
-    turns = so3.angle_between(rotations[:-1], rotations[1:])
+    turns = subject.steps.turns
     over = (turns >= FLIP) & ~_first(take)[:, None]
     times = take.clock.times
     for j in np.flatnonzero(over.any(axis=0)).tolist():
@@ -91,7 +90,7 @@ def reference_pose(subject: TakeSubject) -> Iterator[Fault]:
     take = subject.take
     if take.motion.frames < FEWEST_FRAMES:
         return
-    found = [leap for leap in leaps(take, ~_first(take)) if leap.frame == 0]
+    found = [leap for leap in leaps(subject.steps, ~_first(take)) if leap.frame == 0]
     if len(found) >= REFERENCE_JOINTS:
         first, second = take.clock.times[:2]
         name = take.rig.joints[found[0].joint].name

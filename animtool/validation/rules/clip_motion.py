@@ -13,6 +13,7 @@ from animtool.errors import Fault
 from animtool.rig.kinematics import forward, rest_size
 from animtool.validation.rules.leaps import leaps
 from animtool.validation.subjects.clip import ClipSubject
+from animtool.validation.subjects.steps import steps_of
 
 __all__ = ["foot_slide", "jumps"]
 
@@ -27,7 +28,7 @@ FEWEST_FRAMES = 4
 
 def jumps(subject: ClipSubject) -> Iterator[Fault]:
     """Yield joints that leap in one frame, apart from steps (CLIP203)."""
-    for leap in leaps(subject.take, _stepping(subject)):
+    for leap in leaps(steps_of(subject.take), _stepping(subject)):
         name = subject.rig.joints[leap.joint].name
         at = subject.at(name, subject.frames[leap.frame])
         hint = "interp: step says that it is meant"

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray
-from animtool.maths import so3
 from animtool.rig.kinematics import rest_size
 from animtool.take import Take
+from animtool.validation.subjects.steps import Steps
 
 __all__ = ["Leap", "leaps"]
 
@@ -56,22 +56,20 @@ class Leap:
         )
 
 
-def leaps(take: Take, meant: BoolArray | None = None) -> Iterator[Leap]:
+def leaps(steps: Steps, meant: BoolArray | None = None) -> Iterator[Leap]:
     """Yield joints that leap in one frame, each once.
 
     Args:
-        take: F frames.
+        steps: Of a take of F frames.
         meant: Frames from which to the next a leap is meant ``(F - 1,)``.
     """
-    translations, rotations, _ = take.motion.dense()
-    if len(rotations) < 3:
+    take = steps.take
+    if take.motion.frames < 3:
         return
-    turns = so3.angle_between(rotations[:-1], rotations[1:])
-    shifts = np.linalg.norm(np.diff(translations, axis=0), axis=2)
     size = max(rest_size(take.rig), 1e-6)
     for amounts, least, turn in (
-        (turns, LEAST_TURN, 1.0),
-        (shifts, LEAST_SHIFT * size, 0.0),
+        (steps.turns, LEAST_TURN, 1.0),
+        (steps.shifts, LEAST_SHIFT * size, 0.0),
     ):
         apart = _apart(amounts, least)
         if meant is not None:

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 from animtool.errors import Fault
 from animtool.scene.sources import open_source
 from animtool.take import Take
 from animtool.validation.rule import Kind
+from animtool.validation.subjects.steps import Steps, steps_of
 from animtool.validation.subjects.subject import Opened
 
 __all__ = ["TakeSubject", "open_bvh", "open_usd"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TakeSubject:
     """A take, and the file that it was read from.
 
@@ -25,6 +27,11 @@ class TakeSubject:
 
     path: Path
     take: Take
+
+    @cached_property
+    def steps(self) -> Steps:
+        """How far joints go from frame to frame."""
+        return steps_of(self.take)
 
     def fault(self, code: str, joint: str, message: str, hint: str) -> Fault:
         """Return a fault of a joint."""
