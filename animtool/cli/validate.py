@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ from animtool.cli.console import Console
 from animtool.cli.options import Parsed, common_options
 
 if TYPE_CHECKING:
+    from animtool.validation.options import ValidateOptions
     from animtool.validation.run import Report
 
 __all__ = ["validate"]
@@ -46,6 +47,8 @@ Examples:
   animtool validate rigs samples
   animtool validate "shots/**/*.clip.yaml" --ignore CLIP2 --strict
   animtool validate . --format sarif --output-file animtool.sarif
+  animtool validate rigs --diff
+  animtool validate rigs --fix
   git diff --name-only main -- "*.rig.yaml" | animtool validate -"""
 )
 @click.argument("paths", nargs=-1, required=True)
@@ -72,6 +75,14 @@ Examples:
 )
 @click.option("--strict", is_flag=True, help="End with 1 where there are warnings.")
 @click.option("--exit-zero", is_flag=True, help="End with 0 whatever is found.")
+@click.option(
+    "--fix",
+    is_flag=True,
+    help="Mend in place what has a safe remedy, and report what is left.",
+)
+@click.option(
+    "--diff", is_flag=True, help="Show what --fix would change, and write nothing."
+)
 @click.option(
     "-j",
     "--jobs",
@@ -106,10 +117,7 @@ def validate(console: Console, /, paths: tuple[str, ...], **given: Any) -> None:
     """
     from animtool.errors import Severity
     from animtool.validation.files import find_files
-    from animtool.validation.formats import written
-    from animtool.validation.formats.plain import summary
     from animtool.validation.options import ValidateOptions
-    from animtool.validation.run import validate_files
 
     options = ValidateOptions(
         tuple(code for codes in given["select"] for code in codes),
@@ -117,7 +125,68 @@ def validate(console: Console, /, paths: tuple[str, ...], **given: Any) -> None:
         {code: Severity(name) for code, name in given["severity"]},
         given["jobs"],
     )
-    report = validate_files(find_files(_listed(paths)), options)
+    files = find_files(_listed(paths))
+    if given["diff"]:
+        _show_difference(console, files, options, given)
+        return
+    found = (
+        _fixed(console, files, options) if given["fix"] else _checked(files, options)
+    )
+    _say(console, found, given)
+
+
+def _checked(files: Sequence[Path], options: ValidateOptions) -> Report:
+    from animtool.validation.fixes.plan import with_fixable
+    from animtool.validation.run import validate_files
+
+    return with_fixable(validate_files(files, options))
+
+
+def _fixed(console: Console, files: Sequence[Path], options: ValidateOptions) -> Report:
+    """Mend files, and return what is left."""
+    from animtool.validation.fixes.run import fix_files
+
+    fixes = fix_files(files, options)
+    for fault, said in fixes.mended:
+        console.say(f"{fault.path}: {fault.code} mended: {said}")
+    for fault, reason in fixes.left:
+        console.say(f"{fault.path}: {fault.code} not mended: {reason}")
+    return fixes.report
+
+
+def _show_difference(
+    console: Console,
+    files: Sequence[Path],
+    options: ValidateOptions,
+    given: Mapping[str, Any],
+) -> None:
+    """Print what `--fix` would change; ends with 1 where that is something."""
+    if given["report_format"] != "text" or given["output_file"] is not None:
+        raise click.UsageError("--diff writes a diff, not a report: no --format.")
+    from animtool.errors import ExitCode
+    from animtool.validation.fixes.run import plan_files
+    from animtool.validation.formats.plain import summary
+    from animtool.validation.run import validate_files
+
+    report = validate_files(files, options)
+    code = report.exit_code(strict=given["strict"], exit_zero=given["exit_zero"])
+    for plan in plan_files(report, options):
+        if plan.after == plan.before:
+            continue
+        console.result(plan.difference())
+        for path in plan.arrays:
+            console.say(f"{path} would be written")
+        if code is ExitCode.OK and not given["exit_zero"]:
+            code = ExitCode.FINDINGS
+    console.say(summary(report))
+    click.get_current_context().exit(int(code))
+
+
+def _say(console: Console, report: Report, given: Mapping[str, Any]) -> None:
+    """Write the report where it is wanted, and end as it says."""
+    from animtool.validation.formats import written
+    from animtool.validation.formats.plain import summary
+
     console.faults(report.broken)
     text = written(report, given["report_format"])
     if given["output_file"] is None:

@@ -233,10 +233,7 @@ def read_document(path: Path) -> Document:
         FormatError: It cannot be read, is no YAML, holds an anchor, alias or tag, a
             key that stands twice, or is no mapping.
     """
-    text = read_text(path)
-    if path.suffix == ".json":
-        text = _PAIRS.sub(_joined, text)
-    return document_of(text, path)
+    return document_of(read_text(path), path)
 
 
 def document_of(text: str, path: Path) -> Document:
@@ -251,6 +248,7 @@ def document_of(text: str, path: Path) -> Document:
             twice, or is no mapping.
     """
     if path.suffix == ".json":
+        text = _PAIRS.sub(_joined, text)
         # Ends of lines in YAML, but letters like others in JSON's strings.
         for letter in "\x85\u2028\u2029":
             text = text.replace(letter, f"\\u{ord(letter):04x}")

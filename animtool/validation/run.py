@@ -27,6 +27,7 @@ from animtool.validation.tables import all_rules
 __all__ = [
     "Finding",
     "Report",
+    "findings_in",
     "findings_of_rule",
     "validate",
     "validate_files",
@@ -48,11 +49,13 @@ class Report:
         files: That were looked at, in order.
         findings: By file, line and column.
         broken: Plug-in rules that could not be loaded.
+        fixable: Findings that `--fix` can mend, where that was looked for.
     """
 
     files: tuple[Path, ...]
     findings: tuple[Fault, ...]
     broken: tuple[Fault, ...] = ()
+    fixable: frozenset[Fault] = frozenset()
 
     def count(self, severity: Severity) -> int:
         """Return how many findings are of a severity."""
@@ -149,7 +152,7 @@ def _check(path: Path, options: ValidateOptions) -> list[Fault]:
             raise
         found = list(error.faults)
     else:
-        found = _findings(opened)
+        found = findings_in(opened)
     return [
         options.of(fault)
         for fault in found
@@ -162,7 +165,8 @@ def _unreadable(fault: Fault, path: str) -> bool:
     return fault.code == "IO001" and fault.path == path
 
 
-def _findings(opened: Opened) -> list[Fault]:
+def findings_in(opened: Opened) -> list[Fault]:
+    """Return what is wrong or odd in a file that was opened, whatever counts."""
     found = list(opened.faults)
     rules, _ = all_rules()
     if opened.subject is not None:

@@ -108,6 +108,75 @@ def test_a_code_that_is_none() -> None:
     assert "did you mean 'RIG201'?" in done.stderr
 
 
+MENDABLE = (
+    "# one\nrig: animtool/1\nname: leg\njoints:\n"
+    "- {name: 'k.l', type: pin, axis: [1, 0, 0], limits: [1, 9]}  # two\n"
+)
+
+
+@pytest.fixture
+def mendable(tmp_path: Path) -> Path:
+    path = tmp_path / "leg.rig.yaml"
+    path.write_text(MENDABLE, "utf-8")
+    return path
+
+
+def test_what_can_be_mended_is_marked(mendable: Path) -> None:
+    done = animtool("validate", mendable)
+    assert done.stdout.endswith("1 file: 1 warning, 1 note, --fix mends 1\n")
+    value = json.loads(animtool("validate", mendable, "--format", "json").stdout)
+    marks = {found["code"]: found["fixable"] for found in value["findings"]}
+    assert marks == {"RIG201": False, "RIG221": True}
+
+
+def test_a_difference_is_shown_and_nothing_written(mendable: Path) -> None:
+    done = animtool("validate", mendable.name, "--diff", cwd=mendable.parent)
+    assert done.code == 1
+    assert done.stdout.splitlines()[:2] == ["--- a/leg.rig.yaml", "+++ b/leg.rig.yaml"]
+    assert "-- {name: 'k.l', type" in done.stdout
+    assert "+- {name: 'k_l', type" in done.stdout
+    assert mendable.read_text("utf-8") == MENDABLE
+    assert animtool("validate", mendable, "--diff", "--exit-zero").code == 0
+    assert animtool("validate", mendable, "--diff", "--fix").code == 1
+    assert animtool("validate", mendable, "--diff", "--format", "json").code == 2
+    assert mendable.read_text("utf-8") == MENDABLE
+
+
+def test_files_are_mended(mendable: Path) -> None:
+    done = animtool("validate", mendable, "--fix")
+    assert done.code == 0
+    assert "RIG221 mended: renames 1 name of joints: 'k.l' to 'k_l'" in done.stderr
+    assert done.stdout.endswith("1 file: 1 warning\n")
+    assert mendable.read_text("utf-8") == MENDABLE.replace("k.l", "k_l")
+    again = animtool("validate", mendable, "--fix")
+    assert again.stdout == done.stdout
+    assert again.stderr == ""
+    shown = animtool("validate", mendable, "--diff")
+    assert (shown.code, shown.stdout) == (0, "")
+
+
+def test_a_mended_file_may_still_have_faults(mendable: Path) -> None:
+    done = animtool("validate", mendable, "--fix", "--strict")
+    assert done.code == 1
+    assert "k_l" in mendable.read_text("utf-8")
+
+
+def test_why_a_finding_stays(mendable: Path) -> None:
+    mendable.with_name("walk.clip.yaml").write_text("# k.l\n", "utf-8")
+    done = animtool("validate", mendable, "--fix")
+    assert "RIG221 not mended: walk.clip.yaml names 'k.l' too" in done.stderr
+    assert mendable.read_text("utf-8") == MENDABLE
+
+
+def test_a_file_that_must_not_be_written(mendable: Path) -> None:
+    mendable.chmod(0o444)
+    if os.access(mendable, os.W_OK):
+        pytest.skip("this user may write to any file")
+    done = animtool("validate", mendable, "--fix")
+    assert done.code == 3
+    assert "OUT002" in done.stderr
+
+
 HERO = """\
 rig: animtool/1
 name: hero

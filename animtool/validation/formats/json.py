@@ -15,7 +15,10 @@ def json_report(report: Report) -> str:
     value = {
         "validate": "animtool/1",
         "files": [str(path) for path in report.files],
-        "findings": [fault.as_dict() for fault in report.findings],
+        "findings": [
+            {**fault.as_dict(), "fixable": fault in report.fixable}
+            for fault in report.findings
+        ],
         "summary": {str(kind): report.count(kind) for kind in Severity},
     }
     return json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n"

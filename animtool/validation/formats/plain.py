@@ -30,7 +30,8 @@ def summary(report: Report) -> str:
         if (count := report.count(severity))
     ]
     files = counted(len(report.files), "file")
-    return f"{files}: {', '.join(parts) or 'nothing found'}"
+    fixable = f", --fix mends {len(report.fixable)}" if report.fixable else ""
+    return f"{files}: {', '.join(parts) or 'nothing found'}{fixable}"
 
 
 def _finding(fault: Fault, sources: Sources) -> Iterator[str]:

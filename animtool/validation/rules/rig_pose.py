@@ -12,7 +12,7 @@ from animtool.maths import so3
 from animtool.units import LengthUnit, unit_name
 from animtool.validation.subjects.rig import RigSubject
 
-__all__ = ["nearly_rest", "odd_size"]
+__all__ = ["nearly_rest", "odd_size", "without_rest"]
 
 # A bind pose that differs by less of the rig's size, and by a smaller angle, is a slip.
 SLIP = 1e-3
@@ -39,6 +39,21 @@ def nearly_rest(rig: RigSubject) -> Iterator[Fault]:
             )
             hint = "leave it out, or write the pose that the skin was made in"
             yield rig.fault("RIG216", ("bind", name), message, hint)
+
+
+def without_rest(rig: RigSubject) -> Iterator[Fault]:
+    """Yield joints that have a bind pose, and none at rest (RIG222)."""
+    bind = rig.document.value.get("bind", {})
+    if "from" in rig.document.value:
+        return
+    for i, entry in enumerate(rig.written("joints")):
+        pose = bind.get(entry["name"], {})
+        if any(pose.get("translate") or ()) and not {"translate", "rotate"} & {*entry}:
+            name, above = entry["name"], entry.get("parent")
+            place = f"where {above!r} is" if above else "at the origin"
+            message = f"{name!r} has a bind pose and none at rest: it rests {place}"
+            hint = f"translate: {pose['translate']} is its place in the bind pose"
+            yield rig.fault("RIG222", ("joints", i), message, hint)
 
 
 def odd_size(rig: RigSubject) -> Iterator[Fault]:

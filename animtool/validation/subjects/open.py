@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import cast
 
-from animtool.documents.document import read_document
+from animtool.documents.document import Document, read_document
 from animtool.documents.versions import STEPS, version_of
 from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.plugins import load_object
@@ -14,18 +14,19 @@ from animtool.readers import BVH, DOCUMENT, READERS, USD
 from animtool.validation.rule import Kind
 from animtool.validation.subjects.subject import Opened
 
-__all__ = ["SUFFIXES", "open_file"]
+__all__ = ["DOCUMENT_SUFFIXES", "SUFFIXES", "open_document", "open_file"]
 
 _DOCUMENTS = {kind for kind in Kind if kind in STEPS}
 # How names end of the files that a folder is searched for.
-SUFFIXES = tuple(
-    [suffix for suffix, reader in READERS.items() if reader in (BVH, USD)]
-    + [
-        f".{kind}{suffix}"
-        for kind in sorted(_DOCUMENTS)
-        for suffix, reader in READERS.items()
-        if reader is DOCUMENT
-    ]
+DOCUMENT_SUFFIXES = tuple(
+    f".{kind}{suffix}"
+    for kind in sorted(_DOCUMENTS)
+    for suffix, reader in READERS.items()
+    if reader is DOCUMENT
+)
+SUFFIXES = (
+    *(suffix for suffix, reader in READERS.items() if reader in (BVH, USD)),
+    *DOCUMENT_SUFFIXES,
 )
 _OPENERS = {
     Kind.RIG: "animtool.validation.subjects.rig:open_rig",
@@ -51,7 +52,15 @@ def open_file(path: Path) -> Opened:
         hint = f"checked are {', '.join(READERS)}"
         message = "is of no kind that is checked"
         raise OptionError(Fault("IO002", message, str(path), (), hint))
-    document = read_document(path)
+    return open_document(read_document(path))
+
+
+def open_document(document: Document) -> Opened:
+    """Return a file that a person wrote as rules look at it, as `open_file` does.
+
+    Raises:
+        FormatError: It is of no kind that is known.
+    """
     kind = Kind(version_of(document, STEPS)[0])
     opened = _open(kind, document)
     opened.document = document

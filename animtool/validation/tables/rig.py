@@ -122,4 +122,11 @@ RULES = (
     ),
     _rule("RIG219", "names that USD cannot tell apart", "names:in_rig"),
     _rule("RIG220", "a control without use", "rig_drivers:idle"),
+    _rule(
+        "RIG221",
+        "names that USD does not allow",
+        "names:not_in_usd",
+        Severity.NOTE,
+    ),
+    _rule("RIG222", "a bind pose without a rest pose", "rig_pose:without_rest"),
 )

@@ -131,7 +131,7 @@ CASES: dict[str, tuple[str, list[str]]] = {
     ),
     "a name that begins with a digit": (
         '- {name: "1st", type: free}\n- {name: _1st, parent: "1st", type: ball}\n',
-        ["RIG219"],
+        ["RIG219", "RIG221"],
     ),
 }
 

@@ -1,0 +1,264 @@
+"""A document's text with some values changed, and all else as it stands.
+
+Comments, quotes, order, layout and ends of lines stay: the places of the values are
+found in the text, and only these are written anew.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import yaml
+
+from animtool.documents.document import Location, document_of, spelled
+from animtool.documents.numbers import flow, number
+from animtool.documents.numbers import text as plain_text
+from animtool.errors import FormatError
+
+__all__ = ["Add", "Edit", "EditError", "Put", "Remove", "Rename", "edited"]
+
+# Escapes and ends of lines that YAML takes for others than JSON does, all of a length.
+_JSON_ONLY = re.compile("\\\\u[dD][89a-fA-F][0-9a-fA-F]{2}|[\x85\u2028\u2029]")
+
+
+class EditError(ValueError):
+    """An edit finds no place in the text, or does other than it should."""
+
+
+@dataclass(frozen=True, slots=True)
+class Put:
+    """Another text in place of one."""
+
+    location: Location
+    value: str
+
+
+@dataclass(frozen=True, slots=True)
+class Rename:
+    """Another key in place of one, its value kept."""
+
+    location: Location
+    key: str
+
+
+@dataclass(frozen=True, slots=True)
+class Add:
+    """A key more, at the end of a mapping."""
+
+    location: Location
+    key: str
+    value: Any
+
+
+@dataclass(frozen=True, slots=True)
+class Remove:
+    """An entry of a list, or a key, less. The only Remove of its list or mapping."""
+
+    location: Location
+
+
+Edit = Put | Rename | Add | Remove
+
+
+def edited(text: str, path: Path, edits: Iterable[Edit]) -> str:
+    """Return the text of a file with edits, their places being those of this text.
+
+    Args:
+        text: As read, without a byte order mark.
+        path: Whose text it is: JSON is written as such.
+        edits: No two of one place.
+
+    Raises:
+        EditError: An edit finds no place, or the new text would not read as the old
+            one with the edits.
+    """
+    edits = list(edits)
+    page = _Page.of(text, json=path.suffix == ".json")
+    splices = sorted((page.splice(edit) for edit in edits), key=lambda s: s[0])
+    after = text
+    for start, end, new in reversed(splices):
+        after = after[:start] + new + after[end:]
+    wanted = copy.deepcopy(document_of(text, path).value)
+    for edit in edits:
+        _apply(wanted, edit)
+    try:
+        # What is read decides, whatever the layout was.
+        if document_of(after, path).value == wanted:
+            return after
+    except FormatError:
+        pass
+    places = ", ".join(spelled(edit.location) for edit in edits)
+    raise EditError(f"the layout around {places} cannot be kept")
+
+
+def _apply(value: Any, edit: Edit) -> None:
+    """Do to values what an edit does to their text."""
+    outer = edit.location if isinstance(edit, Add) else edit.location[:-1]
+    node = value
+    for step in outer:
+        node = node[step]
+    match edit:
+        case Add():
+            node[edit.key] = edit.value
+        case Put():
+            node[edit.location[-1]] = edit.value
+        case Remove():
+            del node[edit.location[-1]]
+        case Rename():
+            node[edit.key] = node.pop(edit.location[-1])
+
+
+Splice = tuple[int, int, str]
+
+
+@dataclass(frozen=True, slots=True)
+class _Page:
+    """A text and the nodes in it.
+
+    Attributes:
+        text: Of the file.
+        root: Its outermost node.
+        json: Whether it is JSON.
+        newline: How its lines end.
+    """
+
+    text: str
+    root: Any
+    json: bool
+    newline: str
+
+    @classmethod
+    def of(cls, text: str, *, json: bool) -> _Page:
+        safe = _JSON_ONLY.sub(lambda found: "_" * len(found[0]), text) if json else text
+        root = yaml.compose(safe, yaml.CSafeLoader)
+        return cls(text, root, json, "\r\n" if "\r\n" in text else "\n")
+
+    def splice(self, edit: Edit) -> Splice:
+        """Return which part of the text becomes what."""
+        match edit:
+            case Put(location, value):
+                return self._written(self._node(location), value)
+            case Rename((*outer, key), name):
+                return self._written(self._pair(tuple(outer), str(key))[0], name)
+            case Add(location, key, value):
+                return self._added(self._node(location), key, value)
+            case Remove((*outer, step)):
+                return self._removed(self._node(tuple(outer)), step)
+        raise EditError(f"nothing can be done at {spelled(edit.location)}")
+
+    def _node(self, location: Location) -> Any:
+        node = self.root
+        for depth, step in enumerate(location):
+            if isinstance(step, int):
+                node = node.value[step]
+            else:
+                node = self._pair(location[:depth], step)[1]
+        return node
+
+    def _pair(self, outer: Location, key: str) -> tuple[Any, Any]:
+        """Return a key of a mapping and its value."""
+        for name, value in self._node(outer).value:
+            if name.value == key:
+                return name, value
+        raise EditError(f"there is no {spelled((*outer, key))}")
+
+    def _written(self, node: Any, value: str) -> Splice:
+        """Write a text in the quotes of the one before it."""
+        style = getattr(node, "style", None)
+        new = _unquoted(value)
+        if style == '"':
+            new = json.dumps(value, ensure_ascii=False) if self.json else _quoted(value)
+        elif style == "'" and value.isprintable():
+            doubled = value.replace("'", "''")
+            new = f"'{doubled}'"
+        return node.start_mark.index, node.end_mark.index, new
+
+    def _added(self, node: Any, key: str, value: Any) -> Splice:
+        if not node.value:
+            raise EditError(f"no key stands beside {key!r}")
+        entry = (
+            f"{json.dumps(key)}: {json.dumps(value)}"
+            if self.json
+            else f"{plain_text(key)}: {_flow(value)}"
+        )
+        end = _end(node.value[-1][1])
+        if node.flow_style:
+            return end, end, f", {entry}"
+        indent = " " * node.value[0][0].start_mark.column
+        behind = self._behind(end)
+        if self.text[behind - 1] == "\n":
+            return behind, behind, f"{indent}{entry}{self.newline}"
+        return behind, behind, f"{self.newline}{indent}{entry}"
+
+    def _removed(self, node: Any, step: str | int) -> Splice:
+        spans = list(_entries(node))
+        place = step
+        if isinstance(place, str):
+            place = [name.value for name, _ in spans].index(place)
+        first, last = spans[place]
+        start, end = first.start_mark.index, _end(last)
+        if node.flow_style:
+            if place + 1 < len(spans):
+                end = self._over(end, spans[place + 1][0].start_mark.index)
+            elif place:
+                start = _end(spans[place - 1][1])
+                self._over(start, first.start_mark.index)
+            return start, end, ""
+        line = self.text.rfind("\n", 0, start) + 1
+        if self.text[line:start].strip() not in {"", "-"}:
+            raise EditError("something else stands in its line")
+        return line, self._behind(end), ""
+
+    def _behind(self, end: int) -> int:
+        """Return where the line after a place begins, its comment left behind."""
+        if end and self.text[end - 1] == "\n":
+            return end
+        found = self.text.find("\n", end)
+        return len(self.text) if found < 0 else found + 1
+
+    def _over(self, end: int, start: int) -> int:
+        """Return the second of two places between which only a comma may stand."""
+        if self.text[end:start].strip() != ",":
+            raise EditError("a comment stands between it and the next")
+        return start
+
+
+def _entries(node: Any) -> Iterator[tuple[Any, Any]]:
+    """Yield the first and the last node of each entry."""
+    for entry in node.value:
+        yield entry if isinstance(entry, tuple) else (entry, entry)
+
+
+def _end(node: Any) -> int:
+    """Return where a value ends: block collections do where their last value does."""
+    while not isinstance(node, yaml.ScalarNode) and not node.flow_style:
+        last = node.value[-1]
+        node = last[1] if isinstance(last, tuple) else last
+    return cast(int, node.end_mark.index)
+
+
+def _flow(value: Any) -> str:
+    """Return a value on one line."""
+    if isinstance(value, list):
+        return flow([_flow(entry) for entry in value])
+    return plain_text(value) if isinstance(value, str) else number(value)
+
+
+def _unquoted(value: str) -> str:
+    """Return a text without quotes where it is read back as it is, brackets around."""
+    try:
+        read = document_of(f"a: [{value}]", Path("a.yaml")).value
+    except FormatError:
+        return plain_text(value)
+    return value if read == {"a": [value]} else plain_text(value)
+
+
+def _quoted(value: str) -> str:
+    written = plain_text(value)
+    return written if written.startswith('"') else f'"{written}"'

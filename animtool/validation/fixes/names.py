@@ -1,0 +1,173 @@
+"""Names that USD does not allow, or cannot tell apart, with all that refers to them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from animtool.config import project_roots
+from animtool.documents.document import Location
+from animtool.documents.edit import Edit, Put, Rename
+from animtool.errors import Fault, counted, listed
+from animtool.rig.targets import DRIVEN_PARTS, split_part
+from animtool.validation.fixes.mend import Mend, NotMendedError
+from animtool.validation.fixes.places import place_of
+from animtool.validation.rules.names import legal, names_in
+from animtool.validation.subjects.open import DOCUMENT_SUFFIXES
+from animtool.validation.subjects.rig import RigSubject
+from animtool.validation.subjects.subject import Opened
+
+__all__ = ["USES", "allowed", "distinct", "renaming"]
+
+# Where a rig file has the names of each list; * is every entry, {} every key.
+USES = {
+    "joints": (
+        "joints/*/name",
+        "joints/*/parent",
+        "joints/*/mirror",
+        "joints/*/mimic/joint",
+        "bind/{}",
+        "meshes/*/skin/joints/*",
+        "controls/*/drives/*/joint",
+        "ik/*/root",
+        "ik/*/tip",
+        "attach/*/joints/*",
+        "attach/*/joint",
+        "colliders/*/joint",
+    ),
+    "meshes": ("meshes/*/name", "shapes/*/mesh", "attach/*/mesh"),
+    "shapes": ("shapes/*/name", "shapes/*/combine/*", "controls/*/drives/*/shape"),
+}
+# What a list's names are called by in the places of `ignore`.
+_PLACES = {
+    "joints": ("joints", "colliders"),
+    "meshes": ("meshes",),
+    "shapes": ("shapes",),
+}
+
+
+def allowed(opened: Opened, fault: Fault) -> Mend:
+    """Return the file with every name of a list as USD allows it."""
+    rig = _whole(opened)
+    key = str(place_of(fault)[0])
+    old = [name for name in names_in(rig, key) if legal(name) != name]
+    return _renamed(rig, key, old)
+
+
+def distinct(opened: Opened, fault: Fault) -> Mend:
+    """Return the file with another name for one of two that USD cannot tell apart.
+
+    Of the two the one that USD does not allow, or the second of these.
+    """
+    rig = _whole(opened)
+    key, number = place_of(fault)[:2]
+    entry = rig.written(str(key))[number]
+    names = names_in(rig, key)
+    for name in (entry["name"], entry.get("mirror")):
+        alike = [other for other in names if name and legal(other) == legal(name)]
+        if len(alike) > 1:
+            odd = [other for other in alike if legal(other) != other]
+            return _renamed(rig, str(key), odd[-1:])
+    raise NotMendedError(f"{entry['name']!r} is told from the others")
+
+
+def _whole(opened: Opened) -> RigSubject:
+    rig: RigSubject = opened.subject
+    if "from" in rig.document.value:
+        raise NotMendedError("the names come from another file")
+    return rig
+
+
+def _renamed(rig: RigSubject, key: str, old: list[str]) -> Mend:
+    _refuse_named(rig.document.path, old)
+    new = _fresh(old, names_in(rig, key))
+    pairs = [f"{name!r} to {new[name]!r}" for name in old]
+    said = f"renames {counted(len(old), 'name')} of {key}: {listed(pairs, 3)}"
+    return Mend(said, tuple(renaming(rig.document.value, key, new)))
+
+
+def _fresh(old: list[str], names: list[str]) -> dict[str, str]:
+    """Return a name for each old one, such as none other becomes in USD."""
+    new: dict[str, str] = {}
+    kept = {legal(name) for name in names if name not in old} | {*names}
+    for name in old:
+        taken = {*kept, *new.values()}
+        wanted, number = legal(name), 2
+        while wanted in taken:
+            wanted, number = f"{legal(name)}_{number}", number + 1
+        new[name] = wanted
+    return new
+
+
+def _refuse_named(path: Path, names: list[str]) -> None:
+    """Refuse names that another file of the project may refer to.
+
+    Raises:
+        NotMendedError: One holds such a name, whatever it means there.
+    """
+    own = path.resolve()
+    for root in project_roots(path):
+        for file in sorted(root.rglob("*")):
+            if (
+                not file.name.lower().endswith(DOCUMENT_SUFFIXES)
+                or file.resolve() == own
+            ):
+                continue
+            try:
+                text = file.read_text("utf-8", errors="replace")
+            except OSError:
+                continue
+            found = next((name for name in names if name in text), None)
+            if found is not None:
+                raise NotMendedError(f"{file.name} names {found!r} too")
+
+
+def renaming(
+    value: Mapping[str, Any], key: str, new: Mapping[str, str]
+) -> Iterator[Edit]:
+    """Yield the edits that rename entries of a list, wherever a rig file names them.
+
+    Args:
+        value: The file.
+        key: Of the list: ``joints``, ``meshes`` or ``shapes``.
+        new: Names by the old ones.
+    """
+    for use in USES[key]:
+        for at, name in _named(value, tuple(use.split("/")), ()):
+            if use.endswith("{}"):
+                if name in new:
+                    yield Rename(at, new[name])
+                continue
+            joint, part = name, ""
+            if use.endswith("drives/*/joint"):
+                joint, part = split_part(name, DRIVEN_PARTS)
+            if joint in new:
+                yield Put(at, f"{new[joint]}.{part}" if part else new[joint])
+    for at, where in _named(value, ("ignore", "*", "where"), ()):
+        place = where
+        for old, name in new.items():
+            lists = "|".join(_PLACES[key])
+            place = re.sub(rf"\b({lists})\[{re.escape(old)}\]", rf"\1[{name}]", place)
+        if place != where:
+            yield Put(at, place)
+
+
+def _named(
+    node: Any, steps: tuple[str, ...], at: Location
+) -> Iterator[tuple[Location, str]]:
+    """Yield the names at a path of `USES`, and where they are."""
+    if not steps:
+        if isinstance(node, str):
+            yield at, node
+        return
+    step, *rest = steps
+    if step == "{}":
+        for key in node if isinstance(node, dict) else ():
+            yield (*at, key), key
+    elif step == "*":
+        for i, entry in enumerate(node if isinstance(node, list) else ()):
+            yield from _named(entry, tuple(rest), (*at, i))
+    elif isinstance(node, dict) and step in node:
+        yield from _named(node[step], tuple(rest), (*at, step))

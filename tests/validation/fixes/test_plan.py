@@ -1,0 +1,151 @@
+"""Mends of a whole file: each keeps what it should, and twice is as once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from animtool.documents.document import document_of
+from animtool.errors import Fault
+from animtool.validation.fixes.mend import FIXES, fix_of
+from animtool.validation.fixes.plan import plan_file, with_fixable
+from animtool.validation.fixes.run import fix_files
+from animtool.validation.options import ValidateOptions
+from animtool.validation.run import validate, validate_files
+from animtool.validation.tables import RULES
+
+IGNORES = (
+    "{code: RIG202, why: gone}",
+    '{code: VAL007, where: "joints[*]", why: "old: one"}',
+    "code: RIG201\n  why: |\n    so\n    long",
+)
+
+
+@pytest.mark.parametrize("code", FIXES)
+def test_a_fix_is_there_and_of_a_code(code: str) -> None:
+    assert code in RULES
+    assert callable(fix_of(code))
+
+
+NAMES = st.sampled_from(["a", "a.l", "a-l", "a l", "a_l", "a_l_2", "1", "_1", "b", "é"])
+
+
+@st.composite
+def rigs(draw: st.DrawFn) -> str:
+    """Return rigs with any of what is mended, in any layout."""
+    names = draw(st.lists(NAMES, min_size=1, max_size=5, unique=True))
+    quote = draw(st.sampled_from(['"', "'"]))
+    lines = ["# head", "rig: animtool/1   # one", "name: page", "joints:"]
+    bind = []
+    for i, name in enumerate(names):
+        above = draw(st.sampled_from([None, *names[:i]]))
+        parent = f", parent: {quote}{above}{quote}" if above else ""
+        lines += [f"- {{name: {quote}{name}{quote}{parent},", "   type: ball}  # why"]
+        if draw(st.booleans()):
+            bind.append(f"  {quote}{name}{quote}: {{translate: [0, 1.50, {i}]}}")
+    lines += ["bind:", *bind] if bind else []
+    ignored = draw(st.lists(st.sampled_from(IGNORES), max_size=3, unique=True))
+    lines += ["ignore:", *(f"- {entry}" for entry in ignored)] if ignored else []
+    newline = draw(st.sampled_from(["\n", "\r\n"]))
+    return newline.join(lines) + draw(st.sampled_from(["", newline]))
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(text=rigs())
+def test_twice_is_as_once(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "page.rig.yaml"
+    path.write_text(text, "utf-8", newline="")
+    before = [fault.code for fault in validate(path)]
+    fixable = with_fixable(validate_files([path])).fixable
+    fixes = fix_files([path])
+    once = path.read_bytes()
+    left = [fault.code for fault in validate(path)]
+    assert all(left.count(code) <= before.count(code) for code in left)
+    assert not [code for code in left if code in FIXES]
+    assert len(fixes.mended) <= len(fixable)
+    assert once.count(b"# why") == text.encode().count(b"# why")
+    assert once.startswith(text.splitlines()[0].encode())
+    again = fix_files([path])
+    assert not again.mended
+    assert path.read_bytes() == once
+
+
+def test_a_file_without_findings_is_not_touched(root: Path) -> None:
+    for path in sorted((root / "rigs").glob("*/*.rig.yaml")):
+        plan = plan_file(path, ValidateOptions())
+        assert plan.after == plan.before == path.read_text("utf-8")
+
+
+def test_a_mark_at_the_beginning_stays(tmp_path: Path) -> None:
+    path = tmp_path / "page.rig.yaml"
+    text = 'rig: animtool/1\nname: page\njoints: [{name: "a.l", type: free}]\n'
+    path.write_text(text, "utf-8-sig")
+    fix_files([path])
+    assert path.read_bytes() == text.replace("a.l", "a_l").encode("utf-8-sig")
+
+
+def test_a_json_file(tmp_path: Path) -> None:
+    path = tmp_path / "page.rig.json"
+    text = (
+        '{"rig": "animtool/1", "name": "page", "joints": [\n\t{"name": "a.l", '
+        '"type": "free"}],\n"ignore": [{"code": "RIG201", "why": "\\ud83d\\ude00"}]}'
+    )
+    path.write_text(text, "utf-8")
+    assert {f.code for f, _ in fix_files([path]).mended} == {"RIG221", "VAL001"}
+    assert validate(path) == []
+    assert path.read_text("utf-8") == (
+        '{"rig": "animtool/1", "name": "page", "joints": [\n\t{"name": "a_l", '
+        '"type": "free"}]}'
+    )
+
+
+def test_only_what_counts_is_mended(tmp_path: Path) -> None:
+    path = tmp_path / "page.rig.yaml"
+    text = 'rig: animtool/1\nname: page\njoints: [{name: "a.l", type: free}]\n'
+    path.write_text(text, "utf-8")
+    assert not fix_files([path], ValidateOptions(ignore=("RIG221",))).mended
+    (tmp_path / "animtool.toml").write_text("[validate]\nignore = ['RIG221']\n")
+    assert not fix_files([path]).mended
+    assert path.read_text("utf-8") == text
+
+
+def test_a_mend_that_makes_it_worse_is_not_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from animtool.documents.edit import Put
+    from animtool.validation.fixes.mend import Mend
+
+    def wrong(_opened: object, _fault: Fault) -> Mend:
+        return Mend("makes it no rig", (Put(("joints", 0, "type"), "wheel"),))
+
+    path = tmp_path / "page.rig.yaml"
+    text = 'rig: animtool/1\nname: page\njoints: [{name: "a.l", type: free}]\n'
+    path.write_text(text, "utf-8")
+    monkeypatch.setattr("animtool.validation.fixes.plan.fix_of", lambda _: wrong)
+    fixes = fix_files([path])
+    assert not fixes.mended
+    assert [why for _, why in fixes.left] == ["DOC022 would come of it"]
+    assert (
+        document_of(path.read_text("utf-8"), path).value["joints"][0]["type"] == "free"
+    )
+
+
+def test_what_is_fixable_is_marked(tmp_path: Path) -> None:
+    path = tmp_path / "page.rig.yaml"
+    path.write_text(
+        'rig: animtool/1\nname: page\njoints: [{name: "a.l", type: pin, '
+        "axis: [1, 0, 0], limits: [2, 3]}]\n"
+    )
+    report = with_fixable(validate_files([path]))
+    assert _codes(report.findings) == ["RIG201", "RIG221"]
+    assert _codes(tuple(report.fixable)) == ["RIG221"]
+    (tmp_path / "x.clip.yaml").write_text("a.l")
+    assert not with_fixable(validate_files([path])).fixable
+
+
+def _codes(faults: Sequence[Fault]) -> list[str]:
+    return sorted(fault.code for fault in faults)
