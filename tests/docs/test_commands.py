@@ -17,6 +17,7 @@ DOCUMENTS = [
     "animtool/docs/guide.md",
     "samples/bounce/README.md",
     "samples/carry/README.md",
+    "samples/ci/README.md",
     "samples/press/README.md",
     "samples/speech/README.md",
     "samples/stride/README.md",
