@@ -43,8 +43,23 @@ def explain(console: Console, /, codes: tuple[str, ...], report_format: str) -> 
         console.result_json({"explain": "animtool/1", "rules": entries})
         return
     for rule in rules:
-        text = page(rule.code) if codes else None
-        console.result(text or f"{rule.code:8} {rule.severity:8} {rule.title}")
+        if codes:
+            console.result(page(rule.code) or _bare_page(rule))
+        else:
+            console.result(f"{rule.code:8} {rule.severity:8} {rule.title}")
+
+
+def _bare_page(rule: Rule) -> str:
+    """Return what is known of a code without a page, laid out as one."""
+    where = "Readers and commands say it."
+    if rule.kind is not None:
+        kind = str(rule.kind).upper() if rule.kind in {"bvh", "usd"} else rule.kind
+        where = f"animtool validate looks for it in {kind} files."
+    article = "An" if rule.severity == "error" else "A"
+    return (
+        f"# {rule.code}: {rule.title}\n\n## What\n\n"
+        f"{article} {rule.severity}. {where}\n"
+    )
 
 
 def _entry(rule: Rule, text: str | None) -> dict[str, Any]:

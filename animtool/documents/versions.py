@@ -25,6 +25,13 @@ STEPS: dict[str, dict[int, Step]] = {
 # What the first line of a file may name; all others may name their rig too.
 KINDS = ("clip", "scene", "targets", "rig")
 
+# What is done with a file that is taken for a clip, by what it is.
+_INSTEAD = {
+    "rig": ": what moves is a clip for it; animtool validate checks it, animtool "
+    "convert writes it as USD",
+    "targets": ": animtool ik makes a clip of it",
+}
+
 _VERSION = re.compile(r"animtool/(0|[1-9][0-9]{0,8})")
 
 
@@ -57,6 +64,7 @@ def version_of(
         hint = f"the first line of such a file is '{kind or 'rig'}: animtool/1'"
         if named:
             hint = f"it looks like a {named[0]} file"
+            hint += _INSTEAD.get(named[0], "") if kind == "clip" else ""
         document.add("DOC009", (), f"is no {kind or ' or '.join(table)} file", hint)
         document.check()
     last, stated = newest(table[found]), document.value[found]

@@ -190,13 +190,17 @@ def test_a_rig_that_is_missing(shot: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "o.usda").exists()
 
 
-@pytest.mark.parametrize("kind", ["rig", "scene"])
-def test_a_file_of_another_kind(tmp_path: Path, kind: str) -> None:
+@pytest.mark.parametrize(
+    ("kind", "instead"),
+    [("rig", "animtool validate"), ("targets", "animtool ik"), ("scene", "")],
+)
+def test_a_file_of_another_kind(tmp_path: Path, kind: str, instead: str) -> None:
     path = tmp_path / "x.yaml"
     path.write_text(f"{kind}: animtool/1\nname: x\n")
     done = animtool("bake", path, "-o", tmp_path / "o.usda")
     assert done.code == 3
     assert f"it looks like a {kind} file" in done.stderr
+    assert instead in done.stderr
 
 
 @pytest.mark.parametrize("rate", [(), ("--fps", "48"), ("--samples", "0,.5")])

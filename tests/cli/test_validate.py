@@ -11,7 +11,9 @@ import pytest
 from support.cli import animtool, animtool_process
 
 from animtool.cli.validate import FORMATS
+from animtool.errors import Severity
 from animtool.validation.formats import FORMATS as WRITERS
+from animtool.validation.rule import Kind, Rule
 from animtool.validation.tables import RULES
 
 RIG = "rig: animtool/1\nname: leg\njoints:\n- {name: knee, type: pin, axis: [1, 0, 0]"
@@ -100,6 +102,28 @@ def test_explain() -> None:
     assert [line.split()[0] for line in listed] == sorted(RULES)
     value = json.loads(animtool("explain", "RIG201", "--format", "json").stdout)
     assert value["rules"][0]["kind"] == "rig"
+
+
+@pytest.mark.parametrize(
+    ("rule", "said"),
+    [
+        (Rule("STU001", "a title"), "An error. Readers and commands say it."),
+        (
+            Rule("STU001", "a title", Severity.NOTE, Kind.USD),
+            "A note. animtool validate looks for it in USD files.",
+        ),
+        (
+            Rule("STU001", "a title", Severity.WARNING, Kind.CLIP),
+            "A warning. animtool validate looks for it in clip files.",
+        ),
+    ],
+)
+def test_explain_a_code_without_a_page(
+    rule: Rule, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("animtool.validation.tables.find_rule", lambda _: rule)
+    done = animtool("explain", "STU001")
+    assert done.stdout == f"# STU001: a title\n\n## What\n\n{said}\n"
 
 
 def test_a_code_that_is_none() -> None:
