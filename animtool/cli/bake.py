@@ -10,18 +10,23 @@ import click
 
 from animtool.cli.console import Console
 from animtool.cli.options import (
+    INPUT,
     LENGTH,
+    OUTPUT,
     RATE,
     Parsed,
     common_options,
     format_option,
     reduce_at_option,
+    rig_layer_options,
     set_option,
-    skips,
     source_options,
     source_options_record,
+    source_prim_option,
+    strict_option,
     take_option,
 )
+from animtool.cli.outputs import existing_options, goes_to_stdout, skipped
 
 if TYPE_CHECKING:
     from animtool.scene.file import Scene
@@ -59,12 +64,12 @@ Examples:
     metavar="SOURCE...",
     nargs=-1,
     required=True,
-    type=click.Path(path_type=Path, readable=False),
+    type=INPUT,
 )
 @click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path, allow_dash=True, readable=False),
+    type=OUTPUT,
     help="USD file to write (.usda, .usdc, .usd), or - for usda on stdout.  "
     "[default: SOURCE with .usdc; a library has none]",
 )
@@ -78,18 +83,7 @@ Examples:
 @click.option(
     "--split", is_flag=True, help="A stage in three files: X.rig.usda, X.anim.usdc, X."
 )
-@click.option(
-    "--rig-layer",
-    type=click.Path(path_type=Path, readable=False),
-    metavar="FILE",
-    help="The rig that a layer is for, or a shot that holds it; its units, up axis, "
-    "rate and start are adopted.",
-)
-@click.option(
-    "--prim-path",
-    metavar="PATH",
-    help="Where the character stands, such as /World/hero.",
-)
+@rig_layer_options
 @click.option("--bones", is_flag=True, help="Add light geometry that shows the joints.")
 @click.option(
     "--strip-namespace",
@@ -108,7 +102,7 @@ Examples:
 )
 @click.option(
     "--rig",
-    type=click.Path(path_type=Path, readable=False),
+    type=INPUT,
     metavar="FILE",
     help="Rig of a clip, in place of the one that it names.",
 )
@@ -119,11 +113,7 @@ Examples:
 )
 @set_option
 @source_options
-@click.option(
-    "--source-prim",
-    metavar="PATH",
-    help="The character to read, where a USD source has several.",
-)
+@source_prim_option
 @take_option
 @click.option(
     "--to-units", type=click.Choice(["m", "cm", "mm", "in"]), help="Unit of the output."
@@ -207,13 +197,8 @@ Examples:
     help="Write nothing; measure time and size against error, over sample rates and "
     "tolerances.",
 )
-@click.option(
-    "--strict", is_flag=True, help="Take warnings for errors and write nothing."
-)
-@click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
-@click.option(
-    "--skip-existing", is_flag=True, help="Do nothing where all outputs exist."
-)
+@strict_option
+@existing_options
 @format_option
 @common_options
 @click.pass_obj
@@ -229,9 +214,7 @@ def bake(
     between a joint's position in float64 and in the float32 values of the file.
     """
     as_json = given["report_format"] == "json"
-    to_stdout = str(output) == "-"
-    if to_stdout and as_json:
-        raise click.UsageError("-o - and --format json both want stdout.")
+    to_stdout = goes_to_stdout(output, given)
     if given["split"] and given["form"] == "layer":
         raise click.UsageError("--split is a stage in three files, not --as layer.")
     if output is None and len(sources) > 1 and not given["table"]:
@@ -241,10 +224,9 @@ def bake(
         _table(console, opened, output, _options(given), as_json=as_json)
         return
     path = None if to_stdout else output or _output_beside(opened[0])
-    if path is not None and _skips(opened, path, given):
-        console.say(f"{path} exists: skipped")
-        if as_json:
-            console.result_json({"bake": "animtool/1", "skipped": str(path)})
+    if path is not None and skipped(
+        console, "bake", given, path, lambda: _outputs(opened, path, given)
+    ):
         return
 
     from animtool.scene.bake import bake as run_bake
@@ -290,12 +272,12 @@ def _opened(sources: Sequence[Path], variables: dict[str, str]) -> list[Path | S
     return opened
 
 
-def _skips(sources: Sequence[Path | Scene], path: Path, given: dict[str, Any]) -> bool:
-    if not given["skip_existing"]:
-        return False
+def _outputs(
+    sources: Sequence[Path | Scene], path: Path, given: dict[str, Any]
+) -> Sequence[Path]:
     from animtool.scene.plan import bake_outputs
 
-    return skips(given, bake_outputs(sources, path, _options(given)))
+    return bake_outputs(sources, path, _options(given))
 
 
 def _table(
@@ -344,9 +326,7 @@ def _options(given: dict[str, Any]) -> Any:
     to_units, to_up = given["to_units"], given["to_up"]
     return BakeOptions(
         source=source_options_record(
-            given["units"],
-            given["up"],
-            given["source_fps"],
+            given,
             given["source_prim"],
             given["rig"],
             clamp=given["clamp"],

@@ -9,15 +9,17 @@ import click
 
 from animtool.cli.console import Console
 from animtool.cli.options import (
+    INPUT,
     LENGTH,
     common_options,
     format_option,
     reduce_at_option,
-    skips,
     source_options,
     source_options_record,
+    strict_option,
     take_option,
 )
+from animtool.cli.outputs import existing_options, skipped
 
 __all__ = ["convert"]
 
@@ -31,8 +33,8 @@ Examples:
   animtool convert hero.rig.yaml hero.usda --physics
   animtool convert hero.usda hero.rig.yaml"""
 )
-@click.argument("source", type=click.Path(path_type=Path, readable=False))
-@click.argument("output", type=click.Path(path_type=Path, readable=False))
+@click.argument("source", type=INPUT)
+@click.argument("output", type=INPUT)
 @source_options
 @click.option(
     "--prim-path", metavar="PATH", help="The character, where a stage has several."
@@ -47,7 +49,7 @@ Examples:
 @reduce_at_option
 @click.option(
     "--base",
-    type=click.Path(path_type=Path, readable=False),
+    type=INPUT,
     metavar="FILE",
     help="SOURCE is an additive take: measure its keys on top of this one.",
 )
@@ -56,13 +58,8 @@ Examples:
     is_flag=True,
     help="Of a rig to USD: write NAME.physics.usda too, with joint types and limits.",
 )
-@click.option(
-    "--strict", is_flag=True, help="Take warnings for errors and write nothing."
-)
-@click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
-@click.option(
-    "--skip-existing", is_flag=True, help="Do nothing where all outputs exist."
-)
+@strict_option
+@existing_options
 @format_option
 @common_options
 @click.pass_obj
@@ -83,10 +80,7 @@ def convert(console: Console, /, source: Path, output: Path, **given: Any) -> No
     outputs = convert_outputs(output)
     if of_rig:
         outputs = rig_outputs(output, physics=given["physics"])
-    if skips(given, outputs):
-        console.say(f"{output} exists: skipped")
-        if given["report_format"] == "json":
-            console.result_json({"convert": "animtool/1", "skipped": str(output)})
+    if skipped(console, "convert", given, output, lambda: outputs):
         return
     if of_rig:
         _rig(console, source, output, given)
@@ -94,9 +88,7 @@ def convert(console: Console, /, source: Path, output: Path, **given: Any) -> No
     from animtool.errors import counted
 
     options = source_options_record(
-        given["units"],
-        given["up"],
-        given["source_fps"],
+        given,
         given["prim_path"],
         take=given["take"],
     )

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from animtool.cli.console import Console
 from animtool.cli.options import (
+    INPUT,
     TOLERANCE,
+    Command,
     common_options,
     format_option,
     source_options,
@@ -23,7 +25,6 @@ if TYPE_CHECKING:
 
 __all__ = ["diff"]
 
-Command = TypeVar("Command", bound=Callable[..., Any])
 
 _KINDS = (("world", "m"), ("translation", "m"), ("rotation", "deg"), ("scale", ""))
 
@@ -63,8 +64,8 @@ Examples:
   animtool diff old.usdc new.usdc --tol 1e-4 --tol-degrees .01
   animtool diff walk.bvh library.usda --take-b walk"""
 )
-@click.argument("first", type=click.Path(path_type=Path, readable=False))
-@click.argument("second", type=click.Path(path_type=Path, readable=False))
+@click.argument("first", type=INPUT)
+@click.argument("second", type=INPUT)
 @_tolerance("--tol", 1e-5, "METRES", "Distance that is no difference.")
 @_tolerance("--tol-degrees", 1e-3, "DEGREES", "Rotation that is no difference.")
 @_tolerance("--tol-weight", 1e-5, "WEIGHT", "Shape weight that is no difference.")
@@ -100,9 +101,7 @@ def _options(first: Path, second: Path, given: dict[str, Any]) -> list[Any]:
     from animtool.scene.sources import fitting_options
 
     shared = source_options_record(
-        given["units"],
-        given["up"],
-        given["source_fps"],
+        given,
         given["prim_path"],
         take=given["take"],
     )

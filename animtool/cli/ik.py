@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,16 +11,20 @@ import click
 
 from animtool.cli.console import Console
 from animtool.cli.options import (
+    INPUT,
     LENGTH,
+    OUTPUT,
     TOLERANCE,
     Parsed,
     common_options,
     format_option,
-    skips,
+    rig_layer_options,
     source_options,
     source_options_record,
+    source_prim_option,
     take_option,
 )
+from animtool.cli.outputs import existing_options, goes_to_stdout, skipped
 
 __all__ = ["ik"]
 
@@ -85,18 +90,18 @@ Examples:
   animtool ik hero.rig.yaml --targets reach.targets.yaml --table
   animtool ik hero.rig.yaml --match --clip walk.bvh -o walk.targets.yaml"""
 )
-@click.argument("rig", type=click.Path(path_type=Path, readable=False))
+@click.argument("rig", type=INPUT)
 @click.option(
     "-t",
     "--targets",
-    type=click.Path(path_type=Path, readable=False),
+    type=INPUT,
     metavar="FILE",
     help="The targets file: where which effector is to be.",
 )
 @click.option(
     "--clip",
     "start",
-    type=click.Path(path_type=Path, readable=False),
+    type=INPUT,
     metavar="START",
     help="Motion to start from, a clip, BVH or USD file: each frame stays near its "
     "pose there.  [default: the rest pose]",
@@ -123,7 +128,7 @@ Examples:
 @click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path, allow_dash=True, readable=False),
+    type=OUTPUT,
     help="What to write: a USD file (.usda, .usdc, .usd), .clip.yaml or .bvh, or - for "
     "usda on stdout; with --match .targets.yaml. USD is a stage with the rig in it, or "
     "with --rig-layer an animation layer over that.  [default: nothing]",
@@ -217,17 +222,7 @@ Examples:
     help="Write nothing where a goal is missed (exit code 4), or there are warnings.",
 )
 @click.option("--split", is_flag=True, help="USD in three files, as bake has it.")
-@click.option(
-    "--rig-layer",
-    type=click.Path(path_type=Path, readable=False),
-    metavar="FILE",
-    help="Write an animation layer over this rig in USD, or over a shot that holds it.",
-)
-@click.option(
-    "--prim-path",
-    metavar="PATH",
-    help="Where the character stands, such as /World/hero.",
-)
+@rig_layer_options
 @click.option(
     "--start",
     "first_code",
@@ -246,16 +241,9 @@ Examples:
     "--match, how far sparse keys may be off.",
 )
 @source_options
-@click.option(
-    "--source-prim",
-    metavar="PATH",
-    help="The character to read, where START is a stage with several.",
-)
+@source_prim_option
 @take_option
-@click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
-@click.option(
-    "--skip-existing", is_flag=True, help="Do nothing where all outputs exist."
-)
+@existing_options
 @format_option
 @common_options
 @click.pass_obj
@@ -274,9 +262,7 @@ def ik(console: Console, /, **given: Any) -> None:
     _check(given)
     as_json = given["report_format"] == "json"
     output = given["output"]
-    to_stdout = str(output) == "-"
-    if to_stdout and as_json:
-        raise click.UsageError("-o - and --format json both want stdout.")
+    to_stdout = goes_to_stdout(output, given)
     if given["table"]:
         if output is not None:
             raise click.UsageError("--table writes no file: no -o.")
@@ -285,10 +271,9 @@ def ik(console: Console, /, **given: Any) -> None:
             raise click.UsageError(message)
         _table(console, given, as_json=as_json)
         return
-    if output is not None and not to_stdout and _skips(given):
-        console.say(f"{output} exists: skipped")
-        if as_json:
-            console.result_json({"ik": "animtool/1", "skipped": str(output)})
+    if (output is not None and not to_stdout) and skipped(
+        console, "ik", given, output, lambda: _outputs(given)
+    ):
         return
     from animtool.scene.ik import MissedGoalsError, run_ik
 
@@ -312,9 +297,7 @@ def _check(given: dict[str, Any]) -> None:
 def _source(given: dict[str, Any]) -> Any:
     """Return what the start is."""
     return source_options_record(
-        given["units"],
-        given["up"],
-        given["source_fps"],
+        given,
         given["source_prim"],
         take=given["take"],
     )
@@ -346,12 +329,10 @@ def _table(console: Console, given: dict[str, Any], *, as_json: bool) -> None:
     console.result("\n".join(ik_table_text(table)))
 
 
-def _skips(given: dict[str, Any]) -> bool:
-    if not given["skip_existing"]:
-        return False
+def _outputs(given: dict[str, Any]) -> Sequence[Path]:
     from animtool.scene.ik import ik_outputs
 
-    return skips(given, ik_outputs(_job(given, False)))
+    return ik_outputs(_job(given, False))
 
 
 def _job(given: dict[str, Any], to_stdout: bool) -> Any:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from animtool.cli.console import Console
-from animtool.cli.options import skips
+from animtool.cli.outputs import skipped
 from animtool.errors import counted
 from animtool.rates import rate_label
 
@@ -52,10 +52,7 @@ def match_command(console: Console, given: Mapping[str, Any], source: Any) -> No
     _check(given)
     as_json = given["report_format"] == "json"
     output = given["output"]
-    if skips(given, [output]):
-        console.say(f"{output} exists: skipped")
-        if as_json:
-            console.result_json({"ik": "animtool/1", "skipped": str(output)})
+    if skipped(console, "ik", given, output, lambda: [output]):
         return
     from animtool.scene.ik_match import MatchJob, run_match
 

@@ -10,6 +10,7 @@ import click
 
 from animtool.cli.console import Console
 from animtool.cli.options import (
+    INPUT,
     common_options,
     format_option,
     source_options,
@@ -32,9 +33,7 @@ Examples:
   animtool info walk.usdc hero.usda --format json
   animtool info library.usda --take run"""
 )
-@click.argument(
-    "files", nargs=-1, required=True, type=click.Path(path_type=Path, readable=False)
-)
+@click.argument("files", nargs=-1, required=True, type=INPUT)
 @source_options
 @click.option(
     "--prim-path", metavar="PATH", help="The character, where a stage has several."
@@ -53,17 +52,15 @@ def info(console: Console, /, files: tuple[Path, ...], **given: Any) -> None:
     from animtool.ik.file import is_targets
     from animtool.report.describe import describe
     from animtool.scene.convert_rig import is_rig
-    from animtool.scene.sources import is_usd
+    from animtool.scene.sources import SourceOptions, is_usd
 
     described: list[Any] = []
     code = 0
     for path in files:
         options = (
-            source_options_record(
-                None, None, None, given["prim_path"], take=given["take"]
-            )
+            SourceOptions(prim_path=given["prim_path"], take=given["take"])
             if is_usd(path)
-            else source_options_record(given["units"], given["up"], given["source_fps"])
+            else source_options_record(given)
         )
         found: Any
         said: Callable[[Any], list[str]]

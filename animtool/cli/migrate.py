@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from animtool.cli.console import Console
-from animtool.cli.options import common_options, format_option
+from animtool.cli.options import INPUT, common_options, format_option, strict_option
 
 if TYPE_CHECKING:
     from animtool.documents.migrate import Migration
@@ -22,18 +22,14 @@ Examples:
   animtool migrate hero.rig.yaml walk.clip.yaml --check
   animtool migrate hero.rig.yaml walk.clip.yaml --overwrite"""
 )
-@click.argument(
-    "files", nargs=-1, required=True, type=click.Path(path_type=Path, readable=False)
-)
+@click.argument("files", nargs=-1, required=True, type=INPUT)
 @click.option(
     "--check",
     is_flag=True,
     help="Write nothing; say what would change, and end with 1 where something would.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace files of older versions.")
-@click.option(
-    "--strict", is_flag=True, help="Take warnings for errors and write nothing."
-)
+@strict_option
 @format_option
 @common_options
 @click.pass_obj

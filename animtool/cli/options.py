@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -11,17 +11,22 @@ import click
 from animtool.cli.console import Console
 
 __all__ = [
+    "INPUT",
     "LENGTH",
+    "OUTPUT",
     "RATE",
     "TOLERANCE",
+    "Command",
     "Parsed",
     "common_options",
     "format_option",
     "reduce_at_option",
+    "rig_layer_options",
     "set_option",
-    "skips",
     "source_options",
     "source_options_record",
+    "source_prim_option",
+    "strict_option",
     "take_option",
 ]
 
@@ -83,6 +88,9 @@ def _variable(text: str) -> tuple[str, str]:
     return name, value
 
 
+# What a file cannot be read for is said by whatever reads it.
+INPUT = click.Path(path_type=Path, readable=False)
+OUTPUT = click.Path(path_type=Path, allow_dash=True, readable=False)
 RATE = Parsed("rate", _rate)
 LENGTH = Parsed("length", _length)
 TOLERANCE = Parsed("tolerance", _tolerance)
@@ -165,17 +173,28 @@ def set_option(command: Command) -> Command:
     )(command)
 
 
-def skips(given: Mapping[str, Any], outputs: Sequence[Path]) -> bool:
-    """Return whether ``--skip-existing`` leaves everything as it is.
+def rig_layer_options(command: Command) -> Command:
+    """Add ``--rig-layer`` and ``--prim-path``, of what a layer is written over."""
+    prim_path = click.option(
+        "--prim-path",
+        metavar="PATH",
+        help="Where the character stands, such as /World/hero.",
+    )
+    rig_layer = click.option(
+        "--rig-layer",
+        type=INPUT,
+        metavar="FILE",
+        help="The rig in USD that a layer is for, or a shot that holds it; its units, "
+        "up axis, rate and start are adopted.",
+    )
+    return rig_layer(prim_path(command))
 
-    Raises:
-        click.UsageError: ``--overwrite`` is given too.
-    """
-    if given["skip_existing"] and given["overwrite"]:
-        raise click.UsageError(
-            "--overwrite replaces outputs and --skip-existing keeps them: give one."
-        )
-    return bool(given["skip_existing"]) and all(path.exists() for path in outputs)
+
+def strict_option(command: Command) -> Command:
+    """Add ``--strict``."""
+    return click.option(
+        "--strict", is_flag=True, help="Take warnings for errors and write nothing."
+    )(command)
 
 
 def format_option(command: Command) -> Command:
@@ -223,24 +242,32 @@ def take_option(command: Command) -> Command:
     )(command)
 
 
+def source_prim_option(command: Command) -> Command:
+    """Add ``--source-prim``."""
+    return click.option(
+        "--source-prim",
+        metavar="PATH",
+        help="The character to read, where a USD source has several.",
+    )(command)
+
+
 def source_options_record(
-    units: str | None,
-    up: str | None,
-    source_fps: Any,
+    given: Mapping[str, Any],
     prim_path: str | None = None,
     rig: Path | None = None,
     *,
     clamp: bool = False,
     take: str | None = None,
 ) -> Any:
-    """Return the record of `source_options`."""
+    """Return the record of `source_options`, and of what a command has beside them."""
+    units, up = given["units"], given["up"]
     from animtool.scene.sources import SourceOptions
     from animtool.units import LengthUnit, UpAxis
 
     return SourceOptions(
         None if units is None else LengthUnit(units),
         None if up is None else UpAxis(up.upper()),
-        source_fps,
+        given["source_fps"],
         prim_path,
         rig,
         clamp,

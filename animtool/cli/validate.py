@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from animtool.cli.console import Console
-from animtool.cli.options import Parsed, common_options
+from animtool.cli.options import Command, Parsed, common_options
 
 if TYPE_CHECKING:
     from animtool.validation.options import ValidateOptions
@@ -23,6 +23,12 @@ FORMATS = ("text", "json", "github", "sarif", "junit")
 
 def _codes(text: str) -> tuple[str, ...]:
     return tuple(code.strip().upper() for code in text.split(",") if code.strip())
+
+
+def _codes_option(name: str, text: str) -> Callable[[Command], Command]:
+    return click.option(
+        name, type=Parsed("codes", _codes), multiple=True, metavar="CODE,…", help=text
+    )
 
 
 def _severity(text: str) -> tuple[str, str]:
@@ -52,19 +58,11 @@ Examples:
   git diff --name-only main -- "*.rig.yaml" | animtool validate -"""
 )
 @click.argument("paths", nargs=-1, required=True)
-@click.option(
-    "--select",
-    type=Parsed("codes", _codes),
-    multiple=True,
-    metavar="CODE,…",
-    help="Look for these codes only; a beginning such as RIG2 means all with it.",
+@_codes_option(
+    "--select", "Look for these codes only; a beginning such as RIG2 means all with it."
 )
-@click.option(
-    "--ignore",
-    type=Parsed("codes", _codes),
-    multiple=True,
-    metavar="CODE,…",
-    help="Leave these out. Of a code that both name, the longer one decides.",
+@_codes_option(
+    "--ignore", "Leave these out. Of a code that both name, the longer one decides."
 )
 @click.option(
     "--severity",
@@ -78,7 +76,8 @@ Examples:
 @click.option(
     "--fix",
     is_flag=True,
-    help="Mend in place what has a safe remedy, and report what is left.",
+    help="Mend in place what has a safe remedy in rigs, clips, scenes and targets, and "
+    "report what is left. BVH and USD files are not written.",
 )
 @click.option(
     "--diff", is_flag=True, help="Show what --fix would change, and write nothing."
@@ -147,7 +146,7 @@ def _fixed(console: Console, files: Sequence[Path], options: ValidateOptions) ->
     from animtool.validation.fixes.run import fix_files
 
     fixes = fix_files(files, options)
-    for fault, said in fixes.mended:
+    for fault, said in fixes.report.mended:
         console.say(f"{fault.path}: {fault.code} mended: {said}")
     for fault, reason in fixes.left:
         console.say(f"{fault.path}: {fault.code} not mended: {reason}")
@@ -169,6 +168,7 @@ def _show_difference(
     from animtool.validation.run import validate_files
 
     report = validate_files(files, options)
+    console.faults(report.broken)
     code = report.exit_code(strict=given["strict"], exit_zero=given["exit_zero"])
     for plan in plan_files(report, options):
         if plan.after == plan.before:

@@ -50,12 +50,14 @@ class Report:
         findings: By file, line and column.
         broken: Plug-in rules that could not be loaded.
         fixable: Findings that `--fix` can mend, where that was looked for.
+        mended: Findings that were mended before, and what was done.
     """
 
     files: tuple[Path, ...]
     findings: tuple[Fault, ...]
     broken: tuple[Fault, ...] = ()
     fixable: frozenset[Fault] = frozenset()
+    mended: tuple[tuple[Fault, str], ...] = ()
 
     def count(self, severity: Severity) -> int:
         """Return how many findings are of a severity."""

@@ -173,10 +173,19 @@ def test_files_are_mended(mendable: Path) -> None:
     assert done.stdout.endswith("1 file: 1 warning\n")
     assert mendable.read_text("utf-8") == MENDABLE.replace("k.l", "k_l")
     again = animtool("validate", mendable, "--fix")
+    report = json.loads(animtool("validate", mendable, "--format", "json").stdout)
+    assert report["mended"] == []
     assert again.stdout == done.stdout
     assert again.stderr == ""
     shown = animtool("validate", mendable, "--diff")
     assert (shown.code, shown.stdout) == (0, "")
+
+
+def test_what_was_mended_is_in_the_report(mendable: Path) -> None:
+    done = animtool("validate", mendable, "--fix", "--format", "json")
+    (entry,) = json.loads(done.stdout)["mended"]
+    assert (entry["code"], entry["path"]) == ("RIG221", str(mendable))
+    assert entry["done"] == "renames 1 name of joints: 'k.l' to 'k_l'"
 
 
 def test_a_mended_file_may_still_have_faults(mendable: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import codecs
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from animtool.errors import Fault
@@ -30,11 +30,6 @@ class Fixes:
 
     files: tuple[FileMend, ...]
     report: Report
-
-    @property
-    def mended(self) -> tuple[tuple[Fault, str], ...]:
-        """Findings that were mended, and what was done."""
-        return tuple(entry for file in self.files for entry in file.mended)
 
     @property
     def left(self) -> tuple[tuple[Fault, str], ...]:
@@ -69,7 +64,8 @@ def fix_files(files: Sequence[Path], options: ValidateOptions | None = None) -> 
         plans.append(plan)
     if any(plan.mended for plan in plans):
         report = validate_files(files, options)
-    return Fixes(tuple(plans), report)
+    mended = tuple(entry for plan in plans for entry in plan.mended)
+    return Fixes(tuple(plans), replace(report, mended=mended))
 
 
 def _having_fixes(report: Report) -> list[Path]:

@@ -19,6 +19,7 @@ def json_report(report: Report) -> str:
             {**fault.as_dict(), "fixable": fault in report.fixable}
             for fault in report.findings
         ],
+        "mended": [{**fault.as_dict(), "done": done} for fault, done in report.mended],
         "summary": {str(kind): report.count(kind) for kind in Severity},
     }
     return json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n"

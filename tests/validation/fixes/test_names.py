@@ -61,7 +61,7 @@ def test_the_rig_is_the_same_but_for_its_names(key: str, tmp_path: Path) -> None
     path.write_text(odd_text, "utf-8")
     assert "RIG221" in [fault.code for fault in validate(path)]
     fixes = fix_files([path])
-    assert [fault.code for fault, _ in fixes.mended] == ["RIG221"]
+    assert [fault.code for fault, _ in fixes.report.mended] == ["RIG221"]
     assert not fixes.left
     after = load_rig(path)
     assert path.read_text("utf-8") == renamed(
@@ -136,7 +136,7 @@ def test_what_another_file_names_stays(name: str, tmp_path: Path) -> None:
     other.parent.mkdir(exist_ok=True)
     other.write_text("joint/a.l.rotation", "utf-8")
     fixes = fix_files([path])
-    assert not fixes.mended
+    assert not fixes.report.mended
     assert [(f.code, other.name in why) for f, why in fixes.left] == [("RIG221", True)]
     assert path.read_text("utf-8") == text
 
@@ -148,5 +148,5 @@ def test_a_sidecar_keeps_the_names_of_its_base(tmp_path: Path) -> None:
     text = "rig: animtool/1\nname: page\nfrom: base.rig.yaml\n"
     path.write_text(text, "utf-8")
     fixes = fix_files([path])
-    assert not fixes.mended
+    assert not fixes.report.mended
     assert path.read_text("utf-8") == text

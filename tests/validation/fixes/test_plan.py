@@ -66,11 +66,11 @@ def test_twice_is_as_once(text: str, tmp_path: Path) -> None:
     left = [fault.code for fault in validate(path)]
     assert all(left.count(code) <= before.count(code) for code in left)
     assert not [code for code in left if code in FIXES]
-    assert len(fixes.mended) <= len(fixable)
+    assert len(fixes.report.mended) <= len(fixable)
     assert once.count(b"# why") == text.encode().count(b"# why")
     assert once.startswith(text.splitlines()[0].encode())
     again = fix_files([path])
-    assert not again.mended
+    assert not again.report.mended
     assert path.read_bytes() == once
 
 
@@ -95,7 +95,7 @@ def test_a_json_file(tmp_path: Path) -> None:
         '"type": "free"}],\n"ignore": [{"code": "RIG201", "why": "\\ud83d\\ude00"}]}'
     )
     path.write_text(text, "utf-8")
-    assert {f.code for f, _ in fix_files([path]).mended} == {"RIG221", "VAL001"}
+    assert {f.code for f, _ in fix_files([path]).report.mended} == {"RIG221", "VAL001"}
     assert validate(path) == []
     assert path.read_text("utf-8") == (
         '{"rig": "animtool/1", "name": "page", "joints": [\n\t{"name": "a_l", '
@@ -107,9 +107,9 @@ def test_only_what_counts_is_mended(tmp_path: Path) -> None:
     path = tmp_path / "page.rig.yaml"
     text = 'rig: animtool/1\nname: page\njoints: [{name: "a.l", type: free}]\n'
     path.write_text(text, "utf-8")
-    assert not fix_files([path], ValidateOptions(ignore=("RIG221",))).mended
+    assert not fix_files([path], ValidateOptions(ignore=("RIG221",))).report.mended
     (tmp_path / "animtool.toml").write_text("[validate]\nignore = ['RIG221']\n")
-    assert not fix_files([path]).mended
+    assert not fix_files([path]).report.mended
     assert path.read_text("utf-8") == text
 
 
@@ -127,7 +127,7 @@ def test_a_mend_that_makes_it_worse_is_not_kept(
     path.write_text(text, "utf-8")
     monkeypatch.setattr("animtool.validation.fixes.plan.fix_of", lambda _: wrong)
     fixes = fix_files([path])
-    assert not fixes.mended
+    assert not fixes.report.mended
     assert [why for _, why in fixes.left] == ["DOC022 would come of it"]
     assert (
         document_of(path.read_text("utf-8"), path).value["joints"][0]["type"] == "free"

@@ -26,7 +26,7 @@ def test_the_rest_pose_is_the_bind_pose(
     path.write_text(HEAD + entry + bind, "utf-8")
     assert [fault.code for fault in validate(path)] == ["RIG222"]
     fixes = fix_files([path])
-    assert [fault.code for fault, _ in fixes.mended] == ["RIG222"]
+    assert [fault.code for fault, _ in fixes.report.mended] == ["RIG222"]
     assert validate(path) == []
     rig = load_rig(path)
     assert rig.joints[1].translation == (0.0, 0.5, 0.001)

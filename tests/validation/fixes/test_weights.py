@@ -40,7 +40,7 @@ def test_they_go_into_a_file_of_their_own(loose: Path) -> None:
     assert skin is not None
     values = skin.weights.load()
     fixes = fix_files([loose])
-    assert [fault.code for fault, _ in fixes.mended] == ["RIG210"]
+    assert [fault.code for fault, _ in fixes.report.mended] == ["RIG210"]
     assert "RIG210" not in codes(loose)
     assert loose.with_name("body.npz").read_bytes() == old
     after = loose.read_text("utf-8")

@@ -1,0 +1,71 @@
+"""Where results of commands go: files that may be there already, or stdout."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from animtool.cli.console import Console
+from animtool.cli.options import Command
+
+__all__ = ["existing_options", "goes_to_stdout", "skipped"]
+
+
+def existing_options(command: Command) -> Command:
+    """Add ``--overwrite`` and ``--skip-existing``."""
+    skip = click.option(
+        "--skip-existing", is_flag=True, help="Do nothing where all outputs exist."
+    )
+    overwrite = click.option(
+        "--overwrite", is_flag=True, help="Replace outputs that exist."
+    )
+    return overwrite(skip(command))
+
+
+def skipped(
+    console: Console,
+    command: str,
+    given: Mapping[str, Any],
+    output: Path,
+    outputs: Callable[[], Sequence[Path]],
+) -> bool:
+    """Return whether ``--skip-existing`` leaves everything as it is, and say so.
+
+    Args:
+        console: Where it is said.
+        command: Name of the command, for the report.
+        given: Its options.
+        output: What it is called by.
+        outputs: Gives the files that would be written; asked only where it matters.
+
+    Raises:
+        click.UsageError: ``--overwrite`` is given too.
+    """
+    if not given["skip_existing"]:
+        return False
+    if given["overwrite"]:
+        raise click.UsageError(
+            "--overwrite replaces outputs and --skip-existing keeps them: give one."
+        )
+    if not all(path.exists() for path in outputs()):
+        return False
+    console.say(f"{output} exists: skipped")
+    if given["report_format"] == "json":
+        console.result_json({command: "animtool/1", "skipped": str(output)})
+    return True
+
+
+def goes_to_stdout(output: Path | None, given: Mapping[str, Any]) -> bool:
+    """Return whether the output is ``-``.
+
+    Raises:
+        click.UsageError: The report goes there too.
+    """
+    if str(output) != "-":
+        return False
+    if given["report_format"] == "json":
+        raise click.UsageError("-o - and --format json both want stdout.")
+    return True
