@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
-from animtool.config import project_roots
 from animtool.documents.document import Location
 from animtool.documents.edit import Edit, Put, Rename
 from animtool.errors import Fault, counted, listed
 from animtool.rig.targets import DRIVEN_PARTS, split_part
 from animtool.validation.fixes.mend import Mend, NotMendedError
+from animtool.validation.fixes.others import naming
 from animtool.validation.fixes.places import place_of
 from animtool.validation.rules.names import legal, names_in
-from animtool.validation.subjects.open import DOCUMENT_SUFFIXES
 from animtool.validation.subjects.rig import RigSubject
 from animtool.validation.subjects.subject import Opened
 
@@ -81,7 +79,8 @@ def _whole(opened: Opened) -> RigSubject:
 
 
 def _renamed(rig: RigSubject, key: str, old: list[str]) -> Mend:
-    _refuse_named(rig.document.path, old)
+    for path, name in naming(rig.document.path, old):
+        raise NotMendedError(f"{path.name} names {name!r} too")
     new = _fresh(old, names_in(rig, key))
     pairs = [f"{name!r} to {new[name]!r}" for name in old]
     said = f"renames {counted(len(old), 'name')} of {key}: {listed(pairs, 3)}"
@@ -99,29 +98,6 @@ def _fresh(old: list[str], names: list[str]) -> dict[str, str]:
             wanted, number = f"{legal(name)}_{number}", number + 1
         new[name] = wanted
     return new
-
-
-def _refuse_named(path: Path, names: list[str]) -> None:
-    """Refuse names that another file of the project may refer to.
-
-    Raises:
-        NotMendedError: One holds such a name, whatever it means there.
-    """
-    own = path.resolve()
-    for root in project_roots(path):
-        for file in sorted(root.rglob("*")):
-            if (
-                not file.name.lower().endswith(DOCUMENT_SUFFIXES)
-                or file.resolve() == own
-            ):
-                continue
-            try:
-                text = file.read_text("utf-8", errors="replace")
-            except OSError:
-                continue
-            found = next((name for name in names if name in text), None)
-            if found is not None:
-                raise NotMendedError(f"{file.name} names {found!r} too")
 
 
 def renaming(

@@ -98,27 +98,25 @@ def reopened(text: str, path: Path) -> tuple[Opened, list[Fault]]:
 
 def with_fixable(report: Report) -> Report:
     """Return a report that knows which of its findings have a safe remedy."""
-    fixable = {
-        key
-        for path in report.files
-        if any(f.code in FIXES and f.path == str(path) for f in report.findings)
-        for key in _fixable(path)
-    }
-    marked = (
-        fault for fault in report.findings if (fault.path, *_key(fault)) in fixable
-    )
-    return replace(report, fixable=frozenset(marked))
+    cases: dict[str, list[Fault]] = {}
+    for fault in report.findings:
+        if fault.code in FIXES and fault.path is not None:
+            cases.setdefault(fault.path, []).append(fault)
+    fixable = (fault for path, own in cases.items() for fault in _fixable(path, own))
+    return replace(report, fixable=frozenset(fixable))
 
 
-def _fixable(path: Path) -> Iterator[tuple[str | None, str, str | None, str]]:
-    opened, found = reopened(read_text(path), path)
-    for fault in found:
+def _fixable(name: str, faults: Sequence[Fault]) -> Iterator[Fault]:
+    """Yield the findings in a file that can be mended, each on its own."""
+    path = Path(name)
+    text = read_text(path)
+    opened = open_document(document_of(text, path))
+    for fault in faults:
         try:
-            if fault.code in FIXES:
-                edited(read_text(path), path, _mend(opened, fault).edits)
-                yield (fault.path, *_key(fault))
+            edited(text, path, _mend(opened, fault).edits)
         except (NotMendedError, EditError):
             continue
+        yield fault
 
 
 def _mend(opened: Opened, fault: Fault) -> Mend:
