@@ -244,7 +244,7 @@ def _end(node: Any) -> int:
 
 
 def _flow(value: Any) -> str:
-    """Return a value on one line."""
+    """Return a number, a text or a list of them on one line."""
     if isinstance(value, list):
         return flow([_flow(entry) for entry in value])
     return plain_text(value) if isinstance(value, str) else number(value)

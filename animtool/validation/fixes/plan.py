@@ -73,19 +73,23 @@ def plan_file(path: Path, options: ValidateOptions) -> FileMend:
     opened, found = reopened(text, path)
     given_up: set[tuple[str, str | None, str]] = set()
     while (fault := next(_open_cases(found, options, given_up), None)) is not None:
-        given_up.add(_key(fault))
         try:
             mend = _mend(opened, fault)
             after = edited(plan.after, path, mend.edits)
             if mend.arrays:
+                given_up.add(_key(fault))
                 continue
             other, left = reopened(after, path)
             _refuse_worse(fault, found, left)
         except (NotMendedError, EditError, AnimtoolError) as error:
+            given_up.add(_key(fault))
             plan.left.append((fault, str(error)))
             continue
         plan.after, opened, found = after, other, left
         plan.mended.append((fault, mend.said))
+        # The others may stand elsewhere now, and fare better.
+        given_up.clear()
+        plan.left.clear()
     _with_arrays(plan, opened, found, options)
     return plan
 

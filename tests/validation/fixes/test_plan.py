@@ -48,7 +48,7 @@ def rigs(draw: st.DrawFn) -> str:
         if draw(st.booleans()):
             bind.append(f"  {quote}{name}{quote}: {{translate: [0, 1.50, {i}]}}")
     lines += ["bind:", *bind] if bind else []
-    ignored = draw(st.lists(st.sampled_from(IGNORES), max_size=3, unique=True))
+    ignored = draw(st.lists(st.sampled_from(IGNORES), max_size=4))
     lines += ["ignore:", *(f"- {entry}" for entry in ignored)] if ignored else []
     newline = draw(st.sampled_from(["\n", "\r\n"]))
     return newline.join(lines) + draw(st.sampled_from(["", newline]))
