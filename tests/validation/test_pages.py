@@ -26,6 +26,7 @@ WITHOUT = (Path(__file__).parent / "without_page.txt").read_text("utf-8").split(
 BESIDE = {
     "CLIP205": {"CLIP101"},
     "IK101": {"TGT205"},
+    "RIG219": {"RIG221"},
     "TGT104": {"TGT201", "TGT207"},
     "TGT206": {"TGT205"},
     "VAL002": {"RIG201"},
