@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from animtool.errors import Fault, OptionError
+from animtool.inputs import note_input
 
 __all__ = ["Config", "find_config", "project_roots"]
 
@@ -42,8 +43,10 @@ def find_config(path: Path) -> Config:
     """
     for folder in path.resolve().parents:
         own, project = folder / "animtool.toml", folder / "pyproject.toml"
+        note_input(own)
         if own.is_file():
             return _config(own, _table(own))
+        note_input(project)
         if project.is_file():
             tools = _table(project).get("tool", {})
             table = tools.get("animtool") if isinstance(tools, dict) else None

@@ -12,6 +12,7 @@ __all__ = [
     "ExitCode",
     "Fault",
     "FormatError",
+    "NothingFoundError",
     "OptionError",
     "OutputError",
     "Severity",
@@ -139,6 +140,12 @@ class OptionError(AnimtoolError):
     """An option, or a combination of options, makes no sense."""
 
     exit_code = ExitCode.USAGE
+
+
+class NothingFoundError(AnimtoolError):
+    """What was named means no file."""
+
+    exit_code = ExitCode.NOTHING_MATCHED
 
 
 class StrictError(AnimtoolError):

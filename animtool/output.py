@@ -5,13 +5,25 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
+from hashlib import sha256
 from pathlib import Path
 from uuid import uuid4
 
 from animtool.errors import Fault, OptionError, OutputError
+from animtool.inputs import check_inputs
 
-__all__ = ["check_outputs", "output_error", "replacing"]
+__all__ = [
+    "check_outputs",
+    "output_error",
+    "remove_leftovers",
+    "replacing",
+    "temporary_prefix",
+]
+
+_OWNER = re.compile(r"\.animtool-(?P<host>[0-9a-f]{8})-(?P<process>[0-9]+)-")
 
 
 def check_outputs(
@@ -74,6 +86,62 @@ def output_error(path: Path, error: BaseException | str) -> OutputError:
     )
 
 
+def temporary_prefix(process: int | None = None) -> str:
+    """Return how the names begin of the files that a process of this host writes.
+
+    Args:
+        process: Its number; None is this one.
+    """
+    return f".animtool-{_host()}-{process or os.getpid()}-"
+
+
+def remove_leftovers(folders: Iterable[Path], process: int | None = None) -> list[Path]:
+    """Remove what killed processes of this host began to write; return what that was.
+
+    Args:
+        folders: Where outputs go; those that are not there are passed over.
+        process: One that is dead; None is all that are.
+    """
+    removed = []
+    for folder in dict.fromkeys(folders):
+        for path in _temporary(folder):
+            found = _OWNER.match(path.name)
+            if found is None or found["host"] != _host():
+                continue
+            number = int(found["process"])
+            if number == process or (process is None and not _lives(number)):
+                with contextlib.suppress(OSError):
+                    path.unlink()
+                    removed.append(path)
+    return removed
+
+
+def _temporary(folder: Path) -> list[Path]:
+    with contextlib.suppress(OSError), os.scandir(folder) as entries:
+        return [Path(e.path) for e in entries if e.name.startswith(".animtool-")]
+    return []
+
+
+def _lives(process: int) -> bool:
+    if os.name == "nt":
+        # There, a signal of 0 would end the process.
+        return True
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
+
+
+@cache
+def _host() -> str:
+    import platform
+
+    return sha256(platform.node().encode()).hexdigest()[:8]
+
+
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Give a temporary path in the same folder that becomes ``path`` at the end.
@@ -83,14 +151,16 @@ def replacing(path: Path) -> Iterator[Path]:
     or whole.
 
     Raises:
+        FormatError: Inputs are recorded, and one changed since it was read (IO004).
         OutputError: It cannot be flushed or renamed.
     """
     # A link stays one: what it leads to is replaced.
     final = path.resolve()
     # Unique over threads, processes and hosts that share a folder.
-    temporary = final.with_name(f".animtool-{uuid4().hex[:12]}{final.suffix}")
+    temporary = final.with_name(f"{temporary_prefix()}{uuid4().hex[:12]}{final.suffix}")
     try:
         yield temporary
+        check_inputs()
         try:
             _flush(temporary)
             temporary.replace(final)

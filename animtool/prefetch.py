@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import contextvars
 import queue
 import threading
 from collections.abc import Generator, Iterator
@@ -52,7 +53,11 @@ def prefetch(items: Iterator[T], depth: int = 3) -> Generator[T]:
         except BaseException as error:
             put(_End(error))
 
-    thread = threading.Thread(target=work, name="animtool-prefetch", daemon=True)
+    # What is noted of the work, such as the files that it reads, is noted here too.
+    context = contextvars.copy_context()
+    thread = threading.Thread(
+        target=context.run, args=(work,), name="animtool-prefetch", daemon=True
+    )
     thread.start()
     try:
         while True:

@@ -15,7 +15,19 @@ import animtool
 PACKAGE = Path(animtool.__file__).parent
 # A package imports from those above it only.
 LAYERS = [
-    {"errors", "units", "rates", "output", "config", "prefetch", "_types", "_kernels"},
+    {
+        "errors",
+        "units",
+        "rates",
+        "output",
+        "config",
+        "prefetch",
+        "_types",
+        "_kernels",
+        "inputs",
+        "files",
+        "junit",
+    },
     {"plugins"},
     {"readers"},
     {"maths"},
@@ -30,6 +42,7 @@ LAYERS = [
     {"usd"},
     {"edit"},
     {"scene"},
+    {"batch"},
     {"report", "validation"},
     {"cli"},
 ]

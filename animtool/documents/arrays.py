@@ -18,6 +18,7 @@ from numpy.lib import format as npy
 
 from animtool._types import FloatArray
 from animtool.documents.document import Document, Location
+from animtool.inputs import note_input
 
 __all__ = [
     "Archives",
@@ -214,6 +215,7 @@ class _Archive:
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        note_input(path)
         if _is_bare(path):
             message = f"{path.name} is a single array, as numpy.save writes, not an "
             raise ValueError(f"{message}archive of named ones, as numpy.savez does")

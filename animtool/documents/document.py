@@ -16,6 +16,7 @@ from typing import Any, NoReturn, cast
 import yaml
 
 from animtool.errors import Fault, FormatError, Severity, excerpt
+from animtool.inputs import note_input
 
 __all__ = [
     "Document",
@@ -291,6 +292,7 @@ def read_text(path: Path) -> str:
     Raises:
         FormatError: It cannot be read, is too large, or no UTF-8.
     """
+    note_input(path)
     try:
         with path.open("rb") as file:
             data = file.read(MOST_BYTES + 1)

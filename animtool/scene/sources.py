@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TypeAlias, cast
 
 from animtool.errors import AnimtoolError, Fault, OptionError
+from animtool.inputs import note_input
 from animtool.rates import rate_option
 from animtool.readers import READERS, USD, find_reader
 from animtool.take import TakeStream
@@ -149,6 +150,7 @@ def open_source(
         hint = "animtool bake bakes it; its source is a file that can be read"
         raise OptionError(Fault("IO002", message, str(path), (), hint))
     reader = find_reader(path)
+    note_input(path)
     usual = SourceOptions()
     given = {
         field.name: value

@@ -14,6 +14,7 @@ from typing import Any
 from pxr import Sdf, Tf
 
 from animtool.errors import Fault, FormatError, OptionError, excerpt
+from animtool.inputs import note_input
 from animtool.output import output_error, replacing
 from animtool.units import UpAxis
 
@@ -27,6 +28,7 @@ __all__ = [
     "export_layer",
     "find_layer",
     "new_layer",
+    "note_layers",
     "prim",
     "relationship",
     "save_layer",
@@ -93,6 +95,7 @@ def find_layer(path: Path) -> Any:
     Raises:
         FormatError: The file does not exist or is no USD layer.
     """
+    note_input(path)
     try:
         with path.open("rb") as file:
             file.read(1)
@@ -105,6 +108,19 @@ def find_layer(path: Path) -> Any:
     if layer is None:
         raise FormatError(Fault("USD001", "is no USD layer", str(path)))
     return layer
+
+
+def note_layers(stage: Any) -> None:
+    """Note the files that a stage is composed of, and those that it lacks."""
+    for layer in stage.GetUsedLayers():
+        if layer.anonymous:
+            continue
+        if layer.realPath:
+            note_input(Path(layer.realPath))
+        for name in layer.GetCompositionAssetDependencies():
+            found = Sdf.ComputeAssetPathRelativeToLayer(layer, name)
+            if found and "[" not in found and "://" not in found:
+                note_input(Path(found))
 
 
 @contextmanager

@@ -17,7 +17,12 @@ from animtool.errors import Fault, FormatError, Severity, excerpt, listed
 from animtool.maths import so3
 from animtool.rig.skeleton import CHANNEL_NAMES, Joint, Pose, Rig
 from animtool.units import UpAxis
-from animtool.usd.layers import check_prim_path, find_layer, usd_errors
+from animtool.usd.layers import (
+    check_prim_path,
+    find_layer,
+    note_layers,
+    usd_errors,
+)
 
 __all__ = [
     "SkeletonRig",
@@ -69,6 +74,7 @@ def open_stage(path: Path) -> Any:
     layer = find_layer(path)
     with usd_errors(path):
         stage = Usd.Stage.Open(layer)
+    note_layers(stage)
     _check_metadata(stage, str(path))
     return stage
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 import animtool
-from animtool.errors import ExitCode, OptionError, Severity
-from animtool.validation.files import NothingFoundError, find_files
+from animtool.errors import ExitCode, NothingFoundError, OptionError, Severity
+from animtool.validation.files import find_files
 from animtool.validation.options import ValidateOptions
 from animtool.validation.rule import Rule
 from animtool.validation.run import validate, validate_files

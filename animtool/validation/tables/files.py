@@ -44,6 +44,7 @@ RULES = (
     Rule("IO001", "a file that cannot be read"),
     Rule("IO002", "a file of a kind that is not read"),
     Rule("IO003", "a plug-in reader that cannot be loaded"),
+    Rule("IO004", "a file that changed while it was read"),
     Rule("OUT001", "an output that exists"),
     Rule("OUT002", "an output that cannot be written"),
     Rule("OUT003", "an output that is also an input"),

@@ -1,0 +1,61 @@
+"""Which files names, folders and globs mean."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+__all__ = ["FoundFile", "files_meant"]
+
+_WILD = frozenset("*?[")
+
+
+@dataclass(frozen=True, slots=True)
+class FoundFile:
+    """A file that was meant.
+
+    Attributes:
+        path: The file, spelled as its folder was.
+        base: The folder that was searched; of a named file its own.
+    """
+
+    path: Path
+    base: Path
+
+
+def files_meant(text: str, suffixes: Sequence[str]) -> Iterator[FoundFile]:
+    """Yield the files that a name, a folder or a glob means, in order.
+
+    Of a folder all files with one of the suffixes, those of folders in it too. Of a
+    glob the files that it matches; ``**`` is any number of folders. Names that begin
+    with a dot are left out where the glob has none. A name that is there is meant as
+    it is, and so is one that is nowhere.
+
+    Args:
+        text: What was given.
+        suffixes: How the names end, lower case, of files that folders are searched
+            for.
+    """
+    path = Path(text)
+    if path.is_dir():
+        known = tuple(suffixes)
+        for file in sorted(path.rglob("*")):
+            if file.name.lower().endswith(known) and _is_shown(file, path):
+                yield FoundFile(file, path)
+    elif _WILD & set(text) and not path.exists():
+        # Folders without a wildcard stay as the user spells them.
+        parts = path.parts
+        first = next(i for i, part in enumerate(parts) if _WILD & set(part))
+        base = Path(*parts[:first])
+        named = any(part.startswith(".") for part in parts[first:])
+        for file in sorted(base.glob("/".join(parts[first:]))):
+            if file.is_file() if named else _is_shown(file, base):
+                yield FoundFile(file, base)
+    else:
+        yield FoundFile(path, path.parent)
+
+
+def _is_shown(file: Path, folder: Path) -> bool:
+    parts = file.relative_to(folder).parts
+    return not any(part.startswith(".") for part in parts) and file.is_file()

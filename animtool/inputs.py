@@ -1,0 +1,108 @@
+"""Which files a piece of work looked at: every reader says so here.
+
+Nothing is noted unless somebody records. What was looked for and is not there counts
+too: that it comes may change what the work makes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from animtool.errors import Fault, FormatError
+
+__all__ = ["FileState", "Inputs", "check_inputs", "note_input", "recorded_inputs"]
+
+
+@dataclass(frozen=True, slots=True)
+class FileState:
+    """What tells, without reading it, that a file is not the one it was.
+
+    Attributes:
+        size: In bytes.
+        changed: When its content last changed, by the clock of its disk [ns].
+        inode: Which file of its disk it is.
+    """
+
+    size: int
+    changed: int
+    inode: int
+
+    @classmethod
+    def of(cls, path: Path) -> FileState | None:
+        """Return the state of a file; None where there is none."""
+        try:
+            found = path.stat()
+        except (OSError, ValueError):
+            return None
+        return cls(found.st_size, found.st_mtime_ns, found.st_ino)
+
+
+@dataclass(slots=True)
+class Inputs:
+    """What a piece of work looked at.
+
+    Attributes:
+        states: By absolute path, what the file was when it was first looked at.
+    """
+
+    states: dict[Path, FileState | None] = field(default_factory=dict)
+
+    def note(self, path: Path) -> None:
+        """Note a file that is about to be read."""
+        where = path.absolute()
+        if where not in self.states:
+            self.states[where] = FileState.of(where)
+
+    def changed(self) -> list[Path]:
+        """Return the files that are no longer what they were."""
+        return [
+            path for path, state in self.states.items() if FileState.of(path) != state
+        ]
+
+    def check(self) -> None:
+        """Raise `FormatError` where files changed since they were looked at (IO004)."""
+        changed = self.changed()
+        if changed:
+            message = "changed while it was being read"
+            hint = "run it again when nobody writes to it"
+            raise FormatError(
+                [Fault("IO004", message, str(path), (), hint) for path in changed]
+            )
+
+
+_RECORDED: ContextVar[Inputs | None] = ContextVar("recorded_inputs", default=None)
+
+
+@contextmanager
+def recorded_inputs() -> Iterator[Inputs]:
+    """Give a record of the files that are looked at inside the block.
+
+    >>> with recorded_inputs() as inputs:
+    ...     note_input(Path("walk.bvh"))
+    >>> [path.name for path in inputs.states]
+    ['walk.bvh']
+    """
+    inputs = Inputs()
+    token = _RECORDED.set(inputs)
+    try:
+        yield inputs
+    finally:
+        _RECORDED.reset(token)
+
+
+def note_input(path: Path) -> None:
+    """Note that a file is about to be read, or was looked for."""
+    inputs = _RECORDED.get()
+    if inputs is not None:
+        inputs.note(path)
+
+
+def check_inputs() -> None:
+    """Raise `FormatError` where files changed since they were noted (IO004)."""
+    inputs = _RECORDED.get()
+    if inputs is not None:
+        inputs.check()

@@ -1,0 +1,83 @@
+"""Reports as JUnit XML, as Jenkins's ``junit-10.xsd`` has it, which others read."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import PurePath
+from typing import Literal
+from xml.etree import ElementTree
+
+__all__ = ["JunitCase", "junit_xml"]
+
+# What XML 1.0 cannot hold.
+_FORBIDDEN = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+@dataclass(frozen=True, slots=True)
+class JunitCase:
+    """One test case: a file.
+
+    Attributes:
+        name: The file.
+        outcome: What became of it.
+        code: Of what is wrong.
+        message: What is wrong, in a line.
+        text: All of it.
+        said: What there is to say beside that.
+        seconds: How long it took; None says nothing of it.
+    """
+
+    name: str
+    outcome: Literal["passed", "failure", "error", "skipped"] = "passed"
+    code: str = ""
+    message: str = ""
+    text: str = ""
+    said: str = ""
+    seconds: float | None = None
+
+
+def junit_xml(name: str, cases: Iterable[JunitCase]) -> str:
+    """Return one suite of cases; the classname of each is the folder of its file."""
+    suite = ElementTree.Element("testsuite", name=name)
+    for case in cases:
+        _add(suite, case)
+    found = suite.findall
+    suite.attrib |= {
+        "tests": str(len(suite)),
+        "failures": str(len(found("testcase/failure"))),
+        "errors": str(len(found("testcase/error"))),
+        "skipped": str(len(found("testcase/skipped"))),
+    }
+    root = ElementTree.Element("testsuites", name=name)
+    root.append(suite)
+    ElementTree.indent(root)
+    text = ElementTree.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'
+
+
+def _add(suite: ElementTree.Element, case: JunitCase) -> None:
+    path = PurePath(case.name)
+    times = {} if case.seconds is None else {"time": f"{case.seconds:.3f}"}
+    element = ElementTree.SubElement(
+        suite,
+        "testcase",
+        classname=_clean(path.parent.as_posix()),
+        name=_clean(path.name),
+        **times,
+    )
+    if case.outcome != "passed":
+        entry = ElementTree.SubElement(element, case.outcome)
+        if case.code:
+            entry.set("type", case.code)
+        if case.message:
+            entry.set("message", _clean(case.message))
+        if case.text:
+            entry.text = _clean(case.text)
+    if case.said:
+        ElementTree.SubElement(element, "system-out").text = _clean(case.said)
+
+
+def _clean(text: str) -> str:
+    return _FORBIDDEN.sub("\N{REPLACEMENT CHARACTER}", text)
