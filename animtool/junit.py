@@ -59,14 +59,12 @@ def junit_xml(name: str, cases: Iterable[JunitCase]) -> str:
 
 def _add(suite: ElementTree.Element, case: JunitCase) -> None:
     path = PurePath(case.name)
-    times = {} if case.seconds is None else {"time": f"{case.seconds:.3f}"}
+    folder = path.parent.as_posix()
     element = ElementTree.SubElement(
-        suite,
-        "testcase",
-        classname=_clean(path.parent.as_posix()),
-        name=_clean(path.name),
-        **times,
+        suite, "testcase", classname=_clean(folder), name=_clean(path.name)
     )
+    if case.seconds is not None:
+        element.set("time", f"{case.seconds:.3f}")
     if case.outcome != "passed":
         entry = ElementTree.SubElement(element, case.outcome)
         if case.code:

@@ -62,6 +62,10 @@ class Console:
         label = self._color("error", _COLORS[Severity.ERROR])
         self._line({"level": "error", "message": message}, f"{label}: {message}")
 
+    def is_live(self) -> bool:
+        """Return whether somebody looks at stderr while things change."""
+        return self.verbosity >= 0 and not self.json_log and sys.stderr.isatty()
+
     @contextmanager
     def progress(
         self, label: str, *, stdout: bool = False
@@ -72,8 +76,7 @@ class Console:
             label: What is being done.
             stdout: Whether a result goes to stdout, which may be the same terminal.
         """
-        shared = stdout and sys.stdout.isatty()
-        if self.verbosity < 0 or self.json_log or shared or not sys.stderr.isatty():
+        if not self.is_live() or (stdout and sys.stdout.isatty()):
             yield None
             return
         from rich.console import Console as RichConsole

@@ -22,6 +22,10 @@ COMMANDS = {
         "animtool.cli.bake:bake",
         "Bake a clip, BVH or USD file to a USD animation.",
     ),
+    "batch": (
+        "animtool.cli.batch:batch",
+        "Bake many files, on every core, resumable.",
+    ),
     "completion": ("animtool.cli.completion:completion", "Print a completion script."),
     "convert": ("animtool.cli.convert:convert", "Convert a take to another format."),
     "diff": ("animtool.cli.diff:diff", "Compare two takes or layers."),
@@ -33,7 +37,7 @@ COMMANDS = {
     ),
     "plugins": (
         "animtool.cli.plugins:plugins",
-        "List the passes and readers there are.",
+        "List the passes, readers and executors there are.",
     ),
     "schema": ("animtool.cli.schema:schema", "Print the JSON Schema of a file."),
     "info": ("animtool.cli.info:info", "Say what is in a file."),

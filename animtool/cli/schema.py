@@ -12,6 +12,7 @@ from animtool.cli.options import common_options
 __all__ = ["MODELS", "schema"]
 
 MODELS = {
+    "batch": "animtool.batch.schema:BatchModel",
     "clip": "animtool.clip.schema:ClipModel",
     "rig": "animtool.rig.schema:RigModel",
     "scene": "animtool.scene.schema:SceneModel",

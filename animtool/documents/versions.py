@@ -17,13 +17,14 @@ Steps = Mapping[int, Step]
 
 # By kind and the version that a step leads on from.
 STEPS: dict[str, dict[int, Step]] = {
+    "batch": {},
     "rig": {},
     "clip": {},
     "scene": {},
     "targets": {},
 }
-# What the first line of a file may name; all others may name their rig too.
-KINDS = ("clip", "scene", "targets", "rig")
+# What the first line of a file may name: a batch names a scene too, others their rig.
+KINDS = ("batch", "clip", "scene", "targets", "rig")
 
 # What is done with a file that is taken for a clip, by what it is.
 _INSTEAD = {

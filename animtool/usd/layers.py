@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import re
 import sys
 from collections.abc import Iterator
@@ -11,7 +12,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from pxr import Sdf, Tf
+from pxr import Sdf, Tf, Work
 
 from animtool.errors import Fault, FormatError, OptionError, excerpt
 from animtool.inputs import note_input
@@ -25,8 +26,10 @@ __all__ = [
     "author_metadata",
     "check_prim_path",
     "check_suffix",
+    "compute_alone",
     "export_layer",
     "find_layer",
+    "forget_layers",
     "new_layer",
     "note_layers",
     "prim",
@@ -110,6 +113,15 @@ def find_layer(path: Path) -> Any:
     return layer
 
 
+def forget_layers() -> None:
+    """Let go of files that nothing needs any more, so that they are read anew.
+
+    USD keeps a layer as long as somebody holds it, and stages hold theirs in circles.
+    """
+    if any(not layer.anonymous for layer in Sdf.Layer.GetLoadedLayers()):
+        gc.collect()
+
+
 def note_layers(stage: Any) -> None:
     """Note the files that a stage is composed of, and those that it lacks."""
     for layer in stage.GetUsedLayers():
@@ -121,6 +133,11 @@ def note_layers(stage: Any) -> None:
             found = Sdf.ComputeAssetPathRelativeToLayer(layer, name)
             if found and "[" not in found and "://" not in found:
                 note_input(Path(found))
+
+
+def compute_alone() -> None:
+    """Let USD compute in the thread that asks, where other processes have the rest."""
+    Work.SetConcurrencyLimit(1)
 
 
 @contextmanager

@@ -1,0 +1,1 @@
+"""Many files made alike: found, planned, made by several processes, and resumed."""

@@ -1,0 +1,108 @@
+"""Outputs that cannot or must not be written, all found before the work."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+from animtool.batch.discover import Batch
+from animtool.batch.recipe import Item
+from animtool.errors import Fault, OptionError, OutputError
+
+__all__ = ["check_overwrites", "check_places"]
+
+MOST_FAULTS = 50
+
+
+class _Places:
+    """Where paths lead, links in their folders followed; each folder is asked once."""
+
+    def __init__(self) -> None:
+        self._folders: dict[Path, Path] = {}
+
+    def __call__(self, path: Path) -> Path:
+        folder = path.parent
+        if folder not in self._folders:
+            self._folders[folder] = folder.resolve()
+        return self._folders[folder] / path.name
+
+
+def check_places(batch: Batch) -> None:
+    """Refuse outputs that are one file, or an input, or in no folder to write to.
+
+    Raises:
+        OptionError: Two items write one file, or files whose names differ in case only
+            (BAT006); or an output is an input (OUT003).
+        OutputError: A folder cannot be made or written to (OUT002).
+    """
+    place = _Places()
+    inputs = {place(item.found.path) for item in batch.items}
+    inputs |= {place(path) for path in batch.given}
+    faults = list(_clashes(batch, place, inputs))
+    _refuse(faults, OptionError)
+    folders = dict.fromkeys(item.output.parent for item in batch.items)
+    _refuse(list(_closed(folders)), OutputError)
+
+
+def _clashes(
+    batch: Batch, place: Callable[[Path], Path], inputs: set[Path]
+) -> Iterator[Fault]:
+    taken: dict[str, Item] = {}
+    for item in batch.items:
+        for path in batch.outputs(item):
+            where = place(path)
+            if where in inputs:
+                message = "is an input of this very batch"
+                yield Fault("OUT003", message, str(path), (), "name another -o")
+            name = os.fspath(where).casefold()
+            other = taken.setdefault(name, item)
+            if other is not item:
+                sources = f"{other.found.path} and {item.found.path}"
+                message = f"would be written for both {sources}"
+                hint = "{parent} in -o keeps the folders of inputs apart"
+                yield Fault("BAT006", message, str(path), (), hint)
+
+
+def _closed(folders: Iterable[Path]) -> Iterator[Fault]:
+    """Yield what is wrong with folders that are there, or with those around them."""
+    seen: set[Path] = set()
+    for folder in folders:
+        there = next((f for f in (folder, *folder.parents) if f.exists()), Path())
+        if there in seen:
+            continue
+        seen.add(there)
+        if not there.is_dir():
+            yield Fault("OUT002", "cannot be written to: it is no folder", str(there))
+        elif not os.access(there, os.W_OK | os.X_OK):
+            yield Fault("OUT002", "cannot be written to: no permission", str(there))
+
+
+def check_overwrites(
+    batch: Batch, items: Iterable[Item], known: Callable[[Path], bool]
+) -> None:
+    """Refuse to replace files that no run of the batch made.
+
+    Args:
+        batch: The batch.
+        items: Those that are to be made.
+        known: Whether a run of the batch made a file, or began to.
+
+    Raises:
+        OptionError: With a fault for each (OUT001).
+    """
+    faults = [
+        Fault("OUT001", "already exists", str(path), (), "--overwrite replaces it")
+        for item in items
+        for path in batch.outputs(item)
+        if path.exists() and not known(path)
+    ]
+    _refuse(faults, OptionError)
+
+
+def _refuse(faults: list[Fault], kind: type[OptionError] | type[OutputError]) -> None:
+    if len(faults) > MOST_FAULTS:
+        rest = f"{len(faults) - MOST_FAULTS} more faults are not shown"
+        faults = [*faults[:MOST_FAULTS], Fault("DOC011", rest)]
+    if faults:
+        raise kind(faults)

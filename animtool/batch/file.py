@@ -1,0 +1,157 @@
+"""Reading a batch file, ``*.batch.yaml``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, TypeVar
+
+from animtool.batch.limits import Limits, parse_bytes
+from animtool.batch.names import unknown_names
+from animtool.batch.schema import BatchModel, OptionsModel
+from animtool.batch.spec import BatchSpec
+from animtool.config import project_roots
+from animtool.documents.arrays import referred
+from animtool.documents.check import check_version, validated
+from animtool.documents.document import Document, Location, read_document
+from animtool.documents.variables import is_variable_name
+from animtool.edit.resample import FrameRange
+from animtool.rates import parse_rate
+from animtool.scene.options import BakeOptions
+from animtool.scene.sources import SourceOptions
+from animtool.units import LengthUnit, UpAxis, parse_length
+
+__all__ = ["BATCH_SUFFIXES", "batch_of_document", "is_batch", "load_batch"]
+
+BATCH_SUFFIXES = (".batch.yaml", ".batch.yml", ".batch.json")
+
+Made = TypeVar("Made")
+
+
+def is_batch(path: Path) -> bool:
+    """Return whether a path is that of a batch file.
+
+    >>> is_batch(Path("nightly.batch.yaml")), is_batch(Path("takes"))
+    (True, False)
+    """
+    return path.name.lower().endswith(BATCH_SUFFIXES)
+
+
+def load_batch(path: Path | str) -> BatchSpec:
+    """Return what a batch file asks for.
+
+    Raises:
+        FormatError: With every fault of the file, each with line and column.
+        OptionError: The project's settings are malformed.
+    """
+    return batch_of_document(read_document(Path(path)))
+
+
+def batch_of_document(document: Document) -> BatchSpec:
+    """Return what a document asks for; see `load_batch`."""
+    check_version(document, "batch")
+    model = validated(document, BatchModel)
+    spec = _Reader(document, model).spec()
+    document.check()
+    return spec
+
+
+class _Reader:
+    def __init__(self, document: Document, model: BatchModel) -> None:
+        self.document, self.model = document, model
+        self.roots = project_roots(document.path)
+
+    def spec(self) -> BatchSpec:
+        model, path = self.model, self.document.path
+        if model.scene is not None and model.options is not None:
+            message = "there are both a scene and options"
+            hint = "write into the scene's output what the options say"
+            self.document.add("BAT001", ("options",), message, hint)
+        self._names()
+        memory = self._parsed(("limits", "memory"), model.limits.memory, parse_bytes)
+        return BatchSpec(
+            tuple(model.inputs),
+            path.parent,
+            path.name.rpartition(".batch.")[0] or path.stem,
+            tuple(model.exclude),
+            None if model.scene is None else self._file(("scene",), model.scene),
+            model.variables,
+            self._options(model.options or OptionsModel()),
+            model.output,
+            Limits(model.limits.seconds, memory),
+            None if model.jobs == "auto" else model.jobs,
+            path,
+        )
+
+    def _names(self) -> None:
+        """Check the names of variables, and those between braces in the output."""
+        model = self.model
+        for name in model.variables:
+            if not is_variable_name(name):
+                message = f"{name!r} is no name of a variable"
+                hint = "letters, digits and _ make one, and no digit begins it"
+                self.document.add("BAT002", ("variables", name), message, hint)
+        for message, hint in unknown_names(model.output or "", model.variables):
+            self.document.add("BAT004", ("output",), message, hint)
+
+    def _options(self, model: OptionsModel) -> BakeOptions:
+        def at(key: str) -> Location:
+            return "options", key
+
+        layer = model.rig_layer
+        return BakeOptions(
+            source=SourceOptions(
+                None if model.units is None else LengthUnit(model.units),
+                None if model.up is None else UpAxis(model.up),
+                self._parsed(at("source_fps"), model.source_fps, parse_rate),
+                rig=None if model.rig is None else self._file(at("rig"), model.rig),
+                clamp=model.clamp,
+            ),
+            form=model.form,
+            rig_layer=None if layer is None else self._file(at("rig_layer"), layer),
+            prim_path=model.prim_path,
+            bones=model.bones,
+            fps=self._parsed(at("fps"), model.fps, parse_rate),
+            frame_range=self._parsed(at("range"), model.range, _range),
+            start=None if model.start is None else Fraction(model.start),
+            to_units=None if model.to_units is None else LengthUnit(model.to_units),
+            to_up=None if model.to_up is None else UpAxis(model.to_up),
+            sparse=model.sparse,
+            reduce=self._parsed(at("reduce"), model.reduce, parse_length),
+            reduce_at=tuple(self._tolerances(at("reduce_at"), model.reduce_at)),
+            strict=model.strict,
+        )
+
+    def _tolerances(
+        self, at: Location, given: dict[str, str]
+    ) -> Iterator[tuple[str, float]]:
+        for name, text in given.items():
+            length = self._parsed((*at, name), text, parse_length)
+            if length is not None:
+                yield name, length
+
+    def _parsed(
+        self, at: Location, given: Any, parse: Callable[[Any], Made]
+    ) -> Made | None:
+        if given is None:
+            return None
+        try:
+            return parse(given)
+        except ValueError as error:
+            self.document.add("BAT002", at, str(error))
+            return None
+
+    def _file(self, at: Location, name: str) -> Path:
+        """Return a file to read, which must be there."""
+        found = referred(self.document, at, name, self.roots, "BAT003")
+        if found is not None and not found.exists():
+            self.document.add("BAT003", at, f"{name!r} does not exist")
+        return Path(name) if found is None else found
+
+
+def _range(given: list[int]) -> FrameRange:
+    first, last = given
+    if first > last:
+        raise ValueError(f"the range from {first} to {last} is reversed")
+    return FrameRange(first, last)

@@ -1,0 +1,172 @@
+"""Which items are to be made, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from animtool.batch.discover import Batch
+from animtool.batch.ledger import History
+from animtool.batch.places import named_from, place_of
+from animtool.batch.recipe import Item
+from animtool.batch.records import FileRecord, ItemRecord, digest_of, file_digest
+from animtool.batch.versions import made_by
+from animtool.inputs import FileState
+
+__all__ = ["Decision", "Planner", "Reason"]
+
+
+class Reason(StrEnum):
+    """Why an item is made, or not."""
+
+    NEW = "new"
+    INPUT = "input changed"
+    OPTIONS = "options changed"
+    VERSION = "version changed"
+    OUTPUT = "output changed"
+    FAILED = "failed last time"
+    FORCED = "asked for"
+    UP_TO_DATE = "up to date"
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What becomes of an item.
+
+    Attributes:
+        item: The item.
+        reason: Why.
+        detail: The file that changed, or what happened last time.
+        refreshed: The item's record with what files are now, where they were touched
+            and are still the same.
+    """
+
+    item: Item
+    reason: Reason
+    detail: str = ""
+    refreshed: ItemRecord | None = None
+
+    @property
+    def due(self) -> bool:
+        """Whether it is to be made."""
+        return self.reason is not Reason.UP_TO_DATE
+
+
+class Planner:
+    """Decides by what earlier runs left, and by what files are now.
+
+    A file is read only where its size, time or inode is another one, or where it is as
+    young as the record: then it may have changed since without a sign.
+    """
+
+    def __init__(
+        self,
+        batch: Batch,
+        history: History,
+        *,
+        now: int = 0,
+        verify: bool = False,
+        force: bool = False,
+    ) -> None:
+        """Take what decisions are made by.
+
+        Args:
+            batch: The batch.
+            history: What earlier runs left.
+            now: The clock of the disk [ns], for records of touched files.
+            verify: Read every file.
+            force: Make every item.
+        """
+        self._batch, self._history, self._now = batch, history, now
+        self._verify, self._force = verify, force
+        self._versions = digest_of(made_by())
+        self._states: dict[str, FileState | None] = {}
+        self._digests: dict[str, str] = {}
+
+    def key(self, item: Item) -> str:
+        """Return the key of an item's record."""
+        return named_from(item.output, self._batch.root)
+
+    def how(self, item: Item) -> str:
+        """Return a digest of everything but files that decides how an item is made."""
+        return digest_of(self._batch.recipe.described(item, self._batch.root))
+
+    @property
+    def versions(self) -> str:
+        """Digest of the versions of what makes items."""
+        return self._versions
+
+    def decisions(self, items: Sequence[Item]) -> Iterator[Decision]:
+        """Yield what becomes of each item, in order."""
+        for item in items:
+            yield self.decide(item)
+
+    def decide(self, item: Item) -> Decision:
+        """Return what becomes of an item."""
+        key = self.key(item)
+        record = self._history.made.items.get(key)
+        failed = self._history.failed.get(key)
+        if self._force:
+            return Decision(item, Reason.FORCED)
+        if record is None:
+            if failed is not None:
+                return Decision(item, Reason.FAILED, failed)
+            return Decision(item, Reason.NEW)
+        found = self._compared(item, record)
+        if found.due and failed is not None:
+            return Decision(item, Reason.FAILED, failed)
+        return found
+
+    def _compared(self, item: Item, record: ItemRecord) -> Decision:
+        if record.how != self.how(item):
+            return Decision(item, Reason.OPTIONS)
+        if record.versions != self._versions:
+            return Decision(item, Reason.VERSION)
+        inputs: list[FileRecord] = []
+        outputs: list[FileRecord] = []
+        for reason, files, now in (
+            (Reason.INPUT, record.inputs, inputs),
+            (Reason.OUTPUT, record.outputs, outputs),
+        ):
+            for file in files:
+                young = reason is Reason.INPUT and _as_young(file, record.at)
+                same = self._same(file, young=young)
+                if same is None:
+                    return Decision(item, reason, file.path)
+                now.append(same)
+        if tuple(inputs) == record.inputs and tuple(outputs) == record.outputs:
+            return Decision(item, Reason.UP_TO_DATE)
+        refreshed = replace(
+            record, inputs=tuple(inputs), outputs=tuple(outputs), at=self._now
+        )
+        return Decision(item, Reason.UP_TO_DATE, refreshed=refreshed)
+
+    def _same(self, file: FileRecord, *, young: bool) -> FileRecord | None:
+        """Return the record of a file as it is now; None where it is another one."""
+        if file.path not in self._states:
+            self._states[file.path] = FileState.of(
+                place_of(file.path, self._batch.root)
+            )
+        state = self._states[file.path]
+        if state is None or file.state is None:
+            return file if state is file.state else None
+        if state == file.state and not young and not self._verify:
+            return file
+        if state.size != file.state.size or self._digest(file.path) != file.sha256:
+            return None
+        return replace(file, state=state)
+
+    def _digest(self, path: str) -> str:
+        if path not in self._digests:
+            try:
+                self._digests[path] = file_digest(place_of(path, self._batch.root))
+            except OSError:
+                # Whoever makes the item says why it cannot be read.
+                self._digests[path] = "unreadable"
+        return self._digests[path]
+
+
+def _as_young(file: FileRecord, at: int) -> bool:
+    """Return whether a file may have changed after the record without a sign."""
+    return file.state is not None and file.state.changed >= at

@@ -1,0 +1,290 @@
+"""Processes that make items: warm, watched, and each replaced when it is lost.
+
+A process takes one item at a time, so that one that dies, hangs or takes too much
+memory costs that item and no other.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import ForkServerContext, SpawnContext
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any, cast
+
+from animtool.batch.limits import Limits, bytes_text
+from animtool.batch.outcome import Outcome, Status
+from animtool.batch.recipe import Item
+from animtool.batch.work import Maker
+from animtool.batch.worker import READY, serve
+from animtool.errors import Fault
+from animtool.output import remove_leftovers
+
+__all__ = ["run_processes"]
+
+# One thread each: as many processes run as there are processors.
+THREADS = (
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "OMP_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+    "NUMEXPR_NUM_THREADS",
+)
+WARM = "animtool.batch.warm"
+# How often the memory of a process that has a limit is looked at [s].
+GLANCE = 0.05
+# Processes that end in a row before they can take an item: then none can.
+MOST_STILLBORN = 3
+PATIENCE = 5.0
+
+
+@dataclass(slots=True, eq=False)
+class _Worker:
+    """A process, the way to it, and what it is at."""
+
+    process: BaseProcess
+    connection: Connection
+    ready: bool = False
+    item: Item | None = None
+    began: float = 0.0
+
+    def waits_for_item(self) -> bool:
+        return self.ready and self.item is None
+
+    def give(self, item: Item) -> None:
+        self.item, self.began = item, time.perf_counter()
+        # Where it is gone already, its sentinel says so.
+        with contextlib.suppress(OSError):
+            self.connection.send(item)
+
+    def received(self) -> object:
+        """Return what it sent; None where it is gone."""
+        try:
+            return self.connection.recv() if self.connection.poll() else None
+        except (EOFError, OSError):
+            return None
+
+    def end(self, *, kill: bool) -> None:
+        if kill:
+            self.process.kill()
+        else:
+            with contextlib.suppress(OSError):
+                self.connection.send(None)
+        self.process.join(PATIENCE)
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join()
+        self.connection.close()
+
+
+@dataclass(slots=True)
+class _Pool:
+    """The processes of a run.
+
+    Attributes:
+        maker: What makes items.
+        limits: What each may take.
+        workers: Those that live.
+        stillborn: How many in a row ended before they could take an item.
+    """
+
+    maker: Maker
+    limits: Limits
+    workers: list[_Worker] = field(default_factory=list)
+    stillborn: int = 0
+
+    def start(self) -> None:
+        context = _context()
+        here, there = context.Pipe()
+        arguments = (there, self.maker, self.limits.memory)
+        process = context.Process(target=serve, args=arguments, daemon=True)
+        with _one_thread():
+            process.start()
+        there.close()
+        self.workers.append(_Worker(process, here))
+
+    def outcomes(self) -> Iterator[Outcome]:
+        """Wait until something happens; yield what became of items."""
+        watched = {
+            key: worker
+            for worker in self.workers
+            for key in (worker.connection, worker.process.sentinel)
+        }
+        told = wait(list(watched), self._patience())
+        for worker in dict.fromkeys(watched[cast(Any, key)] for key in told):
+            yield from self._heard(worker)
+        for worker in list(self.workers):
+            fault = self._beyond(worker)
+            if fault is not None:
+                yield self._lost(worker, fault)
+
+    def _heard(self, worker: _Worker) -> Iterator[Outcome]:
+        sent = worker.received()
+        if sent == READY:
+            worker.ready, self.stillborn = True, 0
+        elif isinstance(sent, Outcome):
+            worker.item = None
+            yield sent
+            if sent.worn or self._swollen(worker):
+                self.workers.remove(worker)
+                worker.end(kill=False)
+        elif not worker.ready:
+            self.workers.remove(worker)
+            worker.end(kill=True)
+            self.stillborn += 1
+            if self.stillborn == MOST_STILLBORN:
+                raise RuntimeError(
+                    f"processes cannot be started: {_how_it_ended(worker.process)}"
+                )
+        elif worker.item is None:
+            self.workers.remove(worker)
+            worker.end(kill=True)
+        else:
+            worker.process.join(PATIENCE)
+            message = f"the process that made it {_how_it_ended(worker.process)}"
+            yield self._lost(worker, Fault("BAT020", message))
+
+    def _beyond(self, worker: _Worker) -> Fault | None:
+        """Return by what an item exceeds its limits."""
+        limits = self.limits
+        if worker.item is None or worker not in self.workers:
+            return None
+        spent = time.perf_counter() - worker.began
+        if limits.seconds is not None and spent > limits.seconds:
+            message = f"took more than its {limits.seconds:g} s"
+            return Fault("BAT021", message, hint="limits: {seconds: …} allows more")
+        used = _used_bytes(worker.process) if limits.memory is not None else 0
+        if limits.memory is not None and used > limits.memory:
+            message = f"took more memory than its {bytes_text(limits.memory)}"
+            return Fault("BAT022", message, hint="limits: {memory: …} allows more")
+        return None
+
+    def _lost(self, worker: _Worker, fault: Fault) -> Outcome:
+        """End a process, and return that its item failed."""
+        assert worker.item is not None
+        item, seconds = worker.item, time.perf_counter() - worker.began
+        self.drop(worker)
+        named = Fault(fault.code, fault.message, str(item.found.path), hint=fault.hint)
+        return Outcome(item.number, Status.FAILED, seconds, (named,))
+
+    def drop(self, worker: _Worker) -> None:
+        """End a process at once, and remove what it began to write."""
+        self.workers.remove(worker)
+        worker.end(kill=True)
+        if worker.item is not None:
+            folder = worker.item.output.resolve().parent
+            remove_leftovers([folder], worker.process.pid)
+
+    def _swollen(self, worker: _Worker) -> bool:
+        """Return whether what items left behind takes half of what one may have."""
+        limit = self.limits.memory
+        return limit is not None and _used_bytes(worker.process) > limit / 2
+
+    def _patience(self) -> float | None:
+        """Return how long nothing but a message or an end need be looked for [s]."""
+        busy = [worker for worker in self.workers if worker.item is not None]
+        if not busy:
+            return None
+        if self.limits.memory is not None:
+            return GLANCE
+        if self.limits.seconds is None:
+            return None
+        first = min(worker.began for worker in busy)
+        return max(0.0, first + self.limits.seconds - time.perf_counter()) + GLANCE
+
+    def end(self, *, kill: bool) -> None:
+        for worker in list(self.workers):
+            if kill:
+                self.drop(worker)
+            else:
+                self.workers.remove(worker)
+                worker.end(kill=False)
+
+
+def run_processes(
+    maker: Maker, items: Iterator[Item], limits: Limits, jobs: int
+) -> Iterator[Outcome]:
+    """Yield what becomes of items, as each ends, made by several processes.
+
+    An item is taken only when a process can make it. Closing the iterator ends them.
+
+    Args:
+        maker: What makes them.
+        items: What is to be made.
+        limits: What each may take.
+        jobs: How many processes.
+
+    Raises:
+        RuntimeError: Processes cannot be started.
+    """
+    pool, left = _Pool(maker, limits), True
+    well = False
+    try:
+        while True:
+            while left and len(pool.workers) < jobs:
+                pool.start()
+            for worker in pool.workers:
+                if left and worker.waits_for_item():
+                    item = next(items, None)
+                    left = item is not None
+                    if item is not None:
+                        worker.give(item)
+            if not left and not any(worker.item for worker in pool.workers):
+                break
+            yield from pool.outcomes()
+        well = True
+    finally:
+        pool.end(kill=not well)
+
+
+def _context() -> ForkServerContext | SpawnContext:
+    """Return how processes are started: forked from a warm one where that is sound."""
+    if sys.platform != "linux":
+        return get_context("spawn")
+    context = get_context("forkserver")
+    context.set_forkserver_preload([WARM])
+    return context
+
+
+@contextlib.contextmanager
+def _one_thread() -> Iterator[None]:
+    """Let processes that are started now compute in one thread each."""
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _how_it_ended(process: BaseProcess) -> str:
+    code = process.exitcode
+    if code is None:
+        return "cannot be reached"
+    if code >= 0:
+        return f"ended with {code}"
+    try:
+        return f"was ended by {signal.Signals(-code).name}"
+    except ValueError:
+        return f"was ended by signal {-code}"
+
+
+def _used_bytes(process: BaseProcess) -> int:
+    """Return how much memory a process has [bytes]; 0 where nothing says it."""
+    try:
+        pages = int(Path(f"/proc/{process.pid}/statm").read_bytes().split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE")
+    except (OSError, IndexError, ValueError):
+        return 0

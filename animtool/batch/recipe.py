@@ -1,0 +1,129 @@
+"""How the items of a batch are made, and one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from animtool.batch.names import input_names
+from animtool.batch.places import named_from
+from animtool.files import FoundFile
+from animtool.scene.options import BakeOptions
+from animtool.scene.sources import fitting_options, is_scene
+
+if TYPE_CHECKING:
+    from animtool.scene.bake import BakeReport
+    from animtool.scene.plan import Source
+
+__all__ = ["Item", "Recipe"]
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One file to make.
+
+    Attributes:
+        number: Its place among those of the batch, from 1.
+        found: What it is made of.
+        output: The file to write.
+    """
+
+    number: int
+    found: FoundFile
+    output: Path
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """How every item is made.
+
+    Attributes:
+        scene: A scene that says what is done to each; None bakes each as it is.
+        variables: What names in scenes stand for, beside those of each input.
+        options: How to bake, where there is no scene.
+        kinds: An input of each kind that there is.
+    """
+
+    scene: Path | None = None
+    variables: Mapping[str, str] = field(default_factory=dict)
+    options: BakeOptions = field(default_factory=BakeOptions)
+    kinds: tuple[Path, ...] = ()
+
+    def names(self, item: Item) -> dict[str, str]:
+        """Return what names in a scene stand for."""
+        return {**input_names(item.found), **self.variables}
+
+    def source(self, item: Item) -> Source:
+        """Return what is baked: a scene, loaded, or a file.
+
+        Raises:
+            FormatError: The scene is malformed.
+        """
+        path = item.found.path if self.scene is None else self.scene
+        if not is_scene(path):
+            return path
+        from animtool.scene.file import load_scene
+
+        return load_scene(path, self.names(item))
+
+    def bake(self, item: Item) -> BakeReport:
+        """Make an item; what its output was before is replaced.
+
+        Raises:
+            AnimtoolError: As `animtool.bake`.
+        """
+        from animtool.scene.bake import bake
+
+        return bake(self.source(item), item.output, self._options(item.found.path))
+
+    def outputs(self, item: Item, source: Source) -> list[Path]:
+        """Return the files that a bake writes.
+
+        Args:
+            item: What is made.
+            source: What it, or one like it, is baked from.
+        """
+        from animtool.scene.plan import bake_outputs
+
+        return bake_outputs([source], item.output, self._options(item.found.path))
+
+    def _options(self, path: Path) -> BakeOptions:
+        own = fitting_options(self.options.source, path, self.kinds)
+        return replace(self.options, source=own, overwrite=True)
+
+    def described(self, item: Item, root: Path) -> dict[str, object]:
+        """Return everything that decides how an item is made, but its files.
+
+        Args:
+            item: What is made.
+            root: Folder from which files below it are named.
+        """
+        plain: dict[str, object] = {"input": named_from(item.found.path, root)}
+        if self.scene is not None or is_scene(item.found.path):
+            names = self.names(item)
+            for key in ("input", "folder"):
+                names[key] = named_from(Path(names[key]), root)
+            plain["variables"] = names
+        if self.scene is not None:
+            plain["scene"] = named_from(self.scene, root)
+        else:
+            plain["options"] = _plain(self._options(item.found.path), root)
+        return plain
+
+
+def _plain(value: object, root: Path) -> object:
+    """Return options as what JSON can hold."""
+    if is_dataclass(value):
+        return {
+            entry.name: _plain(getattr(value, entry.name), root)
+            for entry in fields(value)
+        }
+    if isinstance(value, tuple):
+        return [_plain(part, root) for part in value]
+    if isinstance(value, Path):
+        return named_from(value, root)
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    return str(value)

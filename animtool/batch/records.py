@@ -1,0 +1,102 @@
+"""What is known of a file and of an item that was made, and how it is written down."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from animtool.inputs import FileState
+
+__all__ = ["FileRecord", "ItemRecord", "digest_of", "file_digest", "record_of"]
+
+
+@dataclass(frozen=True, slots=True)
+class FileRecord:
+    """A file as it was.
+
+    Attributes:
+        path: Where it is, from the folder of all outputs if below it.
+        state: None where there was none.
+        sha256: Of its content; empty where there was none, or it is a folder.
+    """
+
+    path: str
+    state: FileState | None
+    sha256: str = ""
+
+    def as_dict(self) -> dict[str, object]:
+        """Return it as JSON has it."""
+        if self.state is None:
+            return {"path": self.path, "absent": True}
+        return {
+            "path": self.path,
+            "size": self.state.size,
+            "changed": self.state.changed,
+            "inode": self.state.inode,
+            "sha256": self.sha256,
+        }
+
+    @classmethod
+    def from_dict(cls, plain: Mapping[str, Any]) -> FileRecord:
+        """Return what `as_dict` wrote."""
+        if plain.get("absent"):
+            return cls(plain["path"], None)
+        state = FileState(plain["size"], plain["changed"], plain["inode"])
+        return cls(plain["path"], state, plain["sha256"])
+
+
+@dataclass(frozen=True, slots=True)
+class ItemRecord:
+    """An item that was made.
+
+    Attributes:
+        key: Its output, named as files are.
+        how: Digest of everything but files that decided how.
+        versions: Digest of the versions of what made it.
+        inputs: The files that were looked at.
+        outputs: The files that were written.
+        at: When, by the clock of the disk that it was written to [ns]. Files that are
+            as young may have changed since without a sign.
+    """
+
+    key: str
+    how: str
+    versions: str
+    inputs: tuple[FileRecord, ...]
+    outputs: tuple[FileRecord, ...]
+    at: int
+
+
+def digest_of(value: object) -> str:
+    """Return a digest of plain values, the same for the same values.
+
+    >>> digest_of({"a": 1, "b": None}) == digest_of({"b": None, "a": 1})
+    True
+    """
+    text = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def file_digest(path: Path) -> str:
+    """Return the SHA-256 of a file's content; empty where it is no file.
+
+    Raises:
+        OSError: It cannot be read.
+    """
+    if path.is_dir():
+        return ""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def record_of(path: Path, name: str, state: FileState | None) -> FileRecord:
+    """Return the record of a file whose state is known, its content read.
+
+    Raises:
+        OSError: It cannot be read.
+    """
+    return FileRecord(name, state, "" if state is None else file_digest(path))

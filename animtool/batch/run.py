@@ -1,0 +1,236 @@
+"""A run of a batch: planned, made, recorded, reported."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+from animtool.batch.check import check_overwrites, check_places
+from animtool.batch.discover import Batch, find_batch
+from animtool.batch.executors import Work, find_executor
+from animtool.batch.ledger import Ledger, held_ledger, read_history
+from animtool.batch.outcome import Outcome, Status
+from animtool.batch.places import named_from, place_of
+from animtool.batch.plan import Decision, Planner
+from animtool.batch.recipe import Item
+from animtool.batch.records import ItemRecord
+from animtool.batch.report import BatchReport, ItemReport
+from animtool.batch.spec import BatchSpec
+from animtool.batch.work import Maker
+from animtool.errors import Fault, OptionError
+from animtool.output import remove_leftovers
+
+__all__ = ["Listener", "RunOptions", "run_batch"]
+
+EXECUTOR = "processes"
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """How a batch is run.
+
+    Attributes:
+        jobs: How many items are made at a time; None is as the batch says.
+        executor: What makes them, and behind ``=`` what that is told.
+        numbers: First and last item to look at; None is all.
+        dry_run: Make nothing; say what would be.
+        force: Make every item, also what is up to date.
+        verify: Read every file again, whatever its size and time.
+        retry_failed: Only what failed last time.
+        most_failures: After so many, begin nothing more; None is never.
+        overwrite: Replace files that no run of the batch made.
+    """
+
+    jobs: int | None = None
+    executor: str = EXECUTOR
+    numbers: tuple[int, int] | None = None
+    dry_run: bool = False
+    force: bool = False
+    verify: bool = False
+    retry_failed: bool = False
+    most_failures: int | None = None
+    overwrite: bool = False
+
+
+class Listener:
+    """Whom a run tells what happens; this one does nothing about it."""
+
+    def planned(self, due: int, total: int) -> None:
+        """Take how many of how many items are to be made."""
+
+    def began(self, item: Item) -> None:
+        """Take that an item is begun."""
+
+    def ended(self, report: ItemReport) -> None:
+        """Take what became of an item."""
+
+
+def run_batch(
+    spec: BatchSpec | Batch,
+    options: RunOptions | None = None,
+    listener: Listener | None = None,
+) -> BatchReport:
+    """Make what is not made yet of a batch, or no longer up to date.
+
+    Args:
+        spec: What is asked for.
+        options: How.
+        listener: Whom to tell.
+
+    Raises:
+        FormatError: A scene, or a record of an earlier run, is malformed.
+        NothingFoundError: There is no input (BAT005).
+        OptionError: Outputs clash (BAT006), are inputs (OUT003), or exist and were
+            made by nobody here (OUT001); or an option makes no sense.
+        OutputError: Another run goes on (BAT010), or a folder cannot be written to
+            (OUT002, BAT012).
+    """
+    began = time.perf_counter()
+    options, listener = options or RunOptions(), listener or Listener()
+    batch = spec if isinstance(spec, Batch) else find_batch(spec)
+    items = _chosen(batch, options)
+    check_places(batch)
+    if options.dry_run:
+        history = read_history(batch.records, batch.name)
+        planner = Planner(batch, history, verify=options.verify, force=options.force)
+        planned = [_planned(decision) for decision in planner.decisions(items)]
+        return BatchReport(batch, tuple(planned), time.perf_counter() - began)
+    with held_ledger(batch.records, batch.name, _part(options)) as ledger:
+        run = _Run(batch, options, listener, ledger)
+        run.plan(items)
+        run.make()
+        ledger.settle(run.wanted)
+    return BatchReport(batch, tuple(run.reports()), time.perf_counter() - began)
+
+
+def _chosen(batch: Batch, options: RunOptions) -> Sequence[Item]:
+    if options.numbers is None:
+        return batch.items
+    first, last = options.numbers
+    if not 1 <= first <= last <= len(batch.items):
+        message = f"items {first} to {last} are not within 1 to {len(batch.items)}"
+        raise OptionError(Fault("BAT033", message))
+    return batch.items[first - 1 : last]
+
+
+def _part(options: RunOptions) -> str:
+    return "" if options.numbers is None else "{}-{}".format(*options.numbers)
+
+
+def _planned(decision: Decision) -> ItemReport:
+    status = Status.NOT_RUN if decision.due else Status.SKIPPED
+    return ItemReport(decision.item, status, decision.reason, decision.detail)
+
+
+class _Run:
+    """One run, while its records are held."""
+
+    def __init__(
+        self, batch: Batch, options: RunOptions, listener: Listener, ledger: Ledger
+    ) -> None:
+        self.batch, self.options = batch, options
+        self.listener, self.ledger = listener, ledger
+        self.planner = Planner(
+            batch,
+            ledger.history,
+            now=ledger.now,
+            verify=options.verify,
+            force=options.force,
+        )
+        self.decisions: dict[int, Decision] = {}
+        self.found: dict[int, ItemReport] = {}
+        self.failures = 0
+
+    def plan(self, items: Sequence[Item]) -> None:
+        """Decide what is to be made, and check that it may be."""
+        retried = set(self.ledger.history.failed)
+        for decision in self.planner.decisions(items):
+            item = decision.item
+            if self.options.retry_failed and self.planner.key(item) not in retried:
+                continue
+            self.decisions[item.number] = decision
+            if decision.refreshed is not None:
+                self.ledger.made(decision.refreshed)
+        due = [d.item for d in self.decisions.values() if d.due]
+        folders = dict.fromkeys(item.output.parent for item in due)
+        remove_leftovers(folder.resolve() for folder in folders)
+        if not self.options.overwrite:
+            known = self.ledger.history.made.known
+            check_overwrites(
+                self.batch,
+                due,
+                lambda path: named_from(path, self.batch.root) in known,
+            )
+        self.listener.planned(len(due), len(self.decisions))
+
+    def make(self) -> None:
+        """Make what is due."""
+        due = [d.item for d in self.decisions.values() if d.due]
+        if not due:
+            return
+        name, _, argument = self.options.executor.partition("=")
+        execute = find_executor(name).load()
+        maker = Maker(self.batch.recipe, self.batch.root)
+        asked = self.options.jobs or self.batch.jobs or _processors()
+        jobs = min(asked, len(due))
+        work = Work(maker, self._begun(due), self.batch.limits, jobs, argument)
+        outcomes = execute(work)
+        close: Callable[[], None] = getattr(outcomes, "close", lambda: None)
+        try:
+            for outcome in outcomes:
+                self._ended(outcome)
+        finally:
+            close()
+
+    def _begun(self, due: Sequence[Item]) -> Iterator[Item]:
+        """Yield items, each when it is begun, unless too many have failed."""
+        most = self.options.most_failures
+        for item in due:
+            if most is not None and self.failures >= most:
+                return
+            paths = self.batch.outputs(item)
+            self.ledger.claim([named_from(path, self.batch.root) for path in paths])
+            self.listener.began(item)
+            yield item
+
+    def _ended(self, outcome: Outcome) -> None:
+        decision = self.decisions[outcome.number]
+        item = decision.item
+        report = ItemReport.of(item, decision.reason, decision.detail, outcome)
+        key = self.planner.key(item)
+        if outcome.status is Status.DONE:
+            self.ledger.made(
+                ItemRecord(
+                    key,
+                    self.planner.how(item),
+                    self.planner.versions,
+                    outcome.inputs,
+                    outcome.outputs,
+                    outcome.at,
+                )
+            )
+        else:
+            self.failures += 1
+            self.ledger.failed(key, report.why)
+        self.found[item.number] = report
+        self.listener.ended(report)
+
+    def wanted(self, made: ItemRecord) -> bool:
+        """Return whether a record is of interest: its output is there, or to be."""
+        return any(
+            place_of(file.path, self.batch.root).exists() for file in made.outputs
+        )
+
+    def reports(self) -> Iterator[ItemReport]:
+        """Yield what became of every item that was looked at, in order."""
+        for number, decision in self.decisions.items():
+            yield self.found.get(number) or _planned(decision)
+
+
+def _processors() -> int:
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:
+        return os.cpu_count() or 1

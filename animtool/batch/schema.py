@@ -1,0 +1,190 @@
+"""The keys of a batch file, as models; ``animtool schema batch`` prints them.
+
+The tables of ``docs/formats.md`` are made of their descriptions and examples.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from annotated_types import Ge, Gt, Len
+from pydantic import Field
+
+from animtool.documents.check import FileModel
+from animtool.documents.ignore import IgnoreModel
+
+__all__ = ["BatchModel", "LimitsModel", "OptionsModel"]
+
+
+class LimitsModel(FileModel):
+    """What an item may take."""
+
+    seconds: Annotated[float, Gt(0)] | None = Field(
+        default=None,
+        description="How long an item may take. Not given: as long as it needs.",
+        examples=[60],
+    )
+    memory: str | None = Field(
+        default=None,
+        description="How much memory the process that makes it may have, all told. "
+        "Not given: any.",
+        examples=["2GB"],
+    )
+
+
+class OptionsModel(FileModel):
+    """How to bake the inputs, where no scene says it."""
+
+    rig: str | None = Field(
+        default=None,
+        description="Of clips: their rig. Not given: the one that each names.",
+        examples=["hero.rig.yaml"],
+    )
+    units: Literal["m", "cm", "mm", "in"] | None = Field(
+        default=None,
+        description="Of BVH files: the unit of their lengths. Not given: cm.",
+        examples=["cm"],
+    )
+    up: Literal["Y", "Z"] | None = Field(
+        default=None,
+        description="Of BVH files: their up axis. Not given: Y.",
+        examples=["Z"],
+    )
+    source_fps: float | str | None = Field(
+        default=None,
+        description="Of BVH files: their true frame rate. Not given: what the frame "
+        "time of each stands for.",
+        examples=[120],
+    )
+    clamp: bool = Field(
+        default=False,
+        description="Of clips: bring controls into their ranges and joints into their "
+        "limits.",
+        examples=[True],
+    )
+    fps: float | str | None = Field(
+        default=None,
+        description="Frames a second of the outputs. Not given: the rig layer's, or "
+        "each source's.",
+        examples=[24],
+    )
+    range: Annotated[list[int], Len(2, 2)] | None = Field(
+        default=None,
+        description="First and last frame to write, as the outputs number them. Not "
+        "given: all.",
+        examples=[[1001, 1040]],
+    )
+    start: float | None = Field(
+        default=None,
+        description="Time code of the first frame. Not given: as `bake` has it.",
+        examples=[1001],
+    )
+    form: Literal["stage", "split", "layer"] | None = Field(
+        default=None,
+        alias="as",
+        description="One file, three, or an animation layer. Not given: `layer` with "
+        "`rig_layer`, else `stage`.",
+        examples=["split"],
+    )
+    rig_layer: str | None = Field(
+        default=None,
+        description="The rig in USD, or a shot that holds it, that layers go over.",
+        examples=["hero.usda"],
+    )
+    prim_path: str | None = Field(
+        default=None,
+        description="Where the character stands. Not given: as `bake` has it.",
+        examples=["/World/hero"],
+    )
+    to_units: Literal["m", "cm", "mm", "in"] | None = Field(
+        default=None,
+        description="Unit of the outputs. Not given: each source's.",
+        examples=["m"],
+    )
+    to_up: Literal["Y", "Z"] | None = Field(
+        default=None,
+        description="Up axis of the outputs. Not given: each source's.",
+        examples=["Y"],
+    )
+    sparse: bool = Field(
+        default=False,
+        description="Write only joints that leave their rest pose.",
+        examples=[True],
+    )
+    bones: bool = Field(
+        default=False,
+        description="Add geometry that shows the joints.",
+        examples=[True],
+    )
+    reduce: str | None = Field(
+        default=None,
+        description="Leave out samples that the others give back within this length. "
+        "Not given: all stay.",
+        examples=["0.5mm"],
+    )
+    reduce_at: dict[str, str] = Field(
+        default={},
+        description="Other tolerances, by joint or pattern.",
+        examples=[{"hand_*": "0.1mm"}],
+    )
+    strict: bool = Field(
+        default=False,
+        description="Take warnings for errors.",
+        examples=[True],
+    )
+
+
+class BatchModel(FileModel):
+    """A batch file."""
+
+    batch: Literal["animtool/1"] = Field(
+        description="What the file is, and the version of its format.",
+        examples=["animtool/1"],
+    )
+    inputs: Annotated[list[Annotated[str, Field(min_length=1)]], Len(1)] = Field(
+        description="Files, folders, and globs in which `**` is any folders.",
+        examples=[["takes/**/*.bvh"]],
+    )
+    exclude: list[str] = Field(
+        default=[],
+        description="What of it is left out, written likewise.",
+        examples=[["takes/old/*.bvh"]],
+    )
+    scene: str | None = Field(
+        default=None,
+        description="A scene file that says what is done to each input, `${input}` in "
+        "it. Not given: each is baked as it is.",
+        examples=["clean.scene.yaml"],
+    )
+    variables: dict[str, str] = Field(
+        default={},
+        description="What `${name}` stands for in the scene; `--set` of the command "
+        "line comes first.",
+        examples=[{"shot": "sh010"}],
+    )
+    options: OptionsModel | None = Field(
+        default=None,
+        description="How to bake, where there is no `scene`.",
+        examples=[{"reduce": "0.5mm"}],
+    )
+    output: str | None = Field(
+        default=None,
+        description="The file to write of each input, with names between braces. Not "
+        "given: beside the input, as .usdc.",
+        examples=["out/{parent}/{stem}.usdc"],
+    )
+    limits: LimitsModel = Field(
+        default=LimitsModel(),
+        description="What each may take.",
+        examples=[{"seconds": 60, "memory": "2GB"}],
+    )
+    jobs: Annotated[int, Ge(1)] | Literal["auto"] = Field(
+        default="auto",
+        description="How many processes make them; `auto` is one for each processor.",
+        examples=[4],
+    )
+    ignore: list[IgnoreModel] = Field(
+        default=[],
+        description="Findings of `animtool validate` that are known and stay.",
+        examples=[[{"code": "BAT003", "why": "it is made before the batch runs"}]],
+    )

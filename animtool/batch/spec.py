@@ -1,0 +1,43 @@
+"""What a batch is asked to do, as a file or the command line says it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from animtool.batch.limits import Limits
+from animtool.scene.options import BakeOptions
+
+__all__ = ["BatchSpec"]
+
+
+@dataclass(frozen=True, slots=True)
+class BatchSpec:
+    """What a batch is asked to do.
+
+    Attributes:
+        inputs: Files, folders and globs, seen from ``folder``.
+        folder: Where relative names start.
+        name: What its records are called.
+        exclude: What of the inputs is left out.
+        scene: A scene that says what is done to each; None bakes each as it is.
+        variables: What names in the scene and the output stand for.
+        options: How to bake, where there is no scene.
+        output: Pattern of the files to write; None is beside each input.
+        limits: What each may take.
+        jobs: How many processes; None is one for each processor.
+        path: The file that says it; None where there is none.
+    """
+
+    inputs: tuple[str, ...]
+    folder: Path = Path()
+    name: str = "batch"
+    exclude: tuple[str, ...] = ()
+    scene: Path | None = None
+    variables: Mapping[str, str] = field(default_factory=dict)
+    options: BakeOptions = field(default_factory=BakeOptions)
+    output: str | None = None
+    limits: Limits = field(default_factory=Limits)
+    jobs: int | None = None
+    path: Path | None = None

@@ -1,0 +1,120 @@
+"""Making one item, whatever happens, and what it was made of."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from animtool.batch.outcome import Measured, Outcome, Status
+from animtool.batch.places import named_from
+from animtool.batch.recipe import Item, Recipe
+from animtool.batch.records import FileRecord, record_of
+from animtool.errors import AnimtoolError, Fault, excerpt
+from animtool.inputs import FileState, Inputs, note_input, recorded_inputs
+from animtool.output import output_error
+
+if TYPE_CHECKING:
+    from animtool.scene.bake import BakeReport
+
+__all__ = ["Maker"]
+
+
+@dataclass(slots=True)
+class Maker:
+    """Makes the items of a batch, one after another.
+
+    Attributes:
+        recipe: How.
+        root: Folder from which records name files.
+    """
+
+    recipe: Recipe
+    root: Path
+    _digests: dict[FileState, FileRecord] = field(default_factory=dict)
+
+    def make(self, item: Item) -> Outcome:
+        """Return what became of an item; only what ends the process is raised."""
+        began = time.perf_counter()
+        worn = False
+        try:
+            return self._made(item, began)
+        except AnimtoolError as error:
+            faults = error.faults
+        except MemoryError:
+            worn = True
+            faults = (Fault("BAT022", "there was not enough memory", _named(item)),)
+        except OSError as error:
+            message = f"cannot be read or written: {error.strerror or error}"
+            faults = (Fault("BAT023", message, error.filename or _named(item)),)
+        except Exception as error:
+            kind, worn = type(error).__name__, True
+            message = f"internal error: {kind}: {excerpt(str(error), 200)}"
+            hint = "please report it; --executor serial --debug shows where"
+            faults = (Fault("BAT023", message, _named(item), (), hint),)
+        finally:
+            _forget_layers()
+        seconds = time.perf_counter() - began
+        return Outcome(item.number, Status.FAILED, seconds, tuple(faults), worn=worn)
+
+    def _made(self, item: Item, began: float) -> Outcome:
+        with recorded_inputs() as inputs:
+            note_input(item.found.path)
+            try:
+                item.output.parent.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise output_error(item.output, error) from error
+            report = self.recipe.bake(item)
+        outputs = tuple(self._output(path) for path in report.result.outputs)
+        at = max(file.state.changed for file in outputs if file.state is not None)
+        return Outcome(
+            item.number,
+            Status.DONE,
+            time.perf_counter() - began,
+            (),
+            tuple(report.notices),
+            _measured(report),
+            self._inputs(inputs, at),
+            outputs,
+            at,
+        )
+
+    def _inputs(self, inputs: Inputs, at: int) -> tuple[FileRecord, ...]:
+        """Return records of the files that were looked at, in order of their names."""
+        found = []
+        for path, state in sorted(inputs.states.items()):
+            known = None if state is None else self._digests.get(state)
+            name = named_from(path, self.root)
+            if known is None or known.path != name:
+                known = record_of(path, name, state)
+                # Of a younger one the same state may mean another content later.
+                if state is not None and state.changed < at:
+                    self._digests[state] = known
+            found.append(known)
+        # What was read again for its digest is still what was read first.
+        inputs.check()
+        return tuple(found)
+
+    def _output(self, path: Path) -> FileRecord:
+        return record_of(path, named_from(path, self.root), FileState.of(path))
+
+
+def _measured(report: BakeReport) -> Measured:
+    worst = report.worst
+    return Measured(
+        report.result.samples, worst.written.rounding.error, worst.error_joint
+    )
+
+
+def _named(item: Item) -> str:
+    return str(item.found.path)
+
+
+def _forget_layers() -> None:
+    """Let go of USD files that are still open, lest the next item sees old ones."""
+    if "animtool.usd.layers" in sys.modules:
+        from animtool.usd.layers import forget_layers
+
+        forget_layers()

@@ -1,0 +1,297 @@
+"""``animtool batch``."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from animtool.cli.batch_progress import shown_progress
+from animtool.cli.console import Console
+from animtool.cli.options import Parsed, common_options, set_option
+
+if TYPE_CHECKING:
+    from animtool.batch.report import BatchReport, ItemReport
+    from animtool.batch.spec import BatchSpec
+
+__all__ = ["batch"]
+
+
+def _jobs(text: str) -> int | None:
+    if text == "auto":
+        return None
+    if not text.isdigit() or not int(text):
+        raise ValueError(f"{text!r} is neither auto nor a number from 1 up")
+    return int(text)
+
+
+def _numbers(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"(\d{1,9})(?:-(\d{1,9}))?", text)
+    if found is None:
+        raise ValueError(f"{text!r} is neither a number nor a range such as 1-20")
+    return int(found[1]), int(found[2] or found[1])
+
+
+def _size(text: str) -> int:
+    from animtool.batch.limits import parse_bytes
+
+    return parse_bytes(text)
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  animtool batch nightly.batch.yaml
+  animtool batch "takes/**/*.bvh" -o "out/{parent}/{stem}.usdc" -j 8
+  animtool batch takes --scene clean.scene.yaml --set shot=sh010 -o "out/{stem}.usdc"
+  animtool batch nightly.batch.yaml -n
+  animtool batch nightly.batch.yaml --retry-failed --time-limit 600
+  animtool batch nightly.batch.yaml --items 1-20
+  find takes -newer stamp -name "*.bvh" | animtool batch - -o "out/{stem}.usdc\""""
+)
+@click.argument("inputs", metavar="JOB|INPUT...", nargs=-1, required=True)
+@click.option(
+    "-o",
+    "--output",
+    metavar="PATTERN",
+    help="The file to write of each, with {stem}, {name}, {parent}, {folder}, or a "
+    "variable.  [default: beside the input, as .usdc]",
+)
+@click.option(
+    "--scene",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="A scene that says what is done to each: ${input} in it is the input.",
+)
+@set_option
+@click.option(
+    "--exclude",
+    multiple=True,
+    metavar="INPUT",
+    help="What of the inputs is left out; can be given several times.",
+)
+@click.option(
+    "-j",
+    "--jobs",
+    type=Parsed("processes", _jobs),
+    metavar="N|auto",
+    help="Processes that make them.  [default: auto, one for each processor]",
+)
+@click.option(
+    "--executor",
+    metavar="NAME[=ARGUMENT]",
+    default="processes",
+    show_default=True,
+    help="What makes them; animtool plugins lists them.",
+)
+@click.option(
+    "--items",
+    "numbers",
+    type=Parsed("range", _numbers),
+    metavar="A-B",
+    help="Only some, by their numbers from 1 in the order of their names; other runs "
+    "may make others at the same time.",
+)
+@click.option(
+    "-n", "--dry-run", is_flag=True, help="Make nothing; say what would be, and why."
+)
+@click.option("--force", is_flag=True, help="Make all, also what is up to date.")
+@click.option(
+    "--verify",
+    is_flag=True,
+    help="Read every file again, also where its size and time are what they were.",
+)
+@click.option("--retry-failed", is_flag=True, help="Only what failed last time.")
+@click.option("--fail-fast", is_flag=True, help="Begin nothing more after a failure.")
+@click.option(
+    "--max-failures",
+    type=click.IntRange(1),
+    metavar="N",
+    help="Begin nothing more after so many failures.",
+)
+@click.option(
+    "--time-limit",
+    type=click.FloatRange(0, min_open=True),
+    metavar="SECONDS",
+    help="How long each may take.",
+)
+@click.option(
+    "--memory-limit",
+    type=Parsed("size", _size),
+    metavar="SIZE",
+    help="How much memory the process that makes it may have, such as 2GB.",
+)
+@click.option(
+    "--overwrite", is_flag=True, help="Replace files that no run of the batch made."
+)
+@click.option(
+    "--format",
+    "report_format",
+    type=click.Choice(["text", "json", "jsonl"]),
+    default="text",
+    show_default=True,
+    help="Report as text, as JSON on stdout at the end, or as a line of JSON for each "
+    "item when it ends.",
+)
+@click.option(
+    "--junit",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Write a report as JUnit XML too.",
+)
+@common_options
+@click.pass_obj
+def batch(console: Console, /, inputs: tuple[str, ...], **given: Any) -> None:
+    """Bake many files, on every core, and only what is not done yet.
+
+    JOB is a batch file; INPUT is a file, a folder, a glob ("**" is any folders), or -
+    for a list on stdin, a path a line. What was made stands in .animtool below the
+    folder of the outputs, with what it was made of: the same command goes on where it
+    was stopped, and makes again what changed since.
+
+    Ends with 1 where items failed, 5 where there is no input.
+    """
+    from animtool.batch.run import RunOptions, run_batch
+
+    if given["fail_fast"] and given["max_failures"] not in {None, 1}:
+        raise click.UsageError("--fail-fast is --max-failures 1: give one.")
+    spec = _spec(inputs, given)
+    options = RunOptions(
+        given["jobs"],
+        given["executor"],
+        given["numbers"],
+        given["dry_run"],
+        given["force"],
+        given["verify"],
+        given["retry_failed"],
+        1 if given["fail_fast"] else given["max_failures"],
+        given["overwrite"],
+    )
+    lines = given["report_format"] == "jsonl"
+    try:
+        with shown_progress(console, lines=lines) as listener:
+            report = run_batch(spec, options, listener)
+    except KeyboardInterrupt:
+        console.say("what was made is recorded; the same command goes on with the rest")
+        raise
+    _tell(console, report, given, _Repeat(inputs, given))
+    if given["junit"] is not None:
+        _write_junit(given["junit"], report)
+    click.get_current_context().exit(int(report.exit_code))
+
+
+def _spec(inputs: tuple[str, ...], given: dict[str, Any]) -> BatchSpec:
+    """Return what is asked for: what a batch file says, and what comes before it."""
+    from animtool.batch.file import is_batch, load_batch
+    from animtool.batch.spec import BatchSpec
+
+    jobs = [text for text in inputs if is_batch(Path(text))]
+    if jobs and len(inputs) > 1:
+        raise click.UsageError(f"{jobs[0]} is a batch file: give it alone.")
+    spec = load_batch(Path(jobs[0])) if jobs else BatchSpec(_listed(inputs))
+    here = Path.cwd()
+    if given["output"] is not None:
+        output = str(here / given["output"]) if jobs else given["output"]
+        spec = replace(spec, output=output)
+    if given["scene"] is not None:
+        spec = replace(spec, scene=given["scene"])
+    excluded = tuple(str(here / text) if jobs else text for text in given["exclude"])
+    limits = replace(
+        spec.limits,
+        **{
+            name: given[option]
+            for name, option in (("seconds", "time_limit"), ("memory", "memory_limit"))
+            if given[option] is not None
+        },
+    )
+    return replace(
+        spec,
+        exclude=(*spec.exclude, *excluded),
+        variables={**spec.variables, **dict(given["variables"])},
+        limits=limits,
+    )
+
+
+def _listed(inputs: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the inputs; for ``-`` those on stdin."""
+    found: list[str] = []
+    for text in inputs:
+        if text == "-":
+            found += [name for line in sys.stdin if (name := line.rstrip("\r\n"))]
+        else:
+            found.append(text)
+    return tuple(found)
+
+
+class _Repeat:
+    """The command that makes one item again."""
+
+    def __init__(self, inputs: tuple[str, ...], given: dict[str, Any]) -> None:
+        self._inputs, self._given = inputs, given
+
+    def command(self, report: ItemReport) -> str:
+        given, item = self._given, report.item
+        inputs, output = list(self._inputs), given["output"]
+        # What came on stdin does not come again.
+        listed = "-" in inputs
+        if listed:
+            inputs = [str(item.found.path)]
+            output = str(item.output).replace("{", "{{").replace("}", "}}")
+        words = ["animtool", "batch", *inputs]
+        words += [] if output is None else ["-o", output]
+        words += [] if given["scene"] is None else ["--scene", str(given["scene"])]
+        for name, value in given["variables"]:
+            words += ["--set", f"{name}={value}"]
+        for text in () if listed else given["exclude"]:
+            words += ["--exclude", text]
+        return shlex.join(words + ([] if listed else ["--items", str(item.number)]))
+
+
+def _tell(
+    console: Console, report: BatchReport, given: dict[str, Any], repeat: _Repeat
+) -> None:
+    from animtool.cli.batch_summary import (
+        batch_text,
+        planned_text,
+        report_json,
+    )
+
+    form = given["report_format"]
+    if form == "json":
+        console.result_json(report_json(report, repeat.command))
+    elif form == "jsonl":
+        import json
+
+        if given["dry_run"]:
+            for entry in report.items:
+                console.result(json.dumps(entry.as_dict(), allow_nan=False))
+        summary = {k: v for k, v in report.as_dict().items() if k != "items"}
+        console.result(json.dumps(summary, allow_nan=False))
+    elif given["dry_run"]:
+        for line in planned_text(report):
+            console.result(line)
+    for entry in report.items:
+        for notice in entry.notices:
+            console.detail(str(notice))
+    for line in batch_text(report):
+        console.say(line)
+    for entry in report.failed:
+        console.faults(entry.faults, fatal=True)
+        console.say(f"  again: {repeat.command(entry)}")
+
+
+def _write_junit(path: Path, report: BatchReport) -> None:
+    from animtool.batch.report import junit_report
+    from animtool.output import check_outputs, output_error, replacing
+
+    check_outputs([path], [], overwrite=True)
+    with replacing(path) as temporary:
+        try:
+            temporary.write_text(junit_report(report.items), "utf-8", newline="")
+        except OSError as error:
+            raise output_error(path, error) from error
