@@ -8,6 +8,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from animtool import ik as ik
     from animtool import usd as usd
+    from animtool.batch.file import load_batch as load_batch
+    from animtool.batch.run import RunOptions as RunOptions
+    from animtool.batch.run import run_batch as run_batch
+    from animtool.batch.spec import BatchSpec as BatchSpec
     from animtool.clip.clip import Clip as Clip
     from animtool.errors import AnimtoolError as AnimtoolError
     from animtool.errors import Fault as Fault
@@ -32,11 +36,13 @@ if TYPE_CHECKING:
 _PUBLIC = {
     "AnimtoolError": "animtool.errors",
     "BakeOptions": "animtool.scene.options",
+    "BatchSpec": "animtool.batch.spec",
     "Clip": "animtool.clip.clip",
     "Fault": "animtool.errors",
     "Finding": "animtool.validation.run",
     "Joint": "animtool.rig.skeleton",
     "Rig": "animtool.rig.skeleton",
+    "RunOptions": "animtool.batch.run",
     "SourceOptions": "animtool.scene.sources",
     "Take": "animtool.take",
     "TakeStream": "animtool.take",
@@ -46,9 +52,11 @@ _PUBLIC = {
     "convert": "animtool.scene.convert",
     "describe": "animtool.report.describe",
     "ik": "animtool.ik",
+    "load_batch": "animtool.batch.file",
     "load_scene": "animtool.scene.file",
     "open_source": "animtool.scene.sources",
     "read_bvh": "animtool.formats.bvh",
+    "run_batch": "animtool.batch.run",
     "usd": "animtool.usd",
     "validate": "animtool.validation.run",
     "write_bvh": "animtool.formats.bvh",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -42,7 +42,10 @@ class Maker:
         try:
             return self._made(item, began)
         except AnimtoolError as error:
-            faults = error.faults
+            faults = tuple(
+                replace(fault, path=fault.path or _named(item))
+                for fault in error.faults
+            )
         except MemoryError:
             worn = True
             faults = (Fault("BAT022", "there was not enough memory", _named(item)),)

@@ -278,9 +278,10 @@ def _tell(
     for entry in report.items:
         for notice in entry.notices:
             console.detail(str(notice))
-    for line in batch_text(report):
+    for line in batch_text(report, dry=given["dry_run"]):
         console.say(line)
     for entry in report.failed:
+        console.error(f"{entry.item.found.path} failed")
         console.faults(entry.faults, fatal=True)
         console.say(f"  again: {repeat.command(entry)}")
 

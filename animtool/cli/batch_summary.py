@@ -11,10 +11,18 @@ from animtool.errors import counted
 __all__ = ["batch_text", "ended_text", "planned_text", "report_json"]
 
 
-def batch_text(report: BatchReport) -> list[str]:
-    """Return the lines of a summary."""
+def batch_text(report: BatchReport, *, dry: bool = False) -> list[str]:
+    """Return the lines of a summary.
+
+    Args:
+        report: What became of the batch.
+        dry: Nothing was made, and nothing was to be.
+    """
+    words = {Status.NOT_RUN: "to be made"} if dry else {}
     counts = [
-        f"{count} {status}" for status in Status if (count := report.count(status))
+        f"{count} {words.get(status, status)}"
+        for status in Status
+        if (count := report.count(status))
     ]
     reasons = report.reasons()
     why = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())

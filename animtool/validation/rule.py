@@ -18,6 +18,7 @@ Check = Callable[[Any], Iterable[Fault]]
 class Kind(StrEnum):
     """What a file is."""
 
+    BATCH = "batch"
     RIG = "rig"
     CLIP = "clip"
     SCENE = "scene"

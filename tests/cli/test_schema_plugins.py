@@ -8,6 +8,7 @@ from importlib.metadata import EntryPoint, EntryPoints
 import pytest
 from support.cli import animtool
 
+from animtool.batch.executors import EXECUTORS
 from animtool.cli.schema import MODELS
 from animtool.passes import PASSES
 from animtool.readers import READERS
@@ -35,6 +36,13 @@ def test_every_reader_is_listed() -> None:
     rows = {row["suffix"]: row for row in json.loads(done.stdout)["readers"]}
     assert set(rows) == set(READERS)
     assert all(row["opens"] == ["rig", "source"] for row in rows.values())
+
+
+def test_every_executor_is_listed() -> None:
+    done = animtool("plugins", "--format", "json")
+    rows = {row["executor"]: row for row in json.loads(done.stdout)["executors"]}
+    assert set(rows) == set(EXECUTORS)
+    assert all(row["loads"] for row in rows.values())
 
 
 def test_a_broken_plugin_is_named_and_ends_nothing(

@@ -15,6 +15,7 @@ from animtool.passes import PASSES, find_pass
 DOCUMENTS = [
     "README.md",
     "animtool/docs/guide.md",
+    "samples/batch/README.md",
     "samples/bounce/README.md",
     "samples/carry/README.md",
     "samples/ci/README.md",

@@ -14,6 +14,9 @@ from pydantic import Field, TypeAdapter
 from support.key_tables import PAGE, Key, field_of, filled, keys_of, marked, models_of
 
 from animtool import Clip, Rig
+from animtool.batch.discover import find_batch
+from animtool.batch.file import load_batch
+from animtool.batch.names import INPUT_NAMES
 from animtool.cli.schema import MODELS
 from animtool.ik.file import load_targets
 from animtool.ik.on_take import solve_take
@@ -166,6 +169,18 @@ def test_targets_load(project: Path, text: str) -> None:
 def test_scenes_load(project: Path, text: str) -> None:
     (project / "one.scene.yaml").write_text(text, "utf-8")
     assert load_scene(project / "one.scene.yaml").open().collect().clock.count == 16
+
+
+@pytest.mark.parametrize("text", WHOLE["batch"])
+def test_batches_load(project: Path, text: str) -> None:
+    (project / "one.batch.yaml").write_text(text, "utf-8")
+    found = find_batch(load_batch(project / "one.batch.yaml"))
+    assert {item.output.name for item in found.items} == {"walk.usdc", "stride.usdc"}
+
+
+def test_the_names_of_inputs_are_listed() -> None:
+    table = TEXT.split("| name | is |")[1].split("\n\n")[0]
+    assert set(re.findall(r"^\| `(\w+)` \|", table, re.M)) == set(INPUT_NAMES)
 
 
 def test_there_is_an_example_of_each_kind() -> None:

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from support.cli import animtool
 
+from animtool.batch.file import load_batch
+from animtool.batch.limits import Limits
 from animtool.clip.file import load_clip, open_clip
 from animtool.documents.migrate import plan_migration
 from animtool.documents.versions import STEPS, newest
@@ -26,6 +28,22 @@ def test_there_is_a_file_of_every_version(kind: str) -> None:
     for version in range(first, newest(STEPS[kind]) + 1):
         plan = plan_migration(FROZEN / f"{kind}-{version}.{kind}.yaml")
         assert (plan.kind, plan.version) == (kind, version)
+
+
+def test_batch_1(tmp_path: Path) -> None:
+    folder = tmp_path / "frozen"
+    shutil.copytree(FROZEN, folder)
+    spec = load_batch(folder / "batch-1.batch.yaml")
+    assert (spec.name, spec.jobs, spec.limits) == ("batch-1", 1, Limits(600, 8 * 10**9))
+    options = spec.options
+    assert (options.fps, options.start, options.form) == (30, 1001, "split")
+    assert (options.reduce, options.reduce_at) == (0.001, (("elbow_l", 0.0001),))
+    done = animtool("batch", folder / "batch-1.batch.yaml", "--executor", "serial",
+                    "--exclude", folder / "none")  # fmt: skip
+    assert done.code == 2, "serial keeps no limits"
+    done = animtool("batch", folder / "batch-1.batch.yaml")
+    assert done.code == 0, done.stderr
+    assert (folder / "out/sh010/clip-1.anim.usdc").is_file()
 
 
 def test_rig_1() -> None:

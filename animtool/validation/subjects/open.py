@@ -29,6 +29,7 @@ SUFFIXES = (
     *DOCUMENT_SUFFIXES,
 )
 _OPENERS = {
+    Kind.BATCH: "animtool.validation.subjects.batch:open_batch",
     Kind.RIG: "animtool.validation.subjects.rig:open_rig",
     Kind.CLIP: "animtool.validation.subjects.clip:open_clip_document",
     Kind.SCENE: "animtool.validation.subjects.scene:open_scene",

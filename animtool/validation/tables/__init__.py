@@ -14,6 +14,7 @@ from animtool.errors import Fault, OptionError
 from animtool.plugins import load_plugin, plugin_points
 from animtool.validation.rule import Rule
 from animtool.validation.tables import (
+    batch,
     bvh,
     clip,
     files,
@@ -40,11 +41,8 @@ __all__ = [
 
 PLUGIN_GROUP = "animtool.rules"
 
-RULES: dict[str, Rule] = {
-    rule.code: rule
-    for table in (bvh, clip, files, findings, rig, scene, solvers, targets, usd)
-    for rule in table.RULES
-}
+_TABLES = (batch, bvh, clip, files, findings, rig, scene, solvers, targets, usd)
+RULES: dict[str, Rule] = {rule.code: rule for table in _TABLES for rule in table.RULES}
 _CODE = re.compile(r"[A-Z]{2,8}[0-9]{3}")
 
 

@@ -1,0 +1,19 @@
+"""A batch file, checked by its reader."""
+
+from __future__ import annotations
+
+from animtool.batch.file import batch_of_document
+from animtool.documents.document import Document
+from animtool.validation.rule import Kind
+from animtool.validation.subjects.subject import Opened
+
+__all__ = ["open_batch"]
+
+
+def open_batch(document: Document) -> Opened:
+    """Return what a batch file asks for.
+
+    Raises:
+        FormatError: With every fault of the file.
+    """
+    return Opened(Kind.BATCH, [], batch_of_document(document))
