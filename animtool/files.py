@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["FoundFile", "files_meant"]
+__all__ = ["FoundFile", "Places", "files_meant"]
 
 _WILD = frozenset("*?[")
 
@@ -22,6 +22,23 @@ class FoundFile:
 
     path: Path
     base: Path
+
+
+class Places:
+    """Where paths lead, links of folders followed, and those of files not.
+
+    Each folder is looked up once.
+    """
+
+    def __init__(self) -> None:
+        self._folders: dict[Path, Path] = {}
+
+    def __call__(self, path: Path) -> Path:
+        """Return the same path for every way to spell it."""
+        folder = path.parent
+        if folder not in self._folders:
+            self._folders[folder] = folder.resolve()
+        return self._folders[folder] / path.name
 
 
 def files_meant(text: str, suffixes: Sequence[str]) -> Iterator[FoundFile]:

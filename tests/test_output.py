@@ -1,11 +1,19 @@
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from animtool.errors import AnimtoolError, OptionError, OutputError
-from animtool.output import check_outputs, replacing
+from animtool.output import (
+    check_outputs,
+    remove_leftovers,
+    replacing,
+    temporary_prefix,
+)
 
 
 def test_a_file_appears_whole(tmp_path: Path) -> None:
@@ -88,3 +96,30 @@ def test_several_writers_of_one_file(tmp_path: Path) -> None:
         one.write_text("one")
         two.write_text("two")
     assert target.read_text() == "one"
+
+
+def test_what_dead_processes_of_this_host_left_is_removed(tmp_path: Path) -> None:
+    # A process that has ended; its number is not given again so soon.
+    ended = subprocess.run(
+        [sys.executable, "-c", "import os; print(os.getpid())"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    dead = int(ended.stdout)
+    left = tmp_path / f"{temporary_prefix(dead)}0123.usdc"
+    kept = [
+        tmp_path / f"{temporary_prefix()}0123.usdc",
+        tmp_path / f".animtool-00000000-{dead}-0123.usdc",
+        tmp_path / "take.usdc",
+    ]
+    for path in (left, *kept):
+        path.touch()
+    assert remove_leftovers([tmp_path, tmp_path / "none"]) == [left]
+    assert sorted(tmp_path.iterdir()) == sorted(kept)
+
+
+def test_what_one_process_left_is_removed(tmp_path: Path) -> None:
+    own = tmp_path / f"{temporary_prefix()}0123.usdc"
+    own.touch()
+    assert remove_leftovers([tmp_path], os.getpid()) == [own]

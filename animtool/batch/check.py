@@ -9,23 +9,11 @@ from pathlib import Path
 from animtool.batch.discover import Batch
 from animtool.batch.recipe import Item
 from animtool.errors import Fault, OptionError, OutputError
+from animtool.files import Places
 
 __all__ = ["check_overwrites", "check_places"]
 
 MOST_FAULTS = 50
-
-
-class _Places:
-    """Where paths lead, links in their folders followed; each folder is asked once."""
-
-    def __init__(self) -> None:
-        self._folders: dict[Path, Path] = {}
-
-    def __call__(self, path: Path) -> Path:
-        folder = path.parent
-        if folder not in self._folders:
-            self._folders[folder] = folder.resolve()
-        return self._folders[folder] / path.name
 
 
 def check_places(batch: Batch) -> None:
@@ -36,7 +24,7 @@ def check_places(batch: Batch) -> None:
             (BAT006); or an output is an input (OUT003).
         OutputError: A folder cannot be made or written to (OUT002).
     """
-    place = _Places()
+    place = Places()
     inputs = {place(item.found.path) for item in batch.items}
     inputs |= {place(path) for path in batch.given}
     faults = list(_clashes(batch, place, inputs))

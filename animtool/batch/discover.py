@@ -14,7 +14,7 @@ from animtool.batch.recipe import Item, Recipe
 from animtool.batch.spec import BatchSpec
 from animtool.documents.variables import check_given
 from animtool.errors import Fault, NothingFoundError, OptionError, listed
-from animtool.files import FoundFile, files_meant
+from animtool.files import FoundFile, Places, files_meant
 from animtool.readers import BVH, DOCUMENT, READERS
 from animtool.scene.sources import is_scene, source_stem
 
@@ -124,12 +124,15 @@ def find_batch(spec: BatchSpec) -> Batch:
 def _found(spec: BatchSpec) -> list[FoundFile]:
     """Return the inputs, each once, in order."""
     suffixes = SUFFIXES if spec.scene is not None else (*SUFFIXES, *SCENES)
-    left_out = {file.path for file in _meant(spec.folder, spec.exclude, suffixes)}
-    files = {
-        file.path: file
-        for file in _meant(spec.folder, spec.inputs, suffixes)
-        if file.path not in left_out
+    place = Places()
+    left_out = {
+        place(file.path) for file in _meant(spec.folder, spec.exclude, suffixes)
     }
+    files: dict[Path, FoundFile] = {}
+    for file in _meant(spec.folder, spec.inputs, suffixes):
+        where = place(file.path)
+        if where not in left_out:
+            files.setdefault(where, file)
     if not files:
         message = f"no input in {listed(spec.inputs) or 'nothing'}"
         hint = f"folders are searched for {', '.join(suffixes)}"

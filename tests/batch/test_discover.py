@@ -1,0 +1,123 @@
+"""The items of a batch: which, in which order, and where they go."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from support.batch import take_files
+
+from animtool.batch.discover import find_batch
+from animtool.batch.spec import BatchSpec
+from animtool.errors import FormatError, NothingFoundError, OptionError
+from animtool.scene.options import BakeOptions
+
+SCENE = "scene: animtool/1\nsource:\n  file: ${input}\n"
+
+
+def made(folder: Path, *inputs: str, **given: object) -> list[tuple[str, str]]:
+    """Return inputs and outputs of a batch, seen from its folder."""
+    batch = find_batch(BatchSpec(inputs, folder, **given))  # type: ignore[arg-type]
+    assert [item.number for item in batch.items] == list(range(1, len(batch.items) + 1))
+    return [
+        (
+            item.found.path.relative_to(folder).as_posix(),
+            item.output.relative_to(folder).as_posix(),
+        )
+        for item in batch.items
+    ]
+
+
+@pytest.fixture
+def takes(tmp_path: Path) -> Path:
+    take_files(tmp_path / "takes", 2)
+    take_files(tmp_path / "takes/a/b", 1)
+    return tmp_path
+
+
+def test_outputs_stand_beside_inputs(takes: Path) -> None:
+    assert made(takes, "takes") == [
+        ("takes/a/b/take000.bvh", "takes/a/b/take000.usdc"),
+        ("takes/take000.bvh", "takes/take000.usdc"),
+        ("takes/take001.bvh", "takes/take001.usdc"),
+    ]
+
+
+def test_names_of_inputs_and_variables(takes: Path) -> None:
+    pattern = "out/{shot}/{parent}/{stem}_{name}.usda"
+    found = made(takes, "takes/**/*0.bvh", output=pattern, variables={"shot": "s1"})
+    assert [output for _, output in found] == [
+        "out/s1/a/b/take000_take000.bvh.usda",
+        "out/s1/take000_take000.bvh.usda",
+    ]
+
+
+def test_each_input_once_less_what_is_excluded(takes: Path) -> None:
+    found = made(takes, "takes/take*.bvh", "takes", exclude=("takes/a", "takes/*1.bvh"))
+    assert [path for path, _ in found] == ["takes/take000.bvh"]
+
+
+def test_order_is_that_of_names(takes: Path) -> None:
+    one = made(takes, "takes/take001.bvh", "takes/a", "takes/take000.bvh")
+    assert one == made(takes, "takes")
+
+
+def test_there_must_be_an_input(takes: Path) -> None:
+    with pytest.raises(NothingFoundError) as error:
+        made(takes, "takes", exclude=("takes",))
+    assert error.value.code == "BAT005"
+
+
+def test_a_folder_is_searched_for_no_usd(takes: Path) -> None:
+    (takes / "takes/take000.usdc").touch()
+    (takes / "takes/shot.scene.yaml").write_text(
+        "scene: animtool/1\nsource: {file: take000.bvh}\noutput: {file: s.usda}\n"
+    )
+    assert ("takes/shot.scene.yaml", "takes/s.usda") in made(takes, "takes")
+    (takes / "t.scene.yaml").write_text(SCENE)
+    with_scene = made(takes, "takes", scene=takes / "t.scene.yaml")
+    assert [path.rpartition(".")[2] for path, _ in with_scene] == ["bvh"] * 3
+    assert made(takes, "takes/*.usdc", output="out/{stem}.usdc")
+
+
+def test_the_scene_is_checked_before_the_work(takes: Path) -> None:
+    (takes / "t.scene.yaml").write_text(SCENE + "passes: [{trimm: {}}]\n")
+    with pytest.raises(FormatError) as error:
+        made(takes, "takes", scene=takes / "t.scene.yaml")
+    assert error.value.code == "SCN010"
+
+
+@pytest.mark.parametrize("name", ["shott", "stem"])
+def test_variables_that_nothing_uses(takes: Path, name: str) -> None:
+    (takes / "t.scene.yaml").write_text(
+        "scene: animtool/1\nvariables: {shot: a}\nsource:\n  file: ${input}\n"
+    )
+    scene = takes / "t.scene.yaml"
+    made(takes, "takes", scene=scene, variables={"shot": "b"})
+    with pytest.raises(OptionError) as error:
+        made(takes, "takes", scene=scene, variables={name: "b"})
+    assert error.value.code == "SCN031"
+
+
+def test_a_name_in_the_output_that_there_is_none_of(takes: Path) -> None:
+    with pytest.raises(OptionError) as error:
+        made(takes, "takes", output="{stm}.usdc")
+    assert error.value.code == "BAT004"
+    assert "stem" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("output", "root"), [("out/x/{parent}/{stem}.usdc", "out/x"), (None, ".")]
+)
+def test_records_stand_below_the_folder_of_all_outputs(
+    takes: Path, output: str | None, root: str
+) -> None:
+    batch = find_batch(BatchSpec(("takes",), takes, output=output))
+    assert batch.records == takes / root / ".animtool"
+
+
+def test_every_file_of_an_output_is_known(takes: Path) -> None:
+    split = BakeOptions(form="split")
+    batch = find_batch(BatchSpec(("takes/take000.bvh",), takes, options=split))
+    names = [path.name for path in batch.outputs(batch.items[0])]
+    assert names == ["take000.rig.usda", "take000.anim.usdc", "take000.usdc"]

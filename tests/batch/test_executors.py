@@ -1,0 +1,148 @@
+"""What every executor of the table owes."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+from support.batch import take_files
+
+from animtool.batch.discover import find_batch
+from animtool.batch.executors import (
+    EXECUTORS,
+    Executor,
+    Work,
+    find_executor,
+    listed_executors,
+)
+from animtool.batch.limits import Limits
+from animtool.batch.outcome import Status
+from animtool.batch.recipe import Item
+from animtool.batch.spec import BatchSpec
+from animtool.batch.work import Maker
+from animtool.errors import OptionError
+
+OTHER = Executor("another", "animtool.batch.executors:serial")
+NUMBER = 1
+
+
+def work(folder: Path, count: int, **given: object) -> Work:
+    take_files(folder / "takes", count)
+    spec = BatchSpec(("takes/*.bvh",), folder, output="out/{stem}.usdc")
+    batch = find_batch(spec)
+    maker = Maker(batch.recipe, batch.root)
+    settings = {"limits": Limits(), "jobs": 2, **given}
+    return Work(maker, iter(batch.items), **settings)  # type: ignore[arg-type]
+
+
+@pytest.fixture(params=sorted(EXECUTORS))
+def name(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+def test_every_item_is_made_once(name: str, tmp_path: Path) -> None:
+    made = work(tmp_path, 5)
+    (tmp_path / "takes/take002.bvh").write_text("HIERARCHY\n")
+    found = {o.number: o for o in find_executor(name).load()(made)}
+    assert sorted(found) == [1, 2, 3, 4, 5]
+    failed = [o.number for o in found.values() if o.status is Status.FAILED]
+    assert failed == [3]
+    assert found[3].faults[0].code.startswith("BVH")
+    for number in (1, 2, 4, 5):
+        outcome = found[number]
+        assert [Path(f.path).name for f in outcome.outputs] == [
+            f"take00{number - 1}.usdc"
+        ]
+        assert f"../takes/take00{number - 1}.bvh" in {f.path for f in outcome.inputs}
+        assert outcome.measured is not None
+        assert outcome.measured.samples == 4
+
+
+def test_outputs_are_those_of_any_other(name: str, tmp_path: Path) -> None:
+    contents = []
+    for folder, executor in ((tmp_path / "a", name), (tmp_path / "b", "serial")):
+        list(find_executor(executor).load()(work(folder, 3)))
+        contents.append([p.read_bytes() for p in sorted((folder / "out").iterdir())])
+    assert contents[0] == contents[1]
+    assert len(contents[0]) == 3
+
+
+def test_items_are_taken_when_they_are_begun(name: str, tmp_path: Path) -> None:
+    made, taken = work(tmp_path, 6), []
+
+    def counted(items: Iterator[Item]) -> Iterator[Item]:
+        for item in items:
+            taken.append(item.number)
+            yield item
+
+    counting = Work(made.maker, counted(made.items), made.limits, 2)
+    outcomes = find_executor(name).load()(counting)
+    next(iter(outcomes))
+    assert len(taken) <= 3
+    close = getattr(outcomes, "close", None)
+    if close is not None:
+        close()
+
+
+def test_no_items_are_no_outcomes(name: str, tmp_path: Path) -> None:
+    assert list(find_executor(name).load()(work(tmp_path, 1).__class__(
+        work(tmp_path, 1).maker, iter(()), Limits(), 1
+    ))) == []  # fmt: skip
+
+
+def test_an_argument_that_it_has_no_use_for(name: str, tmp_path: Path) -> None:
+    with pytest.raises(OptionError) as error:
+        list(find_executor(name).load()(work(tmp_path, 1, argument="8")))
+    assert error.value.code == "BAT031"
+
+
+def test_serial_keeps_no_limits(tmp_path: Path) -> None:
+    with pytest.raises(OptionError) as error:
+        find_executor("serial").load()(work(tmp_path, 1, limits=Limits(1.0)))
+    assert error.value.code == "BAT031"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc")
+def test_closing_ends_the_processes(tmp_path: Path) -> None:
+    outcomes = find_executor("processes").load()(work(tmp_path, 4))
+    next(iter(outcomes))
+    frame = outcomes.gi_frame  # type: ignore[attr-defined]
+    numbers = [worker.process.pid for worker in frame.f_locals["pool"].workers]
+    assert numbers
+    outcomes.close()  # type: ignore[attr-defined]
+    assert not [n for n in numbers if Path(f"/proc/{n}/cmdline").exists()]
+
+
+def test_the_environment_is_as_it_was(tmp_path: Path) -> None:
+    before = dict(os.environ)
+    list(find_executor("processes").load()(work(tmp_path, 1)))
+    assert dict(os.environ) == before
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "loads"),
+    [("farm", "OTHER", True), ("farm", "NUMBER", False), ("farm", "none", False)],
+)
+def test_executors_of_plug_ins(
+    monkeypatch: pytest.MonkeyPatch, name: str, value: str, loads: bool
+) -> None:
+    point = EntryPoint(name, f"batch.test_executors:{value}", "animtool.executors")
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda **_: [point])
+    listed = {entry.name: entry.loads for entry in listed_executors()}
+    assert listed == {"processes": True, "serial": True, name: loads}
+    if loads:
+        assert find_executor(name) == OTHER
+        return
+    with pytest.raises(OptionError) as error:
+        find_executor(name)
+    assert error.value.code == "BAT032"
+
+
+def test_one_that_there_is_none_of() -> None:
+    with pytest.raises(OptionError, match="processes") as error:
+        find_executor("proceses")
+    assert error.value.code == "BAT030"

@@ -1,0 +1,91 @@
+"""The records of a batch: one run at a time holds them, and parts come together."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from batch.test_manifest import item
+
+from animtool.batch import ledger
+from animtool.batch.ledger import held_ledger, read_history
+from animtool.errors import OutputError
+
+
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ledger, "PATIENCE", 0.0)
+
+
+@pytest.mark.parametrize(
+    ("held", "wanted", "refused"),
+    [
+        ("", "", True),
+        ("", "1-2", True),
+        ("1-2", "", True),
+        ("1-2", "1-2", True),
+        ("1-2", "3-4", False),
+    ],
+)
+def test_who_may_run_beside_whom(
+    tmp_path: Path, held: str, wanted: str, refused: bool
+) -> None:
+    with held_ledger(tmp_path, "a", held):
+        if not refused:
+            with held_ledger(tmp_path, "a", wanted):
+                return
+        with pytest.raises(OutputError) as error, held_ledger(tmp_path, "a", wanted):
+            pass
+    assert error.value.code == "BAT010"
+    assert str(os.getpid()) in str(error.value)
+    with held_ledger(tmp_path, "a", wanted):
+        pass
+
+
+def test_batches_of_other_names_run_beside_each_other(tmp_path: Path) -> None:
+    with held_ledger(tmp_path, "a"), held_ledger(tmp_path, "b"):
+        pass
+
+
+def test_parts_come_together(tmp_path: Path) -> None:
+    folder = tmp_path / ".animtool"
+    for number in (1, 2):
+        (tmp_path / f"{number}.usdc").touch()
+        with held_ledger(folder, "a", f"{number}-{number}") as part:
+            part.claim([f"{number}.usdc"])
+            part.made(item(number))
+            part.failed("9.usdc", "why")
+            part.settle(lambda _: True)
+    history = read_history(folder, "a")
+    assert set(history.made.items) == {"1.usdc", "2.usdc"}
+    assert history.failed == {"9.usdc": "why"}
+    with held_ledger(folder, "a") as whole:
+        whole.settle(lambda made: made.key == "1.usdc")
+    history = read_history(folder, "a")
+    assert set(history.made.items) == {"1.usdc"}
+    # It is there, and a run of the batch made it.
+    assert "2.usdc" in history.made.known
+    assert not list((folder / "batch-a.d").glob("*.jsonl"))
+
+
+def test_what_is_made_has_not_failed(tmp_path: Path) -> None:
+    folder = tmp_path / ".animtool"
+    with held_ledger(folder, "a") as run:
+        run.failed("1.usdc", "why")
+        run.settle(lambda _: True)
+    assert read_history(folder, "a").failed == {"1.usdc": "why"}
+    with held_ledger(folder, "a") as run:
+        run.made(item(1))
+        run.settle(lambda _: True)
+    assert read_history(folder, "a").failed == {}
+    assert not list(folder.glob("*.failed.jsonl"))
+
+
+def test_a_run_that_is_not_settled_is_not_lost(tmp_path: Path) -> None:
+    with held_ledger(tmp_path, "a") as run:
+        run.claim(["1.usdc"])
+        run.failed("2.usdc", "why")
+    history = read_history(tmp_path, "a")
+    assert "1.usdc" in history.made.known
+    assert history.failed == {"2.usdc": "why"}

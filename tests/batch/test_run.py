@@ -1,0 +1,157 @@
+"""Runs of a batch: what is begun, what is left, what may be replaced."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from support.batch import take_files, whole_outputs
+
+import animtool
+from animtool.batch.recipe import Item
+from animtool.batch.report import BatchReport, ItemReport
+from animtool.batch.run import Listener, RunOptions, run_batch
+from animtool.batch.spec import BatchSpec
+from animtool.errors import ExitCode, OptionError
+from animtool.scene.options import BakeOptions
+from animtool.units import UpAxis
+
+SERIAL = RunOptions(executor="serial")
+
+
+@pytest.fixture
+def spec(tmp_path: Path) -> BatchSpec:
+    """Return a batch of five takes of which two are malformed."""
+    takes = take_files(tmp_path / "takes", 5)
+    for path in (takes[1], takes[3]):
+        path.write_text("HIERARCHY\n")
+    return BatchSpec(("takes/*.bvh",), tmp_path, output="out/{stem}.usdc")
+
+
+def statuses(report: BatchReport) -> list[str]:
+    return [str(entry.status) for entry in report.items]
+
+
+def test_failures_cost_nothing_else(spec: BatchSpec) -> None:
+    report = run_batch(spec, SERIAL)
+    assert statuses(report) == ["done", "failed", "done", "failed", "done"]
+    assert report.exit_code is ExitCode.FINDINGS
+    assert [entry.item.number for entry in report.failed] == [2, 4]
+    assert report.failed[0].why.startswith("BVH")
+
+
+@pytest.mark.parametrize(
+    ("most", "found"),
+    [
+        (1, ["done", "failed", "not run", "not run", "not run"]),
+        (2, ["done", "failed", "done", "failed", "not run"]),
+    ],
+)
+def test_so_many_failures_end_it(spec: BatchSpec, most: int, found: list[str]) -> None:
+    assert statuses(run_batch(spec, replace(SERIAL, most_failures=most))) == found
+
+
+def test_only_what_failed(spec: BatchSpec, tmp_path: Path) -> None:
+    take_files(tmp_path / "takes", 4)
+    (tmp_path / "takes/take001.bvh").write_text("HIERARCHY\n")
+    first = run_batch(spec, replace(SERIAL, numbers=(1, 3)))
+    assert statuses(first) == ["done", "failed", "done"]
+    retried = run_batch(spec, replace(SERIAL, retry_failed=True))
+    assert [(e.item.number, str(e.reason)) for e in retried.items] == [
+        (2, "failed last time")
+    ]
+    take_files(tmp_path / "takes", 5)
+    assert statuses(run_batch(spec, replace(SERIAL, retry_failed=True))) == ["done"]
+    assert run_batch(spec, replace(SERIAL, retry_failed=True)).items == ()
+    assert statuses(run_batch(spec, SERIAL)) == ["skipped"] * 3 + ["done"] * 2
+
+
+def test_parts_make_the_whole(spec: BatchSpec, tmp_path: Path) -> None:
+    take_files(tmp_path / "takes", 5)
+    for numbers in ((1, 2), (3, 5)):
+        report = run_batch(spec, replace(SERIAL, numbers=numbers))
+        assert statuses(report) == ["done"] * (numbers[1] - numbers[0] + 1)
+    parts = whole_outputs(tmp_path / "out")
+    assert statuses(run_batch(spec, SERIAL)) == ["skipped"] * 5
+    forced = run_batch(spec, replace(SERIAL, force=True))
+    assert statuses(forced) == ["done"] * 5
+    assert whole_outputs(tmp_path / "out") == parts
+
+
+@pytest.mark.parametrize("numbers", [(0, 1), (3, 2), (5, 6)])
+def test_items_that_are_not_there(spec: BatchSpec, numbers: tuple[int, int]) -> None:
+    with pytest.raises(OptionError) as error:
+        run_batch(spec, replace(SERIAL, numbers=numbers))
+    assert error.value.code == "BAT033"
+
+
+def test_files_of_others_are_not_replaced(spec: BatchSpec, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/take002.usdc").write_text("mine")
+    with pytest.raises(OptionError) as error:
+        run_batch(spec, SERIAL)
+    assert [fault.code for fault in error.value.faults] == ["OUT001"]
+    assert not (tmp_path / "out/take000.usdc").exists()
+    report = run_batch(spec, replace(SERIAL, overwrite=True))
+    assert statuses(report)[2] == "done"
+
+
+def test_an_output_that_a_killed_run_left_is_replaced(
+    spec: BatchSpec, tmp_path: Path
+) -> None:
+    class Killed(Listener):
+        def ended(self, report: ItemReport) -> None:
+            raise KeyboardInterrupt(report.status)
+
+    with pytest.raises(KeyboardInterrupt):
+        run_batch(spec, SERIAL, Killed())
+    records = tmp_path / "out/.animtool/batch-batch.jsonl"
+    lines = records.read_bytes().splitlines(keepends=True)
+    # Killed between the output and its record.
+    records.write_bytes(b"".join(line for line in lines if b'"item"' not in line))
+    report = run_batch(spec, SERIAL)
+    assert statuses(report)[0] == "done"
+    assert report.items[0].reason == "new"
+
+
+def test_whoever_listens_is_told(spec: BatchSpec) -> None:
+    told: list[object] = []
+
+    class Listening(Listener):
+        def planned(self, due: int, total: int) -> None:
+            told.append((due, total))
+
+        def began(self, item: Item) -> None:
+            told.append(item.number)
+
+        def ended(self, report: ItemReport) -> None:
+            told.append(str(report.status))
+
+    run_batch(spec, replace(SERIAL, numbers=(1, 2)), Listening())
+    assert told == [(2, 2), 1, "done", 2, "failed"]
+
+
+def test_mixed_inputs_take_the_options_that_fit(workplace: Path) -> None:
+    source = animtool.SourceOptions(up=UpAxis.Y, clamp=True)
+    inputs = ("samples/walk/walk.bvh", "samples/bounce/bounce.clip.yaml")
+    spec = BatchSpec(
+        inputs, workplace, options=BakeOptions(source=source), output="out/{stem}.usdc"
+    )
+    report = run_batch(spec, SERIAL)
+    assert statuses(report) == ["done", "done"], report.items
+
+
+def test_a_rig_layer_that_changes_is_read_anew(workplace: Path) -> None:
+    layer = workplace / "walker.usda"
+    animtool.bake(workplace / "samples/walk/walk.bvh", layer, BakeOptions(form="split"))
+    options = BakeOptions(rig_layer=layer)
+    spec = BatchSpec(
+        ("samples/walk/walk.bvh",), workplace, options=options, output="out/{stem}.usda"
+    )
+    assert statuses(run_batch(spec, SERIAL)) == ["done"]
+    rig = workplace / "walker.rig.usda"
+    rig.write_text(rig.read_text().replace("startTimeCode = 1", "startTimeCode = 7"))
+    report = run_batch(spec, SERIAL)
+    assert [str(entry.reason) for entry in report.items] == ["input changed"]
+    assert report.items[0].detail == "../walker.rig.usda"

@@ -1,0 +1,110 @@
+"""What work looked at is noted, whatever reads it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from animtool import BakeOptions, bake
+from animtool.errors import FormatError
+from animtool.inputs import FileState, Inputs, note_input, recorded_inputs
+from animtool.output import replacing
+from animtool.prefetch import prefetch
+from animtool.scene.file import load_scene
+
+
+def names(inputs: Inputs, folder: Path) -> set[str]:
+    """Return the files below a folder that are there and were looked at."""
+    return {
+        path.relative_to(folder).as_posix()
+        for path, state in inputs.states.items()
+        if state is not None and path.is_relative_to(folder)
+    }
+
+
+def test_nothing_is_noted_without_a_record(tmp_path: Path) -> None:
+    note_input(tmp_path / "a")
+    with recorded_inputs() as inputs:
+        note_input(tmp_path / "b")
+    note_input(tmp_path / "c")
+    assert list(inputs.states) == [tmp_path / "b"]
+    assert inputs.states[tmp_path / "b"] is None
+
+
+def test_a_record_reaches_into_threads_that_read_ahead(tmp_path: Path) -> None:
+    def items() -> object:
+        note_input(tmp_path / "ahead")
+        yield 1
+
+    with recorded_inputs() as inputs:
+        assert list(prefetch(items())) == [1]  # type: ignore[arg-type]
+    assert tmp_path / "ahead" in inputs.states
+
+
+def test_a_clip_its_rig_and_arrays_are_noted(workplace: Path) -> None:
+    clip = workplace / "samples/speech/speech.clip.yaml"
+    with recorded_inputs() as inputs:
+        bake(clip, workplace / "o.usdc")
+    found = names(inputs, workplace)
+    assert {"samples/speech/speech.clip.yaml", "rigs/head/head.rig.yaml"} <= found
+    assert any(name.endswith(".npz") for name in found)
+    assert "animtool.toml" in found
+    # Settings nearer than those that are there would take their place.
+    assert inputs.states[workplace / "samples/speech/animtool.toml"] is None
+    assert "o.usdc" not in found
+
+
+def test_a_scene_with_targets_is_noted(workplace: Path) -> None:
+    with recorded_inputs() as inputs:
+        scene = load_scene(workplace / "samples/stride/rail.scene.yaml")
+        bake(scene, workplace / "o.usdc")
+    assert {
+        "samples/stride/rail.scene.yaml",
+        "samples/stride/stride.clip.yaml",
+        "samples/stride/rail.targets.yaml",
+        "rigs/biped/biped.rig.yaml",
+    } <= names(inputs, workplace)
+
+
+def test_every_layer_of_a_rig_is_noted(walk: Path, tmp_path: Path) -> None:
+    bake(walk, tmp_path / "hero.usda", BakeOptions(form="split"))
+    text = "#usda 1.0\n(subLayers = [@./hero.usda@, @./late.usda@])\n"
+    (tmp_path / "shot.usda").write_text(text)
+    with recorded_inputs() as inputs:
+        layer = BakeOptions(rig_layer=tmp_path / "shot.usda")
+        bake(walk, tmp_path / "o.usdc", layer)
+    assert {"shot.usda", "hero.usda", "hero.rig.usda", "hero.anim.usdc"} <= names(
+        inputs, tmp_path
+    )
+    assert inputs.states[tmp_path / "late.usda"] is None
+
+
+def test_what_changed_meanwhile_replaces_nothing(tmp_path: Path) -> None:
+    source, output = tmp_path / "source", tmp_path / "output"
+    source.write_text("one")
+    output.write_text("before")
+
+    def make() -> None:
+        with recorded_inputs(), replacing(output) as temporary:
+            note_input(source)
+            temporary.write_text("after")
+            os.utime(source, ns=(1, 1))
+
+    with pytest.raises(FormatError) as error:
+        make()
+    assert error.value.code == "IO004"
+    assert error.value.faults[0].path == str(source)
+    assert output.read_text() == "before"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["output", "source"]
+
+
+def test_states_tell_files_apart(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    assert FileState.of(path) is None
+    path.write_text("one")
+    first = FileState.of(path)
+    assert FileState.of(path) == first
+    path.write_text("two!")
+    assert FileState.of(path) != first
