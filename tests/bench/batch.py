@@ -1,0 +1,285 @@
+"""How fast ``animtool batch`` is, what it costs a task, and what a lost process costs.
+
+Whole processes, started fresh, beside pools of the standard library and a process for
+each task. The takes are those of ``$ANIMTOOL_DATA/bvh``, as often as it needs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from figures import HERE, Row, Run, Wanted, machine, run, table, verdicts, write_csv
+
+from animtool.batch.discover import find_batch
+from animtool.batch.ledger import held_ledger
+from animtool.batch.places import named_from
+from animtool.batch.plan import Planner
+from animtool.batch.records import ItemRecord, record_of
+from animtool.batch.spec import BatchSpec
+from animtool.inputs import FileState
+
+ROOT = HERE.parents[1]
+SMALL = ROOT / "samples/batch/takes/left/wave1.bvh"
+POOL = HERE / "peers/batch_pool.py"
+PLANNED = (1_000, 10_000)
+KILLS = 20
+
+
+def batch(folder: Path, *options: object) -> Run:
+    """Run a batch of a folder's takes."""
+    command = [sys.executable, "-m", "animtool", "batch", str(folder / "takes")]
+    out = ["-o", str(folder / "out/{stem}.usdc"), "--format", "json", "-q"]
+    return run([*command, *out, *map(str, options)])
+
+
+def copies(folder: Path, count: int) -> list[Path]:
+    """Return so many real takes, copied."""
+    data = Path(os.environ["ANIMTOOL_DATA"]) / "bvh"
+    # Some are there because readers refuse them in part, with warnings.
+    sources = sorted(data.glob("*.bvh"))
+    (folder / "takes").mkdir(parents=True)
+    made = []
+    for i in range(count):
+        path = folder / f"takes/take{i:05}.bvh"
+        shutil.copyfile(sources[i % len(sources)], path)
+        made.append(path)
+    return made
+
+
+def small(folder: Path, count: int) -> list[Path]:
+    """Return so many small takes."""
+    (folder / "takes").mkdir(parents=True)
+    made = []
+    for i in range(count):
+        path = folder / f"takes/take{i:05}.bvh"
+        shutil.copyfile(SMALL, path)
+        made.append(path)
+    return made
+
+
+def spent(done: Run) -> float:
+    """Return how long items took, summed [s]."""
+    return sum(entry.get("seconds", 0.0) for entry in done.report["items"])
+
+
+def many(folder: Path, count: int, runs: int) -> list[Row]:
+    """Measure many real takes on one core and on two, and again."""
+    copies(folder, count)
+    section = f"{count} real takes"
+    walls: dict[int, list[float]] = {1: [], 2: []}
+    costs: list[float] = []
+    for _ in range(runs):
+        for jobs in (1, 2):
+            shutil.rmtree(folder / "out", ignore_errors=True)
+            done = batch(folder, "-j", jobs)
+            assert done.report["done"] == count
+            walls[jobs].append(done.seconds)
+            if jobs == 1:
+                costs.append((done.report["seconds"] - spent(done)) / count * 1000)
+    again = [batch(folder).seconds for _ in range(runs)]
+    faster = [one / two for one, two in zip(walls[1], walls[2], strict=True)]
+    return [
+        Row(section, "-j 1", "whole process [s]", walls[1]),
+        Row(section, "-j 1", "above the work, an item [ms]", costs, Wanted(False, 5)),
+        Row(section, "-j 2", "whole process [s]", walls[2]),
+        Row(section, "-j 2", "times as fast", faster, Wanted(True, 1.8)),
+        Row(section, "nothing changed", "whole process [s]", again, Wanted(False, 1)),
+    ]
+
+
+def planned(folder: Path, count: int, runs: int) -> list[Row]:
+    """Measure the plan of a batch in which all is up to date."""
+    for path in small(folder, count):
+        os.utime(path, ns=(10**18, 10**18))
+    out = str(folder / "out/{stem}.usdc")
+    found = find_batch(BatchSpec((str(folder / "takes"),), output=out))
+    (folder / "out").mkdir()
+    with held_ledger(found.records, found.name) as ledger:
+        planner = Planner(found, ledger.history)
+        for item in found.items:
+            item.output.write_bytes(b"made")
+            records = [
+                record_of(path, named_from(path, found.root), FileState.of(path))
+                for path in (item.found.path, item.output)
+            ]
+            key = planner.key(item)
+            ledger.made(
+                ItemRecord(
+                    key,
+                    planner.how(item),
+                    planner.versions,
+                    (records[0],),
+                    (records[1],),
+                    2 * 10**18,
+                )
+            )
+        ledger.settle(lambda _: True)
+    size = (found.records / "batch-batch.jsonl").stat().st_size
+    done = [batch(folder, "-n") for _ in range(runs)]
+    processors = [one.processor_seconds for one in done]
+    assert all(one.report["skipped"] == count for one in done)
+    section, tool = "plan", f"{count} items"
+    limit = Wanted(False, 5) if count == max(PLANNED) else None
+    return [
+        Row(section, tool, "whole process [s]", [one.seconds for one in done], limit),
+        Row(
+            section, tool, "of processors [s]", [one.processor_seconds for one in done]
+        ),
+        Row(section, tool, "peak memory [MB]", [one.peak_bytes / 1e6 for one in done]),
+        Row(section, tool, "bytes an item in the manifest", [size / count]),
+    ]
+
+
+def starts(folder: Path, count: int, runs: int) -> list[Row]:
+    """Measure what small tasks cost beside pools and a process for each."""
+    inputs = [str(path) for path in small(folder, count)]
+    rows = []
+    section = f"{count} small takes, 2 processes"
+
+    def timed(tool: str, command: list[str]) -> None:
+        done = []
+        for _ in range(runs):
+            shutil.rmtree(folder / "out", ignore_errors=True)
+            (folder / "out").mkdir()
+            done.append(run(command))
+        walls = [one.seconds for one in done]
+        each = [seconds / count * 1000 for seconds in walls]
+        rows.extend(
+            [
+                Row(section, tool, "whole process [s]", walls),
+                Row(section, tool, "a task [ms]", each),
+            ]
+        )
+
+    out = str(folder / "out")
+    command = [sys.executable, "-m", "animtool", "batch", str(folder / "takes")]
+    pattern = ["-o", f"{out}/{{stem}}.usdc", "-q", "--format", "json", "-j", "2"]
+    timed("animtool batch", [*command, *pattern])
+    timed("animtool batch, one item", [*command, *pattern, "--items", "1"])
+    for method in ("spawn", "forkserver", "fork"):
+        peer = [sys.executable, str(POOL), "pool", method, "2", out, "-1", *inputs]
+        timed(f"multiprocessing.Pool, {method}", peer)
+    bake = [sys.executable, "-m", "animtool", "bake"]
+    each = [run([*bake, p, "-o", f"{out}/alone{i}.usdc", "-q"], report=False)
+            for i, p in enumerate(inputs[:5])]  # fmt: skip
+    alone = "a process for each task"
+    rows += [
+        Row(section, alone, "a task [ms]", [one.seconds * 1000 for one in each]),
+    ]
+    return rows
+
+
+READER = """
+import os, signal
+from pathlib import Path
+from animtool.formats.bvh.read import read_bvh
+from animtool.readers import Reader
+READER = Reader("takes that kill", source="kill_reader:open_kill")
+def open_kill(path):
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def lost(folder: Path, count: int) -> list[Row]:
+    """Count the tasks that are lost where one of them ends its process."""
+    inputs = [str(path) for path in small(folder, count)]
+    out = str(folder / "out")
+    Path(out).mkdir()
+    killed = str(count // 3)
+    rows = []
+    for kind in ("pool", "futures"):
+        command = [sys.executable, str(POOL), kind, "spawn", "2", out, killed, *inputs]
+        done = run(command).report["done"]
+        rows.append(Row("one task kills its process", kind, "lost", [count - done]))
+    plug = folder / "plug"
+    info = plug / "kill_reader-1.0.dist-info"
+    info.mkdir(parents=True)
+    (plug / "kill_reader.py").write_text(READER)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: kill\nVersion: 1\n")
+    points = "[animtool.readers]\nkill = kill_reader:READER\n"
+    (info / "entry_points.txt").write_text(points)
+    Path(inputs[count // 3]).rename(folder / "takes/take.kill")
+    command = [sys.executable, "-m", "animtool", "batch", f"{folder}/takes/*", "-j"]
+    tail = ["2", "-o", f"{out}/{{stem}}.usda", "--format", "json", "-q"]
+    environment = {**os.environ, "PYTHONPATH": str(plug)}
+    done = subprocess.run(
+        [*command, *tail], capture_output=True, text=True, check=False, env=environment
+    )
+    failed = json.loads(done.stdout)["failed"]
+    tool = "animtool batch"
+    wanted = Wanted(False, 1)
+    rows.append(Row("one task kills its process", tool, "lost", [failed], wanted))
+    return rows
+
+
+def resumed(folder: Path, count: int) -> list[Row]:
+    """Kill a run at random moments, and count outputs that differ at the end."""
+    small(folder, count)
+    whole = folder / "whole"
+    shutil.copytree(folder / "takes", whole / "takes")
+    seconds = batch(whole, "-j", 2).seconds
+    rng = np.random.default_rng(0)
+    command = [sys.executable, "-m", "animtool", "batch", str(folder / "takes")]
+    command += ["-o", str(folder / "out/{stem}.usdc"), "-q", "-j", "2"]
+    stopped = 0
+    for moment in rng.uniform(0.3, 1.0, KILLS) * seconds:
+        process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        try:
+            process.wait(moment)
+            shutil.rmtree(folder / "out")
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+            stopped += 1
+        time.sleep(0.2)
+    batch(folder, "-j", 2)
+    names = {p.relative_to(whole / "out") for p in (whole / "out").rglob("*.usdc")}
+    found = {p.relative_to(folder / "out") for p in (folder / "out").rglob("*")
+             if p.is_file() and p.parent.name != ".animtool"}  # fmt: skip
+    wrong = len(names ^ found) + sum(
+        (whole / "out" / name).read_bytes() != (folder / "out" / name).read_bytes()
+        for name in names & found
+    )
+    section = f"killed at random moments, {count} takes"
+    return [
+        Row(section, "animtool batch", "runs killed", [stopped]),
+        Row(section, "animtool batch", "files wrong", [wrong], Wanted(False, 0)),
+    ]
+
+
+def main() -> None:
+    """Measure, print and store."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--takes", type=int, default=200)
+    parser.add_argument("--csv", type=Path, default=HERE / "results/batch.csv")
+    given = parser.parse_args()
+    about = machine((sys.executable, ["animtool", "numpy", "usd-core", "filelock"]))
+    rows: list[Row] = []
+    with tempfile.TemporaryDirectory(prefix="animtool-bench-") as temporary:
+        folder = Path(temporary)
+        some = max(1, given.runs // 2)
+        rows += many(folder / "many", given.takes, given.runs)
+        for count in PLANNED:
+            rows += planned(folder / f"plan{count}", count, some)
+        rows += starts(folder / "start", 20, given.runs)
+        rows += lost(folder / "lost", 20)
+        rows += resumed(folder / "killed", 200)
+    for section in dict.fromkeys(row.section for row in rows):
+        print("\n".join(table([row for row in rows if row.section == section])))
+    print("\n".join(verdicts(rows)))
+    write_csv(given.csv, about, rows)
+
+
+if __name__ == "__main__":
+    main()
