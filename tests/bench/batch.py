@@ -132,9 +132,7 @@ def planned(folder: Path, count: int, runs: int) -> list[Row]:
     limit = Wanted(False, 5) if count == max(PLANNED) else None
     return [
         Row(section, tool, "whole process [s]", [one.seconds for one in done], limit),
-        Row(
-            section, tool, "of processors [s]", [one.processor_seconds for one in done]
-        ),
+        Row(section, tool, "of processors [s]", processors),
         Row(section, tool, "peak memory [MB]", [one.peak_bytes / 1e6 for one in done]),
         Row(section, tool, "bytes an item in the manifest", [size / count]),
     ]
