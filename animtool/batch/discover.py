@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -82,25 +82,16 @@ def find_batch(spec: BatchSpec) -> Batch:
         OptionError: The output has a name that there is none of (BAT004), or a
             variable that nothing uses is given (SCN031).
     """
-    place = None if spec.path is None else str(spec.path)
-    faults = [
-        Fault("BAT004", message, place, (), hint)
-        for message, hint in unknown_names(spec.output or "", spec.variables)
-    ]
-    if faults:
-        raise OptionError(faults)
+    _check_pattern(spec)
     found = _found(spec)
-    kinds = {
-        (file.path.suffix.lower(), is_scene(file.path)): file.path for file in found
-    }
-    options = spec.options
-    recipe = Recipe(spec.scene, dict(spec.variables), options, tuple(kinds.values()))
-    items = tuple(
-        Item(number, file, _output(spec, recipe, number, file))
-        for number, file in enumerate(found, 1)
-    )
-    given = [spec.scene, options.rig_layer, options.source.rig, spec.path]
-    batch = Batch(
+    recipe = _recipe(spec, found)
+    sample = None
+    if spec.scene is not None:
+        sample = recipe.source(Item(1, found[0], found[0].path))
+    _check_variables(spec, recipe, sample)
+    items = tuple(_items(spec, recipe, found, sample))
+    given = [spec.scene, spec.options.rig_layer, spec.options.source.rig, spec.path]
+    return Batch(
         spec.name,
         items,
         recipe,
@@ -108,17 +99,57 @@ def find_batch(spec: BatchSpec) -> Batch:
         spec.jobs,
         Path(spec.folder, output_root(spec.output or "")).absolute(),
         tuple(path for path in given if path is not None),
+        sample,
     )
-    used = _used_in_output(spec)
-    if spec.scene is not None:
-        sample = recipe.source(items[0])
-        batch = replace(batch, sample=sample)
+
+
+def _check_pattern(spec: BatchSpec) -> None:
+    place = None if spec.path is None else str(spec.path)
+    faults = [
+        Fault("BAT004", message, place, (), hint)
+        for message, hint in unknown_names(spec.output or "", spec.variables)
+    ]
+    if faults:
+        raise OptionError(faults)
+
+
+def _recipe(spec: BatchSpec, found: Sequence[FoundFile]) -> Recipe:
+    kinds = {
+        (file.path.suffix.lower(), is_scene(file.path)): file.path for file in found
+    }
+    return Recipe(spec.scene, dict(spec.variables), spec.options, tuple(kinds.values()))
+
+
+def _check_variables(spec: BatchSpec, recipe: Recipe, sample: Source | None) -> None:
+    """Refuse variables that neither the scene nor the output uses."""
+    used = {name for name in spec.variables if f"{{{name}}}" in (spec.output or "")}
+    if sample is not None:
         used |= set(getattr(sample, "variables", ()))
-    elif any(is_scene(path) for path in kinds.values()):
-        # Each of them has variables of its own, which it checks when it is made.
+    elif any(map(is_scene, recipe.kinds)):
+        # Each has its own, and says what is wrong with them when it is made.
         used |= set(spec.variables)
     check_given(spec.variables, used - set(INPUT_NAMES))
-    return batch
+
+
+def _items(
+    spec: BatchSpec,
+    recipe: Recipe,
+    found: Sequence[FoundFile],
+    sample: Source | None,
+) -> Iterator[Item]:
+    """Yield the items, each with its output: the pattern's, its scene's, or beside."""
+    named_by_scene = getattr(sample, "output", None) is not None
+    for number, file in enumerate(found, 1):
+        if spec.output is not None:
+            names = {**spec.variables, **input_names(file)}
+            yield Item(number, file, spec.folder / spec.output.format(**names))
+            continue
+        beside = file.path.with_name(f"{source_stem(file.path)}.usdc")
+        item = Item(number, file, beside)
+        if named_by_scene or (spec.scene is None and is_scene(file.path)):
+            own = getattr(recipe.source(item), "output", None)
+            item = replace(item, output=own or beside)
+        yield item
 
 
 def _found(spec: BatchSpec) -> list[FoundFile]:
@@ -146,19 +177,3 @@ def _meant(
 ) -> Iterator[FoundFile]:
     for text in given:
         yield from files_meant(os.fspath(folder / text), suffixes)
-
-
-def _output(spec: BatchSpec, recipe: Recipe, number: int, file: FoundFile) -> Path:
-    if spec.output is None:
-        beside = file.path.with_name(f"{source_stem(file.path)}.usdc")
-        if spec.scene is not None or not is_scene(file.path):
-            return beside
-        scene = recipe.source(Item(number, file, beside))
-        return getattr(scene, "output", None) or beside
-    names = {**spec.variables, **input_names(file)}
-    return spec.folder / spec.output.format(**names)
-
-
-def _used_in_output(spec: BatchSpec) -> set[str]:
-    wanted: Iterable[str] = spec.variables if spec.output is not None else ()
-    return {name for name in wanted if f"{{{name}}}" in (spec.output or "")}

@@ -65,6 +65,11 @@ class _Files:
             return self.parts / f"{self.part}{suffix}"
         return self.folder / f"batch-{self.name}{suffix}"
 
+    def holds(self) -> bool:
+        """Return whether something is recorded."""
+        paths = self.named(".jsonl"), self.named(".failed.jsonl")
+        return any(path.exists() for path in paths)
+
     def whole(self) -> _Files:
         return _Files(self.folder, self.name)
 
@@ -102,6 +107,7 @@ class Ledger:
 
     def __init__(self, files: _Files, now: int) -> None:
         self.now, self._files = now, files
+        self._grown = False
         self.history = read_history(files.folder, files.name)
         own = read_manifest(files.named(".jsonl"))
         self._closing = ExitStack()
@@ -118,6 +124,7 @@ class Ledger:
         new = [name for name in names if name not in self.history.made.known]
         if new:
             self._writer.claim(new)
+            self._grown = True
             self.history.made.known.update(new)
 
     def made(self, made: ItemRecord) -> None:
@@ -127,6 +134,7 @@ class Ledger:
             OutputError: It cannot be written (BAT012).
         """
         self._writer.add(made)
+        self._grown = True
         self.history.made.add(made)
         self.history.failed.pop(made.key, None)
 
@@ -137,6 +145,7 @@ class Ledger:
             OutputError: It cannot be written (BAT012).
         """
         path = self._files.named(".failed.jsonl")
+        self._grown = True
         self._failed_length = add_failure(path, key, why, self._failed_length)
         self.history.failed[key] = why
 
@@ -154,7 +163,8 @@ class Ledger:
             OutputError: They cannot be written (OUT002, BAT012).
         """
         self.close()
-        if self._files.part:
+        others = [] if self._files.part else self._files.others()
+        if self._files.part or not (self._grown or any(o.holds() for o in others)):
             return
         made = self.history.made
         kept = [item for item in made.items.values() if wanted(item)]
@@ -166,7 +176,7 @@ class Ledger:
         ]
         rewrite_manifest(self._files.named(".jsonl"), kept, begun)
         rewrite_failures(self._files.named(".failed.jsonl"), self.history.failed)
-        for part in self._files.others():
+        for part in others:
             part.named(".jsonl").unlink(missing_ok=True)
             part.named(".failed.jsonl").unlink(missing_ok=True)
 

@@ -44,6 +44,9 @@ GLANCE = 0.05
 # Processes that end in a row before they can take an item: then none can.
 MOST_STILLBORN = 3
 PATIENCE = 5.0
+# What may have happened to a process, by how it ended.
+_MEMORY = "the system may have no memory left: -j makes fewer at a time"
+_HINTS = {-9: _MEMORY, -6: _MEMORY}
 
 
 @dataclass(slots=True, eq=False)
@@ -150,7 +153,10 @@ class _Pool:
         else:
             worker.process.join(PATIENCE)
             message = f"the process that made it {_how_it_ended(worker.process)}"
-            yield self._lost(worker, Fault("BAT020", message))
+            hint = _HINTS.get(worker.process.exitcode or 0)
+            if self.limits.memory is not None:
+                hint = hint and "its limit of memory may be too small"
+            yield self._lost(worker, Fault("BAT020", message, hint=hint))
 
     def _beyond(self, worker: _Worker) -> Fault | None:
         """Return by what an item exceeds its limits."""

@@ -170,7 +170,7 @@ class BatchModel(FileModel):
     output: str | None = Field(
         default=None,
         description="The file to write of each input, with names between braces. Not "
-        "given: beside the input, as .usdc.",
+        "given: as the scene says, else beside the input, as .usdc.",
         examples=["out/{parent}/{stem}.usdc"],
     )
     limits: LimitsModel = Field(

@@ -60,7 +60,7 @@ Examples:
     "--output",
     metavar="PATTERN",
     help="The file to write of each, with {stem}, {name}, {parent}, {folder}, or a "
-    "variable.  [default: beside the input, as .usdc]",
+    "variable.  [default: as the scene says, else beside the input, as .usdc]",
 )
 @click.option(
     "--scene",

@@ -121,3 +121,17 @@ def test_every_file_of_an_output_is_known(takes: Path) -> None:
     batch = find_batch(BatchSpec(("takes/take000.bvh",), takes, options=split))
     names = [path.name for path in batch.outputs(batch.items[0])]
     assert names == ["take000.rig.usda", "take000.anim.usdc", "take000.usdc"]
+
+
+def test_outputs_that_the_scene_names(takes: Path) -> None:
+    text = SCENE + "output:\n  file: made/${stem}_x.usda\n"
+    (takes / "t.scene.yaml").write_text(text)
+    found = made(takes, "takes/*.bvh", scene=takes / "t.scene.yaml")
+    assert [path for _, path in found] == [
+        "made/take000_x.usda",
+        "made/take001_x.usda",
+    ]
+    given = made(
+        takes, "takes/*0.bvh", scene=takes / "t.scene.yaml", output="{stem}.usdc"
+    )
+    assert given == [("takes/take000.bvh", "take000.usdc")]

@@ -89,3 +89,14 @@ def test_a_run_that_is_not_settled_is_not_lost(tmp_path: Path) -> None:
     history = read_history(tmp_path, "a")
     assert "1.usdc" in history.made.known
     assert history.failed == {"2.usdc": "why"}
+
+
+def test_what_did_not_change_is_not_written_anew(tmp_path: Path) -> None:
+    folder = tmp_path / ".animtool"
+    with held_ledger(folder, "a") as run:
+        run.made(item(1))
+        run.settle(lambda _: True)
+    before = (folder / "batch-a.jsonl").stat().st_ino
+    with held_ledger(folder, "a") as run:
+        run.settle(lambda _: True)
+    assert (folder / "batch-a.jsonl").stat().st_ino == before
