@@ -129,7 +129,8 @@ def note_layers(stage: Any) -> None:
             continue
         if layer.realPath:
             note_input(Path(layer.realPath))
-        for name in layer.GetCompositionAssetDependencies():
+        # Without a name it is the layer itself.
+        for name in filter(None, layer.GetCompositionAssetDependencies()):
             found = Sdf.ComputeAssetPathRelativeToLayer(layer, name)
             if found and "[" not in found and "://" not in found:
                 note_input(Path(found))
