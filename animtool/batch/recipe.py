@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from animtool.batch.names import input_names
 from animtool.batch.places import named_from
+from animtool.batch.records import digest_of
 from animtool.files import FoundFile
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import fitting_options, is_scene
@@ -50,6 +51,11 @@ class Recipe:
     variables: Mapping[str, str] = field(default_factory=dict)
     options: BakeOptions = field(default_factory=BakeOptions)
     kinds: tuple[Path, ...] = ()
+    # By suffix, on which alone they depend: options, and the digest of them.
+    _fitting: dict[str, BakeOptions] = field(
+        default_factory=dict, compare=False, repr=False
+    )
+    _digests: dict[str, str] = field(default_factory=dict, compare=False, repr=False)
 
     def names(self, item: Item) -> dict[str, str]:
         """Return what names in a scene stand for."""
@@ -90,8 +96,13 @@ class Recipe:
         return bake_outputs([source], item.output, self._options(item.found.path))
 
     def _options(self, path: Path) -> BakeOptions:
-        own = fitting_options(self.options.source, path, self.kinds)
-        return replace(self.options, source=own, overwrite=True)
+        """Return the options for a file: those that are for its kind."""
+        kind = path.suffix.lower()
+        if kind not in self._fitting:
+            own = fitting_options(self.options.source, path, self.kinds)
+            options = replace(self.options, source=own, overwrite=True)
+            self._fitting[kind] = options
+        return self._fitting[kind]
 
     def described(self, item: Item, root: Path) -> dict[str, object]:
         """Return everything that decides how an item is made, but its files.
@@ -109,8 +120,14 @@ class Recipe:
         if self.scene is not None:
             plain["scene"] = named_from(self.scene, root)
         else:
-            plain["options"] = _plain(self._options(item.found.path), root)
+            plain["options"] = self._digest(item.found.path, root)
         return plain
+
+    def _digest(self, path: Path, root: Path) -> str:
+        kind = path.suffix.lower()
+        if kind not in self._digests:
+            self._digests[kind] = digest_of(_plain(self._options(path), root))
+        return self._digests[kind]
 
 
 def _plain(value: object, root: Path) -> object:
