@@ -37,6 +37,14 @@ def _numbers(text: str) -> tuple[int, int]:
     return int(found[1]), int(found[2] or found[1])
 
 
+def _name(text: str) -> str:
+    if re.fullmatch(r"[\w-][\w.-]*", text) is None:
+        raise ValueError(
+            f"{text!r} is no name: letters, digits, '_', '-' and '.' make one"
+        )
+    return text
+
+
 def _size(text: str) -> int:
     from animtool.batch.limits import parse_bytes
 
@@ -96,6 +104,13 @@ Examples:
     metavar="A-B",
     help="Only some, by their numbers from 1 in the order of their names; other runs "
     "may make others at the same time.",
+)
+@click.option(
+    "--name",
+    type=Parsed("name", _name),
+    metavar="NAME",
+    help="What the records are called; runs of other names may go on at the same time.  "
+    "[default: the batch file's name, else batch]",
 )
 @click.option(
     "-n", "--dry-run", is_flag=True, help="Make nothing; say what would be, and why."
@@ -211,6 +226,7 @@ def _spec(inputs: tuple[str, ...], given: dict[str, Any]) -> BatchSpec:
     )
     return replace(
         spec,
+        name=given["name"] or spec.name,
         exclude=(*spec.exclude, *excluded),
         variables={**spec.variables, **dict(given["variables"])},
         limits=limits,
@@ -244,6 +260,7 @@ class _Repeat:
             output = str(item.output).replace("{", "{{").replace("}", "}}")
         words = ["animtool", "batch", *inputs]
         words += [] if output is None else ["-o", output]
+        words += [] if given["name"] is None else ["--name", given["name"]]
         words += [] if given["scene"] is None else ["--scene", str(given["scene"])]
         for name, value in given["variables"]:
             words += ["--set", f"{name}={value}"]

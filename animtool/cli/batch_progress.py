@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from animtool.cli.console import Console
 
 if TYPE_CHECKING:
+    from rich.console import RenderableType
+
     from animtool.batch.recipe import Item
     from animtool.batch.report import ItemReport
     from animtool.batch.run import Listener
 
 __all__ = ["shown_progress"]
+
+WIDTH = 40
 
 
 @contextmanager
@@ -26,30 +31,32 @@ def shown_progress(console: Console, *, lines: bool) -> Iterator[Listener]:
         console: Where.
         lines: Write each item that ended to stdout, as a line of JSON.
     """
-    if console.is_live():
-        bar = _bar()
-        shown: Listener = _live(bar, console, lines=lines)
-        try:
-            yield shown
-        finally:
-            bar.stop()
-    else:
-        yield _plain(console, lines=lines)
+    if not console.is_live():
+        yield _lines(console, lines=lines)
+        return
+    from rich.console import Console as RichConsole
+    from rich.live import Live
+
+    shown, renderable = _table(lines=lines)
+    # Drawn a few times a second, whatever happens in between.
+    with Live(
+        get_renderable=renderable, console=RichConsole(stderr=True), transient=True
+    ):
+        yield shown
 
 
-def _plain(console: Console, *, lines: bool) -> Listener:
+def _lines(console: Console, *, lines: bool) -> Listener:
     from animtool.batch.run import Listener
     from animtool.cli.batch_summary import ended_text
 
     class Lines(Listener):
         """Says each item in a line."""
 
-        def __init__(self) -> None:
-            self.total = self.ended_items = 0
+        due = ended_items = 0
 
         def planned(self, due: int, total: int) -> None:
             """Say how many are to be made."""
-            self.total = due
+            self.due = due
             if due < total:
                 console.say(f"{total - due} of {total} are up to date")
 
@@ -57,62 +64,64 @@ def _plain(console: Console, *, lines: bool) -> Listener:
             """Say what became of one."""
             self.ended_items += 1
             if lines:
-                _line(report)
+                _write(report)
             else:
-                console.say(ended_text(report, self.ended_items, self.total))
+                console.say(ended_text(report, self.ended_items, self.due))
 
     return Lines()
 
 
-def _live(bar: Any, console: Console, *, lines: bool) -> Listener:
+def _table(*, lines: bool) -> tuple[Listener, Callable[[], RenderableType]]:
+    from rich.console import Group
+    from rich.progress_bar import ProgressBar
+    from rich.table import Table
+    from rich.text import Text
+
     from animtool.batch.run import Listener
 
-    class Live(Listener):
-        """Shows what is being made, how much is done and what failed."""
+    class Shown(Listener):
+        """Knows how much is done, what failed, and what is being made since when."""
+
+        due = ended_items = failed = 0
 
         def __init__(self) -> None:
-            self.whole: Any = None
-            self.failed = 0
-            self.rows: dict[int, Any] = {}
+            self.running: dict[int, tuple[str, float]] = {}
 
         def planned(self, due: int, total: int) -> None:
-            """Begin to show, where there is something to do."""
-            if due:
-                self.whole = bar.add_task(f"{due} of {total}", total=due)
-                bar.start()
+            """Take how many are to be made."""
+            del total
+            self.due = due
 
         def began(self, item: Item) -> None:
-            """Show what is begun."""
-            self.rows[item.number] = bar.add_task(f"  {item.output}", total=None)
+            """Take what is begun."""
+            self.running[item.number] = str(item.output), time.perf_counter()
 
         def ended(self, report: ItemReport) -> None:
-            """Show how much is done."""
-            bar.remove_task(self.rows.pop(report.item.number))
+            """Take what became of one."""
+            self.running.pop(report.item.number, None)
+            self.ended_items += 1
             self.failed += bool(report.faults)
-            told = f", {self.failed} failed" if self.failed else ""
-            done = bar.tasks[0].completed + 1
-            text = f"{int(done)} of {int(bar.tasks[0].total)}{told}"
-            bar.update(self.whole, advance=1, description=text)
             if lines:
-                _line(report)
+                _write(report)
 
-    del console
-    return Live()
+    shown = Shown()
+
+    def drawn() -> RenderableType:
+        if not shown.due:
+            return Text()
+        told = f"{shown.ended_items} of {shown.due}"
+        told += f", {shown.failed} failed" if shown.failed else ""
+        head = Table.grid(padding=(0, 1))
+        bar = ProgressBar(shown.due, shown.ended_items, width=WIDTH)
+        head.add_row(bar, Text(told))
+        rows = Table.grid(padding=(0, 1))
+        for name, began in list(shown.running.values()):
+            rows.add_row(Text(f"{time.perf_counter() - began:6.1f} s"), Text(name))
+        return Group(head, rows)
+
+    return shown, drawn
 
 
-def _bar() -> Any:
-    from rich.console import Console as RichConsole
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    return Progress(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        TimeElapsedColumn(),
-        console=RichConsole(stderr=True),
-        transient=True,
-    )
-
-
-def _line(report: ItemReport) -> None:
+def _write(report: ItemReport) -> None:
     sys.stdout.write(json.dumps(report.as_dict(), allow_nan=False) + "\n")
     sys.stdout.flush()

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
+import os
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -133,6 +137,7 @@ def test_a_scene_for_all(takes: Path) -> None:
         (("takes", "-o", "{stm}.usdc"), 2, "BAT004"),
         (("takes", "-j", "none"), 2, "auto"),
         (("takes", "--items", "2-9"), 2, "BAT033"),
+        (("takes", "--name", "../x"), 2, "no name"),
         (("takes", "--items", "a"), 2, "1-20"),
         (("takes", "--executor", "farms"), 2, "BAT030"),
         (("takes", "--memory-limit", "2"), 2, "2GB"),
@@ -159,3 +164,35 @@ def test_the_same_bytes_from_any_number_of_processes(takes: Path) -> None:
     alone = animtool("bake", "takes/take001.bvh", "-o", "one.usdc", cwd=takes)
     assert alone.code == 0
     assert (takes / "one.usdc").read_bytes() == found[0]["take001.usdc"]
+
+
+def test_records_of_another_name(takes: Path) -> None:
+    for name, path in (("one", "takes/take000.bvh"), ("two", "takes/take001.bvh")):
+        assert animtool("batch", path, *OUT, "--name", name, cwd=takes).code == 0
+    names = {path.name for path in (takes / "out/.animtool").glob("*.jsonl")}
+    assert names == {"batch-one.jsonl", "batch-two.jsonl"}
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX terminals")
+def test_a_terminal_shows_a_table(takes: Path) -> None:
+    import pty
+
+    ours, theirs = pty.openpty()
+    done = subprocess.run(
+        [sys.executable, "-P", "-m", "animtool", "batch", "takes", *OUT],
+        stderr=theirs,
+        stdout=subprocess.PIPE,
+        check=True,
+        cwd=takes,
+        env={**os.environ, "TERM": "xterm"},
+    )
+    os.close(theirs)
+    shown = b""
+    with contextlib.suppress(OSError):
+        while part := os.read(ours, 4096):
+            shown += part
+    os.close(ours)
+    assert done.stdout == b""
+    assert b"3 of 3" in shown
+    assert b"3 items: 3 done in " in shown
+    assert b"[1/3]" not in shown
