@@ -109,7 +109,7 @@ Examples:
     "--name",
     type=Parsed("name", _name),
     metavar="NAME",
-    help="What the records are called; runs of other names may go on at the same time.  "
+    help="What the records are called; runs of other names may go on beside this.  "
     "[default: the batch file's name, else batch]",
 )
 @click.option(
