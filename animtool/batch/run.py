@@ -154,8 +154,7 @@ class _Run:
             if decision.refreshed is not None:
                 self.ledger.made(decision.refreshed)
         due = [d.item for d in self.decisions.values() if d.due]
-        folders = dict.fromkeys(item.output.parent for item in due)
-        remove_leftovers(folder.resolve() for folder in folders)
+        self._tidy(due)
         if not self.options.overwrite:
             known = self.ledger.history.made.known
             check_overwrites(
@@ -164,6 +163,12 @@ class _Run:
                 lambda path: named_from(path, self.batch.root) in known,
             )
         self.listener.planned(len(due), len(self.decisions))
+
+    def _tidy(self, due: Sequence[Item]) -> None:
+        """Remove what killed runs began to write."""
+        folders = dict.fromkeys(item.output.parent for item in due)
+        folders[self.batch.records] = None
+        remove_leftovers(folder.resolve() for folder in folders)
 
     def make(self) -> None:
         """Make what is due."""
@@ -183,6 +188,8 @@ class _Run:
                 self._ended(outcome)
         finally:
             close()
+        # A process of a run that was killed may have lived a moment longer.
+        self._tidy(due)
 
     def _begun(self, due: Sequence[Item]) -> Iterator[Item]:
         """Yield items, each when it is begun, unless too many have failed."""
