@@ -119,6 +119,7 @@ class Recipe:
             plain["variables"] = names
         if self.scene is not None:
             plain["scene"] = named_from(self.scene, root)
+            plain["strict"] = self.options.strict
         else:
             plain["options"] = self._digest(item.found.path, root)
         return plain

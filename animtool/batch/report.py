@@ -132,6 +132,14 @@ class BatchReport:
         measured = [report for report in self.items if _error(report) > 0]
         return sorted(measured, key=lambda report: -_error(report))[:NAMED]
 
+    def warned(self) -> list[ItemReport]:
+        """Return the items about which there are warnings."""
+        return [
+            report
+            for report in self.items
+            if any(n.severity is Severity.WARNING for n in report.notices)
+        ]
+
     @property
     def exit_code(self) -> ExitCode:
         """What a process that ran the batch returns."""

@@ -141,6 +141,7 @@ Examples:
     metavar="SIZE",
     help="How much memory the process that makes it may have, such as 2GB.",
 )
+@click.option("--strict", is_flag=True, help="Take warnings for errors.")
 @click.option(
     "--overwrite", is_flag=True, help="Replace files that no run of the batch made."
 )
@@ -224,6 +225,8 @@ def _spec(inputs: tuple[str, ...], given: dict[str, Any]) -> BatchSpec:
             if given[option] is not None
         },
     )
+    if given["strict"]:
+        spec = replace(spec, options=replace(spec.options, strict=True))
     return replace(
         spec,
         name=given["name"] or spec.name,
@@ -261,6 +264,7 @@ class _Repeat:
         words = ["animtool", "batch", *inputs]
         words += [] if output is None else ["-o", output]
         words += [] if given["name"] is None else ["--name", given["name"]]
+        words += ["--strict"] if given["strict"] else []
         words += [] if given["scene"] is None else ["--scene", str(given["scene"])]
         for name, value in given["variables"]:
             words += ["--set", f"{name}={value}"]

@@ -30,6 +30,9 @@ def batch_text(report: BatchReport, *, dry: bool = False) -> list[str]:
     lines = [f"{total}: {', '.join(counts) or 'nothing'} in {report.seconds:.2f} s"]
     if why:
         lines.append(f"  why: {why}")
+    warned = len(report.warned())
+    if warned:
+        lines.append(f"  warnings: of {counted(warned, 'item')}, -v shows them")
     if report.slowest:
         slow = [
             f"{entry.item.output} {entry.seconds:.2f} s" for entry in report.slowest

@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from figures import HERE, Row, Run, Wanted, machine, run, table, verdicts, write_csv
@@ -33,6 +34,8 @@ SMALL = ROOT / "samples/batch/takes/left/wave1.bvh"
 POOL = HERE / "peers/batch_pool.py"
 PLANNED = (1_000, 10_000)
 KILLS = 20
+
+Report = dict[str, Any]
 
 
 def batch(folder: Path, *options: object) -> Run:
@@ -178,14 +181,72 @@ def starts(folder: Path, count: int, runs: int) -> list[Row]:
 
 
 READER = """
-import os, signal
+import os, signal, threading
 from pathlib import Path
-from animtool.formats.bvh.read import read_bvh
 from animtool.readers import Reader
-READER = Reader("takes that kill", source="kill_reader:open_kill")
-def open_kill(path):
-    os.kill(os.getpid(), signal.SIGKILL)
+READER = Reader("takes in trouble", source="trouble_reader:open_trouble")
+def open_trouble(path):
+    word = Path(path).stem
+    if word == "hang":
+        threading.Event().wait()
+    if word == "fill":
+        held = []
+        while True:
+            held.append(bytearray(b"x" * 1_000_000))
+    os.kill(os.getpid(), signal.SIGKILL if word == "kill" else signal.SIGSEGV)
 """
+
+
+def plug_in(folder: Path) -> dict[str, str]:
+    """Make a reader of takes that bring who opens them into trouble."""
+    info = folder / "trouble_reader-1.dist-info"
+    info.mkdir(parents=True)
+    (folder / "trouble_reader.py").write_text(READER)
+    head = "Metadata-Version: 2.1\nName: trouble-reader\nVersion: 1\n"
+    (info / "METADATA").write_text(head)
+    points = "[animtool.readers]\ntrouble = trouble_reader:READER\n"
+    (info / "entry_points.txt").write_text(points)
+    return {**os.environ, "PYTHONPATH": str(folder)}
+
+
+def reported(folder: Path, environment: dict[str, str], *options: str) -> Report:
+    """Run a batch of all that is in a folder's takes, and return its report."""
+    command = [
+        sys.executable,
+        "-m",
+        "animtool",
+        "batch",
+        f"{folder}/takes/*",
+        "-j",
+        "2",
+    ]
+    tail = ["-o", f"{folder}/made/{{stem}}.usdc", "--format", "json", "-q", *options]
+    done = subprocess.run(
+        [*command, *tail], capture_output=True, text=True, check=False, env=environment
+    )
+    found: Report = json.loads(done.stdout)
+    return found
+
+
+def accidents(folder: Path, count: int) -> list[Row]:
+    """Count what is made where one crashes, one hangs, one fills, one is malformed."""
+    for path in small(folder, count)[:4]:
+        path.unlink()
+    for word in ("crash", "hang", "fill"):
+        (folder / f"takes/{word}.trouble").touch()
+    (folder / "takes/malformed.bvh").write_text("HIERARCHY\n")
+    environment = plug_in(folder / "plug")
+    limits = ("--time-limit", "20", "--memory-limit", "700MB")
+    first = reported(folder, environment, *limits)
+    again = reported(folder, environment, *limits)
+    section, tool = f"{count} items, 4 of them bad", "animtool batch"
+    made, bad = Wanted(True, count - 4), Wanted(False, 4)
+    redone = again["done"] + again["failed"]
+    return [
+        Row(section, tool, "made", [first["done"]], made),
+        Row(section, tool, "failed", [first["failed"]], bad),
+        Row(section, tool, "begun by the next run", [redone], bad),
+    ]
 
 
 def lost(folder: Path, count: int) -> list[Row]:
@@ -199,21 +260,9 @@ def lost(folder: Path, count: int) -> list[Row]:
         command = [sys.executable, str(POOL), kind, "spawn", "2", out, killed, *inputs]
         done = run(command).report["done"]
         rows.append(Row("one task kills its process", kind, "lost", [count - done]))
-    plug = folder / "plug"
-    info = plug / "kill_reader-1.0.dist-info"
-    info.mkdir(parents=True)
-    (plug / "kill_reader.py").write_text(READER)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: kill\nVersion: 1\n")
-    points = "[animtool.readers]\nkill = kill_reader:READER\n"
-    (info / "entry_points.txt").write_text(points)
-    Path(inputs[count // 3]).rename(folder / "takes/take.kill")
-    command = [sys.executable, "-m", "animtool", "batch", f"{folder}/takes/*", "-j"]
-    tail = ["2", "-o", f"{out}/{{stem}}.usda", "--format", "json", "-q"]
-    environment = {**os.environ, "PYTHONPATH": str(plug)}
-    done = subprocess.run(
-        [*command, *tail], capture_output=True, text=True, check=False, env=environment
-    )
-    failed = json.loads(done.stdout)["failed"]
+    environment = plug_in(folder / "plug")
+    Path(inputs[count // 3]).rename(folder / "takes/kill.trouble")
+    failed = reported(folder, environment)["failed"]
     tool = "animtool batch"
     wanted = Wanted(False, 1)
     rows.append(Row("one task kills its process", tool, "lost", [failed], wanted))
@@ -272,6 +321,7 @@ def main() -> None:
             rows += planned(folder / f"plan{count}", count, some)
         rows += starts(folder / "start", 20, given.runs)
         rows += lost(folder / "lost", 20)
+        rows += accidents(folder / "bad", 200)
         rows += resumed(folder / "killed", 200)
     for section in dict.fromkeys(row.section for row in rows):
         print("\n".join(table([row for row in rows if row.section == section])))

@@ -99,6 +99,20 @@ def test_reports_for_programs(takes: Path) -> None:
     assert len(dry.stdout.splitlines()) == 4
 
 
+def test_warnings_and_strict(takes: Path) -> None:
+    path = takes / "takes/take001.bvh"
+    path.write_text(path.read_text().replace("Frames: 4", "Frames: 5"))
+    done = animtool("batch", "takes", *OUT, cwd=takes)
+    assert done.code == 0, done.stderr
+    assert "  warnings: of 1 item, -v shows them" in done.stderr.splitlines()
+    assert "BVH1" not in done.stderr
+    shown = animtool("batch", "takes", *OUT, "--force", "-v", cwd=takes)
+    assert "BVH1" in shown.stderr
+    strict = animtool("batch", "takes", *OUT, "--strict", cwd=takes)
+    assert strict.code == 1
+    assert "2 done, 1 failed" in strict.stderr
+
+
 def test_the_command_line_comes_before_the_file(takes: Path) -> None:
     folder = takes / "jobs"
     folder.mkdir()
