@@ -1,0 +1,58 @@
+"""Simulation: what has a state over time, and methods that carry it on."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from animtool.sim.functions import ForceSystem as ForceSystem
+    from animtool.sim.functions import RateSystem as RateSystem
+    from animtool.sim.integrating import integrate as integrate
+    from animtool.sim.integrators import INTEGRATORS as INTEGRATORS
+    from animtool.sim.integrators import find_integrator as find_integrator
+    from animtool.sim.integrators.integrator import Integrator as Integrator
+    from animtool.sim.options import IntegrateOptions as IntegrateOptions
+    from animtool.sim.system import Energy as Energy
+    from animtool.sim.system import FirstOrder as FirstOrder
+    from animtool.sim.system import SecondOrder as SecondOrder
+    from animtool.sim.system import System as System
+    from animtool.sim.trajectory import Carried as Carried
+    from animtool.sim.trajectory import Stats as Stats
+    from animtool.sim.trajectory import Status as Status
+    from animtool.sim.trajectory import Trajectory as Trajectory
+
+# Modules have other names than what is in them: a module that is imported becomes an
+# attribute of its package.
+_PUBLIC = {
+    "INTEGRATORS": "animtool.sim.integrators",
+    "Carried": "animtool.sim.trajectory",
+    "Energy": "animtool.sim.system",
+    "FirstOrder": "animtool.sim.system",
+    "ForceSystem": "animtool.sim.functions",
+    "IntegrateOptions": "animtool.sim.options",
+    "Integrator": "animtool.sim.integrators.integrator",
+    "RateSystem": "animtool.sim.functions",
+    "SecondOrder": "animtool.sim.system",
+    "Stats": "animtool.sim.trajectory",
+    "Status": "animtool.sim.trajectory",
+    "System": "animtool.sim.system",
+    "Trajectory": "animtool.sim.trajectory",
+    "find_integrator": "animtool.sim.integrators",
+    "integrate": "animtool.sim.integrating",
+}
+
+__all__ = sorted(_PUBLIC)  # noqa: PLE0605 - the table above is the list
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used."""
+    if name not in _PUBLIC:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value: object = getattr(importlib.import_module(_PUBLIC[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *_PUBLIC]

@@ -1,0 +1,95 @@
+"""A system's equations as methods ask for them: counted, fixed particles held."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.sim.system import FirstOrder, Matrix, SecondOrder
+
+__all__ = ["Equations"]
+
+
+class Equations:
+    """The rates of a system, whichever way it says them.
+
+    A rate at the state that was anchored, or at the one asked for last, is not
+    evaluated again: so a step that is tried anew costs less, and the last stage of
+    one step is the first of the next. Arrays are told apart by identity.
+
+    Attributes:
+        system: Whose they are.
+        first: The system, where it is one of rates.
+        second: The system, where it is one of accelerations.
+        evaluations: How often its rate or acceleration was asked for.
+    """
+
+    def __init__(self, system: FirstOrder | SecondOrder) -> None:
+        self.system = system
+        self.second = system if isinstance(system, SecondOrder) else None
+        self.first = system if isinstance(system, FirstOrder) else None
+        self.evaluations = 0
+        held = None if self.second is None else self.second.fixed
+        self._held = None if held is None else np.asarray(held, bool)[:, None]
+        self._anchor: tuple[float, FloatArray] | None = None
+        self._anchored: FloatArray | None = None
+        self._last: tuple[float, FloatArray, FloatArray] | None = None
+
+    def anchor(self, t: float, y: FloatArray) -> None:
+        """Keep the rate at a state once it is evaluated."""
+        if self._anchor and self._anchor[1] is y and self._anchor[0] == t:
+            return
+        last = self._last
+        known = last is not None and last[1] is y and last[0] == t
+        self._anchor = (t, y)
+        self._anchored = last[2] if last is not None and known else None
+
+    def rate(self, t: float, y: FloatArray) -> FloatArray:
+        """Return the rate of a state, of its shape."""
+        anchor = self._anchor
+        if anchor is not None and anchor[1] is y and anchor[0] == t:
+            if self._anchored is None:
+                self._anchored = self._evaluate(t, y)
+            return self._anchored
+        found = self._evaluate(t, y)
+        self._last = (t, y, found)
+        return found
+
+    def _evaluate(self, t: float, y: FloatArray) -> FloatArray:
+        if self.first is not None:
+            self.evaluations += 1
+            return self.first.rate(t, y)
+        x, v = y
+        return np.array((v, self.acceleration(t, x, v)))
+
+    def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
+        """Return accelerations ``(N, d)``, 0 for particles that are fixed."""
+        assert self.second is not None
+        self.evaluations += 1
+        found = self.second.acceleration(t, x, v)
+        return found if self._held is None else np.where(self._held, 0.0, found)
+
+    def jacobian(self, t: float, y: FloatArray) -> Matrix | None:
+        """Return the derivative of a first-order rate, None where it is not known."""
+        assert self.first is not None
+        return self.first.jacobian(t, y)
+
+    def jacobians(
+        self, t: float, x: FloatArray, v: FloatArray
+    ) -> tuple[Matrix, Matrix] | None:
+        """Return derivatives of accelerations, 0 for particles that are fixed."""
+        assert self.second is not None
+        found = self.second.jacobians(t, x, v)
+        if found is None or self._held is None:
+            return found
+        free = np.broadcast_to(~self._held, x.shape).ravel().astype(np.float64)
+        by_x, by_v = (_scaled_rows(matrix, free) for matrix in found)
+        return by_x, by_v
+
+
+def _scaled_rows(matrix: Matrix, factors: FloatArray) -> Matrix:
+    if isinstance(matrix, np.ndarray):
+        return factors[:, None] * matrix
+    from scipy.sparse import diags_array
+
+    return diags_array(factors) @ matrix

@@ -1,0 +1,130 @@
+"""Motion by solvers of scipy's, whose values between steps are their own."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.sim.run import Run
+from animtool.sim.system import Matrix
+from animtool.sim.trajectory import Status
+
+__all__ = ["advance"]
+
+
+@dataclass(slots=True)
+class _Solver:
+    """A solver under way, and its curve over the last step once it was asked for."""
+
+    solver: Any
+    curve: Any = None
+
+
+def advance(run: Run, target: float) -> Status:
+    """Bring a motion to a later time, between steps where none ends there."""
+    held = run.memory if isinstance(run.memory, _Solver) else _begun(run)
+    solver, shape = held.solver, run.state.shape
+    while solver.t < target:
+        before, held.curve = solver.t, None
+        failure = _stepped(solver)
+        if failure:
+            run.time = before
+            return run.stop(Status.STEP_TOO_SMALL, _told(run, failure))
+        h = float(solver.t - before)
+        run.memory, run.state = held, solver.y.reshape(shape)
+        go = run.count(float(solver.t), h, 1)
+        if go is not Status.OK:
+            return go
+        if h < run.options.floor and solver.t < run.end:
+            failure = f"the tolerance asks for a step of {h:.3g} s"
+            return run.stop(Status.STEP_TOO_SMALL, _told(run, failure))
+    run.time, run.state = target, _value(held, target).reshape(shape)
+    return Status.OK
+
+
+def _value(held: _Solver, t: float) -> FloatArray:
+    if t == held.solver.t:
+        return np.array(held.solver.y)
+    if held.curve is None:
+        held.curve = held.solver.dense_output()
+    return np.array(held.curve(t))
+
+
+def _stepped(solver: Any) -> str:
+    """Take a step and return why that was not possible, empty where it was."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        message = solver.step()
+    if solver.status != "failed":
+        return ""
+    return str(message or (said[-1].message if said else "its solver gave up"))
+
+
+def _told(run: Run, failure: str) -> str:
+    suspect = run.equations.system.suspect(run.time, run.state)
+    return f"{failure}; {suspect}" if suspect else failure
+
+
+def _begun(run: Run) -> _Solver:
+    import scipy.integrate
+
+    options, shape = run.options, run.state.shape
+    equations = run.equations
+
+    def rate(t: float, flat: FloatArray) -> FloatArray:
+        return equations.rate(t, flat.reshape(shape)).ravel()
+
+    settings: dict[str, Any] = {
+        "rtol": options.relative,
+        "atol": options.least,
+        "max_step": math.inf if options.step is None else options.step,
+    }
+    slope = _slope(run) if run.integrator.implicit else None
+    if slope is not None:
+        settings["jac"] = slope
+    kind = getattr(scipy.integrate, run.integrator.solver)
+    held = _Solver(kind(rate, run.time, run.state.ravel(), run.end, **settings))
+    run.memory = held
+    return held
+
+
+def _slope(run: Run) -> Callable[[float, FloatArray], Matrix] | None:
+    """Return the derivative of the flat rate, None where the system says none.
+
+    LSODA takes no sparse ones, and goes by differences in their place.
+    """
+    equations, shape = run.equations, run.state.shape
+
+    def of_rates(t: float, flat: FloatArray) -> Matrix:
+        return equations.jacobian(t, flat.reshape(shape))
+
+    def of_accelerations(t: float, flat: FloatArray) -> Matrix:
+        slopes = equations.jacobians(t, *flat.reshape(shape))
+        assert slopes is not None
+        return _block(*slopes)
+
+    if equations.second is None:
+        sample = equations.jacobian(run.time, run.state)
+        slope = of_rates
+    else:
+        pair = equations.jacobians(run.time, *run.state)
+        sample = None if pair is None else pair[0]
+        slope = of_accelerations
+    taken = isinstance(sample, np.ndarray) or run.integrator.solver == "Radau"
+    return slope if sample is not None and taken else None
+
+
+def _block(by_x: Matrix, by_v: Matrix) -> Matrix:
+    """Return the derivative of velocities and accelerations by the whole state."""
+    if isinstance(by_x, np.ndarray):
+        zero = np.zeros_like(by_x)
+        return np.block([[zero, np.eye(len(by_x))], [by_x, by_v]])
+    from scipy.sparse import block_array, eye_array
+
+    return block_array([[None, eye_array(by_x.shape[0])], [by_x, by_v]], format="csc")

@@ -1,0 +1,190 @@
+"""From a system and times to its states at these times."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from animtool._types import ArrayLike, FloatArray
+from animtool.sim import adaptive, external, fixed
+from animtool.sim.checks import check_fit, check_start, check_times
+from animtool.sim.equations import Equations
+from animtool.sim.integrators.integrator import Control, Integrator
+from animtool.sim.modes import allowed_step, modes_at
+from animtool.sim.notices import ending, step_notices
+from animtool.sim.options import IntegrateOptions, check_options, finer
+from animtool.sim.run import Run
+from animtool.sim.system import FirstOrder, SecondOrder
+from animtool.sim.trajectory import Carried, Stats, Status, Trajectory
+from animtool.sim.watch import Watch
+
+__all__ = ["integrate"]
+
+_ADVANCE = {
+    Control.FIXED: fixed.advance,
+    Control.ADAPTIVE: adaptive.advance,
+    Control.SCIPY: external.advance,
+}
+
+
+def integrate(
+    system: FirstOrder | SecondOrder,
+    times: ArrayLike,
+    options: IntegrateOptions | None = None,
+    carried: Carried | None = None,
+) -> Trajectory:
+    """Return the states of a system at times.
+
+    Methods of animtool's own end a step at each time; solvers of scipy's take their
+    own curve between two steps. A motion that cannot be gone on with is no error: what
+    was reached is returned, with a status that says where it stopped and why.
+
+    Args:
+        system: Where it starts, and how it changes.
+        times: Ascending ``(F,)`` [s]; the first is that of the start. Where a time
+            stands twice, so does the state, bit for bit.
+        options: Method, step or tolerance, bounds.
+        carried: Where to begin in place of the system's start: what an earlier
+            trajectory carried; its time is the first one then. With fixed steps at
+            multiples of the step, and with methods that choose theirs but scipy's, a
+            motion in parts is the motion as a whole, bit for bit.
+
+    Raises:
+        OptionError: There is no such method (SIM001); times descend, are not finite or
+            none (SIM002); the start or its rate is not finite or of another shape
+            (SIM003); an option is out of its range (SIM004), missing or not heeded
+            (SIM005); the method is not for such a system (SIM006).
+
+    >>> from animtool.sim.functions import ForceSystem
+    >>> fall = ForceSystem(lambda t, x, v: np.full_like(x, -9.81), [[0.0]])
+    >>> options = IntegrateOptions("velocity_verlet", step=0.1)
+    >>> integrate(fall, [0, 1, 2], options).positions[:, 0, 0].round(3).tolist()
+    [0.0, -4.905, -19.62]
+    """
+    options = options or IntegrateOptions()
+    integrator = check_options(options)
+    moments = check_times(times, carried)
+    begin = carried or Carried(float(moments[0]), system.state)
+    equations = Equations(system)
+    check_fit(equations, integrator)
+    with np.errstate(all="ignore"):
+        check_start(equations, begin.time, begin.state)
+        notices = step_notices(equations, integrator, options, moments, begin.state)
+        run = _begun(equations, integrator, options, moments, begin)
+        states, status = _states(run, moments)
+        stats = _stats(run, status, states, moments)
+        energies = _energies(system, moments, states)
+    if status is not Status.OK:
+        notices.append(ending(integrator, options, stats))
+    elif options.estimate:
+        refined = integrate(
+            system, moments, finer(options), replace(begin, memory=None, trial=None)
+        )
+        stats = replace(stats, error=_difference(refined, states))
+    return Trajectory(
+        moments[: len(states)],
+        np.array(states),
+        energies,
+        stats,
+        tuple(notices),
+        _carried(run, status, states, moments),
+        equations.second is not None,
+    )
+
+
+def _begun(
+    equations: Equations,
+    integrator: Integrator,
+    options: IntegrateOptions,
+    moments: FloatArray,
+    begin: Carried,
+) -> Run:
+    watch = Watch(equations.system, options)
+    watch.start(begin.time, begin.state)
+    return Run(
+        integrator,
+        equations,
+        options,
+        watch,
+        float(moments[-1]),
+        begin.time,
+        begin.state,
+        begin.memory,
+        begin.trial,
+    )
+
+
+def _states(run: Run, moments: FloatArray) -> tuple[list[FloatArray], Status]:
+    """Return the states at the times that were reached, and how that ended."""
+    states, status = [run.state], Status.OK
+    for target in moments[1:].tolist():
+        if target > run.time:
+            status = _ADVANCE[run.integrator.control](run, target)
+            status = run.look() if status is Status.OK else status
+        if status is not Status.OK:
+            break
+        states.append(run.state)
+    return states, status
+
+
+def _stats(
+    run: Run, status: Status, states: list[FloatArray], moments: FloatArray
+) -> Stats:
+    integrator, evaluations = run.integrator, run.equations.evaluations
+    stable = None
+    if status is Status.UNSTABLE and integrator.limit is not None:
+        ends = {0, len(states) - 1}
+        stable = _stable_step(run, [(float(moments[i]), states[i]) for i in ends])
+    return Stats(
+        status,
+        run.time,
+        run.reason,
+        run.steps,
+        None if integrator.control is Control.SCIPY else run.rejected,
+        evaluations,
+        run.smallest if run.steps else 0.0,
+        run.largest,
+        run.local_error if integrator.error_order else None,
+        stable_step=stable,
+    )
+
+
+def _stable_step(run: Run, places: list[tuple[float, FloatArray]]) -> float | None:
+    """Return the largest step that is stable at each of some states."""
+    modes = (modes_at(run.equations, t, state) for t, state in places)
+    steps = [
+        allowed_step(run.integrator, found) for found in modes if found is not None
+    ]
+    return min((step for step in steps if step is not None), default=None)
+
+
+def _energies(
+    system: FirstOrder | SecondOrder, moments: FloatArray, states: list[FloatArray]
+) -> FloatArray | None:
+    found = [
+        system.energy(t, state)
+        for t, state in zip(moments.tolist(), states, strict=False)
+    ]
+    totals = [energy.total for energy in found if energy is not None]
+    return np.array(totals) if len(totals) == len(found) else None
+
+
+def _difference(refined: Trajectory, states: list[FloatArray]) -> float | None:
+    """Return how far states are from finer ones, None where these stop early."""
+    if refined.stats.status is not Status.OK:
+        return None
+    return float(np.abs(refined.states - np.array(states)).max(initial=0.0))
+
+
+def _carried(
+    run: Run, status: Status, states: list[FloatArray], moments: FloatArray
+) -> Carried:
+    """Return where a motion can be gone on from.
+
+    scipy's solvers are bound to the end that they were begun with, and begin anew.
+    """
+    time = float(moments[len(states) - 1])
+    if status is not Status.OK or run.integrator.control is Control.SCIPY:
+        return Carried(time, states[-1])
+    return Carried(time, states[-1], run.memory, run.trial)

@@ -1,0 +1,53 @@
+"""The table of integrators: one file each, imported when used."""
+
+from __future__ import annotations
+
+from typing import cast
+
+from animtool.errors import Fault, OptionError, excerpt
+from animtool.plugins import load_object
+from animtool.sim.integrators.integrator import Integrator
+
+__all__ = ["INTEGRATORS", "find_integrator"]
+
+_FOLDER = "animtool.sim.integrators"
+INTEGRATORS: dict[str, str] = {
+    name: f"{_FOLDER}.{name}:INTEGRATOR"
+    for name in (
+        "euler",
+        "modified_euler",
+        "midpoint",
+        "heun",
+        "symplectic_euler",
+        "velocity_verlet",
+        "position_verlet",
+        "rk4",
+        "adaptive_doubling",
+        "rk45",
+        "implicit_euler",
+        "trapezoid",
+        "bdf2",
+        "dop853",
+        "lsoda",
+        "radau",
+    )
+}
+
+
+def find_integrator(name: str) -> Integrator:
+    """Return an integrator by its name.
+
+    Raises:
+        OptionError: There is none of that name (SIM001).
+
+    >>> find_integrator("rk4").order
+    4
+    """
+    if name not in INTEGRATORS:
+        from animtool.documents.check import nearest
+
+        message = f"no integrator is named {excerpt(name)}"
+        raise OptionError(
+            Fault("SIM001", message, hint=nearest(name, list(INTEGRATORS)))
+        )
+    return cast(Integrator, load_object(INTEGRATORS[name]))

@@ -1,0 +1,53 @@
+"""The backward difference of two steps, which may be of different lengths.
+
+References:
+    E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 1996, V.1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from animtool._types import FloatArray
+from animtool.sim.equations import Equations
+from animtool.sim.integrators.integrator import Integrator, Step
+from animtool.sim.newton import solve_stage
+from animtool.sim.stability import unlimited
+
+__all__ = ["INTEGRATOR"]
+
+# Beyond it the difference of two unequal steps is not stable: 1 + √2 is the limit.
+LARGEST_RATIO = 2.4
+
+
+@dataclass(frozen=True, slots=True)
+class _Before:
+    """The step before: where it began and how long it was [s]."""
+
+    state: FloatArray
+    h: float
+
+
+def _step(
+    equations: Equations, t: float, y: FloatArray, h: float, memory: object
+) -> Step | None:
+    """Return where a step leads; the first, with none before it, as implicit Euler."""
+    base, scale = y, h
+    if isinstance(memory, _Before) and 0 < h / memory.h <= LARGEST_RATIO:
+        ratio = h / memory.h
+        share = 1 / (1 + 2 * ratio)
+        base = (share * (1 + ratio) ** 2) * y - (share * ratio**2) * memory.state
+        scale = h * (1 + ratio) * share
+    state = solve_stage(equations, t + h, base, y, scale)
+    return None if state is None else Step(state, _Before(y, h))
+
+
+INTEGRATOR = Integrator(
+    "bdf2",
+    "backward difference of two steps, by Newton's method; stable, damps little",
+    order=2,
+    step=_step,
+    limit=unlimited,
+    implicit=True,
+    multistep=True,
+)

@@ -1,0 +1,15 @@
+"""An explicit Runge-Kutta method of order eight: scipy's."""
+
+from __future__ import annotations
+
+from animtool.sim.integrators.integrator import Control, Integrator
+
+__all__ = ["INTEGRATOR"]
+
+INTEGRATOR = Integrator(
+    "dop853",
+    "scipy's, steps by their error: for smooth motion to many digits",
+    order=8,
+    control=Control.SCIPY,
+    solver="DOP853",
+)

@@ -1,0 +1,16 @@
+"""Multistep methods that change between stiff and other systems: scipy's ODEPACK."""
+
+from __future__ import annotations
+
+from animtool.sim.integrators.integrator import Control, Integrator
+
+__all__ = ["INTEGRATOR"]
+
+INTEGRATOR = Integrator(
+    "lsoda",
+    "scipy's, changes between methods for stiff and other systems by itself",
+    order=5,
+    control=Control.SCIPY,
+    implicit=True,
+    solver="LSODA",
+)

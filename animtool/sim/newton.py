@@ -1,0 +1,181 @@
+"""Equations of implicit steps, solved by Newton's method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.sim.equations import Equations
+from animtool.sim.system import Matrix
+
+__all__ = ["differences", "solve_stage"]
+
+Residual: TypeAlias = Callable[[FloatArray], FloatArray]
+
+# The last correction, over the size of the unknowns. Newton's method squares what is
+# left, so what remains then is rounding.
+SOLVED = 1e-10
+# A velocity that moves no particle by this share of its position is as good as 0: what
+# comes to rest has none to compare with.
+AT_REST = 1e-3
+MOST_CORRECTIONS, MOST_HALVINGS = 30, 10
+# Of differences: the square root of a rounding.
+NUDGE = 1.5e-8
+
+
+def solve_stage(
+    equations: Equations, t: float, base: FloatArray, guess: FloatArray, scale: float
+) -> FloatArray | None:
+    """Return the y with ``y = base + scale · rate(t, y)``, None where none is found.
+
+    Of a system of second order only the velocities are unknowns. Where the system does
+    not say its derivatives, they are taken by differences, one evaluation an unknown.
+
+    Args:
+        equations: Of the system.
+        t: Time of the stage [s].
+        base: What is known of the new state.
+        guess: Where to begin.
+        scale: The step times the method's factor [s].
+    """
+    if equations.second is None:
+        return _first_order(equations, t, base, guess, scale)
+    return _second_order(equations, t, base, guess, scale)
+
+
+def _first_order(
+    equations: Equations, t: float, base: FloatArray, guess: FloatArray, scale: float
+) -> FloatArray | None:
+    shape = base.shape
+
+    def residual(flat: FloatArray) -> FloatArray:
+        y = flat.reshape(shape)
+        left: FloatArray = base + scale * equations.rate(t, y) - y
+        return left.ravel()
+
+    def matrix(flat: FloatArray, at: FloatArray) -> Matrix:
+        slope = equations.jacobian(t, flat.reshape(shape))
+        if slope is None:
+            return -differences(residual, flat, at)
+        return _less(slope * scale)
+
+    found = _newton(residual, matrix, guess.ravel(), 0.0)
+    return None if found is None else found.reshape(shape)
+
+
+def _second_order(
+    equations: Equations, t: float, base: FloatArray, guess: FloatArray, scale: float
+) -> FloatArray | None:
+    shape = base[1].shape
+
+    def state(flat: FloatArray) -> FloatArray:
+        v = flat.reshape(shape)
+        return np.array((base[0] + scale * v, v))
+
+    def residual(flat: FloatArray) -> FloatArray:
+        x, v = state(flat)
+        left: FloatArray = base[1] + scale * equations.acceleration(t, x, v) - v
+        return left.ravel()
+
+    def matrix(flat: FloatArray, at: FloatArray) -> Matrix:
+        slopes = equations.jacobians(t, *state(flat))
+        if slopes is None:
+            return -differences(residual, flat, at)
+        by_x, by_v = slopes
+        return _less(by_v * scale + by_x * (scale * scale))
+
+    slow = AT_REST * float(np.abs(base[0]).max(initial=0.0)) / abs(scale)
+    found = _newton(residual, matrix, guess[1].ravel(), slow)
+    return None if found is None else state(found)
+
+
+def differences(function: Residual, point: FloatArray, value: FloatArray) -> FloatArray:
+    """Return the derivative of a function ``(n, n)`` by differences at a point.
+
+    Args:
+        function: From ``(n,)`` to ``(n,)``.
+        point: Where ``(n,)``.
+        value: Of the function there.
+    """
+    size = max(float(np.abs(point).max(initial=0.0)), 1e-3)
+    columns = np.zeros((len(value), len(point)))
+    for i in range(len(point)):
+        moved = point.copy()
+        moved[i] += NUDGE * max(abs(float(point[i])), size)
+        columns[:, i] = (function(moved) - value) / (moved[i] - point[i])
+    return columns
+
+
+def _newton(
+    residual: Residual,
+    matrix: Callable[[FloatArray, FloatArray], Matrix],
+    start: FloatArray,
+    least: float,
+) -> FloatArray | None:
+    """Return where a residual is 0; its matrix is the derivative's negative.
+
+    Args:
+        residual: From ``(n,)`` to ``(n,)``.
+        matrix: From a point and the residual there.
+        start: Where to begin.
+        least: Size below which unknowns are as good as 0.
+    """
+    point, left = start, residual(start)
+    for _ in range(MOST_CORRECTIONS):
+        correction = _solved(matrix(point, left), left)
+        if correction is None:
+            return None
+        point, left = _corrected(residual, point, left, correction)
+        if not np.isfinite(left).all():
+            return None
+        size = max(float(np.abs(point).max(initial=0.0)), least)
+        if float(np.abs(correction).max(initial=0.0)) <= SOLVED * size + 1e-300:
+            return point
+    return None
+
+
+def _corrected(
+    residual: Residual, point: FloatArray, left: FloatArray, correction: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the next point and its residual, less far along where it grew twofold."""
+    size = float(np.linalg.norm(left))
+    moved, after = point, left
+    for halving in range(MOST_HALVINGS):
+        moved = point + correction * 0.5**halving
+        after = residual(moved)
+        if float(np.linalg.norm(after)) <= 2 * size or size == 0:
+            break
+    return moved, after
+
+
+def _less(matrix: Matrix) -> Matrix:
+    """Return the unit matrix less another."""
+    if isinstance(matrix, np.ndarray):
+        return np.eye(len(matrix)) - matrix
+    from scipy.sparse import eye_array
+
+    return eye_array(matrix.shape[0], format="csc") - matrix
+
+
+def _solved(matrix: Matrix, right: FloatArray) -> FloatArray | None:
+    if not isinstance(matrix, np.ndarray):
+        return _solved_sparse(matrix, right)
+    try:
+        found = np.linalg.solve(matrix, right).astype(np.float64, copy=False)
+    except np.linalg.LinAlgError:
+        return None
+    return found if np.isfinite(found).all() else None
+
+
+def _solved_sparse(matrix: Matrix, right: FloatArray) -> FloatArray | None:
+    from scipy.sparse.linalg import splu
+
+    try:
+        found: FloatArray = splu(matrix.tocsc()).solve(right)
+    except RuntimeError:
+        # It is singular.
+        return None
+    return found if np.isfinite(found).all() else None

@@ -1,0 +1,150 @@
+"""How to integrate."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from animtool.errors import Fault, OptionError
+from animtool.sim.integrators import find_integrator
+from animtool.sim.integrators.adaptive_doubling import doubled
+from animtool.sim.integrators.integrator import Control, Integrator
+
+__all__ = ["IntegrateOptions", "check_options", "finer"]
+
+# Of methods that choose their steps, where nothing else is said.
+TOLERANCE = 1e-6
+# scipy's solvers take none below.
+LEAST_TOLERANCE = 3e-14
+# Of a finer motion to compare with: over the step, and over the tolerance.
+FINER_STEP, FINER_TOLERANCE = 0.5, 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class IntegrateOptions:
+    """How to integrate.
+
+    Attributes:
+        method: A name of `INTEGRATORS`.
+        step: Of methods with a fixed step, the longest [s]: steps divide the time
+            between two values evenly. Of those that choose theirs, a bound; None is
+            no bound.
+        tolerance: Of methods that choose their steps: most error of a step in any
+            component, as a share of it [1]; None is 1e-6.
+        absolute: The same, in the state's own units, added; None is `tolerance`.
+        base: Method that ``adaptive_doubling`` takes its steps with.
+        floor: Of methods that choose their steps, the shortest they may take [s].
+        budget: Most evaluations of rates or accelerations.
+        growth: Energy gained, in those of the start and what may be supplied, from
+            which on a motion has blown up. Just below their limits, steps that are
+            stable let energy swing by as much as a hundredfold.
+        stretch: Length of a spring, in rest lengths, from which on it has.
+        estimate: Integrate again, with half the step or a hundredth of the tolerance,
+            and say how far the two are apart; takes about three times as long.
+    """
+
+    method: str = "rk45"
+    step: float | None = None
+    tolerance: float | None = None
+    absolute: float | None = None
+    base: str = "rk4"
+    floor: float = 1e-12
+    budget: int = 10_000_000
+    growth: float = 100.0
+    stretch: float = 10.0
+    estimate: bool = False
+
+    @property
+    def relative(self) -> float:
+        """Tolerance of methods that choose their steps [1]."""
+        return TOLERANCE if self.tolerance is None else self.tolerance
+
+    @property
+    def least(self) -> float:
+        """The tolerance in the state's own units."""
+        return self.relative if self.absolute is None else self.absolute
+
+
+def check_options(options: IntegrateOptions) -> Integrator:
+    """Return the integrator that options name, and raise where they make no sense.
+
+    Raises:
+        OptionError: All that is wrong (SIM001, SIM004, SIM005, SIM006).
+    """
+    integrator = _chosen(options)
+    faults = _faults(options, integrator.control)
+    if faults:
+        raise OptionError(faults)
+    return integrator
+
+
+def finer(options: IntegrateOptions) -> IntegrateOptions:
+    """Return options of a motion that is nearer to the truth.
+
+    >>> finer(IntegrateOptions("rk4", step=0.1)).step
+    0.05
+    """
+    if _chosen(options).control is Control.FIXED:
+        assert options.step is not None
+        return replace(options, step=options.step * FINER_STEP, estimate=False)
+    return replace(
+        options,
+        tolerance=max(options.relative * FINER_TOLERANCE, LEAST_TOLERANCE),
+        absolute=options.least * FINER_TOLERANCE,
+        estimate=False,
+    )
+
+
+def _chosen(options: IntegrateOptions) -> Integrator:
+    """Return the integrator that options name.
+
+    Raises:
+        OptionError: There is none of that name (SIM001), or it cannot be the base of
+            step doubling (SIM006).
+    """
+    integrator = find_integrator(options.method)
+    if options.method == "adaptive_doubling" and options.base != "rk4":
+        return doubled(find_integrator(options.base))
+    return integrator
+
+
+def _faults(options: IntegrateOptions, control: Control) -> list[Fault]:
+    """Return what of options makes no sense, for a method of a kind."""
+    return _out_of_range(options) + _unfit(options, fixed=control is Control.FIXED)
+
+
+def _out_of_range(options: IntegrateOptions) -> list[Fault]:
+    ranges = {
+        "step": (options.step, 0.0, False),
+        "tolerance": (options.tolerance, LEAST_TOLERANCE, True),
+        "absolute": (options.absolute, 0.0, True),
+        "floor": (options.floor, 0.0, True),
+        "budget": (options.budget, 1, True),
+        "growth": (options.growth, 0.0, False),
+        "stretch": (options.stretch, 1.0, False),
+    }
+    faults = []
+    for name, (value, least, reached) in ranges.items():
+        if value is None:
+            continue
+        inside = value >= least if reached else value > least
+        if not inside or (math.isinf(value) and name in {"step", "tolerance"}):
+            bound = f"{'at least' if reached else 'above'} {least:g}"
+            message = f"{name} must be {bound}, not {value:g}"
+            faults.append(Fault("SIM004", message, where=name))
+    return faults
+
+
+def _unfit(options: IntegrateOptions, *, fixed: bool) -> list[Fault]:
+    """Return what a method needs and has not, and what it has and does not heed."""
+    faults = []
+    if fixed and options.step is None:
+        message = f"{options.method} needs a step"
+        hint = "give one in seconds, or take a method that chooses its own, as rk45"
+        faults.append(Fault("SIM005", message, where="step", hint=hint))
+    given = {"tolerance": options.tolerance, "absolute": options.absolute}
+    for name in [name for name, value in given.items() if fixed and value is not None]:
+        message = f"{options.method} has a fixed step and heeds no {name}"
+        hint = f"leave {name} out, or take a method that chooses its steps, as rk45"
+        faults.append(Fault("SIM005", message, where=name, hint=hint))
+    return faults

@@ -1,0 +1,237 @@
+"""Every integrator on every motion with a reference answer, and the hard cases."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from adapters.sim import Problem, kepler_system, read_problems
+from support.data import data_files
+
+from animtool._types import FloatArray
+from animtool.errors import OptionError
+from animtool.sim import (
+    INTEGRATORS,
+    ForceSystem,
+    IntegrateOptions,
+    Integrator,
+    Status,
+    Trajectory,
+    find_integrator,
+    integrate,
+)
+from animtool.sim.integrators.integrator import Control, Form
+
+# Of the reference's accuracy: the data's own.
+NEAR = 10.0
+# What rounding leaves of a motion of thousands of steps.
+ROUNDING = 1e-12
+# The error may be this many times what a method says it is, or is said to be a tenth of
+# the motion or more.
+HONEST, WORTHLESS = 10.0, 0.1
+TOLERANCE, CLOSE = 1e-7, 1e-2
+# Evaluations of methods that are not for stiff systems, on one.
+BUDGET = 20_000
+HEADER = (
+    f"{'problem':24} {'integrator':18} {'error':>8} {'said':>8} {'steps':>6} "
+    f"{'rejected':>8} {'evaluations':>11}  status"
+)
+FILES = data_files("sim", "*.json")
+
+
+def problems() -> list[object]:
+    """Return a parameter a problem and integrator that can serve it."""
+    found: list[object] = []
+    for param in FILES:
+        (path,) = param.values
+        if path is None:
+            return [pytest.param(None, None, marks=param.marks, id=param.id)]
+        found += [
+            pytest.param(problem, name, id=f"{problem.name}-{name}".replace(" ", "_"))
+            for problem in read_problems(path)
+            for name in INTEGRATORS
+            if serves(find_integrator(name), problem)
+        ]
+    return found
+
+
+def serves(integrator: Integrator, problem: Problem) -> bool:
+    """Return whether a method can serve a problem at all."""
+    if integrator.form is Form.ACCELERATIONS:
+        return problem.states.ndim == 3 and problem.system.state.ndim == 3
+    stepped = integrator.control is Control.FIXED and not integrator.implicit
+    return not (stepped and problem.fastest is None)
+
+
+def step_for(integrator: Integrator, problem: Problem) -> float:
+    """Return a step with which a fixed method is stable and sees the motion."""
+    gap = float(problem.times[-1] - problem.times[0]) / (len(problem.times) - 1)
+    if integrator.implicit or problem.fastest is None:
+        return gap / 20
+    omega, _ = problem.fastest
+    limit = integrator.largest_step(*problem.fastest)
+    return min(gap / 4, 0.05 / omega, 0.5 * limit if limit else np.inf)
+
+
+def trajectory(problem: Problem, name: str, **more: float) -> Trajectory:
+    integrator = find_integrator(name)
+    if integrator.control is Control.FIXED:
+        more = {"step": step_for(integrator, problem), **more}
+    else:
+        more = {"tolerance": TOLERANCE, **more}
+    options = IntegrateOptions(name, estimate=True, budget=BUDGET * 10, **more)
+    if problem.fastest is None and not integrator.implicit:
+        options = IntegrateOptions(name, budget=BUDGET, **more)
+    return integrate(problem.system, problem.times, options)
+
+
+def error_of(problem: Problem, found: Trajectory) -> float:
+    """Return the largest error of the states that were reached."""
+    reference = problem.states[: len(found.times)]
+    return float(np.abs(found.positions - reference).max())
+
+
+@pytest.mark.parametrize(("problem", "name"), problems())
+def test_what_is_said_of_the_error_is_true(
+    problem: Problem, name: str, record_property: Callable[[str, object], None]
+) -> None:
+    found = trajectory(problem, name)
+    stats, error = found.stats, error_of(problem, found)
+    said = "" if stats.error is None else f"{stats.error:8.1e}"
+    rejected = "" if stats.rejected is None else stats.rejected
+    record_property(
+        HEADER,
+        f"{problem.name:24} {name:18} {error:8.1e} {said:>8} {stats.steps:6} "
+        f"{rejected:>8} {stats.evaluations:11}  {stats.status}",
+    )
+    assert np.isfinite(found.states).all()
+    if stats.status is not Status.OK or stats.error is None:
+        # It says that it did not get through, and what to change.
+        assert stats.status is not Status.OK or problem.fastest is None
+        assert stats.status is Status.OK or found.notices[-1].hint
+        return
+    bound = max(NEAR * problem.accuracy, ROUNDING)
+    if stats.error < WORTHLESS * problem.size:
+        assert error <= max(HONEST * stats.error, bound)
+    if find_integrator(name).control is not Control.FIXED:
+        assert error <= CLOSE * problem.size
+
+
+EXACT = {"stiff_ode": ("radau", 1e-11, 1e-15)}
+
+
+@pytest.mark.parametrize("path", FILES)
+def test_references_are_reached(
+    path: Path, record_property: Callable[[str, object], None]
+) -> None:
+    for problem in read_problems(path):
+        kind = problem.name.split()[0]
+        name, tolerance, absolute = EXACT.get(kind, ("dop853", 3e-14, 1e-15))
+        if problem.fastest is not None and problem.fastest[1] > 1:
+            name, tolerance = "rk45", 1e-12
+        options = IntegrateOptions(name, tolerance=tolerance, absolute=absolute)
+        found = integrate(problem.system, problem.times, options)
+        assert found.stats.status is Status.OK
+        error = error_of(problem, found)
+        bound = max(NEAR * problem.accuracy, ROUNDING * max(1.0, problem.size))
+        record_property(
+            f"{'problem':24} {'integrator':18} {'error':>8} {'allowed':>8}",
+            f"{problem.name:24} {name:18} {error:8.1e} {bound:8.1e}",
+        )
+        assert error <= bound, problem.name
+        if problem.kept is not None:
+            what, measure = problem.kept
+            values = [measure(state) for state in found.states]
+            assert np.ptp(values) <= 1e-10 * max(1.0, abs(values[0])), what
+
+
+@pytest.mark.parametrize("path", data_files("sim", "vortex*.json"))
+def test_euler_spirals_out_as_it_must(path: Path) -> None:
+    for problem in read_problems(path):
+        if "rot" not in problem.name:
+            continue
+        assert problem.fastest is not None
+        omega, h, count = problem.fastest[0], 1 / 512, 512
+        options = IntegrateOptions("euler", step=h)
+        radii = [
+            float(np.linalg.norm(state))
+            for state in integrate(problem.system, [0, count * h], options).states
+        ]
+        grown = (1 + (omega * h) ** 2) ** (count / 2)
+        assert radii[1] / radii[0] == pytest.approx(grown, rel=1e-10)
+
+
+def falling() -> ForceSystem:
+    """Return a damped spring in a field that swings with time."""
+    return ForceSystem(
+        lambda t, x, v: -40 * x - 0.8 * v + np.sin(3 * t), [[1.0]], [[0.0]]
+    )
+
+
+def options_for(name: str) -> IntegrateOptions:
+    if find_integrator(name).control is Control.FIXED:
+        return IntegrateOptions(name, step=1 / 480)
+    return IntegrateOptions(name, tolerance=1e-10)
+
+
+def _dt_zero(name: str) -> None:
+    times = np.array([0, 1, 1, 1, 2, 3, 3]) / 24
+    found = integrate(falling(), times, options_for(name))
+    assert found.states[1].tobytes() == found.states[2].tobytes()
+    assert found.states[1].tobytes() == found.states[3].tobytes()
+    assert found.states[5].tobytes() == found.states[6].tobytes()
+    once = integrate(falling(), np.unique(times), options_for(name))
+    assert once.states.tobytes() == found.states[[0, 1, 4, 5]].tobytes()
+
+
+def _dt_negative(name: str) -> None:
+    with pytest.raises(OptionError) as error:
+        integrate(falling(), [0, 1 / 24, 0], options_for(name))
+    assert error.value.code == "SIM002"
+
+
+def _dt_spike(name: str) -> None:
+    every = np.arange(49) / 24
+    spike = np.concatenate([every[:13], every[24:]])
+    whole = integrate(falling(), every, options_for(name)).states
+    found = integrate(falling(), spike, options_for(name)).states
+    kept: FloatArray = np.concatenate([whole[:13], whole[24:]])
+    if find_integrator(name).control is Control.FIXED:
+        assert found.tobytes() == kept.tobytes()
+    np.testing.assert_allclose(found, kept, rtol=0, atol=1e-7)
+
+
+def _close_encounter(name: str) -> None:
+    integrator = find_integrator(name)
+    if integrator.control is Control.FIXED:
+        return
+    # From rest it meets the mass at the origin after this time.
+    head_on = kepler_system(1.0, [1.0, 0.0], [0.0, 0.0])
+    meeting = np.pi / 2**1.5
+    options = IntegrateOptions(name, tolerance=1e-8, floor=1e-7, growth=np.inf)
+    found = integrate(head_on, [0, 1, 2], options)
+    assert found.stats.status is Status.STEP_TOO_SMALL
+    assert found.stats.time == pytest.approx(meeting, abs=1e-3)
+    assert found.notices[-1].code == "SIM103"
+    assert "particle 0" in found.notices[-1].message
+    assert f"{found.stats.time:.6g} s" in found.notices[-1].message
+    assert found.times.tolist() == [0, 1]
+
+
+CASES = {
+    "dt_zero": _dt_zero,
+    "dt_negative": _dt_negative,
+    "dt_spike": _dt_spike,
+    "close_encounter": _close_encounter,
+}
+
+
+@pytest.mark.parametrize("name", INTEGRATORS)
+@pytest.mark.parametrize("path", data_files("sim", "hard_cases*.json"))
+def test_hard_cases_of_integrators(path: Path, name: str) -> None:
+    listed = json.loads(path.read_text("utf-8"))["instances"]
+    for case in (entry["id"] for entry in listed if entry["id"] in CASES):
+        CASES[case](name)
