@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from animtool import ik as ik
+    from animtool import sim as sim
     from animtool import usd as usd
     from animtool.batch.file import load_batch as load_batch
     from animtool.batch.run import RunOptions as RunOptions
@@ -57,6 +58,7 @@ _PUBLIC = {
     "open_source": "animtool.scene.sources",
     "read_bvh": "animtool.formats.bvh",
     "run_batch": "animtool.batch.run",
+    "sim": "animtool.sim",
     "usd": "animtool.usd",
     "validate": "animtool.validation.run",
     "write_bvh": "animtool.formats.bvh",

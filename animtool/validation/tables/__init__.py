@@ -21,6 +21,7 @@ from animtool.validation.tables import (
     findings,
     rig,
     scene,
+    simulation,
     solvers,
     targets,
     usd,
@@ -41,7 +42,19 @@ __all__ = [
 
 PLUGIN_GROUP = "animtool.rules"
 
-_TABLES = (batch, bvh, clip, files, findings, rig, scene, solvers, targets, usd)
+_TABLES = (
+    batch,
+    bvh,
+    clip,
+    files,
+    findings,
+    rig,
+    scene,
+    simulation,
+    solvers,
+    targets,
+    usd,
+)
 RULES: dict[str, Rule] = {rule.code: rule for table in _TABLES for rule in table.RULES}
 _CODE = re.compile(r"[A-Z]{2,8}[0-9]{3}")
 

@@ -1,0 +1,22 @@
+"""Codes of simulation."""
+
+from __future__ import annotations
+
+from animtool.errors import Severity
+from animtool.validation.rule import Rule
+
+__all__ = ["RULES"]
+
+RULES = (
+    Rule("SIM001", "an integrator that there is none of"),
+    Rule("SIM002", "times that run backwards, are not finite, or none"),
+    Rule("SIM003", "a start or a rate that is not finite, or of another shape"),
+    Rule("SIM004", "an option of integrating that is out of its range"),
+    Rule("SIM005", "a step that is missing, or a tolerance that is not heeded"),
+    Rule("SIM006", "an integrator that is not for such a system"),
+    Rule("SIM101", "a step too long to be stable", Severity.WARNING),
+    Rule("SIM102", "a motion that blew up", Severity.WARNING),
+    Rule("SIM103", "a step that had to be shorter than it may", Severity.WARNING),
+    Rule("SIM104", "a motion that took more evaluations than it may", Severity.WARNING),
+    Rule("SIM105", "an implicit step without a solution", Severity.WARNING),
+)
