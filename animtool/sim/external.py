@@ -11,11 +11,15 @@ from typing import Any
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.plugins import load_object
 from animtool.sim.run import Run
 from animtool.sim.system import Matrix
 from animtool.sim.trajectory import Status
 
 __all__ = ["advance"]
+
+# They take no sparse derivatives, and go by differences in their place.
+DENSE_ONLY = {"scipy.integrate:LSODA"}
 
 
 @dataclass(slots=True)
@@ -72,8 +76,6 @@ def _told(run: Run, failure: str) -> str:
 
 
 def _begun(run: Run) -> _Solver:
-    import scipy.integrate
-
     options, shape = run.options, run.state.shape
     equations = run.equations
 
@@ -88,17 +90,14 @@ def _begun(run: Run) -> _Solver:
     slope = _slope(run) if run.integrator.implicit else None
     if slope is not None:
         settings["jac"] = slope
-    kind = getattr(scipy.integrate, run.integrator.solver)
+    kind: Any = load_object(run.integrator.solver)
     held = _Solver(kind(rate, run.time, run.state.ravel(), run.end, **settings))
     run.memory = held
     return held
 
 
 def _slope(run: Run) -> Callable[[float, FloatArray], Matrix] | None:
-    """Return the derivative of the flat rate, None where the system says none.
-
-    LSODA takes no sparse ones, and goes by differences in their place.
-    """
+    """Return the derivative of the flat rate, None where none can be taken."""
     equations, shape = run.equations, run.state.shape
 
     def of_rates(t: float, flat: FloatArray) -> Matrix:
@@ -116,7 +115,7 @@ def _slope(run: Run) -> Callable[[float, FloatArray], Matrix] | None:
         pair = equations.jacobians(run.time, *run.state)
         sample = None if pair is None else pair[0]
         slope = of_accelerations
-    taken = isinstance(sample, np.ndarray) or run.integrator.solver == "Radau"
+    taken = isinstance(sample, np.ndarray) or run.integrator.solver not in DENSE_ONLY
     return slope if sample is not None and taken else None
 
 

@@ -11,5 +11,5 @@ INTEGRATOR = Integrator(
     "scipy's, steps by their error: for smooth motion to many digits",
     order=8,
     control=Control.SCIPY,
-    solver="DOP853",
+    solver="scipy.integrate:DOP853",
 )

@@ -89,7 +89,7 @@ class Integrator:
         symplectic: Whether areas of position and velocity stay: energy of systems
             without drag then swings, and does not drift.
         reversible: Whether a step back undoes a step, but for rounding.
-        solver: Class of scipy.integrate that does it.
+        solver: Class of scipy's that does it, ``module:object``.
     """
 
     name: str

@@ -12,5 +12,5 @@ INTEGRATOR = Integrator(
     order=5,
     control=Control.SCIPY,
     implicit=True,
-    solver="LSODA",
+    solver="scipy.integrate:LSODA",
 )

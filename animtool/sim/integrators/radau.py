@@ -12,5 +12,5 @@ INTEGRATOR = Integrator(
     order=5,
     control=Control.SCIPY,
     implicit=True,
-    solver="Radau",
+    solver="scipy.integrate:Radau",
 )
