@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-
-import numpy as np
+from itertools import pairwise
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, Severity
@@ -38,18 +37,12 @@ def step_notices(
 
     Only of systems that say how fast they move (`System.frequencies`).
     """
-    modes = equations.system.frequencies(float(moments[0]), state)
-    gaps = (moments[:-1][np.diff(moments) > 0], moments[1:][np.diff(moments) > 0])
-    known = modes is not None and options.step is not None and len(gaps[0]) > 0
-    if not known or integrator.control is not Control.FIXED:
+    step, modes = options.step, equations.system.frequencies(float(moments[0]), state)
+    if step is None or modes is None or integrator.control is not Control.FIXED:
         return []
-    assert modes is not None
-    assert options.step is not None
+    gaps = [(start, end) for start, end in pairwise(moments.tolist()) if end > start]
+    longest = max((divide(*gap, step).h for gap in gaps), default=0.0)
     limit = allowed_step(integrator, modes)
-    starts, ends = (times.tolist() for times in gaps)
-    longest = max(
-        map(divide, starts, ends, [options.step] * len(ends)), key=lambda d: d.h
-    ).h
     if limit is None or longest <= limit:
         return []
     message = f"{integrator.name} is not stable with steps of {longest:.3g} s"

@@ -16,6 +16,8 @@ __all__ = ["IntegrateOptions", "check_options", "finer"]
 TOLERANCE = 1e-6
 # scipy's solvers take none below.
 LEAST_TOLERANCE = 3e-14
+# Options that are no bounds, and so have no use for infinity.
+FINITE = {"step", "tolerance"}
 # Of a finer motion to compare with: over the step, and over the tolerance.
 FINER_STEP, FINER_TOLERANCE = 0.5, 0.01
 
@@ -128,8 +130,10 @@ def _out_of_range(options: IntegrateOptions) -> list[Fault]:
         if value is None:
             continue
         inside = value >= least if reached else value > least
-        if not inside or (math.isinf(value) and name in {"step", "tolerance"}):
-            bound = f"{'at least' if reached else 'above'} {least:g}"
+        bound = f"{'at least' if reached else 'above'} {least:g}"
+        if name in FINITE:
+            inside, bound = inside and math.isfinite(value), f"finite and {bound}"
+        if not inside:
             message = f"{name} must be {bound}, not {value:g}"
             faults.append(Fault("SIM004", message, where=name))
     return faults

@@ -118,11 +118,20 @@ def _elastic(entry: dict[str, Any]) -> Problem:
         lift = m * g * float(y[0, 0, 1])
         return Energy(0.5 * m * float((y[1] ** 2).sum()), 0.5 * k * over**2 + lift)
 
+    def jacobians(
+        _t: float, x: FloatArray, _v: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        length = float(np.linalg.norm(x))
+        along = np.outer(x[0], x[0]) * rest / length**3
+        pull = (1 - rest / length) * np.eye(2) + along
+        return -(k / m) * pull, np.zeros((2, 2))
+
     omega = (k / m) ** 0.5
     system = ForceSystem(
         acceleration,
         [[start["x"], start["y"]]],
         [[start["vx"], start["vy"]]],
+        jacobians=jacobians,
         energy=energy,
         frequencies=[(omega, 0.0)],
         velocity_dependent=False,
