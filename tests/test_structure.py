@@ -19,6 +19,7 @@ LAYERS = [
         "errors",
         "units",
         "rates",
+        "timecode",
         "output",
         "config",
         "prefetch",

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import fields, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -17,143 +16,17 @@ from animtool.documents.check import check_version, nearest, validated, wrong_va
 from animtool.documents.document import Document, Location, read_document, spelled
 from animtool.documents.variables import resolve_variables
 from animtool.edit.resample import FrameRange
-from animtool.errors import AnimtoolError, FormatError, OptionError
-from animtool.passes import Pass, PassContext, apply_pass, find_pass
+from animtool.errors import AnimtoolError, OptionError
+from animtool.passes import Pass, find_pass
 from animtool.rates import parse_rate
 from animtool.scene.options import BakeOptions
-from animtool.scene.schema import SceneModel
-from animtool.scene.sources import SourceOptions, open_source, takes_option
-from animtool.take import Motion, Take, TakeStream
+from animtool.scene.scene import Place, Scene, ScenePass, SceneSource
+from animtool.scene.schema import SceneModel, SourceModel
+from animtool.scene.sources import SourceOptions, takes_option
+from animtool.scene.tracks import TrackNames
 from animtool.units import LengthUnit, UpAxis, parse_length
 
-__all__ = ["Scene", "ScenePass", "load_scene", "scene_of_document"]
-
-
-@dataclass(frozen=True, slots=True)
-class ScenePass:
-    """One entry of a scene's passes.
-
-    Attributes:
-        pass_: What to do.
-        options: Its own record.
-        place: 1-based line and column of the entry.
-        where: The entry in the file, such as ``passes[1].trim``.
-    """
-
-    pass_: Pass
-    options: Any
-    place: tuple[int, int]
-    where: str
-
-
-@dataclass(frozen=True, slots=True)
-class Scene:
-    """What a scene file says.
-
-    Attributes:
-        path: The file.
-        source: The source's file.
-        options: How to open it.
-        passes: What to do to it, in order.
-        output: The file to write; None where it names none.
-        bake: Options of the bake that it sets.
-        variables: Names of the variables that it uses or gives a value.
-    """
-
-    path: Path
-    source: Path
-    options: SourceOptions
-    passes: tuple[ScenePass, ...]
-    output: Path | None
-    bake: BakeOptions
-    variables: frozenset[str] = frozenset()
-
-    @property
-    def inputs(self) -> list[Path]:
-        """The files that it names to be read: of its source, rig and passes."""
-        folder = self.path.resolve().parent
-        named = [
-            folder / value
-            for entry in self.passes
-            for field in fields(entry.options)
-            if isinstance(value := getattr(entry.options, field.name), Path)
-        ]
-        rig = [] if self.options.rig is None else [self.options.rig]
-        return [self.source, *rig, *named]
-
-    def open(self) -> TakeStream:
-        """Return the source with every pass applied.
-
-        Raises:
-            FormatError: The source is malformed, or a pass cannot be applied to it,
-                with the pass's place; the blocks may raise it too.
-            OptionError: An option does not apply to the source.
-        """
-        stream = open_source(self.source, self.options)
-        context = self._context()
-        for entry in self.passes:
-            stream = self._passed(stream, entry, context)
-        stream.notices += context.notices
-        return stream
-
-    def steps(self) -> Iterator[tuple[Take, TakeStream]]:
-        """Yield the source and what it is after each pass, as takes and as streams.
-
-        Raises:
-            FormatError: As `open`, at the step that raises it.
-            OptionError: Likewise.
-        """
-        take, stream = _gathered(open_source(self.source, self.options))
-        yield take, stream
-        context = self._context()
-        for entry in self.passes:
-            take, stream = _gathered(self._passed(stream, entry, context))
-            stream.notices += context.notices
-            context.notices.clear()
-            yield take, stream
-
-    def _context(self) -> PassContext:
-        return PassContext(self._take, self.path.resolve().parent)
-
-    def _passed(
-        self, stream: TakeStream, entry: ScenePass, context: PassContext
-    ) -> TakeStream:
-        notices, details = stream.notices, stream.details
-        with self._placed(entry):
-            stream = apply_pass(stream, entry.pass_, entry.options, context)
-        blocks = self._read(entry, stream.blocks)
-        return replace(stream, notices=notices, details=details, blocks=blocks)
-
-    def _read(self, entry: ScenePass, blocks: Iterator[Motion]) -> Iterator[Motion]:
-        with self._placed(entry):
-            yield from blocks
-
-    @contextmanager
-    def _placed(self, entry: ScenePass) -> Iterator[None]:
-        """Give faults that have no file those of the pass that found them."""
-        try:
-            yield
-        except OptionError as error:
-            line, column = entry.place
-            faults = [
-                replace(
-                    fault,
-                    path=str(self.path),
-                    lines=(line,),
-                    column=column,
-                    where=entry.where,
-                )
-                if fault.path is None
-                else fault
-                for fault in error.faults
-            ]
-            raise FormatError(faults) from error
-
-    def _take(self, path: Path) -> Take:
-        options = (
-            SourceOptions(rig=self.options.rig) if takes_option(path, "rig") else None
-        )
-        return open_source(path, options).collect()
+__all__ = ["load_scene", "scene_of_document"]
 
 
 def _gathered(stream: TakeStream) -> tuple[Take, TakeStream]:
@@ -201,18 +74,9 @@ class _SceneReader:
 
     def scene(self) -> Scene:
         model, output = self.model, self.model.output
-        source = self._input(("source", "file"), model.source.file)
         rig = None if model.rig is None else self._input(("rig",), model.rig)
         fps = self._rate(("fps",), model.fps)
-        options = SourceOptions(
-            None if model.source.units is None else LengthUnit(model.source.units),
-            None if model.source.up is None else UpAxis(model.source.up),
-            self._rate(("source", "fps"), model.source.fps),
-            model.source.prim,
-            rig if takes_option(source, "rig") else None,
-            model.source.clamp,
-            model.source.take,
-        )
+        sources = self._sources(rig)
         frames = None
         if model.range is not None:
             first, last = model.range
@@ -254,7 +118,55 @@ class _SceneReader:
         target = None
         if output.file is not None:
             target = self._file(("output", "file"), output.file)
-        return Scene(self.document.path, source, options, tuple(passes), target, bake)
+        return Scene(self.document.path, sources, tuple(passes), target, bake, rig)
+
+    def _sources(self, rig: Path | None) -> tuple[SceneSource, ...]:
+        given = self.model.source
+        if isinstance(given, SourceModel):
+            for key in ("tracks", "timecode", "timecode_fps"):
+                if getattr(given, key) is not None:
+                    message = f"{key} is for one of several sources"
+                    hint = "write a list: source: [{file: …}, {file: …}]"
+                    self.document.add("SCN038", ("source", key), message, hint)
+            return (self._source(("source",), given, rig),)
+        if given and given[0].tracks is not None:
+            message = "the first source brings all that it has"
+            hint = "tracks: says what each of the others puts in its place"
+            self.document.add("SCN038", ("source", 0, "tracks"), message, hint)
+        return tuple(
+            self._source(("source", i), entry, rig) for i, entry in enumerate(given)
+        )
+
+    def _source(
+        self, at: Location, model: SourceModel, rig: Path | None
+    ) -> SceneSource:
+        path = self._input((*at, "file"), model.file)
+        options = SourceOptions(
+            None if model.units is None else LengthUnit(model.units),
+            None if model.up is None else UpAxis(model.up),
+            self._rate((*at, "fps"), model.fps),
+            model.prim,
+            rig if takes_option(path, "rig") else None,
+            model.clamp,
+            model.take,
+        )
+        tracks = None
+        if model.tracks is not None:
+            named = model.tracks
+            tracks = TrackNames(
+                tuple(named.joints), tuple(named.shapes), tuple(named.controls)
+            )
+        return SceneSource(
+            path,
+            options,
+            self._place(at),
+            tracks,
+            model.timecode,
+            self._rate((*at, "timecode_fps"), model.timecode_fps),
+        )
+
+    def _place(self, at: Location) -> Place:
+        return Place(self.document.path, *self.document.place(at), spelled(at))
 
     def _file(self, at: Location, name: str) -> Path:
         found = referred(self.document, at, name, self.roots, "SCN004")
@@ -307,8 +219,7 @@ class _SceneReader:
         self._check(at, found, options)
         if unknown:
             return None
-        line, column = self.document.place(at)
-        return ScenePass(found, options, (line, column), spelled(at))
+        return ScenePass(found, options, self._place(at))
 
     def _check(self, at: Location, found: Pass, options: Any) -> None:
         """Note what is wrong with options whatever the take is."""

@@ -27,7 +27,7 @@ from animtool.usd.layers import check_prim_path, check_suffix
 
 if TYPE_CHECKING:
     from animtool.scene.deform import Character
-    from animtool.scene.file import Scene
+    from animtool.scene.scene import Scene
     from animtool.usd.target import JointMap, RigTarget
 
 __all__ = [

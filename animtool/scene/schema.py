@@ -8,16 +8,30 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Len
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag
 
 from animtool.documents.check import FileModel
 from animtool.documents.ignore import IgnoreModel
 
-__all__ = ["SceneModel"]
+__all__ = ["SceneModel", "SourceModel"]
+
+
+class TracksModel(FileModel):
+    """What one of several sources brings: names or patterns such as `jaw*`."""
+
+    joints: list[str] = Field(
+        default=[], description="Joints.", examples=[["head", "eye_*"]]
+    )
+    shapes: list[str] = Field(default=[], description="Shapes.", examples=[["*"]])
+    controls: list[str] = Field(
+        default=[],
+        description="Controls, and what these drive.",
+        examples=[["grin", "blink_*"]],
+    )
 
 
 class SourceModel(FileModel):
-    """A clip, BVH or USD file, and what a BVH leaves open."""
+    """A clip, BVH or USD file, and what it leaves open."""
 
     file: Annotated[str, Field(min_length=1)] = Field(
         description="The clip, BVH or USD file.", examples=["walk.bvh"]
@@ -55,6 +69,28 @@ class SourceModel(FileModel):
         "limits.",
         examples=[True],
     )
+    tracks: TracksModel | None = Field(
+        default=None,
+        description="Of several sources, but the first: what it brings. Not given: "
+        "what it moves.",
+        examples=[{"shapes": ["*"]}],
+    )
+    timecode: str | None = Field(
+        default=None,
+        description="Of several sources: the SMPTE time code of its first frame. Not "
+        "given, for none: first frames coincide.",
+        examples=["01:00:00:00"],
+    )
+    timecode_fps: float | str | None = Field(
+        default=None,
+        description="Frames a second that the time code counts. Not given: those of "
+        "the source.",
+        examples=[29.97],
+    )
+
+
+def _source_kind(value: Any) -> str:
+    return "several" if isinstance(value, list) else "one"
 
 
 class OutputModel(FileModel):
@@ -154,7 +190,8 @@ class SceneModel(FileModel):
     )
     rig: str | None = Field(
         default=None,
-        description="Of a clip: its rig. Not given: the one that the clip names.",
+        description="Of a clip: its rig. Not given: the one that the clip names. Of "
+        "several sources: the rig that all move. Not given: that of the first.",
         examples=["hero.rig.yaml"],
     )
     fps: float | str | None = Field(
@@ -169,8 +206,14 @@ class SceneModel(FileModel):
         "given: all.",
         examples=[[1001, 1040]],
     )
-    source: SourceModel = Field(
-        description="What is read.", examples=[{"file": "walk.bvh"}]
+    source: Annotated[
+        Annotated[SourceModel, Tag("one")]
+        | Annotated[list[SourceModel], Len(1), Tag("several")],
+        Discriminator(_source_kind),
+    ] = Field(
+        description="What is read; of a list the first is the whole, and the others "
+        "put tracks in its place.",
+        examples=[{"file": "walk.bvh"}],
     )
     passes: list[Annotated[dict[str, dict[str, Any] | None], Len(1, 1)]] = Field(
         default=[],

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
 from animtool.clip.clip import Clip
 from animtool.errors import Fault, OptionError, Severity, listed
 from animtool.reorient import reorient
 from animtool.rig.skeleton import Rig
+from animtool.scene.onto_rig import map_names
 from animtool.scene.sources import (
     Progress,
     SourceOptions,
@@ -69,41 +69,21 @@ def open_start(
 
 def _mapped(take: Take, rig: Rig, path: Path) -> tuple[Motion, list[Fault]]:
     """Return the motion of the joints that both have, and what is left out."""
-    known: dict[str, int] = {}
-    for j, joint in enumerate(take.rig.joints):
-        known.setdefault(joint.source_name or joint.name, j)
-        known.setdefault(joint.name, j)
-    found = [
-        known.get(joint.name, known.get(joint.source_name, -1)) for joint in rig.joints
-    ]
-    own = np.array(found, np.int64)
-    if (own < 0).all():
+    names = map_names(rig, take.rig)
+    if (names.joints < 0).all():
         message = f"has no joint of {rig.name!r}"
         hint = f"its joints are {listed(take.rig.names, MOST_NAMED)}"
         raise OptionError(Fault("TGT017", message, str(path), (), hint))
     notices = []
-    lacking = [n for n, j in zip(rig.names, found, strict=True) if j < 0]
-    spare = sorted(set(range(len(take.rig.joints))) - set(found))
-    names = [take.rig.names[j] for j in spare]
+    lacking = [rig.names[j] for j in np.flatnonzero(names.joints < 0).tolist()]
+    spare = [take.rig.names[j] for j in names.spare]
     for which, what in (
         (lacking, "has no {}: they stay at rest"),
-        (names, "moves {}, which the rig lacks: they are left out"),
+        (spare, "moves {}, which the rig lacks: they are left out"),
     ):
         if which:
             message = what.format(listed(which, MOST_NAMED))
             fault = Fault("TGT102", message, str(path), severity=Severity.WARNING)
             notices.append(fault)
-    ones = np.ones((len(rig.joints), 3))
-    motion = Motion(
-        _taken(take.motion.translations, own, rig.rest_translations),
-        _taken(take.motion.rotations, own, rig.rest_rotations),
-        None if take.motion.scales is None else _taken(take.motion.scales, own, ones),
-    )
-    return motion, notices
-
-
-def _taken(channel: Channel, own: IntArray, rest: FloatArray) -> Channel:
-    """Return the values of joints, -1 being one that stays at rest."""
-    values = channel.gather(np.maximum(own, 0))
-    values[:, own < 0] = rest[own < 0]
-    return Channel.from_dense(values)
+    motion = replace(names.apply(take.motion), weights=None, controls=None)
+    return motion.map(Channel.compact), notices

@@ -121,7 +121,8 @@ def project(workplace: Path) -> Path:
     strand = np.array([[[0.0, 0, 0], [0, 1, 0], [0, 2, 0]]])
     np.savez(workplace / "hair.npz", points=strand)
     walk = (workplace / "samples/walk/walk.bvh").read_bytes()
-    (workplace / "walk.bvh").write_bytes(walk)
+    for name in ("walk.bvh", "hands.bvh"):
+        (workplace / name).write_bytes(walk)
     (workplace / "hero.rig.yaml").write_text(WHOLE["rig"][0], "utf-8")
     return workplace
 

@@ -73,10 +73,10 @@ def test_scene_1(tmp_path: Path) -> None:
     for name in ("walk.bvh", "hero.usda"):
         (folder / name).touch()
     scene = load_scene(folder / "scene-1.scene.yaml")
-    assert scene.source.name == "clip-1.clip.yaml"
+    assert scene.sources[0].path.name == "clip-1.clip.yaml"
     assert [entry.pass_.name for entry in scene.passes] == ["trim", "loop"]
     layer = load_scene(folder / "scene-1-bvh.scene.yaml")
-    assert (layer.options.prim_path, layer.bake.form) == ("/hero", "layer")
+    assert (layer.sources[0].options.prim_path, layer.bake.form) == ("/hero", "layer")
     done = animtool("bake", folder / "scene-1.scene.yaml")
     assert done.code == 0, done.stderr
     assert (folder / "scene-1.usda").is_file()

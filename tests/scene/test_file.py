@@ -14,7 +14,8 @@ from animtool import bake, open_source
 from animtool.edit.mirror import mirror
 from animtool.edit.trim import trim
 from animtool.errors import FormatError
-from animtool.scene.file import Scene, load_scene
+from animtool.scene.file import load_scene
+from animtool.scene.scene import Scene
 
 GOOD = """scene: animtool/1
 source: {file: walk.bvh, units: cm}
@@ -298,7 +299,7 @@ def test_a_file_that_a_variable_names_may_be_anywhere(
     away = tmp_path_factory.mktemp("away") / "far.bvh"
     shutil.copy(shot.with_name("walk.bvh"), away)
     shot.write_text(GOOD.replace("walk.bvh", '"${input}"'), "utf-8")
-    assert load_scene(shot, {"input": str(away)}).source == away.resolve()
+    assert load_scene(shot, {"input": str(away)}).sources[0].path == away.resolve()
     outside = {"input": "../" + away.parent.name + "/far.bvh"}
     with pytest.raises(FormatError, match="SCN004"):
         load_scene(shot, outside)

@@ -136,8 +136,9 @@ def _flow(value: Any) -> str:
 
 
 def _value(spec: dict[str, Any]) -> str:
-    if "anyOf" in spec:
-        kinds = [_value(part) for part in spec["anyOf"] if part.get("type") != "null"]
+    several = spec.get("anyOf", spec.get("oneOf"))
+    if several is not None:
+        kinds = [_value(part) for part in several if part.get("type") != "null"]
         return " or ".join(dict.fromkeys(kinds))
     if "enum" in spec or "const" in spec:
         return ", ".join(f"`{v}`" for v in spec.get("enum", [spec.get("const")]))

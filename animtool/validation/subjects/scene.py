@@ -10,10 +10,8 @@ import numpy as np
 
 from animtool.documents.document import Document, Location
 from animtool.errors import AnimtoolError, Fault
-from animtool.ik.take_pass import IkPassOptions, asked_of
-from animtool.ik.tracks import TargetTracks
-from animtool.scene.file import Scene, scene_of_document
-from animtool.take import Channel, Take
+from animtool.scene.file import scene_of_document
+from animtool.scene.scene import Scene
 from animtool.validation.rule import Kind
 from animtool.validation.subjects.subject import DocumentSubject, Opened
 

@@ -1,0 +1,204 @@
+"""A scene: its sources, the passes over them, its output."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from animtool.errors import AnimtoolError, Fault, FormatError, OptionError, Severity
+from animtool.passes import Pass, PassContext, apply_pass
+from animtool.scene.convert_rig import open_rig
+from animtool.scene.options import BakeOptions
+from animtool.scene.sources import SourceOptions, open_source, takes_option
+from animtool.scene.tracks import TrackNames
+from animtool.take import Motion, Take, TakeStream
+
+__all__ = ["Place", "Scene", "ScenePass", "SceneSource"]
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where in a file something is said.
+
+    Attributes:
+        path: The file.
+        line: 1-based.
+        column: 1-based.
+        where: Such as ``passes[1].trim``.
+    """
+
+    path: Path
+    line: int
+    column: int
+    where: str
+
+    def fault(
+        self,
+        code: str,
+        message: str,
+        hint: str | None = None,
+        severity: Severity = Severity.ERROR,
+    ) -> Fault:
+        """Return a fault that is here."""
+        return self.put(Fault(code, message, hint=hint, severity=severity))
+
+    def put(self, fault: Fault) -> Fault:
+        """Return a fault that has no file as one that is here."""
+        if fault.path is not None:
+            return fault
+        return replace(
+            fault,
+            path=str(self.path),
+            lines=(self.line,),
+            column=self.column,
+            where=self.where,
+        )
+
+    @contextmanager
+    def blamed(self) -> Iterator[None]:
+        """Give faults that have no file this place.
+
+        Raises:
+            FormatError: What an `OptionError` said.
+        """
+        try:
+            yield
+        except OptionError as error:
+            raise FormatError([self.put(fault) for fault in error.faults]) from error
+
+
+@dataclass(frozen=True, slots=True)
+class SceneSource:
+    """One source of a scene.
+
+    Attributes:
+        path: The file.
+        options: How to open it.
+        place: Of the entry.
+        tracks: Of several, what it brings; None is what it moves.
+        timecode: SMPTE time code of its first frame; None states none.
+        timecode_fps: Frames a second that this counts; None is the source's rate.
+    """
+
+    path: Path
+    options: SourceOptions
+    place: Place
+    tracks: TrackNames | None = None
+    timecode: str | None = None
+    timecode_fps: Fraction | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ScenePass:
+    """One entry of a scene's passes.
+
+    Attributes:
+        pass_: What to do.
+        options: Its own record.
+        place: Of the entry.
+    """
+
+    pass_: Pass
+    options: Any
+    place: Place
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What a scene file says.
+
+    Attributes:
+        path: The file.
+        sources: What is read, at least one; the first has the rig and the frames.
+        passes: What to do to it, in order.
+        output: The file to write; None where it names none.
+        bake: Options of the bake that it sets.
+        rig: Of clips, and of several sources the one that all move; None is that of
+            the first.
+        variables: Names of the variables that it uses or gives a value.
+    """
+
+    path: Path
+    sources: tuple[SceneSource, ...]
+    passes: tuple[ScenePass, ...]
+    output: Path | None
+    bake: BakeOptions
+    rig: Path | None = None
+    variables: frozenset[str] = frozenset()
+
+    @property
+    def inputs(self) -> list[Path]:
+        """Every file that it names to be read, itself among them."""
+        folder = self.path.resolve().parent
+        named = [self.path, *(source.path for source in self.sources)]
+        named += [self.rig] if self.rig is not None else []
+        for entry in self.passes:
+            given = [getattr(entry.options, f.name) for f in fields(entry.options)]
+            named += [folder / path for path in given if isinstance(path, Path)]
+        return named
+
+    def open(self) -> TakeStream:
+        """Return the source with every pass applied.
+
+        Raises:
+            FormatError: A source is malformed, or a pass cannot be applied to it,
+                with the pass's place; the blocks may raise it too.
+            OptionError: An option does not apply to the source.
+        """
+        stream = self._sources()
+        context = PassContext(self._take, self.path.resolve().parent)
+        for entry in self.passes:
+            notices, details = stream.notices, stream.details
+            with entry.place.blamed():
+                stream = apply_pass(stream, entry.pass_, entry.options, context)
+            blocks = _read(entry.place, stream.blocks)
+            stream = replace(stream, notices=notices, details=details, blocks=blocks)
+        stream.notices += context.notices
+        return stream
+
+    def _sources(self) -> TakeStream:
+        """Return the sources as one."""
+        if len(self.sources) == 1:
+            return open_source(self.sources[0].path, self.sources[0].options)
+        from animtool.scene.joining import Part, joined, on_rig
+
+        parts: list[Part] = []
+        faults: list[Fault] = []
+        for source in self.sources:
+            try:
+                stream = open_source(source.path, source.options)
+            except AnimtoolError as error:
+                faults += map(source.place.put, error.faults)
+                continue
+            parts.append(
+                Part(
+                    stream,
+                    source.tracks,
+                    source.timecode,
+                    source.timecode_fps,
+                    source.place.fault,
+                )
+            )
+        if faults:
+            raise FormatError(faults)
+        first = self.sources[0]
+        with first.place.blamed():
+            if self.rig is not None and first.options.rig is None:
+                rig, notices = open_rig(self.rig)
+                parts[0], _ = on_rig(parts[0], rig)
+                parts[0].stream.notices += notices
+            stream = joined(parts[0], parts[1:])
+        return replace(stream, blocks=_read(first.place, stream.blocks))
+
+    def _take(self, path: Path) -> Take:
+        rig = self.rig if takes_option(path, "rig") else None
+        return open_source(path, SourceOptions(rig=rig)).collect()
+
+
+def _read(place: Place, blocks: Iterator[Motion]) -> Iterator[Motion]:
+    with place.blamed():
+        yield from blocks
