@@ -7,6 +7,8 @@ import errno
 import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from contextvars import ContextVar
+from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
@@ -21,6 +23,7 @@ __all__ = [
     "remove_leftovers",
     "replacing",
     "temporary_prefix",
+    "together",
 ]
 
 _OWNER = re.compile(r"\.animtool-(?P<host>[0-9a-f]{8})-(?P<process>[0-9]+)-")
@@ -142,13 +145,50 @@ def _host() -> str:
     return sha256(platform.node().encode()).hexdigest()[:8]
 
 
+# Files that are whole, and wait for their names.
+_waiting: ContextVar[list[_Whole] | None] = ContextVar("_waiting", default=None)
+
+
+@dataclass(frozen=True, slots=True)
+class _Whole:
+    """A file that is written.
+
+    Attributes:
+        temporary: Where it is.
+        final: Where it belongs.
+        path: What the user calls that.
+    """
+
+    temporary: Path
+    final: Path
+    path: Path
+
+    def rename(self) -> None:
+        """Give it its name.
+
+        Raises:
+            OutputError: It cannot be renamed.
+        """
+        try:
+            self.temporary.replace(self.final)
+        except OSError as error:
+            raise output_error(self.path, error) from error
+        with contextlib.suppress(OSError):
+            _flush(self.final.parent)
+
+    def remove(self) -> None:
+        """Remove it, if it has not got its name."""
+        with contextlib.suppress(OSError):
+            self.temporary.unlink(missing_ok=True)
+
+
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Give a temporary path in the same folder that becomes ``path`` at the end.
 
     The file is flushed to the disk and renamed when the block ends well, and
     removed when it does not, so that ``path`` is at all times absent, as it was,
-    or whole.
+    or whole. Inside of `together` it is renamed at the end of that.
 
     Raises:
         FormatError: Inputs are recorded, and one changed since it was read (IO004).
@@ -158,19 +198,46 @@ def replacing(path: Path) -> Iterator[Path]:
     final = path.resolve()
     # Unique over threads, processes and hosts that share a folder.
     temporary = final.with_name(f"{temporary_prefix()}{uuid4().hex[:12]}{final.suffix}")
+    whole, waiting = _Whole(temporary, final, path), _waiting.get()
+    done = False
     try:
         yield temporary
         check_inputs()
         try:
             _flush(temporary)
-            temporary.replace(final)
         except OSError as error:
             raise output_error(path, error) from error
-        with contextlib.suppress(OSError):
-            _flush(final.parent)
+        if waiting is None:
+            whole.rename()
+        else:
+            waiting.append(whole)
+        done = True
     finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
+        if waiting is None or not done:
+            whole.remove()
+
+
+@contextlib.contextmanager
+def together() -> Iterator[None]:
+    """Let the files that `replacing` makes in a block get their names at its end.
+
+    They get them in the order made, or none does where the block does not end well.
+
+    Raises:
+        FormatError: Inputs are recorded, and one changed since it was read (IO004).
+        OutputError: One cannot be renamed.
+    """
+    waiting: list[_Whole] = []
+    token = _waiting.set(waiting)
+    try:
+        yield
+        check_inputs()
+        for whole in waiting:
+            whole.rename()
+    finally:
+        _waiting.reset(token)
+        for whole in waiting:
+            whole.remove()
 
 
 def _flush(path: Path) -> None:

@@ -13,6 +13,7 @@ from animtool.output import (
     remove_leftovers,
     replacing,
     temporary_prefix,
+    together,
 )
 
 
@@ -123,3 +124,39 @@ def test_what_one_process_left_is_removed(tmp_path: Path) -> None:
     own = tmp_path / f"{temporary_prefix()}0123.usdc"
     own.touch()
     assert remove_leftovers([tmp_path], os.getpid()) == [own]
+
+
+def test_files_get_their_names_together(tmp_path: Path) -> None:
+    one, other = tmp_path / "one.txt", tmp_path / "other.txt"
+    one.write_text("before", "utf-8")
+    with together():
+        with replacing(one) as temporary:
+            temporary.write_text("after", "utf-8")
+        with replacing(other) as temporary:
+            temporary.write_text("after", "utf-8")
+        assert one.read_text("utf-8") == "before"
+        assert not other.exists()
+    assert [path.read_text("utf-8") for path in (one, other)] == ["after", "after"]
+    assert sorted(tmp_path.iterdir()) == [one, other]
+
+
+@pytest.mark.parametrize("inside", [True, False])
+def test_none_gets_its_name_where_one_fails(tmp_path: Path, inside: bool) -> None:
+    one = tmp_path / "one.txt"
+
+    def write() -> None:
+        with together():
+            with replacing(one) as temporary:
+                temporary.write_text("after", "utf-8")
+            with replacing(tmp_path / "other.txt") as temporary:
+                temporary.write_text("after", "utf-8")
+                if inside:
+                    raise KeyboardInterrupt
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write()
+    assert list(tmp_path.iterdir()) == []
+    with replacing(one) as temporary:
+        temporary.write_text("alone", "utf-8")
+    assert one.read_text("utf-8") == "alone"

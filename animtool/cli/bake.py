@@ -223,6 +223,12 @@ def bake(
     if given["table"]:
         _table(console, opened, output, _options(given), as_json=as_json)
         return
+    if len(opened) == 1 and not isinstance(opened[0], Path):
+        from animtool.scene.outputs import is_several
+
+        if is_several(opened[0]):
+            _several(console, opened[0], output, given, as_json=as_json)
+            return
     path = None if to_stdout else output or _output_beside(opened[0])
     if path is not None and skipped(
         console, "bake", given, path, lambda: _outputs(opened, path, given)
@@ -272,9 +278,46 @@ def _opened(sources: Sequence[Path], variables: dict[str, str]) -> list[Path | S
     return opened
 
 
-def _outputs(
-    sources: Sequence[Path | Scene], path: Path, given: dict[str, Any]
-) -> Sequence[Path]:
+def _several(
+    console: Console,
+    scene: Scene,
+    output: Path | None,
+    given: dict[str, Any],
+    *,
+    as_json: bool,
+) -> None:
+    """Bake a scene to the outputs that it names."""
+    from animtool.scene.outputs import bake_scene, scene_files
+
+    if output is not None:
+        raise click.UsageError("The scene names its outputs: no -o.")
+    options = _options(given)
+    files = scene_files(scene, options)
+    if skips(given, files):
+        for path in files:
+            console.say(f"{path} exists: skipped")
+        if as_json:
+            skipped = [str(path) for path in files]
+            console.result_json({"bake": "animtool/1", "skipped": skipped})
+        return
+    reports = bake_scene(scene, options)
+    # What the sources and passes say stands in every report.
+    notices = [notice for report in reports for notice in report.notices]
+    console.faults(dict.fromkeys(notices))
+    from animtool.cli.summary import output_json, output_text
+
+    if as_json:
+        written = [output_json(report) for report in reports]
+        console.result_json({"bake": "animtool/1", "written": written})
+        return
+    for report in reports:
+        for line in output_text(report):
+            console.say(line)
+
+
+def _skips(sources: Sequence[Path | Scene], path: Path, given: dict[str, Any]) -> bool:
+    if not given["skip_existing"]:
+        return False
     from animtool.scene.plan import bake_outputs
 
     return bake_outputs(sources, path, _options(given))

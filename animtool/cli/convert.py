@@ -85,8 +85,6 @@ def convert(console: Console, /, source: Path, output: Path, **given: Any) -> No
     if of_rig:
         _rig(console, source, output, given)
         return
-    from animtool.errors import counted
-
     options = source_options_record(
         given,
         given["prim_path"],
@@ -105,23 +103,13 @@ def convert(console: Console, /, source: Path, output: Path, **given: Any) -> No
             progress=progress,
         )
     console.faults(report.notices)
+    from animtool.cli.summary import convert_json, convert_text
+
     if given["report_format"] == "json":
-        console.result_json(
-            {
-                "convert": "animtool/1",
-                "output": str(report.output),
-                "frames": report.frames,
-                "joints": report.joints,
-                **_reduction_json(report.reduction),
-                "notices": [notice.as_dict() for notice in report.notices],
-            }
-        )
+        console.result_json(convert_json(report))
         return
-    frames, joints = counted(report.frames, "frame"), counted(report.joints, "joint")
-    console.say(f"{report.output}: {frames}, {joints}")
-    if report.reduction is not None:
-        for line in _reduction_text(report.reduction, report.frames):
-            console.say(f"  {line}")
+    for line in convert_text(report):
+        console.say(line)
 
 
 def _rig(console: Console, source: Path, output: Path, given: dict[str, Any]) -> None:
@@ -168,40 +156,3 @@ def _rig(console: Console, source: Path, output: Path, given: dict[str, Any]) ->
     if report.physics is not None:
         joints = counted(report.physics, "joint")
         console.say(f"  {joints} as UsdPhysics has them")
-
-
-def _reduction_text(found: Any, frames: int) -> list[str]:
-    """Return what a reduction came to, and its error where there is one."""
-    from animtool.errors import counted
-
-    keys = counted(found.keys, "key")
-    if not found.samples:
-        made = f"{keys}, for what is not at rest" if found.keys else "no keys"
-        lines = [f"nothing moves: {made}"]
-    else:
-        lines = [
-            f"{counted(found.samples, 'sample')} of what moves became {keys}: "
-            f"{found.samples_per_key:.3g} a key"
-        ]
-    where = ""
-    if found.error:
-        where = f" (joint {found.joint!r}, frame {found.frame + 1} of {frames})"
-    lines.append(f"largest error: {found.error * 1000:.3g} mm{where}")
-    if found.weight_error:
-        lines.append(f"largest error of a shape's weight: {found.weight_error:.3g}")
-    return lines
-
-
-def _reduction_json(reduction: Any) -> dict[str, object]:
-    """Return what a reduction came to, nothing where there was none."""
-    if reduction is None:
-        return {}
-    return {
-        "reduction": {
-            "samples": reduction.samples,
-            "keys": reduction.keys,
-            "error": {"meters": reduction.error, "joint": reduction.joint},
-            "weight_error": reduction.weight_error,
-            "held": reduction.held,
-        }
-    }

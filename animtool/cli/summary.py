@@ -12,10 +12,22 @@ from animtool.rates import rate_label
 from animtool.units import unit_name
 
 if TYPE_CHECKING:
+    from animtool.clip.reduction import Reduction
     from animtool.scene.bake import BakeReport, TakeReport
+    from animtool.scene.convert import ConvertReport
     from animtool.scene.table import BakeTable
 
-__all__ = ["bake_details", "bake_json", "bake_text", "table_json", "table_text"]
+__all__ = [
+    "bake_details",
+    "bake_json",
+    "bake_text",
+    "convert_json",
+    "convert_text",
+    "output_json",
+    "output_text",
+    "table_json",
+    "table_text",
+]
 
 
 def _number(value: Fraction) -> str:
@@ -237,6 +249,81 @@ def _take_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
             for curve in written.curves
         ]
     return found
+
+
+def output_text(report: BakeReport | ConvertReport) -> list[str]:
+    """Return the lines of a summary of one of several outputs."""
+    from animtool.scene.convert import ConvertReport
+
+    return (
+        convert_text(report) if isinstance(report, ConvertReport) else bake_text(report)
+    )
+
+
+def output_json(report: BakeReport | ConvertReport) -> dict[str, object]:
+    """Return the summary of one of several outputs as plain values."""
+    from animtool.scene.convert import ConvertReport
+
+    return (
+        convert_json(report) if isinstance(report, ConvertReport) else bake_json(report)
+    )
+
+
+def convert_text(report: ConvertReport) -> list[str]:
+    """Return the lines of a summary of a conversion."""
+    frames, joints = counted(report.frames, "frame"), counted(report.joints, "joint")
+    lines = [f"{report.output}: {frames}, {joints}"]
+    if report.reduction is not None:
+        made = _reduction_text(report.reduction, report.frames)
+        lines += [f"  {line}" for line in made]
+    return lines
+
+
+def convert_json(report: ConvertReport) -> dict[str, object]:
+    """Return the summary of a conversion as plain values."""
+    return {
+        "convert": "animtool/1",
+        "output": str(report.output),
+        "frames": report.frames,
+        "joints": report.joints,
+        **_reduction_json(report.reduction),
+        "notices": [notice.as_dict() for notice in report.notices],
+    }
+
+
+def _reduction_text(found: Reduction, frames: int) -> list[str]:
+    """Return what a reduction came to, and its error where there is one."""
+    keys = counted(found.keys, "key")
+    if not found.samples:
+        made = f"{keys}, for what is not at rest" if found.keys else "no keys"
+        lines = [f"nothing moves: {made}"]
+    else:
+        lines = [
+            f"{counted(found.samples, 'sample')} of what moves became {keys}: "
+            f"{found.samples_per_key:.3g} a key"
+        ]
+    where = ""
+    if found.error:
+        where = f" (joint {found.joint!r}, frame {found.frame + 1} of {frames})"
+    lines.append(f"largest error: {found.error * 1000:.3g} mm{where}")
+    if found.weight_error:
+        lines.append(f"largest error of a shape's weight: {found.weight_error:.3g}")
+    return lines
+
+
+def _reduction_json(reduction: Reduction | None) -> dict[str, object]:
+    """Return what a reduction came to, nothing where there was none."""
+    if reduction is None:
+        return {}
+    return {
+        "reduction": {
+            "samples": reduction.samples,
+            "keys": reduction.keys,
+            "error": {"meters": reduction.error, "joint": reduction.joint},
+            "weight_error": reduction.weight_error,
+            "held": reduction.held,
+        }
+    }
 
 
 def table_text(table: BakeTable) -> list[str]:

@@ -20,8 +20,16 @@ from animtool.errors import AnimtoolError, OptionError
 from animtool.passes import Pass, find_pass
 from animtool.rates import parse_rate
 from animtool.scene.options import BakeOptions
-from animtool.scene.scene import Place, Scene, ScenePass, SceneSource
-from animtool.scene.schema import SceneModel, SourceModel
+from animtool.scene.scene import (
+    OutputKind,
+    Place,
+    Scene,
+    SceneOutput,
+    ScenePass,
+    SceneSource,
+    kind_of,
+)
+from animtool.scene.schema import OutputModel, SceneModel, SourceModel
 from animtool.scene.sources import SourceOptions, takes_option
 from animtool.scene.tracks import TrackNames
 from animtool.units import LengthUnit, UpAxis, parse_length
@@ -73,52 +81,94 @@ class _SceneReader:
         self.roots = (*project_roots(document.path), *named)
 
     def scene(self) -> Scene:
-        model, output = self.model, self.model.output
+        model = self.model
         rig = None if model.rig is None else self._input(("rig",), model.rig)
-        fps = self._rate(("fps",), model.fps)
-        sources = self._sources(rig)
-        frames = None
-        if model.range is not None:
-            first, last = model.range
-            if first > last:
-                message = f"the range from {first} to {last} is reversed"
-                hint = f"write [{last}, {first}]"
-                self.document.add("SCN003", ("range",), message, hint)
-            frames = FrameRange(first, last)
-        layer = output.rig_layer
-        bake = BakeOptions(
-            form=output.form,
-            rig_layer=None
-            if layer is None
-            else self._input(("output", "rig_layer"), layer),
-            prim_path=output.prim_path,
-            fps=fps,
-            frame_range=frames,
-            start=None if output.start is None else Fraction(output.start),
-            sparse=output.sparse,
-            bones=output.bones,
-            keep_curves=output.keep_curves,
-            reduce=self._length(("output", "reduce"), output.reduce),
-            reduce_at=tuple(
-                (name, length)
-                for name, text in output.reduce_at.items()
-                if (length := self._length(("output", "reduce_at", name), text))
-            ),
-            deform=output.deform,
-            velocities=output.velocities,
-            normals=output.normals,
-            chunk=output.chunk,
-        )
         passes = [
             made
             for i, entry in enumerate(model.passes)
             for name, given in entry.items()
             if (made := self._pass(("passes", i, name), name, given or {})) is not None
         ]
-        target = None
-        if output.file is not None:
-            target = self._file(("output", "file"), output.file)
-        return Scene(self.document.path, sources, tuple(passes), target, bake, rig)
+        return Scene(
+            self.document.path,
+            self._sources(rig),
+            tuple(passes),
+            self._outputs(),
+            rig,
+        )
+
+    def _outputs(self) -> tuple[SceneOutput, ...]:
+        given = self.model.output
+        fps = self._rate(("fps",), self.model.fps)
+        frames = self._frames()
+        if isinstance(given, OutputModel):
+            return (self._output(("output",), given, fps, frames),)
+        for i, entry in enumerate(given):
+            at = ("output", i)
+            if entry.file is None:
+                hint = "each of several outputs names its file"
+                self.document.add("DOC021", at, "key 'file' is missing", hint)
+            if entry.chunk is not None:
+                message = "chunks are for a scene of one output"
+                self.document.add("SCN039", (*at, "chunk"), message)
+        return tuple(
+            self._output(("output", i), entry, fps, frames)
+            for i, entry in enumerate(given)
+        )
+
+    def _output(
+        self,
+        at: Location,
+        model: OutputModel,
+        fps: Fraction | None,
+        frames: FrameRange | None,
+    ) -> SceneOutput:
+        path = None if model.file is None else self._file((*at, "file"), model.file)
+        if path is not None and kind_of(path) is not OutputKind.USD:
+            self._check_kind(at, model, kind_of(path))
+        layer = model.rig_layer
+        bake = BakeOptions(
+            form=model.form,
+            rig_layer=None if layer is None else self._input((*at, "rig_layer"), layer),
+            prim_path=model.prim_path,
+            fps=fps,
+            frame_range=frames,
+            start=None if model.start is None else Fraction(model.start),
+            sparse=model.sparse,
+            bones=model.bones,
+            keep_curves=model.keep_curves,
+            reduce=self._length((*at, "reduce"), model.reduce),
+            reduce_at=tuple(
+                (name, length)
+                for name, text in model.reduce_at.items()
+                if (length := self._length((*at, "reduce_at", name), text))
+            ),
+            deform=model.deform,
+            velocities=model.velocities,
+            normals=model.normals,
+            chunk=model.chunk,
+        )
+        return SceneOutput(path, bake, self._place(at))
+
+    def _check_kind(self, at: Location, model: OutputModel, kind: OutputKind) -> None:
+        """Refuse what only other kinds of files have."""
+        allowed = {"file", "start"}
+        if kind is OutputKind.CLIP:
+            allowed |= {"reduce", "reduce_at"}
+        for name in sorted(model.model_fields_set - allowed):
+            key = OutputModel.model_fields[name].alias or name
+            message = f"{key} is not for a {kind} file"
+            hint = f"it has {', '.join(sorted(allowed))}"
+            self.document.add("SCN039", (*at, key), message, hint)
+
+    def _frames(self) -> FrameRange | None:
+        if self.model.range is None:
+            return None
+        first, last = self.model.range
+        if first > last:
+            message = f"the range from {first} to {last} is reversed"
+            self.document.add("SCN003", ("range",), message, f"write [{last}, {first}]")
+        return FrameRange(first, last)
 
     def _sources(self, rig: Path | None) -> tuple[SceneSource, ...]:
         given = self.model.source

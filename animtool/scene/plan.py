@@ -6,45 +6,34 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias, cast
+from typing import TYPE_CHECKING, cast
 
 from animtool.config import find_config
-from animtool.errors import AnimtoolError, Fault, OptionError, Severity
+from animtool.errors import Fault, OptionError, Severity
 from animtool.output import check_outputs
 from animtool.rates import rate_label
 from animtool.reorient import reorient
-from animtool.scene.options import BakeOptions, check_options, merged
-from animtool.scene.sources import (
-    Opener,
-    Progress,
-    fitting_options,
-    is_scene,
-    open_source,
-)
+from animtool.scene.options import BakeOptions, check_options
+from animtool.scene.reading import Source, found_sources
+from animtool.scene.sources import Opener, Progress, open_source
 from animtool.take import TakeStream
 from animtool.usd.jobs import Form, output_paths
 from animtool.usd.layers import check_prim_path, check_suffix
 
 if TYPE_CHECKING:
     from animtool.scene.deform import Character
-    from animtool.scene.scene import Scene
     from animtool.usd.target import JointMap, RigTarget
 
 __all__ = [
     "BakePlan",
-    "Source",
     "TakePlan",
     "bake_outputs",
+    "check_output",
+    "output_files",
     "plan_bake",
-    "source_file",
+    "plan_output",
+    "start_of",
 ]
-
-Source: TypeAlias = "Path | str | Scene"
-
-
-def source_file(source: Source) -> Path:
-    """Return the file that a source is read from."""
-    return Path(source) if isinstance(source, Path | str) else source.path
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,27 +113,58 @@ def plan_bake(
         OptionError: An option makes no sense, or the output exists.
         OutputError: The output cannot be written.
     """
-    options = options or BakeOptions()
     alone = isinstance(source, str) or not isinstance(source, Sequence)
     given = cast("Sequence[Source]", [source] if alone else source)
-    _check_count(len(given), options)
+    _check_count(len(given), options or BakeOptions())
     path = None if output is None else Path(output)
-    sources, scenes = _opened(given)
-    notices: list[Fault] = []
-    if len(sources) == 1 and sources[0] in scenes:
-        options = merged(options, scenes[sources[0]].bake)
-    else:
-        notices += _unused(scenes)
+    reading = found_sources(given)
+    options, notices = reading.options(options or BakeOptions())
+    check_output(path, options, reading.inputs)
+    streams = reading.open(options, progress, opener)
+    return plan_output(reading.files, streams, path, options, notices)
+
+
+def check_output(path: Path | None, options: BakeOptions, inputs: list[Path]) -> None:
+    """Refuse an output that cannot be, before anything is read.
+
+    Args:
+        path: The file; None is stdout.
+        options: Of the bake.
+        inputs: Files that are read, which none may replace.
+
+    Raises:
+        OptionError: An option makes no sense, or the output exists.
+        OutputError: The output cannot be written.
+    """
     check_options(options, to_stdout=path is None)
-    form = _form(options)
     if path is not None:
         check_suffix(path)
-        inputs = sources + ([options.rig_layer] if options.rig_layer else [])
-        inputs += [file for scene in scenes.values() for file in scene.inputs]
-        check_outputs(
-            _outputs(path, form, options), inputs, overwrite=options.overwrite
-        )
-    streams = _open_all(sources, scenes, options, progress, opener)
+        layer = [options.rig_layer] if options.rig_layer else []
+        outputs = output_files(path, options)
+        check_outputs(outputs, inputs + layer, overwrite=options.overwrite)
+
+
+def plan_output(
+    sources: Sequence[Path],
+    streams: list[TakeStream],
+    path: Path | None,
+    options: BakeOptions,
+    notices: list[Fault],
+) -> BakePlan:
+    """Return what is to become of sources that are open.
+
+    Args:
+        sources: Their files.
+        streams: Their takes.
+        path: The file to write; None is stdout.
+        options: Of the bake, those of a scene among them.
+        notices: What is odd so far; more is added.
+
+    Raises:
+        FormatError: The rig layer is malformed, or the takes have other joints.
+        OptionError: The rig layer is of another rig, or the prim path is none.
+    """
+    form = _form(options)
     target = None
     reason = "a rig layer was named" if options.form is None else "asked for"
     mappings: list[JointMap | None] = [None] * len(streams)
@@ -173,7 +193,7 @@ def plan_bake(
     if len(sources) > 1:
         notices += rate_notice(names, streams, fps)
     notices += _rate_apart(target, fps)
-    start = _start(options, target, streams[0], sources[0])
+    start = start_of(options, target, streams[0], sources[0])
     takes = tuple(
         TakePlan(
             source,
@@ -214,19 +234,18 @@ def bake_outputs(
         FormatError: The source is a scene, and malformed.
     """
     if len(given) == 1:
-        sources, scenes = _opened(given)
-        options = merged(options, scenes[sources[0]].bake) if scenes else options
-    return _outputs(output, _form(options), options)
+        options, _ = found_sources(given).options(options)
+    return output_files(output, options)
 
 
 def _form(options: BakeOptions) -> Form:
     return Form(options.form or (Form.LAYER if options.rig_layer else Form.STAGE))
 
 
-def _outputs(path: Path, form: Form, options: BakeOptions) -> list[Path]:
+def output_files(path: Path, options: BakeOptions) -> list[Path]:
     """Return the files to write; of a cache in chunks, those that it may replace."""
     if options.chunk is None:
-        return output_paths(path, form)
+        return output_paths(path, _form(options))
     from animtool.usd.point_chunks import chunk_files, manifest_path
 
     return [path, manifest_path(path), *chunk_files(path)]
@@ -236,68 +255,6 @@ def _character(take: TakePlan, target: RigTarget | None) -> Character:
     from animtool.scene.deform import open_character
 
     return open_character(take, target)
-
-
-def _opened(given: Sequence[Source]) -> tuple[list[Path], dict[Path, Scene]]:
-    """Return the sources' files, and what the scenes among them say."""
-    paths: list[Path] = []
-    scenes: dict[Path, Scene] = {}
-    for source in given:
-        path = source_file(source)
-        paths.append(path)
-        if not isinstance(source, Path | str):
-            scenes[path] = source
-        elif is_scene(path):
-            from animtool.scene.file import load_scene
-
-            scenes[path] = load_scene(path)
-    return paths, scenes
-
-
-def _unused(scenes: dict[Path, Scene]) -> list[Fault]:
-    """Say so where a take of a library is a scene that states how to bake it."""
-    message = "the scene's fps, range and output are for it alone, and not used here"
-    hint = "the options of the command are for the whole library"
-    return [
-        Fault("CLI103", message, str(path), (), hint, Severity.WARNING)
-        for path, scene in scenes.items()
-        if scene.bake != BakeOptions()
-    ]
-
-
-def _open_all(
-    sources: Sequence[Path],
-    scenes: dict[Path, Scene],
-    options: BakeOptions,
-    progress: Progress,
-    opener: Opener,
-) -> list[TakeStream]:
-    """Open every source; what is wrong with them is said of all at once."""
-    streams: list[TakeStream] = []
-    errors: list[AnimtoolError] = []
-    for i, path in enumerate(sources):
-        try:
-            if path in scenes:
-                streams.append(scenes[path].open())
-                continue
-            own = fitting_options(options.source, path, sources)
-            shown = _share(progress, i, len(sources))
-            streams.append(opener(path, own, progress=shown))
-        except AnimtoolError as error:
-            errors.append(error)
-    if len(errors) == 1:
-        raise errors[0]
-    if errors:
-        raise type(errors[0])([fault for error in errors for fault in error.faults])
-    return streams
-
-
-def _share(progress: Progress, i: int, count: int) -> Progress:
-    """Return what shows the progress of one of several as that of all."""
-    if progress is None or count == 1:
-        return progress
-    shown = progress
-    return lambda share: shown((i + share) / count)
 
 
 def _mapped(
@@ -319,7 +276,7 @@ def _rate_apart(target: RigTarget | None, fps: Fraction) -> list[Fault]:
     return [Fault("USD106", message, str(target.path), (), hint, Severity.WARNING)]
 
 
-def _start(
+def start_of(
     options: BakeOptions, target: RigTarget | None, stream: TakeStream, source: Path
 ) -> Fraction:
     """Return the first frame: asked for, the shot's, the source's, the project's, 1."""

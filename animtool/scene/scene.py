@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
+from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,15 @@ from animtool.scene.sources import SourceOptions, open_source, takes_option
 from animtool.scene.tracks import TrackNames
 from animtool.take import Motion, Take, TakeStream
 
-__all__ = ["Place", "Scene", "ScenePass", "SceneSource"]
+__all__ = [
+    "OutputKind",
+    "Place",
+    "Scene",
+    "SceneOutput",
+    "ScenePass",
+    "SceneSource",
+    "kind_of",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +116,41 @@ class ScenePass:
     place: Place
 
 
+class OutputKind(StrEnum):
+    """What a file holds."""
+
+    USD = "usd"
+    CLIP = "clip"
+    BVH = "bvh"
+
+
+def kind_of(path: Path) -> OutputKind:
+    """Return what a file of a name holds; USD where it is not known.
+
+    >>> kind_of(Path("shot.clip.yaml")).value, kind_of(Path("shot.usdc")).value
+    ('clip', 'usd')
+    """
+    suffix = path.suffix.lower()
+    if suffix in {".yaml", ".yml"}:
+        return OutputKind.CLIP
+    return OutputKind.BVH if suffix == ".bvh" else OutputKind.USD
+
+
+@dataclass(frozen=True, slots=True)
+class SceneOutput:
+    """One output of a scene.
+
+    Attributes:
+        path: The file to write; None where it names none.
+        bake: Options that it sets, those of the whole scene among them.
+        place: Of the entry.
+    """
+
+    path: Path | None
+    bake: BakeOptions
+    place: Place
+
+
 @dataclass(frozen=True, slots=True)
 class Scene:
     """What a scene file says.
@@ -115,8 +159,7 @@ class Scene:
         path: The file.
         sources: What is read, at least one; the first has the rig and the frames.
         passes: What to do to it, in order.
-        output: The file to write; None where it names none.
-        bake: Options of the bake that it sets.
+        outputs: What to write, at least one.
         rig: Of clips, and of several sources the one that all move; None is that of
             the first.
         variables: Names of the variables that it uses or gives a value.
@@ -125,10 +168,19 @@ class Scene:
     path: Path
     sources: tuple[SceneSource, ...]
     passes: tuple[ScenePass, ...]
-    output: Path | None
-    bake: BakeOptions
+    outputs: tuple[SceneOutput, ...]
     rig: Path | None = None
     variables: frozenset[str] = frozenset()
+
+    @property
+    def output(self) -> Path | None:
+        """The file of the first output; None where it names none."""
+        return self.outputs[0].path
+
+    @property
+    def bake(self) -> BakeOptions:
+        """Options of the first output."""
+        return self.outputs[0].bake
 
     @property
     def inputs(self) -> list[Path]:

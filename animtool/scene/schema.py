@@ -13,7 +13,7 @@ from pydantic import Discriminator, Field, Tag
 from animtool.documents.check import FileModel
 from animtool.documents.ignore import IgnoreModel
 
-__all__ = ["SceneModel", "SourceModel"]
+__all__ = ["OutputModel", "SceneModel", "SourceModel"]
 
 
 class TracksModel(FileModel):
@@ -89,7 +89,7 @@ class SourceModel(FileModel):
     )
 
 
-def _source_kind(value: Any) -> str:
+def _one_or_several(value: Any) -> str:
     return "several" if isinstance(value, list) else "one"
 
 
@@ -98,7 +98,8 @@ class OutputModel(FileModel):
 
     file: str | None = Field(
         default=None,
-        description="The USD file to write. Not given: beside the source.",
+        description="What to write: USD, a `.clip.yaml` of keys or a `.bvh`. Not "
+        "given: USD beside the source.",
         examples=["shot.usdc"],
     )
     form: Literal["stage", "split", "layer"] | None = Field(
@@ -143,7 +144,7 @@ class OutputModel(FileModel):
     reduce: str | None = Field(
         default=None,
         description="Leave out samples that the others give back within this length. "
-        "Not given: all stay.",
+        "Not given: all stay; of keys: 0.5mm.",
         examples=["0.5mm"],
     )
     reduce_at: dict[str, str] = Field(
@@ -209,7 +210,7 @@ class SceneModel(FileModel):
     source: Annotated[
         Annotated[SourceModel, Tag("one")]
         | Annotated[list[SourceModel], Len(1), Tag("several")],
-        Discriminator(_source_kind),
+        Discriminator(_one_or_several),
     ] = Field(
         description="What is read; of a list the first is the whole, and the others "
         "put tracks in its place.",
@@ -221,9 +222,14 @@ class SceneModel(FileModel):
         "options.",
         examples=[[{"mirror": {}}, {"trim": {"first": 5, "last": 60}}]],
     )
-    output: OutputModel = Field(
+    output: Annotated[
+        Annotated[OutputModel, Tag("one")]
+        | Annotated[list[OutputModel], Len(1), Tag("several")],
+        Discriminator(_one_or_several),
+    ] = Field(
         default=OutputModel(),
-        description="What is written; options of the command line come first.",
+        description="What is written, or a list of all that is, each with its `file`; "
+        "options of the command line come first.",
         examples=[{"file": "shot.usdc"}],
     )
     ignore: list[IgnoreModel] = Field(

@@ -22,7 +22,8 @@ from animtool.rig.kinematics import WorldTransforms, forward, rest_size
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake import run_bake
 from animtool.scene.options import BakeOptions
-from animtool.scene.plan import Source, plan_bake, source_file
+from animtool.scene.plan import plan_bake
+from animtool.scene.reading import Source, source_file
 from animtool.take import Take
 from animtool.usd.play import played_world
 

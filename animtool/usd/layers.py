@@ -214,7 +214,7 @@ def save_layer(layer: Any, path: Path | None) -> int:
         return len(text.encode())
     with replacing(path) as temporary:
         export_layer(layer, temporary, path)
-    return path.stat().st_size
+        return temporary.stat().st_size
 
 
 def export_layer(layer: Any, temporary: Path, path: Path) -> None:

@@ -175,13 +175,14 @@ SCENES = {
     "a plug-in that is no pass": ("SCN011", "passes: [{number: }]"),
     "a variable of no value": ("SCN030", "fps: ${rate}"),
     "a variable of no name": ("SCN032", "fps: ${}"),
+    "a setting of USD": ("SCN039", "output: {file: a.bvh, bones: true}"),
     "a time code for one source": ("SCN038", "source: {file: walk.bvh, timecode: x}"),
 }
 # Of commands, and of scenes that several files make: their own tests raise these.
 ELSEWHERE = {
     "SCN031",
     *(f"SCN{n:03d}" for n in range(33, 38)),
-    *("SCN103", "SCN104", "SCN105"),
+    *("SCN040", "SCN103", "SCN104", "SCN105"),
 }
 
 

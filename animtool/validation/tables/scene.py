@@ -43,6 +43,8 @@ RULES = (
     Rule("SCN036", "a source that has or brings nothing of the rig"),
     Rule("SCN037", "a track that a source has not"),
     Rule("SCN038", "tracks or time code of the one or the first source"),
+    Rule("SCN039", "a setting that a kind of output, or one of several, has not"),
+    Rule("SCN040", "two outputs that write one file"),
     Rule(
         "SCN101",
         "a loop whose ends differ by more than a fifth of what it moves",

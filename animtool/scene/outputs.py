@@ -1,0 +1,177 @@
+"""The outputs of a scene: its passes are run once, and all is written or nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import TypeAlias
+
+from animtool.errors import AnimtoolError, Fault, OptionError
+from animtool.output import check_outputs, together
+from animtool.scene.bake import BakeReport, run_bake
+from animtool.scene.convert import ConvertReport, convert, convert_outputs
+from animtool.scene.frames import timed_blocks
+from animtool.scene.options import BakeOptions, merged
+from animtool.scene.plan import (
+    BakePlan,
+    TakePlan,
+    check_output,
+    output_files,
+    plan_output,
+    start_of,
+)
+from animtool.scene.reading import shared
+from animtool.scene.scene import OutputKind, Scene, SceneOutput, kind_of
+from animtool.take import Clock, Motion, Take, TakeStream
+
+__all__ = ["OutputReport", "bake_scene", "is_several", "scene_files"]
+
+# What became of one output.
+OutputReport: TypeAlias = BakeReport | ConvertReport
+
+
+def is_several(scene: Scene) -> bool:
+    """Return whether a scene writes several files, or one that is no USD."""
+    return len(scene.outputs) > 1 or _kind(scene.outputs[0]) is not OutputKind.USD
+
+
+def scene_files(scene: Scene, options: BakeOptions) -> list[Path]:
+    """Return every file that the outputs of a scene are."""
+    return [path for output in scene.outputs for path in _files(output, options)]
+
+
+def bake_scene(scene: Scene, options: BakeOptions | None = None) -> list[OutputReport]:
+    """Bake a scene to all the outputs that it names.
+
+    All are checked before anything is read, and none gets its name before all are
+    written.
+
+    Args:
+        scene: Each of its outputs has a file.
+        options: They come before those of the scene, for every output.
+
+    Raises:
+        FormatError: A source is malformed, or a pass cannot be applied.
+        OptionError: An option makes no sense, an output exists, or two are one file
+            (SCN040).
+        OutputError: An output cannot be written.
+        StrictError: There were warnings, and ``strict`` is on.
+    """
+    given = options or BakeOptions()
+    _check(scene, given)
+    streams = shared(scene.open(), len(scene.outputs))
+    plans: list[BakePlan | TakePlan] = [
+        _planned(scene, output, stream, given)
+        for output, stream in zip(scene.outputs, streams, strict=True)
+    ]
+    with together():
+        return [
+            run_bake(plan)
+            if isinstance(plan, BakePlan)
+            else _converted(plan, _path(output))
+            for plan, output in zip(plans, scene.outputs, strict=True)
+        ]
+
+
+def _kind(output: SceneOutput) -> OutputKind:
+    return OutputKind.USD if output.path is None else kind_of(output.path)
+
+
+def _path(output: SceneOutput) -> Path:
+    if output.path is None:
+        message = "an output names no file"
+        raise OptionError(output.place.fault("DOC021", message))
+    return output.path
+
+
+def _files(output: SceneOutput, options: BakeOptions) -> list[Path]:
+    path = _path(output)
+    if _kind(output) is OutputKind.USD:
+        return output_files(path, merged(options, output.bake))
+    return convert_outputs(path)
+
+
+def _check(scene: Scene, options: BakeOptions) -> None:
+    """Refuse outputs that cannot be, all at once."""
+    faults: list[Fault] = []
+    errors: list[AnimtoolError] = []
+    owners: dict[str, SceneOutput] = {}
+    for output in scene.outputs:
+        for path in _files(output, options):
+            # Of names that differ in capitals, some systems make one file.
+            first = owners.setdefault(str(path.resolve()).casefold(), output)
+            if first is not output:
+                message = f"{str(path)!r} is written by {first.place.where} too"
+                faults.append(output.place.fault("SCN040", message, "name another"))
+        try:
+            _check_one(scene, output, options)
+        except AnimtoolError as error:
+            errors.append(error)
+    if errors:
+        faults += [fault for error in errors for fault in error.faults]
+        raise type(errors[0])(faults)
+    if faults:
+        raise OptionError(faults)
+
+
+def _check_one(scene: Scene, output: SceneOutput, options: BakeOptions) -> None:
+    own = merged(options, output.bake)
+    if _kind(output) is OutputKind.USD:
+        check_output(_path(output), own, scene.inputs)
+        return
+    check_outputs(_files(output, options), scene.inputs, overwrite=own.overwrite)
+
+
+def _planned(
+    scene: Scene, output: SceneOutput, stream: TakeStream, given: BakeOptions
+) -> BakePlan | TakePlan:
+    options = merged(given, output.bake)
+    if _kind(output) is OutputKind.USD:
+        return plan_output([scene.path], [stream], _path(output), options, [])
+    return TakePlan(
+        scene.path,
+        "",
+        stream,
+        None,
+        options,
+        options.fps or stream.fps,
+        start_of(options, None, stream, scene.path),
+        [],
+    )
+
+
+def _converted(plan: TakePlan, path: Path) -> ConvertReport:
+    """Write a take as keys or as a BVH, on the output's own clock."""
+    options = plan.options
+    take = _on_clock(plan)
+    stream = replace(
+        TakeStream.of(take),
+        notices=[*plan.stream.notices, *plan.notices],
+        details=plan.stream.details,
+    )
+    is_clip = kind_of(path) is OutputKind.CLIP
+    return convert(
+        plan.source,
+        path,
+        overwrite=options.overwrite,
+        strict=options.strict,
+        reduce=options.reduce if is_clip else None,
+        reduce_at=options.reduce_at if is_clip else (),
+        opener=lambda *_, **__: stream,
+    )
+
+
+def _on_clock(plan: TakePlan) -> Take:
+    """Return a take at the rate, in the range and at the time codes of an output."""
+    options = plan.options
+    plain = BakeOptions(fps=options.fps, frame_range=options.frame_range)
+    timed, frames, rig = timed_blocks(replace(plan, options=plain), plan.stream)
+    motions: Sequence[Motion] = [motion for _, motion in timed]
+    motion = Motion.concatenate(list(motions))
+    step = plan.stream.step * plan.fps / plan.stream.fps
+    if frames is not None:
+        step = Fraction(1 if options.frame_range is None else options.frame_range.step)
+    first = plan.start if frames is None else frames[0]
+    return Take(rig, Clock(plan.fps, first, step, motion.frames), motion)

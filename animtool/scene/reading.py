@@ -1,0 +1,146 @@
+"""The sources of a bake: which files they are, and all of them opened."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeAlias
+
+from animtool.errors import AnimtoolError, Fault, Severity
+from animtool.scene.options import BakeOptions, merged
+from animtool.scene.scene import Scene
+from animtool.scene.sources import (
+    Opener,
+    Progress,
+    fitting_options,
+    is_scene,
+    open_source,
+)
+from animtool.take import Channel, Motion, TakeStream
+
+__all__ = ["Reading", "Source", "found_sources", "shared", "source_file"]
+
+Source: TypeAlias = "Path | str | Scene"
+
+
+def source_file(source: Source) -> Path:
+    """Return the file that a source is read from."""
+    return Path(source) if isinstance(source, Path | str) else source.path
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What is to be read.
+
+    Attributes:
+        files: Of the sources, in order.
+        scenes: What those say that are scenes.
+    """
+
+    files: list[Path]
+    scenes: dict[Path, Scene]
+
+    @property
+    def inputs(self) -> list[Path]:
+        """Every file that is named to be read."""
+        named = [path for scene in self.scenes.values() for path in scene.inputs]
+        return [*self.files, *named]
+
+    def options(self, given: BakeOptions) -> tuple[BakeOptions, list[Fault]]:
+        """Return options with those of the one scene, and what is not used of several.
+
+        The given ones come first.
+        """
+        if len(self.files) == 1:
+            scenes = list(self.scenes.values())
+            return (merged(given, scenes[0].bake) if scenes else given), []
+        return given, _unused(self.scenes)
+
+    def open(
+        self,
+        options: BakeOptions,
+        progress: Progress = None,
+        opener: Opener = open_source,
+    ) -> list[TakeStream]:
+        """Return every source, opened; what is wrong with them is said at once.
+
+        Args:
+            options: Of the bake.
+            progress: Called with the share done, 0 to 1.
+            opener: Called as `open_source` for each source that is no scene.
+        """
+        streams: list[TakeStream] = []
+        errors: list[AnimtoolError] = []
+        for i, path in enumerate(self.files):
+            try:
+                if path in self.scenes:
+                    streams.append(self.scenes[path].open())
+                    continue
+                own = fitting_options(options.source, path, self.files)
+                shown = _share(progress, i, len(self.files))
+                streams.append(opener(path, own, progress=shown))
+            except AnimtoolError as error:
+                errors.append(error)
+        if len(errors) == 1:
+            raise errors[0]
+        if errors:
+            raise type(errors[0])([fault for e in errors for fault in e.faults])
+        return streams
+
+
+def found_sources(given: Sequence[Source]) -> Reading:
+    """Return the files of sources, those loaded that are scenes.
+
+    Raises:
+        FormatError: A scene is malformed.
+    """
+    files: list[Path] = []
+    scenes: dict[Path, Scene] = {}
+    for source in given:
+        path = source_file(source)
+        files.append(path)
+        if isinstance(source, Scene):
+            scenes[path] = source
+        elif is_scene(path):
+            from animtool.scene.file import load_scene
+
+            scenes[path] = load_scene(path)
+    return Reading(files, scenes)
+
+
+def _unused(scenes: dict[Path, Scene]) -> list[Fault]:
+    """Say so where a take of a library is a scene that states how to bake it."""
+    message = "the scene's fps, range and output are for it alone, and not used here"
+    hint = "the options of the command are for the whole library"
+    return [
+        Fault("CLI103", message, str(path), (), hint, Severity.WARNING)
+        for path, scene in scenes.items()
+        if scene.bake != BakeOptions()
+    ]
+
+
+def _share(progress: Progress, i: int, count: int) -> Progress:
+    """Return what shows the progress of one of several as that of all."""
+    if progress is None or count == 1:
+        return progress
+    shown = progress
+    return lambda share: shown((i + share) / count)
+
+
+def shared(stream: TakeStream, count: int) -> list[TakeStream]:
+    """Return streams of one take for several readers.
+
+    It is gathered once, when the first is read; one reader has the stream itself.
+    """
+    if count == 1:
+        return [stream]
+    held: list[Motion] = []
+
+    def blocks() -> Iterator[Motion]:
+        if not held:
+            whole = Motion.concatenate(list(stream.blocks))
+            held.append(whole.map(Channel.compact))
+        yield held[0]
+
+    return [replace(stream, blocks=blocks()) for _ in range(count)]
