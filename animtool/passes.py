@@ -202,7 +202,8 @@ def apply_pass(
     """
     if pass_.scope is not Scope.CLIP:
         done = cast(StreamRun, pass_.run)(stream, options, context)
-        return replace(done, control_curves={})
+        # What the source was between its frames, the result is no more.
+        return replace(done, control_curves={}, curve=None, count=0)
     before = stream.collect()
     take = cast(ClipRun, pass_.run)(before, options, context)
     kept = _untouched(before, take) if stream.control_curves else set()

@@ -303,3 +303,25 @@ def test_a_file_that_a_variable_names_may_be_anywhere(
     outside = {"input": "../" + away.parent.name + "/far.bvh"}
     with pytest.raises(FormatError, match="SCN004"):
         load_scene(shot, outside)
+
+
+def test_a_pass_over_a_clip_is_not_lost_at_another_rate(tmp_path: Path) -> None:
+    (tmp_path / "one.rig.yaml").write_text(
+        "rig: animtool/1\nname: one\njoints: [{name: hips, type: free}]\n", "utf-8"
+    )
+    (tmp_path / "slide.clip.yaml").write_text(
+        "clip: animtool/1\nrig: one.rig.yaml\nfps: 24\nchannels:\n"
+        "- {target: joint/hips.translation,\n"
+        "   keys: [{t: 1, v: [0, 0, 0]}, {t: 25, v: [0, 0, 24]}]}\n",
+        "utf-8",
+    )
+    scene = tmp_path / "shot.scene.yaml"
+    scene.write_text(
+        "scene: animtool/1\nfps: 48\nsource: {file: slide.clip.yaml}\n"
+        "passes: [{trim: {first: 5, last: 9}}]\n",
+        "utf-8",
+    )
+    bake(scene, tmp_path / "shot.usda")
+    take = open_source(tmp_path / "shot.usda").collect()
+    moved = take.motion.translations.dense()[:, 0, 2]
+    np.testing.assert_allclose(moved, np.arange(4, 8.5, 0.5), atol=1e-6)
