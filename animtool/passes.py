@@ -119,6 +119,8 @@ class Pass:
             and the context, and returns the same kind.
         checks: Takes the options and returns what can be checked of them before
             there is a take.
+        settles: It begins from a state of its own and needs the pre-roll of a shot to
+            come to the take; it keeps the frames that it is given.
     """
 
     name: str
@@ -127,6 +129,7 @@ class Pass:
     scope: Scope
     run: ClipRun | StreamRun
     checks: Callable[[Any], OptionChecks] = _no_checks
+    settles: bool = False
 
 
 def find_pass(name: str) -> Pass:

@@ -19,7 +19,8 @@ from animtool.edit.resample import FrameRange
 from animtool.errors import AnimtoolError, OptionError
 from animtool.passes import Pass, find_pass
 from animtool.rates import parse_rate
-from animtool.scene.options import BakeOptions
+from animtool.scene.options import BakeOptions, parse_offsets
+from animtool.scene.preroll import Preroll
 from animtool.scene.scene import (
     OutputKind,
     Place,
@@ -95,6 +96,17 @@ class _SceneReader:
             tuple(passes),
             self._outputs(),
             rig,
+            self._preroll(),
+        )
+
+    def _preroll(self) -> Preroll | None:
+        shot = self.model.shot
+        if shot is None or not shot.preroll:
+            return None
+        return Preroll(
+            None if shot.start is None else Fraction(shot.start),
+            shot.cut[0] - shot.handles - shot.preroll,
+            self._rate(("fps",), self.model.fps),
         )
 
     def _outputs(self) -> tuple[SceneOutput, ...]:
@@ -126,14 +138,19 @@ class _SceneReader:
         path = None if model.file is None else self._file((*at, "file"), model.file)
         if path is not None and kind_of(path) is not OutputKind.USD:
             self._check_kind(at, model, kind_of(path))
-        layer = model.rig_layer
+        layer, shot = model.rig_layer, self.model.shot
+        start = model.start
+        if start is None and shot is not None:
+            start = shot.start
         bake = BakeOptions(
             form=model.form,
             rig_layer=None if layer is None else self._input((*at, "rig_layer"), layer),
             prim_path=model.prim_path,
             fps=fps,
             frame_range=frames,
-            start=None if model.start is None else Fraction(model.start),
+            cut=None if shot is None else (shot.cut[0], shot.cut[1]),
+            start=None if start is None else Fraction(start),
+            samples=self._samples((*at, "samples"), model.samples),
             sparse=model.sparse,
             bones=model.bones,
             keep_curves=model.keep_curves,
@@ -162,13 +179,30 @@ class _SceneReader:
             self.document.add("SCN039", (*at, key), message, hint)
 
     def _frames(self) -> FrameRange | None:
-        if self.model.range is None:
+        """Return the frames to write: a range, or the cut with its handles."""
+        shot = self.model.shot
+        at: Location = ("range",) if shot is None else ("shot", "cut")
+        ends = self.model.range if shot is None else shot.cut
+        if shot is not None and self.model.range is not None:
+            message = "the cut of the shot says which frames to write"
+            self.document.add("SCN041", ("range",), message, "leave range or shot out")
+        if ends is None:
             return None
-        first, last = self.model.range
+        first, last = ends
         if first > last:
-            message = f"the range from {first} to {last} is reversed"
-            self.document.add("SCN003", ("range",), message, f"write [{last}, {first}]")
-        return FrameRange(first, last)
+            message = f"the {at[-1]} from {first} to {last} is reversed"
+            self.document.add("SCN003", at, message, f"write [{last}, {first}]")
+        handles = 0 if shot is None else shot.handles
+        return FrameRange(first - handles, last + handles)
+
+    def _samples(self, at: Location, given: list[float]) -> tuple[Fraction, ...]:
+        if not given:
+            return ()
+        try:
+            return parse_offsets(",".join(map(repr, given)))
+        except ValueError as error:
+            self.document.add("SCN003", at, str(error))
+            return ()
 
     def _sources(self, rig: Path | None) -> tuple[SceneSource, ...]:
         given = self.model.source

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray
 from animtool.edit.resample import FrameRange, SampleTimes, plan_samples, sample
-from animtool.errors import Fault, Severity
+from animtool.errors import Fault, OptionError, Severity
 from animtool.rig.skeleton import Rig
 from animtool.scene.plan import TakePlan
 from animtool.take import Clock, Motion, Take, TakeStream, time_codes
@@ -91,9 +91,17 @@ def _streamed(
 
 
 def _cut_notice(plan: TakePlan, times: SampleTimes) -> list[Fault]:
-    """Say so where a range reaches beyond the take."""
+    """Say so where a range reaches beyond the take.
+
+    Raises:
+        OptionError: A frame of the cut is not there (SCN042).
+    """
     wanted = plan.options.frame_range
-    if wanted is None or plan.options.keep_samples:
+    if wanted is None:
+        return []
+    if plan.options.cut is not None:
+        return _lacking(plan, wanted, plan.options.cut, times)
+    if plan.options.keep_samples:
         return []
     last = wanted.last - (wanted.last - wanted.first) % wanted.step
     if times.first == wanted.first and times.last == last:
@@ -103,6 +111,48 @@ def _cut_notice(plan: TakePlan, times: SampleTimes) -> list[Fault]:
         f"{float(times.first):g} to {float(times.last):g} are written"
     )
     return [Fault("CLI101", message, str(plan.source), severity=Severity.WARNING)]
+
+
+def _lacking(
+    plan: TakePlan, wanted: FrameRange, cut: tuple[int, int], times: SampleTimes
+) -> list[Fault]:
+    """Name the handle frames that a take lacks.
+
+    Raises:
+        OptionError: A frame of the cut is not there (SCN042).
+    """
+    asked = range(wanted.first, wanted.last + 1, wanted.step)
+    missing = [frame for frame in asked if not times.first <= frame <= times.last]
+    where = str(plan.source)
+    inside = [frame for frame in missing if cut[0] <= frame <= cut[1]]
+    if inside:
+        message = f"the take has no frame {_spans(inside, wanted.step)} of the cut "
+        message += f"{cut[0]} to {cut[1]}"
+        hint = (
+            f"it has {float(times.first):g} to {float(times.last):g} of what is asked"
+        )
+        raise OptionError(Fault("SCN042", message, where, (), hint, where="shot.cut"))
+    if not missing:
+        return []
+    message = f"the take has no handle frame {_spans(missing, wanted.step)}"
+    warning = Severity.WARNING
+    return [Fault("SCN106", message, where, (), None, warning, where="shot.handles")]
+
+
+def _spans(frames: list[int], step: int) -> str:
+    """Return frames as people read them.
+
+    >>> _spans([1, 2, 3, 9, 11, 12], 1)
+    '1 to 3, 9, 11 to 12'
+    """
+    spans: list[list[int]] = []
+    for frame in frames:
+        if spans and frame == spans[-1][-1] + step:
+            spans[-1].append(frame)
+        else:
+            spans.append([frame])
+    ends = [dict.fromkeys((span[0], span[-1])) for span in spans]
+    return ", ".join(" to ".join(map(str, one)) for one in ends)
 
 
 def _with_rest(plan: TakePlan, take: Take, frame: int) -> Rig:

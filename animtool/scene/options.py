@@ -41,6 +41,8 @@ class BakeOptions:
         fps: Frames a second of the output; a number or text such as ``23.976``
             becomes a fraction. None is the rig layer's or the source's.
         frame_range: Frames to write.
+        cut: First and last frame of a cut: these must be there, others of the range
+            are handles. None is no cut.
         start: Time code of the first frame; None is the rig layer's, the
             project's, or 1.
         samples: Sub-frame samples around each frame, in frames.
@@ -74,6 +76,7 @@ class BakeOptions:
     rest_frame: int | None = None
     fps: Fraction | None = None
     frame_range: FrameRange | None = None
+    cut: tuple[int, int] | None = None
     start: Fraction | None = None
     samples: tuple[Fraction, ...] = ()
     keep_samples: bool = False
@@ -141,7 +144,7 @@ def parse_offsets(text: str) -> tuple[Fraction, ...]:
     >>> parse_offsets("-.25,0,.25")
     (Fraction(-1, 4), Fraction(0, 1), Fraction(1, 4))
     """
-    offsets = []
+    offsets: list[Fraction] = []
     for part in text.split(","):
         try:
             offset = Fraction(part.strip())

@@ -166,7 +166,9 @@ def _converted(plan: TakePlan, path: Path) -> ConvertReport:
 def _on_clock(plan: TakePlan) -> Take:
     """Return a take at the rate, in the range and at the time codes of an output."""
     options = plan.options
-    plain = BakeOptions(fps=options.fps, frame_range=options.frame_range)
+    plain = BakeOptions(
+        fps=options.fps, frame_range=options.frame_range, cut=options.cut
+    )
     timed, frames, rig = timed_blocks(replace(plan, options=plain), plan.stream)
     motions: Sequence[Motion] = [motion for _, motion in timed]
     motion = Motion.concatenate(list(motions))

@@ -14,6 +14,7 @@ from animtool.errors import AnimtoolError, Fault, FormatError, OptionError, Seve
 from animtool.passes import Pass, PassContext, apply_pass
 from animtool.scene.convert_rig import open_rig
 from animtool.scene.options import BakeOptions
+from animtool.scene.preroll import Preroll, begun_early, without_first
 from animtool.scene.sources import SourceOptions, open_source, takes_option
 from animtool.scene.tracks import TrackNames
 from animtool.take import Motion, Take, TakeStream
@@ -162,6 +163,8 @@ class Scene:
         outputs: What to write, at least one.
         rig: Of clips, and of several sources the one that all move; None is that of
             the first.
+        preroll: How early passes with a state of their own begin; None is with the
+            take.
         variables: Names of the variables that it uses or gives a value.
     """
 
@@ -170,6 +173,7 @@ class Scene:
     passes: tuple[ScenePass, ...]
     outputs: tuple[SceneOutput, ...]
     rig: Path | None = None
+    preroll: Preroll | None = None
     variables: frozenset[str] = frozenset()
 
     @property
@@ -206,11 +210,24 @@ class Scene:
         for entry in self.passes:
             notices, details = stream.notices, stream.details
             with entry.place.blamed():
-                stream = apply_pass(stream, entry.pass_, entry.options, context)
+                stream = self._apply(entry, stream, context)
             blocks = _read(entry.place, stream.blocks)
             stream = replace(stream, notices=notices, details=details, blocks=blocks)
         stream.notices += context.notices
         return stream
+
+    def _apply(
+        self, entry: ScenePass, stream: TakeStream, context: PassContext
+    ) -> TakeStream:
+        """Return a take with a pass applied, which begins early where it needs to."""
+        early = 0
+        if entry.pass_.settles and self.preroll is not None:
+            early = self.preroll.frames(stream)
+        if not early:
+            return apply_pass(stream, entry.pass_, entry.options, context)
+        led = begun_early(stream, early)
+        done = apply_pass(led, entry.pass_, entry.options, context)
+        return without_first(done, early, stream.start)
 
     def _sources(self) -> TakeStream:
         """Return the sources as one."""

@@ -93,6 +93,33 @@ def _one_or_several(value: Any) -> str:
     return "several" if isinstance(value, list) else "one"
 
 
+class ShotModel(FileModel):
+    """Where a scene stands in a shot; frames are those of the output."""
+
+    start: float | None = Field(
+        default=None,
+        description="Time code of the first frame of the take. Not given: as for an "
+        "output without `start`.",
+        examples=[1001],
+    )
+    cut: Annotated[list[int], Len(2, 2)] = Field(
+        description="First and last frame of the cut: these must be there.",
+        examples=[[1009, 1090]],
+    )
+    handles: Annotated[int, Ge(0)] = Field(
+        default=0,
+        description="Frames to write before and behind the cut; those that are missing "
+        "are named.",
+        examples=[8],
+    )
+    preroll: Annotated[int, Ge(0)] = Field(
+        default=0,
+        description="Frames before the handles that passes with a state of their own "
+        "begin in; they are not written.",
+        examples=[20],
+    )
+
+
 class OutputModel(FileModel):
     """What to write; the command line's own options come first."""
 
@@ -125,6 +152,12 @@ class OutputModel(FileModel):
         description="Time code of the first frame. Not given: the rig layer's, the "
         "source's, the project's, or 1.",
         examples=[1001],
+    )
+    samples: list[float] = Field(
+        default=[],
+        description="Samples around each frame, in frames, for motion blur. Not given: "
+        "one on the frame.",
+        examples=[[-0.25, 0, 0.25]],
     )
     sparse: bool = Field(
         default=False,
@@ -206,6 +239,11 @@ class SceneModel(FileModel):
         description="First and last frame to write, as the output numbers them. Not "
         "given: all.",
         examples=[[1001, 1040]],
+    )
+    shot: ShotModel | None = Field(
+        default=None,
+        description="The cut, its handles and pre-roll, in place of `range`.",
+        examples=[{"start": 1001, "cut": [1009, 1090], "handles": 8}],
     )
     source: Annotated[
         Annotated[SourceModel, Tag("one")]

@@ -175,6 +175,7 @@ SCENES = {
     "a plug-in that is no pass": ("SCN011", "passes: [{number: }]"),
     "a variable of no value": ("SCN030", "fps: ${rate}"),
     "a variable of no name": ("SCN032", "fps: ${}"),
+    "a range beside a shot": ("SCN041", "range: [1, 9]\nshot: {cut: [1, 9]}"),
     "a setting of USD": ("SCN039", "output: {file: a.bvh, bones: true}"),
     "a time code for one source": ("SCN038", "source: {file: walk.bvh, timecode: x}"),
 }
@@ -182,7 +183,7 @@ SCENES = {
 ELSEWHERE = {
     "SCN031",
     *(f"SCN{n:03d}" for n in range(33, 38)),
-    *("SCN040", "SCN103", "SCN104", "SCN105"),
+    *("SCN040", "SCN042", "SCN103", "SCN104", "SCN105", "SCN106"),
 }
 
 

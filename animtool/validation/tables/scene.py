@@ -45,6 +45,8 @@ RULES = (
     Rule("SCN038", "tracks or time code of the one or the first source"),
     Rule("SCN039", "a setting that a kind of output, or one of several, has not"),
     Rule("SCN040", "two outputs that write one file"),
+    Rule("SCN041", "a range beside a shot"),
+    Rule("SCN042", "a frame of the cut that the take has not"),
     Rule(
         "SCN101",
         "a loop whose ends differ by more than a fifth of what it moves",
@@ -54,4 +56,5 @@ RULES = (
     Rule("SCN103", "frames that a source lacks, held", Severity.WARNING),
     Rule("SCN104", "frames of a source that are left out", Severity.NOTE),
     Rule("SCN105", "tracks that two sources bring", Severity.WARNING),
+    Rule("SCN106", "handle frames that the take has not", Severity.WARNING),
 )

@@ -1,0 +1,80 @@
+"""Frames before a take, for passes that begin from a state of their own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from fractions import Fraction
+
+import numpy as np
+
+from animtool.take import Motion, TakeStream
+
+__all__ = ["Preroll", "begun_early", "without_first"]
+
+
+@dataclass(frozen=True, slots=True)
+class Preroll:
+    """How early passes are to begin, in frames of the output.
+
+    Attributes:
+        start: Of the take's first frame; None is what its source says, or 1.
+        first: Frame at which they begin.
+        fps: Frames a second of the output; None is the take's rate.
+    """
+
+    start: Fraction | None
+    first: int
+    fps: Fraction | None
+
+    def frames(self, stream: TakeStream) -> int:
+        """Return how many frames a take has too few before its first."""
+        start = self.start if self.start is not None else stream.start
+        lacking = (Fraction(1) if start is None else start) - self.first
+        rate = stream.fps / stream.step
+        return max(0, math.ceil(lacking * rate / (self.fps or stream.fps)))
+
+
+def begun_early(stream: TakeStream, count: int) -> TakeStream:
+    """Return a take with frames before its first that hold it.
+
+    The take's own frames keep their time codes.
+    """
+    given = stream.blocks
+    start = Fraction(1) if stream.start is None else stream.start
+
+    def blocks() -> Iterator[Motion]:
+        for i, block in enumerate(given):
+            if not i:
+                yield block.select(np.zeros(count, np.int64))
+            yield block
+
+    return replace(
+        stream,
+        start=start - count * stream.step,
+        blocks=blocks(),
+        curve=None,
+        count=0,
+        control_curves={},
+    )
+
+
+def without_first(stream: TakeStream, count: int, start: Fraction | None) -> TakeStream:
+    """Return a take without its first frames.
+
+    Args:
+        stream: The take.
+        count: How many frames to leave out.
+        start: Time code of the first that stays; None states none.
+    """
+    given = stream.blocks
+
+    def blocks() -> Iterator[Motion]:
+        left = count
+        for block in given:
+            if left < block.frames:
+                yield block.select(slice(left, None))
+            left = max(0, left - block.frames)
+
+    return replace(stream, start=start, blocks=blocks())

@@ -1,0 +1,185 @@
+"""A scene in a shot: its cut, handles, pre-roll and samples for motion blur."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.cli import animtool
+
+from animtool import open_source
+from animtool.errors import FormatError
+from animtool.passes import PASSES, Pass, PassContext, Scope
+from animtool.scene.file import load_scene
+from animtool.scene.preroll import Preroll, begun_early, without_first
+from animtool.take import Motion, Take, TakeStream
+
+SCENE = """scene: animtool/1
+source: {file: walk.bvh, units: cm}
+shot: {start: 1001, cut: [1009, 1050], handles: 8, preroll: 20}
+output: {file: shot.usda}
+"""
+
+
+@pytest.fixture
+def shot(walk: Path, tmp_path: Path) -> Path:
+    shutil.copy(walk, tmp_path / "walk.bvh")
+    path = tmp_path / "shot.scene.yaml"
+    path.write_text(SCENE, "utf-8")
+    return path
+
+
+def test_the_cut_is_written_with_its_handles(shot: Path) -> None:
+    done = animtool("bake", shot, "--strict")
+    assert done.code == 0, done.stderr
+    text = (shot.parent / "shot.usda").read_text("utf-8")
+    assert "startTimeCode = 1001\n" in text
+    assert "endTimeCode = 1058\n" in text
+    ours = open_source(shot.parent / "shot.usda").collect()
+    source = open_source(shot.parent / "walk.bvh").collect()
+    apart = ours.world().positions - source.world().positions[:58]
+    assert np.abs(apart).max() < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("cut", "named"),
+    [
+        ("[1004, 1050]", "996 to 1000"),
+        ("[1009, 1060]", "1065 to 1068"),
+        ("[1001, 1064]", "993 to 1000, 1065 to 1072"),
+    ],
+)
+def test_handles_that_are_missing_are_named(shot: Path, cut: str, named: str) -> None:
+    shot.write_text(SCENE.replace("[1009, 1050]", cut), "utf-8")
+    done = animtool("bake", shot)
+    assert done.code == 0, done.stderr
+    assert f"SCN106 shot.handles: the take has no handle frame {named}\n" in done.stderr
+    done = animtool("bake", shot, "--strict", "--overwrite")
+    assert done.code == 1
+
+
+@pytest.mark.parametrize("cut", ["[1000, 1050]", "[1009, 1065]", "[1030, 1070]"])
+def test_a_cut_that_is_missing_is_refused(shot: Path, cut: str) -> None:
+    shot.write_text(SCENE.replace("[1009, 1050]", cut), "utf-8")
+    done = animtool("bake", shot)
+    assert done.code == 2
+    assert "SCN042 shot.cut" in done.stderr
+    assert not (shot.parent / "shot.usda").exists()
+
+
+def test_the_command_line_writes_other_frames(shot: Path) -> None:
+    done = animtool("bake", shot, "--range", "1010-1012", "--strict")
+    assert done.code == 0, done.stderr
+    text = (shot.parent / "shot.usda").read_text("utf-8")
+    assert "startTimeCode = 1010\n" in text
+
+
+def test_samples_for_motion_blur(shot: Path) -> None:
+    text = SCENE.replace("shot.usda", "shot.usda, samples: [-0.25, 0, 0.25]")
+    shot.write_text(text, "utf-8")
+    done = animtool("bake", shot)
+    assert done.code == 0, done.stderr
+    assert "174 samples" in done.stderr
+    assert "1008.75: " in (shot.parent / "shot.usda").read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "code", "line"),
+    [
+        ("[1009, 1050]", "[1050, 1009]", "SCN003", 3),
+        ("[1009, 1050]", "[1009]", "DOC022", 3),
+        ("cut: [1009, 1050], ", "", "DOC021", 3),
+        ("handles: 8", "handles: -1", "DOC022", 3),
+        ("shot.usda", "shot.usda, samples: [0.5, -0.5]", "SCN003", 4),
+        ("shot.usda", "shot.usda, samples: [2]", "SCN003", 4),
+        ("output", "range: [1, 9]\noutput", "SCN041", 4),
+    ],
+)
+def test_each_fault_has_its_line(
+    shot: Path, old: str, new: str, code: str, line: int
+) -> None:
+    shot.write_text(SCENE.replace(old, new), "utf-8")
+    with pytest.raises(FormatError) as caught:
+        load_scene(shot)
+    assert [(f.code, f.lines[0]) for f in caught.value.faults] == [(code, line)]
+
+
+@dataclass(frozen=True, slots=True)
+class FallOptions:
+    """Nothing to say."""
+
+
+SEEN: list[tuple[float, int]] = []
+
+
+def fall(stream: TakeStream, _: FallOptions, __: PassContext) -> TakeStream:
+    """Let the roots rise by a centimetre a frame from the first frame on."""
+
+    def blocks() -> Iterator[Motion]:
+        done = 0
+        for block in stream.blocks:
+            values = block.translations.values.copy()
+            values[:, 0, 1] += 0.01 * (done + np.arange(block.frames))
+            channel = replace(block.translations, values=values)
+            done += block.frames
+            yield replace(block, translations=channel)
+        SEEN.append((float(stream.start or 1), done))
+
+    return replace(stream, blocks=blocks())
+
+
+SETTLING = Pass("fall", "Fall", FallOptions, Scope.FRAME, fall, settles=True)
+
+
+def fallen(take: Take, _: FallOptions, context: PassContext) -> Take:
+    return fall(TakeStream.of(take), FallOptions(), context).collect()
+
+
+WHOLE = Pass("fall", "Fall", FallOptions, Scope.CLIP, fallen, settles=True)
+
+
+@pytest.mark.parametrize("name", ["SETTLING", "WHOLE"])
+def test_passes_with_a_state_begin_in_the_preroll(
+    shot: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.setitem(PASSES, "fall", f"{__name__}:{name}")
+    text = SCENE.replace("output", "passes: [{trim: {first: 3}}, {fall: }]\noutput")
+    shot.write_text(text, "utf-8")
+    SEEN.clear()
+    take = load_scene(shot).open().collect()
+    # The take begins at 1001, and handles and pre-roll at 981.
+    assert SEEN == [(3 - 20, 62 + 20)]
+    assert (take.clock.start, take.clock.count) == (3, 62)
+    source = open_source(shot.parent / "walk.bvh").collect().motion.translations
+    risen = take.motion.translations.dense()[:, 0, 1] - source.dense()[2:, 0, 1]
+    np.testing.assert_allclose(risen, 0.01 * (20 + np.arange(62)), atol=1e-9)
+
+
+def test_no_preroll_where_the_take_has_its_frames(
+    shot: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(PASSES, "fall", f"{__name__}:SETTLING")
+    text = SCENE.replace("[1009, 1050]", "[1040, 1050]")
+    shot.write_text(text.replace("output", "passes: [{fall: }]\noutput"), "utf-8")
+    SEEN.clear()
+    load_scene(shot).open().collect()
+    assert SEEN == [(1, 64)]
+
+
+def test_preroll_at_another_rate(walk: Path) -> None:
+    stream = open_source(walk)
+    assert stream.fps == 30
+    wanted = Preroll(Fraction(1001), 996, Fraction(24))
+    assert wanted.frames(stream) == 7  # 5 frames of 24 a second
+    early = begun_early(open_source(walk), 7)
+    assert early.start == -6
+    again = without_first(early, 7, None).collect()
+    whole = open_source(walk).collect()
+    np.testing.assert_array_equal(
+        again.motion.rotations.dense(), whole.motion.rotations.dense()
+    )
