@@ -19,6 +19,8 @@ from animtool.plugins import load_object, load_plugin, plugin_points
 from animtool.take import Take, TakeStream
 
 __all__ = [
+    "EVERY_PART",
+    "MOTION_PARTS",
     "PASSES",
     "PLUGIN_GROUP",
     "ClipRun",
@@ -28,6 +30,7 @@ __all__ = [
     "PassContext",
     "Scope",
     "StreamRun",
+    "TakePart",
     "apply_pass",
     "find_pass",
     "listed_passes",
@@ -57,6 +60,21 @@ class Scope(StrEnum):
     FRAME = "frame"
     WINDOW = "window"
     CLIP = "clip"
+
+
+class TakePart(StrEnum):
+    """A part of a take that a pass looks at or changes."""
+
+    RIG = "rig"
+    JOINTS = "joints"
+    SHAPES = "shapes"
+    CONTROLS = "controls"
+    CLOCK = "clock"
+
+
+EVERY_PART = frozenset(TakePart)
+# What moves.
+MOTION_PARTS = frozenset({TakePart.JOINTS, TakePart.SHAPES, TakePart.CONTROLS})
 
 
 def named_take(path: Path | None, option: str = "take") -> Path:
@@ -119,6 +137,9 @@ class Pass:
             and the context, and returns the same kind.
         checks: Takes the options and returns what can be checked of them before
             there is a take.
+        reads: Parts of the take that decide what it does; nothing else shows in it.
+        changes: Parts that it may change; all else stays as it is. What stays does so
+            at the time codes that are left, where the clock is among them.
         settles: It begins from a state of its own and needs the pre-roll of a shot to
             come to the take; it keeps the frames that it is given.
     """
@@ -129,6 +150,8 @@ class Pass:
     scope: Scope
     run: ClipRun | StreamRun
     checks: Callable[[Any], OptionChecks] = _no_checks
+    reads: frozenset[TakePart] = EVERY_PART
+    changes: frozenset[TakePart] = EVERY_PART
     settles: bool = False
 
 

@@ -14,7 +14,14 @@ from animtool.edit.keyed import Interpolation, Weight, weights_at
 from animtool.edit.mix import mix
 from animtool.edit.other_take import other_frames
 from animtool.edit.signs import continuous
-from animtool.passes import OptionChecks, Pass, PassContext, Scope, named_take
+from animtool.passes import (
+    MOTION_PARTS,
+    OptionChecks,
+    Pass,
+    PassContext,
+    Scope,
+    named_take,
+)
 from animtool.take import Channel, Take
 
 __all__ = ["PASS", "BlendOptions", "blend"]
@@ -88,4 +95,12 @@ def _checks(options: BlendOptions) -> OptionChecks:
     }
 
 
-PASS = Pass("blend", "Blend with another take", BlendOptions, Scope.CLIP, _run, _checks)
+PASS = Pass(
+    "blend",
+    "Blend with another take",
+    BlendOptions,
+    Scope.CLIP,
+    _run,
+    _checks,
+    changes=MOTION_PARTS,
+)

@@ -15,7 +15,7 @@ from animtool.edit.frames import frame_index
 from animtool.edit.other_take import other_frames
 from animtool.edit.signs import continuous
 from animtool.errors import Fault, OptionError
-from animtool.passes import Pass, PassContext, Scope
+from animtool.passes import MOTION_PARTS, Pass, PassContext, Scope
 from animtool.rig.skeleton import Rig
 from animtool.take import Channel, Clock, Motion, Take, TakeStream
 
@@ -108,4 +108,11 @@ def _run(
     return _without(stream, _base(base, options.frame))
 
 
-PASS = Pass("difference", "Make an additive take", DifferenceOptions, Scope.FRAME, _run)
+PASS = Pass(
+    "difference",
+    "Make an additive take",
+    DifferenceOptions,
+    Scope.FRAME,
+    _run,
+    changes=MOTION_PARTS,
+)

@@ -20,7 +20,14 @@ from animtool.edit.keyed import Interpolation, Weight, weights_at
 from animtool.edit.mix import mix
 from animtool.edit.other_take import other_frames
 from animtool.edit.signs import continuous
-from animtool.passes import OptionChecks, Pass, PassContext, Scope, named_take
+from animtool.passes import (
+    MOTION_PARTS,
+    OptionChecks,
+    Pass,
+    PassContext,
+    Scope,
+    named_take,
+)
 from animtool.rig.skeleton import Rig
 from animtool.take import Motion, Take, TakeStream, time_codes
 
@@ -153,5 +160,11 @@ def _checks(options: LayerOptions) -> OptionChecks:
 
 
 PASS = Pass(
-    "layer", "Put another take on top", LayerOptions, Scope.FRAME, _run, _checks
+    "layer",
+    "Put another take on top",
+    LayerOptions,
+    Scope.FRAME,
+    _run,
+    _checks,
+    changes=MOTION_PARTS,
 )

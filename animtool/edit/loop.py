@@ -14,7 +14,14 @@ from animtool.edit.signs import continuous
 from animtool.edit.travel import Travel, travel_of
 from animtool.errors import Fault, OptionError, Severity
 from animtool.maths import so3
-from animtool.passes import OptionChecks, Pass, PassContext, Scope
+from animtool.passes import (
+    MOTION_PARTS,
+    OptionChecks,
+    Pass,
+    PassContext,
+    Scope,
+    TakePart,
+)
 from animtool.take import Channel, Motion, Take
 
 __all__ = ["PASS", "LoopOptions", "loop"]
@@ -186,4 +193,12 @@ def _said(cycle: Cycle, *, found: bool) -> list[Fault]:
     return said
 
 
-PASS = Pass("loop", "Make and repeat a cycle", LoopOptions, Scope.CLIP, _run, _checks)
+PASS = Pass(
+    "loop",
+    "Make and repeat a cycle",
+    LoopOptions,
+    Scope.CLIP,
+    _run,
+    _checks,
+    changes=MOTION_PARTS | {TakePart.CLOCK},
+)

@@ -15,7 +15,7 @@ from animtool.edit.choices import chosen
 from animtool.edit.joint_names import joint_index
 from animtool.errors import Fault, OptionError
 from animtool.maths import so3
-from animtool.passes import Pass, PassContext, Scope
+from animtool.passes import EVERY_PART, MOTION_PARTS, Pass, PassContext, Scope, TakePart
 from animtool.rig.skeleton import Rig
 from animtool.take import Channel, Motion, Take, TakeStream
 
@@ -230,4 +230,12 @@ def _seen(channel: Channel, partners: IntArray, look: _Look) -> Channel:
     return Channel(rest, partners[channel.animated][order], values[:, order])
 
 
-PASS = Pass("mirror", "Swap left and right", MirrorOptions, Scope.FRAME, _mirrored)
+PASS = Pass(
+    "mirror",
+    "Swap left and right",
+    MirrorOptions,
+    Scope.FRAME,
+    _mirrored,
+    reads=EVERY_PART - {TakePart.CLOCK},
+    changes=MOTION_PARTS,
+)

@@ -12,7 +12,14 @@ from animtool._types import FloatArray, IntArray
 from animtool.edit.frames import check_count
 from animtool.edit.places import Places, even_places
 from animtool.errors import Fault, OptionError
-from animtool.passes import OptionChecks, Pass, PassContext, Scope
+from animtool.passes import (
+    MOTION_PARTS,
+    OptionChecks,
+    Pass,
+    PassContext,
+    Scope,
+    TakePart,
+)
 from animtool.rates import rate_option
 from animtool.take import MOST_FRAMES, Clock, Motion, Take, time_codes
 
@@ -208,5 +215,12 @@ def _checks(options: ResampleOptions) -> OptionChecks:
 
 
 PASS = Pass(
-    "resample", "Sample at another rate", ResampleOptions, Scope.CLIP, _run, _checks
+    "resample",
+    "Sample at another rate",
+    ResampleOptions,
+    Scope.CLIP,
+    _run,
+    _checks,
+    reads=MOTION_PARTS | {TakePart.CLOCK},
+    changes=MOTION_PARTS | {TakePart.CLOCK},
 )

@@ -21,7 +21,7 @@ from animtool.edit.travel import traveller
 from animtool.edit.tree import Placing, inserted, removed, set_joint
 from animtool.errors import Fault, OptionError
 from animtool.maths import so3
-from animtool.passes import OptionChecks, Pass, PassContext, Scope
+from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
 from animtool.take import Channel, Take
 
 __all__ = ["PASS", "RootMode", "RootMotionOptions", "extract_root", "recompose_root"]
@@ -178,4 +178,6 @@ PASS = Pass(
     Scope.CLIP,
     _run,
     _checks,
+    reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK}),
+    changes=frozenset({TakePart.RIG, TakePart.JOINTS}),
 )

@@ -11,7 +11,14 @@ from animtool.edit.frames import check_count, exact, frame_refusal
 from animtool.edit.places import even_places
 from animtool.edit.signs import continuous
 from animtool.errors import Fault, OptionError
-from animtool.passes import OptionChecks, Pass, PassContext, Scope
+from animtool.passes import (
+    MOTION_PARTS,
+    OptionChecks,
+    Pass,
+    PassContext,
+    Scope,
+    TakePart,
+)
 from animtool.take import Channel, Take
 
 __all__ = ["PASS", "TimeScaleOptions", "time_scale"]
@@ -77,5 +84,12 @@ def _run(take: Take, options: TimeScaleOptions, _: PassContext) -> Take:
 
 
 PASS = Pass(
-    "time_scale", "Play at another speed", TimeScaleOptions, Scope.CLIP, _run, _checks
+    "time_scale",
+    "Play at another speed",
+    TimeScaleOptions,
+    Scope.CLIP,
+    _run,
+    _checks,
+    reads=MOTION_PARTS | {TakePart.CLOCK},
+    changes=MOTION_PARTS | {TakePart.CLOCK},
 )

@@ -12,7 +12,14 @@ from animtool.edit.frames import check_count, exact, frame_refusal
 from animtool.edit.keyed import Interpolation, Keys, key_arrays, keyed
 from animtool.edit.places import nearby_places
 from animtool.edit.signs import continuous
-from animtool.passes import OptionChecks, Pass, PassContext, Scope
+from animtool.passes import (
+    MOTION_PARTS,
+    OptionChecks,
+    Pass,
+    PassContext,
+    Scope,
+    TakePart,
+)
 from animtool.take import Channel, Clock, Take
 
 __all__ = ["PASS", "TimeWarpOptions", "time_warp"]
@@ -87,5 +94,12 @@ def _checks(options: TimeWarpOptions) -> OptionChecks:
 
 
 PASS = Pass(
-    "time_warp", "Retime by a curve", TimeWarpOptions, Scope.CLIP, _run, _checks
+    "time_warp",
+    "Retime by a curve",
+    TimeWarpOptions,
+    Scope.CLIP,
+    _run,
+    _checks,
+    reads=MOTION_PARTS | {TakePart.CLOCK},
+    changes=MOTION_PARTS | {TakePart.CLOCK},
 )

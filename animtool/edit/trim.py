@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from animtool.edit.frames import check_range, exact, frame_refusal
-from animtool.passes import OptionChecks, Pass, PassContext, Scope
+from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
 from animtool.take import Motion, Take, TakeStream
 
 __all__ = ["PASS", "TrimOptions", "trim"]
@@ -90,5 +90,12 @@ def _kept(
 
 
 PASS = Pass(
-    "trim", "Keep a range of frames", TrimOptions, Scope.FRAME, _trimmed, _checks
+    "trim",
+    "Keep a range of frames",
+    TrimOptions,
+    Scope.FRAME,
+    _trimmed,
+    _checks,
+    reads=frozenset({TakePart.CLOCK}),
+    changes=frozenset({TakePart.CLOCK}),
 )

@@ -14,8 +14,7 @@ from animtool.ik.on_take import solve_take
 from animtool.ik.report import MISSED_ANGLE, MISSED_LENGTH, goal_reports, take_notices
 from animtool.ik.sub_rig import dressed
 from animtool.ik.take_options import TakeOptions, take_option_faults
-from animtool.ik.tracks import TargetTracks
-from animtool.passes import OptionChecks, Pass, PassContext, Scope
+from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
 from animtool.rig.skeleton import Rig
 from animtool.take import Take
 from animtool.units import parse_length
@@ -143,4 +142,6 @@ PASS = Pass(
     Scope.CLIP,
     _run,
     _checks,
+    reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK}),
+    changes=frozenset({TakePart.JOINTS}),
 )
