@@ -97,11 +97,14 @@ class PassContext:
         open: Opens another take on the same rig.
         folder: Where relative paths in options start.
         notices: Gathers what a pass has to say about its work.
+        errors: Gathers the largest distance in the world by which a pass that solves
+            something missed it [m].
     """
 
     open: Callable[[Path], Take]
     folder: Path
     notices: list[Fault] = field(default_factory=list)
+    errors: list[float] = field(default_factory=list)
 
     def take(self, path: Path | None, option: str = "take") -> Take:
         """Return the take that an option names.

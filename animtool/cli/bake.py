@@ -29,6 +29,7 @@ from animtool.cli.options import (
 from animtool.cli.outputs import existing_options, goes_to_stdout, skipped
 
 if TYPE_CHECKING:
+    from animtool.scene.bake import BakeReport
     from animtool.scene.scene import Scene
 
 __all__ = ["bake"]
@@ -51,6 +52,7 @@ Examples:
   animtool bake wave.clip.yaml --rig hero.rig.yaml -o wave.usdc --fps 60
   animtool bake shot.scene.yaml
   animtool bake shot.scene.yaml --set shot=sh020
+  animtool bake shot.scene.yaml --plan
   animtool bake walk.bvh run.bvh idle.clip.yaml -o library.usda
   animtool bake library.usda --take run -o run.usdc
   animtool bake walk.bvh -o walk_layer.usdc --rig-layer hero.rig.usda
@@ -197,8 +199,29 @@ Examples:
     help="Write nothing; measure time and size against error, over sample rates and "
     "tolerances.",
 )
-@strict_option
-@existing_options
+@click.option(
+    "--plan",
+    is_flag=True,
+    help="Write nothing; print every step, what it reads and makes, and what is left "
+    "out and why.",
+)
+@click.option(
+    "--until",
+    metavar="PASS",
+    help="Of a scene, run no pass behind this one, by name or number; 0 is none.",
+)
+@click.option(
+    "--stats",
+    is_flag=True,
+    help="Say what each stage of a scene and each output took: seconds, memory, error.",
+)
+@click.option(
+    "--strict", is_flag=True, help="Take warnings for errors and write nothing."
+)
+@click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
+@click.option(
+    "--skip-existing", is_flag=True, help="Do nothing where all outputs exist."
+)
 @format_option
 @common_options
 @click.pass_obj
@@ -214,20 +237,27 @@ def bake(
     between a joint's position in float64 and in the float32 values of the file.
     """
     as_json = given["report_format"] == "json"
-    to_stdout = goes_to_stdout(output, given)
-    if given["split"] and given["form"] == "layer":
-        raise click.UsageError("--split is a stage in three files, not --as layer.")
+    to_stdout = str(output) == "-"
+    _check_usage(given, to_stdout=to_stdout, as_json=as_json)
     if output is None and len(sources) > 1 and not given["table"]:
         raise click.UsageError("Several sources make one library: name it with -o.")
-    opened = _opened(sources, dict(given["variables"]))
+    opened = _until(_opened(sources, dict(given["variables"])), given["until"])
+    scene = _only_scene(opened)
+    if given["plan"]:
+        path = None if to_stdout else output
+        _plan(console, opened, path, _options(given), as_json=as_json)
+        return
     if given["table"]:
         _table(console, opened, output, _options(given), as_json=as_json)
         return
-    if len(opened) == 1 and not isinstance(opened[0], Path):
+    if scene is not None:
         from animtool.scene.outputs import is_several
 
-        if is_several(opened[0]):
-            _several(console, opened[0], output, given, as_json=as_json)
+        if given["stats"]:
+            scene.meter.start()
+            click.get_current_context().call_on_close(scene.meter.stop)
+        if is_several(scene):
+            _several(console, scene, output, given, as_json=as_json)
             return
     path = None if to_stdout else output or _output_beside(opened[0])
     if path is not None and skipped(
@@ -241,15 +271,83 @@ def bake(
     with console.progress(f"bake {label}", stdout=to_stdout) as progress:
         report = run_bake(opened, path, _options(given), progress=progress)
     console.faults(report.notices)
+    _say(console, report, scene if given["stats"] else None, given, as_json=as_json)
+
+
+def _say(
+    console: Console,
+    report: BakeReport,
+    scene: Scene | None,
+    given: dict[str, Any],
+    *,
+    as_json: bool,
+) -> None:
+    """Print the summary of a bake."""
+    from animtool.cli.plan_summary import stats_json, stats_text
     from animtool.cli.summary import bake_details, bake_json, bake_text
 
+    stages = [] if scene is None else scene.meter.stages
     if as_json:
-        console.result_json(bake_json(report))
+        costs = {"stats": stats_json(stages, [report])} if given["stats"] else {}
+        console.result_json({**bake_json(report), **costs})
         return
     for line in bake_text(report):
         console.say(line)
     for line in bake_details(report):
         console.detail(line)
+    for line in stats_text(stages, [report]) if given["stats"] else ():
+        console.say(line)
+
+
+def _until(opened: list[Path | Scene], stop: str | None) -> list[Path | Scene]:
+    """Return sources, the one scene among them without the passes behind one."""
+    if stop is None:
+        return opened
+    scene = _only_scene(opened)
+    if scene is None:
+        raise click.UsageError("--until is for a SOURCE that is one scene.")
+    return [scene.until(stop)]
+
+
+def _check_usage(given: dict[str, Any], *, to_stdout: bool, as_json: bool) -> None:
+    """Refuse options that exclude each other."""
+    if to_stdout and as_json:
+        raise click.UsageError("-o - and --format json both want stdout.")
+    if given["split"] and given["form"] == "layer":
+        raise click.UsageError("--split is a stage in three files, not --as layer.")
+    if given["plan"] and given["table"]:
+        raise click.UsageError("--plan and --table write nothing: give one.")
+    if given["stats"] and (given["plan"] or given["table"]):
+        raise click.UsageError("--stats measures a bake: no --plan or --table.")
+
+
+def _only_scene(opened: Sequence[Path | Scene]) -> Scene | None:
+    """Return the one source where it is a scene."""
+    if len(opened) > 1 or isinstance(opened[0], Path):
+        return None
+    return opened[0]
+
+
+def _plan(
+    console: Console,
+    opened: Sequence[Path | Scene],
+    output: Path | None,
+    options: Any,
+    *,
+    as_json: bool,
+) -> None:
+    """Print what a bake would do."""
+    from animtool.cli.plan_summary import steps_json, steps_text
+    from animtool.scene.steps import bake_steps
+
+    scene = _only_scene(opened)
+    if output is None and (scene is None or scene.output is None):
+        output = _output_beside(opened[0])
+    steps = bake_steps(opened, output, options)
+    if as_json:
+        console.result_json(steps_json(steps))
+        return
+    console.result("\n".join(steps_text(steps)))
 
 
 def _opened(sources: Sequence[Path], variables: dict[str, str]) -> list[Path | Scene]:
@@ -301,18 +399,23 @@ def _several(
             console.result_json({"bake": "animtool/1", "skipped": skipped})
         return
     reports = bake_scene(scene, options)
+    stages = scene.meter.stages
     # What the sources and passes say stands in every report.
     notices = [notice for report in reports for notice in report.notices]
     console.faults(dict.fromkeys(notices))
+    from animtool.cli.plan_summary import stats_json, stats_text
     from animtool.cli.summary import output_json, output_text
 
     if as_json:
         written = [output_json(report) for report in reports]
-        console.result_json({"bake": "animtool/1", "written": written})
+        costs = {"stats": stats_json(stages, reports)} if given["stats"] else {}
+        console.result_json({"bake": "animtool/1", "written": written, **costs})
         return
     for report in reports:
         for line in output_text(report):
             console.say(line)
+    for line in stats_text(stages, reports) if given["stats"] else ():
+        console.say(line)
 
 
 def _skips(sources: Sequence[Path | Scene], path: Path, given: dict[str, Any]) -> bool:

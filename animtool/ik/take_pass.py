@@ -89,7 +89,10 @@ def _run(take: Take, options: IkPassOptions, context: PassContext) -> Take:
     )
     odd = take_notices(solved, goals, smooth=options.smooth > 0)
     context.notices.extend(odd)
-    return replace(solved.take, rig=rig)
+    misses = [miss for goal in goals for miss in goal.misses]
+    lengths = [miss.max for miss in misses if miss.part == "position"]
+    context.errors.extend(lengths)
+    return replace(solved.take, rig=take.rig)
 
 
 def _settings(options: IkPassOptions) -> TakeOptions:

@@ -29,6 +29,7 @@ __all__ = [
     "TakePlan",
     "bake_outputs",
     "check_output",
+    "form_of",
     "output_files",
     "plan_bake",
     "plan_output",
@@ -164,7 +165,7 @@ def plan_output(
         FormatError: The rig layer is malformed, or the takes have other joints.
         OptionError: The rig layer is of another rig, or the prim path is none.
     """
-    form = _form(options)
+    form = form_of(options)
     target = None
     reason = "a rig layer was named" if options.form is None else "asked for"
     mappings: list[JointMap | None] = [None] * len(streams)
@@ -238,14 +239,15 @@ def bake_outputs(
     return output_files(output, options)
 
 
-def _form(options: BakeOptions) -> Form:
+def form_of(options: BakeOptions) -> Form:
+    """Return what is written."""
     return Form(options.form or (Form.LAYER if options.rig_layer else Form.STAGE))
 
 
 def output_files(path: Path, options: BakeOptions) -> list[Path]:
     """Return the files to write; of a cache in chunks, those that it may replace."""
     if options.chunk is None:
-        return output_paths(path, _form(options))
+        return output_paths(path, form_of(options))
     from animtool.usd.point_chunks import chunk_files, manifest_path
 
     return [path, manifest_path(path), *chunk_files(path)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
@@ -16,6 +16,7 @@ from animtool.scene.convert_rig import open_rig
 from animtool.scene.options import BakeOptions
 from animtool.scene.preroll import Preroll, begun_early, without_first
 from animtool.scene.sources import SourceOptions, open_source, takes_option
+from animtool.scene.stats import Meter
 from animtool.scene.tracks import TrackNames
 from animtool.take import Motion, Take, TakeStream
 
@@ -166,6 +167,7 @@ class Scene:
         preroll: How early passes with a state of their own begin; None is with the
             take.
         variables: Names of the variables that it uses or gives a value.
+        meter: Counts what its stages cost, each time that it is opened.
     """
 
     path: Path
@@ -175,6 +177,7 @@ class Scene:
     rig: Path | None = None
     preroll: Preroll | None = None
     variables: frozenset[str] = frozenset()
+    meter: Meter = field(default_factory=Meter, compare=False, repr=False)
 
     @property
     def output(self) -> Path | None:
@@ -205,16 +208,50 @@ class Scene:
                 with the pass's place; the blocks may raise it too.
             OptionError: An option does not apply to the source.
         """
-        stream = self._sources()
+        meter = self.meter
+        meter.stages.clear()
+        first = self.sources[0]
+        stage = meter.stage(first.path.name, first.place.where)
+        with meter.running(stage):
+            stream = self._sources()
+        stream.curve = meter.curve(stage, stream.curve)
+        stream.blocks = meter.blocks(stage, stream.blocks)
         context = PassContext(self._take, self.path.resolve().parent)
         for entry in self.passes:
             notices, details = stream.notices, stream.details
-            with entry.place.blamed():
+            stage = meter.stage(entry.pass_.name, entry.place.where)
+            context.errors.clear()
+            with meter.running(stage), entry.place.blamed():
                 stream = self._apply(entry, stream, context)
-            blocks = _read(entry.place, stream.blocks)
+            stage.error = max(context.errors, default=None)
+            blocks = meter.blocks(stage, _read(entry.place, stream.blocks))
             stream = replace(stream, notices=notices, details=details, blocks=blocks)
         stream.notices += context.notices
         return stream
+
+    def until(self, stop: str) -> Scene:
+        """Return the scene without the passes behind one.
+
+        Args:
+            stop: The last pass to run, by its name or its number, 1 being the first
+                and 0 none.
+
+        Raises:
+            OptionError: There is none of that name or number, or there are several of
+                that name (SCN043).
+        """
+        names = [entry.pass_.name for entry in self.passes]
+        found = [i for i, name in enumerate(names, 1) if name == stop]
+        if stop.isdecimal() and int(stop) <= len(names):
+            found = [int(stop)]
+        if len(found) == 1:
+            return replace(self, passes=self.passes[: found[0]])
+        listed = ", ".join(f"{i} {name}" for i, name in enumerate(names, 1)) or "none"
+        message = f"no pass of the scene is {stop!r}"
+        if found:
+            message = f"several passes of the scene are {stop!r}: say its number"
+        path = str(self.path)
+        raise OptionError(Fault("SCN043", message, path, (), f"the passes: {listed}"))
 
     def _apply(
         self, entry: ScenePass, stream: TakeStream, context: PassContext

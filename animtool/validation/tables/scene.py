@@ -47,6 +47,7 @@ RULES = (
     Rule("SCN040", "two outputs that write one file"),
     Rule("SCN041", "a range beside a shot"),
     Rule("SCN042", "a frame of the cut that the take has not"),
+    Rule("SCN043", "no pass of the scene to stop at"),
     Rule(
         "SCN101",
         "a loop whose ends differ by more than a fifth of what it moves",

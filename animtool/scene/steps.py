@@ -1,0 +1,308 @@
+"""What a bake will do, step by step: what each reads, makes and leaves out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import cast
+
+from animtool.errors import counted
+from animtool.passes import TakePart
+from animtool.rates import rate_label
+from animtool.rig.skeleton import Rig
+from animtool.scene.convert import convert_outputs
+from animtool.scene.options import BakeOptions, merged
+from animtool.scene.plan import form_of, output_files
+from animtool.scene.reading import Source, found_sources
+from animtool.scene.scene import OutputKind, Scene, ScenePass, kind_of
+from animtool.scene.sources import fitting_options, open_source
+from animtool.take import Motion, TakeStream
+from animtool.usd.jobs import Form
+
+__all__ = ["Step", "StepKind", "bake_steps"]
+
+
+class StepKind(StrEnum):
+    """What a step is."""
+
+    SOURCE = "source"
+    PASS = "pass"
+    OUTPUT = "output"
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One step of a bake.
+
+    Attributes:
+        kind: What it is.
+        name: A file, or a pass.
+        where: Its entry in the scene; empty where there is none.
+        reads: What it looks at: files, and parts of the take.
+        makes: What comes of it.
+        left_out: What is not made, each with the reason.
+    """
+
+    kind: StepKind
+    name: str
+    where: str
+    reads: tuple[str, ...]
+    makes: tuple[str, ...]
+    left_out: tuple[str, ...] = ()
+
+
+def bake_steps(
+    source: Source | Sequence[Source],
+    output: Path | None,
+    options: BakeOptions | None = None,
+) -> list[Step]:
+    """Return the steps of a bake in their order; sources are read, passes are not run.
+
+    Args:
+        source: As for `animtool.bake`.
+        output: Likewise; None takes those that a scene names.
+        options: Likewise.
+
+    Raises:
+        FormatError: A source is malformed.
+        OptionError: An option does not apply to a source.
+    """
+    alone = isinstance(source, str) or not isinstance(source, Sequence)
+    given = cast("Sequence[Source]", [source] if alone else source)
+    reading = found_sources(given)
+    options = options or BakeOptions()
+    steps: list[Step] = []
+    last: _State | None = None
+    for path in reading.files:
+        scene = reading.scenes.get(path)
+        if scene is None:
+            own = fitting_options(options.source, path, reading.files)
+            last = _State.of(open_source(path, own))
+            steps.append(_source_step(path, "", last))
+            continue
+        last = _scene_steps(scene, steps)
+    assert last is not None
+    outputs = [(output, options, "output" if output is None else "")]
+    if len(reading.files) == 1 and reading.scenes:
+        scene = reading.scenes[reading.files[0]]
+        outputs = list(_scene_outputs(scene, output, options))
+    for path_, own_, where in outputs:
+        steps.append(_output_step(path_, own_, where, last))
+    return steps
+
+
+@dataclass(frozen=True, slots=True)
+class _State:
+    """What is known of a take.
+
+    Attributes:
+        rig: Its joints, shapes and controls.
+        moving: Parts that hold values.
+        curves: Controls that have a curve.
+        dropped: The pass that took their curves away; empty where none did.
+        facts: How many frames there are, and of what.
+        still: What never moves.
+    """
+
+    rig: Rig
+    moving: frozenset[TakePart]
+    curves: tuple[str, ...]
+    dropped: str
+    facts: tuple[str, ...]
+    still: tuple[str, ...]
+
+    @staticmethod
+    def of(stream: TakeStream) -> _State:
+        """Return what is known of a take that is read for that."""
+        take = stream.collect()
+        motion, rig = take.motion, take.rig
+        frames = counted(take.clock.count, "frame")
+        parts = {TakePart.RIG, TakePart.CLOCK, TakePart.JOINTS}
+        facts = [f"{frames} at {rate_label(take.clock.rate)}"]
+        facts.append(counted(len(rig.joints), "joint"))
+        if motion.weights is not None:
+            parts.add(TakePart.SHAPES)
+            facts.append(counted(len(rig.shapes), "shape"))
+        if motion.controls is not None:
+            parts.add(TakePart.CONTROLS)
+            facts.append(counted(len(rig.controls), "control"))
+        return _State(
+            rig,
+            frozenset(parts),
+            tuple(stream.control_curves),
+            "",
+            tuple(facts),
+            tuple(_still(motion)),
+        )
+
+
+def _still(motion: Motion) -> Iterator[str]:
+    """Yield what of a motion is stored once, as it never moves."""
+    for name, noun in (
+        ("translations", "translation"),
+        ("rotations", "rotation"),
+        ("scales", "scale"),
+        ("weights", "shape weight"),
+        ("controls", "control"),
+    ):
+        channel = getattr(motion, name)
+        if channel is None:
+            if name == "scales":
+                yield "scales: nothing is scaled"
+            continue
+        still = len(channel.rest) - len(channel.animated)
+        if still:
+            word = "never moves: it is" if still == 1 else "never move: they are"
+            yield f"samples of {counted(still, noun)} that {word} stored once"
+
+
+def _source_step(path: Path, where: str, state: _State) -> Step:
+    return Step(
+        StepKind.SOURCE, str(path), where, (str(path),), state.facts, state.still
+    )
+
+
+def _scene_steps(scene: Scene, steps: list[Step]) -> _State:
+    """Add the sources and passes of a scene; return what is known behind them."""
+    if len(scene.sources) > 1:
+        for source in scene.sources:
+            opened = open_source(source.path, source.options)
+            state = _State.of(opened)
+            steps.append(_source_step(source.path, source.place.where, state))
+    state = _State.of(replace(scene, passes=()).open())
+    if len(scene.sources) == 1:
+        source = scene.sources[0]
+        steps.append(_source_step(source.path, source.place.where, state))
+    for entry in scene.passes:
+        steps.append(_pass_step(scene, entry, state))
+        if state.curves and not state.dropped and _drops(entry):
+            state = replace(state, dropped=entry.pass_.name)
+        if TakePart.CLOCK in entry.pass_.changes:
+            state = replace(state, facts=())
+    return state
+
+
+def _drops(entry: ScenePass) -> bool:
+    """Return whether a pass may take the curves of controls away."""
+    return bool(entry.pass_.changes & {TakePart.CONTROLS, TakePart.CLOCK})
+
+
+def _pass_step(scene: Scene, entry: ScenePass, state: _State) -> Step:
+    options = entry.options
+    files = [
+        str(value)
+        for field in fields(options)
+        if isinstance(value := getattr(options, field.name), Path)
+    ]
+    there = state.moving | {TakePart.RIG, TakePart.CLOCK}
+    left_out = []
+    if scene.preroll is not None and not entry.pass_.settles:
+        left_out.append("pre-roll: it has no state that would have to settle")
+    lacking = sorted((entry.pass_.reads & entry.pass_.changes) - there)
+    left_out += [f"{part}: the take has none" for part in lacking]
+    if state.curves and not state.dropped and _drops(entry):
+        left_out.append("curves of controls: they hold no more where it changes these")
+    return Step(
+        StepKind.PASS,
+        entry.pass_.name,
+        entry.place.where,
+        (*files, *_ordered(entry.pass_.reads & there)),
+        tuple(_ordered(entry.pass_.changes & there)),
+        tuple(left_out),
+    )
+
+
+def _ordered(parts: frozenset[TakePart]) -> list[str]:
+    return [str(part) for part in TakePart if part in parts]
+
+
+def _scene_outputs(
+    scene: Scene, output: Path | None, options: BakeOptions
+) -> Iterator[tuple[Path | None, BakeOptions, str]]:
+    """Yield the outputs of a scene: file, options and place."""
+    if output is not None:
+        yield output, merged(options, scene.bake), scene.outputs[0].place.where
+        return
+    for entry in scene.outputs:
+        yield entry.path, merged(options, entry.bake), entry.place.where
+
+
+def _output_step(
+    path: Path | None, options: BakeOptions, where: str, state: _State
+) -> Step:
+    if path is not None and kind_of(path) is not OutputKind.USD:
+        return _converted_step(path, where, state)
+    form = form_of(options)
+    files = ["stdout"] if path is None else _named(output_files(path, options))
+    reads = ["take"]
+    if options.rig_layer is not None:
+        reads.insert(0, str(options.rig_layer))
+    makes = "deformed points" if options.deform else "an animation of the skeleton"
+    return Step(
+        StepKind.OUTPUT,
+        "stdout" if path is None else str(path),
+        where,
+        tuple(reads),
+        (f"{form} with {makes}", *files),
+        tuple(_left_out(options, form, state)),
+    )
+
+
+def _converted_step(path: Path, where: str, state: _State) -> Step:
+    is_clip = kind_of(path) is OutputKind.CLIP
+    what = "keys within a tolerance" if is_clip else "samples of rotations"
+    left_out = []
+    if not is_clip and TakePart.SHAPES in state.moving:
+        left_out.append("shapes: a BVH has no place for them")
+    if state.rig.meshes and not is_clip:
+        left_out.append("meshes: a BVH has no place for them")
+    if state.curves and is_clip:
+        left_out.append("curves of controls: keys are fitted to the samples anew")
+    return Step(
+        StepKind.OUTPUT,
+        str(path),
+        where,
+        ("take",),
+        (what, *_named(convert_outputs(path))),
+        tuple(left_out),
+    )
+
+
+def _named(files: list[Path]) -> list[str]:
+    """Return files as they are called, those marked that are there."""
+    return [f"{path} (exists)" if path.exists() else str(path) for path in files]
+
+
+def _left_out(options: BakeOptions, form: Form, state: _State) -> Iterator[str]:
+    """Yield what of a take a USD file does not get, and why."""
+    yield from _of_rig(options, form, state.rig)
+    if state.curves and not options.deform:
+        if not options.keep_curves:
+            yield "curves of controls: not asked for (keep_curves)"
+        elif state.dropped:
+            yield f"curves of controls: the pass {state.dropped} may change these"
+    if TakePart.SHAPES not in state.moving and state.rig.shapes:
+        yield "shape weights: the take moves none"
+    wanted = options.frame_range
+    if wanted is not None:
+        yield f"frames but {wanted.first} to {wanted.last}: they are not asked for"
+    if options.sparse:
+        yield "joints that stay at rest: sparse"
+    if options.reduce is not None:
+        yield f"samples that others give back within {options.reduce * 1000:g} mm"
+
+
+def _of_rig(options: BakeOptions, form: Form, rig: Rig) -> Iterator[str]:
+    """Yield what of a rig a USD file does not get, and why."""
+    if options.deform:
+        yield "skeleton and its animation: points are written in their place"
+        if not options.velocities:
+            yield "velocities: not asked for (velocities)"
+    elif form is Form.LAYER:
+        yield "skeleton and meshes: the rig layer has them"
+    elif rig.meshes:
+        yield "deformed points: not asked for (deform)"
+    else:
+        yield "meshes: the rig has none"
