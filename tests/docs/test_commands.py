@@ -20,6 +20,7 @@ DOCUMENTS = [
     "samples/carry/README.md",
     "samples/ci/README.md",
     "samples/press/README.md",
+    "samples/shot/README.md",
     "samples/speech/README.md",
     "samples/stride/README.md",
     "samples/walk/README.md",
