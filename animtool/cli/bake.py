@@ -215,13 +215,8 @@ Examples:
     is_flag=True,
     help="Say what each stage of a scene and each output took: seconds, memory, error.",
 )
-@click.option(
-    "--strict", is_flag=True, help="Take warnings for errors and write nothing."
-)
-@click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
-@click.option(
-    "--skip-existing", is_flag=True, help="Do nothing where all outputs exist."
-)
+@strict_option
+@existing_options
 @format_option
 @common_options
 @click.pass_obj
@@ -237,8 +232,8 @@ def bake(
     between a joint's position in float64 and in the float32 values of the file.
     """
     as_json = given["report_format"] == "json"
-    to_stdout = str(output) == "-"
-    _check_usage(given, to_stdout=to_stdout, as_json=as_json)
+    to_stdout = goes_to_stdout(output, given)
+    _check_usage(given)
     if output is None and len(sources) > 1 and not given["table"]:
         raise click.UsageError("Several sources make one library: name it with -o.")
     opened = _until(_opened(sources, dict(given["variables"])), given["until"])
@@ -309,10 +304,8 @@ def _until(opened: list[Path | Scene], stop: str | None) -> list[Path | Scene]:
     return [scene.until(stop)]
 
 
-def _check_usage(given: dict[str, Any], *, to_stdout: bool, as_json: bool) -> None:
+def _check_usage(given: dict[str, Any]) -> None:
     """Refuse options that exclude each other."""
-    if to_stdout and as_json:
-        raise click.UsageError("-o - and --format json both want stdout.")
     if given["split"] and given["form"] == "layer":
         raise click.UsageError("--split is a stage in three files, not --as layer.")
     if given["plan"] and given["table"]:
@@ -390,13 +383,7 @@ def _several(
     if output is not None:
         raise click.UsageError("The scene names its outputs: no -o.")
     options = _options(given)
-    files = scene_files(scene, options)
-    if skips(given, files):
-        for path in files:
-            console.say(f"{path} exists: skipped")
-        if as_json:
-            skipped = [str(path) for path in files]
-            console.result_json({"bake": "animtool/1", "skipped": skipped})
+    if skipped(console, "bake", given, scene.path, lambda: scene_files(scene, options)):
         return
     reports = bake_scene(scene, options)
     stages = scene.meter.stages
@@ -418,9 +405,9 @@ def _several(
         console.say(line)
 
 
-def _skips(sources: Sequence[Path | Scene], path: Path, given: dict[str, Any]) -> bool:
-    if not given["skip_existing"]:
-        return False
+def _outputs(
+    sources: Sequence[Path | Scene], path: Path, given: dict[str, Any]
+) -> Sequence[Path]:
     from animtool.scene.plan import bake_outputs
 
     return bake_outputs(sources, path, _options(given))

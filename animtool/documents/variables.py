@@ -14,13 +14,26 @@ from animtool.documents.document import Document, Location, plain_scalar
 from animtool.documents.mend import annotation_at, replaced, stand_in
 from animtool.errors import Fault, OptionError
 
-__all__ = ["check_given", "is_variable_name", "resolve_variables"]
+__all__ = ["Variables", "check_given", "is_variable_name", "resolve_variables"]
 
 # Where a document gives variables their usual values.
 DEFAULTS = "variables"
 _NAME = r"[A-Za-z_][A-Za-z0-9_]*"
 # Two dollars stand for one, and what follows is text.
 _USE = re.compile(rf"\$(?P<kept>\$)?\{{(?:(?P<name>{_NAME})\}})?")
+
+
+@dataclass(frozen=True, slots=True)
+class Variables:
+    """The variables of a document.
+
+    Attributes:
+        names: Of those that it uses or gives a value.
+        idle: Of those that it gives a value and no text uses.
+    """
+
+    names: frozenset[str] = frozenset()
+    idle: frozenset[str] = frozenset()
 
 
 def is_variable_name(text: str) -> bool:
@@ -34,7 +47,7 @@ def is_variable_name(text: str) -> bool:
 
 def resolve_variables(
     document: Document, model: type[BaseModel], given: Mapping[str, str]
-) -> frozenset[str]:
+) -> Variables:
     """Put the values of variables into the text of a document; keys stay.
 
     What is written without quotes is read anew with its values in place, so that it
@@ -46,16 +59,14 @@ def resolve_variables(
         document: Changed in place.
         model: What the document should be.
         given: Values by name; they come before the document's own.
-
-    Returns:
-        The names of the variables that the document uses or gives a value.
     """
     resolver = _Resolver(document, model, dict(given))
     resolver.defaults()
     for location, text in list(_texts(document.value, ())):
         if location[0] != DEFAULTS:
             resolver.put(location, text)
-    return frozenset(resolver.used)
+    stated = frozenset(resolver.stated)
+    return Variables(stated | resolver.used, stated - resolver.used)
 
 
 def check_given(given: Iterable[str], used: Iterable[str]) -> None:
@@ -97,13 +108,15 @@ class _Resolver:
         document: Changed in place.
         model: What it should be.
         values: Of the variables that are known.
-        used: Names of those that the document knows.
+        stated: Names of those that the document gives a value.
+        used: Names of those that a text uses.
         faulty: Names of those whose own value is faulty.
     """
 
     document: Document
     model: type[BaseModel]
     values: dict[str, str]
+    stated: set[str] = field(default_factory=set)
     used: set[str] = field(default_factory=set)
     faulty: set[str] = field(default_factory=set)
 
@@ -117,7 +130,7 @@ class _Resolver:
                 hint = "letters, digits and _ make one, and no digit begins it"
                 self.document.add("SCN032", location, message, hint)
                 continue
-            self.used.add(name)
+            self.stated.add(name)
             if name in self.values:
                 continue
             written = self.document.written(location)

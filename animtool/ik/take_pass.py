@@ -14,6 +14,7 @@ from animtool.ik.on_take import solve_take
 from animtool.ik.report import MISSED_ANGLE, MISSED_LENGTH, goal_reports, take_notices
 from animtool.ik.sub_rig import dressed
 from animtool.ik.take_options import TakeOptions, take_option_faults
+from animtool.ik.tracks import TargetTracks
 from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
 from animtool.rig.skeleton import Rig
 from animtool.take import Take
@@ -92,7 +93,7 @@ def _run(take: Take, options: IkPassOptions, context: PassContext) -> Take:
     misses = [miss for goal in goals for miss in goal.misses]
     lengths = [miss.max for miss in misses if miss.part == "position"]
     context.errors.extend(lengths)
-    return replace(solved.take, rig=take.rig)
+    return replace(solved.take, rig=rig)
 
 
 def _settings(options: IkPassOptions) -> TakeOptions:
@@ -146,5 +147,5 @@ PASS = Pass(
     _run,
     _checks,
     reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK}),
-    changes=frozenset({TakePart.JOINTS}),
+    changes=frozenset({TakePart.RIG, TakePart.JOINTS}),
 )

@@ -38,12 +38,6 @@ from animtool.units import LengthUnit, UpAxis, parse_length
 __all__ = ["load_scene", "scene_of_document"]
 
 
-def _gathered(stream: TakeStream) -> tuple[Take, TakeStream]:
-    """Return a take, and its stream in one block."""
-    take = stream.collect()
-    return take, replace(stream, blocks=iter([take.motion]))
-
-
 def load_scene(path: Path | str, variables: Mapping[str, str] | None = None) -> Scene:
     """Return the scene of a scene file.
 
@@ -65,11 +59,11 @@ def scene_of_document(
     """Return the scene of a document; see `load_scene`."""
     given = variables or {}
     check_version(document, "scene")
-    used = resolve_variables(document, SceneModel, given)
+    found = resolve_variables(document, SceneModel, given)
     model = validated(document, SceneModel)
     named = [Path(text) for text in given.values() if Path(text).is_absolute()]
     reader = _SceneReader(document, model, named)
-    scene = replace(reader.scene(), variables=used)
+    scene = replace(reader.scene(), variables=found.names, idle_variables=found.idle)
     document.check()
     return scene
 

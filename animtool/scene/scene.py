@@ -167,6 +167,7 @@ class Scene:
         preroll: How early passes with a state of their own begin; None is with the
             take.
         variables: Names of the variables that it uses or gives a value.
+        idle_variables: Those of them that no text uses.
         meter: Counts what its stages cost, each time that it is opened.
     """
 
@@ -177,6 +178,7 @@ class Scene:
     rig: Path | None = None
     preroll: Preroll | None = None
     variables: frozenset[str] = frozenset()
+    idle_variables: frozenset[str] = frozenset()
     meter: Meter = field(default_factory=Meter, compare=False, repr=False)
 
     @property
@@ -208,26 +210,54 @@ class Scene:
                 with the pass's place; the blocks may raise it too.
             OptionError: An option does not apply to the source.
         """
-        meter = self.meter
-        meter.stages.clear()
-        first = self.sources[0]
-        stage = meter.stage(first.path.name, first.place.where)
-        with meter.running(stage):
-            stream = self._sources()
-        stream.curve = meter.curve(stage, stream.curve)
-        stream.blocks = meter.blocks(stage, stream.blocks)
-        context = PassContext(self._take, self.path.resolve().parent)
+        stream, context = self._source(), self._context()
         for entry in self.passes:
-            notices, details = stream.notices, stream.details
-            stage = meter.stage(entry.pass_.name, entry.place.where)
-            context.errors.clear()
-            with meter.running(stage), entry.place.blamed():
-                stream = self._apply(entry, stream, context)
-            stage.error = max(context.errors, default=None)
-            blocks = meter.blocks(stage, _read(entry.place, stream.blocks))
-            stream = replace(stream, notices=notices, details=details, blocks=blocks)
+            stream = self._passed(stream, entry, context)
         stream.notices += context.notices
         return stream
+
+    def steps(self) -> Iterator[tuple[Take, TakeStream]]:
+        """Yield the source and what it is after each pass, as takes and as streams.
+
+        Raises:
+            FormatError: As `open`, at the step that raises it.
+            OptionError: Likewise.
+        """
+        take, stream = _gathered(self._source())
+        yield take, stream
+        context = self._context()
+        for entry in self.passes:
+            take, stream = _gathered(self._passed(stream, entry, context))
+            stream.notices += context.notices
+            context.notices.clear()
+            yield take, stream
+
+    def _context(self) -> PassContext:
+        return PassContext(self._take, self.path.resolve().parent)
+
+    def _source(self) -> TakeStream:
+        """Return the source, counted by the meter."""
+        self.meter.stages.clear()
+        first = self.sources[0]
+        stage = self.meter.stage(first.path.name, first.place.where)
+        with self.meter.running(stage):
+            stream = self._sources()
+        stream.curve = self.meter.curve(stage, stream.curve)
+        stream.blocks = self.meter.blocks(stage, stream.blocks)
+        return stream
+
+    def _passed(
+        self, stream: TakeStream, entry: ScenePass, context: PassContext
+    ) -> TakeStream:
+        """Return what a pass makes of a take, counted by the meter."""
+        notices, details = stream.notices, stream.details
+        stage = self.meter.stage(entry.pass_.name, entry.place.where)
+        context.errors.clear()
+        with self.meter.running(stage), entry.place.blamed():
+            stream = self._apply(entry, stream, context)
+        stage.error = max(context.errors, default=None)
+        blocks = self.meter.blocks(stage, _read(entry.place, stream.blocks))
+        return replace(stream, notices=notices, details=details, blocks=blocks)
 
     def until(self, stop: str) -> Scene:
         """Return the scene without the passes behind one.
@@ -308,3 +338,9 @@ class Scene:
 def _read(place: Place, blocks: Iterator[Motion]) -> Iterator[Motion]:
     with place.blamed():
         yield from blocks
+
+
+def _gathered(stream: TakeStream) -> tuple[Take, TakeStream]:
+    """Return a take, and its stream in one block."""
+    take = stream.collect()
+    return take, replace(stream, blocks=iter([take.motion]))

@@ -30,7 +30,8 @@ def test_defaults_are_those_of_the_options() -> None:
 
 
 def test_every_option_is_reachable() -> None:
-    names = {p.name for p in bake.params} | {"source", "form"}
+    # Of a cut a scene speaks, in its shot.
+    names = {p.name for p in bake.params} | {"source", "form", "cut"}
     for field in fields(BakeOptions):
         assert field.name in names
 

@@ -137,6 +137,13 @@ def test_a_number_of_too_many_digits() -> None:
     assert refused("number: ${n}\n", n="1" * 500) == [("DOC001", (2, 9))]
 
 
+def test_what_no_text_uses_is_known() -> None:
+    text = 'variables: {a: 1, b: "${a}", c: 2}\ntext: ${d}\n'
+    document = document_of(HEAD + text, Path("a.scene.yaml"))
+    found = resolve_variables(document, Model, {"d": "x", "e": "y"})
+    assert (found.names, found.idle) == (set("abcd"), {"b", "c"})
+
+
 def test_what_is_given_must_be_used() -> None:
     check_given([], [])
     with pytest.raises(OptionError) as caught:

@@ -172,8 +172,7 @@ def test_the_command_line(shot: Path) -> None:
     for name in ("shot.usdc", "parts.usda", "shot.clip.yaml", "shot.bvh"):
         assert f"{name}: " in done.stderr
     done = animtool("bake", shot, "--skip-existing", "--format", "json")
-    skipped = json.loads(done.stdout)["skipped"]
-    assert sorted(Path(name).name for name in skipped) == FILES
+    assert json.loads(done.stdout)["skipped"] == str(shot)
     done = animtool("bake", shot, "--overwrite", "--format", "json")
     written = json.loads(done.stdout)["written"]
     assert [("bake" in one, "convert" in one) for one in written] == [

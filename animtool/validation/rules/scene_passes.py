@@ -7,16 +7,19 @@ from fractions import Fraction
 
 from animtool.config import find_config
 from animtool.errors import Fault
+from animtool.passes import Pass, TakePart
 from animtool.rates import rate_label
 from animtool.validation.subjects.scene import SceneSubject
 
-__all__ = ["idle", "near_rate", "outside_take", "unused_rig"]
+__all__ = ["idle", "near_rate", "outside_take", "undone_goals", "unused_rig"]
 
 # Rates that differ by less are meant to be one: 24 and 23.976, 30 and 29.97 [1].
 NEAR_RATES = Fraction(1, 50)
 
 # What these come to is stated, not how: a take may have it already.
 _STATES = frozenset({"ik", "resample"})
+# Joints stay where they are in the world, whatever the table says.
+_IN_PLACE = frozenset({"root_motion"})
 
 
 def idle(subject: SceneSubject) -> Iterator[Fault]:
@@ -39,12 +42,15 @@ def outside_take(subject: SceneSubject) -> Iterator[Fault]:
     last = start + clock.duration * (scene.bake.fps or clock.fps)
     if start <= wanted.first and wanted.last <= last:
         return
+    what, at = "range", ("range",)
+    if scene.bake.cut is not None:
+        what, at = "cut with its handles,", ("shot",)
     message = (
-        f"the range from {wanted.first} to {wanted.last} reaches beyond the take, "
+        f"the {what} from {wanted.first} to {wanted.last} reaches beyond the take, "
         f"which the output numbers {float(start):g} to {float(last):g}"
     )
-    hint = "range counts as the output does, from its start"
-    yield subject.fault("SCN202", ("range",), message, hint)
+    hint = "frames count as the output does, from its start"
+    yield subject.fault("SCN202", at, message, hint)
 
 
 def _start(subject: SceneSubject) -> Fraction | None:
@@ -54,7 +60,7 @@ def _start(subject: SceneSubject) -> Fraction | None:
         return bake.start
     if subject.start is not None:
         return subject.start
-    return find_config(subject.scene.source).start or Fraction(1)
+    return find_config(subject.scene.path).start or Fraction(1)
 
 
 def near_rate(subject: SceneSubject) -> Iterator[Fault]:
@@ -69,8 +75,31 @@ def near_rate(subject: SceneSubject) -> Iterator[Fault]:
 
 def unused_rig(subject: SceneSubject) -> Iterator[Fault]:
     """Yield a rig that the source does not use (SCN206)."""
-    if "rig" in subject.document.value and subject.scene.options.rig is None:
-        name = subject.scene.source.name
+    first, *others = subject.scene.sources
+    if "rig" in subject.document.value and first.options.rig is None and not others:
+        name = first.path.name
         message = f"the rig is not used: {name!r} brings its own joints"
         hint = "a rig is for clips; the pass ik and output.rig_layer name their own"
         yield subject.fault("SCN206", ("rig",), message, hint)
+
+
+def undone_goals(subject: SceneSubject) -> Iterator[Fault]:
+    """Yield passes that change poses which `ik` has brought to targets (SCN210)."""
+    solved = ""
+    for i, entry in enumerate(subject.scene.passes):
+        if i in subject.solved:
+            solved = entry.place.where
+        elif solved and _moves(entry.pass_) and i not in subject.idle:
+            message = (
+                f"the pass {entry.pass_.name} moves what {solved} brought to targets"
+            )
+            hint = "put ik behind it"
+            yield subject.fault("SCN210", subject.at_pass(i), message, hint)
+
+
+def _moves(pass_: Pass) -> bool:
+    """Return whether a pass changes poses, and not only when they are."""
+    retimes = TakePart.CLOCK in pass_.changes
+    return (
+        TakePart.JOINTS in pass_.changes and not retimes and pass_.name not in _IN_PLACE
+    )

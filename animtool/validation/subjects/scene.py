@@ -10,8 +10,11 @@ import numpy as np
 
 from animtool.documents.document import Document, Location
 from animtool.errors import AnimtoolError, Fault
+from animtool.ik.take_pass import IkPassOptions, asked_of
+from animtool.ik.tracks import TargetTracks
 from animtool.scene.file import scene_of_document
-from animtool.scene.scene import Scene
+from animtool.scene.scene import Scene, SceneOutput
+from animtool.take import Channel, Take
 from animtool.validation.rule import Kind
 from animtool.validation.subjects.subject import DocumentSubject, Opened
 
@@ -50,6 +53,15 @@ class SceneSubject(DocumentSubject):
             take, tracks = asked_of(given, self.scene.passes[i].options, folder)
             found.append((take, tracks.placed(take.clock)))
         return found
+
+    @cached_property
+    def outputs(self) -> list[tuple[Location, SceneOutput]]:
+        """What is written, and where the file says it."""
+        several = isinstance(self.document.value.get("output"), list)
+        return [
+            (("output", i) if several else ("output",), output)
+            for i, output in enumerate(self.scene.outputs)
+        ]
 
     def at_pass(self, i: int) -> Location:
         """Return where a pass stands."""

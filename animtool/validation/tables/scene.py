@@ -58,4 +58,36 @@ RULES = (
     Rule("SCN104", "frames of a source that are left out", Severity.NOTE),
     Rule("SCN105", "tracks that two sources bring", Severity.WARNING),
     Rule("SCN106", "handle frames that the take has not", Severity.WARNING),
+    _rule("SCN201", "a pass that changes nothing", "scene_passes:idle"),
+    _rule("SCN202", "a range beyond the take", "scene_passes:outside_take"),
+    _rule(
+        "SCN203",
+        "an output that is an input",
+        "scene_output:over_input",
+        Severity.ERROR,
+    ),
+    _rule(
+        "SCN204",
+        "an output that another scene writes too",
+        "scene_output:over_other",
+    ),
+    _rule("SCN205", "a rate that is nearly the take's", "scene_passes:near_rate"),
+    _rule("SCN206", "a rig that the source does not use", "scene_passes:unused_rig"),
+    _rule(
+        "SCN207",
+        "options of the output that a bake refuses",
+        "scene_output:refused",
+        Severity.ERROR,
+    ),
+    _rule(
+        "SCN208",
+        "`keep_curves` where no control has a curve",
+        "scene_output:without_curves",
+    ),
+    _rule("SCN209", "a variable that nothing uses", "scene_variables:idle"),
+    _rule(
+        "SCN210",
+        "a pass that moves what ik brought to targets",
+        "scene_passes:undone_goals",
+    ),
 )

@@ -134,3 +134,58 @@ def test_the_last_step_is_what_a_scene_opens_as(shot: Path) -> None:
     assert (
         steps[-1][0].motion.rotations.dense() == opened.motion.rotations.dense()
     ).all()
+
+
+@pytest.mark.parametrize(
+    ("behind", "wanted"),
+    [
+        ("layer: {take: limb.clip.yaml, delay: 3}", ["SCN210"]),
+        ("layer: {take: limb.clip.yaml, weight: 0}", ["SCN201"]),
+        ("trim: {last: 8}", []),
+        ("root_motion: {root: root}", []),
+    ],
+)
+def test_passes_behind_ik(behind: str, wanted: list[str], shot: Path) -> None:
+    write_rig(shot.parent, "free")
+    near = "- {effector: arm, position: [0, 0.5, 0.4]}\n"
+    (shot.parent / "page.targets.yaml").write_text(TARGETS + near, "utf-8")
+    text = SOLVED.replace("]\n", f", {{{behind}}}]\n")
+    shot.write_text(text, "utf-8")
+    assert [code for code in codes(shot) if code.startswith("SCN2")] == wanted
+
+
+@pytest.mark.parametrize(
+    ("output", "wanted"),
+    [
+        ("[{file: a.usdc}, {file: limb.clip.yaml}]", ["SCN203"]),
+        ("[{file: a.usdc}, {file: b.usda, bones: true, as: layer}]", ["SCN207"] * 2),
+        ("[{file: a.usdc, keep_curves: true}, {file: b.bvh}]", ["SCN208"]),
+        ("[{file: a.usdc}, {file: other.usdc}]", ["SCN204"]),
+        ("[{file: a.usdc}, {file: b.clip.yaml, reduce: 1mm}]", []),
+    ],
+)
+def test_each_of_several_outputs_is_looked_at(
+    output: str, wanted: list[str], shot: Path
+) -> None:
+    other = shot.with_name("other.scene.yaml")
+    other.write_text(f"{SCENE}output: [{{file: x.bvh}}, {{file: other.usdc}}]\n")
+    shot.write_text(f"{SCENE}output: {output}\n", "utf-8")
+    found = validate(shot)
+    assert [fault.code for fault in found] == wanted
+    assert all((fault.where or "").startswith("output[") for fault in found)
+
+
+def test_handles_beyond_the_take(shot: Path) -> None:
+    shot.write_text(f"{SCENE}shot: {{start: 1, cut: [1, 12], handles: 2}}\n", "utf-8")
+    (fault,) = validate(shot)
+    assert (fault.code, fault.where) == ("SCN202", "shot")
+
+
+def test_a_variable_for_another(shot: Path) -> None:
+    shot.write_text(
+        'scene: animtool/1\nvariables: {a: limb, b: "${a}.clip", c: 1}\n'
+        "source:\n  file: ${b}.yaml\n",
+        "utf-8",
+    )
+    (fault,) = validate(shot)
+    assert (fault.code, fault.where) == ("SCN209", "variables.c")
