@@ -332,7 +332,9 @@ class _Joining:
         if end < 0 or begin > last:
             own, theirs = self._span(begin, end), self._span(Fraction(0), last)
             message = f"has no frame of the first source: {own} is not in {theirs}"
-            raise OptionError(note("SCN035", message, "compare their time codes"))
+            raise OptionError(
+                note("SCN035", message, "compare their time codes and timecode_fps")
+            )
         lacking = []
         if begin > 0:
             lacking.append(self._span(Fraction(0), Fraction(-(-begin // 1) - 1)))

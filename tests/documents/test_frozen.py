@@ -14,10 +14,12 @@ from animtool.batch.limits import Limits
 from animtool.clip.file import load_clip, open_clip
 from animtool.documents.migrate import plan_migration
 from animtool.documents.versions import STEPS, newest
+from animtool.edit.resample import FrameRange
 from animtool.ik.file import load_targets
 from animtool.rig.file import load_rig
 from animtool.scene.file import load_scene
 from animtool.scene.start import rest_take
+from animtool.scene.tracks import TrackNames
 
 FROZEN = Path(__file__).parent / "frozen"
 
@@ -80,6 +82,32 @@ def test_scene_1(tmp_path: Path) -> None:
     done = animtool("bake", folder / "scene-1.scene.yaml")
     assert done.code == 0, done.stderr
     assert (folder / "scene-1.usda").is_file()
+
+
+def test_scene_1_of_a_shot(tmp_path: Path) -> None:
+    folder = tmp_path / "frozen"
+    shutil.copytree(FROZEN, folder)
+    scene = load_scene(folder / "scene-1-shot.scene.yaml", {"shot": "sh020"})
+    assert scene.variables == {"shot", "out", "handles"}
+    assert [source.timecode for source in scene.sources] == [
+        "01:00:00:00",
+        "01:00:00:02.5",
+    ]
+    assert scene.sources[1].tracks == TrackNames(("wrist_*",), ("jaw",), ("grin",))
+    assert (scene.bake.frame_range, scene.bake.cut) == (
+        FrameRange(1003, 1010),
+        (1005, 1008),
+    )
+    assert len(scene.bake.samples) == 3
+    assert [output.path and output.path.name for output in scene.outputs] == [
+        "sh020_shot.usda",
+        "sh020_shot.clip.yaml",
+        "${out}.bvh",
+    ]
+    done = animtool("bake", folder / "scene-1-shot.scene.yaml")
+    assert done.code == 0, done.stderr
+    for name in ("frozen_shot.usda", "frozen_shot.clip.yaml", "${out}.bvh"):
+        assert (folder / name).is_file()
 
 
 def test_targets_1() -> None:
