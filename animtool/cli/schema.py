@@ -38,5 +38,9 @@ def schema(console: Console, /, kind: str) -> None:
     module, _, name = MODELS[kind].partition(":")
     model = getattr(importlib.import_module(module), name)
     described = model.model_json_schema(by_alias=True)
+    if kind == "scene":
+        from animtool.documents.variables import with_variables
+
+        described = with_variables(described)
     head = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
     console.result_json({**head, **described})

@@ -14,7 +14,13 @@ from animtool.documents.document import Document, Location, plain_scalar
 from animtool.documents.mend import annotation_at, replaced, stand_in
 from animtool.errors import Fault, OptionError
 
-__all__ = ["Variables", "check_given", "is_variable_name", "resolve_variables"]
+__all__ = [
+    "Variables",
+    "check_given",
+    "is_variable_name",
+    "resolve_variables",
+    "with_variables",
+]
 
 # Where a document gives variables their usual values.
 DEFAULTS = "variables"
@@ -85,6 +91,42 @@ def check_given(given: Iterable[str], used: Iterable[str]) -> None:
     ]
     if faults:
         raise OptionError(faults)
+
+
+# As JSON Schema says it: a text that becomes a value of another type.
+_TEXT = {"type": "string", "pattern": rf"\$\{{{_NAME}\}}"}
+# What says of a value what it is, and not what it is for.
+_FACTS = frozenset(
+    {"type", "enum", "minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum"}
+)
+
+
+def with_variables(schema: Any) -> Any:
+    """Return a JSON Schema that allows a text with a variable in place of any value.
+
+    >>> with_variables({"type": "number", "minimum": 0})["anyOf"][0]
+    {'type': 'number', 'minimum': 0}
+    """
+    if isinstance(schema, list):
+        return [with_variables(entry) for entry in schema]
+    if not isinstance(schema, dict):
+        return schema
+    whole = {key: _inside(key, value) for key, value in schema.items()}
+    if "anyOf" not in schema and _is_other(schema):
+        facts = {key: whole.pop(key) for key in list(whole) if key in _FACTS}
+        whole["anyOf"] = [facts, _TEXT]
+    return whole
+
+
+def _inside(key: str, value: Any) -> Any:
+    if key in {"properties", "$defs"}:
+        return {name: with_variables(entry) for name, entry in value.items()}
+    return value if key in {"default", "examples"} else with_variables(value)
+
+
+def _is_other(schema: dict[str, Any]) -> bool:
+    """Return whether a schema is of a value that a text is not."""
+    return "enum" in schema or schema.get("type") in {"number", "integer", "boolean"}
 
 
 def _texts(node: Any, location: Location) -> Iterator[tuple[Location, str]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,11 @@ from pydantic import Field
 
 from animtool.documents.check import FileModel, validated
 from animtool.documents.document import Document, document_of
-from animtool.documents.variables import check_given, resolve_variables
+from animtool.documents.variables import (
+    check_given,
+    resolve_variables,
+    with_variables,
+)
 from animtool.errors import FormatError, OptionError
 
 HEAD = "scene: animtool/1\n"
@@ -163,3 +168,28 @@ def test_any_text_can_be_written(text: str) -> None:
 def test_values_are_taken_as_they_are(name: str, value: str) -> None:
     found = resolved(f"text: 'x${{{name}}}'\n", **{name: value})
     assert found.value["text"] == f"x{value}"
+
+
+def test_editors_allow_a_variable_for_any_value() -> None:
+    found = with_variables(
+        {
+            "properties": {
+                "scene": {"const": "animtool/1", "type": "string"},
+                "fps": {"anyOf": [{"type": "number"}, {"type": "null"}], "default": 1},
+                "as": {"enum": ["stage", "layer"], "type": "string", "title": "As"},
+                "cut": {"type": "array", "items": {"type": "integer"}},
+                "name": {"type": "string"},
+                "type": {"type": "boolean"},
+            }
+        }
+    )["properties"]
+    pattern = found["as"]["anyOf"][1]["pattern"]
+    assert re.search(pattern, "x ${shot}")
+    assert not re.search(pattern, "$shot")
+    assert found["scene"] == {"const": "animtool/1", "type": "string"}
+    assert found["name"] == {"type": "string"}
+    assert found["as"]["title"] == "As"
+    assert found["as"]["anyOf"][0] == {"enum": ["stage", "layer"], "type": "string"}
+    assert found["fps"]["anyOf"][0]["anyOf"][1] == found["as"]["anyOf"][1]
+    assert found["type"]["anyOf"][0] == {"type": "boolean"}
+    assert found["cut"]["items"]["anyOf"][0] == {"type": "integer"}
