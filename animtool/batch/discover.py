@@ -19,7 +19,7 @@ from animtool.readers import BVH, DOCUMENT, READERS
 from animtool.scene.sources import is_scene, source_stem
 
 if TYPE_CHECKING:
-    from animtool.scene.plan import Source
+    from animtool.scene.reading import Source
 
 __all__ = ["SUFFIXES", "Batch", "find_batch"]
 

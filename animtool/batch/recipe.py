@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING
 from animtool.batch.names import input_names
 from animtool.batch.places import named_from
 from animtool.batch.records import digest_of
+from animtool.errors import OptionError
 from animtool.files import FoundFile
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import fitting_options, is_scene
 
 if TYPE_CHECKING:
     from animtool.scene.bake import BakeReport
-    from animtool.scene.plan import Source
+    from animtool.scene.reading import Source
 
 __all__ = ["Item", "Recipe"]
 
@@ -66,13 +67,21 @@ class Recipe:
 
         Raises:
             FormatError: The scene is malformed.
+            OptionError: It has other outputs than one USD file (SCN044).
         """
         path = item.found.path if self.scene is None else self.scene
         if not is_scene(path):
             return path
         from animtool.scene.file import load_scene
+        from animtool.scene.outputs import is_several
 
-        return load_scene(path, self.names(item))
+        scene = load_scene(path, self.names(item))
+        if is_several(scene):
+            message = "a batch writes one USD file for each item"
+            hint = "write a scene for each output, or animtool bake the scene"
+            place = scene.outputs[-1].place
+            raise OptionError(place.fault("SCN044", message, hint))
+        return scene
 
     def bake(self, item: Item) -> BakeReport:
         """Make an item; what its output was before is replaced.

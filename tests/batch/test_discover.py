@@ -80,6 +80,18 @@ def test_a_folder_is_searched_for_no_usd(takes: Path) -> None:
     assert made(takes, "takes/*.usdc", output="out/{stem}.usdc")
 
 
+def test_a_scene_of_several_outputs_is_refused(takes: Path) -> None:
+    scene = takes / "t.scene.yaml"
+    for output in ("[{file: a.usda}, {file: b.bvh}]", "{file: b.clip.yaml}"):
+        scene.write_text(f"{SCENE}output: {output}\n")
+        with pytest.raises(OptionError) as caught:
+            made(takes, "takes", scene=scene)
+        assert (caught.value.code, caught.value.faults[0].path) == (
+            "SCN044",
+            str(scene),
+        )
+
+
 def test_the_scene_is_checked_before_the_work(takes: Path) -> None:
     (takes / "t.scene.yaml").write_text(SCENE + "passes: [{trimm: {}}]\n")
     with pytest.raises(FormatError) as error:

@@ -183,7 +183,7 @@ SCENES = {
 ELSEWHERE = {
     "SCN031",
     *(f"SCN{n:03d}" for n in range(33, 38)),
-    *("SCN040", "SCN042", "SCN043", "SCN103", "SCN104", "SCN105", "SCN106"),
+    *("SCN040", "SCN042", "SCN043", "SCN044", "SCN103", "SCN104", "SCN105", "SCN106"),
 }
 
 

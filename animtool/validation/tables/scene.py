@@ -48,6 +48,7 @@ RULES = (
     Rule("SCN041", "a range beside a shot"),
     Rule("SCN042", "a frame of the cut that the take has not"),
     Rule("SCN043", "no pass of the scene to stop at"),
+    Rule("SCN044", "a scene of a batch that has other outputs than one USD file"),
     Rule(
         "SCN101",
         "a loop whose ends differ by more than a fifth of what it moves",
