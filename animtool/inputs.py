@@ -47,13 +47,17 @@ class Inputs:
 
     Attributes:
         states: By absolute path, what the file was when it was first looked at.
+        opened: Those of them that were not only brought in by a USD layer.
     """
 
     states: dict[Path, FileState | None] = field(default_factory=dict)
+    opened: set[Path] = field(default_factory=set)
 
-    def note(self, path: Path) -> None:
-        """Note a file that is about to be read."""
+    def note(self, path: Path, *, composed: bool = False) -> None:
+        """Note a file that is about to be read; ``composed`` is as in `note_input`."""
         where = path.absolute()
+        if not composed:
+            self.opened.add(where)
         if where not in self.states:
             self.states[where] = FileState.of(where)
 
@@ -74,12 +78,14 @@ class Inputs:
             )
 
 
-_RECORDED: ContextVar[Inputs | None] = ContextVar("recorded_inputs", default=None)
+_RECORDED: ContextVar[tuple[Inputs, ...]] = ContextVar("recorded_inputs", default=())
 
 
 @contextmanager
 def recorded_inputs() -> Iterator[Inputs]:
     """Give a record of the files that are looked at inside the block.
+
+    Records of blocks around it have them too.
 
     >>> with recorded_inputs() as inputs:
     ...     note_input(Path("walk.bvh"))
@@ -87,22 +93,25 @@ def recorded_inputs() -> Iterator[Inputs]:
     ['walk.bvh']
     """
     inputs = Inputs()
-    token = _RECORDED.set(inputs)
+    token = _RECORDED.set((*_RECORDED.get(), inputs))
     try:
         yield inputs
     finally:
         _RECORDED.reset(token)
 
 
-def note_input(path: Path) -> None:
-    """Note that a file is about to be read, or was looked for."""
-    inputs = _RECORDED.get()
-    if inputs is not None:
-        inputs.note(path)
+def note_input(path: Path, *, composed: bool = False) -> None:
+    """Note that a file is about to be read, or was looked for.
+
+    Args:
+        path: The file.
+        composed: A USD layer brings it in; nobody named it.
+    """
+    for inputs in _RECORDED.get():
+        inputs.note(path, composed=composed)
 
 
 def check_inputs() -> None:
     """Raise `FormatError` where files changed since they were noted (IO004)."""
-    inputs = _RECORDED.get()
-    if inputs is not None:
+    for inputs in _RECORDED.get():
         inputs.check()

@@ -15,13 +15,14 @@ from pathlib import Path
 from uuid import uuid4
 
 from animtool.errors import Fault, OptionError, OutputError
-from animtool.inputs import check_inputs
+from animtool.inputs import check_inputs, recorded_inputs
 
 __all__ = [
     "check_outputs",
     "output_error",
     "remove_leftovers",
     "replacing",
+    "sparing_inputs",
     "temporary_prefix",
     "together",
 ]
@@ -39,14 +40,9 @@ def check_outputs(
             that does; or one is also an input.
         OutputError: Its folder does not exist or may not be written to.
     """
-    taken = {path.resolve() for path in inputs}
+    _refuse_inputs(outputs, inputs)
     there: list[Path] = []
     for path in outputs:
-        if path.resolve() in taken:
-            message = "is an input of this very command"
-            raise OptionError(
-                Fault("OUT003", message, str(path), (), "name another -o")
-            )
         if path.is_dir():
             raise OutputError(
                 Fault("OUT002", "is a folder", str(path), (), "name a file")
@@ -76,6 +72,31 @@ def check_outputs(
         raise OptionError(
             [Fault("OUT001", "already exists", str(p), (), hint) for p in there]
         )
+
+
+@contextlib.contextmanager
+def sparing_inputs(outputs: Sequence[Path]) -> Iterator[None]:
+    """Refuse outputs that the block reads, whatever file names them.
+
+    A layer that a USD file brings in may be an output: a shot is read to bake one of
+    its layers anew.
+
+    Raises:
+        OptionError: An output is among what was read (OUT003), as the block ends.
+    """
+    with recorded_inputs() as inputs:
+        yield
+    _refuse_inputs(outputs, inputs.opened)
+
+
+def _refuse_inputs(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
+    taken = {path.resolve() for path in inputs}
+    for path in outputs:
+        if path.resolve() in taken:
+            message = "is an input of this very command"
+            raise OptionError(
+                Fault("OUT003", message, str(path), (), "name another -o")
+            )
 
 
 def output_error(path: Path, error: BaseException | str) -> OutputError:

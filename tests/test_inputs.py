@@ -12,6 +12,7 @@ from animtool.errors import FormatError
 from animtool.inputs import FileState, Inputs, note_input, recorded_inputs
 from animtool.output import replacing
 from animtool.prefetch import prefetch
+from animtool.rig.file import load_rig
 from animtool.scene.file import load_scene
 
 
@@ -68,6 +69,15 @@ def test_a_scene_with_targets_is_noted(workplace: Path) -> None:
     } <= names(inputs, workplace)
 
 
+def test_a_capture_that_is_a_rig_is_noted(walk: Path, tmp_path: Path) -> None:
+    (tmp_path / "walk.bvh").write_bytes(walk.read_bytes())
+    sidecar = tmp_path / "walk.rig.yaml"
+    sidecar.write_text("rig: animtool/1\nname: walk\nfrom: walk.bvh\n")
+    with recorded_inputs() as inputs:
+        load_rig(sidecar)
+    assert {"walk.bvh", "walk.rig.yaml"} <= names(inputs, tmp_path)
+
+
 def test_every_layer_of_a_rig_is_noted(walk: Path, tmp_path: Path) -> None:
     bake(walk, tmp_path / "hero.usda", BakeOptions(form="split"))
     text = "#usda 1.0\n(subLayers = [@./hero.usda@, @./late.usda@])\n"
@@ -108,3 +118,23 @@ def test_states_tell_files_apart(tmp_path: Path) -> None:
     assert FileState.of(path) == first
     path.write_text("two!")
     assert FileState.of(path) != first
+
+
+def test_records_inside_of_others_are_theirs_too(tmp_path: Path) -> None:
+    with recorded_inputs() as outer:
+        note_input(tmp_path / "a")
+        with recorded_inputs() as inner:
+            note_input(tmp_path / "b")
+        note_input(tmp_path / "c")
+    assert list(inner.states) == [tmp_path / "b"]
+    assert [path.name for path in outer.states] == ["a", "b", "c"]
+
+
+def test_a_layer_that_a_file_brings_in_is_not_opened_itself(tmp_path: Path) -> None:
+    shot, layer = tmp_path / "shot", tmp_path / "layer"
+    with recorded_inputs() as inputs:
+        note_input(layer, composed=True)
+        note_input(shot)
+        note_input(shot, composed=True)
+    assert set(inputs.states) == {shot, layer}
+    assert inputs.opened == {shot}

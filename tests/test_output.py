@@ -8,10 +8,12 @@ from pathlib import Path
 import pytest
 
 from animtool.errors import AnimtoolError, OptionError, OutputError
+from animtool.inputs import note_input
 from animtool.output import (
     check_outputs,
     remove_leftovers,
     replacing,
+    sparing_inputs,
     temporary_prefix,
     together,
 )
@@ -160,3 +162,15 @@ def test_none_gets_its_name_where_one_fails(tmp_path: Path, inside: bool) -> Non
     with replacing(one) as temporary:
         temporary.write_text("alone", "utf-8")
     assert one.read_text("utf-8") == "alone"
+
+
+def test_what_was_read_is_not_replaced(tmp_path: Path) -> None:
+    def read(*outputs: Path) -> None:
+        with sparing_inputs(outputs):
+            note_input(tmp_path / "shot.usda")
+            note_input(tmp_path / "layer.usda", composed=True)
+
+    read(tmp_path / "other.usda", tmp_path / "layer.usda")
+    with pytest.raises(OptionError) as caught:
+        read(tmp_path / "other.usda", tmp_path / "shot.usda")
+    assert caught.value.code == "OUT003"

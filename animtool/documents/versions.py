@@ -9,7 +9,7 @@ from typing import Any
 from animtool.documents.document import Document
 from animtool.errors import excerpt
 
-__all__ = ["STEPS", "Step", "Steps", "newest", "version_of"]
+__all__ = ["KINDS", "STEPS", "Step", "Steps", "newest", "version_of"]
 
 # A step takes the values of a whole file and returns those of the next version.
 Step = Callable[[dict[str, Any]], dict[str, Any]]

@@ -26,7 +26,8 @@ def explained(path: Path, fps: float) -> FloatArray:
     In radians, and shares of the problem's length.
     """
     targets = path.targets
-    asked = targets[1:, :, 13:] * targets[:-1, :, 13:] > 0
+    weighed = targets[:, :, 13:] > 0
+    asked = weighed[1:] & weighed[:-1]
     goals = np.array([goal.weights for goal in path.problem.goals]) > 0
     moves = np.stack(
         [

@@ -155,7 +155,8 @@ class ValueReader:
         place = (*at, "file")
         path = referred(self.document, place, model.file, self.roots, "TGT010")
         if path is not None and not path.is_file():
-            self.document.add("TGT010", place, f"{model.file!r} does not exist")
+            wrong = "is a folder" if path.is_dir() else "does not exist"
+            self.document.add("TGT010", place, f"{model.file!r} {wrong}")
             return None
         return path
 

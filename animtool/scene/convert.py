@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from animtool.documents.versions import KINDS
 from animtool.errors import Fault, OptionError, refuse_warnings
 from animtool.output import check_outputs, output_error, replacing
 from animtool.rig.skeleton import JointType, Rig
@@ -92,6 +93,7 @@ def convert(
         StrictError: There were warnings, and ``strict`` is on.
     """
     source, output = Path(source), Path(output)
+    _check_name(output)
     given = {"--reduce": reduce, "--reduce-at": reduce_at, "--base": base}
     to_clip = _is_clip(output)
     for name, value in given.items():
@@ -106,12 +108,6 @@ def convert(
         keys = _Keys(tolerance, dict(reduce_at), base, rig_file)
         return _to_clip(
             source, output, options, keys, overwrite, strict, progress, opener
-        )
-    if output.suffix.lower() != ".bvh":
-        kind = f"suffix {output.suffix!r}" if output.suffix else "a name without suffix"
-        message = f"{kind} is no format that animtool writes"
-        raise OptionError(
-            Fault("OUT004", message, str(output), (), f"allowed: {_WRITES}")
         )
     check_outputs([output], [source], overwrite=overwrite)
     from animtool.edit.resample import resampled
@@ -140,6 +136,21 @@ def convert_outputs(output: Path, rig_file: Path | None = None) -> list[Path]:
     if rig_file is not None or not _is_clip(output):
         return [output]
     return [output.with_name(f"{_stem(output)}.rig.yaml"), output]
+
+
+def _check_name(output: Path) -> None:
+    """Refuse names of what is no take (OUT004)."""
+    if is_usd(output) or output.suffix.lower() == ".bvh":
+        return
+    if _is_clip(output):
+        stated = Path(output.stem).suffix.lower().removeprefix(".")
+        if stated not in KINDS or stated == "clip":
+            return
+        message = f"is the name of a {stated} file, and holds no motion"
+    else:
+        kind = f"suffix {output.suffix!r}" if output.suffix else "a name without suffix"
+        message = f"{kind} is no format that animtool writes"
+    raise OptionError(Fault("OUT004", message, str(output), (), f"allowed: {_WRITES}"))
 
 
 def _is_clip(output: Path) -> bool:

@@ -14,7 +14,13 @@ from animtool.errors import (
     Severity,
     refuse_warnings,
 )
-from animtool.output import check_outputs, output_error, replacing
+from animtool.inputs import recorded_inputs
+from animtool.output import (
+    check_outputs,
+    output_error,
+    replacing,
+    sparing_inputs,
+)
 from animtool.readers import USD, find_reader
 from animtool.rig.skeleton import Rig
 from animtool.rig.store import StoredArrays, with_file
@@ -151,11 +157,12 @@ def _to_file(
     for suffix in RIG_SUFFIXES:
         stem = stem.removesuffix(suffix)
     arrays_path = output.with_name(f"{stem}.npz")
-    rig, notices = open_rig(source, prim_path)
+    with recorded_inputs() as inputs:
+        rig, notices = open_rig(source, prim_path)
     moved = source.resolve().parent != output.resolve().parent
     rig, arrays = with_file(rig, arrays_path, moved=moved)
     outputs = [arrays_path, output] if arrays else [output]
-    check_outputs(outputs, [source], overwrite=overwrite)
+    check_outputs(outputs, [source, *inputs.opened], overwrite=overwrite)
     refuse_warnings(notices, strict=strict)
     if arrays:
         write_arrays(arrays_path, arrays)
@@ -210,7 +217,8 @@ def _to_usd(
 ) -> RigReport:
     outputs = rig_outputs(output, physics=physics)
     check_outputs(outputs, [source], overwrite=overwrite)
-    rig, notices = open_rig(source, prim_path)
+    with sparing_inputs(outputs):
+        rig, notices = open_rig(source, prim_path)
     notices = notices + _motion_left_out(source, output, prim_path)
     from animtool.usd.rig_layer import write_physics_layer, write_rig_layer
 

@@ -32,7 +32,7 @@ from animtool.ik.report import (
 from animtool.ik.take_ik import TakeIk
 from animtool.ik.take_options import TakeOptions
 from animtool.ik.tracks import TargetTracks
-from animtool.output import check_outputs
+from animtool.output import check_outputs, sparing_inputs
 from animtool.scene.convert import ConvertReport, convert, convert_outputs
 from animtool.scene.convert_rig import is_rig, open_rig
 from animtool.scene.options import BakeOptions
@@ -272,7 +272,8 @@ def _named_rig(rig: Path, output: Path) -> Path | None:
 
 def _solved(job: IkJob, progress: Progress) -> IkReport:
     began = time.perf_counter()
-    opened = open_ik(job, progress=progress)
+    with sparing_inputs(ik_outputs(job)):
+        opened = open_ik(job, progress=progress)
     read = time.perf_counter()
     solved = solve_take(
         opened.take,

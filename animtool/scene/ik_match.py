@@ -14,7 +14,12 @@ from animtool.ik.file import is_targets
 from animtool.ik.match_take import arrays_of, chains_of, left_out, match_take
 from animtool.ik.tracks import TargetTracks
 from animtool.ik.write import targets_text
-from animtool.output import check_outputs, output_error, replacing
+from animtool.output import (
+    check_outputs,
+    output_error,
+    replacing,
+    sparing_inputs,
+)
 from animtool.rig.store import StoredArrays
 from animtool.scene.convert_rig import open_rig, write_arrays
 from animtool.scene.ik import frame_index
@@ -95,13 +100,15 @@ def run_match(job: MatchJob, *, progress: Progress = None) -> MatchReport:
     inputs = [job.rig, job.take]
     check_outputs([job.output], inputs, overwrite=job.overwrite)
     began = time.perf_counter()
-    rig, notices = open_rig(job.rig)
-    chains = chains_of(rig, job.chains)
-    take = open_start(job.take, rig, job.rig, job.source, progress=progress)
+    with sparing_inputs([job.output, arrays_of(job.output)]):
+        rig, notices = open_rig(job.rig)
+        chains = chains_of(rig, job.chains)
+        take = open_start(job.take, rig, job.rig, job.source, progress=progress)
     if job.pose:
         take = _pose(take, frame_index(take, job.frame, job.take))
     read = time.perf_counter()
-    notices = [*notices, *take.notices, *left_out(take, chains)]
+    left = [replace(fault, path=str(job.take)) for fault in left_out(take, chains)]
+    notices = [*notices, *take.notices, *left]
     refuse_warnings(notices, strict=job.strict)
     tracks = match_take(take, chains, job.output, reduce=job.reduce)
     made = targets_text(tracks, ClipUnits.of_rig(rig))

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from animtool.errors import AnimtoolError, Fault, OptionError
-from animtool.output import check_outputs, together
+from animtool.output import check_outputs, sparing_inputs, together
 from animtool.scene.bake import BakeReport, run_bake
 from animtool.scene.convert import ConvertReport, convert, convert_outputs
 from animtool.scene.frames import timed_blocks
@@ -61,7 +61,8 @@ def bake_scene(scene: Scene, options: BakeOptions | None = None) -> list[OutputR
     """
     given = options or BakeOptions()
     _check(scene, given)
-    streams = shared(scene.open(), len(scene.outputs))
+    with sparing_inputs(scene_files(scene, given)):
+        streams = shared(scene.open(), len(scene.outputs))
     plans: list[BakePlan | TakePlan] = [
         _planned(scene, output, stream, given)
         for output, stream in zip(scene.outputs, streams, strict=True)

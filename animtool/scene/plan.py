@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, cast
 
 from animtool.config import find_config
 from animtool.errors import Fault, OptionError, Severity
-from animtool.output import check_outputs
+from animtool.output import check_outputs, sparing_inputs
 from animtool.rates import rate_label
 from animtool.reorient import reorient
 from animtool.scene.options import BakeOptions, check_options
@@ -120,13 +120,15 @@ def plan_bake(
     path = None if output is None else Path(output)
     reading = found_sources(given)
     options, notices = reading.options(options or BakeOptions())
-    check_output(path, options, reading.inputs)
-    streams = reading.open(options, progress, opener)
+    with sparing_inputs(check_output(path, options, reading.inputs)):
+        streams = reading.open(options, progress, opener)
     return plan_output(reading.files, streams, path, options, notices)
 
 
-def check_output(path: Path | None, options: BakeOptions, inputs: list[Path]) -> None:
-    """Refuse an output that cannot be, before anything is read.
+def check_output(
+    path: Path | None, options: BakeOptions, inputs: list[Path]
+) -> list[Path]:
+    """Return the files of an output that can be, before anything is read.
 
     Args:
         path: The file; None is stdout.
@@ -138,11 +140,13 @@ def check_output(path: Path | None, options: BakeOptions, inputs: list[Path]) ->
         OutputError: The output cannot be written.
     """
     check_options(options, to_stdout=path is None)
-    if path is not None:
-        check_suffix(path)
-        layer = [options.rig_layer] if options.rig_layer else []
-        outputs = output_files(path, options)
-        check_outputs(outputs, inputs + layer, overwrite=options.overwrite)
+    if path is None:
+        return []
+    check_suffix(path)
+    layer = [options.rig_layer] if options.rig_layer else []
+    outputs = output_files(path, options)
+    check_outputs(outputs, inputs + layer, overwrite=options.overwrite)
+    return outputs
 
 
 def plan_output(

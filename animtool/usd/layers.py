@@ -128,12 +128,12 @@ def note_layers(stage: Any) -> None:
         if layer.anonymous:
             continue
         if layer.realPath:
-            note_input(Path(layer.realPath))
+            note_input(Path(layer.realPath), composed=True)
         # Without a name it is the layer itself.
         for name in filter(None, layer.GetCompositionAssetDependencies()):
             found = Sdf.ComputeAssetPathRelativeToLayer(layer, name)
             if found and "[" not in found and "://" not in found:
-                note_input(Path(found))
+                note_input(Path(found), composed=True)
 
 
 def compute_alone() -> None:

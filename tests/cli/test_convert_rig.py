@@ -324,3 +324,14 @@ def test_a_prim_without_a_character_is_refused(tmp_path: Path) -> None:
         done = animtool("convert", source, output, "--prim-path", path)
         assert (done.code, code in done.stderr) == (number, True), done.stderr
         assert not output.exists()
+
+
+def test_what_a_rig_is_from_is_not_replaced(hero: Path, tmp_path: Path) -> None:
+    assert animtool("convert", hero, tmp_path / "own.usda").code == 0
+    before = (tmp_path / "own.usda").read_bytes()
+    sidecar = tmp_path / "side.rig.yaml"
+    sidecar.write_text("rig: animtool/1\nname: side\nfrom: own.usda\n")
+    done = animtool("convert", sidecar, tmp_path / "own.usda", "--overwrite")
+    assert done.code == 2
+    assert "OUT003" in done.stderr
+    assert (tmp_path / "own.usda").read_bytes() == before

@@ -464,3 +464,62 @@ def test_a_space_that_is_not_there_has_its_own_place(place: Path) -> None:
     done = run(place, "-t", "prop.targets.yaml")
     assert done.code == 3
     assert "prop.targets.yaml:7:12: TGT011 goals[0].position.space:" in done.stderr
+
+
+def test_a_stage_that_targets_follow_is_not_replaced(place: Path) -> None:
+    shot = '#usda 1.0\n(subLayers = [@./layer.usda@])\ndef Xform "prop" {\n}\n'
+    (place / "shot.usda").write_text(shot)
+    (place / "layer.usda").write_text("#usda 1.0\n")
+    (place / "prop.targets.yaml").write_text(
+        "targets: animtool/1\nrange: [1, 2]\ngoals:\n"
+        "- {effector: arm_l, position: {prim: /prop, file: shot.usda}}\n"
+    )
+    given = ("-t", "prop.targets.yaml", "--overwrite", "-o")
+    done = run(place, *given, "shot.usda")
+    assert done.code == 2
+    assert "shot.usda: OUT003" in done.stderr
+    assert (place / "shot.usda").read_text() == shot
+    # A layer of the shot may be made anew.
+    done = run(place, *given, "layer.usda")
+    assert done.code == 0, done.stderr
+
+
+def test_what_a_rig_is_from_is_not_replaced(place: Path) -> None:
+    (place / "walk.rig.yaml").write_text(
+        "rig: animtool/1\nname: walk\nfrom: samples/walk/walk.bvh\n"
+    )
+    (place / "feet.targets.yaml").write_text(
+        "targets: animtool/1\ngoals: [{effector: LeftFoot, hold: [[1, 2]]}]\n"
+    )
+    given = ("-t", "feet.targets.yaml", "-o", "samples/walk/walk.bvh", "--overwrite")
+    before = (place / "samples/walk/walk.bvh").read_bytes()
+    done = run(place, *given, rig="walk.rig.yaml")
+    assert done.code == 2
+    assert "OUT003" in done.stderr
+    assert (place / "samples/walk/walk.bvh").read_bytes() == before
+
+
+def test_names_of_what_holds_no_motion(place: Path) -> None:
+    for name in ("x.targets.yaml", "x.rig.yaml", "x.SCENE.yml"):
+        done = run(place, "-t", "reach.targets.yaml", "-o", name)
+        assert done.code == 2
+        assert f"{name}: OUT004" in done.stderr
+        assert not (place / name).exists()
+
+
+def test_weights_beyond_all_bounds_warn_of_nothing_else(place: Path) -> None:
+    text = REACH.replace("[-10, 20, 20]", "[-10, 20, 20], weight: 1e200")
+    (place / "heavy.targets.yaml").write_text(text)
+    done = run(place, "-t", "heavy.targets.yaml")
+    assert done.code == 0, done.stderr
+    assert "RuntimeWarning" not in done.stderr
+
+
+def test_a_folder_is_no_stage(place: Path) -> None:
+    (place / "prop.targets.yaml").write_text(
+        "targets: animtool/1\ngoals:\n"
+        "- {effector: arm_l, position: {prim: /prop, file: samples}}\n"
+    )
+    done = run(place, "-t", "prop.targets.yaml")
+    assert done.code == 3
+    assert "'samples' is a folder" in done.stderr

@@ -72,7 +72,10 @@ def test_limbs_come_back_from_the_targets_alone(place: Path) -> None:
 def test_the_report(place: Path) -> None:
     done = run(place)
     assert done.code == 0, done.stderr
-    assert "note: TGT103 targets say nothing of hips, spine_1" in done.stderr
+    assert (
+        "stride.clip.yaml: note: TGT103 targets say nothing of hips, spine_1"
+        in done.stderr
+    )
     assert "4 chains matched, frames 1 to 24 at 24 fps" in done.stderr
     assert "leg_l: position, orientation, pole of 'ankle_l'" in done.stderr
     assert "written: stride.targets.npz, stride.targets.yaml" in done.stderr

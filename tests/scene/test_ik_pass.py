@@ -111,3 +111,17 @@ def test_targets_of_another_rate_have_the_place_of_the_pass(place: Path) -> None
     done = animtool("bake", place / "held.scene.yaml")
     assert done.code == 3
     assert "TGT014 the targets are at 25 fps, the take at 30 fps" in done.stderr
+
+
+def test_a_stage_that_targets_follow_is_not_replaced(place: Path) -> None:
+    shot = '#usda 1.0\ndef Xform "prop" {\n}\n'
+    (place / "held.usda").write_text(shot)
+    (place / "feet.targets.yaml").write_text(
+        "targets: animtool/1\ngoals:\n- {effector: LeftHand, root: LeftArm, "
+        "position: {prim: /prop, file: held.usda}}\n"
+    )
+    (place / "held.scene.yaml").write_text(SCENE.replace("usdc", "usda"))
+    done = animtool("bake", place / "held.scene.yaml", "--overwrite")
+    assert done.code == 2
+    assert "OUT003" in done.stderr
+    assert (place / "held.usda").read_text() == shot

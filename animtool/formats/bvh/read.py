@@ -15,6 +15,7 @@ from animtool.errors import Fault, FormatError, Severity
 from animtool.formats.bvh.hierarchy import BvhHeader, BvhJoint, read_header
 from animtool.formats.bvh.lines import HeaderLines
 from animtool.formats.bvh.rows import RowReader, RowSource
+from animtool.inputs import note_input
 from animtool.maths.so3 import IDENTITY
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Joint, JointType, Rig
@@ -59,6 +60,7 @@ def read_bvh(
             when they are reached.
     """
     path = Path(path)
+    note_input(path)
     try:
         with path.open("rb", buffering=0) as file:
             lines = HeaderLines(file, path)

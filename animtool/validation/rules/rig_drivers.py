@@ -58,7 +58,8 @@ class _Sweep:
 
     def worst(self, excess: FloatArray) -> Iterator[tuple[Control, int]]:
         """Yield controls that lead beyond something, and the frame where most."""
-        wide = self.spread(np.abs(excess))
+        # What is not finite is a fault of the expression (RIG207).
+        wide = self.spread(np.where(np.isfinite(excess), np.abs(excess), 0.0))
         worst: dict[str, int] = {}
         for frame in np.flatnonzero(wide > SLACK).tolist():
             name = self.moved[frame].name
@@ -111,10 +112,16 @@ def undefined(rig: RigSubject) -> Iterator[Fault]:
         for k, drive in enumerate(control.drives):
             with np.errstate(all="ignore"):
                 added = drive.evaluate(control.name, values)
-            wrong = sweep.spread(~np.isfinite(added))
+            read = (
+                (control.name,) if drive.expression is None else drive.expression.names
+            )
+            # A value that comes from another drive without one is its fault.
+            given = np.all([sweep.spread(np.isfinite(values[n])) for n in read], axis=0)
+            wrong = sweep.spread(~np.isfinite(added)) & given
             if not wrong.any():
                 continue
-            frame = int(wrong.argmax())
+            own = wrong & [moved.name in read for moved in sweep.moved]
+            frame = int((own if own.any() else wrong).argmax())
             by = sweep.moved[frame]
             value = float(sweep.keyed[by.name][frame])
             text = drive.expression.text if drive.expression else ""

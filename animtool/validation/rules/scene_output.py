@@ -23,11 +23,12 @@ __all__ = ["over_input", "over_other", "refused", "without_curves"]
 def over_input(subject: SceneSubject) -> Iterator[Fault]:
     """Yield outputs that are inputs too (SCN203)."""
     scene = subject.scene
+    read = {*subject.read, *scene.inputs, scene.path}
     for at, output in subject.outputs:
         if output.path is None:
             continue
         layer = [output.bake.rig_layer] if output.bake.rig_layer else []
-        inputs = {path.resolve(): path for path in [*scene.inputs, *layer]}
+        inputs = {path.resolve() for path in (*read, *layer)}
         for path in scene_files(replace(scene, outputs=(output,)), BakeOptions()):
             if path.resolve() in inputs:
                 message = f"writes over {path.name!r}, which it reads"

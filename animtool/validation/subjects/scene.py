@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from animtool.documents.document import Document, Location
 from animtool.errors import AnimtoolError, Fault
 from animtool.ik.take_pass import IkPassOptions, asked_of
 from animtool.ik.tracks import TargetTracks
+from animtool.inputs import recorded_inputs
 from animtool.scene.file import scene_of_document
 from animtool.scene.scene import Scene, SceneOutput
 from animtool.take import Channel, Take
@@ -35,6 +37,7 @@ class SceneSubject(DocumentSubject):
         curves: Whether it has curves of controls.
         idle: Which passes change nothing.
         solved: The takes that passes of the kind `ik` are given, by index.
+        read: The files that were read for it.
     """
 
     scene: Scene
@@ -43,6 +46,7 @@ class SceneSubject(DocumentSubject):
     curves: bool
     idle: tuple[int, ...]
     solved: dict[int, Take]
+    read: frozenset[Path]
 
     @cached_property
     def asked(self) -> list[tuple[Take, TargetTracks]]:
@@ -92,15 +96,16 @@ def _played(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fault]
     """Return a scene with what its passes do, and what is noticed on the way."""
     idle: list[int] = []
     solved: dict[int, Take] = {}
-    steps = scene.steps()
-    take, stream = next(steps)
-    for i, step in enumerate(steps):
-        after, stream = step
-        if isinstance(scene.passes[i].options, IkPassOptions):
-            solved[i] = take
-        if _alike(take, after):
-            idle.append(i)
-        take = after
+    with recorded_inputs() as inputs:
+        steps = scene.steps()
+        take, stream = next(steps)
+        for i, step in enumerate(steps):
+            after, stream = step
+            if isinstance(scene.passes[i].options, IkPassOptions):
+                solved[i] = take
+            if _alike(take, after):
+                idle.append(i)
+            take = after
     subject = SceneSubject(
         document,
         scene,
@@ -109,6 +114,7 @@ def _played(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fault]
         bool(stream.control_curves),
         tuple(idle),
         solved,
+        frozenset(inputs.opened),
     )
     return subject, stream.notices
 

@@ -170,3 +170,20 @@ def test_names_without_a_side(name: str) -> None:
 def test_the_other_side_of_the_other_side(name: str) -> None:
     other = other_side(name)
     assert other is None or other_side(other) == name
+
+
+def test_a_drive_without_a_value_is_no_fault_of_those_that_read_it(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "page.rig.yaml"
+    path.write_text(
+        f"{HEAD}- {{name: a, type: pin, axis: [1, 0, 0], limits: [0, 90]}}\n"
+        "controls:\n"
+        "- {name: bend, range: [0, 1], drives: [{joint: a.angle, expr: bend * 9}]}\n"
+        "- {name: deep, range: [0, 1], drives: [{control: bend, expr: 1 / deep}]}\n",
+        "utf-8",
+    )
+    (fault,) = [fault for fault in validate(path) if fault.code == "RIG207"]
+    assert fault.where == "controls[1].drives[0]"
+    assert "where 'deep' is 0" in fault.message
+    assert not any("inf" in fault.message for fault in validate(path))

@@ -189,3 +189,11 @@ def test_a_variable_for_another(shot: Path) -> None:
     )
     (fault,) = validate(shot)
     assert (fault.code, fault.where) == ("SCN209", "variables.c")
+
+
+def test_a_scene_that_writes_over_what_its_targets_follow(shot: Path) -> None:
+    (shot.parent / "prop.usda").write_text('#usda 1.0\ndef Xform "prop" {\n}\n')
+    goal = "- {effector: arm, position: {prim: /prop, file: prop.usda}}\n"
+    (shot.parent / "page.targets.yaml").write_text(TARGETS + goal, "utf-8")
+    shot.write_text(f"{SOLVED}output: {{file: prop.usda}}\n", "utf-8")
+    assert "SCN203" in codes(shot)
