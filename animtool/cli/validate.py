@@ -128,6 +128,10 @@ def validate(console: Console, /, paths: tuple[str, ...], **given: Any) -> None:
     if given["diff"]:
         _show_difference(console, files, options, given)
         return
+    if given["output_file"] is not None:
+        from animtool.output import check_outputs
+
+        check_outputs([given["output_file"]], files, overwrite=True)
     found = (
         _fixed(console, files, options) if given["fix"] else _checked(files, options)
     )
@@ -192,7 +196,7 @@ def _say(console: Console, report: Report, given: Mapping[str, Any]) -> None:
     if given["output_file"] is None:
         console.result(text)
     else:
-        _write(given["output_file"], text, report)
+        _write(given["output_file"], text)
     if given["output_file"] is not None or given["report_format"] != "text":
         console.say(summary(report))
     code = report.exit_code(strict=given["strict"], exit_zero=given["exit_zero"])
@@ -211,10 +215,9 @@ def _listed(paths: tuple[str, ...]) -> Iterator[str]:
                 yield name
 
 
-def _write(path: Path, text: str, report: Report) -> None:
-    from animtool.output import check_outputs, output_error, replacing
+def _write(path: Path, text: str) -> None:
+    from animtool.output import output_error, replacing
 
-    check_outputs([path], report.files, overwrite=True)
     with replacing(path) as temporary:
         try:
             # Names of files may hold bytes that are no text.

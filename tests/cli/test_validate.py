@@ -87,6 +87,19 @@ def test_an_output_file(folder: Path) -> None:
     assert (folder / "right.rig.yaml").read_text("utf-8") == RIGHT
 
 
+def test_a_report_that_cannot_be_written_is_refused_before_the_work(
+    folder: Path,
+) -> None:
+    text = f"{RIGHT}ignore: [{{code: RIG201, why: it is meant}}]\n"
+    (folder / "right.rig.yaml").write_text(text, "utf-8")
+    done = animtool(
+        "validate", ".", "--fix", "--output-file", "none/out.txt", cwd=folder
+    )
+    assert (done.code, done.stdout) == (3, "")
+    assert "OUT002" in done.stderr
+    assert (folder / "right.rig.yaml").read_text("utf-8") == text
+
+
 def test_processes_of_a_real_command(folder: Path) -> None:
     one = animtool_process("validate", ".", "-j", "1", cwd=folder)
     two = animtool_process("validate", ".", "-j", "2", cwd=folder)
