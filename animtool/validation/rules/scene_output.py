@@ -29,10 +29,11 @@ def over_input(subject: SceneSubject) -> Iterator[Fault]:
             continue
         layer = [output.bake.rig_layer] if output.bake.rig_layer else []
         inputs = {path.resolve() for path in (*read, *layer)}
-        for path in scene_files(replace(scene, outputs=(output,)), BakeOptions()):
-            if path.resolve() in inputs:
-                message = f"writes over {path.name!r}, which it reads"
-                yield subject.fault("SCN203", (*at, "file"), message, "name another")
+        files = scene_files(replace(scene, outputs=(output,)), BakeOptions())
+        over = [repr(path.name) for path in files if path.resolve() in inputs]
+        if over:
+            message = f"writes over {' and '.join(over)}, which it reads"
+            yield subject.fault("SCN203", (*at, "file"), message, "name another")
 
 
 def over_other(subject: SceneSubject) -> Iterator[Fault]:
