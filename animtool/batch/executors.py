@@ -42,6 +42,8 @@ class Work:
         limits: What each may take.
         jobs: How many may be made at a time.
         argument: What the user wrote behind the executor's name and ``=``.
+        asked: How many at a time the user asked for; None is as many as there is
+            room for.
     """
 
     maker: Maker
@@ -49,6 +51,7 @@ class Work:
     limits: Limits
     jobs: int
     argument: str = ""
+    asked: int | None = None
 
 
 # Yields what became of each item as it ends; closing the iterator ends the work.
@@ -73,6 +76,10 @@ class Executor:
 
 
 EXECUTORS = {
+    "dask": Executor(
+        "the workers of a dask cluster: dask=ADDRESS (extra: farm)",
+        "animtool.batch.cluster:dask",
+    ),
     "processes": Executor(
         "several processes on this machine", "animtool.batch.executors:processes"
     ),
@@ -149,8 +156,8 @@ class ListedExecutor:
 def listed_executors() -> list[ListedExecutor]:
     """Return every executor, animtool's own first, those of plug-ins loaded.
 
-    >>> [entry.name for entry in listed_executors()][:2]
-    ['processes', 'serial']
+    >>> [entry.name for entry in listed_executors()][:3]
+    ['dask', 'processes', 'serial']
     """
     found = [
         ListedExecutor(name, "animtool", True, entry.about)

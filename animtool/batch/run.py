@@ -178,9 +178,10 @@ class _Run:
         name, _, argument = self.options.executor.partition("=")
         execute = find_executor(name).load()
         maker = Maker(self.batch.recipe, self.batch.root)
-        asked = self.options.jobs or self.batch.jobs or _processors()
-        jobs = min(asked, len(due))
-        work = Work(maker, self._begun(due), self.batch.limits, jobs, argument)
+        asked = self.options.jobs or self.batch.jobs
+        jobs = min(asked or _processors(), len(due))
+        items = self._begun(due)
+        work = Work(maker, items, self.batch.limits, jobs, argument, asked)
         outcomes = execute(work)
         close: Callable[[], None] = getattr(outcomes, "close", lambda: None)
         try:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from support.batch import take_files
+from support.cluster import local_cluster
 
 from animtool.batch.discover import find_batch
 from animtool.batch.executors import (
@@ -39,13 +40,28 @@ def work(folder: Path, count: int, **given: object) -> Work:
     return Work(maker, iter(batch.items), **settings)  # type: ignore[arg-type]
 
 
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[str]:
+    with local_cluster() as address:
+        yield address
+
+
 @pytest.fixture(params=sorted(EXECUTORS))
 def name(request: pytest.FixtureRequest) -> str:
+    """Give the name of each executor of the table."""
     return str(request.param)
 
 
-def test_every_item_is_made_once(name: str, tmp_path: Path) -> None:
-    made = work(tmp_path, 5)
+@pytest.fixture
+def argument(name: str, request: pytest.FixtureRequest) -> str:
+    """Give the argument that an executor needs."""
+    return str(request.getfixturevalue("cluster")) if name == "dask" else ""
+
+
+def test_every_item_is_made_once(
+    name: str, argument: str, tmp_path: Path
+) -> None:
+    made = work(tmp_path, 5, argument=argument)
     (tmp_path / "takes/take002.bvh").write_text("HIERARCHY\n")
     found = {o.number: o for o in find_executor(name).load()(made)}
     assert sorted(found) == [1, 2, 3, 4, 5]
@@ -62,16 +78,22 @@ def test_every_item_is_made_once(name: str, tmp_path: Path) -> None:
         assert outcome.measured.samples == 4
 
 
-def test_outputs_are_those_of_any_other(name: str, tmp_path: Path) -> None:
+def test_outputs_are_those_of_any_other(
+    name: str, argument: str, tmp_path: Path
+) -> None:
     contents = []
-    for folder, executor in ((tmp_path / "a", name), (tmp_path / "b", "serial")):
-        list(find_executor(executor).load()(work(folder, 3)))
+    for executor, told in ((name, argument), ("serial", "")):
+        folder = tmp_path / str(len(contents))
+        made = work(folder, 3, argument=told)
+        list(find_executor(executor).load()(made))
         contents.append([p.read_bytes() for p in sorted((folder / "out").iterdir())])
     assert contents[0] == contents[1]
     assert len(contents[0]) == 3
 
 
-def test_items_are_taken_when_they_are_begun(name: str, tmp_path: Path) -> None:
+def test_items_are_taken_when_they_are_begun(
+    name: str, argument: str, tmp_path: Path
+) -> None:
     made, taken = work(tmp_path, 6), []
 
     def counted(items: Iterator[Item]) -> Iterator[Item]:
@@ -79,7 +101,7 @@ def test_items_are_taken_when_they_are_begun(name: str, tmp_path: Path) -> None:
             taken.append(item.number)
             yield item
 
-    counting = Work(made.maker, counted(made.items), made.limits, 2)
+    counting = Work(made.maker, counted(made.items), made.limits, 2, argument)
     outcomes = find_executor(name).load()(counting)
     next(iter(outcomes))
     assert len(taken) <= 3
@@ -88,10 +110,12 @@ def test_items_are_taken_when_they_are_begun(name: str, tmp_path: Path) -> None:
         close()
 
 
-def test_no_items_are_no_outcomes(name: str, tmp_path: Path) -> None:
-    assert list(find_executor(name).load()(work(tmp_path, 1).__class__(
-        work(tmp_path, 1).maker, iter(()), Limits(), 1
-    ))) == []  # fmt: skip
+def test_no_items_are_no_outcomes(
+    name: str, argument: str, tmp_path: Path
+) -> None:
+    some = work(tmp_path, 1)
+    none = Work(some.maker, iter(()), Limits(), 1, argument)
+    assert list(find_executor(name).load()(none)) == []
 
 
 def test_an_argument_that_it_has_no_use_for(name: str, tmp_path: Path) -> None:
@@ -133,7 +157,7 @@ def test_executors_of_plug_ins(
     point = EntryPoint(name, f"batch.test_executors:{value}", "animtool.executors")
     monkeypatch.setattr("importlib.metadata.entry_points", lambda **_: [point])
     listed = {entry.name: entry.loads for entry in listed_executors()}
-    assert listed == {"processes": True, "serial": True, name: loads}
+    assert listed == {**dict.fromkeys(EXECUTORS, True), name: loads}
     if loads:
         assert find_executor(name) == OTHER
         return

@@ -1,0 +1,190 @@
+"""Items made by the workers of a dask cluster."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+from animtool.batch.executors import Work
+from animtool.batch.lane import Lane, Task
+from animtool.batch.outcome import Outcome, Status
+from animtool.batch.recipe import Item
+from animtool.batch.versions import made_by
+from animtool.errors import Fault, OptionError, OutputError, excerpt
+
+__all__ = ["dask"]
+
+# A scheduler that has not answered by then is not there [s].
+PATIENCE = 10.0
+ADDRESS = re.compile(r"([a-z]+://.+)|(.+:[0-9]+)")
+
+
+def dask(work: Work) -> Iterator[Outcome]:
+    """Yield what becomes of items, made by the workers of a dask cluster.
+
+    Each of its threads has a program of its own beside it, whose process makes one item
+    after another: limits, and what an item costs that ends its process, are those of
+    `run_processes`. As many items are begun as the cluster has threads, or as were
+    asked for. The folders of inputs and outputs must be there under the same names.
+
+    Raises:
+        OptionError: The argument is no address (BAT031), or distributed is missing
+            (BAT034).
+        OutputError: No scheduler answers, or its workers cannot be prepared (BAT035).
+    """
+    about = work.argument
+    file = about.endswith(".json")
+    if not (file or ADDRESS.fullmatch(about)):
+        message = f"{excerpt(about)} is no address of a dask scheduler"
+        hint = "such as dask=tcp://host:8786, or dask=scheduler.json"
+        raise OptionError(Fault("BAT031", message, hint=hint))
+    if importlib.util.find_spec("distributed") is None:
+        message = "the executor dask needs the package distributed"
+        hint = "pip install 'animtool[farm]'"
+        raise OptionError(Fault("BAT034", message, hint=hint))
+    return _outcomes(work, {"scheduler_file" if file else "address": about})
+
+
+def _outcomes(work: Work, where: Mapping[str, str]) -> Iterator[Outcome]:
+    client = _client(work.argument, where)
+    name = f"animtool-{uuid4().hex}"
+    try:
+        task = Task(work.maker, work.limits, str(Path.cwd()))
+        _prepare(client, work.argument, name, task)
+        yield from _made(client, name, work)
+    finally:
+        # Workers end what they are at, whether or not all was made.
+        with suppress(Exception):
+            client.unregister_worker_plugin(name)
+        client.close()
+
+
+def _client(about: str, where: Mapping[str, str]) -> Any:
+    from distributed import Client
+
+    try:
+        return Client(**where, timeout=PATIENCE, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise _unreachable(about, error) from error
+
+
+def _prepare(client: Any, about: str, name: str, task: Task) -> None:
+    """Let each worker, of now and of later, know how items are made."""
+    from distributed import WorkerPlugin
+
+    class Lanes(_Lanes, WorkerPlugin):  # type: ignore[misc]
+        """What every worker of the cluster has."""
+
+    plugin = Lanes(task, made_by())
+    try:
+        client.register_plugin(plugin, name=name)
+    except Exception as error:
+        raise _unreachable(about, error) from error
+
+
+def _unreachable(about: str, error: Exception) -> OutputError:
+    kind = type(error).__name__
+    message = f"no dask cluster at {about} can be used: {kind}: {excerpt(str(error), 200)}"
+    hint = "its workers need the same animtool, and its scheduler the same distributed"
+    return OutputError(Fault("BAT035", message, hint=hint))
+
+
+def _made(client: Any, name: str, work: Work) -> Iterator[Outcome]:
+    """Begin an item whenever a thread is free, and yield what became of those that end."""
+    from distributed import as_completed
+
+    going: dict[Any, Item] = {}
+    ended = as_completed([], loop=client.loop)
+    while True:
+        places = work.asked or max(1, sum(client.nthreads().values()))
+        while len(going) < places:
+            item = next(work.items, None)
+            if item is None:
+                break
+            future = client.submit(_make, name, item, pure=False)
+            going[future] = item
+            ended.add(future)
+        if not going:
+            return
+        future = next(ended)
+        yield _outcome(future, going.pop(future))
+
+
+def _make(name: str, item: Item) -> Outcome:
+    """Make an item, on a worker."""
+    from distributed import get_worker
+
+    lanes: _Lanes = get_worker().plugins[name]
+    return lanes.make(item)
+
+
+def _outcome(future: Any, item: Item) -> Outcome:
+    error = future.exception()
+    if error is None:
+        outcome: Outcome = future.result()
+        return outcome
+    kind = type(error).__name__
+    message = f"the worker that made it was lost: {kind}: {excerpt(str(error), 200)}"
+    return _failed(item, Fault("BAT020", message, str(item.found.path)))
+
+
+def _failed(item: Item, fault: Fault) -> Outcome:
+    return Outcome(item.number, Status.FAILED, 0.0, (fault,))
+
+
+@dataclass(slots=True)
+class _Lanes:
+    """The programs of a worker that make items: as many as it has threads at work.
+
+    Attributes:
+        task: How they make items.
+        versions: Of what items are made by, where the run is.
+    """
+
+    task: Task
+    versions: Mapping[str, str]
+    _idle: list[Lane] = field(default_factory=list)
+    _busy: list[Lane] = field(default_factory=list)
+
+    def make(self, item: Item) -> Outcome:
+        """Return what became of an item."""
+        other = _differences(self.versions, made_by())
+        if other:
+            import platform
+
+            message = f"{platform.node()} has other versions than the run: {other}"
+            hint = "the same on every machine makes the same bytes"
+            return _failed(item, Fault("BAT036", message, hint=hint))
+        # Both are atomic among threads.
+        lane = self._idle.pop() if self._idle else Lane(self.task)
+        self._busy.append(lane)
+        try:
+            outcome = lane.make(item)
+        except OSError as error:
+            self._busy.remove(lane)
+            lane.end()
+            message = f"cannot be made here: {error}"
+            return _failed(item, Fault("BAT020", message, str(item.found.path)))
+        self._busy.remove(lane)
+        self._idle.append(lane)
+        return outcome
+
+    def teardown(self, worker: object) -> None:
+        """End the programs, and what they are at."""
+        del worker
+        for lane in [*self._idle, *self._busy]:
+            lane.end()
+
+
+def _differences(wanted: Mapping[str, str], found: Mapping[str, str]) -> str:
+    return ", ".join(
+        f"{name} {found.get(name) or 'none'} for {wanted.get(name) or 'none'}"
+        for name in sorted({*wanted, *found})
+        if wanted.get(name) != found.get(name)
+    )

@@ -1,0 +1,112 @@
+"""A program that makes items one after another in a process that it may lose.
+
+``python -m animtool.batch.lane`` reads a `Task` and then items, pickled, from stdin, and
+writes to stdout what became of each. It is for workers of others, such as those of dask,
+which may start no processes of their own kind and hold no item to its limits.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from subprocess import PIPE, Popen
+from typing import IO, cast
+
+from animtool.batch.limits import Limits
+from animtool.batch.outcome import Outcome
+from animtool.batch.pool import run_processes
+from animtool.batch.recipe import Item
+from animtool.batch.work import Maker
+
+__all__ = ["Lane", "Task"]
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """How a lane makes items.
+
+    Attributes:
+        maker: Makes them.
+        limits: What each may take.
+        folder: The current folder, from which paths of items start.
+    """
+
+    maker: Maker
+    limits: Limits
+    folder: str
+
+
+@dataclass(slots=True)
+class Lane:
+    """Such a program, and the way to it.
+
+    Attributes:
+        task: How it makes items.
+    """
+
+    task: Task
+    _process: Popen[bytes] | None = field(default=None, repr=False)
+
+    def make(self, item: Item) -> Outcome:
+        """Return what became of an item.
+
+        Raises:
+            OSError: The program cannot be started, or ended.
+        """
+        try:
+            if self._process is None:
+                self._process = self._started()
+            self._send(item)
+            return cast(Outcome, pickle.load(self._pipe(self._process.stdout)))
+        except (EOFError, pickle.UnpicklingError) as error:
+            raise ConnectionError("the program that makes items ended") from error
+
+    def end(self) -> None:
+        """End the program, and what it is at."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.communicate()
+            self._process = None
+
+    def _started(self) -> Popen[bytes]:
+        command = [sys.executable, "-P", "-m", "animtool.batch.lane"]
+        self._process = Popen(command, stdin=PIPE, stdout=PIPE, cwd=self.task.folder)
+        self._send(self.task)
+        return self._process
+
+    def _send(self, value: object) -> None:
+        assert self._process is not None
+        pipe = self._pipe(self._process.stdin)
+        pickle.dump(value, pipe)
+        pipe.flush()
+
+    @staticmethod
+    def _pipe(pipe: IO[bytes] | None) -> IO[bytes]:
+        assert pipe is not None
+        return pipe
+
+
+def main() -> None:
+    """Make the items on stdin until it ends."""
+    # What anything prints must not come between outcomes.
+    with os.fdopen(os.dup(1), "wb") as results:
+        os.dup2(2, 1)
+        task: Task = pickle.load(sys.stdin.buffer)
+        for outcome in run_processes(task.maker, _items(), task.limits, 1):
+            pickle.dump(outcome, results)
+            results.flush()
+
+
+def _items() -> Iterator[Item]:
+    while True:
+        try:
+            yield pickle.load(sys.stdin.buffer)
+        except EOFError:
+            return
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,20 @@
+"""A small dask cluster on this machine, for tests."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+
+@contextmanager
+def local_cluster() -> Iterator[str]:
+    """Give the address of a cluster of two workers; skip where dask is missing."""
+    pytest.importorskip("distributed", reason="distributed is not installed (farm)")
+    from distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50
+    ) as cluster:
+        yield str(cluster.scheduler_address)
