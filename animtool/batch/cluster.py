@@ -90,13 +90,15 @@ def _prepare(client: Any, about: str, name: str, task: Task) -> None:
 
 def _unreachable(about: str, error: Exception) -> OutputError:
     kind = type(error).__name__
-    message = f"no dask cluster at {about} can be used: {kind}: {excerpt(str(error), 200)}"
+    message = (
+        f"no dask cluster at {about} can be used: {kind}: {excerpt(str(error), 200)}"
+    )
     hint = "its workers need the same animtool, and its scheduler the same distributed"
     return OutputError(Fault("BAT035", message, hint=hint))
 
 
 def _made(client: Any, name: str, work: Work) -> Iterator[Outcome]:
-    """Begin an item whenever a thread is free, and yield what became of those that end."""
+    """Begin an item whenever a thread is free; yield what became of those that end."""
     from distributed import as_completed
 
     going: dict[Any, Item] = {}

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from animtool.batch.cuts import SHOT_NAMES, CutList, Shot, read_cuts
 from animtool.batch.limits import Limits
 from animtool.batch.names import INPUT_NAMES, input_names, output_root, unknown_names
 from animtool.batch.recipe import Item, Recipe
@@ -49,6 +50,7 @@ class Batch:
         root: Folder of all outputs, absolute, from which records name files.
         given: Files that all items are made with, such as a scene.
         sample: What the first item is baked from, where all are of one scene.
+        notices: What is to be said of a timeline that items are of.
     """
 
     name: str
@@ -59,6 +61,7 @@ class Batch:
     root: Path
     given: tuple[Path, ...] = ()
     sample: Source | None = None
+    notices: tuple[Fault, ...] = ()
 
     @property
     def records(self) -> Path:
@@ -74,23 +77,28 @@ class Batch:
 
 
 def find_batch(spec: BatchSpec) -> Batch:
-    """Return the items of a batch, in the order of their names.
+    """Return the items of a batch, in the order of their names, or of a timeline.
 
     Raises:
-        FormatError: A scene is malformed.
+        FormatError: A scene or a timeline is malformed.
         NothingFoundError: There is no input (BAT005).
         OptionError: The output has a name that there is none of (BAT004), or a
             variable that nothing uses is given (SCN031).
     """
     _check_pattern(spec)
-    found = _found(spec)
-    recipe = _recipe(spec, found)
+    cuts = _cuts(spec)
+    shots = cuts.shots
+    if not shots:
+        raise _nothing(spec)
+    recipe = _recipe(spec, [shot.found for shot in shots])
     sample = None
     if spec.scene is not None:
-        sample = recipe.source(Item(1, found[0], found[0].path))
+        first = shots[0]
+        sample = recipe.source(Item(1, first.found, first.found.path, first.names))
     _check_variables(spec, recipe, sample)
-    items = tuple(_items(spec, recipe, found, sample))
-    given = [spec.scene, spec.options.rig_layer, spec.options.source.rig, spec.path]
+    items = tuple(_items(spec, recipe, shots, sample))
+    options = spec.options
+    given = [spec.scene, options.rig_layer, options.source.rig, spec.path, spec.cuts]
     return Batch(
         spec.name,
         items,
@@ -100,14 +108,18 @@ def find_batch(spec: BatchSpec) -> Batch:
         Path(spec.folder, output_root(spec.output or "")).absolute(),
         tuple(path for path in given if path is not None),
         sample,
+        tuple(cuts.notices),
     )
 
 
 def _check_pattern(spec: BatchSpec) -> None:
     place = None if spec.path is None else str(spec.path)
+    known = dict(spec.variables)
+    if spec.cuts is not None:
+        known |= dict.fromkeys(SHOT_NAMES, "")
     faults = [
         Fault("BAT004", message, place, (), hint)
-        for message, hint in unknown_names(spec.output or "", spec.variables)
+        for message, hint in unknown_names(spec.output or "", known)
     ]
     if faults:
         raise OptionError(faults)
@@ -128,33 +140,46 @@ def _check_variables(spec: BatchSpec, recipe: Recipe, sample: Source | None) -> 
     elif any(map(is_scene, recipe.kinds)):
         # Each has its own, and says what is wrong with them when it is made.
         used |= set(spec.variables)
-    check_given(spec.variables, used - set(INPUT_NAMES))
+    taken = {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
+    check_given(spec.variables, used - taken)
 
 
 def _items(
     spec: BatchSpec,
     recipe: Recipe,
-    found: Sequence[FoundFile],
+    shots: Sequence[Shot],
     sample: Source | None,
 ) -> Iterator[Item]:
     """Yield the items, each with its output: the pattern's, its scene's, or beside."""
     named_by_scene = getattr(sample, "output", None) is not None
-    for number, file in enumerate(found, 1):
+    for number, shot in enumerate(shots, 1):
+        file = shot.found
         if spec.output is not None:
-            names = {**spec.variables, **input_names(file)}
-            yield Item(number, file, spec.folder / spec.output.format(**names))
+            names = {**spec.variables, **input_names(file), **shot.names}
+            output = spec.folder / spec.output.format(**names)
+            yield Item(number, file, output, shot.names)
             continue
         beside = file.path.with_name(f"{source_stem(file.path)}.usdc")
-        item = Item(number, file, beside)
+        if spec.cuts is not None:
+            beside = spec.cuts.with_name(f"{shot.names['shot']}.usdc")
+        item = Item(number, file, beside, shot.names)
         if named_by_scene or (spec.scene is None and is_scene(file.path)):
             own = getattr(recipe.source(item), "output", None)
             item = replace(item, output=own or beside)
         yield item
 
 
-def _found(spec: BatchSpec) -> list[FoundFile]:
-    """Return the inputs, each once, in order."""
-    suffixes = SUFFIXES if spec.scene is not None else (*SUFFIXES, *SCENES)
+def _cuts(spec: BatchSpec) -> CutList:
+    """Return what items are made of: clips of a timeline, or the inputs."""
+    found, left_out = _found(spec)
+    if spec.cuts is None:
+        return CutList([Shot(file, {}) for file in found])
+    return read_cuts(spec.cuts, found, spec.handles, left_out)
+
+
+def _found(spec: BatchSpec) -> tuple[list[FoundFile], Callable[[Path], bool]]:
+    """Return the inputs, each once, in order; and whether a file is left out."""
+    suffixes = _suffixes(spec)
     place = Places()
     left_out = {
         place(file.path) for file in _meant(spec.folder, spec.exclude, suffixes)
@@ -164,12 +189,23 @@ def _found(spec: BatchSpec) -> list[FoundFile]:
         where = place(file.path)
         if where not in left_out:
             files.setdefault(where, file)
-    if not files:
-        message = f"no input in {listed(spec.inputs) or 'nothing'}"
-        hint = f"folders are searched for {', '.join(suffixes)}"
-        path = None if spec.path is None else str(spec.path)
-        raise NothingFoundError(Fault("BAT005", message, path, (), hint))
-    return [files[path] for path in sorted(files, key=os.fspath)]
+    ordered = [files[path] for path in sorted(files, key=os.fspath)]
+    return ordered, lambda path: place(path) in left_out
+
+
+def _nothing(spec: BatchSpec) -> NothingFoundError:
+    path = None if spec.path is None else str(spec.path)
+    if spec.cuts is not None:
+        message = "has no clip with media"
+        return NothingFoundError(Fault("BAT005", message, str(spec.cuts)))
+    suffixes = _suffixes(spec)
+    message = f"no input in {listed(spec.inputs) or 'nothing'}"
+    hint = f"folders are searched for {', '.join(suffixes)}"
+    return NothingFoundError(Fault("BAT005", message, path, (), hint))
+
+
+def _suffixes(spec: BatchSpec) -> Sequence[str]:
+    return SUFFIXES if spec.scene is not None else (*SUFFIXES, *SCENES)
 
 
 def _meant(

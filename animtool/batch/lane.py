@@ -1,8 +1,8 @@
 """A program that makes items one after another in a process that it may lose.
 
-``python -m animtool.batch.lane`` reads a `Task` and then items, pickled, from stdin, and
-writes to stdout what became of each. It is for workers of others, such as those of dask,
-which may start no processes of their own kind and hold no item to its limits.
+``python -m animtool.batch.lane`` reads a `Task` and then items, pickled, from stdin,
+and writes to stdout what became of each. It is for workers of others, such as those of
+dask, which may start no processes of their own kind and hold no item to its limits.
 """
 
 from __future__ import annotations

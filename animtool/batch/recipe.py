@@ -30,11 +30,13 @@ class Item:
         number: Its place among those of the batch, from 1.
         found: What it is made of.
         output: The file to write.
+        names: What names stand for in its scene, beside those of its input.
     """
 
     number: int
     found: FoundFile
     output: Path
+    names: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +62,7 @@ class Recipe:
 
     def names(self, item: Item) -> dict[str, str]:
         """Return what names in a scene stand for."""
-        return {**input_names(item.found), **self.variables}
+        return {**input_names(item.found), **item.names, **self.variables}
 
     def source(self, item: Item) -> Source:
         """Return what is baked: a scene, loaded, or a file.

@@ -28,6 +28,8 @@ class BatchSpec:
         limits: What each may take.
         jobs: How many processes; None is one for each processor.
         path: The file that says it; None where there is none.
+        cuts: A timeline whose clips are the items; None has one for each input.
+        handles: Frames wanted before and behind the cuts of a timeline.
     """
 
     inputs: tuple[str, ...]
@@ -41,3 +43,5 @@ class BatchSpec:
     limits: Limits = field(default_factory=Limits)
     jobs: int | None = None
     path: Path | None = None
+    cuts: Path | None = None
+    handles: int = 0

@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 import shlex
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from animtool.cli.batch_openjd import openjd_failure, openjd_lines
 from animtool.cli.batch_progress import shown_progress
 from animtool.cli.console import Console
 from animtool.cli.options import Parsed, common_options, set_option
@@ -30,11 +31,29 @@ def _jobs(text: str) -> int | None:
     return int(text)
 
 
-def _numbers(text: str) -> tuple[int, int]:
-    found = re.fullmatch(r"(\d{1,9})(?:-(\d{1,9}))?", text)
+@dataclass(frozen=True, slots=True)
+class _Numbers:
+    """Which items: from the first to the last, or as many of these as there are."""
+
+    first: int
+    last: int
+    open: bool = False
+
+    def among(self, count: int) -> tuple[int, int]:
+        """Return the first and the last of a number of items."""
+        open_end = self.open and self.first <= count
+        return self.first, min(self.last, count) if open_end else self.last
+
+
+def _numbers(text: str) -> _Numbers:
+    found = re.fullmatch(r"(\d{1,9})(?:([-+])(\d{1,9}))?", text)
     if found is None:
-        raise ValueError(f"{text!r} is neither a number nor a range such as 1-20")
-    return int(found[1]), int(found[2] or found[1])
+        message = f"{text!r} is neither a number nor a range such as 1-20 or 1+20"
+        raise ValueError(message)
+    first, last = int(found[1]), int(found[3] or found[1])
+    if found[2] == "+":
+        return _Numbers(first, first + last - 1, open=True)
+    return _Numbers(first, last)
 
 
 def _name(text: str) -> str:
@@ -57,12 +76,13 @@ Examples:
   animtool batch nightly.batch.yaml
   animtool batch "takes/**/*.bvh" -o "out/{parent}/{stem}.usdc" -j 8
   animtool batch takes --scene clean.scene.yaml --set shot=sh010 -o "out/{stem}.usdc"
+  animtool batch --cut edit.otio --scene shot.scene.yaml -o "out/{shot}.usdc"
   animtool batch nightly.batch.yaml -n
   animtool batch nightly.batch.yaml --retry-failed --time-limit 600
   animtool batch nightly.batch.yaml --items 1-20
   find takes -newer stamp -name "*.bvh" | animtool batch - -o "out/{stem}.usdc\""""
 )
-@click.argument("inputs", metavar="JOB|INPUT...", nargs=-1, required=True)
+@click.argument("inputs", metavar="JOB|INPUT...", nargs=-1)
 @click.option(
     "-o",
     "--output",
@@ -77,6 +97,21 @@ Examples:
     help="A scene that says what is done to each: ${input} in it is the input.",
 )
 @set_option
+@click.option(
+    "--cut",
+    "cuts",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="A timeline that OpenTimelineIO reads: each clip is an item, with --scene. "
+    "INPUTs are where media is looked for that it does not lead to.",
+)
+@click.option(
+    "--handles",
+    type=click.IntRange(0),
+    default=0,
+    metavar="N",
+    help="Frames wanted before and behind each cut: ${begin} and ${end} reach so far.",
+)
 @click.option(
     "--exclude",
     multiple=True,
@@ -101,9 +136,9 @@ Examples:
     "--items",
     "numbers",
     type=Parsed("range", _numbers),
-    metavar="A-B",
-    help="Only some, by their numbers from 1 in the order of their names; other runs "
-    "may make others at the same time.",
+    metavar="A-B|A+N",
+    help="Only some, by their numbers from 1 in the order of their names: from A to B, "
+    "or N of them, if there are so many. Other runs may make others at the same time.",
 )
 @click.option(
     "--name",
@@ -155,6 +190,21 @@ Examples:
     "item when it ends.",
 )
 @click.option(
+    "--lines",
+    type=click.Choice(["text", "openjd"]),
+    default="text",
+    show_default=True,
+    help="What is told of each item when it ends: openjd adds on stdout the progress, "
+    "status and failures that a session of Open Job Description reads.",
+)
+@click.option(
+    "--path-mapping",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="RULES",
+    help="Where folders of other machines are on this one, as JSON of Open Job "
+    "Description: for the inputs and outputs of a batch file.",
+)
+@click.option(
     "--junit",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
@@ -170,17 +220,30 @@ def batch(console: Console, /, inputs: tuple[str, ...], **given: Any) -> None:
     folder of the outputs, with what it was made of: the same command goes on where it
     was stopped, and makes again what changed since.
 
+    With --cut, each clip of a timeline is an item. Its scene has ${shot}, ${first} and
+    ${last}, ${begin} and ${end}, ${head}, ${tail}, ${handles}, ${clip}, ${track},
+    ${fps} and ${speed}.
+
     Ends with 1 where items failed, 5 where there is no input.
     """
+    from animtool.batch.discover import find_batch
     from animtool.batch.run import RunOptions, run_batch
 
     if given["fail_fast"] and given["max_failures"] not in {None, 1}:
         raise click.UsageError("--fail-fast is --max-failures 1: give one.")
-    spec = _spec(inputs, given)
+    if not inputs and given["cuts"] is None:
+        raise click.UsageError("Give a batch file, inputs, or --cut.")
+    openjd = given["lines"] == "openjd"
+    if openjd and given["report_format"] != "text":
+        raise click.UsageError("--lines openjd and --format both write to stdout.")
+    with openjd_failure(asked=openjd):
+        found = find_batch(_spec(inputs, given))
+    console.faults(found.notices)
+    numbers = given["numbers"]
     options = RunOptions(
         given["jobs"],
         given["executor"],
-        given["numbers"],
+        None if numbers is None else numbers.among(len(found.items)),
         given["dry_run"],
         given["force"],
         given["verify"],
@@ -190,8 +253,12 @@ def batch(console: Console, /, inputs: tuple[str, ...], **given: Any) -> None:
     )
     lines = given["report_format"] == "jsonl"
     try:
-        with shown_progress(console, lines=lines) as listener:
-            report = run_batch(spec, options, listener)
+        with (
+            openjd_failure(asked=openjd),
+            shown_progress(console, lines=lines) as listener,
+        ):
+            told = openjd_lines(listener) if openjd else listener
+            report = run_batch(found, options, told)
     except KeyboardInterrupt:
         console.say("what was made is recorded; the same command goes on with the rest")
         raise
@@ -210,12 +277,18 @@ def _spec(inputs: tuple[str, ...], given: dict[str, Any]) -> BatchSpec:
     if jobs and len(inputs) > 1:
         raise click.UsageError(f"{jobs[0]} is a batch file: give it alone.")
     spec = load_batch(Path(jobs[0])) if jobs else BatchSpec(_listed(inputs))
+    if given["path_mapping"] is not None:
+        from animtool.batch.mapping import mapped_spec, read_rules
+
+        spec = mapped_spec(spec, read_rules(given["path_mapping"]))
     here = Path.cwd()
     if given["output"] is not None:
         output = str(here / given["output"]) if jobs else given["output"]
         spec = replace(spec, output=output)
     if given["scene"] is not None:
         spec = replace(spec, scene=given["scene"])
+    if given["cuts"] is not None and spec.scene is None:
+        raise click.UsageError("--cut needs a --scene that says what is done.")
     excluded = tuple(str(here / text) if jobs else text for text in given["exclude"])
     limits = replace(
         spec.limits,
@@ -233,6 +306,8 @@ def _spec(inputs: tuple[str, ...], given: dict[str, Any]) -> BatchSpec:
         exclude=(*spec.exclude, *excluded),
         variables={**spec.variables, **dict(given["variables"])},
         limits=limits,
+        cuts=given["cuts"],
+        handles=given["handles"],
     )
 
 
@@ -266,6 +341,9 @@ class _Repeat:
         words += [] if given["name"] is None else ["--name", given["name"]]
         words += ["--strict"] if given["strict"] else []
         words += [] if given["scene"] is None else ["--scene", str(given["scene"])]
+        if given["cuts"] is not None:
+            words += ["--cut", str(given["cuts"])]
+            words += ["--handles", str(given["handles"])] if given["handles"] else []
         for name, value in given["variables"]:
             words += ["--set", f"{name}={value}"]
         for text in () if listed else given["exclude"]:

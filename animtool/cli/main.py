@@ -31,6 +31,7 @@ COMMANDS = {
     "diff": ("animtool.cli.diff:diff", "Compare two takes or layers."),
     "explain": ("animtool.cli.explain:explain", "Say what a code means."),
     "ik": ("animtool.cli.ik:ik", "Bring the joints of a rig to targets."),
+    "job": ("animtool.cli.job:job", "Write a batch as a job for a render farm."),
     "migrate": (
         "animtool.cli.migrate:migrate",
         "Rewrite files of older versions as the newest.",

@@ -58,9 +58,7 @@ def argument(name: str, request: pytest.FixtureRequest) -> str:
     return str(request.getfixturevalue("cluster")) if name == "dask" else ""
 
 
-def test_every_item_is_made_once(
-    name: str, argument: str, tmp_path: Path
-) -> None:
+def test_every_item_is_made_once(name: str, argument: str, tmp_path: Path) -> None:
     made = work(tmp_path, 5, argument=argument)
     (tmp_path / "takes/take002.bvh").write_text("HIERARCHY\n")
     found = {o.number: o for o in find_executor(name).load()(made)}
@@ -110,9 +108,7 @@ def test_items_are_taken_when_they_are_begun(
         close()
 
 
-def test_no_items_are_no_outcomes(
-    name: str, argument: str, tmp_path: Path
-) -> None:
+def test_no_items_are_no_outcomes(name: str, argument: str, tmp_path: Path) -> None:
     some = work(tmp_path, 1)
     none = Work(some.maker, iter(()), Limits(), 1, argument)
     assert list(find_executor(name).load()(none)) == []

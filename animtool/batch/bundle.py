@@ -1,0 +1,228 @@
+"""A batch as an Open Job Description bundle, which render farms run.
+
+A task makes a chunk of the items, ``animtool batch JOB --items FIRST+COUNT``; when all
+are done, a last one takes their records together and makes what was added meanwhile.
+
+References:
+    Open Job Description, template schemas of revision 2023-09,
+    https://github.com/OpenJobDescription/openjd-specifications/wiki
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from animtool.batch.discover import Batch
+from animtool.batch.outcome import Status
+from animtool.documents.yaml_text import yaml_text
+from animtool.errors import Fault, FormatError
+from animtool.output import check_outputs, output_error, replacing
+
+__all__ = [
+    "CHUNK",
+    "TASK_SECONDS",
+    "Bundle",
+    "batch_bundle",
+    "chunk_size",
+    "mean_seconds",
+    "write_bundle",
+]
+
+# A process that makes a chunk takes about 1.5 s to start, and looks at the whole
+# batch: a hundredth of this [s].
+TASK_SECONDS = 120.0
+# Items a chunk where nothing says what one takes: real captures take about 0.1 s, long
+# ones a second.
+CHUNK = 100
+# A farm asks a task to end, and after this ends it [s].
+NOTICE = 30
+TEMPLATE, VALUES = "template.yaml", "parameter_values.yaml"
+LONGEST_NAME = 128
+
+
+@dataclass(frozen=True, slots=True)
+class Bundle:
+    """A bundle that is not written yet.
+
+    Attributes:
+        template: Of the job.
+        values: Of its parameters, where the template has none.
+        items: How many there are.
+        chunk: How many of them a task makes.
+    """
+
+    template: Mapping[str, Any]
+    values: Mapping[str, str]
+    items: int
+    chunk: int
+
+    @property
+    def tasks(self) -> int:
+        """How many tasks make the items."""
+        return -(-self.items // self.chunk)
+
+
+def mean_seconds(path: Path) -> float:
+    """Return what an item took, by a report of ``animtool batch --format json`` [s].
+
+    Raises:
+        FormatError: It is no such report, or nothing was made (BAT037).
+    """
+    try:
+        report = json.loads(path.read_bytes())
+        made = [
+            float(item["seconds"])
+            for item in report["items"]
+            if item["status"] == Status.DONE
+        ]
+    except OSError as error:
+        fault = Fault("BAT037", f"cannot be read: {error.strerror}", str(path))
+        raise FormatError(fault) from error
+    except (ValueError, LookupError, TypeError) as error:
+        hint = "animtool batch JOB --items 1-20 --force --format json writes one"
+        fault = Fault("BAT037", "is no report of a batch", str(path), (), hint)
+        raise FormatError(fault) from error
+    if not made:
+        hint = "--force makes also what is up to date"
+        fault = Fault("BAT037", "reports no item that was made", str(path), (), hint)
+        raise FormatError(fault)
+    return sum(made) / len(made)
+
+
+def chunk_size(
+    items: int, seconds: float | None = None, wanted: float = TASK_SECONDS
+) -> int:
+    """Return how many items a task is to make.
+
+    Args:
+        items: How many there are.
+        seconds: What one takes [s]; None where nothing says it.
+        wanted: What a task is to take on one processor [s].
+
+    >>> chunk_size(1000, 0.5), chunk_size(1000), chunk_size(10, 0.1)
+    (240, 100, 10)
+    """
+    if seconds is None:
+        return min(CHUNK, items)
+    return max(1, min(items, round(wanted / max(seconds, 1e-6))))
+
+
+def batch_bundle(batch: Batch, path: Path, chunk: int) -> Bundle:
+    """Return the bundle of a batch.
+
+    Args:
+        batch: The batch.
+        path: The file that says it.
+        chunk: How many items a task makes.
+    """
+    name = re.sub(r"[{}\x00-\x1f\x7f]", "_", f"animtool {batch.name}")
+    template = {
+        "specificationVersion": "jobtemplate-2023-09",
+        "name": name[:LONGEST_NAME],
+        "parameterDefinitions": _parameters(batch, chunk),
+        "steps": [
+            {
+                "name": "Bake",
+                "parameterSpace": {
+                    "taskParameterDefinitions": [
+                        {
+                            "name": "First",
+                            "type": "INT",
+                            "range": "1-{{Param.Items}}:{{Param.ChunkSize}}",
+                        }
+                    ]
+                },
+                "script": _script(
+                    "--items", "{{Task.Param.First}}+{{Param.ChunkSize}}"
+                ),
+            },
+            {
+                "name": "Settle",
+                "dependencies": [{"dependsOn": "Bake"}],
+                "script": _script(),
+            },
+        ],
+    }
+    values = {"BatchFile": str(path.absolute())}
+    return Bundle(template, values, len(batch.items), chunk)
+
+
+def _parameters(batch: Batch, chunk: int) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": "BatchFile",
+            "type": "PATH",
+            "objectType": "FILE",
+            "dataFlow": "IN",
+            "description": "The batch file; what it names relatively starts there.",
+        },
+        {
+            "name": "Items",
+            "type": "INT",
+            "minValue": 1,
+            "default": len(batch.items),
+            "description": "How many items the batch has.",
+        },
+        {
+            "name": "ChunkSize",
+            "type": "INT",
+            "minValue": 1,
+            "default": chunk,
+            "description": "How many of them a task makes.",
+        },
+        {
+            "name": "Jobs",
+            "type": "STRING",
+            "default": str(batch.jobs or "auto"),
+            "description": "Processes a task: a number, or auto, one a processor.",
+        },
+        {
+            "name": "Command",
+            "type": "STRING",
+            "default": "animtool",
+            "description": "What starts animtool on the workers.",
+        },
+    ]
+
+
+def _script(*chosen: str) -> dict[str, Any]:
+    """Return what a step runs."""
+    arguments = ["batch", "{{Param.BatchFile}}", *chosen, "-j", "{{Param.Jobs}}"]
+    arguments += ["--lines", "openjd"]
+    arguments += ["--path-mapping", "{{Session.PathMappingRulesFile}}"]
+    way = {"mode": "NOTIFY_THEN_TERMINATE", "notifyPeriodInSeconds": NOTICE}
+    run = {"command": "{{Param.Command}}", "args": arguments, "cancelation": way}
+    return {"actions": {"onRun": run}}
+
+
+def write_bundle(
+    bundle: Bundle, folder: Path, *, overwrite: bool = False
+) -> list[Path]:
+    """Write a bundle, and return its files.
+
+    Raises:
+        OptionError: One of its files exists, without ``overwrite`` (OUT001).
+        OutputError: They cannot be written (OUT002).
+    """
+    given = [{"name": name, "value": value} for name, value in bundle.values.items()]
+    texts = {
+        folder / TEMPLATE: yaml_text(dict(bundle.template)),
+        folder / VALUES: yaml_text({"parameterValues": given}),
+    }
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise output_error(folder, error) from error
+    check_outputs(list(texts), [], overwrite=overwrite)
+    for path, text in texts.items():
+        with replacing(path) as temporary:
+            try:
+                temporary.write_text(text, "utf-8", newline="")
+            except OSError as error:
+                raise output_error(path, error) from error
+    return list(texts)

@@ -1,0 +1,91 @@
+"""Paths as another machine has them: the rules of a farm's session.
+
+References:
+    Open Job Description, "pathmapping-1.0",
+    https://github.com/OpenJobDescription/openjd-specifications/wiki
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePath, PurePosixPath, PureWindowsPath
+
+from animtool.batch.spec import BatchSpec
+from animtool.errors import Fault, FormatError
+
+__all__ = ["PathRule", "mapped_path", "mapped_spec", "read_rules"]
+
+_KINDS: dict[str, type[PurePath]] = {
+    "POSIX": PurePosixPath,
+    "WINDOWS": PureWindowsPath,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class PathRule:
+    """Where a folder of one machine is on this one.
+
+    Attributes:
+        source: There.
+        destination: Here.
+    """
+
+    source: PurePath
+    destination: str
+
+
+def read_rules(path: Path) -> list[PathRule]:
+    """Return the rules of a file; none of one without any.
+
+    Raises:
+        FormatError: It cannot be read, or is malformed (BAT038).
+    """
+    try:
+        found = json.loads(path.read_bytes())
+        return [
+            PathRule(
+                _KINDS[rule["source_path_format"]](rule["source_path"]),
+                str(rule["destination_path"]),
+            )
+            for rule in found.get("path_mapping_rules", [])
+        ]
+    except OSError as error:
+        fault = Fault("BAT038", f"cannot be read: {error.strerror}", str(path))
+        raise FormatError(fault) from error
+    except (ValueError, LookupError, TypeError, AttributeError) as error:
+        message = "is no file of path mapping rules"
+        raise FormatError(Fault("BAT038", message, str(path))) from error
+
+
+def mapped_path(text: str, rules: Sequence[PathRule]) -> str:
+    r"""Return a path as this machine has it, by the rule of the innermost folder.
+
+    >>> rule = PathRule(PureWindowsPath("Z:/show"), "/mnt/show")
+    >>> mapped_path("z:\\show\\a.bvh", [rule]), mapped_path("a.bvh", [rule])
+    ('/mnt/show/a.bvh', 'a.bvh')
+    """
+    for rule in sorted(rules, key=lambda rule: -len(rule.source.parts)):
+        path = type(rule.source)(text)
+        if path.is_relative_to(rule.source):
+            inner = path.relative_to(rule.source).parts
+            return Path(rule.destination, *inner).as_posix()
+    return text
+
+
+def mapped_spec(spec: BatchSpec, rules: Sequence[PathRule]) -> BatchSpec:
+    """Return a batch whose inputs and output are those of this machine.
+
+    Names of files in scenes and options are not changed: they are found where they are
+    relative.
+    """
+    if not rules:
+        return spec
+    output = spec.output
+    return replace(
+        spec,
+        inputs=tuple(mapped_path(text, rules) for text in spec.inputs),
+        exclude=tuple(mapped_path(text, rules) for text in spec.exclude),
+        output=None if output is None else mapped_path(output, rules),
+    )

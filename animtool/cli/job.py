@@ -1,0 +1,114 @@
+"""``animtool job``."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Any
+
+import click
+
+from animtool.cli.console import Console
+from animtool.cli.options import Parsed, common_options, format_option
+
+__all__ = ["job"]
+
+
+def _chunk(text: str) -> int | None:
+    if text == "auto":
+        return None
+    if not text.isdigit() or not int(text):
+        raise ValueError(f"{text!r} is neither auto nor a number from 1 up")
+    return int(text)
+
+
+@click.command(
+    epilog="""\b
+Examples:
+  animtool job nightly.batch.yaml -o nightly.job
+  animtool batch nightly.batch.yaml --items 1-20 --force --format json > costs.json
+  animtool job nightly.batch.yaml --costs costs.json -o nightly.job"""
+)
+@click.argument(
+    "batch_file", metavar="JOB", type=click.Path(path_type=Path, dir_okay=False)
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="FOLDER",
+    required=True,
+    help="The bundle: a folder with template.yaml and parameter_values.yaml.",
+)
+@click.option(
+    "--chunk",
+    type=Parsed("items", _chunk),
+    default="auto",
+    show_default=True,
+    metavar="N|auto",
+    help="Items a task; auto is what takes --task-seconds by --costs, else 100.",
+)
+@click.option(
+    "--costs",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="REPORT",
+    help="What items take: a report of animtool batch --format json.",
+)
+@click.option(
+    "--task-seconds",
+    type=click.FloatRange(0, min_open=True),
+    default=120.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="What a task is to take on one processor.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace a bundle that is there.")
+@format_option
+@common_options
+@click.pass_obj
+def job(console: Console, /, batch_file: Path, **given: Any) -> None:
+    """Write a batch as an Open Job Description bundle, for a render farm.
+
+    JOB is a batch file. Its items are found and its outputs checked now; a task of the
+    job makes a chunk of them, as animtool batch JOB --items does, and ends like it.
+    """
+    from animtool.batch.bundle import (
+        batch_bundle,
+        chunk_size,
+        mean_seconds,
+        write_bundle,
+    )
+    from animtool.batch.check import check_places
+    from animtool.batch.discover import find_batch
+    from animtool.batch.file import is_batch, load_batch
+
+    if not is_batch(batch_file):
+        raise click.UsageError(f"{batch_file} is no batch file: *.batch.yaml is one.")
+    found = find_batch(load_batch(batch_file))
+    check_places(found)
+    costs = given["costs"]
+    seconds = None if costs is None else mean_seconds(costs)
+    count = len(found.items)
+    chunk = given["chunk"] or chunk_size(count, seconds, given["task_seconds"])
+    bundle = batch_bundle(found, batch_file, min(chunk, count))
+    files = write_bundle(bundle, given["output"], overwrite=given["overwrite"])
+    values = [f"{name}={value}" for name, value in bundle.values.items()]
+    command = ["openjd", "run", str(files[0]), "--step", "Settle"]
+    command += ["--run-dependencies", *(part for v in values for part in ("-p", v))]
+    if given["report_format"] == "json":
+        console.result_json(
+            {
+                "job": "animtool/1",
+                "files": [str(path) for path in files],
+                "items": bundle.items,
+                "chunk": bundle.chunk,
+                "tasks": bundle.tasks,
+                "run": command,
+            }
+        )
+        return
+    console.say(
+        f"{given['output']}: {bundle.items} items, {bundle.chunk} a task, "
+        f"{bundle.tasks} tasks"
+    )
+    console.say(f"  here: {shlex.join(command)}")

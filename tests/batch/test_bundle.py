@@ -1,0 +1,135 @@
+"""Bundles of Open Job Description."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from support.batch import take_files, whole_outputs
+from support.cli import animtool
+
+from animtool.batch.bundle import chunk_size, mean_seconds
+from animtool.errors import FormatError
+
+JOB = "batch: animtool/1\ninputs: [takes]\noutput: out/{stem}.usdc\n"
+
+
+@pytest.fixture
+def takes(tmp_path: Path) -> Path:
+    take_files(tmp_path / "takes", 5)
+    (tmp_path / "a.batch.yaml").write_text(JOB)
+    return tmp_path
+
+
+@given(st.integers(1, 10**6), st.floats(0, 1e5), st.floats(1e-3, 1e5))
+def test_chunks_are_some_of_the_items(items: int, seconds: float, want: float) -> None:
+    chunk = chunk_size(items, seconds, want)
+    assert 1 <= chunk <= items
+    if 1 < chunk < items:
+        assert abs(chunk * seconds - want) <= seconds
+
+
+def test_costs_are_those_of_a_report(takes: Path) -> None:
+    (takes / "takes/take004.bvh").write_text("HIERARCHY\n")
+    words = ("--executor", "serial", "--format", "json")
+    done = animtool("batch", "a.batch.yaml", *words, cwd=takes)
+    path = takes / "costs.json"
+    path.write_text(done.stdout)
+    made = json.loads(done.stdout)["items"][:4]
+    assert mean_seconds(path) == sum(item["seconds"] for item in made) / 4
+
+
+@pytest.mark.parametrize("text", [None, "", "[]", '{"items": [{}]}', '{"items": []}'])
+def test_what_reports_no_costs(tmp_path: Path, text: str | None) -> None:
+    path = tmp_path / "costs.json"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(FormatError) as error:
+        mean_seconds(path)
+    assert error.value.code == "BAT037"
+
+
+def test_a_bundle(takes: Path) -> None:
+    words = ("a.batch.yaml", "-o", "a.job", "--chunk", 2)
+    done = animtool("job", *words, "--format", "json", cwd=takes)
+    assert done.code == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert (report["items"], report["chunk"], report["tasks"]) == (5, 2, 3)
+    values = yaml.safe_load((takes / "a.job/parameter_values.yaml").read_text())
+    name = str(takes / "a.batch.yaml")
+    assert values == {"parameterValues": [{"name": "BatchFile", "value": name}]}
+    template = yaml.safe_load((takes / "a.job/template.yaml").read_text())
+    assert [step["name"] for step in template["steps"]] == ["Bake", "Settle"]
+    assert animtool("job", *words, cwd=takes).code == 2
+    again = animtool("job", *words, "--overwrite", cwd=takes)
+    assert "5 items, 2 a task, 3 tasks" in again.stderr
+
+
+def test_chunks_by_costs(takes: Path) -> None:
+    item = {"status": "done", "seconds": 60}
+    (takes / "costs.json").write_text(json.dumps({"items": [item]}))
+    words = ("a.batch.yaml", "-o", "a.job", "--costs", "costs.json")
+    done = animtool("job", *words, "--format", "json", cwd=takes)
+    assert json.loads(done.stdout)["chunk"] == 2
+    more = ("--task-seconds", 180, "--overwrite", "--format", "json")
+    assert json.loads(animtool("job", *words, *more, cwd=takes).stdout)["chunk"] == 3
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("takes", "-o", "x"), 2, "batch file"),
+        (("none.batch.yaml", "-o", "x"), 3, "IO001"),
+        (("a.batch.yaml", "-o", "x", "--chunk", "0"), 2, "auto"),
+        (("a.batch.yaml", "-o", "a.batch.yaml"), 2, "file"),
+        (("b.batch.yaml", "-o", "x"), 5, "BAT005"),
+        (("c.batch.yaml", "-o", "x"), 2, "BAT006"),
+    ],
+)
+def test_what_makes_no_job(
+    takes: Path, words: tuple[str, ...], code: int, said: str
+) -> None:
+    (takes / "b.batch.yaml").write_text(JOB.replace("takes", "none*"))
+    (takes / "c.batch.yaml").write_text(JOB.replace("{stem}", "one"))
+    done = animtool("job", *words, cwd=takes)
+    assert (done.code, said in done.stderr) == (code, True), done.stderr
+    assert not (takes / "x/template.yaml").exists()
+
+
+def openjd(*words: object) -> str:
+    command = [sys.executable, "-m", "openjd", *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_openjd_runs_it_to_the_same_bytes(takes: Path, tmp_path: Path) -> None:
+    pytest.importorskip("openjd.cli", reason="openjd-cli is not installed")
+    animtool("job", "a.batch.yaml", "-o", "a.job", "--chunk", 3, cwd=takes)
+    template = takes / "a.job/template.yaml"
+    assert "passes" in openjd("check", template)
+    # The farm has the folder elsewhere.
+    rule = {
+        "source_path_format": "POSIX",
+        "source_path": "/show",
+        "destination_path": takes.as_posix(),
+    }
+    rules = {"version": "pathmapping-1.0", "path_mapping_rules": [rule]}
+    command = tmp_path / "start"
+    command.write_text(f'#!/bin/sh\nexec {sys.executable} -P -m animtool "$@"\n')
+    command.chmod(0o755)
+    values = ["-p", "BatchFile=/show/a.batch.yaml", "-p", f"Command={command}"]
+    words = ["--step", "Settle", "--run-dependencies", *values, "-p", "Jobs=1"]
+    said = openjd("run", template, *words, "--path-mapping-rules", json.dumps(rules))
+    assert said.count("openjd_progress: 100.0") == 3
+    assert "5 of 5 are up to date" in said
+    made = whole_outputs(takes / "out")
+    words = ["-o", "alone/{stem}.usdc", "-j", 1]
+    assert animtool("batch", "takes", *words, cwd=takes).code == 0
+    assert made == whole_outputs(takes / "alone")

@@ -1,0 +1,117 @@
+"""Workers of dask: what they owe beyond the suite of all executors."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from support.batch import take_files, trouble_files, trouble_plug_in
+from support.cli import animtool
+from support.cluster import local_cluster
+
+from animtool.batch.cluster import dask
+from animtool.batch.discover import find_batch
+from animtool.batch.executors import Work
+from animtool.batch.lane import Lane, Task
+from animtool.batch.limits import Limits
+from animtool.batch.outcome import Status
+from animtool.batch.spec import BatchSpec
+from animtool.batch.work import Maker
+from animtool.errors import OptionError, OutputError
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Give a cluster whose workers read takes in trouble."""
+    place = trouble_plug_in(tmp_path_factory.mktemp("plug"))
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in place.items():
+            patch.setenv(name, value)
+        patch.syspath_prepend(next(iter(place.values())))
+        with local_cluster() as address:
+            yield address
+
+
+def work(folder: Path, argument: str, limits: Limits | None = None) -> Work:
+    spec = BatchSpec(("takes/*",), folder, output="out/{stem}.usdc")
+    batch = find_batch(spec)
+    maker = Maker(batch.recipe, batch.root)
+    return Work(maker, iter(batch.items), limits or Limits(), 2, argument)
+
+
+def test_a_crash_or_a_hang_costs_one_item(cluster: str, tmp_path: Path) -> None:
+    take_files(tmp_path / "takes", 2)
+    trouble_files(tmp_path / "takes", ["crash", "hang"])
+    outcomes = sorted(
+        dask(work(tmp_path, cluster, Limits(3.0))), key=lambda o: o.number
+    )
+    codes = [o.faults[0].code for o in outcomes if o.status is Status.FAILED]
+    assert codes == ["BAT020", "BAT021"]
+    assert [o.status for o in outcomes[2:]] == [Status.DONE, Status.DONE]
+
+
+def test_other_versions_are_named(
+    cluster: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    take_files(tmp_path / "takes", 1)
+    monkeypatch.setattr("animtool.batch.cluster.made_by", lambda: {"numpy": "0.1"})
+    (outcome,) = dask(work(tmp_path, cluster))
+    assert outcome.faults[0].code == "BAT036"
+    assert "for 0.1" in outcome.faults[0].message
+
+
+def test_the_command_line(cluster: str, tmp_path: Path) -> None:
+    take_files(tmp_path / "takes", 3)
+    words = ("--executor", f"dask={cluster}", "-o", "out/{stem}.usdc")
+    done = animtool("batch", "takes", *words, cwd=tmp_path)
+    assert done.code == 0, done.stderr
+    assert "3 items: 3 done" in done.stderr
+    assert "up to date" in animtool("batch", "takes", *words, cwd=tmp_path).stderr
+
+
+def test_no_cluster_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed", reason="distributed is not installed (farm)")
+    take_files(tmp_path / "takes", 1)
+    monkeypatch.setattr("animtool.batch.cluster.PATIENCE", 0.2)
+    for argument in ("tcp://127.0.0.1:1", str(tmp_path / "none.json")):
+        with pytest.raises(OutputError) as error:
+            list(dask(work(tmp_path, argument)))
+        assert error.value.code == "BAT035"
+
+
+def test_without_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    take_files(tmp_path / "takes", 1)
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    with pytest.raises(OptionError) as error:
+        dask(work(tmp_path, "tcp://127.0.0.1:1"))
+    assert error.value.code == "BAT034"
+
+
+def test_a_lane_makes_items_one_after_another(tmp_path: Path) -> None:
+    take_files(tmp_path / "takes", 2)
+    given = work(tmp_path, "")
+    items = list(given.items)
+    lane = Lane(Task(given.maker, Limits(), str(tmp_path)))
+    try:
+        made = [lane.make(item) for item in items]
+    finally:
+        lane.end()
+    assert [outcome.status for outcome in made] == [Status.DONE, Status.DONE]
+    lost = Lane(replace(lane.task, folder=str(tmp_path / "none")))
+    with pytest.raises(OSError, match="none"):
+        lost.make(items[0])
+
+
+def test_a_lane_that_ends_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    take_files(tmp_path / "takes", 1)
+    given = work(tmp_path, "")
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    lane = Lane(Task(given.maker, Limits(), str(tmp_path)))
+    with pytest.raises(OSError):
+        lane.make(next(given.items))
+    lane.end()

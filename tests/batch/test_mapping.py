@@ -1,0 +1,68 @@
+"""Paths of other machines."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+import pytest
+
+from animtool.batch.mapping import PathRule, mapped_path, mapped_spec, read_rules
+from animtool.batch.spec import BatchSpec
+from animtool.errors import FormatError
+
+OUTER = PathRule(PurePosixPath("/show"), "/mnt/show")
+INNER = PathRule(PurePosixPath("/show/takes"), "/fast")
+DRIVE = PathRule(PureWindowsPath("Z:\\show"), "/mnt/show")
+
+
+@pytest.mark.parametrize(
+    ("text", "mapped"),
+    [
+        ("/show/a.bvh", "/mnt/show/a.bvh"),
+        ("/show", "/mnt/show"),
+        ("/shows/a.bvh", "/shows/a.bvh"),
+        ("/show/takes/**/*.bvh", "/fast/**/*.bvh"),
+        ("show/a.bvh", "show/a.bvh"),
+        ("z:\\SHOW\\a\\b.bvh", "/mnt/show/a/b.bvh"),
+        ("out/{stem}.usdc", "out/{stem}.usdc"),
+    ],
+)
+def test_the_innermost_folder_decides(text: str, mapped: str) -> None:
+    for rules in ([OUTER, INNER, DRIVE], [DRIVE, INNER, OUTER]):
+        assert mapped_path(text, rules) == mapped
+
+
+def test_inputs_and_outputs_are_mapped() -> None:
+    spec = BatchSpec(("/show/a", "b"), exclude=("/show/c",), output="/show/{stem}.usdc")
+    found = mapped_spec(spec, [OUTER])
+    assert found.inputs == ("/mnt/show/a", "b")
+    assert found.exclude == ("/mnt/show/c",)
+    assert found.output == "/mnt/show/{stem}.usdc"
+    assert mapped_spec(spec, []) is spec
+
+
+def test_rules_of_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "rules.json"
+    path.write_text("{}")
+    assert read_rules(path) == []
+    rule = {
+        "source_path_format": "WINDOWS",
+        "source_path": "Z:\\show",
+        "destination_path": "/mnt/show",
+    }
+    path.write_text(json.dumps({"path_mapping_rules": [rule]}))
+    assert read_rules(path) == [DRIVE]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [None, "", "[]", '{"path_mapping_rules": [{}]}', '{"path_mapping_rules": 1}'],
+)
+def test_what_is_no_file_of_rules(tmp_path: Path, text: str | None) -> None:
+    path = tmp_path / "rules.json"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(FormatError) as error:
+        read_rules(path)
+    assert error.value.code == "BAT038"
