@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -48,11 +49,19 @@ def dask(work: Work) -> Iterator[Outcome]:
         message = "the executor dask needs the package distributed"
         hint = "pip install 'animtool[farm]'"
         raise OptionError(Fault("BAT034", message, hint=hint))
-    return _outcomes(work, {"scheduler_file" if file else "address": about})
+    return _outcomes(work, _address(Path(about)) if file else about)
 
 
-def _outcomes(work: Work, where: Mapping[str, str]) -> Iterator[Outcome]:
-    client = _client(work.argument, where)
+def _address(path: Path) -> str:
+    """Return the address that a scheduler has written to a file."""
+    try:
+        return str(json.loads(path.read_bytes())["address"])
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        raise _unreachable(str(path), error) from error
+
+
+def _outcomes(work: Work, address: str) -> Iterator[Outcome]:
+    client = _client(address)
     name = f"animtool-{uuid4().hex}"
     try:
         task = Task(work.maker, work.limits, str(Path.cwd()))
@@ -65,13 +74,13 @@ def _outcomes(work: Work, where: Mapping[str, str]) -> Iterator[Outcome]:
         client.close()
 
 
-def _client(about: str, where: Mapping[str, str]) -> Any:
+def _client(address: str) -> Any:
     from distributed import Client
 
     try:
-        return Client(**where, timeout=PATIENCE, set_as_default=False)
+        return Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise _unreachable(about, error) from error
+        raise _unreachable(address, error) from error
 
 
 def _prepare(client: Any, about: str, name: str, task: Task) -> None:

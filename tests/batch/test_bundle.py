@@ -27,7 +27,7 @@ def takes(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@given(st.integers(1, 10**6), st.floats(0, 1e5), st.floats(1e-3, 1e5))
+@given(st.integers(1, 10**6), st.floats(1e-5, 1e5), st.floats(1e-3, 1e5))
 def test_chunks_are_some_of_the_items(items: int, seconds: float, want: float) -> None:
     chunk = chunk_size(items, seconds, want)
     assert 1 <= chunk <= items
