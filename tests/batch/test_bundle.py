@@ -84,7 +84,7 @@ def test_chunks_by_costs(takes: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (("takes", "-o", "x"), 2, "batch file"),
+        (("takes/take000.bvh", "-o", "x"), 2, "batch file"),
         (("none.batch.yaml", "-o", "x"), 3, "IO001"),
         (("a.batch.yaml", "-o", "x", "--chunk", "0"), 2, "auto"),
         (("a.batch.yaml", "-o", "a.batch.yaml"), 2, "file"),

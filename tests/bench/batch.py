@@ -304,6 +304,54 @@ def resumed(folder: Path, count: int) -> list[Row]:
     ]
 
 
+def farmed(folder: Path, count: int, chunk: int) -> list[Row]:
+    """Measure chunks of one batch: alone, after others, and several at once."""
+    small(folder, count)
+    section = f"{count} small takes in chunks of {chunk}"
+    starts = range(1, count + 1, chunk)
+    command = [sys.executable, "-m", "animtool", "batch", str(folder / "takes")]
+    command += ["-o", str(folder / "out/{stem}.usdc"), "-q", "-j", "1", "--items"]
+    processors = [
+        run([*command, f"{first}+{chunk}", "--format", "json"]).processor_seconds
+        for first in starts
+    ]
+    shutil.rmtree(folder / "out")
+    began = time.perf_counter()
+    together = [subprocess.Popen([*command, f"{first}+{chunk}"]) for first in starts]
+    refused = sum(process.wait() != 0 for process in together)
+    wall = time.perf_counter() - began
+    settled = batch(folder)
+    assert settled.report["skipped"] == count
+    return [
+        Row(section, "the first", "of processors [s]", processors[:1]),
+        Row(section, "the last", "of processors [s]", processors[-1:]),
+        Row(section, "all at once", "whole [s]", [wall]),
+        Row(section, "all at once", "refused", [refused], Wanted(False, 0)),
+        Row(section, "the whole, after", "whole process [s]", [settled.seconds]),
+    ]
+
+
+def clustered(folder: Path, count: int) -> list[Row]:
+    """Measure what a task costs by dask, beside processes of our own."""
+    try:
+        from distributed import LocalCluster
+    except ModuleNotFoundError:
+        print("dask is not measured: distributed is not installed")
+        return []
+    small(folder, count)
+    section, rows = f"{count} small takes, 2 workers", list[Row]()
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as one:
+        for executor in ("processes", f"dask={one.scheduler_address}"):
+            shutil.rmtree(folder / "out", ignore_errors=True)
+            done = batch(folder, "--executor", executor, "-j", "2")
+            assert done.report["done"] == count
+            each = (2 * done.report["seconds"] - spent(done)) / count * 1000
+            tool = executor.partition("=")[0]
+            rows.append(Row(section, tool, "whole process [s]", [done.seconds]))
+            rows.append(Row(section, tool, "above the work, an item [ms]", [each]))
+    return rows
+
+
 def main() -> None:
     """Measure, print and store."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -321,6 +369,8 @@ def main() -> None:
             rows += planned(folder / f"plan{count}", count, some)
         rows += starts(folder / "start", 20, given.runs)
         rows += lost(folder / "lost", 20)
+        rows += farmed(folder / "farm", 2_000, 500)
+        rows += clustered(folder / "cluster", 500)
         rows += accidents(folder / "bad", 200)
         rows += resumed(folder / "killed", 200)
     for section in dict.fromkeys(row.section for row in rows):

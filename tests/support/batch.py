@@ -85,5 +85,5 @@ def whole_outputs(folder: Path) -> dict[str, bytes]:
     return {
         path.relative_to(folder).as_posix(): path.read_bytes()
         for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.parent.name not in {".animtool", "batch-batch.d"}
+        if path.is_file() and ".animtool" not in path.relative_to(folder).parts
     }
