@@ -22,6 +22,7 @@ def input_names(found: FoundFile) -> dict[str, str]:
     that without what says its kind, and ``parent`` the folders between the one that
     was searched and it.
 
+    >>> from pathlib import Path
     >>> names = input_names(FoundFile(Path("takes/a/walk.clip.yaml"), Path("takes")))
     >>> names["name"], names["parent"], names["stem"]
     ('walk.clip.yaml', 'a', 'walk')

@@ -340,7 +340,7 @@ def clustered(folder: Path, count: int) -> list[Row]:
         return []
     small(folder, count)
     section, rows = f"{count} small takes, 2 workers", list[Row]()
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as one:
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as one:
         for executor in ("processes", f"dask={one.scheduler_address}"):
             shutil.rmtree(folder / "out", ignore_errors=True)
             done = batch(folder, "--executor", executor, "-j", "2")
