@@ -136,12 +136,13 @@ def _make(name: str, item: Item) -> Outcome:
 
 
 def _outcome(future: Any, item: Item) -> Outcome:
-    error = future.exception()
-    if error is None:
+    try:
         outcome: Outcome = future.result()
+    except Exception as error:
+        why = f"{type(error).__name__}: {excerpt(str(error), 200)}"
+    else:
         return outcome
-    kind = type(error).__name__
-    message = f"the worker that made it was lost: {kind}: {excerpt(str(error), 200)}"
+    message = f"the worker that made it was lost: {why}"
     return _failed(item, Fault("BAT020", message, str(item.found.path)))
 
 
