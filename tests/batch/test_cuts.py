@@ -209,6 +209,24 @@ def test_a_scene_for_each_shot(takes: Path) -> None:
     assert "options changed" in other.stdout
 
 
+def test_shots_of_scenes_take_cuts_and_handles(takes: Path) -> None:
+    (takes / "shot.scene.yaml").write_text(
+        "scene: animtool/1\nvariables: {first: 1, last: 2, handles: 0}\n"
+        'source: {file: "${input}"}\n'
+        "shot:\n  start: 1\n  cut:\n  - ${first}\n  - ${last}\n"
+        "  handles: ${handles}\n"
+    )
+    made = clip("a", "takes/take000.bvh", (10, 4), (0, 40))
+    timeline(takes / "edit.otio", made)
+    words = ["--cut", "edit.otio", "--scene", "shot.scene.yaml", "--handles", 2]
+    words += ["--executor", "serial", "-o", "{shot}.usda"]
+    done = animtool("batch", *words, cwd=takes)
+    assert done.code == 0, done.stderr
+    text = (takes / "a.usda").read_text()
+    assert "startTimeCode = 9\n" in text
+    assert "endTimeCode = 16\n" in text
+
+
 def test_outputs_without_a_pattern_are_beside_the_list(takes: Path) -> None:
     (takes / "shot.scene.yaml").write_text(SCENE)
     made = clip("a", "takes/take000.bvh", (0, 4)), clip("b", "gone.bvh", (0, 4))
