@@ -20,6 +20,7 @@ from animtool.batch.lane import Lane, Task
 from animtool.batch.limits import Limits
 from animtool.batch.outcome import Status
 from animtool.batch.spec import BatchSpec
+from animtool.batch.versions import made_by
 from animtool.batch.work import Maker
 from animtool.errors import OptionError, OutputError
 
@@ -32,8 +33,11 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         for name, value in place.items():
             patch.setenv(name, value)
         patch.syspath_prepend(next(iter(place.values())))
+        # What was found before has none of the plug-in.
+        made_by.cache_clear()
         with local_cluster() as address:
             yield address
+    made_by.cache_clear()
 
 
 def work(folder: Path, argument: str, limits: Limits | None = None) -> Work:
