@@ -31,13 +31,21 @@ from animtool.output import remove_leftovers
 __all__ = ["run_processes"]
 
 # One thread each: as many processes run as there are processors.
-THREADS = (
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "OMP_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-    "NUMEXPR_NUM_THREADS",
-)
+ENVIRONMENT = {
+    # As many processes as processors: more threads would only wait for each other.
+    **dict.fromkeys(
+        (
+            "OPENBLAS_NUM_THREADS",
+            "MKL_NUM_THREADS",
+            "OMP_NUM_THREADS",
+            "VECLIB_MAXIMUM_THREADS",
+            "NUMEXPR_NUM_THREADS",
+        ),
+        "1",
+    ),
+    # The folder that a batch is run in may hold a package of any name.
+    "PYTHONSAFEPATH": "1",
+}
 WARM = "animtool.batch.warm"
 # How often the memory of a process that has a limit is looked at [s].
 GLANCE = 0.05
@@ -109,7 +117,7 @@ class _Pool:
         here, there = context.Pipe()
         arguments = (there, self.maker, self.limits.memory)
         process = context.Process(target=serve, args=arguments, daemon=True)
-        with _one_thread():
+        with _environment():
             process.start()
         there.close()
         self.workers.append(_Worker(process, here))
@@ -261,10 +269,10 @@ def _context() -> ForkServerContext | SpawnContext:
 
 
 @contextlib.contextmanager
-def _one_thread() -> Iterator[None]:
-    """Let processes that are started now compute in one thread each."""
-    before = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update(dict.fromkeys(THREADS, "1"))
+def _environment() -> Iterator[None]:
+    """Let processes that are started now see `ENVIRONMENT`."""
+    before = {name: os.environ.get(name) for name in ENVIRONMENT}
+    os.environ.update(ENVIRONMENT)
     try:
         yield
     finally:

@@ -36,6 +36,23 @@ def test_lines_and_a_summary(takes: Path) -> None:
     assert again.stderr.splitlines()[0] == "3 of 3 are up to date"
 
 
+def test_a_folder_that_holds_a_package_of_a_known_name(takes: Path) -> None:
+    package = takes / "numpy"
+    package.mkdir()
+    (package / "__init__.py").write_text("raise SystemExit(1)\n", "utf-8")
+    # As the installed command does it: Python itself is not told of the folder.
+    start = "import sys; sys.path.pop(0); from animtool.__main__ import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", start, "batch", "takes", "-o", "out/{stem}.usdc"],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=takes,
+    )
+    assert done.returncode == 0, done.stderr
+    assert len(whole_outputs(takes / "out")) == 3
+
+
 def test_a_dry_run(takes: Path) -> None:
     animtool("batch", "takes/take000.bvh", *OUT, cwd=takes)
     done = animtool("batch", "takes", *OUT, "-n", cwd=takes)
