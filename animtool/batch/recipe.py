@@ -16,8 +16,8 @@ from animtool.scene.options import BakeOptions
 from animtool.scene.sources import fitting_options, is_scene
 
 if TYPE_CHECKING:
-    from animtool.scene.bake import BakeReport
     from animtool.scene.reading import Source
+    from animtool.scene.report import BakeReport
 
 __all__ = ["Item", "Recipe"]
 

@@ -17,7 +17,7 @@ from animtool.inputs import FileState, Inputs, note_input, recorded_inputs
 from animtool.output import output_error
 
 if TYPE_CHECKING:
-    from animtool.scene.bake import BakeReport
+    from animtool.scene.report import BakeReport
 
 __all__ = ["Maker"]
 

@@ -29,7 +29,7 @@ from animtool.cli.options import (
 from animtool.cli.outputs import existing_options, goes_to_stdout, skipped
 
 if TYPE_CHECKING:
-    from animtool.scene.bake import BakeReport
+    from animtool.scene.report import BakeReport
     from animtool.scene.scene import Scene
 
 __all__ = ["bake"]

@@ -8,8 +8,7 @@ from animtool.errors import counted
 from animtool.units import unit_name
 
 if TYPE_CHECKING:
-    from animtool.scene.bake import TakeReport
-    from animtool.scene.point_bake import MeshReport
+    from animtool.scene.report import MeshReport, TakeReport
 
 __all__ = ["mesh_json", "mesh_text"]
 

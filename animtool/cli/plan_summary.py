@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from animtool.scene.bake import BakeReport
     from animtool.scene.convert import ConvertReport
+    from animtool.scene.report import BakeReport
     from animtool.scene.stats import StageCost
     from animtool.scene.steps import Step
 

@@ -13,8 +13,8 @@ from animtool.units import unit_name
 
 if TYPE_CHECKING:
     from animtool.clip.reduction import Reduction
-    from animtool.scene.bake import BakeReport, TakeReport
     from animtool.scene.convert import ConvertReport
+    from animtool.scene.report import BakeReport, TakeReport
     from animtool.scene.table import BakeTable
 
 __all__ = [

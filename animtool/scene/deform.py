@@ -26,7 +26,8 @@ from animtool.skin.character import (
 from animtool.skin.deform import Deformed, block_frames, deform, deform_blocks
 from animtool.take import Motion
 from animtool.units import UpAxis, up_from_up
-from animtool.usd.point_cache import PointBlock, PointSpace, round_points
+from animtool.usd.point_cache import PointBlock, round_points
+from animtool.usd.point_space import PointSpace
 
 if TYPE_CHECKING:
     from animtool.scene.plan import TakePlan

@@ -42,7 +42,7 @@ from animtool.take import Take, TakeStream
 from animtool.units import unit_name
 
 if TYPE_CHECKING:
-    from animtool.scene.bake import BakeReport
+    from animtool.scene.report import BakeReport
 
 __all__ = [
     "IkJob",

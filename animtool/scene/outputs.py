@@ -10,7 +10,7 @@ from typing import TypeAlias
 
 from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.output import check_outputs, sparing_inputs, together
-from animtool.scene.bake import BakeReport, run_bake
+from animtool.scene.bake import run_bake
 from animtool.scene.convert import ConvertReport, convert, convert_outputs
 from animtool.scene.frames import timed_blocks
 from animtool.scene.options import BakeOptions, merged
@@ -23,6 +23,7 @@ from animtool.scene.plan import (
     start_of,
 )
 from animtool.scene.reading import shared
+from animtool.scene.report import BakeReport
 from animtool.scene.scene import OutputKind, Scene, SceneOutput, kind_of
 from animtool.take import Clock, Motion, Take, TakeStream
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -13,46 +13,27 @@ from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError, refuse_warnings
 from animtool.prefetch import prefetch
 from animtool.rig.kinematics import rest_size
-from animtool.scene.bake import BakeReport, TakeReport
 from animtool.scene.deform import Character, PointStream
 from animtool.scene.frames import timed_blocks
 from animtool.scene.plan import BakePlan
+from animtool.scene.report import BakeReport, MeshReport, TakeReport
 from animtool.take import Motion
 from animtool.usd.animation import Rounding
 from animtool.usd.jobs import UsdResult, WrittenTake
 from animtool.usd.layers import save_layer
 from animtool.usd.names import legal_name
+from animtool.usd.paths import RigPaths
 from animtool.usd.point_cache import (
     CachedMesh,
     CacheJob,
-    PointSpace,
     author_cache,
     mesh_paths,
 )
 from animtool.usd.point_chunks import write_chunks
-from animtool.usd.skeleton import RigPaths
+from animtool.usd.point_space import PointSpace
 from animtool.usd.strands import WIDTH
 
-__all__ = ["MeshReport", "run_point_bake"]
-
-
-@dataclass(frozen=True, slots=True)
-class MeshReport:
-    """What became of a mesh, or of strands.
-
-    Attributes:
-        name: As the rig names it.
-        written: What was written of it.
-        seconds: Spent on deforming and rounding it [s].
-        frames: How many frames that was for.
-        strands: Whether it is strands.
-    """
-
-    name: str
-    written: CachedMesh
-    seconds: float
-    frames: int
-    strands: bool
+__all__ = ["run_point_bake"]
 
 
 class _Frames:

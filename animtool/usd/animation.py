@@ -16,8 +16,8 @@ from animtool.maths import so3
 from animtool.rig.skeleton import Rig
 from animtool.take import Motion
 from animtool.usd.layers import attribute, prim
+from animtool.usd.paths import RigPaths
 from animtool.usd.samples import Samples
-from animtool.usd.skeleton import RigPaths
 
 __all__ = ["AnimationWriter", "Rounding", "WrittenBlock", "round_blocks"]
 

@@ -11,7 +11,7 @@ from animtool._types import FloatArray, IntArray
 from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import Rig
 from animtool.usd.layers import attribute, prim, relationship
-from animtool.usd.skeleton import RigPaths
+from animtool.usd.paths import RigPaths
 
 __all__ = ["author_bones", "bone_segments"]
 

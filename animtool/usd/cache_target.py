@@ -16,7 +16,7 @@ from animtool.rig.parts import Attachment
 from animtool.units import UpAxis
 from animtool.usd.layers import attribute, prim
 from animtool.usd.mesh_read import bound_meshes
-from animtool.usd.point_cache import PointSpace
+from animtool.usd.point_space import PointSpace
 from animtool.usd.strand_read import bound_strands
 from animtool.usd.target import MOST_NAMED, RigTarget, compose_check
 

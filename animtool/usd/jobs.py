@@ -15,7 +15,7 @@ from animtool.maths.curves import Curves
 from animtool.rig.skeleton import Rig
 from animtool.usd.animation import Rounding, WrittenBlock
 from animtool.usd.names import UsdNames
-from animtool.usd.skeleton import RigPaths
+from animtool.usd.paths import RigPaths
 
 if TYPE_CHECKING:
     from animtool.usd.curves import CurveReport

@@ -19,7 +19,7 @@ from typing import Any
 from pxr import Sdf, Usd
 
 from animtool.errors import Fault, OptionError, OutputError, excerpt, listed
-from animtool.usd.skeleton import RigPaths
+from animtool.usd.paths import RigPaths
 
 __all__ = [
     "STRONGER_HINT",

@@ -15,7 +15,7 @@ from animtool.rig.surfaces import Surface, SurfaceShape, SurfaceSkin
 from animtool.skin.influences import InfluenceReport, Influences, read_influences
 from animtool.usd.layers import attribute, prim
 from animtool.usd.names import distinct_names
-from animtool.usd.skeleton import RigPaths
+from animtool.usd.paths import RigPaths
 from animtool.usd.strands import SCOPE
 
 __all__ = ["SUBDIVISION", "author_meshes", "mesh_names"]

@@ -24,8 +24,9 @@ from animtool.usd.layers import (
     prim,
 )
 from animtool.usd.meshes import author_meshes, mesh_names
+from animtool.usd.paths import RigPaths
+from animtool.usd.point_space import PointSpace
 from animtool.usd.samples import Samples
-from animtool.usd.skeleton import RigPaths
 from animtool.usd.strands import author_strands, strand_paths
 
 if TYPE_CHECKING:
@@ -36,7 +37,6 @@ __all__ = [
     "CachedMesh",
     "MeshWriter",
     "PointBlock",
-    "PointSpace",
     "author_cache",
     "author_prims",
     "cache_metadata",
@@ -84,21 +84,6 @@ class PointBlock:
             normals=None if self.normals is None else self.normals[frames],
             velocities=None if self.velocities is None else self.velocities[frames],
         )
-
-
-@dataclass(frozen=True, slots=True)
-class PointSpace:
-    """Where the points of a mesh are written.
-
-    Attributes:
-        placement: Mesh from skeleton space, in the layer's unit ``(4, 4)``; None where
-            these are the same.
-        margin: How far what is drawn reaches beyond the points, in the layer's unit:
-            half the width of curves.
-    """
-
-    placement: FloatArray | None = None
-    margin: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,8 +16,9 @@ from animtool.rig.surfaces import surfaces_of
 from animtool.usd.layers import attribute, new_layer, prim, relationship, save_layer
 from animtool.usd.meshes import author_meshes
 from animtool.usd.names import joint_names, legal_name
+from animtool.usd.paths import RigPaths
 from animtool.usd.physics import author_physics
-from animtool.usd.skeleton import RigPaths, author_rig
+from animtool.usd.skeleton import author_rig
 
 __all__ = ["write_physics_layer", "write_rig_layer"]
 

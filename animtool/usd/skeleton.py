@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,9 +19,9 @@ from animtool.rig.skeleton import JointType, Rig
 from animtool.rig.write import rig_text
 from animtool.usd.layers import attribute, prim, relationship
 from animtool.usd.names import UsdNames
+from animtool.usd.paths import RigPaths
 
 __all__ = [
-    "RigPaths",
     "author_binding",
     "author_rig",
     "joint_extras",
@@ -31,31 +31,6 @@ __all__ = [
 ]
 
 _EXTRAS_VERSION = 1
-
-
-@dataclass(frozen=True, slots=True)
-class RigPaths:
-    """Where a character's prims are.
-
-    Attributes:
-        model: The component, ``/hero``.
-        root: The SkelRoot, ``/hero/Rig``.
-        skeleton: The Skeleton, ``/hero/Rig/Skel``.
-        animation: The SkelAnimation, ``/hero/Rig/Anim``.
-        binding: The prim that carries ``skel:animationSource``.
-    """
-
-    model: str
-    root: str
-    skeleton: str
-    animation: str
-    binding: str
-
-    @staticmethod
-    def below(model: str) -> RigPaths:
-        """Return the usual paths below a model."""
-        root = f"{model}/Rig"
-        return RigPaths(model, root, f"{root}/Skel", f"{root}/Anim", root)
 
 
 def author_rig(

@@ -12,7 +12,7 @@ from animtool._types import FloatArray
 from animtool.rig.strands import Strands
 from animtool.usd.layers import attribute, prim
 from animtool.usd.names import distinct_names
-from animtool.usd.skeleton import RigPaths
+from animtool.usd.paths import RigPaths
 
 __all__ = ["SCOPE", "WIDTH", "author_strands", "strand_paths"]
 

@@ -17,7 +17,7 @@ from animtool.usd.author import author, write_usd
 from animtool.usd.jobs import Form, UsdJob, UsdResult, UsdTake, output_paths
 from animtool.usd.layers import check_prim_path, check_suffix
 from animtool.usd.names import UsdNames, joint_names, legal_name
-from animtool.usd.skeleton import RigPaths
+from animtool.usd.paths import RigPaths
 
 __all__ = ["write"]
 

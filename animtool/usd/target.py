@@ -21,6 +21,7 @@ from animtool.take import Channel, Motion
 from animtool.units import UpAxis, unit_name
 from animtool.usd.layers import check_prim_path, usd_errors
 from animtool.usd.names import joint_names, legal_name
+from animtool.usd.paths import RigPaths
 from animtool.usd.placement import holds_character
 from animtool.usd.rig_prims import (
     SkeletonRig,
@@ -33,7 +34,6 @@ from animtool.usd.rig_prims import (
     skeleton_rig,
     up_axis,
 )
-from animtool.usd.skeleton import RigPaths
 
 MOST_NAMED = 40
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -56,28 +55,6 @@ def test_a_crash_or_a_hang_costs_one_item(cluster: str, tmp_path: Path) -> None:
     codes = [o.faults[0].code for o in outcomes if o.status is Status.FAILED]
     assert codes == ["BAT020", "BAT021"]
     assert [o.status for o in outcomes[2:]] == [Status.DONE, Status.DONE]
-
-
-def test_a_worker_that_ends_is_replaced(cluster: str, tmp_path: Path) -> None:
-    """What it was at is begun again by another."""
-    from distributed import Client
-
-    take_files(tmp_path / "takes", 6)
-    outcomes = dask(work(tmp_path, cluster))
-    found = [next(outcomes)]
-    with Client(cluster, set_as_default=False) as client:
-        ends = client.submit(_ends, tmp_path / "ended", pure=False)
-        found += list(outcomes)
-        ends.result()
-    assert sorted(o.number for o in found) == [1, 2, 3, 4, 5, 6]
-    assert {o.status for o in found} == {Status.DONE}
-
-
-def _ends(flag: Path) -> None:
-    """End the worker, once."""
-    if not flag.exists():
-        flag.touch()
-        os._exit(1)
 
 
 def test_other_versions_are_named(

@@ -15,9 +15,10 @@ from support.usd import joint_positions, open_stage, skeleton_query, validation_
 from animtool.rates import rate_from_frame_time
 from animtool.report.compare import compare_takes
 from animtool.rig.skeleton import CHANNEL_NAMES
-from animtool.scene.bake import BakeReport, bake
+from animtool.scene.bake import bake
 from animtool.scene.convert import convert
 from animtool.scene.options import BakeOptions
+from animtool.scene.report import BakeReport
 from animtool.usd.read import read_usd
 
 # Joints may be this far from float64 forward kinematics, as a share of the

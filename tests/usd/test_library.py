@@ -20,16 +20,17 @@ from support.usd import joint_positions, open_stage, skeleton_query, validation_
 
 from animtool.edit.resample import FrameRange
 from animtool.errors import AnimtoolError
-from animtool.scene.bake import BakeReport, bake
+from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
+from animtool.scene.report import BakeReport
 from animtool.take import Take
 from animtool.usd.animation import round_blocks
 from animtool.usd.author import author, write_usd
 from animtool.usd.jobs import Form, UsdJob, UsdTake
 from animtool.usd.library import take_range
 from animtool.usd.names import joint_names
+from animtool.usd.paths import RigPaths
 from animtool.usd.read import read_usd
-from animtool.usd.skeleton import RigPaths
 
 FRAMES = {"walk": 13, "run": 5, "idle": 9}
 LONGEST = max(FRAMES.values())

@@ -12,8 +12,9 @@ from pxr import Usd, UsdSkel
 from support.bvh import random_rows, read_reference, small_bvh
 
 from animtool.errors import AnimtoolError, OptionError
-from animtool.scene.bake import BakeReport, bake
+from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
+from animtool.scene.report import BakeReport
 
 Floats = npt.NDArray[np.float64]
 

@@ -22,9 +22,9 @@ from animtool.usd.animation import FLOAT32_MAX, round_blocks
 from animtool.usd.author import author, write_usd
 from animtool.usd.jobs import Form, UsdJob, UsdResult, UsdTake
 from animtool.usd.names import joint_names
+from animtool.usd.paths import RigPaths
 from animtool.usd.read import read_usd
 from animtool.usd.rig_layer import write_rig_layer
-from animtool.usd.skeleton import RigPaths
 from animtool.usd.target import map_joints, match_shapes, open_target
 
 SHAPES = ("smile", "blink", "frown", "jaw")
