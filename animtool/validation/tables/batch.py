@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from animtool.errors import Severity
 from animtool.validation.rule import Rule
 
 __all__ = ["RULES"]
@@ -24,4 +25,16 @@ RULES = (
     Rule("BAT031", "an executor that cannot do what is asked"),
     Rule("BAT032", "a plug-in executor that cannot be loaded"),
     Rule("BAT033", "items that are not there"),
+    Rule("BAT034", "an executor whose package is missing"),
+    Rule("BAT035", "a cluster that cannot be used"),
+    Rule("BAT036", "a worker of other versions"),
+    Rule("BAT037", "no report of costs"),
+    Rule("BAT038", "no file of path mapping rules"),
+    Rule("BAT040", "cut lists without OpenTimelineIO"),
+    Rule("BAT041", "no timeline"),
+    Rule("BAT042", "media of a clip that is missing"),
+    Rule("BAT043", "what is not taken from a timeline as it is", Severity.NOTE),
+    Rule("BAT044", "a clip with another speed", Severity.WARNING),
+    Rule("BAT045", "frames that media does not have", Severity.WARNING),
+    Rule("BAT046", "a shot called otherwise than its clip", Severity.NOTE),
 )
