@@ -139,6 +139,38 @@ def round_points(points: Annotated[NDArray[numpy.float64], dict(shape=(None, Non
     number; the largest distance of a point from where it was, times ``unit``, and where.
     """
 
+def build_mesh_tree(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], triangles: Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C')]]:
+    """
+    A tree of boxes over triangles ``(T, 3)`` of points ``(P, 3)``, for distances.
+
+    Returns ``(triangles, corner_normals, edge_normals, bounds, nodes)``: the triangles in the
+    order of the tree, what tells inside from outside at corners ``(P, 3)`` and edges
+    ``(T, 3, 3)``, zero on the rim of an open mesh, and the nodes: boxes ``(M, 6)``, and two
+    children, or ``-1 - first`` and a count of triangles ``(M, 2)``.
+    """
+
+def collide_particles(colliders: tuple[Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)]], before: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], after: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], radii: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], step: float) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]:
+    """
+    End a step of N particles where colliders let it end.
+
+    ``colliders``: ``kinds`` ``(C, 3)`` (0 plane, 1 sphere, 2 capsule, 3 box, 4 mesh; whether it
+    is a container; a mesh's node), ``sizes`` ``(C, 7)``, ``materials`` ``(C, 4)`` (restitution,
+    friction, margin, depenetration speed), ``poses`` ``(C, 2, 7)`` at both ends of the step
+    (origin, quaternion), then points and what `build_mesh_tree` gives of all meshes together.
+    States ``(2, N, 3)`` are positions and velocities at both ends of the ``step``.
+
+    Returns ``(state, touches, normals)``: ``(2, N, 3)``; the last collider touched or -1, and
+    how (0 not, 1 bounced, 2 rests, 3 unresolved) ``(N, 2)``; the way out ``(N, 3)``.
+    """
+
+def sample_colliders(colliders: tuple[Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)]], points: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], share: float, step: float) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')]]:
+    """
+    Look at C colliders from N points at a share of a step.
+
+    Returns ``(distances, normals, velocities)``: ``(C, N)``, less the margins, negative inside;
+    ways out and velocities of the surfaces ``(C, N, 3)``.
+    """
+
 def place_ik_targets(targets: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu')], frames: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], length: float) -> None:
     """
     Bring targets ``(B, E, 17)`` to a chain, in place.

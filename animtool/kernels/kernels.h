@@ -35,6 +35,20 @@ using IkLinearized = std::tuple<Out<double, 2>, Out<double, 2>, Out<double, 3>, 
 // coordinates, misses, rounds, cost before and after
 using IkSmoothed = std::tuple<Out<double, 2>, Out<double, 3>, int, double, double>;
 
+// triangles, corner_normals, edge_normals, bounds, nodes
+using MeshTree = std::tuple<Out<std::int32_t, 2>, Out<double, 2>, Out<double, 3>,
+                            Out<double, 2>, Out<std::int32_t, 2>>;
+// kinds, sizes, materials, poses, and of meshes: points, triangles, corner normals, edge
+// normals, bounds, nodes
+using ColliderArrays =
+    std::tuple<In<std::int64_t, 2>, In<double, 2>, In<double, 2>, In<double, 3>, In<double, 2>,
+               In<std::int32_t, 2>, In<double, 2>, In<double, 3>, In<double, 2>,
+               In<std::int32_t, 2>>;
+// state, touches, normals
+using Collided = std::tuple<Out<double, 3>, Out<std::int64_t, 2>, Out<double, 2>>;
+// distances, normals, velocities
+using ColliderSamples = std::tuple<Out<double, 2>, Out<double, 3>, Out<double, 3>>;
+
 BvhRows parse_bvh_rows(nb::bytes text, std::size_t columns, std::size_t limit, bool final);
 
 nb::bytes format_bvh_rows(In<double, 2> values, In<std::int64_t, 1> decimals);
@@ -107,6 +121,14 @@ Out<std::int64_t, 1> cheapest_ik_path(In<std::int64_t, 2> nodes, In<double, 2> n
                                       bool closed);
 
 Out<double, 3> point_extents(In<double, 3> points);
+
+MeshTree build_mesh_tree(In<double, 2> points, In<std::int32_t, 2> triangles);
+
+Collided collide_particles(ColliderArrays colliders, In<double, 3> before,
+                           In<double, 3> after, In<double, 1> radii, double step);
+
+ColliderSamples sample_colliders(ColliderArrays colliders, In<double, 2> points, double share,
+                                 double step);
 
 RoundedPoints round_points(In<double, 3> points, double unit);
 

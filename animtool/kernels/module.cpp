@@ -120,6 +120,33 @@ stretch.)");
 Returns ``(rounded, error, frame, vertex)``: what is beyond float32 is its largest
 number; the largest distance of a point from where it was, times ``unit``, and where.)");
 
+  m.def("build_mesh_tree", &build_mesh_tree, "points"_a, "triangles"_a,
+        R"(A tree of boxes over triangles ``(T, 3)`` of points ``(P, 3)``, for distances.
+
+Returns ``(triangles, corner_normals, edge_normals, bounds, nodes)``: the triangles in the
+order of the tree, what tells inside from outside at corners ``(P, 3)`` and edges
+``(T, 3, 3)``, zero on the rim of an open mesh, and the nodes: boxes ``(M, 6)``, and two
+children, or ``-1 - first`` and a count of triangles ``(M, 2)``.)");
+
+  m.def("collide_particles", &collide_particles, "colliders"_a, "before"_a, "after"_a,
+        "radii"_a, "step"_a,
+        R"(End a step of N particles where colliders let it end.
+
+``colliders``: ``kinds`` ``(C, 3)`` (0 plane, 1 sphere, 2 capsule, 3 box, 4 mesh; whether it
+is a container; a mesh's node), ``sizes`` ``(C, 7)``, ``materials`` ``(C, 4)`` (restitution,
+friction, margin, depenetration speed), ``poses`` ``(C, 2, 7)`` at both ends of the step
+(origin, quaternion), then points and what `build_mesh_tree` gives of all meshes together.
+States ``(2, N, 3)`` are positions and velocities at both ends of the ``step``.
+
+Returns ``(state, touches, normals)``: ``(2, N, 3)``; the last collider touched or -1, and
+how (0 not, 1 bounced, 2 rests, 3 unresolved) ``(N, 2)``; the way out ``(N, 3)``.)");
+
+  m.def("sample_colliders", &sample_colliders, "colliders"_a, "points"_a, "share"_a, "step"_a,
+        R"(Look at C colliders from N points at a share of a step.
+
+Returns ``(distances, normals, velocities)``: ``(C, N)``, less the margins, negative inside;
+ways out and velocities of the surfaces ``(C, N, 3)``.)");
+
   m.def("place_ik_targets", &place_ik_targets, "targets"_a, "frames"_a, "length"_a,
         R"(Bring targets ``(B, E, 17)`` to a chain, in place.
 

@@ -1,0 +1,28 @@
+"""What particles run into: shapes, their poses over time, and what contact does."""
+
+from animtool.sim.colliders.collider import Collider
+from animtool.sim.colliders.colliding import (
+    Collided,
+    Colliders,
+    Contacts,
+    Touch,
+    collide,
+)
+from animtool.sim.colliders.poses import Poses
+from animtool.sim.colliders.shapes import Box, Capsule, Mesh, Plane, Shape, Sphere
+
+__all__ = [
+    "Box",
+    "Capsule",
+    "Collided",
+    "Collider",
+    "Colliders",
+    "Contacts",
+    "Mesh",
+    "Plane",
+    "Poses",
+    "Shape",
+    "Sphere",
+    "Touch",
+    "collide",
+]

@@ -1,0 +1,95 @@
+"""What particles run into."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray
+from animtool.errors import Fault
+from animtool.sim.colliders.poses import Poses
+from animtool.sim.colliders.shapes import Shape
+
+__all__ = ["Collider"]
+
+# No body of a shot is as fast as this [m/s]: what is has been put elsewhere.
+SPEED_LIMIT = 200.0
+
+
+@dataclass(frozen=True)
+class Collider:
+    """A shape, where it is over time, and what touching it does.
+
+    Attributes:
+        shape: In its own frame.
+        poses: Of that frame in the world.
+        name: For messages.
+        container: Whether particles are to stay inside it.
+        restitution: Share of the speed into the surface that comes back [0, 1].
+        friction: Coulomb's coefficient [1].
+        margin: Distance that particles keep [m].
+        depenetration: How fast particles that start inside are moved out [m/s].
+        speed_limit: A collider that goes faster was put elsewhere: it has no velocity
+            then, and hits nothing on the way [m/s].
+    """
+
+    shape: Shape
+    poses: Poses = field(default_factory=Poses)
+    name: str = ""
+    container: bool = False
+    restitution: float = 0.0
+    friction: float = 0.0
+    margin: float = 0.0
+    depenetration: float = 1.0
+    speed_limit: float = SPEED_LIMIT
+
+    @property
+    def material(self) -> tuple[float, float, float, float]:
+        """Restitution, friction, margin and depenetration."""
+        return self.restitution, self.friction, self.margin, self.depenetration
+
+    @cached_property
+    def jumps(self) -> BoolArray:
+        """Between which of its times it is put elsewhere ``(T - 1,)``."""
+        return self.poses.jumps(self.shape.anchors(), self.speed_limit)
+
+    def pose(self, t: float) -> FloatArray:
+        """Return its pose ``(7,)`` at a time [s]; on a jump, the one before."""
+        moments = self.poses.moments
+        i = int(np.searchsorted(moments, t, side="right")) - 1
+        if 0 <= i < len(self.jumps) and self.jumps[i]:
+            row: FloatArray = self.poses.rows[i]
+            return row
+        return self.poses.at(t)
+
+    def ends(self, t0: float, t1: float) -> FloatArray:
+        """Return its poses ``(2, 7)`` at both ends of a step."""
+        if self.jumps.any() and self._jumped(t0, t1):
+            return np.stack([self.pose(t1)] * 2)
+        return np.stack([self.pose(t0), self.pose(t1)])
+
+    def _jumped(self, t0: float, t1: float) -> bool:
+        arrivals = self.poses.moments[1:][self.jumps]
+        return bool(((arrivals > t0) & (arrivals <= t1)).any())
+
+    def faults(self, where: str) -> list[Fault]:
+        """Return what of it makes no sense (SIM020)."""
+        found = self.shape.faults() + self.poses.faults()
+        if not 0 <= self.restitution <= 1:
+            found.append(f"its restitution must be 0 to 1, not {self.restitution:g}")
+        found += [
+            f"its {name} must be finite and 0 or more, not {value:g}"
+            for name, value in (("friction", self.friction), ("margin", self.margin))
+            if not 0 <= value < np.inf
+        ]
+        found += [
+            f"its {name} must be above 0, not {value:g}"
+            for name, value in (
+                ("depenetration", self.depenetration),
+                ("speed_limit", self.speed_limit),
+            )
+            if not value > 0
+        ]
+        return [Fault("SIM020", message, where=where) for message in found]

@@ -1,0 +1,233 @@
+"""The end of a step of particles among colliders."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from animtool import _kernels
+from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_floats
+from animtool.errors import Fault, OptionError, Severity
+from animtool.sim.colliders.collider import Collider
+from animtool.sim.colliders.shapes import Box, Capsule, Mesh, Plane, Sphere
+
+__all__ = ["Collided", "Colliders", "Contacts", "Samples", "Touch", "collide"]
+
+_KINDS: dict[type, int] = {Plane: 0, Sphere: 1, Capsule: 2, Box: 3, Mesh: 4}
+_SIZES = 7
+
+
+class Touch(IntEnum):
+    """How a particle met colliders in a step.
+
+    Attributes:
+        NONE: Not at all.
+        BOUNCED: It hit one and left it.
+        RESTS: It is on one, and slides there if it moves.
+        UNRESOLVED: It is still inside one, on its way out or held by several.
+    """
+
+    NONE = 0
+    BOUNCED = 1
+    RESTS = 2
+    UNRESOLVED = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Contacts:
+    """What particles met in a step, the last of it.
+
+    Attributes:
+        colliders: Index of the collider ``(N,)``, -1 where there was none.
+        touches: How, as of `Touch` ``(N,)``.
+        normals: The way out of it ``(N, 3)``.
+    """
+
+    colliders: IntArray
+    touches: IntArray
+    normals: FloatArray
+
+    @property
+    def any(self) -> BoolArray:
+        """Whether each particle met a collider ``(N,)``."""
+        return self.colliders >= 0
+
+
+@dataclass(frozen=True, slots=True)
+class Collided:
+    """Particles at the end of a step.
+
+    Attributes:
+        points: ``(N, 3)`` [m].
+        velocities: ``(N, 3)`` [m/s].
+        contacts: What they met.
+    """
+
+    points: FloatArray
+    velocities: FloatArray
+    contacts: Contacts
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """C colliders as seen from N points.
+
+    Attributes:
+        distances: From the surfaces less the margins, negative inside ``(C, N)`` [m].
+        normals: Ways out ``(C, N, 3)``.
+        velocities: Of the surfaces ``(C, N, 3)`` [m/s].
+    """
+
+    distances: FloatArray
+    normals: FloatArray
+    velocities: FloatArray
+
+
+class Colliders(Sequence[Collider]):
+    """Colliders made ready to be asked many times.
+
+    Raises:
+        OptionError: Something of them makes no sense (SIM020).
+    """
+
+    def __init__(self, colliders: Sequence[Collider]) -> None:
+        self._colliders = tuple(colliders)
+        faults = [
+            fault
+            for i, collider in enumerate(self._colliders)
+            for fault in collider.faults(collider.name or f"colliders[{i}]")
+        ]
+        if faults:
+            raise OptionError(faults)
+        self._meshes, roots = _meshes([c.shape for c in self._colliders])
+        self._kinds = np.array(
+            [
+                (_KINDS[type(c.shape)], c.container, root)
+                for c, root in zip(self._colliders, roots, strict=True)
+            ],
+            np.int64,
+        ).reshape(-1, 3)
+        self._sizes = np.zeros((len(self), _SIZES))
+        for row, collider in zip(self._sizes, self._colliders, strict=True):
+            sizes = collider.shape.sizes()
+            row[: len(sizes)] = sizes
+        self._materials = np.array([c.material for c in self._colliders]).reshape(-1, 4)
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self._colliders)
+
+    def __getitem__(self, index: Any) -> Any:
+        """Return one, or some."""
+        return self._colliders[index]
+
+    def arrays(self, t0: float, t1: float) -> tuple[Any, ...]:
+        """Return what kernels take for a step between two times [s]."""
+        poses = np.array([c.ends(t0, t1) for c in self._colliders]).reshape(-1, 2, 7)
+        return self._kinds, self._sizes, self._materials, poses, *self._meshes
+
+    def sample(
+        self, points: ArrayLike, t0: float, t1: float | None = None
+    ) -> Samples:
+        """Look at the colliders from points ``(N, 3)`` at a time [s].
+
+        Velocities are those of the step that begins then.
+        """
+        places = as_floats(points, ("N", 3), "points")
+        end = t0 if t1 is None else t1
+        return Samples(
+            *_kernels.sample_colliders(self.arrays(t0, end), places, 0.0, end - t0)
+        )
+
+    def notices(self) -> list[Fault]:
+        """Return a warning for each collider that is put elsewhere (SIM120)."""
+        found = []
+        for i, collider in enumerate(self._colliders):
+            for k in np.flatnonzero(collider.jumps).tolist():
+                when = collider.poses.moments[k + 1]
+                message = (
+                    f"it goes faster than {collider.speed_limit:g} m/s up to "
+                    f"{when:g} s, so it is put there without hitting anything"
+                )
+                where = collider.name or f"colliders[{i}]"
+                warning = Severity.WARNING
+                hint = "raise its speed_limit if it is to hit"
+                found.append(Fault("SIM120", message, None, (), hint, warning, None, where))
+        return found
+
+
+def collide(
+    points: ArrayLike,
+    velocities: ArrayLike,
+    before: ArrayLike,
+    colliders: Colliders | Sequence[Collider],
+    t0: float,
+    t1: float,
+    radii: ArrayLike = 0.0,
+) -> Collided:
+    """Return where colliders let a step of particles end.
+
+    Paths are parabolas from the step's start to its end, so that nothing is passed
+    through however long the step is. A particle bounces at the moment of contact and
+    goes on from there; where it would be back on the surface within the step, it stays
+    there and slides against friction. What meets nothing is returned bit for bit.
+
+    Args:
+        points: Where the step led ``(N, 3)`` [m].
+        velocities: There ``(N, 3)`` [m/s].
+        before: Positions, then velocities at the start of the step ``(2, N, 3)``.
+        colliders: What they may run into.
+        t0: Start of the step [s].
+        t1: Its end [s].
+        radii: Of the particles ``(N,)``, or one [m].
+
+    Raises:
+        OptionError: Something of the colliders makes no sense (SIM020).
+
+    >>> from animtool.sim.colliders import Collider, Plane
+    >>> floor = Collider(Plane(), restitution=0.5)
+    >>> done = collide([[0, -1, 0]], [[0, -2, 0]], [[[0, 1, 0]], [[0, -2, 0]]], [floor], 0, 1)
+    >>> done.points.tolist(), done.velocities.tolist()
+    ([[0.0, 0.5, 0.0]], [[0.0, 1.0, 0.0]])
+    """
+    ready = colliders if isinstance(colliders, Colliders) else Colliders(colliders)
+    places = as_floats(points, ("N", 3), "points")
+    after = np.stack([places, as_floats(velocities, (len(places), 3), "velocities")])
+    start = as_floats(before, (2, len(places), 3), "before")
+    sizes = np.ascontiguousarray(np.broadcast_to(radii, len(places)), np.float64)
+    state, touches, normals = _kernels.collide_particles(
+        ready.arrays(t0, t1), start, after, sizes, t1 - t0
+    )
+    found, touched = touches.T.copy()
+    return Collided(state[0], state[1], Contacts(found, touched, normals))
+
+
+def _meshes(shapes: Sequence[object]) -> tuple[tuple[Any, ...], list[int]]:
+    """Return the arrays of all meshes together, and each shape's node."""
+    parts: list[tuple[Any, ...]] = []
+    roots, points, triangles, nodes = [], 0, 0, 0
+    for shape in shapes:
+        roots.append(nodes)
+        if not isinstance(shape, Mesh):
+            continue
+        places, corners = shape.welded()
+        order, by_corner, by_edge, bounds, tree = _kernels.build_mesh_tree(
+            places, corners
+        )
+        leaf = tree[:, 0] < 0
+        moved = np.where(
+            leaf[:, None], tree - np.array([triangles, 0]), tree + nodes
+        ).astype(np.int32)
+        parts.append((places, order + np.int32(points), by_corner, by_edge, bounds, moved))
+        points, triangles = points + len(places), triangles + len(order)
+        nodes += len(tree)
+    if not parts:
+        none = np.zeros((0, 3), np.int32)
+        flat = np.zeros((0, 3))
+        empty = (flat, none, flat, np.zeros((0, 3, 3)), np.zeros((0, 6)))
+        return (*empty, np.zeros((0, 2), np.int32)), roots
+    return tuple(np.concatenate(arrays) for arrays in zip(*parts, strict=True)), roots

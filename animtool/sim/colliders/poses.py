@@ -1,0 +1,93 @@
+"""Where a collider is over time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from animtool._types import ArrayLike, BoolArray, FloatArray
+from animtool.maths import so3
+
+__all__ = ["Poses"]
+
+
+@dataclass(frozen=True)
+class Poses:
+    """World poses at times, straight and even between them and held outside.
+
+    Attributes:
+        times: Ascending ``(T,)`` [s]; of a fixed collider one.
+        origins: ``(T, 3)`` [m].
+        rotations: Quaternions ``(T, 4)``, x y z w, of any length above 0.
+
+    >>> Poses([0, 1], [[0, 0, 0], [2, 0, 0]], [[0, 0, 0, 1]] * 2).at(0.25).tolist()
+    [0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+    """
+
+    times: ArrayLike = (0.0,)
+    origins: ArrayLike = ((0.0, 0.0, 0.0),)
+    rotations: ArrayLike = ((0.0, 0.0, 0.0, 1.0),)
+
+    @staticmethod
+    def fixed(
+        origin: ArrayLike = (0.0, 0.0, 0.0),
+        rotation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
+    ) -> Poses:
+        """Return the pose of what does not move."""
+        return Poses((0.0,), np.array([origin], float), np.array([rotation], float))
+
+    @cached_property
+    def moments(self) -> FloatArray:
+        """Times as an array ``(T,)`` [s]."""
+        return np.asarray(self.times, np.float64)
+
+    @cached_property
+    def rows(self) -> FloatArray:
+        """Origins and unit quaternions ``(T, 7)``."""
+        rotations = so3.normalize(np.asarray(self.rotations, np.float64))
+        origins = np.asarray(self.origins, np.float64)
+        return np.concatenate([origins, so3.align_signs(rotations)], axis=1)
+
+    def at(self, t: float) -> FloatArray:
+        """Return origin and quaternion ``(7,)`` at a time [s]."""
+        moments = self.moments
+        i = int(np.searchsorted(moments, t, side="right")) - 1
+        if i < 0 or i + 1 >= len(moments):
+            row: FloatArray = self.rows[max(i, 0)]
+            return row
+        before, after = self.rows[i : i + 2]
+        share = (t - moments[i]) / (moments[i + 1] - moments[i])
+        origin = before[:3] + (after[:3] - before[:3]) * share
+        return np.concatenate([origin, so3.slerp(before[3:], after[3:], share)])
+
+    def carried(self, points: FloatArray) -> FloatArray:
+        """Return where points of its frame ``(A, 3)`` are at the times ``(T, A, 3)``."""
+        turned = so3.rotate(self.rows[:, None, 3:], points)
+        return np.asarray(self.rows[:, None, :3] + turned, np.float64)
+
+    def jumps(self, points: FloatArray, limit: float) -> BoolArray:
+        """Return between which times points go faster than a limit ``(T - 1,)``."""
+        way = np.linalg.norm(np.diff(self.carried(points), axis=0), axis=2)
+        return np.asarray(
+            way.max(axis=1) > limit * np.diff(self.moments), np.bool_
+        )
+
+    def faults(self) -> list[str]:
+        """Return what makes no sense."""
+        times = np.asarray(self.times, np.float64)
+        wanted = {"origins": (self.origins, 3), "rotations": (self.rotations, 4)}
+        if times.ndim != 1 or not len(times) or not (np.diff(times) > 0).all():
+            return ["its times must ascend, at least one"]
+        faults = [] if np.isfinite(times).all() else ["its times are not finite"]
+        for name, (values, width) in wanted.items():
+            array = np.asarray(values, np.float64)
+            if array.shape != (len(times), width):
+                shape = (len(times), width)
+                faults.append(f"its {name} must have shape {shape}, not {array.shape}")
+            elif not np.isfinite(array).all():
+                faults.append(f"its {name} are not finite")
+            elif width == 4 and not array.any(axis=1).all():
+                faults.append("its rotations must not be all 0")
+        return faults

@@ -1,0 +1,201 @@
+"""Shapes that particles run into, in their own frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import TypeAlias
+
+import numpy as np
+
+from animtool._types import ArrayLike, FloatArray
+
+__all__ = ["Box", "Capsule", "Mesh", "Plane", "Shape", "Sphere"]
+
+Vector: TypeAlias = Sequence[float]
+ORIGIN = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Plane:
+    """All that is on one side of a plane.
+
+    Attributes:
+        normal: Out of it, of any length above 0.
+        offset: Of the plane from the origin, along the normal [m].
+    """
+
+    normal: Vector = (0.0, 1.0, 0.0)
+    offset: float = 0.0
+
+    def sizes(self) -> FloatArray:
+        """Return unit normal and offset ``(4,)``."""
+        return np.array([*_unit(self.normal), self.offset], np.float64)
+
+    def anchors(self) -> FloatArray:
+        """Return points that tell how fast it moves ``(1, 3)`` [m]."""
+        return _unit(self.normal)[None] * self.offset
+
+    def faults(self) -> list[str]:
+        """Return what makes no sense."""
+        faults = [] if np.isfinite(self.offset) else ["its offset is not finite"]
+        return faults + _direction_faults("normal", self.normal)
+
+
+@dataclass(frozen=True, slots=True)
+class Sphere:
+    """A ball.
+
+    Attributes:
+        radius: [m].
+        centre: In its frame [m].
+    """
+
+    radius: float
+    centre: Vector = ORIGIN
+
+    def sizes(self) -> FloatArray:
+        """Return centre and radius ``(4,)``."""
+        return np.array([*self.centre, self.radius], np.float64)
+
+    def anchors(self) -> FloatArray:
+        """Return points that tell how fast it moves ``(1, 3)`` [m]."""
+        return np.array([self.centre], np.float64)
+
+    def faults(self) -> list[str]:
+        """Return what makes no sense."""
+        return _size_faults("radius", [self.radius]) + _point_faults(self.centre)
+
+
+@dataclass(frozen=True, slots=True)
+class Capsule:
+    """What is within a radius of a segment.
+
+    Attributes:
+        radius: [m].
+        length: Of the segment [m]; 0 is a ball.
+        axis: Direction of the segment, of any length above 0.
+        centre: Of the segment, in its frame [m].
+    """
+
+    radius: float
+    length: float
+    axis: Vector = (0.0, 1.0, 0.0)
+    centre: Vector = ORIGIN
+
+    def sizes(self) -> FloatArray:
+        """Return both ends of the segment and the radius ``(7,)``."""
+        return np.append(self.anchors().ravel(), self.radius)
+
+    def anchors(self) -> FloatArray:
+        """Return points that tell how fast it moves ``(2, 3)`` [m]."""
+        half = _unit(self.axis) * (self.length / 2)
+        return np.asarray(self.centre, np.float64) + np.array([-half, half])
+
+    def faults(self) -> list[str]:
+        """Return what makes no sense."""
+        faults = _size_faults("radius", [self.radius]) + _point_faults(self.centre)
+        if not 0 <= self.length < np.inf:
+            faults.append(f"its length must be 0 or more, not {self.length:g}")
+        return faults + _direction_faults("axis", self.axis)
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """A box about the origin of its frame.
+
+    Attributes:
+        size: Its three sides, whole [m].
+    """
+
+    size: Vector
+
+    def sizes(self) -> FloatArray:
+        """Return half the sides ``(3,)``."""
+        return np.asarray(self.size, np.float64) / 2
+
+    def anchors(self) -> FloatArray:
+        """Return points that tell how fast it moves ``(8, 3)`` [m]."""
+        return np.array(list(product((-1.0, 1.0), repeat=3))) * self.sizes()
+
+    def faults(self) -> list[str]:
+        """Return what makes no sense."""
+        if len(self.size) != 3:
+            return [f"its size must be three numbers, not {len(self.size)}"]
+        return _size_faults("size", self.size)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mesh:
+    """Triangles, counter-clockwise as seen from outside.
+
+    Points at one place are one, triangles without area are left out. Behind a face is
+    inside; an open mesh has no inside beyond its rim.
+
+    Attributes:
+        points: ``(P, 3)`` [m].
+        triangles: Corners of each ``(T, 3)``.
+    """
+
+    points: ArrayLike
+    triangles: ArrayLike
+
+    def sizes(self) -> FloatArray:
+        """Return nothing: its arrays say it all."""
+        return np.zeros(0)
+
+    def anchors(self) -> FloatArray:
+        """Return points that tell how fast it moves ``(8, 3)`` [m]."""
+        points = np.asarray(self.points, np.float64)
+        low, high = points.min(axis=0), points.max(axis=0)
+        corners = np.array(list(product((0.0, 1.0), repeat=3)))
+        return np.asarray(low + corners * (high - low), np.float64)
+
+    def welded(self) -> tuple[FloatArray, np.ndarray]:
+        """Return points and triangles, without doubles and what has no area."""
+        points, same = np.unique(
+            np.asarray(self.points, np.float64), axis=0, return_inverse=True
+        )
+        triangles = same.reshape(-1)[np.asarray(self.triangles, np.int64)]
+        a, b, c = points[triangles].swapaxes(0, 1)
+        flat = ~np.cross(b - a, c - a).any(axis=1)
+        return points, np.ascontiguousarray(triangles[~flat], np.int32)
+
+    def faults(self) -> list[str]:
+        """Return what makes no sense."""
+        points = np.asarray(self.points, np.float64)
+        triangles = np.asarray(self.triangles)
+        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+            return ["its points must be finite, of shape (P, 3)"]
+        if triangles.ndim != 2 or triangles.shape[1] != 3:
+            return [f"its triangles must have shape (T, 3), not {triangles.shape}"]
+        if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(points):
+            return [f"corners of its triangles must be of its {len(points)} points"]
+        if not triangles.size or not len(self.welded()[1]):
+            return ["it has no triangle with an area"]
+        return []
+
+
+Shape: TypeAlias = Plane | Sphere | Capsule | Box | Mesh
+
+
+def _unit(direction: Vector) -> FloatArray:
+    vector = np.asarray(direction, np.float64)
+    return np.asarray(vector / np.linalg.norm(vector), np.float64)
+
+
+def _size_faults(name: str, values: Sequence[float]) -> list[str]:
+    odd = [value for value in values if not 0 < value < np.inf]
+    return [f"its {name} must be above 0, not {value:g}" for value in odd[:1]]
+
+
+def _point_faults(point: Vector) -> list[str]:
+    fits = len(point) == 3 and np.isfinite(point).all()
+    return [] if fits else ["its centre must be three finite numbers"]
+
+
+def _direction_faults(name: str, direction: Vector) -> list[str]:
+    vector = np.asarray(direction, np.float64)
+    fits = vector.shape == (3,) and np.isfinite(vector).all() and vector.any()
+    return [] if fits else [f"its {name} must be three finite numbers, not all 0"]
