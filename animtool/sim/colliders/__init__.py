@@ -8,6 +8,7 @@ from animtool.sim.colliders.colliding import (
     Touch,
     collide,
 )
+from animtool.sim.colliders.on_joints import joint_poses, rig_colliders
 from animtool.sim.colliders.poses import Poses
 from animtool.sim.colliders.shapes import Box, Capsule, Mesh, Plane, Shape, Sphere
 
@@ -25,4 +26,6 @@ __all__ = [
     "Sphere",
     "Touch",
     "collide",
+    "joint_poses",
+    "rig_colliders",
 ]

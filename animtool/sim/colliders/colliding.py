@@ -19,6 +19,14 @@ __all__ = ["Collided", "Colliders", "Contacts", "Samples", "Touch", "collide"]
 
 _KINDS: dict[type, int] = {Plane: 0, Sphere: 1, Capsule: 2, Box: 3, Mesh: 4}
 _SIZES = 7
+_NO_MESH: tuple[Any, ...] = (
+    np.zeros((0, 3)),
+    np.zeros((0, 3), np.int32),
+    np.zeros((0, 3)),
+    np.zeros((0, 3, 3)),
+    np.zeros((0, 6)),
+    np.zeros((0, 2), np.int32),
+)
 
 
 class Touch(IntEnum):
@@ -130,9 +138,7 @@ class Colliders(Sequence[Collider]):
         poses = np.array([c.ends(t0, t1) for c in self._colliders]).reshape(-1, 2, 7)
         return self._kinds, self._sizes, self._materials, poses, *self._meshes
 
-    def sample(
-        self, points: ArrayLike, t0: float, t1: float | None = None
-    ) -> Samples:
+    def sample(self, points: ArrayLike, t0: float, t1: float | None = None) -> Samples:
         """Look at the colliders from points ``(N, 3)`` at a time [s].
 
         Velocities are those of the step that begins then.
@@ -144,20 +150,19 @@ class Colliders(Sequence[Collider]):
         )
 
     def notices(self) -> list[Fault]:
-        """Return a warning for each collider that is put elsewhere (SIM120)."""
-        found = []
-        for i, collider in enumerate(self._colliders):
-            for k in np.flatnonzero(collider.jumps).tolist():
-                when = collider.poses.moments[k + 1]
-                message = (
-                    f"it goes faster than {collider.speed_limit:g} m/s up to "
-                    f"{when:g} s, so it is put there without hitting anything"
-                )
-                where = collider.name or f"colliders[{i}]"
-                warning = Severity.WARNING
-                hint = "raise its speed_limit if it is to hit"
-                found.append(Fault("SIM120", message, None, (), hint, warning, None, where))
-        return found
+        """Return a warning for each time that one is put elsewhere (SIM120)."""
+        return [
+            _jump(collider, collider.name or f"colliders[{i}]", k)
+            for i, collider in enumerate(self._colliders)
+            for k in np.flatnonzero(collider.jumps).tolist()
+        ]
+
+
+def _jump(collider: Collider, where: str, k: int) -> Fault:
+    speed, when = collider.speed_limit, collider.poses.moments[k + 1]
+    message = f"it goes faster than {speed:g} m/s until {when:g} s: it hits nothing"
+    hint = "raise its speed limit if it is to hit on its way"
+    return Fault("SIM120", message, where=where, hint=hint, severity=Severity.WARNING)
 
 
 def collide(
@@ -190,7 +195,8 @@ def collide(
 
     >>> from animtool.sim.colliders import Collider, Plane
     >>> floor = Collider(Plane(), restitution=0.5)
-    >>> done = collide([[0, -1, 0]], [[0, -2, 0]], [[[0, 1, 0]], [[0, -2, 0]]], [floor], 0, 1)
+    >>> above = [[[0, 1, 0]], [[0, -2, 0]]]
+    >>> done = collide([[0, -1, 0]], [[0, -2, 0]], above, [floor], 0, 1)
     >>> done.points.tolist(), done.velocities.tolist()
     ([[0.0, 0.5, 0.0]], [[0.0, 1.0, 0.0]])
     """
@@ -208,26 +214,21 @@ def collide(
 
 def _meshes(shapes: Sequence[object]) -> tuple[tuple[Any, ...], list[int]]:
     """Return the arrays of all meshes together, and each shape's node."""
-    parts: list[tuple[Any, ...]] = []
-    roots, points, triangles, nodes = [], 0, 0, 0
+    parts = [_NO_MESH]
+    roots, shift = [], np.zeros(3, np.int32)
     for shape in shapes:
-        roots.append(nodes)
-        if not isinstance(shape, Mesh):
-            continue
-        places, corners = shape.welded()
-        order, by_corner, by_edge, bounds, tree = _kernels.build_mesh_tree(
-            places, corners
-        )
-        leaf = tree[:, 0] < 0
-        moved = np.where(
-            leaf[:, None], tree - np.array([triangles, 0]), tree + nodes
-        ).astype(np.int32)
-        parts.append((places, order + np.int32(points), by_corner, by_edge, bounds, moved))
-        points, triangles = points + len(places), triangles + len(order)
-        nodes += len(tree)
-    if not parts:
-        none = np.zeros((0, 3), np.int32)
-        flat = np.zeros((0, 3))
-        empty = (flat, none, flat, np.zeros((0, 3, 3)), np.zeros((0, 6)))
-        return (*empty, np.zeros((0, 2), np.int32)), roots
+        roots.append(int(shift[2]))
+        if isinstance(shape, Mesh):
+            part = _mesh(shape, *shift.tolist())
+            parts.append(part)
+            shift += [len(part[0]), len(part[1]), len(part[5])]
     return tuple(np.concatenate(arrays) for arrays in zip(*parts, strict=True)), roots
+
+
+def _mesh(shape: Mesh, points: int, triangles: int, nodes: int) -> tuple[Any, ...]:
+    """Return the arrays of a mesh behind others of so many points and the rest."""
+    places, corners = shape.welded()
+    order, by_corner, by_edge, bounds, tree = _kernels.build_mesh_tree(places, corners)
+    leaf = tree[:, :1] < 0
+    tree = np.where(leaf, tree - [triangles, 0], tree + nodes).astype(np.int32)
+    return places, order + np.int32(points), by_corner, by_edge, bounds, tree

@@ -63,16 +63,14 @@ class Poses:
         return np.concatenate([origin, so3.slerp(before[3:], after[3:], share)])
 
     def carried(self, points: FloatArray) -> FloatArray:
-        """Return where points of its frame ``(A, 3)`` are at the times ``(T, A, 3)``."""
+        """Return where A points of its frame are at the times ``(T, A, 3)`` [m]."""
         turned = so3.rotate(self.rows[:, None, 3:], points)
         return np.asarray(self.rows[:, None, :3] + turned, np.float64)
 
     def jumps(self, points: FloatArray, limit: float) -> BoolArray:
         """Return between which times points go faster than a limit ``(T - 1,)``."""
         way = np.linalg.norm(np.diff(self.carried(points), axis=0), axis=2)
-        return np.asarray(
-            way.max(axis=1) > limit * np.diff(self.moments), np.bool_
-        )
+        return np.asarray(way.max(axis=1) > limit * np.diff(self.moments), np.bool_)
 
     def faults(self) -> list[str]:
         """Return what makes no sense."""

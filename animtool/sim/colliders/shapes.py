@@ -8,6 +8,7 @@ from itertools import product
 from typing import TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from animtool._types import ArrayLike, FloatArray
 
@@ -91,7 +92,8 @@ class Capsule:
     def anchors(self) -> FloatArray:
         """Return points that tell how fast it moves ``(2, 3)`` [m]."""
         half = _unit(self.axis) * (self.length / 2)
-        return np.asarray(self.centre, np.float64) + np.array([-half, half])
+        centre = np.asarray(self.centre, np.float64)
+        return np.stack([centre - half, centre + half])
 
     def faults(self) -> list[str]:
         """Return what makes no sense."""
@@ -117,7 +119,8 @@ class Box:
 
     def anchors(self) -> FloatArray:
         """Return points that tell how fast it moves ``(8, 3)`` [m]."""
-        return np.array(list(product((-1.0, 1.0), repeat=3))) * self.sizes()
+        corners = np.array(list(product((-1.0, 1.0), repeat=3)), np.float64)
+        return np.asarray(corners * self.sizes(), np.float64)
 
     def faults(self) -> list[str]:
         """Return what makes no sense."""
@@ -152,7 +155,7 @@ class Mesh:
         corners = np.array(list(product((0.0, 1.0), repeat=3)))
         return np.asarray(low + corners * (high - low), np.float64)
 
-    def welded(self) -> tuple[FloatArray, np.ndarray]:
+    def welded(self) -> tuple[FloatArray, npt.NDArray[np.int32]]:
         """Return points and triangles, without doubles and what has no area."""
         points, same = np.unique(
             np.asarray(self.points, np.float64), axis=0, return_inverse=True

@@ -14,9 +14,11 @@ RULES = (
     Rule("SIM004", "an option of integrating that is out of its range"),
     Rule("SIM005", "a step that is missing, or a tolerance that is not heeded"),
     Rule("SIM006", "an integrator that is not for such a system"),
+    Rule("SIM020", "a collider that makes no sense"),
     Rule("SIM101", "a step too long to be stable", Severity.WARNING),
     Rule("SIM102", "a motion that blew up", Severity.WARNING),
     Rule("SIM103", "a step that had to be shorter than it may", Severity.WARNING),
     Rule("SIM104", "a motion that took more evaluations than it may", Severity.WARNING),
     Rule("SIM105", "an implicit step without a solution", Severity.WARNING),
+    Rule("SIM120", "a collider that is put elsewhere at once", Severity.WARNING),
 )

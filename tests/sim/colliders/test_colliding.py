@@ -155,9 +155,7 @@ def test_containers_are_the_other_way_round() -> None:
 
 @pytest.mark.parametrize("shape", [Plane(), Box((9, 2, 9)), Mesh(CORNERS * 9, CUBE)])
 @pytest.mark.parametrize("restitution", [0.3, 0.8, 1.0])
-def test_bounces_are_as_high_as_they_should(
-    shape: Shape, restitution: float
-) -> None:
+def test_bounces_are_as_high_as_they_should(shape: Shape, restitution: float) -> None:
     top = {Plane: 0.0, Box: 1.0, Mesh: 4.5}[type(shape)]
     floor = Collider(shape, restitution=restitution)
     ball = Falling([floor], [0.01, top + 1, 0.02])
@@ -183,7 +181,7 @@ def test_sliding_stops_where_friction_says(h: float) -> None:
     assert_array_equal(puck.v, 0)
 
 
-@pytest.mark.parametrize("friction, slides", [(0.5, True), (0.6, False)])
+@pytest.mark.parametrize(("friction", "slides"), [(0.5, True), (0.6, False)])
 def test_a_slope_holds_up_to_its_friction(friction: float, slides: bool) -> None:
     angle = np.radians(29)
     slope = Plane((np.sin(angle), np.cos(angle), 0))
@@ -250,10 +248,8 @@ def test_nothing_is_passed_through_however_long_the_step(
     end = x + way * speed * 0.5
     before = np.stack([x, way * speed])
     done = collide(end, way * speed, before, [collider], 0, 0.5)
-    aimed = np.full(20, name != "capsule") & (speed > 10)
-    met = done.contacts.any
-    if name in {"box", "mesh"}:
-        assert met[aimed].all()
+    if name in {"box", "mesh"} and speed > 10:
+        assert done.contacts.any.all()
     assert (distances(collider, done.points) >= -1e-9).all()
 
 
@@ -358,7 +354,9 @@ def test_what_is_pinched_is_finite_and_said(restitution: float) -> None:
 
 def test_a_step_of_no_time_changes_nothing() -> None:
     floor = Collider(Plane())
-    done = collide([[0, -1, 0]], [[0, 1, 0]], [[[0, -1, 0]], [[0, 1, 0]]], [floor], 1, 1)
+    done = collide(
+        [[0, -1, 0]], [[0, 1, 0]], [[[0, -1, 0]], [[0, 1, 0]]], [floor], 1, 1
+    )
     assert_array_equal(done.points, [[0, -1, 0]])
 
 
