@@ -76,7 +76,7 @@ BVH = Reader(
 )
 USD = Reader(
     "USD",
-    "animtool.usd.rig_prims:read_rig",
+    "animtool.usd.whole_rig:read_rig",
     "animtool.usd.read:read_usd",
     ("prim_path", "take"),
     "animtool.usd.prims:open_prim",

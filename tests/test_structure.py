@@ -62,16 +62,13 @@ def rank(module: str) -> int:
 
 
 def imports(path: Path) -> set[str]:
-    """Return every module that a file imports, inside functions too."""
+    """Return every name that a file imports, inside functions too."""
     found: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text("utf-8"))):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
-            if node.module == "animtool":
-                found |= {f"animtool.{alias.name}" for alias in node.names}
-            else:
-                found.add(node.module)
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
     return found
 
 
@@ -84,8 +81,7 @@ MODULES = [
 
 @pytest.mark.parametrize("path", MODULES)
 def test_imports_point_one_way(path: Path) -> None:
-    module = ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts)
-    module = module.removesuffix(".__init__")
+    module = dotted(path)
     folder = module.split(".")[1]
     for name in imports(path):
         if name.startswith("animtool."):
@@ -98,6 +94,27 @@ def test_imports_point_one_way(path: Path) -> None:
             assert folder == "usd"
         if name.split(".")[0] in {"click", "rich"}:
             assert folder == "cli"
+
+
+def dotted(path: Path) -> str:
+    """Return the name of a module."""
+    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(parts).removesuffix(".__init__")
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    files = [*PACKAGE.rglob("*.py"), *PACKAGE.glob("*.pyi")]
+    modules = {dotted(path): imports(path) for path in files}
+    left = {
+        name: {
+            found if found in modules else found.rpartition(".")[0] for found in names
+        }
+        - {name}
+        for name, names in modules.items()
+    }
+    while free := {name for name, names in left.items() if not names & left.keys()}:
+        left = {name: names for name, names in left.items() if name not in free}
+    assert not {name: sorted(names & left.keys()) for name, names in left.items()}
 
 
 def loaded(code: str) -> set[str]:

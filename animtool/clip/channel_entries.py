@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.clip.clip import ClipChannel, Interp, Parametrization, Tangent
+from animtool.clip.channels import ClipChannel, Interp, Parametrization, Tangent
 from animtool.clip.schema import CurveModel, KeyModel
 from animtool.documents.document import Document, Location
 from animtool.errors import counted

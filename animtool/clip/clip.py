@@ -1,92 +1,22 @@
-"""A clip in memory: channels of keys on named targets."""
+"""A clip in memory: channels of keys over a range of frames."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
+from typing import cast
 
-from animtool._types import FloatArray
+from animtool.clip.channels import ClipChannel
 from animtool.clip.targets import check_targets
 from animtool.errors import Fault, FormatError, OptionError, counted
-from animtool.maths.extrapolation import Extrapolation
+from animtool.plugins import load_object
 from animtool.rates import rate_label, rate_option
 from animtool.rig.skeleton import Rig
 from animtool.take import MOST_FRAMES, Clock, Take, time_codes
 
-__all__ = ["Clip", "ClipChannel", "Interp", "Parametrization", "Tangent"]
-
-
-class Interp(StrEnum):
-    """How a channel runs from a key to the next."""
-
-    STEP = "step"
-    LINEAR = "linear"
-    BEZIER = "bezier"
-    CATMULL_ROM = "catmull_rom"
-    TCB = "tcb"
-    HERMITE = "hermite"
-    SLERP = "slerp"
-    SQUAD = "squad"
-    SPLINE = "spline"
-
-
-class Tangent(StrEnum):
-    """How steep a curve is at a key: given, or by a rule."""
-
-    FREE = "free"
-    FLAT = "flat"
-    LINEAR = "linear"
-    AUTO = "auto"
-    AUTO_CLAMPED = "auto_clamped"
-
-
-class Parametrization(StrEnum):
-    """How Catmull-Rom spaces its knots."""
-
-    UNIFORM = "uniform"
-    CENTRIPETAL = "centripetal"
-    CHORDAL = "chordal"
-
-
-@dataclass(frozen=True, slots=True)
-class ClipChannel:
-    """K keys of a target with D components, in metres, radians and frames.
-
-    Attributes:
-        target: ``control/NAME``, ``shape/NAME`` or ``joint/NAME.PART``.
-        times: Ascending [frames] ``(K,)``.
-        values: ``(K, D)``; quaternions (x, y, z, w), Euler angles [rad] in the
-            order's own sequence.
-        interps: Of the segment after each key, K long.
-        tangents: Of each key, before and behind it, K long.
-        ins: Handles before the keys, as offsets: time, then D values ``(K, 1 + D)``;
-            meant where the tangent is free.
-        outs: Handles behind the keys.
-        tcb: Tension, continuity, bias ``(K, 3)``.
-        parametrization: For Catmull-Rom.
-        euler: Order of the angles; empty for other channels.
-        pre: Before the first key.
-        post: Behind the last.
-    """
-
-    target: str
-    times: FloatArray
-    values: FloatArray
-    interps: tuple[Interp, ...]
-    tangents: tuple[tuple[Tangent, Tangent], ...]
-    ins: FloatArray
-    outs: FloatArray
-    tcb: FloatArray
-    parametrization: Parametrization = Parametrization.UNIFORM
-    euler: str = ""
-    pre: Extrapolation = Extrapolation.HOLD
-    post: Extrapolation = Extrapolation.HOLD
-
-    def __repr__(self) -> str:
-        """Return the target and the number of keys."""
-        return f"<ClipChannel {self.target!r}: {counted(len(self.times), 'key')}>"
+__all__ = ["Clip"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,12 +51,8 @@ class Clip:
             FormatError: The clip or its rig is malformed, with every fault.
             OptionError: No rig is named (CLIP011).
         """
-        from animtool.clip.file import load_clip, load_rig_of, open_clip
-
-        file = open_clip(path)
-        if not isinstance(rig, Rig):
-            rig = load_rig_of(file, None if rig is None else Path(rig))
-        return load_clip(file, rig)
+        load = load_object("animtool.clip.file:load_clip_of")
+        return cast("Clip", cast("Callable[..., object]", load)(path, rig))
 
     def frame_count(
         self, fps: Fraction | float | str | None = None, step: Fraction = Fraction(1)
@@ -186,13 +112,13 @@ class Clip:
         >>> nod.sample(hero, fps=48)
         <Take of 'hero': 25 frames from 1 to 25 at 48 fps, 1 joint>
         """
-        from animtool.clip.sample import sample_clip
+        from animtool.clip.sample import sample_channels
 
         rate, each = _rate(fps, self.fps), _step(step)
         check_targets((channel.target for channel in self.channels), rig)
         count = self.frame_count(rate, each)
         times = time_codes(self.first, each * self.fps / rate, count)
-        sampled = sample_clip(self, rig, times, clamp=clamp)
+        sampled = sample_channels(self.channels, rig, times, clamp=clamp)
         clock = Clock(rate, self.first, each, count)
         return Take(rig, clock, sampled.motion, tuple(sampled.notices))
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.clip.clip import ClipChannel
+from animtool.clip.channels import ClipChannel
 from animtool.clip.segments import curves_of, rotation_kinds
 from animtool.maths import euler
 from animtool.maths.curves import evaluate

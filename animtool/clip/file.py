@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import NoReturn
 
 from animtool.clip.channel_entries import FARTHEST_FRAME, ChannelReader
-from animtool.clip.clip import Clip, ClipChannel
+from animtool.clip.channels import ClipChannel
+from animtool.clip.clip import Clip
 from animtool.clip.schema import ChannelModel, ClipModel
 from animtool.clip.targets import target_kind
 from animtool.clip.units import ClipUnits
@@ -28,6 +29,7 @@ __all__ = [
     "check_clip",
     "clip_of_document",
     "load_clip",
+    "load_clip_of",
     "load_rig_of",
     "open_clip",
 ]
@@ -135,6 +137,14 @@ def load_clip(file: ClipFile, rig: Rig) -> Clip:
             unknown targets, key times out of order, handles that point backwards.
     """
     return _ClipReader(file.document, file.model, rig).clip()
+
+
+def load_clip_of(path: Path | str, rig: Rig | Path | str | None = None) -> Clip:
+    """Return the clip of a path; see `Clip.load`."""
+    file = open_clip(path)
+    if not isinstance(rig, Rig):
+        rig = load_rig_of(file, None if rig is None else Path(rig))
+    return load_clip(file, rig)
 
 
 def check_clip(file: ClipFile) -> None:

@@ -14,7 +14,7 @@ from animtool.clip.pose import pose_of
 from animtool.clip.reduce import reduce_motion
 from animtool.clip.reduced_clip import clip_of_reduction
 from animtool.clip.reduction import ChannelKind, ReducedChannel, Reduction
-from animtool.clip.sample import sample_clip
+from animtool.clip.sample import sample_channels
 from animtool.clip.tracks import euler_order, tracks_of
 from animtool.maths import euler
 from animtool.maths.fit import fit_keys
@@ -85,7 +85,7 @@ def keyed_take(
     )
     while True:
         clip = clip_of_reduction(reduction, rig, name)
-        sampled = sample_clip(clip, rig, take.clock.times)
+        sampled = sample_channels(clip.channels, rig, take.clock.times)
         strays = _strays(reduction, rig, sampled.motion)
         if not strays:
             break

@@ -8,7 +8,8 @@ from fractions import Fraction
 import numpy as np
 
 from animtool._types import ArrayLike, FloatArray
-from animtool.clip.clip import Clip, ClipChannel, Interp, Tangent
+from animtool.clip.channels import ClipChannel, Interp, Tangent
+from animtool.clip.clip import Clip
 from animtool.clip.reduction import ChannelKind, ReducedChannel, Reduction
 from animtool.clip.units import ClipUnits
 from animtool.maths.fit import FittedKeys

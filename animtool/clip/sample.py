@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.clip.clip import Clip
+from animtool.clip.channels import ClipChannel
 from animtool.clip.evaluate import evaluate_channels
 from animtool.errors import Fault, FormatError, Severity
 from animtool.maths import so3
@@ -19,7 +19,7 @@ from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.rig.targets import DRIVEN_PARTS, KEYED_PARTS, split_part
 from animtool.take import Channel, Motion
 
-__all__ = ["Sampled", "sample_clip"]
+__all__ = ["Sampled", "sample_channels"]
 
 # Beyond a limit by less is rounding [rad], [m], [1].
 LIMIT_TOLERANCE = 1e-9
@@ -43,10 +43,14 @@ class Sampled:
     notices: list[Fault]
 
 
-def sample_clip(
-    clip: Clip, rig: Rig, times: FloatArray, *, clamp: bool = False
+def sample_channels(
+    channels: Sequence[ClipChannel],
+    rig: Rig,
+    times: FloatArray,
+    *,
+    clamp: bool = False,
 ) -> Sampled:
-    """Return a clip on its rig at times ``(F,)`` [frames of the clip].
+    """Return channels of a clip on its rig at times ``(F,)`` [frames of the clip].
 
     Channels whose keys are all alike are not sampled, and joints that neither a
     channel nor a moving control reaches are left at rest. What channels and controls
@@ -56,7 +60,7 @@ def sample_clip(
     weight is the product of its drivers', and what keys and controls add to it.
 
     Args:
-        clip: Its keys.
+        channels: The clip's.
         rig: Its rig.
         times: Any, in any order; ascending ones are quickest.
         clamp: Bring controls into their ranges and joints into their limits.
@@ -66,7 +70,7 @@ def sample_clip(
     """
     count = len(times)
     notices: list[Fault] = []
-    keyed = evaluate_channels(clip.channels, times)
+    keyed = evaluate_channels(channels, times)
     controls = {
         name.removeprefix("control/"): value[:, 0]
         for name, value in keyed.items()

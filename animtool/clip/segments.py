@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
-from animtool.clip.clip import ClipChannel, Interp, Parametrization, Tangent
+from animtool.clip.channels import ClipChannel, Interp, Parametrization, Tangent
 from animtool.maths import tangents as rules
 from animtool.maths.curves import Curves, SegmentKind
 from animtool.maths.rotation_curves import RotationKind

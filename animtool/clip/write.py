@@ -8,7 +8,8 @@ from collections.abc import Hashable, Iterable, Iterator, Sequence
 from itertools import chain
 from typing import TypeVar
 
-from animtool.clip.clip import Clip, ClipChannel, Interp, Parametrization, Tangent
+from animtool.clip.channels import ClipChannel, Interp, Parametrization, Tangent
+from animtool.clip.clip import Clip
 from animtool.clip.units import ClipUnits
 from animtool.documents.numbers import flow, number, scaled, text
 from animtool.maths.extrapolation import Extrapolation

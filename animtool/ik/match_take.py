@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.clip.clip import ClipChannel, Interp, Tangent
+from animtool.clip.channels import ClipChannel, Interp, Tangent
 from animtool.clip.points import SHELL
 from animtool.clip.reduced_clip import fitted_channel
 from animtool.clip.tracks import euler_order

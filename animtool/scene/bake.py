@@ -20,10 +20,11 @@ from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
 from animtool.scene.frames import moving_joints, timed_blocks
 from animtool.scene.options import BakeOptions
-from animtool.scene.plan import BakePlan, TakePlan, plan_bake
+from animtool.scene.plan import BakePlan, plan_bake
 from animtool.scene.reading import Source
 from animtool.scene.report import BakeReport, TakeReport
 from animtool.scene.sources import Opener, Progress, open_source, source_stem
+from animtool.scene.take_plan import TakePlan
 from animtool.take import Motion
 from animtool.usd.animation import WrittenBlock, round_blocks
 from animtool.usd.author import author, write_usd

@@ -13,7 +13,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.clip.clip import Clip
 from animtool.clip.file import ClipFile, load_clip, load_rig_of, open_clip
-from animtool.clip.sample import sample_clip
+from animtool.clip.sample import sample_channels
 from animtool.clip.segments import curves_of
 from animtool.errors import FormatError
 from animtool.take import Motion, TakeStream
@@ -52,7 +52,7 @@ def open_clip_source(
 
     def curve(times: FloatArray) -> Motion:
         with _named(path):
-            sampled = sample_clip(clip, loaded, times, clamp=clamp)
+            sampled = sample_channels(clip.channels, loaded, times, clamp=clamp)
         stream.notices += [replace(note, path=str(path)) for note in sampled.notices]
         return sampled.motion
 

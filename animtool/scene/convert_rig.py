@@ -133,7 +133,7 @@ def open_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[Fault]
             it (CLI004).
     """
     if path.is_file() and find_reader(path) is USD:
-        from animtool.usd.rig_prims import read_whole_rig
+        from animtool.usd.whole_rig import read_whole_rig
 
         return read_whole_rig(path, prim_path)
     if prim_path is not None:

@@ -30,7 +30,7 @@ from animtool.usd.point_cache import PointBlock, round_points
 from animtool.usd.point_space import PointSpace
 
 if TYPE_CHECKING:
-    from animtool.scene.plan import TakePlan
+    from animtool.scene.take_plan import TakePlan
     from animtool.usd.target import JointMap, RigTarget
 
 __all__ = ["Character", "PointStream", "open_character", "pieces"]

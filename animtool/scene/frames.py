@@ -12,7 +12,7 @@ from animtool._types import BoolArray, FloatArray
 from animtool.edit.resample import FrameRange, SampleTimes, plan_samples, sample
 from animtool.errors import Fault, OptionError, Severity
 from animtool.rig.skeleton import Rig
-from animtool.scene.plan import TakePlan
+from animtool.scene.take_plan import TakePlan
 from animtool.take import Clock, Motion, Take, TakeStream, time_codes
 
 __all__ = ["moving_joints", "timed_blocks"]

@@ -16,7 +16,6 @@ from animtool.scene.frames import timed_blocks
 from animtool.scene.options import BakeOptions, merged
 from animtool.scene.plan import (
     BakePlan,
-    TakePlan,
     check_output,
     output_files,
     plan_output,
@@ -25,6 +24,7 @@ from animtool.scene.plan import (
 from animtool.scene.reading import shared
 from animtool.scene.report import BakeReport
 from animtool.scene.scene import OutputKind, Scene, SceneOutput, kind_of
+from animtool.scene.take_plan import TakePlan
 from animtool.take import Clock, Motion, Take, TakeStream
 
 __all__ = ["OutputReport", "bake_scene", "is_several", "scene_files"]

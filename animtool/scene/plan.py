@@ -16,6 +16,7 @@ from animtool.reorient import reorient
 from animtool.scene.options import BakeOptions, check_options
 from animtool.scene.reading import Source, found_sources
 from animtool.scene.sources import Opener, Progress, open_source
+from animtool.scene.take_plan import TakePlan
 from animtool.take import TakeStream
 from animtool.usd.jobs import Form, output_paths
 from animtool.usd.layers import check_prim_path, check_suffix
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BakePlan",
-    "TakePlan",
     "bake_outputs",
     "check_output",
     "form_of",
@@ -35,31 +35,6 @@ __all__ = [
     "plan_output",
     "start_of",
 ]
-
-
-@dataclass(frozen=True, slots=True)
-class TakePlan:
-    """One take of a bake.
-
-    Attributes:
-        source: The file.
-        name: Of a library's take, legal and distinct; empty where it is the only one.
-        stream: The source, opened, with the joints in the order written.
-        mapping: How they stand in the rig of a layer.
-        options: As given; the rest pose is that of the first take.
-        fps: Time codes a second of the output.
-        start: Time code of the first frame.
-        notices: The plan's.
-    """
-
-    source: Path
-    name: str
-    stream: TakeStream
-    mapping: JointMap | None
-    options: BakeOptions
-    fps: Fraction
-    start: Fraction
-    notices: list[Fault]
 
 
 @dataclass(frozen=True, slots=True)

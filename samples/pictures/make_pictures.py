@@ -17,7 +17,7 @@ from props import stage_surfaces
 from solved import arm_surfaces, carried, welding
 
 from animtool.clip.file import load_clip, open_clip
-from animtool.clip.sample import sample_clip
+from animtool.clip.sample import sample_channels
 from animtool.documents.arrays import load_array
 from animtool.take import Motion
 
@@ -121,7 +121,9 @@ def speech_sheet(head: Puppet, size: int) -> Array:
     """Return frames of the speech."""
     file = open_clip(ROOT / "samples/speech/speech.clip.yaml")
     frames = np.array(SPEECH, np.float64)
-    motion = sample_clip(load_clip(file, head.rig), head.rig, frames).motion
+    motion = sample_channels(
+        load_clip(file, head.rig).channels, head.rig, frames
+    ).motion
     pictures = [
         render(head_surfaces(head, motion, k), FRONT, (size, size))
         for k in range(len(SPEECH))

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from picture import triangulated
 
-from animtool.clip.clip import Clip, ClipChannel, Interp, Tangent
-from animtool.clip.sample import sample_clip
+from animtool.clip.channels import ClipChannel, Interp, Tangent
+from animtool.clip.clip import Clip
+from animtool.clip.sample import sample_channels
 from animtool.maths import so3
 from animtool.rig.file import load_rig
 from animtool.rig.kinematics import bind_world, forward, rest_world
@@ -56,7 +57,7 @@ def posed(rig: Rig, values: Mapping[str, float | Sequence[float]]) -> Motion:
             )
         )
     clip = Clip("pose", Fraction(24), Fraction(0), Fraction(0), tuple(channels))
-    return sample_clip(clip, rig, np.zeros(1)).motion
+    return sample_channels(clip.channels, rig, np.zeros(1)).motion
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from support.usd import joint_positions, open_stage, skeleton_query, validation_
 
 from animtool import compare
 from animtool.clip.file import load_clip, open_clip
-from animtool.clip.sample import sample_clip
+from animtool.clip.sample import sample_channels
 from animtool.rig.kinematics import forward, rest_size
 from animtool.rig.skeleton import Rig
 from animtool.take import Motion
@@ -47,7 +47,7 @@ def shot(tmp_path: Path, rig: Rig) -> Path:
 
 def sampled(path: Path, rig: Rig, times: npt.ArrayLike) -> Motion:
     clip = load_clip(open_clip(path), rig)
-    return sample_clip(clip, rig, np.asarray(times, np.float64)).motion
+    return sample_channels(clip.channels, rig, np.asarray(times, np.float64)).motion
 
 
 def assert_plays(output: Path, rig: Rig, motion: Motion, codes: npt.ArrayLike) -> None:
@@ -152,7 +152,12 @@ def test_limits_are_said_and_clamped(tmp_path: Path, rig: Rig) -> None:
     assert done.code == 0
     codes = np.arange(1.0, 14.0)
     clip = load_clip(open_clip(shot), rig)
-    assert_plays(output, rig, sample_clip(clip, rig, codes, clamp=True).motion, codes)
+    assert_plays(
+        output,
+        rig,
+        sample_channels(clip.channels, rig, codes, clamp=True).motion,
+        codes,
+    )
 
 
 def test_another_rig(shot: Path, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from support.clips import hero, write_clip
 from support.usd import open_stage, skeleton_query, validation_errors
 
 from animtool.clip.file import load_clip, open_clip
-from animtool.clip.sample import sample_clip
+from animtool.clip.sample import sample_channels
 from animtool.rig.skeleton import Rig
 
 CONTROLS = """\
@@ -69,7 +69,9 @@ def test_controls_keep_their_curves(
     stage = open_stage(output)
     assert validation_errors(stage) == []
     frames = np.arange(1.0, 13.0, 0.21)
-    motion = sample_clip(load_clip(open_clip(shot), rig), rig, frames).motion
+    motion = sample_channels(
+        load_clip(open_clip(shot), rig).channels, rig, frames
+    ).motion
     assert motion.controls is not None
     values = motion.controls.dense()[..., 0]
     names = [c.name for c in rig.controls]

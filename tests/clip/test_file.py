@@ -8,7 +8,8 @@ import pytest
 from support.cli import animtool
 from support.clips import RIG, hero, loaded, write_clip, write_rig
 
-from animtool.clip.clip import Clip, Interp, Parametrization, Tangent
+from animtool.clip.channels import Interp, Parametrization, Tangent
+from animtool.clip.clip import Clip
 from animtool.clip.file import check_clip, load_clip, open_clip
 from animtool.errors import FormatError
 from animtool.maths.extrapolation import Extrapolation

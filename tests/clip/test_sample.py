@@ -10,7 +10,7 @@ from support.clips import RIG, hero, loaded, write_clip, write_rig
 
 from animtool._types import FloatArray
 from animtool.clip.file import load_clip, open_clip
-from animtool.clip.sample import Sampled, sample_clip
+from animtool.clip.sample import Sampled, sample_channels
 from animtool.errors import FormatError, Severity
 from animtool.maths import so3
 from animtool.rig.file import load_rig
@@ -25,7 +25,9 @@ def sampled(
     folder: Path, channels: str, times: object = FRAMES, *, clamp: bool = False
 ) -> tuple[Sampled, Rig]:
     clip, rig = loaded(folder, channels)
-    return sample_clip(clip, rig, np.asarray(times, np.float64), clamp=clamp), rig
+    return sample_channels(
+        clip.channels, rig, np.asarray(times, np.float64), clamp=clamp
+    ), rig
 
 
 def locals_of(made: Sampled, rig: Rig, name: str) -> tuple[FloatArray, FloatArray]:
@@ -219,7 +221,7 @@ def test_weights_and_combined_shapes(tmp_path: Path) -> None:
     rig = replace(rig, shapes=(both, Shape("smile"), Shape("jaw"), Shape("brow")))
     text = ramp("shape/smile", 0, 1) + ramp("shape/jaw", 0.5, 0.5)
     clip = load_clip(open_clip(write_clip(tmp_path, text)), rig)
-    weights = sample_clip(clip, rig, FRAMES).motion.weights
+    weights = sample_channels(clip.channels, rig, FRAMES).motion.weights
     assert weights is not None
     assert weights.animated.tolist() == [0, 1]
     found = weights.dense()[..., 0]
@@ -230,7 +232,7 @@ def test_weights_and_combined_shapes(tmp_path: Path) -> None:
     none = load_clip(
         open_clip(write_clip(tmp_path, ramp("joint/elbow_l.angle", 0, 8))), rig
     )
-    assert sample_clip(none, rig, FRAMES).motion.weights is None
+    assert sample_channels(none.channels, rig, FRAMES).motion.weights is None
 
 
 @pytest.mark.parametrize(
@@ -285,7 +287,7 @@ def test_a_control_driven_out_of_its_range_is_said_when_clamped(
     clip = load_clip(open_clip(write_clip(tmp_path, keys)), rig)
     note = next(
         n
-        for n in sample_clip(clip, rig, FRAMES, clamp=True).notices
+        for n in sample_channels(clip.channels, rig, FRAMES, clamp=True).notices
         if n.code == "CLIP101"
     )
     assert "would be 2 at frame 4" in note.message
@@ -298,7 +300,7 @@ def test_an_expression_without_a_value(tmp_path: Path) -> None:
     rig = load_rig(tmp_path / "hero.rig.yaml")
     clip = load_clip(open_clip(write_clip(tmp_path, ramp("control/curl", 0, 1))), rig)
     with pytest.raises(FormatError) as caught:
-        sample_clip(clip, rig, FRAMES)
+        sample_channels(clip.channels, rig, FRAMES)
     assert caught.value.code == "CLIP015"
     assert "joint/elbow_l.angle has no value at frame 2" in str(caught.value)
 
@@ -369,7 +371,7 @@ def test_clamping_reaches_controls_that_others_drive(tmp_path: Path) -> None:
     rig = load_rig(write_rig(tmp_path, text))
     keys = ramp("control/grin", 0, 1)
     clip = load_clip(open_clip(write_clip(tmp_path, keys)), rig)
-    made = sample_clip(clip, rig, FRAMES, clamp=True)
+    made = sample_channels(clip.channels, rig, FRAMES, clamp=True)
     assert made.motion.controls is not None
     curl = made.motion.controls.dense()[:, 1, 0]
     np.testing.assert_allclose(curl, np.minimum(3 * FRAMES / 4, 1))
@@ -401,7 +403,7 @@ def test_shapes_of_combined_shapes_in_any_order(
     rig = replace(hero(tmp_path), shapes=tuple(shapes[i] for i in order))
     keys = ramp("shape/a", 0.5, 0.5) + ramp("shape/b", 0, 1)
     clip = load_clip(open_clip(write_clip(tmp_path, keys)), rig)
-    weights = sample_clip(clip, rig, FRAMES).motion.weights
+    weights = sample_channels(clip.channels, rig, FRAMES).motion.weights
     assert weights is not None
     found = weights.dense()[:, order.index(3), 0]
     np.testing.assert_allclose(found, 0.25 * np.clip(FRAMES / 4, 0, 1))

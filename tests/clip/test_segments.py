@@ -5,7 +5,7 @@ import pytest
 from support.clips import channel_of
 
 from animtool._types import ArrayLike, FloatArray
-from animtool.clip.clip import ClipChannel, Interp, Parametrization, Tangent
+from animtool.clip.channels import ClipChannel, Interp, Parametrization, Tangent
 from animtool.clip.segments import curves_of
 from animtool.maths import tangents
 from animtool.maths.curves import SegmentKind, evaluate

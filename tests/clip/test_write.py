@@ -19,7 +19,8 @@ from support.clips import RIG, assert_same_clip, channel_of, loaded
 from support.data import data_files
 
 from animtool import compare
-from animtool.clip.clip import Clip, ClipChannel, Interp, Parametrization, Tangent
+from animtool.clip.channels import ClipChannel, Interp, Parametrization, Tangent
+from animtool.clip.clip import Clip
 from animtool.clip.file import load_clip, open_clip
 from animtool.clip.write import clip_text
 from animtool.maths import so3

@@ -12,7 +12,7 @@ from support.example_rig import write_example_rig
 from support.usd import joint_positions, open_stage, skeleton_query, validation_errors
 
 from animtool.clip.file import load_clip, open_clip
-from animtool.clip.sample import sample_clip
+from animtool.clip.sample import sample_channels
 from animtool.maths import so3
 from animtool.rig.file import load_rig
 from animtool.rig.kinematics import forward, rest_size
@@ -98,7 +98,7 @@ def test_every_kind_of_target_plays_in_usd(folder: Path, rig: Rig) -> None:
     stage = open_stage(folder / "shot.usdc")
     assert validation_errors(stage) == []
     clip = load_clip(open_clip(folder / "shot.clip.yaml"), rig)
-    motion = sample_clip(clip, rig, CODES).motion
+    motion = sample_channels(clip.channels, rig, CODES).motion
     world = forward(rig, *motion.dense())
     np.testing.assert_allclose(
         joint_positions(stage, CODES), world.positions, atol=1e-6 * rest_size(rig)
@@ -107,7 +107,7 @@ def test_every_kind_of_target_plays_in_usd(folder: Path, rig: Rig) -> None:
 
 def test_every_kind_of_target_does_what_it_says(folder: Path, rig: Rig) -> None:
     clip = load_clip(open_clip(folder / "shot.clip.yaml"), rig)
-    motion = sample_clip(clip, rig, CODES).motion
+    motion = sample_channels(clip.channels, rig, CODES).motion
     translations, rotations, _ = motion.dense()
 
     def turns(name: str) -> np.ndarray:
@@ -138,7 +138,7 @@ def test_shapes_reach_usd(folder: Path, rig: Rig) -> None:
     done = animtool_process("bake", "shot.clip.yaml", "-o", "shot.usda", cwd=folder)
     assert done.code == 0, done.stderr
     clip = load_clip(open_clip(folder / "shot.clip.yaml"), rig)
-    motion = sample_clip(clip, rig, CODES).motion
+    motion = sample_channels(clip.channels, rig, CODES).motion
     assert motion.weights is not None
     stage = open_stage(folder / "shot.usda")
     query = skeleton_query(stage).GetAnimQuery()

@@ -11,7 +11,7 @@ import pytest
 
 from animtool.clip.clip import Clip
 from animtool.clip.file import load_clip, open_clip
-from animtool.clip.sample import sample_clip
+from animtool.clip.sample import sample_channels
 from animtool.rig.file import load_rig
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
@@ -35,7 +35,7 @@ def dense(channel: Channel, count: int) -> np.ndarray:
 
 
 def world(clip: Clip, rig: Rig, times: np.ndarray) -> WorldTransforms:
-    sampled = sample_clip(clip, rig, times)
+    sampled = sample_channels(clip.channels, rig, times)
     assert not sampled.notices
     motion = sampled.motion
     scales = None if motion.scales is None else dense(motion.scales, len(times))
@@ -145,7 +145,7 @@ def test_the_stride_goes_on_where_it_began() -> None:
 
 def test_the_speech_shuts_its_lids_and_crosses_the_correctives() -> None:
     clip, rig = load("speech")
-    weights = sample_clip(clip, rig, np.arange(1.0, 121.0)).motion.weights
+    weights = sample_channels(clip.channels, rig, np.arange(1.0, 121.0)).motion.weights
     assert weights is not None
     frames = dense(weights, 120)[:, :, 0]
     names = [shape.name for shape in rig.shapes]

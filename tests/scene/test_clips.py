@@ -7,7 +7,7 @@ import pytest
 from support.clips import hero, write_clip
 
 from animtool.clip.file import load_clip, open_clip
-from animtool.clip.sample import sample_clip
+from animtool.clip.sample import sample_channels
 from animtool.errors import AnimtoolError
 from animtool.rig.skeleton import Rig
 from animtool.scene.clips import open_clip_source
@@ -28,7 +28,7 @@ def test_blocks_and_curve_agree(tmp_path: Path) -> None:
     times = np.arange(1.0, 10.0)
     clip = load_clip(open_clip(path), rig)
     for motion in (block, stream.curve(times)):
-        expected = sample_clip(clip, rig, times).motion.rotations
+        expected = sample_channels(clip.channels, rig, times).motion.rotations
         np.testing.assert_array_equal(motion.rotations.values, expected.values)
     assert {note.path for note in stream.notices} == {str(path)}
 

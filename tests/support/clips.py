@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from animtool._types import ArrayLike
-from animtool.clip.clip import Clip, ClipChannel, Interp, Tangent
+from animtool.clip.channels import ClipChannel, Interp, Tangent
+from animtool.clip.clip import Clip
 from animtool.clip.file import load_clip, open_clip
 from animtool.rig.file import load_rig
 from animtool.rig.skeleton import Rig

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
-from animtool.clip.clip import ClipChannel, Interp
+from animtool.clip.channels import ClipChannel, Interp
 from animtool.clip.evaluate import evaluate_channels
 from animtool.errors import Fault
 from animtool.maths import so3

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from animtool._types import IntArray
-from animtool.clip.clip import ClipChannel, Interp
+from animtool.clip.channels import ClipChannel, Interp
 from animtool.errors import Fault, counted, listed
 from animtool.maths import so3
 from animtool.maths.extrapolation import Extrapolation

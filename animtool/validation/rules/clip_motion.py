@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray
-from animtool.clip.clip import Interp
+from animtool.clip.channels import Interp
 from animtool.errors import Fault
 from animtool.rig.kinematics import forward, rest_size
 from animtool.validation.rules.leaps import leaps
