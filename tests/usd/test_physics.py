@@ -11,13 +11,13 @@ from conftest import data_folder
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
-from pxr import Sdf, Usd, UsdGeom, UsdPhysics
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics
 from support.usd import validation_errors
 
 from animtool.maths import so3
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.usd.physics import author_physics, read_physics
+from animtool.usd.physics import PhysicsJoint, author_physics, read_physics
 
 TURNED = (0.6, 0.0, 0.0, 0.8)
 SLANTED = (0.48, 0.64, 0.6)
@@ -54,7 +54,7 @@ def stage_of(rig: Rig, meters: float = 0.01) -> Any:
     return Usd.Stage.Open(layer)
 
 
-def same(found: Any, joint: Joint) -> None:
+def same(found: PhysicsJoint, joint: Joint) -> None:
     """Assert that a joint is read as it was, within float32."""
     assert found.type is joint.type
     if joint.type in {JointType.PIN, JointType.PRISMATIC}:
@@ -149,8 +149,39 @@ def test_joints_of_other_tools_are_read() -> None:
     for path in sorted(folder.glob("*.usda")):
         stage = Usd.Stage.Open(str(path))
         found = read_physics(stage, 1.0)
-        counted += len(found)
-        for name, joint in found.items():
-            assert name
-            assert np.isfinite(joint.axis).all()
+        for made in map(UsdPhysics.Joint, stage.Traverse()):
+            if made:
+                as_its_prim_says(found.pop(made.GetPrim().GetName()), made)
+                counted += 1
+        assert not found
     assert counted
+
+
+TYPES = {
+    "PhysicsRevoluteJoint": JointType.PIN,
+    "PhysicsPrismaticJoint": JointType.PRISMATIC,
+    "PhysicsFixedJoint": JointType.FIXED,
+    "PhysicsSphericalJoint": JointType.BALL,
+    "PhysicsJoint": JointType.BALL,
+}
+
+
+def as_its_prim_says(found: PhysicsJoint, made: UsdPhysics.Joint) -> None:
+    """Assert that a joint has the type, axis and limits of a prim in metres."""
+    prim = made.GetPrim()
+    assert found.type is TYPES[prim.GetTypeName()]
+    if found.type in {JointType.FIXED, JointType.BALL}:
+        return
+    one = UsdPhysics.RevoluteJoint(prim) or UsdPhysics.PrismaticJoint(prim)
+    letter = "XYZ".index(one.GetAxisAttr().Get())
+    axis = Gf.Rotation(made.GetLocalRot1Attr().Get()).TransformDir(
+        Gf.Vec3d.Axis(letter)
+    )
+    assert_allclose(found.axis, axis, atol=1e-5)
+    ends = np.array([one.GetLowerLimitAttr().Get(), one.GetUpperLimitAttr().Get()])
+    if np.isinf(ends).any():
+        assert found.limits is None
+    else:
+        ends = np.radians(ends) if found.type is JointType.PIN else ends
+        assert isinstance(found.limits, RangeLimit)
+        assert_allclose([found.limits.low, found.limits.high], ends, rtol=1e-6)
