@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from pxr import Sdf
 from support.bvh import random_rows, small_bvh
-from support.cli import animtool
+from support.cli import animtool, animtool_killed
 
 TRIES = 20
 
@@ -25,37 +25,14 @@ def long_take(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-# Runs a bake and counts its calls; kills it outright at one of them, if told which.
-COUNTED = """
-import os, signal, sys
-calls, last = 0, int(sys.argv[1])
-def count(frame, event, argument):
-    global calls
-    calls += 1
-    if calls == last:
-        os.kill(os.getpid(), signal.SIGKILL)
-from animtool.cli.main import run
-sys.setprofile(count)
-code = run(sys.argv[2:])
-sys.setprofile(None)
-print(calls)
-sys.exit(code)
-"""
-
-
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 def test_a_bake_killed_at_any_moment(tmp_path: Path) -> None:
     take = tmp_path / "short.bvh"
     take.write_text(small_bvh(random_rows(500)))
 
-    def counted(last: int, output: Path) -> subprocess.CompletedProcess[str]:
-        arguments = [str(last), "bake", str(take), "-o", str(output)]
-        command = [sys.executable, "-P", "-c", COUNTED, *arguments]
-        return subprocess.run(command, capture_output=True, text=True, check=False)
-
     whole = tmp_path / "whole.usdc"
-    done = counted(0, whole)
-    assert done.returncode == 0, done.stderr
+    done = animtool_killed(0, "bake", take, "-o", whole)
+    assert done.code == 0, done.stderr
     content, calls = whole.read_bytes(), int(done.stdout)
     rng = np.random.default_rng(0)
     # Most of the calls author samples; the moments about the end matter as much.
@@ -68,7 +45,8 @@ def test_a_bake_killed_at_any_moment(tmp_path: Path) -> None:
         folder = tmp_path / str(i)
         folder.mkdir()
         output = folder / "o.usdc"
-        assert counted(int(moment), output).returncode in {0, -signal.SIGKILL}
+        done = animtool_killed(int(moment), "bake", take, "-o", output)
+        assert done.code in {0, -signal.SIGKILL}
         if output.exists():
             whole_ones += 1
             assert output.read_bytes() == content

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.batch import take_files, trouble_files, trouble_plug_in, whole_outputs
-from support.cli import Done, animtool, animtool_process
+from support.cli import Done, animtool, animtool_killed, animtool_process
 
 GOOD = 8
 KILLS = 8
@@ -74,44 +74,24 @@ def test_an_item_that_fails_costs_one_item(
     assert {again[name]["reason"] for name in redone} == {"failed last time"}
 
 
-KILLED = """
-import os, signal, sys
-calls, last = 0, int(sys.argv[1])
-def count(frame, event, argument):
-    global calls
-    calls += 1
-    if calls == last:
-        os.kill(os.getpid(), signal.SIGKILL)
-from animtool.cli.main import run
-sys.setprofile(count)
-code = run(sys.argv[2:])
-sys.setprofile(None)
-print(calls)
-sys.exit(code)
-"""
-
-
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 def test_a_run_killed_at_any_moment_goes_on(tmp_path: Path) -> None:
     take_files(tmp_path / "takes", 6)
 
-    def killed(last: int, cwd: Path) -> subprocess.CompletedProcess[str]:
-        arguments = ["batch", "../takes", "-o", "out/{stem}.usdc", "-j", "2"]
-        command = [sys.executable, "-P", "-c", KILLED, str(last), *arguments]
+    def killed(last: int, cwd: Path) -> Done:
         cwd.mkdir(exist_ok=True)
-        return subprocess.run(
-            command, capture_output=True, text=True, check=False, cwd=cwd
-        )
+        words = ("batch", "../takes", "-o", "out/{stem}.usdc", "-j", 2)
+        return animtool_killed(last, *words, cwd=cwd)
 
     done = killed(0, tmp_path / "whole")
-    assert done.returncode == 0, done.stderr
+    assert done.code == 0, done.stderr
     whole, calls = whole_outputs(tmp_path / "whole"), int(done.stdout)
     rng = np.random.default_rng(0)
     # The moments when items are made and recorded are the last ones.
     moments = calls - rng.integers(1, calls // 3, KILLS)
     folder, stopped = tmp_path / "resumed", 0
     for moment in moments.tolist():
-        code = killed(moment, folder).returncode
+        code = killed(moment, folder).code
         assert code in {0, -signal.SIGKILL}
         stopped += code != 0
         if code == 0:
@@ -119,7 +99,7 @@ def test_a_run_killed_at_any_moment_goes_on(tmp_path: Path) -> None:
             shutil.rmtree(folder)
     assert stopped >= 2
     last = killed(0, folder)
-    assert last.returncode == 0, last.stderr
+    assert last.code == 0, last.stderr
     assert whole_outputs(folder) == whole
 
 

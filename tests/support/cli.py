@@ -35,8 +35,12 @@ def animtool_process(
     *arguments: object, cwd: Path | None = None, **environment: str
 ) -> Done:
     """Run a command in a process of its own."""
+    return _process("-m", "animtool", *arguments, cwd=cwd, **environment)
+
+
+def _process(*arguments: object, cwd: Path | None = None, **environment: str) -> Done:
     done = subprocess.run(
-        [sys.executable, "-P", "-m", "animtool", *map(str, arguments)],
+        [sys.executable, "-P", *map(str, arguments)],
         capture_output=True,
         text=True,
         check=False,
@@ -44,6 +48,35 @@ def animtool_process(
         env={**os.environ, **environment},
     )
     return Done(done.returncode, done.stdout, done.stderr)
+
+
+# Runs a command and counts its calls; kills it outright at one of them, if told which.
+_COUNTED = """
+import os, signal, sys
+calls, last = 0, int(sys.argv[1])
+def count(frame, event, argument):
+    global calls
+    calls += 1
+    if calls == last:
+        os.kill(os.getpid(), signal.SIGKILL)
+from animtool.cli.main import run
+sys.setprofile(count)
+code = run(sys.argv[2:])
+sys.setprofile(None)
+print(calls)
+sys.exit(code)
+"""
+
+
+def animtool_killed(last: int, *arguments: object, cwd: Path | None = None) -> Done:
+    """Run a command that is killed at one of its calls, in a process of its own.
+
+    Args:
+        last: Which call; 0 lets it end, and how many there were is its last line.
+        arguments: Of the command.
+        cwd: Where it runs.
+    """
+    return _process("-c", _COUNTED, last, *arguments, cwd=cwd)
 
 
 @contextmanager
