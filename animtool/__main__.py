@@ -1,6 +1,7 @@
 """The entry of the command line, and of ``python -m animtool``."""
 
 import gc
+import os
 import sys
 from typing import NoReturn
 
@@ -11,13 +12,19 @@ YOUNGEST = 200_000
 
 def main() -> NoReturn:
     """Run the command line; an interrupt while it is loaded ends it like any other."""
+    gc.set_threshold(YOUNGEST)
+    # Plug-ins of pydantic have no say in what files mean: none is searched for.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     try:
-        gc.set_threshold(YOUNGEST)
         from animtool.cli.main import main as run
     except KeyboardInterrupt:
         sys.stderr.write("interrupted\n")
         sys.exit(130)
-    run()
+    try:
+        run()
+    finally:
+        # What is left is not looked through for circles once more at the very end.
+        gc.freeze()
 
 
 if __name__ == "__main__":

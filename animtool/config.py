@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from fractions import Fraction
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -57,11 +57,19 @@ def find_config(path: Path) -> Config:
 
 def _table(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text("utf-8"))
+        return _parsed(path.read_text("utf-8"))
     except (OSError, ValueError) as error:
         raise OptionError(
             Fault("CFG001", f"cannot be read: {error}", str(path))
         ) from error
+
+
+@lru_cache(maxsize=8)
+def _parsed(text: str) -> dict[str, Any]:
+    """Return what a text of TOML says; files of a project share their settings."""
+    import tomllib
+
+    return tomllib.loads(text)
 
 
 def _config(path: Path, table: Any) -> Config:

@@ -139,10 +139,14 @@ def validate(console: Console, /, paths: tuple[str, ...], **given: Any) -> None:
 
 
 def _checked(files: Sequence[Path], options: ValidateOptions) -> Report:
-    from animtool.validation.fixes.plan import with_fixable
     from animtool.validation.run import validate_files
 
-    return with_fixable(validate_files(files, options))
+    report = validate_files(files, options)
+    if not report.findings:
+        return report
+    from animtool.validation.fixes.plan import with_fixable
+
+    return with_fixable(report)
 
 
 def _fixed(console: Console, files: Sequence[Path], options: ValidateOptions) -> Report:

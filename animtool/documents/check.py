@@ -30,7 +30,10 @@ Model = TypeVar("Model", bound=BaseModel)
 class FileModel(BaseModel):
     """A mapping in a file: no unknown keys, no text for numbers, all finite."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+    # Models within others are built with them, not once more by themselves.
+    model_config = ConfigDict(
+        extra="forbid", strict=True, allow_inf_nan=False, defer_build=True
+    )
 
 
 def nearest(name: str, names: list[str]) -> str:
