@@ -232,3 +232,60 @@ def cheapest_ik_path(nodes: Annotated[NDArray[numpy.int64], dict(shape=(None, No
     the squared steps from frame to frame, less ``drifts`` ``(L - 1, D)``, and of ``costs`` ``(K, L)`` is
     the least. Joints that go farther than ``easy`` ``(L - 1,)`` cost a hundred times more.
     """
+
+class SpringNetwork:
+    """
+    Particles, springs between them and what acts on them.
+
+    It does not change. Inverse masses ``(N,)`` of particles that are held are 0; ``drags``
+    ``(N,)`` slow them, a second. Springs join
+    ``ends`` ``(S, 2)``; their ``numbers`` ``(S, 4)`` are length at rest, stiffness, damping and
+    the length at which they tear. ``field`` ``(5,)``: gravity, drag and lift of
+    the air on ``triangles`` ``(T, 3)``, over the area and the square of the speed. Over the
+    times of ``knots`` ``(K,)``: where ``held`` particles are ``(K or 1, P, 3)``; the points
+    ``(K or 1, A, 3)`` that ``anchors`` are drawn to, with stiffness and damping ``(A, 2)``; the
+    wind ``(K or 1, 1, 3)``.
+    """
+
+    def __init__(self, inverse_masses: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], drags: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], ends: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], numbers: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], triangles: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], field: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], knots: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], held: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], held_path: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], anchors: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], anchor_numbers: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], anchor_path: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], winds: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)]) -> None: ...
+
+def spring_accelerations(network: SpringNetwork, t: float, h: float, state: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], torn: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+    """
+    Accelerations ``(N, 3)`` at positions and velocities ``(2, N, 3)`` and a time.
+
+    Held particles have none; springs that are ``torn`` ``(S,)`` pull nothing. Speeds of what
+    anchors are drawn to are those of the h before.
+    """
+
+def step_springs(network: SpringNetwork, state: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], torn: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], origin: float, first: int, cell: float, cells: int, substeps: int) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C')]]:
+    """
+    Take semi-implicit Euler steps from a state ``(2, N, 3)``.
+
+    Cell i of time begins at ``origin + (first + i) cell`` and is that many substeps.
+
+    Returns ``(state, torn)``.
+    """
+
+def project_springs(network: SpringNetwork, state: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], torn: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], origin: float, first: int, cell: float, cells: int, substeps: int, calm: int, least: int, most: int, stretch: float) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C')], int, int, float, int]:
+    """
+    Take steps of extended position based dynamics, each spring once a step, in order.
+
+    Cells are those of `step_springs`. One at whose end a spring is longer than at rest by more
+    than this ``stretch``, and not mostly by its own give, is crossed again in twice the steps,
+    up to ``most``; after many that go well half as many are tried, down to ``least``.
+
+    Returns ``(state, torn, substeps, calm, stretch, steps)``: steps a cell and cells that went
+    well, to go on with; the largest stretch that is not a spring's own; steps in all.
+    """
+
+def solve_springs(network: SpringNetwork, state: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], before: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)] | None, torn: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], origin: float, first: int, cell: float, cells: int, substeps: int, two_steps: bool, tolerance: float) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], bool, Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C')], int, int, int]:
+    """
+    Take implicit steps: of Euler, or backward differences of ``two_steps``.
+
+    Cells are those of `step_springs`; ``before`` is the state a step before, None at the
+    start. Newton's method goes on until a correction moves no particle by more than
+    ``tolerance``; a cell that is not solved is tried in shorter steps.
+
+    Returns ``(state, before, known, torn, steps, corrections, lost)``: whether ``before`` is
+    known; steps and corrections taken; whether a cell could not be solved.
+    """

@@ -1,5 +1,6 @@
 // Python bindings of the kernels.
 #include "kernels.h"
+#include "springs_steps.h"
 
 using namespace animtool;
 using namespace nanobind::literals;
@@ -205,4 +206,61 @@ taken, and half the sum before and after them.)");
 The way begins on the first path, unless ``open``, and ends there if ``closed``; the sum of
 the squared steps from frame to frame, less ``drifts`` ``(L - 1, D)``, and of ``costs`` ``(K, L)`` is
 the least. Joints that go farther than ``easy`` ``(L - 1,)`` cost a hundred times more.)");
+
+  nb::class_<SpringNetwork>(m, "SpringNetwork",
+                            R"(Particles, springs between them and what acts on them.
+
+It does not change. Inverse masses ``(N,)`` of particles that are held are 0; ``drags``
+``(N,)`` slow them, a second. Springs join
+``ends`` ``(S, 2)``; their ``numbers`` ``(S, 4)`` are length at rest, stiffness, damping and
+the length at which they tear. ``field`` ``(5,)``: gravity, drag and lift of
+the air on ``triangles`` ``(T, 3)``, over the area and the square of the speed. Over the
+times of ``knots`` ``(K,)``: where ``held`` particles are ``(K or 1, P, 3)``; the points
+``(K or 1, A, 3)`` that ``anchors`` are drawn to, with stiffness and damping ``(A, 2)``; the
+wind ``(K or 1, 1, 3)``.)")
+      .def(nb::init<In<double, 1>, In<double, 1>, In<std::int64_t, 2>, In<double, 2>,
+                    In<std::int64_t, 2>, In<double, 1>, In<double, 1>, In<std::int64_t, 1>, In<double, 3>,
+                    In<std::int64_t, 1>, In<double, 2>, In<double, 3>, In<double, 3>>(),
+           "inverse_masses"_a, "drags"_a, "ends"_a, "numbers"_a, "triangles"_a, "field"_a, "knots"_a,
+           "held"_a, "held_path"_a, "anchors"_a, "anchor_numbers"_a, "anchor_path"_a,
+           "winds"_a);
+
+  m.def("spring_accelerations", &spring_accelerations, "network"_a, "t"_a, "h"_a, "state"_a,
+        "torn"_a,
+        R"(Accelerations ``(N, 3)`` at positions and velocities ``(2, N, 3)`` and a time.
+
+Held particles have none; springs that are ``torn`` ``(S,)`` pull nothing. Speeds of what
+anchors are drawn to are those of the h before.)");
+
+  m.def("step_springs", &step_springs, "network"_a, "state"_a, "torn"_a, "origin"_a, "first"_a,
+        "cell"_a, "cells"_a, "substeps"_a,
+        R"(Take semi-implicit Euler steps from a state ``(2, N, 3)``.
+
+Cell i of time begins at ``origin + (first + i) cell`` and is that many substeps.
+
+Returns ``(state, torn)``.)");
+
+  m.def("project_springs", &project_springs, "network"_a, "state"_a, "torn"_a, "origin"_a,
+        "first"_a, "cell"_a, "cells"_a, "substeps"_a, "calm"_a, "least"_a, "most"_a,
+        "stretch"_a,
+        R"(Take steps of extended position based dynamics, each spring once a step, in order.
+
+Cells are those of `step_springs`. One at whose end a spring is longer than at rest by more
+than this ``stretch``, and not mostly by its own give, is crossed again in twice the steps,
+up to ``most``; after many that go well half as many are tried, down to ``least``.
+
+Returns ``(state, torn, substeps, calm, stretch, steps)``: steps a cell and cells that went
+well, to go on with; the largest stretch that is not a spring's own; steps in all.)");
+
+  m.def("solve_springs", &solve_springs, "network"_a, "state"_a, "before"_a.none(), "torn"_a,
+        "origin"_a, "first"_a, "cell"_a, "cells"_a, "substeps"_a, "two_steps"_a,
+        "tolerance"_a,
+        R"(Take implicit steps: of Euler, or backward differences of ``two_steps``.
+
+Cells are those of `step_springs`; ``before`` is the state a step before, None at the
+start. Newton's method goes on until a correction moves no particle by more than
+``tolerance``; a cell that is not solved is tried in shorter steps.
+
+Returns ``(state, before, known, torn, steps, corrections, lost)``: whether ``before`` is
+known; steps and corrections taken; whether a cell could not be solved.)");
 }

@@ -21,4 +21,12 @@ RULES = (
     Rule("SIM104", "a motion that took more evaluations than it may", Severity.WARNING),
     Rule("SIM105", "an implicit step without a solution", Severity.WARNING),
     Rule("SIM120", "a collider that is put elsewhere at once", Severity.WARNING),
+    Rule("SIM201", "a mass that is not above 0"),
+    Rule("SIM202", "a position that is not finite"),
+    Rule("SIM203", "a spring that cannot be"),
+    Rule("SIM204", "a pin or target of no particle"),
+    Rule("SIM205", "a path that does not fit"),
+    Rule("SIM211", "springs whose ends are at one place", Severity.WARNING),
+    Rule("SIM212", "a spring longer than it may be", Severity.WARNING),
+    Rule("SIM213", "an error that was not kept", Severity.WARNING),
 )

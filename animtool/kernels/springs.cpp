@@ -1,0 +1,225 @@
+// Forces of springs, anchors and air.
+#include "springs.h"
+
+#include <algorithm>
+#include <stdexcept>
+
+namespace animtool {
+
+namespace {
+
+std::int32_t particle(std::int64_t index, std::size_t count) {
+  if (index < 0 || index >= static_cast<std::int64_t>(count))
+    throw std::invalid_argument("particles are counted from 0, and are those with a mass");
+  return static_cast<std::int32_t>(index);
+}
+
+Track track_of(In<double, 3> path, std::size_t points, std::size_t knots) {
+  if (path.shape(1) != points || path.shape(2) != 3 ||
+      (path.shape(0) != 1 && path.shape(0) != knots))
+    throw std::invalid_argument("a path is (K or 1, P, 3)");
+  return {{path.data(), path.data() + path.size()}, points, path.shape(0) == 1};
+}
+
+}  // namespace
+
+SpringNetwork::SpringNetwork(In<double, 1> masses, In<double, 1> slowing,
+                             In<std::int64_t, 2> ends, In<double, 2> numbers, In<std::int64_t, 2> faces,
+                             In<double, 1> field, In<double, 1> times,
+                             In<std::int64_t, 1> pins, In<double, 3> held_path,
+                             In<std::int64_t, 1> tied, In<double, 2> anchor_numbers,
+                             In<double, 3> anchor_path, In<double, 3> winds)
+    : inverse_masses(masses.data(), masses.data() + masses.size()),
+      drags(slowing.data(), slowing.data() + slowing.size()),
+      knots(times.data(), times.data() + times.size()) {
+  const std::size_t count = inverse_masses.size();
+  if (drags.size() != count) throw std::invalid_argument("drags are (N,)");
+  if (ends.shape(1) != 2 || numbers.shape(0) != ends.shape(0) || numbers.shape(1) != 4)
+    throw std::invalid_argument("ends are (S, 2), numbers (S, 4)");
+  if (faces.shape(1) != 3) throw std::invalid_argument("triangles are (T, 3)");
+  if (field.shape(0) != 5) throw std::invalid_argument("the field is (5,)");
+  if (knots.empty()) throw std::invalid_argument("there is at least one knot");
+  if (anchor_numbers.shape(0) != tied.shape(0) || anchor_numbers.shape(1) != 2)
+    throw std::invalid_argument("numbers of anchors are (A, 2)");
+  for (std::size_t s = 0; s < ends.shape(0); ++s) {
+    const double* n = numbers.data() + 4 * s;
+    springs.push_back({particle(ends.data()[2 * s], count),
+                       particle(ends.data()[2 * s + 1], count), n[0], n[1], n[2], n[3]});
+  }
+  for (std::size_t k = 0; k < faces.size(); ++k)
+    triangles.push_back(particle(faces.data()[k], count));
+  std::copy_n(field.data(), 3, gravity);
+  air_drag = field.data()[3];
+  air_lift = field.data()[4];
+  for (std::size_t p = 0; p < pins.size(); ++p) held.push_back(particle(pins.data()[p], count));
+  held_track = track_of(held_path, held.size(), knots.size());
+  for (std::size_t a = 0; a < tied.size(); ++a) {
+    anchors.push_back(particle(tied.data()[a], count));
+    anchor_stiffness.push_back(anchor_numbers.data()[2 * a]);
+    anchor_damping.push_back(anchor_numbers.data()[2 * a + 1]);
+  }
+  anchor_track = track_of(anchor_path, anchors.size(), knots.size());
+  wind_track = track_of(winds, 1, knots.size());
+}
+
+Spot SpringNetwork::spot(double t) const {
+  if (knots.size() == 1 || t <= knots.front()) return {0, 0.0};
+  if (t >= knots.back()) return {knots.size() - 1, 0.0};
+  const auto after = std::upper_bound(knots.begin(), knots.end(), t);
+  const std::size_t row = static_cast<std::size_t>(after - knots.begin()) - 1;
+  return {row, (t - knots[row]) / (knots[row + 1] - knots[row])};
+}
+
+void SpringNetwork::follow(const Track& track, const Spot& spot, double* out) {
+  const std::size_t width = 3 * track.points;
+  const double* a = track.rows.data() + (track.still ? 0 : spot.row * width);
+  if (track.still || spot.share == 0) {
+    std::copy_n(a, width, out);
+    return;
+  }
+  for (std::size_t k = 0; k < width; ++k) out[k] = a[k] + (a[width + k] - a[k]) * spot.share;
+}
+
+void SpringNetwork::add_spring_forces(const std::vector<Spring>& all, const double* x,
+                                      const double* v, double* forces) const {
+  for (const Spring& spring : all) {
+    const double *p = x + 3 * spring.i, *q = x + 3 * spring.j;
+    const double *a = v + 3 * spring.i, *b = v + 3 * spring.j;
+    const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
+    const double e[3] = {b[0] - a[0], b[1] - a[1], b[2] - a[2]};
+    const double square = dot3(d, d);
+    // Ends at one place have no direction, and no force.
+    const double inverse = square > 0 ? 1 / square : 0;
+    const double shortening = spring.rest * (std::sqrt(square) * inverse);
+    const double pull = spring.stiffness * (1 - shortening) +
+                        spring.damping * (dot3(d, e) * inverse);
+    double *f = forces + 3 * spring.i, *g = forces + 3 * spring.j;
+    for (int k = 0; k < 3; ++k) {
+      const double force = pull * d[k];
+      f[k] += force;
+      g[k] -= force;
+    }
+  }
+}
+
+void SpringNetwork::add_anchor_forces(const double* points, const double* speeds,
+                                      const double* x, const double* v, double* forces) const {
+  for (std::size_t a = 0; a < anchors.size(); ++a) {
+    const std::size_t at = 3 * static_cast<std::size_t>(anchors[a]);
+    for (std::size_t k = 0; k < 3; ++k)
+      forces[at + k] += anchor_stiffness[a] * (points[3 * a + k] - x[at + k]) +
+                        anchor_damping[a] * (speeds[3 * a + k] - v[at + k]);
+  }
+}
+
+void SpringNetwork::add_air_forces(const double* wind, const double* x, const double* v,
+                                   double* forces) const {
+  if (air_drag == 0 && air_lift == 0) return;
+  for (std::size_t t = 0; t < triangles.size(); t += 3) {
+    const std::size_t corners[3] = {3 * static_cast<std::size_t>(triangles[t]),
+                                    3 * static_cast<std::size_t>(triangles[t + 1]),
+                                    3 * static_cast<std::size_t>(triangles[t + 2])};
+    double a[3], b[3], flow[3];
+    for (std::size_t k = 0; k < 3; ++k) {
+      a[k] = x[corners[1] + k] - x[corners[0] + k];
+      b[k] = x[corners[2] + k] - x[corners[0] + k];
+      flow[k] = wind[k] - (v[corners[0] + k] + v[corners[1] + k] + v[corners[2] + k]) / 3;
+    }
+    // Twice the area, along the normal.
+    const double n[3] = {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
+                         a[0] * b[1] - a[1] * b[0]};
+    const double area = std::sqrt(dot3(n, n)), speed = std::sqrt(dot3(flow, flow));
+    if (!(area > 0) || !(speed > 0)) continue;
+    const double through = dot3(flow, n) / area;
+    const double along = air_drag * std::abs(through) - air_lift * through * through / speed;
+    const double across = air_lift * through * speed / area;
+    for (std::size_t k = 0; k < 3; ++k) {
+      // Half of it is the area, and each corner bears a third.
+      const double force = (along * flow[k] + across * n[k]) * (area / 6);
+      for (const std::size_t corner : corners) forces[corner + k] += force;
+    }
+  }
+}
+
+void SpringNetwork::place_held(double t, double h, const double* before, double* x,
+                               double* v) const {
+  if (held.empty()) return;
+  const Spot now = spot(t);
+  const std::size_t width = 3 * held.size();
+  const double* a = held_track.rows.data() + (held_track.still ? 0 : now.row * width);
+  const bool between = !held_track.still && now.share != 0;
+  for (std::size_t p = 0; p < held.size(); ++p) {
+    const std::size_t at = 3 * static_cast<std::size_t>(held[p]);
+    for (std::size_t k = 0; k < 3; ++k) {
+      const double here = a[3 * p + k];
+      x[at + k] = between ? here + (a[width + 3 * p + k] - here) * now.share : here;
+      v[at + k] = (x[at + k] - before[at + k]) / h;
+    }
+  }
+}
+
+SpringRun::SpringRun(const SpringNetwork& network, const double* x0, const double* v0,
+                     const std::uint8_t* torn0)
+    : network(network),
+      size(3 * network.particles()),
+      x(x0, x0 + size),
+      v(v0, v0 + size),
+      torn(torn0, torn0 + network.springs.size()),
+      points(3 * network.anchors.size()),
+      points_before(3 * network.anchors.size()),
+      speeds(3 * network.anchors.size()) {
+  for (std::size_t s = 0; s < network.springs.size(); ++s) {
+    if (torn[s]) continue;
+    springs.push_back(network.springs[s]);
+    numbers.push_back(static_cast<std::int32_t>(s));
+    tears = tears || std::isfinite(network.springs[s].limit);
+  }
+}
+
+void SpringRun::tear() {
+  std::size_t kept = 0;
+  for (std::size_t s = 0; s < springs.size(); ++s) {
+    const double *p = x.data() + 3 * springs[s].i, *q = x.data() + 3 * springs[s].j;
+    const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
+    if (dot3(d, d) > springs[s].limit * springs[s].limit) {
+      torn[static_cast<std::size_t>(numbers[s])] = 1;
+      continue;
+    }
+    springs[kept] = springs[s];
+    numbers[kept++] = numbers[s];
+  }
+  springs.resize(kept);
+  numbers.resize(kept);
+}
+
+void SpringRun::look(double t, double h) {
+  const Spot now = network.spot(t);
+  SpringNetwork::follow(network.wind_track, now, wind);
+  if (network.anchors.empty()) return;
+  SpringNetwork::follow(network.anchor_track, now, points.data());
+  if (network.anchor_track.still) {
+    points_before = points;
+    return;
+  }
+  SpringNetwork::follow(network.anchor_track, network.spot(t - h), points_before.data());
+  for (std::size_t k = 0; k < points.size(); ++k)
+    speeds[k] = (points[k] - points_before[k]) / h;
+}
+
+void SpringRun::accelerate(const double* at, const double* going, double* out) const {
+  std::fill_n(out, size, 0.0);
+  network.add_spring_forces(springs, at, going, out);
+  network.add_anchor_forces(points.data(), speeds.data(), at, going, out);
+  network.add_air_forces(wind, at, going, out);
+  for (std::size_t n = 0; n < network.particles(); ++n) {
+    const double inverse = network.inverse_masses[n];
+    for (std::size_t k = 0; k < 3; ++k) {
+      double& a = out[3 * n + k];
+      a = inverse > 0
+              ? a * inverse + (network.gravity[k] - network.drags[n] * going[3 * n + k])
+              : 0.0;
+    }
+  }
+}
+
+}  // namespace animtool

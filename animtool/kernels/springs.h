@@ -1,0 +1,101 @@
+// A network of springs between particles, and what acts on them.
+#pragma once
+
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "arrays.h"
+
+namespace animtool {
+
+struct Spring {
+  std::int32_t i, j;
+  double rest, stiffness, damping, limit;  // limit: the length at which it tears
+};
+
+// Points over the times of knots, straight between two, held outside them.
+struct Track {
+  std::vector<double> rows;  // (K or 1, P, 3)
+  std::size_t points = 0;
+  bool still = true;
+};
+
+// Where a time lies between knots.
+struct Spot {
+  std::size_t row;
+  double share;
+};
+
+class SpringNetwork {
+ public:
+  SpringNetwork(In<double, 1> inverse_masses, In<double, 1> drags, In<std::int64_t, 2> ends,
+                In<double, 2> numbers, In<std::int64_t, 2> triangles, In<double, 1> field, In<double, 1> knots,
+                In<std::int64_t, 1> held, In<double, 3> held_path,
+                In<std::int64_t, 1> anchors, In<double, 2> anchor_numbers,
+                In<double, 3> anchor_path, In<double, 3> winds);
+
+  std::size_t particles() const { return inverse_masses.size(); }
+
+  Spot spot(double t) const;
+  // Points of a track at a spot, into (P, 3).
+  static void follow(const Track& track, const Spot& spot, double* out);
+
+  // Forces [N] of springs, anchors and air, added into (N, 3). Where anchors are and how
+  // they move is given, and so is the wind.
+  void add_spring_forces(const std::vector<Spring>& springs, const double* x, const double* v,
+                         double* forces) const;
+  void add_anchor_forces(const double* points, const double* speeds, const double* x,
+                         const double* v, double* forces) const;
+  void add_air_forces(const double* wind, const double* x, const double* v,
+                      double* forces) const;
+
+  // Put held particles where their track is at a time, their velocity that of the way.
+  void place_held(double t, double h, const double* before, double* x, double* v) const;
+
+  std::vector<double> inverse_masses, drags;
+  std::vector<Spring> springs;
+  std::vector<std::int32_t> triangles;
+  double gravity[3];
+  double air_drag, air_lift;
+  std::vector<double> knots;
+  std::vector<std::int32_t> held;
+  Track held_track;
+  std::vector<std::int32_t> anchors;
+  std::vector<double> anchor_stiffness, anchor_damping;
+  Track anchor_track;
+  Track wind_track;
+};
+
+// Steps of a network under way: where it stands, and room to work in.
+class SpringRun {
+ public:
+  SpringRun(const SpringNetwork& network, const double* x, const double* v,
+            const std::uint8_t* torn);
+
+  // Take out what is stretched beyond its limit.
+  void tear();
+
+  const SpringNetwork& network;
+  std::size_t size;  // 3 N
+  std::vector<double> x, v;
+  std::vector<Spring> springs;             // those not torn
+  std::vector<std::int32_t> numbers;       // theirs in the network
+  std::vector<std::uint8_t> torn;
+  bool tears = false;
+
+  // Anchors and wind at a time; speeds are those of the h before it.
+  void look(double t, double h);
+  std::vector<double> points, points_before, speeds;
+  double wind[3] = {0, 0, 0};
+
+  // Accelerations (N, 3) at a state: held particles have none.
+  void accelerate(const double* x, const double* v, double* out) const;
+};
+
+inline double dot3(const double* a, const double* b) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+}  // namespace animtool

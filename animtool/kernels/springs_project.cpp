@@ -1,0 +1,209 @@
+// Extended position based dynamics in small steps: each spring once a step, in order.
+//
+// M. Macklin, M. Müller, N. Chentanez, XPBD, 2016; M. Macklin et al., Small Steps in
+// Physics Simulation, 2019.
+#include <algorithm>
+#include <limits>
+
+#include "springs_steps.h"
+
+namespace animtool {
+
+namespace {
+
+// Cells without need of as many steps after which half as many are tried.
+constexpr int CALM_CELLS = 120;
+// Stretch, over what is allowed, below which a cell has no need.
+constexpr double CALM_SHARE = 0.125;
+// Of a stretch, over what is beyond the spring's own give, from where on it is its own.
+constexpr double OWN = 2;
+
+// What of a spring a step of length h moves: by its length beyond rest, by the change of it.
+struct Give {
+  double length, change;
+};
+
+Give give(double stiffness, double damping, double weight, double h) {
+  const double k = stiffness * h * h, c = damping * h;
+  const double whole = (k + c) * weight + 1;
+  return {k / whole, c / whole};
+}
+
+class Projection {
+ public:
+  Projection(SpringRun& run, double cell) : run_(run), cell_(cell), before_(run.size) {}
+
+  // One cell in a number of steps; returns the largest stretch of a spring that is not for
+  // the most part what its own stiffness gives under what it bears.
+  double cross(double start, int substeps) {
+    prepare(substeps);
+    const double h = cell_ / substeps;
+    for (int j = 0; j < substeps; ++j) {
+      const double t = start + j * h;
+      run_.look(t + h, h);
+      predict(h);
+      run_.network.place_held(t + h, h, before_.data(), run_.x.data(), run_.v.data());
+      if (j + 1 < substeps)
+        project<false>();
+      else
+        project<true>();
+      pull_anchors();
+      for (std::size_t k = 0; k < run_.size; ++k) run_.v[k] = (run_.x[k] - before_[k]) / h;
+    }
+    return stretch(h);
+  }
+
+  void forget() { prepared_ = 0; }
+
+ private:
+  void prepare(int substeps) {
+    if (prepared_ == substeps) return;
+    prepared_ = substeps;
+    const double h = cell_ / substeps;
+    const auto& masses = run_.network.inverse_masses;
+    gives_.clear();
+    for (const Spring& spring : run_.springs)
+      gives_.push_back(give(spring.stiffness, spring.damping,
+                            masses[static_cast<std::size_t>(spring.i)] +
+                                masses[static_cast<std::size_t>(spring.j)],
+                            h));
+    anchor_gives_.clear();
+    for (std::size_t a = 0; a < run_.network.anchors.size(); ++a)
+      anchor_gives_.push_back(
+          give(run_.network.anchor_stiffness[a], run_.network.anchor_damping[a],
+               masses[static_cast<std::size_t>(run_.network.anchors[a])], h));
+    pulls_.assign(run_.springs.size(), 0.0);
+  }
+
+  void predict(double h) {
+    const SpringNetwork& network = run_.network;
+    before_ = run_.x;
+    const bool windy = (network.air_drag != 0 || network.air_lift != 0) &&
+                       !network.triangles.empty();
+    if (windy) {
+      forces_.assign(run_.size, 0.0);
+      network.add_air_forces(run_.wind, run_.x.data(), run_.v.data(), forces_.data());
+    }
+    const double fall[3] = {h * network.gravity[0], h * network.gravity[1],
+                            h * network.gravity[2]};
+    double *x = run_.x.data(), *v = run_.v.data();
+    for (std::size_t n = 0; n < network.particles(); ++n) {
+      const double inverse = network.inverse_masses[n];
+      if (inverse == 0) continue;
+      const double slowed = 1 / (1 + h * network.drags[n]);
+      for (std::size_t k = 0; k < 3; ++k) {
+        double speed = v[3 * n + k] + fall[k];
+        if (windy) speed += h * inverse * forces_[3 * n + k];
+        x[3 * n + k] += h * (speed * slowed);
+      }
+    }
+  }
+
+  template <bool Kept>
+  void project() {
+    const double* masses = run_.network.inverse_masses.data();
+    double* x = run_.x.data();
+    const double* before = before_.data();
+    const std::size_t count = run_.springs.size();
+    for (std::size_t s = 0; s < count; ++s) {
+      const Spring& spring = run_.springs[s];
+      double *p = x + 3 * spring.i, *q = x + 3 * spring.j;
+      const double *a = before + 3 * spring.i, *b = before + 3 * spring.j;
+      const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
+      const double e[3] = {d[0] - (b[0] - a[0]), d[1] - (b[1] - a[1]), d[2] - (b[2] - a[2])};
+      const double square = dot3(d, d);
+      const double inverse = square > 0 ? 1 / square : 0;
+      const double length = std::sqrt(square) * inverse;
+      // The pull over the length, with which the ends come together.
+      const double pull = gives_[s].length * (square > 0 ? 1 - spring.rest * length : 0) +
+                          gives_[s].change * (dot3(d, e) * inverse);
+      const double wp = pull * masses[spring.i], wq = pull * masses[spring.j];
+      for (int k = 0; k < 3; ++k) {
+        p[k] += wp * d[k];
+        q[k] -= wq * d[k];
+      }
+      if constexpr (Kept) pulls_[s] = pull * std::sqrt(square);
+    }
+  }
+
+  void pull_anchors() {
+    const SpringNetwork& network = run_.network;
+    for (std::size_t a = 0; a < network.anchors.size(); ++a) {
+      const std::size_t at = 3 * static_cast<std::size_t>(network.anchors[a]);
+      const double inverse = network.inverse_masses[at / 3];
+      for (std::size_t k = 0; k < 3; ++k) {
+        const double off = run_.points[3 * a + k] - run_.x[at + k];
+        const double went = off - (run_.points_before[3 * a + k] - before_[at + k]);
+        run_.x[at + k] += inverse * (anchor_gives_[a].length * off +
+                                     anchor_gives_[a].change * went);
+      }
+    }
+  }
+
+  double stretch(double h) const {
+    double most = 0;
+    for (std::size_t s = 0; s < run_.springs.size(); ++s) {
+      const Spring& spring = run_.springs[s];
+      if (!(spring.rest > 0) || !(spring.stiffness > 0)) continue;
+      const double *p = run_.x.data() + 3 * spring.i, *q = run_.x.data() + 3 * spring.j;
+      const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
+      const double square = dot3(d, d), bound = spring.rest * (1 + most);
+      if (square <= bound * bound) continue;
+      const double beyond = std::sqrt(square) - spring.rest;
+      const double own = std::max(0.0, pulls_[s] / (spring.stiffness * h * h));
+      most = std::max(most, std::min(beyond, OWN * (beyond - own)) / spring.rest);
+      if (square != square) return std::numeric_limits<double>::infinity();
+    }
+    return most;
+  }
+
+  SpringRun& run_;
+  double cell_;
+  int prepared_ = 0;
+  std::vector<double> before_, forces_, pulls_;
+  std::vector<Give> gives_, anchor_gives_;
+};
+
+}  // namespace
+
+SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> state,
+                                 In<std::uint8_t, 1> torn, double origin, std::int64_t first,
+                                 double cell, std::int64_t cells, int substeps, int calm,
+                                 int least, int most, double stretch) {
+  SpringRun run = begin_springs(network, state, torn);
+  const Cells grid{origin, first, cell, cells};
+  double worst = 0;
+  std::int64_t taken = 0;
+  {
+    nb::gil_scoped_release release;
+    Projection projection(run, cell);
+    std::vector<double> x, v;
+    for (std::int64_t i = 0; i < cells; ++i) {
+      x = run.x;
+      v = run.v;
+      double found = projection.cross(grid.start(i), substeps);
+      taken += substeps;
+      while (!(found <= stretch) && substeps < most) {
+        substeps = std::min(2 * substeps, most);
+        calm = 0;
+        run.x = x;
+        run.v = v;
+        found = projection.cross(grid.start(i), substeps);
+        taken += substeps;
+      }
+      worst = std::max(worst, found);
+      calm = found <= CALM_SHARE * stretch ? calm + 1 : 0;
+      if (calm >= CALM_CELLS && substeps > least) {
+        substeps = std::max(substeps / 2, least);
+        calm = 0;
+      }
+      if (run.tears) {
+        run.tear();
+        projection.forget();
+      }
+    }
+  }
+  return {ended_state(run), ended_torn(run), substeps, calm, worst, taken};
+}
+
+}  // namespace animtool

@@ -1,0 +1,58 @@
+// Steps of networks of springs.
+#pragma once
+
+#include <optional>
+#include <tuple>
+
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/tuple.h>
+
+#include "springs.h"
+
+namespace animtool {
+
+// Even cells of time, each a number of steps: cell i begins at origin + (first + i) cell.
+struct Cells {
+  double origin;
+  std::int64_t first;
+  double cell;
+  std::int64_t count;
+
+  double start(std::int64_t i) const {
+    return origin + static_cast<double>(first + i) * cell;
+  }
+};
+
+// states (2, N, 3), torn
+using SpringsStepped = std::tuple<Out<double, 3>, Out<std::uint8_t, 1>>;
+// states, torn, steps a cell, cells that went well since, largest stretch, steps taken
+using SpringsProjected = std::tuple<Out<double, 3>, Out<std::uint8_t, 1>, int, int, double,
+                                    std::int64_t>;
+// states, states before, whether these are known, torn, steps, corrections, cells not solved
+using SpringsSolved = std::tuple<Out<double, 3>, Out<double, 3>, bool, Out<std::uint8_t, 1>,
+                                 std::int64_t, std::int64_t, std::int64_t>;
+
+Out<double, 2> spring_accelerations(const SpringNetwork& network, double t, double h,
+                                    In<double, 3> state, In<std::uint8_t, 1> torn);
+
+SpringsStepped step_springs(const SpringNetwork& network, In<double, 3> state,
+                            In<std::uint8_t, 1> torn, double origin, std::int64_t first,
+                            double cell, std::int64_t cells, int substeps);
+
+SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> state,
+                                 In<std::uint8_t, 1> torn, double origin, std::int64_t first,
+                                 double cell, std::int64_t cells, int substeps, int calm,
+                                 int least, int most, double stretch);
+
+SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
+                            std::optional<In<double, 3>> before, In<std::uint8_t, 1> torn,
+                            double origin, std::int64_t first, double cell,
+                            std::int64_t cells, int substeps, bool two_steps,
+                            double tolerance);
+
+SpringRun begin_springs(const SpringNetwork& network, const In<double, 3>& state,
+                        const In<std::uint8_t, 1>& torn);
+Out<double, 3> ended_state(const SpringRun& run);
+Out<std::uint8_t, 1> ended_torn(const SpringRun& run);
+
+}  // namespace animtool

@@ -1,0 +1,65 @@
+"""Particles and springs: ropes, strands, sheets, cloth and volumes."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from animtool.sim.springs.body import Body as Body
+    from animtool.sim.springs.body import Family as Family
+    from animtool.sim.springs.body import Springs as Springs
+    from animtool.sim.springs.body import join as join
+    from animtool.sim.springs.body import springs_between as springs_between
+    from animtool.sim.springs.lines import rope as rope
+    from animtool.sim.springs.lines import strand as strand
+    from animtool.sim.springs.motion import SpringMotion as SpringMotion
+    from animtool.sim.springs.options import Solver as Solver
+    from animtool.sim.springs.options import SpringOptions as SpringOptions
+    from animtool.sim.springs.paths import Air as Air
+    from animtool.sim.springs.paths import Pins as Pins
+    from animtool.sim.springs.paths import Targets as Targets
+    from animtool.sim.springs.sheets import sheet as sheet
+    from animtool.sim.springs.simulating import simulate_springs as simulate_springs
+    from animtool.sim.springs.surfaces import surface as surface
+    from animtool.sim.springs.system import SpringSystem as SpringSystem
+    from animtool.sim.springs.volumes import block as block
+    from animtool.sim.springs.volumes import tetrahedra as tetrahedra
+
+_PUBLIC = {
+    "Air": "paths",
+    "Body": "body",
+    "Family": "body",
+    "Pins": "paths",
+    "Solver": "options",
+    "SpringMotion": "motion",
+    "SpringOptions": "options",
+    "SpringSystem": "system",
+    "Springs": "body",
+    "Targets": "paths",
+    "block": "volumes",
+    "join": "body",
+    "rope": "lines",
+    "sheet": "sheets",
+    "simulate_springs": "simulating",
+    "springs_between": "body",
+    "strand": "lines",
+    "surface": "surfaces",
+    "tetrahedra": "volumes",
+}
+
+__all__ = sorted(_PUBLIC)  # noqa: PLE0605 - the table above is the list
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used."""
+    if name not in _PUBLIC:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module = importlib.import_module(f"{__name__}.{_PUBLIC[name]}")
+    value: object = getattr(module, name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *_PUBLIC]

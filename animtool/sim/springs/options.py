@@ -1,0 +1,87 @@
+"""How to simulate springs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+from animtool.errors import Fault, OptionError
+
+__all__ = ["Solver", "SpringOptions", "check_options"]
+
+
+class Solver(StrEnum):
+    """What takes springs through time.
+
+    Attributes:
+        AUTO: The cheapest of them that is stable and near enough.
+        SYMPLECTIC_EULER: Semi-implicit Euler, in steps that the stiffest spring allows.
+        XPBD: Extended position based dynamics in small steps: stable with any, and
+            less accurate.
+        BDF2: Backward differences of two steps, for accuracy where springs are stiff.
+        IMPLICIT_EULER: Implicit Euler: calm, and damps what its steps do not resolve.
+    """
+
+    AUTO = "auto"
+    SYMPLECTIC_EULER = "symplectic_euler"
+    XPBD = "xpbd"
+    BDF2 = "bdf2"
+    IMPLICIT_EULER = "implicit_euler"
+
+
+@dataclass(frozen=True, slots=True)
+class SpringOptions:
+    """How to simulate springs.
+
+    Attributes:
+        solver: Of `Solver`.
+        step: The longest step [s]. None leaves it to the solver: as many steps in
+            each 1/240 s as it needs.
+        stretch: Of xpbd, most that a spring may be longer than at rest, over its
+            length at rest [1], where this is not mostly its own give under what it
+            bears; steps are halved where it is more.
+        error: Most error of positions [m]: the motion is made again in half the step
+            until two agree. None does not ask.
+        growth: Energy gained, in those of the start and what may be supplied, from
+            which on a motion has blown up.
+        longest: Length of a spring, in lengths at rest, from which on it has.
+    """
+
+    solver: Solver | str = Solver.AUTO
+    step: float | None = None
+    stretch: float = 0.01
+    error: float | None = None
+    growth: float = 100.0
+    longest: float = 10.0
+
+
+def check_options(options: SpringOptions) -> Solver:
+    """Return the solver that options name, and raise where they make no sense.
+
+    Raises:
+        OptionError: There is no such solver (SIM001), or a number is out of its range
+            (SIM004).
+    """
+    faults = []
+    names = [str(solver) for solver in Solver]
+    if options.solver not in names:
+        message = f"there is no solver {options.solver!r}"
+        hint = f"they are {', '.join(names)}"
+        faults.append(Fault("SIM001", message, where="solver", hint=hint))
+    ranges = {
+        "step": (options.step, 0.0, True),
+        "stretch": (options.stretch, 0.0, False),
+        "error": (options.error, 0.0, True),
+        "growth": (options.growth, 0.0, False),
+        "longest": (options.longest, 1.0, False),
+    }
+    for name, (value, least, finite) in ranges.items():
+        if value is None or (value > least and not (finite and math.isinf(value))):
+            continue
+        bound = f"finite and above {least:g}" if finite else f"above {least:g}"
+        message = f"{name} must be {bound}, not {value:g}"
+        faults.append(Fault("SIM004", message, where=name))
+    if faults:
+        raise OptionError(faults)
+    return Solver(options.solver)

@@ -1,0 +1,274 @@
+"""From springs and times to their states at these times."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from animtool._types import ArrayLike, FloatArray
+from animtool.errors import Fault, OptionError, Severity
+from animtool.sim.checks import check_times
+from animtool.sim.options import IntegrateOptions
+from animtool.sim.springs.checks import start_notices
+from animtool.sim.springs.choosing import Choice, choose, explicit_limit
+from animtool.sim.springs.motion import Grid, SpringMotion
+from animtool.sim.springs.options import Solver, SpringOptions, check_options
+from animtool.sim.springs.solvers import ADVANCE
+from animtool.sim.springs.system import SpringSystem
+from animtool.sim.trajectory import Carried, Stats, Status
+from animtool.sim.watch import Watch
+
+__all__ = ["simulate_springs"]
+
+# A time within this share of a cell is at its start.
+ON_GRID = 1e-9
+# Cells between two looks for signs of a blow-up.
+LOOK_EVERY = 60
+# Times that the step is halved to keep an error.
+MOST_HALVINGS = 8
+# Error of a step over that of a half one.
+GAIN = {
+    Solver.SYMPLECTIC_EULER: 2.0,
+    Solver.XPBD: 2.0,
+    Solver.BDF2: 4.0,
+    Solver.IMPLICIT_EULER: 2.0,
+}
+
+
+def simulate_springs(
+    system: SpringSystem,
+    times: ArrayLike,
+    options: SpringOptions | None = None,
+    carried: Carried | None = None,
+) -> SpringMotion:
+    """Return the states of springs at times.
+
+    Steps stand on a grid of time of their own, so that the rate of the output does not
+    change the motion: a time on the grid has the state there, one between two steps is
+    on the cubic through both.
+
+    Args:
+        system: Particles and springs, and what acts on them.
+        times: Ascending ``(F,)`` [s]; the first is that of the start.
+        options: Solver, steps and what is allowed.
+        carried: Where to begin in place of the system's start: what an earlier motion
+            carried. The motion in parts is then the motion as a whole, bit for bit.
+            Without its memory a motion begins anew from its state.
+
+    Raises:
+        OptionError: There is no such solver (SIM001); times descend, are not finite or
+            none (SIM002); the start is not finite or of another shape (SIM003); an
+            option is out of its range (SIM004).
+
+    >>> from animtool.sim.springs import Family, Pins, SpringSystem, rope
+    >>> line = rope([0, 0, 0], [1, 0, 0], 8, Family(1e4), mass=0.01)
+    >>> system = SpringSystem(line, pins=Pins([0]), drag=0.5)
+    >>> motion = simulate_springs(system, [0, 0.5, 1])
+    >>> motion.positions.shape, motion.stats.status
+    ((3, 8, 3), <Status.OK: 'ok'>)
+    """
+    options = options or SpringOptions()
+    solver = check_options(options)
+    moments = check_times(times, carried)
+    grid = carried.memory if carried is not None else None
+    if isinstance(grid, Grid):
+        choice = Choice(grid.solver, grid.cell, grid.substeps, "it was carried on")
+        return _motion(system, options, moments, choice, _fresh(grid))
+    t = float(moments[0])
+    state = np.ascontiguousarray(system.state if carried is None else carried.state)
+    _check_start(system, state)
+    choice = choose(system, options, solver, t, state)
+
+    def made(substeps: int) -> SpringMotion:
+        fine = replace(choice, substeps=substeps)
+        whole = np.zeros(len(system.body.springs.rest), np.uint8)
+        begun = Grid(
+            fine.solver, t, fine.cell, 0, substeps, state, whole, least=substeps
+        )
+        return _motion(system, options, moments, fine, begun)
+
+    if options.error is None:
+        return made(choice.substeps)
+    return _near_enough(made, choice, options.error)
+
+
+def _fresh(grid: Grid) -> Grid:
+    """Return where a motion stands, with nothing counted."""
+    return replace(grid, stretch=0.0, steps=0, evaluations=0)
+
+
+def _check_start(system: SpringSystem, state: FloatArray) -> None:
+    wanted = (2, len(system.body.positions), 3)
+    message = ""
+    if state.shape != wanted:
+        message = f"the start must have shape {wanted}, not {state.shape}"
+    elif not np.isfinite(state).all():
+        lost = int(np.argmin(np.isfinite(state).all(axis=(0, 2))))
+        message = f"particle {lost} is not finite at the start"
+    if message:
+        raise OptionError(Fault("SIM003", message, where="state"))
+
+
+def _near_enough(
+    made: Callable[[int], SpringMotion], choice: Choice, error: float
+) -> SpringMotion:
+    """Return the motion in the longest steps whose error is said to be in bounds."""
+    coarse = made(choice.substeps)
+    share = 1 / (GAIN[choice.solver] - 1)
+    substeps, said = choice.substeps, np.inf
+    for _ in range(MOST_HALVINGS):
+        substeps *= 2
+        fine = made(substeps)
+        if coarse.stats.status is Status.OK is fine.stats.status:
+            said = share * float(np.abs(fine.positions - coarse.positions).max())
+        coarse = replace(fine, stats=replace(fine.stats, error=said))
+        if said <= error:
+            return coarse
+    message = f"the error of positions is {said:.3g} m, and was to be {error:.3g} m"
+    hint = "take bdf2, or ask for less: motion after a fold or a contact is not smooth"
+    notice = Fault("SIM213", message, hint=hint, severity=Severity.WARNING)
+    return replace(coarse, notices=(*coarse.notices, notice))
+
+
+def _motion(
+    system: SpringSystem,
+    options: SpringOptions,
+    moments: FloatArray,
+    choice: Choice,
+    grid: Grid,
+) -> SpringMotion:
+    run = _Run(system, options, grid)
+    states = [run.states_at(float(moments[0]))]
+    for t in moments[1:].tolist():
+        state = run.states_at(t)
+        if run.status is not Status.OK:
+            break
+        states.append(state)
+    reached = moments[: len(states)]
+    step = run.grid.cell / run.most_substeps
+    stable = None
+    if run.status is Status.UNSTABLE:
+        stable = explicit_limit(system, run.grid.time, run.grid.state)
+    stats = Stats(
+        run.status, float(reached[-1]) if not run.sign else run.grid.time, run.sign,
+        run.grid.steps, None, run.grid.evaluations, step,
+        run.grid.cell / grid.substeps, None, stable_step=stable,
+    )  # fmt: skip
+    energies = [
+        system.energy(t, state).total
+        for t, state in zip(reached.tolist(), states, strict=True)
+    ]
+    torn = np.zeros(len(run.grid.torn), bool)
+    torn[system.order] = run.grid.torn.astype(bool)
+    return SpringMotion(
+        reached,
+        np.array(states),
+        np.array(energies),
+        stats,
+        tuple(_notices(system, options, choice, grid, run, stats)),
+        Carried(float(reached[-1]), states[-1], run.kept),
+        second_order=True,
+        solver=choice.solver,
+        reason=choice.reason,
+        step=step,
+        stretch=run.grid.stretch,
+        torn=torn,
+    )
+
+
+class _Run:
+    """A motion under way."""
+
+    def __init__(
+        self, system: SpringSystem, options: SpringOptions, grid: Grid
+    ) -> None:
+        self._system = system
+        self._options = options
+        self.grid = grid
+        # Where the last time that was reached can be gone on from.
+        self.kept = grid
+        self.most_substeps = grid.substeps
+        self.status = Status.OK
+        self.sign = ""
+        bounds = IntegrateOptions(growth=options.growth, stretch=options.longest)
+        self._watch = Watch(system, bounds)
+        self._watch.start(grid.time, grid.state)
+
+    def states_at(self, t: float) -> FloatArray:
+        """Return the state at a time, not before the one asked for last."""
+        place = (t - self.grid.origin) / self.grid.cell
+        near = round(place)
+        on_grid = abs(place - near) <= ON_GRID * max(1.0, abs(place))
+        target = near if on_grid else int(np.floor(place))
+        while self.grid.index < target and self.status is Status.OK:
+            self._advance(min(LOOK_EVERY, target - self.grid.index))
+        if self.status is not Status.OK:
+            return self.grid.state
+        self.kept = self.grid
+        if on_grid:
+            return self.grid.state
+        ahead = ADVANCE[self.grid.solver](self._system, self._options, self.grid, 1)
+        return _between(self.grid, ahead, t)
+
+    def _advance(self, cells: int) -> None:
+        with np.errstate(all="ignore"):
+            self.grid = ADVANCE[self.grid.solver](
+                self._system, self._options, self.grid, cells
+            )
+            self.most_substeps = max(self.most_substeps, self.grid.substeps)
+            self.sign = self._watch.sign(self.grid.time, self.grid.state)
+        if self.sign:
+            self.status = Status.UNSTABLE
+        elif self.grid.lost:
+            self.status = Status.NOT_SOLVED
+            self.sign = "Newton's method found no solution"
+
+
+def _between(grid: Grid, ahead: Grid, t: float) -> FloatArray:
+    """Return the state at a time in a cell, on the cubic through its ends."""
+    h = grid.cell
+    s = (t - grid.time) / h
+    (x0, v0), (x1, v1) = grid.state, ahead.state
+    slope = x1 - x0
+    x = x0 + s * (
+        h * v0 + s * ((3 - 2 * s) * slope - h * ((2 - s) * v0 + (1 - s) * v1))
+    )
+    return np.array((x, v0 + s * (v1 - v0)))
+
+
+def _notices(
+    system: SpringSystem,
+    options: SpringOptions,
+    choice: Choice,
+    begun: Grid,
+    run: _Run,
+    stats: Stats,
+) -> list[Fault]:
+    found = start_notices(system.body) if begun.index == 0 else []
+    limit = explicit_limit(system, begun.time, begun.state)
+    h = choice.cell / choice.substeps
+    if choice.solver is Solver.SYMPLECTIC_EULER and h > limit:
+        message = f"{choice.solver} is not stable with steps of {h:.3g} s"
+        found.append(_warning("SIM101", message, f"up to {limit:.3g} s are"))
+    if stats.status is Status.UNSTABLE:
+        message = f"{choice.solver} blew up at {stats.time:.6g} s: {stats.reason}"
+        hint = f"semi-implicit Euler is stable with steps up to {limit:.3g} s"
+        found.append(_warning("SIM102", message, hint))
+    elif stats.status is Status.NOT_SOLVED:
+        message = f"{choice.solver} stopped at {stats.time:.6g} s: {stats.reason}"
+        found.append(_warning("SIM105", message, "take a shorter step"))
+    if not run.grid.stretch <= options.stretch:
+        message = (
+            f"a spring was {run.grid.stretch:.1%} longer than at rest, and not by its "
+            f"own give; {options.stretch:.1%} is allowed"
+        )
+        found.append(
+            _warning("SIM212", message, "take bdf2, or less stiffness or mass")
+        )
+    return found
+
+
+def _warning(code: str, message: str, hint: str) -> Fault:
+    return Fault(code, message, hint=hint, severity=Severity.WARNING)

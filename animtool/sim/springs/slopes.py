@@ -1,0 +1,147 @@
+"""Derivatives of the accelerations of springs."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from animtool import _kernels
+from animtool._types import FloatArray, IntArray
+from animtool.sim.system import Matrix
+
+if TYPE_CHECKING:
+    from animtool.sim.springs.system import SpringSystem
+
+__all__ = ["slopes"]
+
+# Differences of the forces of air: a share of lengths, or of speeds.
+NUDGE = 1e-5
+
+
+class _Blocks:
+    """Derivatives of forces, 3 by 3 of a particle by another, as they are found."""
+
+    def __init__(self) -> None:
+        self._rows: list[IntArray] = []
+        self._columns: list[IntArray] = []
+        self._by_x: list[FloatArray] = []
+        self._by_v: list[FloatArray] = []
+
+    def add(
+        self, rows: IntArray, columns: IntArray, by_x: FloatArray, by_v: FloatArray
+    ) -> None:
+        """Add blocks ``(B, 3, 3)``."""
+        self._rows.append(rows)
+        self._columns.append(columns)
+        self._by_x.append(by_x)
+        self._by_v.append(by_v)
+
+    def matrices(self, inverse_masses: FloatArray) -> tuple[Matrix, Matrix]:
+        """Return derivatives of accelerations by positions and by velocities."""
+        size = 3 * len(inverse_masses)
+        rows, columns = np.concatenate(self._rows), np.concatenate(self._columns)
+        i = np.broadcast_to(3 * rows[:, None, None] + np.arange(3)[:, None],
+                            (len(rows), 3, 3))  # fmt: skip
+        j = np.broadcast_to(3 * columns[:, None, None] + np.arange(3), i.shape)
+        weights = inverse_masses[rows][:, None, None]
+
+        def matrix(blocks: list[FloatArray]) -> Matrix:
+            from scipy.sparse import coo_array
+
+            values = weights * np.concatenate(blocks)
+            places = (i.ravel(), j.ravel())
+            return coo_array((values.ravel(), places), shape=(size, size)).tocsc()
+
+        return matrix(self._by_x), matrix(self._by_v)
+
+
+def slopes(
+    system: SpringSystem, t: float, x: FloatArray, v: FloatArray
+) -> tuple[Matrix, Matrix]:
+    """Return derivatives of accelerations by positions and by velocities, sparse.
+
+    Those of springs, targets and drag are exact, those of the air differences.
+    """
+    blocks, eye, every = _Blocks(), np.eye(3), np.arange(len(x))
+    _add_springs(blocks, system, x, v)
+    stiffness, damping = system.draws.T[:, :, None, None]
+    blocks.add(system.drawn, system.drawn, -stiffness * eye, -damping * eye)
+    slowed = system.drags * np.where(system.fixed, 0.0, system.body.masses)
+    blocks.add(every, every, np.zeros((len(x), 3, 3)), -slowed[:, None, None] * eye)
+    if any(system.pressures):
+        _add_air(blocks, system, t, x, v)
+    return blocks.matrices(system.inverse_masses)
+
+
+def _add_springs(
+    blocks: _Blocks, system: SpringSystem, x: FloatArray, v: FloatArray
+) -> None:
+    springs = system.body.springs
+    first, second = springs.ends.T
+    d, e = x[second] - x[first], v[second] - v[first]
+    square = (d * d).sum(axis=1)
+    inverse = np.where(square > 0, 1 / np.where(square > 0, square, 1.0), 0.0)
+    short = springs.rest * np.sqrt(square) * inverse
+    closing = springs.damping * (d * e).sum(axis=1) * inverse
+    outer = d[:, :, None] * d[:, None, :] * inverse[:, None, None]
+    # Of the pull on the first end by the place of the second.
+    isotropic = springs.stiffness * (1 - short) + closing
+    along = springs.stiffness * short - 2 * closing
+    by_x = isotropic[:, None, None] * np.eye(3) + along[:, None, None] * outer
+    by_x += (springs.damping * inverse)[:, None, None] * d[:, :, None] * e[:, None, :]
+    by_x[(square == 0) & (springs.rest > 0)] = 0.0
+    by_v = springs.damping[:, None, None] * outer
+    for row in (first, second):
+        for column in (first, second):
+            sign = 1.0 if row is not column else -1.0
+            blocks.add(row, column, sign * by_x, sign * by_v)
+
+
+def _add_air(
+    blocks: _Blocks, system: SpringSystem, t: float, x: FloatArray, v: FloatArray
+) -> None:
+    triangles = system.body.triangles
+    apart = _kernels.SpringNetwork(
+        np.ones(triangles.size),
+        np.zeros(triangles.size),
+        np.zeros((0, 2), np.int64),
+        np.zeros((0, 4)),
+        np.arange(triangles.size).reshape(-1, 3),
+        np.array([0.0, 0.0, 0.0, *system.pressures]),
+        np.zeros(1),
+        np.zeros(0, np.int64),
+        np.zeros((1, 0, 3)),
+        np.zeros(0, np.int64),
+        np.zeros((0, 2)),
+        np.zeros((1, 0, 3)),
+        system.wind(t)[None],
+    )
+    state = np.stack([x[triangles.ravel()], v[triangles.ravel()]])
+    corners = [triangles[:, k] for k in range(3)]
+    nothing = np.zeros((len(triangles), 3, 3))
+    for column in range(3):
+        found = [_nudged(apart, state, part, column) for part in range(2)]
+        for row in range(3):
+            by_x, by_v = (each[:, row] for each in found)
+            blocks.add(corners[row], corners[column], by_x + nothing, by_v + nothing)
+
+
+def _nudged(
+    apart: _kernels.SpringNetwork, state: FloatArray, part: int, corner: int
+) -> FloatArray:
+    """Return derivatives of forces on corners by one corner's place or velocity.
+
+    ``(T, 3, 3, 3)``: triangle, corner, component of the force, component of the place.
+    """
+    whole = np.zeros(0, np.uint8)
+    size = NUDGE * max(float(np.abs(state[part]).max(initial=0.0)), 1e-3)
+    columns = []
+    for k in range(3):
+        sides = []
+        for sign in (1.0, -1.0):
+            moved = state.copy()
+            moved[part, corner::3, k] += sign * size
+            sides.append(_kernels.spring_accelerations(apart, 0.0, 1.0, moved, whole))
+        columns.append((sides[0] - sides[1]) / (2 * size))
+    return np.stack(columns, axis=-1).reshape(-1, 3, 3, 3)

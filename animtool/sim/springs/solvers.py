@@ -1,0 +1,96 @@
+"""From a cell of time to later ones, by each solver."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TypeAlias
+
+from animtool import _kernels
+from animtool.sim.springs.motion import Grid
+from animtool.sim.springs.options import Solver, SpringOptions
+from animtool.sim.springs.system import SpringSystem
+
+__all__ = ["ADVANCE", "Advance"]
+
+Advance: TypeAlias = Callable[[SpringSystem, SpringOptions, Grid, int], Grid]
+
+# Steps of xpbd are not shorter than this [s].
+SHORTEST = 1 / 61440
+# Newton's corrections of implicit steps go on until they are below this share of the
+# mean length of springs.
+SOLVED = 1e-6
+
+
+def _explicit(
+    system: SpringSystem,
+    options: SpringOptions,  # noqa: ARG001
+    grid: Grid,
+    cells: int,
+) -> Grid:
+    state, torn = _kernels.step_springs(
+        system.network, grid.state, grid.torn, grid.origin, grid.index, grid.cell,
+        cells, grid.substeps,
+    )  # fmt: skip
+    steps = cells * grid.substeps
+    return replace(
+        grid,
+        index=grid.index + cells,
+        state=state,
+        torn=torn,
+        steps=grid.steps + steps,
+        evaluations=grid.evaluations + steps,
+    )
+
+
+def _projected(
+    system: SpringSystem, options: SpringOptions, grid: Grid, cells: int
+) -> Grid:
+    most = max(grid.least, int(grid.cell / SHORTEST))
+    state, torn, substeps, calm, stretch, steps = _kernels.project_springs(
+        system.network, grid.state, grid.torn, grid.origin, grid.index, grid.cell,
+        cells, grid.substeps, grid.calm, grid.least, most, options.stretch,
+    )  # fmt: skip
+    return replace(
+        grid,
+        index=grid.index + cells,
+        substeps=substeps,
+        state=state,
+        torn=torn,
+        calm=calm,
+        stretch=max(grid.stretch, stretch),
+        steps=grid.steps + steps,
+        evaluations=grid.evaluations + steps,
+    )
+
+
+def _implicit(
+    system: SpringSystem,
+    options: SpringOptions,  # noqa: ARG001
+    grid: Grid,
+    cells: int,
+) -> Grid:
+    rest = system.body.springs.rest
+    size = float(rest.mean()) if rest.any() else 1.0
+    state, before, known, torn, steps, corrections, lost = _kernels.solve_springs(
+        system.network, grid.state, grid.before, grid.torn, grid.origin, grid.index,
+        grid.cell, cells, grid.substeps, grid.solver is Solver.BDF2, SOLVED * size,
+    )  # fmt: skip
+    return replace(
+        grid,
+        index=grid.index + cells,
+        state=state,
+        before=before if known else None,
+        torn=torn,
+        steps=grid.steps + steps,
+        evaluations=grid.evaluations + corrections,
+        lost=lost > 0,
+    )
+
+
+ADVANCE: dict[Solver, Advance] = {
+    Solver.SYMPLECTIC_EULER: _explicit,
+    Solver.XPBD: _projected,
+    Solver.BDF2: _implicit,
+    Solver.IMPLICIT_EULER: _implicit,
+}

@@ -1,0 +1,283 @@
+"""Particles and springs as a system that integrators take through time."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from animtool import _kernels
+from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_floats
+from animtool.sim.springs.body import Body
+from animtool.sim.springs.bounds import fastest
+from animtool.sim.springs.checks import check_body, check_path
+from animtool.sim.springs.paths import Air, Pins, Targets, over_knots
+from animtool.sim.system import Energy, Matrix, Native, SecondOrder
+
+__all__ = ["SpringSystem"]
+
+# Of the speed of targets, where no step says over which time to take it [s].
+MOMENT = 1e-6
+
+
+class SpringSystem(SecondOrder):
+    """A body of springs, held and drawn, in gravity and air.
+
+    A spring from a to b pulls with k (|d| - rest) + c (ḋ·d)/|d| along d = b - a; its
+    ends at one place it pulls nothing. Torn springs come of `simulate_springs` only:
+    other methods go on with all.
+
+    Args:
+        body: Particles, springs and triangles.
+        pins: Particles that are held, and where.
+        targets: Points that particles are drawn to.
+        gravity: ``(3,)`` [m/s²].
+        drag: What slows all motion, over mass and speed [1/s].
+        resistance: The same over speed, of each particle ``(N,)`` or all [N s/m].
+        air: What acts on the triangles.
+        velocities: At the start ``(N, 3)`` [m/s]; None is at rest.
+
+    Raises:
+        OptionError: What makes no sense (SIM201 to SIM205).
+
+    >>> from animtool.sim.springs.lines import rope
+    >>> from animtool.sim.springs.body import Family
+    >>> line = rope([0, 0, 0], [1, 0, 0], 3, Family(100.0), mass=0.5)
+    >>> system = SpringSystem(line, pins=Pins([0]))
+    >>> x, v = system.state
+    >>> system.acceleration(0.0, x + [0, 0, 0], v)[1:, 2].tolist()
+    [-9.81, -9.81]
+    """
+
+    velocity_dependent = True
+
+    def __init__(
+        self,
+        body: Body,
+        *,
+        pins: Pins | None = None,
+        targets: Targets | None = None,
+        gravity: ArrayLike = (0.0, 0.0, -9.81),
+        drag: float = 0.0,
+        resistance: ArrayLike = 0.0,
+        air: Air | None = None,
+        velocities: ArrayLike | None = None,
+    ) -> None:
+        held = Pins(()) if pins is None else pins
+        check_body(body, held, targets)
+        count = len(body.positions)
+        self.body = body
+        self.gravity = as_floats(gravity, (3,), "gravity")
+        self.drag = float(drag)
+        self.resistance = np.broadcast_to(np.asarray(resistance, np.float64), count)
+        self.pressures, self._wind_path = _blowing(air)
+        self.pinned: IntArray = np.asarray(held.particles, np.int64).reshape(-1)
+        self.fixed: BoolArray = np.isin(np.arange(count), self.pinned)
+        self._pin_path = _pin_path(body, held, self.pinned)
+        self.drawn, self.draws, self._target_path = _drawn(targets)
+        self.settles = len(self._pin_path[0]) > 1
+        speeds = np.zeros((count, 3)) if velocities is None else velocities
+        self._state = np.stack(
+            [body.positions, as_floats(speeds, (count, 3), "velocities")]
+        )
+        self._state[1, self.pinned] = 0.0
+        self._whole = np.zeros(len(body.springs.rest), np.uint8)
+
+    @cached_property
+    def network(self) -> _kernels.SpringNetwork:
+        """What kernels step."""
+        springs, order = self.body.springs, self.order
+        knots, paths = over_knots([self._pin_path, self._target_path, self._wind_path])
+        return _kernels.SpringNetwork(
+            self.inverse_masses,
+            self.drags,
+            np.ascontiguousarray(springs.ends[order]),
+            np.stack(
+                [springs.rest, springs.stiffness, springs.damping, springs.limit], 1
+            )[order],
+            self.body.triangles,
+            np.array([*self.gravity, *self.pressures]),
+            knots,
+            self.pinned,
+            paths[0],
+            self.drawn,
+            self.draws,
+            paths[1],
+            paths[2],
+        )
+
+    @cached_property
+    def order(self) -> IntArray:
+        """The order in which springs are gone through ``(S,)``: by their particles."""
+        low, high = np.sort(self.body.springs.ends, axis=1).T
+        return np.lexsort((high, low))
+
+    @cached_property
+    def inverse_masses(self) -> FloatArray:
+        """Of particles ``(N,)`` [1/kg], 0 of those that are held."""
+        masses = np.where(self.fixed, 1.0, self.body.masses)
+        return np.where(self.fixed, 0.0, 1.0 / masses)
+
+    @cached_property
+    def drags(self) -> FloatArray:
+        """What slows each particle, over its mass and speed ``(N,)`` [1/s]."""
+        return self.drag + self.resistance * self.inverse_masses
+
+    @property
+    def state(self) -> FloatArray:
+        """Where it starts ``(2, N, 3)``."""
+        return self._state
+
+    def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
+        """Return accelerations ``(N, 3)`` [m/s²], 0 of particles that are held."""
+        return _kernels.spring_accelerations(
+            self.network, t, MOMENT, np.array((x, v)), self._whole
+        )
+
+    def jacobians(
+        self, t: float, x: FloatArray, v: FloatArray
+    ) -> tuple[Matrix, Matrix] | None:
+        """Return the derivatives of accelerations by positions and velocities."""
+        from animtool.sim.springs.slopes import slopes
+
+        return slopes(self, t, x, v)
+
+    def energy(self, t: float, state: FloatArray) -> Energy:
+        """Return the energy of springs, gravity and motion.
+
+        Moved pins and targets and wind may bring in about what all particles have at
+        their speed.
+        """
+        x, v = state
+        masses = np.where(self.fixed, 0.0, self.body.masses)
+        kinetic = 0.5 * float(masses @ (v * v).sum(axis=1))
+        springs = self.body.springs
+        long = self._lengths(x) - springs.rest
+        potential = 0.5 * float(springs.stiffness @ (long * long))
+        potential -= float(masses @ (x @ self.gravity))
+        if len(self.drawn):
+            gaps = x[self.drawn] - _position(self._target_path, t)
+            potential += 0.5 * float(self.draws[:, 0] @ (gaps * gaps).sum(axis=1))
+        return Energy(kinetic, potential, self._supply(float(masses.sum())))
+
+    def _supply(self, mass: float) -> float:
+        wind = float(np.linalg.norm(self._wind_path[1], axis=2).max(initial=0.0))
+        speeds = [_speed(path) for path in (self._pin_path, self._target_path)]
+        travel = [_travel(path) for path in (self._pin_path, self._target_path)]
+        pull = float(np.linalg.norm(self.gravity))
+        return mass * (wind**2 + max(speeds) ** 2 + pull * max(travel))
+
+    def wind(self, t: float) -> FloatArray:
+        """Return the velocity of the air at a time ``(1, 3)`` [m/s]."""
+        return _position(self._wind_path, t)
+
+    def _lengths(self, x: FloatArray) -> FloatArray:
+        ends = self.body.springs.ends
+        lengths: FloatArray = np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1)
+        return lengths
+
+    def stretch(self, t: float, state: FloatArray) -> float | None:  # noqa: ARG002
+        """Return the largest length of a spring over its length at rest [1]."""
+        rest = self.body.springs.rest
+        long = rest > 0
+        if not long.any():
+            return None
+        return float((self._lengths(state[0])[long] / rest[long]).max())
+
+    def frequencies(self, t: float, state: FloatArray) -> FloatArray | None:  # noqa: ARG002
+        """Return bounds of the fastest motions ``(M, 2)``, wherever particles are."""
+        return fastest(self)
+
+    def settle(
+        self, t: float, h: float, before: FloatArray, after: FloatArray
+    ) -> FloatArray:
+        """Return the state after a step, with pins where they are to be."""
+        if not self.settles:
+            return after
+        moved = after.copy()
+        moved[0, self.pinned] = _position(self._pin_path, t)
+        moved[1, self.pinned] = (moved[0, self.pinned] - before[0, self.pinned]) / h
+        return moved
+
+    def native(self, method: str) -> Native | None:
+        """Return what takes many steps at once, of symplectic_euler."""
+        if method != "symplectic_euler":
+            return None
+
+        def steps(t: float, state: FloatArray, h: float, count: int) -> FloatArray:
+            return _kernels.step_springs(
+                self.network,
+                np.ascontiguousarray(state),
+                self._whole,
+                t,
+                0,
+                h,
+                count,
+                1,
+            )[0]
+
+        return steps
+
+    def suspect(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
+        """Return which spring is stretched most."""
+        springs = self.body.springs
+        if not len(springs.rest):
+            return ""
+        longest = int(np.argmax(self._lengths(state[0]) - springs.rest))
+        first, second = springs.ends[longest].tolist()
+        return f"the spring of particles {first} and {second} is stretched most"
+
+
+def _pin_path(
+    body: Body, pins: Pins, pinned: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    places = body.positions[pinned] if pins.positions is None else pins.positions
+    return check_path("pins", places, pins.times, len(pinned))
+
+
+def _blowing(
+    air: Air | None,
+) -> tuple[tuple[float, float], tuple[FloatArray, FloatArray]]:
+    """Return drag and lift over area and the square of speed, and the wind."""
+    if air is None:
+        return (0.0, 0.0), (np.zeros(1), np.zeros((1, 1, 3)))
+    winds = np.asarray(air.wind, np.float64)
+    path = check_path("air", winds[..., None, :], air.times, 1)
+    pressure = 0.5 * air.density
+    return (pressure * air.drag, pressure * air.lift), path
+
+
+def _drawn(
+    targets: Targets | None,
+) -> tuple[IntArray, FloatArray, tuple[FloatArray, FloatArray]]:
+    """Return who is drawn ``(A,)``, how ``(A, 2)`` and along which path."""
+    if targets is None:
+        targets = Targets((), np.zeros((0, 3)), 0.0)
+    drawn = np.asarray(targets.particles, np.int64).reshape(-1)
+    path = check_path("targets", targets.positions, targets.times, len(drawn))
+    numbers = [
+        np.broadcast_to(np.asarray(value, np.float64), drawn.shape)
+        for value in (targets.stiffness, targets.damping)
+    ]
+    return drawn, np.stack(numbers, axis=1), path
+
+
+def _position(path: tuple[FloatArray, FloatArray], t: float) -> FloatArray:
+    times, places = path
+    row = int(np.clip(np.searchsorted(times, t, "right") - 1, 0, len(times) - 1))
+    place: FloatArray = places[row]
+    if times[0] < t < times[-1]:
+        share = (t - times[row]) / (times[row + 1] - times[row])
+        place = place + (places[row + 1] - place) * share
+    return place
+
+
+def _speed(path: tuple[FloatArray, FloatArray]) -> float:
+    times, places = path
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=2)
+    return float((steps / np.diff(times)[:, None]).max(initial=0.0))
+
+
+def _travel(path: tuple[FloatArray, FloatArray]) -> float:
+    places = path[1]
+    return float(np.linalg.norm(places - places[:1], axis=2).max(initial=0.0))
