@@ -47,6 +47,8 @@ constexpr int MOST_CONTACTS = 8;
 constexpr int LOOKS = 64;
 // A particle that is deeper than this [m] at the start of a step is inside.
 constexpr double INSIDE = 1e-6;
+// Colliders that are looked at once where they are far off.
+constexpr std::size_t TOLD_APART = 64;
 // Rounds of moving out of all colliders.
 constexpr int ROUNDS = 4;
 
@@ -100,11 +102,15 @@ class Settling {
     if (!(step_ > 0)) return contact_;
     path_ = begun(before, after);
     resting_on_ = -1;
+    far_ = 0;
+    for (std::size_t i = 0; i < std::min(count_, TOLD_APART); ++i)
+      if (out_of_reach(colliders_[i])) far_ |= std::uint64_t{1} << i;
     for (int i = 0; i < MOST_CONTACTS; ++i) {
       double time = path_.left;
       const std::int64_t hit = first_hit(time);
       if (hit < 0) break;
       respond(hit, time, i + 1 == MOST_CONTACTS);
+      far_ = 0;
       after = {path_.at(path_.left), path_.velocity_at(path_.left)};
     }
     move_out(before, after);
@@ -112,6 +118,22 @@ class Settling {
   }
 
  private:
+  bool is_far(std::size_t i) const { return i < TOLD_APART && (far_ >> i & 1); }
+
+  // Whether the path as it is cannot meet a collider.
+  bool out_of_reach(const Collider& c) const {
+    const Pose pose = pose_at(c, 0);
+    const double reach = closing_speed(c, pose) * path_.left + 2 * TOUCH;
+    if (c.shape == Shape::MESH && !c.container && beyond_box(c, pose, reach)) return true;
+    return sample(c, pose, path_.position, radius_, FAR).distance >= reach;
+  }
+
+  bool beyond_box(const Collider& c, const Pose& pose, double reach) const {
+    const double whole = reach + c.margin + radius_;
+    const Vec local = pose.to_local(path_.position);
+    return squared_to_box(local, c.mesh.bounds + 6 * c.root) >= whole * whole;
+  }
+
   Path begun(const Particle& before, const Particle& after) const {
     const Vec bend = (after.velocity - before.velocity) * (1 / step_);
     const Vec chord = (after.position - before.position) * (1 / step_);
@@ -129,7 +151,7 @@ class Settling {
   std::int64_t first_hit(double& time) const {
     std::int64_t hit = -1;
     for (std::size_t i = 0; i < count_; ++i) {
-      if (static_cast<std::int64_t>(i) == resting_on_) continue;
+      if (static_cast<std::int64_t>(i) == resting_on_ || is_far(i)) continue;
       const double s = hit_time(colliders_[i], time);
       if (s >= 0 && (s < time || (hit < 0 && s <= time))) hit = i, time = s;
     }
@@ -243,8 +265,10 @@ class Settling {
   void move_out(const Particle& before, Particle& after) {
     for (int round = 0; round < ROUNDS; ++round) {
       bool moved = false;
-      for (std::size_t i = 0; i < count_; ++i) moved |= move_out_of(i, before, after);
+      for (std::size_t i = 0; i < count_; ++i)
+        moved |= !is_far(i) && move_out_of(i, before, after);
       if (!moved) return;
+      far_ = 0;
     }
     give_up(after);
   }
@@ -295,6 +319,8 @@ class Settling {
   std::size_t count_;
   double step_, radius_;
   Path path_{};
+  // A bit for each of the first colliders, of those that the path cannot meet.
+  std::uint64_t far_ = 0;
   std::int64_t resting_on_ = -1;
   Contact contact_;
 };
