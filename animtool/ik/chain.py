@@ -55,20 +55,25 @@ class Chain:
         """Columns of the joints that turn all the way round."""
         return np.flatnonzero(np.isfinite(self.periods[:, 0]))
 
+    @cached_property
+    def _balls(self) -> tuple[IntArray, FloatArray]:
+        """Columns ``(T, 4)`` of ball joints, and their turns ``(T, 4)``."""
+        first = np.array([place for place, _ in self.turns], np.int64)
+        turns = np.array([turn for _, turn in self.turns]).reshape(-1, 4)
+        return first[:, None] + np.arange(4), turns
+
     def from_rig(self, coordinates: FloatArray) -> FloatArray:
         """Return the chain's coordinates ``(B, C)`` of the rig's ``(B, Q)``."""
         q = np.ascontiguousarray(coordinates[:, self.columns] / self.scales)
-        for first, turn in self.turns:
-            place = slice(first, first + 4)
-            q[:, place] = _conjugated(so3.normalize(q[:, place]), turn)
+        columns, turns = self._balls
+        q[:, columns] = _conjugated(so3.normalize(q[:, columns]), turns)
         return q
 
     def into_rig(self, q: FloatArray, coordinates: FloatArray) -> FloatArray:
         """Return the rig's coordinates ``(B, Q)`` with the chain's in place."""
         q = q.copy()
-        for first, turn in self.turns:
-            place = slice(first, first + 4)
-            q[:, place] = _conjugated(q[:, place], so3.conjugate(turn))
+        columns, turns = self._balls
+        q[:, columns] = _conjugated(q[:, columns], so3.conjugate(turns))
         if len(self.turning):
             low, high = self.periods[self.turning].T
             own = q[:, self.turning]
@@ -81,5 +86,5 @@ class Chain:
 
 
 def _conjugated(q: FloatArray, turn: FloatArray) -> FloatArray:
-    """Return rotations as seen from a turned frame."""
+    """Return rotations ``(B, T, 4)`` as seen from turned frames ``(T, 4)``."""
     return np.concatenate([so3.rotate(turn, q[..., :3]), q[..., 3:]], axis=-1)
