@@ -91,7 +91,8 @@ def follow(
     Returns:
         Poses and what they miss; its ``jumps`` are those that no path was found
         without: steps beyond 0.1 rad, 8 rad/s and four times what the targets move by,
-        all together.
+        all together; and slower ones that are four times what the joint moves by just
+        before and after.
 
     Raises:
         OptionError: As of `solve`, and ``fps``, ``smooth``, ``branches`` or ``back``

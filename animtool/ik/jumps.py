@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
+from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.ik.chain import BALL
 from animtool.ik.path import Path
 from animtool.ik.problem import Problem
@@ -18,6 +18,9 @@ __all__ = ["explained", "jumping", "named", "strain"]
 # A joint jumps that moves by more than this [rad], or share of the chain's length, and
 # this a second, and so many times what the targets move by, all together.
 LEAST_JUMP, LEAST_SPEED, MORE_THAN_TARGETS = 0.1, 8.0, 4.0
+# Slower ones are named too, where the joint moves so many times farther than within
+# so many frames before and after.
+MORE_THAN_BESIDE, BESIDE = 4.0, 2
 
 
 def explained(path: Path, fps: float) -> FloatArray:
@@ -25,6 +28,11 @@ def explained(path: Path, fps: float) -> FloatArray:
 
     In radians, and shares of the problem's length.
     """
+    return np.asarray(LEAST_JUMP + LEAST_SPEED / fps + _by_targets(path))
+
+
+def _by_targets(path: Path) -> FloatArray:
+    """Return how far joints may go with their targets ``(F - 1,)``."""
     targets = path.targets
     weighed = targets[:, :, 13:] > 0
     asked = weighed[1:] & weighed[:-1]
@@ -40,8 +48,7 @@ def explained(path: Path, fps: float) -> FloatArray:
     )
     most = np.where(asked & goals, moves, 0.0).max(axis=(1, 2), initial=0.0)
     own = np.abs(path.drifts).max(axis=1, initial=0.0)
-    least = LEAST_JUMP + LEAST_SPEED / fps
-    return np.asarray(least + MORE_THAN_TARGETS * (most + own))
+    return np.asarray(MORE_THAN_TARGETS * (most + own))
 
 
 def _distances(points: FloatArray) -> FloatArray:
@@ -63,15 +70,31 @@ def jumping(path: Path, poses: FloatArray, allowed: FloatArray) -> IntArray:
 def named(path: Path, poses: FloatArray, allowed: FloatArray) -> tuple[Jump, ...]:
     """Return the jumps of poses: frame, joint and size.
 
-    One from a limit to that a whole turn away is none: the joint stays as it is.
+    Those too of joints that jerk, slower, out of rest and back to it. One from a limit to that a whole turn away is none: the joint stays as it is.
     """
     steps = np.abs(seamless(path.problem.chain, path.steps(poses)))
     joints = _joints(path.problem)
     found = []
-    for frame in np.flatnonzero(steps.max(axis=1, initial=0.0) > allowed) + 1:
-        d = int(steps[frame - 1].argmax())
+    far = np.where((steps > allowed[:, None]) | _jerking(path, steps), steps, 0.0)
+    for frame in np.flatnonzero(far.any(axis=1)) + 1:
+        d = int(far[frame - 1].argmax())
         found.append(Jump(int(frame), joints[d], float(steps[frame - 1, d])))
     return tuple(found)
+
+
+def _jerking(path: Path, steps: FloatArray) -> BoolArray:
+    """Return which steps ``(F - 1, D)`` are far larger than those about them."""
+    around = np.zeros_like(steps)
+    for away in range(1, BESIDE + 1):
+        around[away:] = np.maximum(around[away:], steps[:-away])
+        around[:-away] = np.maximum(around[:-away], steps[away:])
+    least = np.maximum(
+        MORE_THAN_BESIDE * around, (LEAST_JUMP + _by_targets(path))[:, None]
+    )
+    jerks = steps > least
+    # Of the first and the last, nothing is known on one side.
+    jerks[:1] = jerks[-1:] = False
+    return np.asarray(jerks, np.bool_)
 
 
 def _joints(problem: Problem) -> list[str]:

@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.ik.chain import BALL, GAP, PIN, Chain
+from animtool.ik.chain import BALL, PIN, Chain
 from animtool.maths import so3
 
 __all__ = ["difference", "moved", "seamless", "unwound", "with_periods"]
+
+# Limits that are wider than a whole turn by no more than this are meant as one [rad].
+HAIR = 0.02
 
 
 def difference(chain: Chain, start: FloatArray, end: FloatArray) -> FloatArray:
@@ -63,11 +66,12 @@ def unwound(chain: Chain, poses: FloatArray) -> FloatArray:
 def seamless(chain: Chain, steps: FloatArray) -> FloatArray:
     """Return steps ``(..., D)`` without whole turns of pins whose limits are one apart.
 
+    Or a hair more, as ±180.1° are.
     What crosses such limits ends at the other one, and is turned as if there were none.
     """
     columns, places, balls = _layout(chain)
     low, high = chain.periods[columns[~balls]].T
-    turns = (high > low) & (high - low <= 2 * np.pi + GAP)
+    turns = (high > low) & (high - low <= 2 * np.pi + HAIR)
     own = places[~balls][turns]
     out = steps.copy()
     out[..., own] -= 2 * np.pi * np.round(out[..., own] / (2 * np.pi))

@@ -42,6 +42,19 @@ def test_a_jump_is_named_by_frame_joint_and_size() -> None:
     assert strain(path, poses, allowed) > 1
 
 
+@pytest.mark.parametrize(("beside", "names"), [(0.0, 1), (0.03, 1), (0.08, 0)])
+def test_a_jerk_is_named_that_is_no_fast_one(beside: float, names: int) -> None:
+    path, poses = standing(9)
+    allowed = explained(path, 24.0)
+    elbow = int(np.flatnonzero(path.problem.chain.nodes[:, 0] == 0)[0])
+    column = path.problem.chain.nodes[elbow, 2]
+    steps = np.array([0, 0, beside, beside, 0.2, beside, beside, 0, 0])
+    poses[:, column] += np.cumsum(steps)
+    assert strain(path, poses, allowed) < 1
+    found = named(path, poses, allowed)
+    assert [(jump.frame, jump.joint) for jump in found] == [(4, "elbow")] * names
+
+
 def test_fast_targets_and_slow_rates_explain_more() -> None:
     path, _ = standing()
     still = explained(path, 60.0)
@@ -87,5 +100,9 @@ def test_a_whole_turn_has_no_end_to_jump_over(low: float) -> None:
     # Where the range is wider, it matters which of its turns a joint is in.
     steps = np.array([[2 * np.pi, 0.1]])
     np.testing.assert_allclose(seamless(problem.chain, steps), [[0, 0.1]], atol=1e-12)
+    hair = RangeLimit(low - 0.005, low + 2 * np.pi + 0.005)
+    joints = (replace(rig.joints[0], limits=hair), rig.joints[1])
+    wider = build(replace(rig, joints=joints), [Goal("b1", (0.4, 0.0, 0.0))])
+    np.testing.assert_allclose(seamless(wider.chain, steps), [[0, 0.1]], atol=1e-12)
     wide = build(arm(2, 2 * np.pi), [Goal("b1", (0.4, 0.0, 0.0))])
     np.testing.assert_array_equal(seamless(wide.chain, steps), steps)
