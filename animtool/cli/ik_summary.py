@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from animtool.errors import counted, listed
-from animtool.ik.report import limit_counts, status_counts
+from animtool.ik.report import BEYOND, limit_counts, status_counts
 from animtool.rates import rate_label
 
 if TYPE_CHECKING:
@@ -23,6 +23,8 @@ MOST_NAMED = 8
 def _size(part: str, value: float) -> str:
     """Return a miss as people read it."""
     if part == "position":
+        if not math.isfinite(value):
+            return f"over {BEYOND:g} m"
         return f"{value * 1000:.3g} mm"
     return f"{math.degrees(value):.3g}°"
 

@@ -70,7 +70,8 @@ def jumping(path: Path, poses: FloatArray, allowed: FloatArray) -> IntArray:
 def named(path: Path, poses: FloatArray, allowed: FloatArray) -> tuple[Jump, ...]:
     """Return the jumps of poses: frame, joint and size.
 
-    Those too of joints that jerk, slower, out of rest and back to it. One from a limit to that a whole turn away is none: the joint stays as it is.
+    Those too of joints that jerk, slower, out of rest and back to it. One from a limit
+    to that a whole turn away is none: the joint stays as it is.
     """
     steps = np.abs(seamless(path.problem.chain, path.steps(poses)))
     joints = _joints(path.problem)

@@ -14,6 +14,7 @@ from animtool.ik.take_ik import TakeIk
 from animtool.ik.tracks import PARTS
 
 __all__ = [
+    "BEYOND",
     "MISSED_ANGLE",
     "MISSED_LENGTH",
     "GoalReport",
@@ -37,6 +38,8 @@ MISSED_LENGTH, MISSED_ANGLE = 1e-4, float(np.radians(0.1))
 FAR = 10.0
 # So are targets that are this many sizes of the rig away from it in every frame.
 AWAY = 20.0
+# Distances whose squares have no number are at least this [m].
+BEYOND = 1e150
 
 
 @dataclass(frozen=True, slots=True)
@@ -312,11 +315,18 @@ def _missed(report: GoalReport) -> str:
     where = listed([_frames(span) for span in report.spans], most=6)
     by = []
     if worst.distance > 0:
-        by.append(f"{worst.distance:.3g} m")
+        by.append(_length(worst.distance))
     if worst.angle > 0:
         by.append(f"{np.degrees(worst.angle):.3g}°")
     message = f"{report.name!r} is not reached at {where}: "
     return f"{message}{' and '.join(by)} off at frame {worst.frame:g}, {worst.status}"
+
+
+def _length(meters: float) -> str:
+    """Return a distance in words, one that has no number too."""
+    if not np.isfinite(meters):
+        return f"over {BEYOND:g} m"
+    return f"{meters:.3g} m"
 
 
 def _frames(span: MissedSpan) -> str:

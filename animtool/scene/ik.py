@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
@@ -51,6 +53,7 @@ __all__ = [
     "Opened",
     "frame_index",
     "ik_outputs",
+    "naming",
     "open_ik",
     "run_ik",
 ]
@@ -190,6 +193,16 @@ def frame_index(take: Take, frame: Fraction | None, path: Path) -> int:
     return int(place)
 
 
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Give faults of options that name no file the one that they do not fit."""
+    try:
+        yield
+    except OptionError as error:
+        faults = [replace(f, path=f.path or str(path)) for f in error.faults]
+        raise OptionError(faults) from error
+
+
 def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
     """Solve a job, and write what comes of it.
 
@@ -275,14 +288,15 @@ def _solved(job: IkJob, progress: Progress) -> IkReport:
     with sparing_inputs(ik_outputs(job)):
         opened = open_ik(job, progress=progress)
     read = time.perf_counter()
-    solved = solve_take(
-        opened.take,
-        opened.tracks,
-        _as_fine(job),
-        still=opened.still,
-        only=opened.only,
-        progress=progress,
-    )
+    with naming(job.rig):
+        solved = solve_take(
+            opened.take,
+            opened.tracks,
+            _as_fine(job),
+            still=opened.still,
+            only=opened.only,
+            progress=progress,
+        )
     seconds = {"read": read - began, "solve": time.perf_counter() - read}
     goals = goal_reports(solved, *_missed_by(job))
     missed = missed_notices(solved, goals)

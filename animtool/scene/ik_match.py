@@ -22,7 +22,7 @@ from animtool.output import (
 )
 from animtool.rig.store import StoredArrays
 from animtool.scene.convert_rig import open_rig, write_arrays
-from animtool.scene.ik import frame_index
+from animtool.scene.ik import frame_index, naming
 from animtool.scene.sources import Progress, SourceOptions
 from animtool.scene.start import open_start
 from animtool.take import Clock, Take
@@ -102,7 +102,8 @@ def run_match(job: MatchJob, *, progress: Progress = None) -> MatchReport:
     began = time.perf_counter()
     with sparing_inputs([job.output, arrays_of(job.output)]):
         rig, notices = open_rig(job.rig)
-        chains = chains_of(rig, job.chains)
+        with naming(job.rig):
+            chains = chains_of(rig, job.chains)
         take = open_start(job.take, rig, job.rig, job.source, progress=progress)
     if job.pose:
         take = _pose(take, frame_index(take, job.frame, job.take))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -268,6 +269,21 @@ def test_arrays_of_another_length(place: Path) -> None:
     done = run(place, "-t", "a.targets.yaml", "--clip", STRIDE)
     assert done.code == 2
     assert "TGT015 'a.npz#left' has 10 rows, and the take 24 frames" in done.stderr
+
+
+def test_targets_beyond_numbers_are_missed_by_words(place: Path) -> None:
+    text = REACH.replace("[-10, 20, 20]", "[-1.0e+202, 20, 20]")
+    assert text != REACH
+    (place / "far.targets.yaml").write_text(text)
+    done = run(place, "-t", "far.targets.yaml")
+    assert done.code == 0, done.stderr
+    assert "over 1e+150 m" in done.stderr
+    assert not re.search(r"\b(inf|nan)\b", done.stdout + done.stderr)
+
+
+def test_joints_that_the_rig_lacks_are_a_fault_of_its_file(place: Path) -> None:
+    done = run(place, "-t", "reach.targets.yaml", "--joints", "elbow_q")
+    assert f"{BIPED}: IK001 no joint of 'biped' is 'elbow_q'" in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -178,7 +178,7 @@ def test_a_rig_without_chains_is_refused(place: Path) -> None:
     walk = "samples/walk/walk.bvh"
     done = run(place, clip=walk, rig=walk)
     assert done.code == 2
-    assert "TGT019 rig 'walk' has no chains to match" in done.stderr
+    assert f"{walk}: TGT019 rig 'walk' has no chains to match" in done.stderr
 
 
 def test_strict_refuses_joints_that_the_take_lacks(place: Path) -> None:
