@@ -96,33 +96,21 @@ def reduce_motion(
     local = [t for t in tracks if t.kind is not ChannelKind.WEIGHT]
 
     world = _World(rig, motion, None if base is None else base.motion, shell, bounds)
-    moving = [t for t in local if len(t.samples) > 1]
-    budgets = [Budget.of(t, world.first_tolerance(t)) for t in moving]
+    budgets = [Budget.of(t, world.first_tolerance(t)) for t in local if t.moves]
     reached = _search(world, budgets)
+    shapes = [Budget.of(track, weight_tolerance) for track in weights if track.moves]
 
-    found = {
-        (t.kind, t.index): keys for t, keys in zip(moving, reached.keys, strict=True)
-    }
-    channels, weight_error = [], 0.0
-    for track in local + weights:
-        keys = found.get((track.kind, track.index))
-        if keys is None:
-            keys = fit_keys(track.samples, weight_tolerance)
-            if len(track.samples) > 1:
-                fitted = Budget.of(track, weight_tolerance)
-                weight_error = max(weight_error, float(fitted.errors.max()))
-        channels.append(_channel(rig, track, keys))
     frame, joint = divmod(int(np.argmax(reached.errors)), len(rig.joints))
     return Reduction(
         clock=take.clock,
         rest=rest,
-        channels=tuple(channels),
-        samples=motion.frames * sum(len(t.samples) > 1 for t in tracks),
+        channels=_channels(rig, local + weights, [*budgets, *shapes]),
+        samples=motion.frames * sum(track.moves for track in tracks),
         error=float(reached.errors[frame, joint]),
         joint=rig.joints[joint].name,
         frame=frame,
         held=reached.ratio <= 1,
-        weight_error=weight_error,
+        weight_error=max((float(shape.errors.max()) for shape in shapes), default=0.0),
         rounds=reached.rounds,
     )
 
@@ -229,6 +217,23 @@ def _tighten(
             budget.tighten(at, budget.errors[at] * 0.9 / worst, spread=spread)
             changed.append(budget)
     return changed
+
+
+def _channels(
+    rig: Rig, tracks: list[Track], budgets: list[Budget]
+) -> tuple[ReducedChannel, ...]:
+    """Return a channel a track: one key where it does not move."""
+    found = {(b.track.kind, b.track.index): b.keys for b in budgets}
+    return tuple(
+        _channel(
+            rig,
+            track,
+            found[track.kind, track.index]
+            if track.moves
+            else fit_keys(track.samples, 1.0),
+        )
+        for track in tracks
+    )
 
 
 def _channel(rig: Rig, track: Track, keys: FittedKeys) -> ReducedChannel:

@@ -35,6 +35,11 @@ class Track:
     order: str | None
     samples: FloatArray
 
+    @property
+    def moves(self) -> bool:
+        """Whether it has a sample a frame."""
+        return len(self.samples) > 1
+
 
 def euler_order(joint: Joint, rotations: FloatArray) -> str:
     """Return the order in which a joint's rotations ``(F, 4)`` are best keyed.

@@ -87,14 +87,19 @@ def edited(text: str, path: Path, edits: Iterable[Edit]) -> str:
     wanted = copy.deepcopy(document_of(text, path).value)
     for edit in edits:
         _apply(wanted, edit)
-    try:
-        # What is read decides, whatever the layout was.
-        if document_of(after, path).value == wanted:
-            return after
-    except FormatError:
-        pass
+    # What is read decides, whatever the layout was.
+    if _reads_as(after, path, wanted):
+        return after
     places = ", ".join(spelled(edit.location) for edit in edits)
     raise EditError(f"the layout around {places} cannot be kept")
+
+
+def _reads_as(text: str, path: Path, wanted: Any) -> bool:
+    """Return whether a text holds some values; one that is malformed holds none."""
+    try:
+        return bool(document_of(text, path).value == wanted)
+    except FormatError:
+        return False
 
 
 def _apply(value: Any, edit: Edit) -> None:

@@ -10,8 +10,9 @@ from typing import Any
 from pydantic import BaseModel
 
 from animtool.documents.check import nearest
-from animtool.documents.document import Document, Location, plain_scalar
+from animtool.documents.document import Document, Location
 from animtool.documents.mend import annotation_at, replaced, stand_in
+from animtool.documents.yaml_values import plain_scalar
 from animtool.errors import Fault, OptionError
 
 __all__ = [

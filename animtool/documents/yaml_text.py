@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from animtool.documents.document import plain_scalar
+from animtool.documents.yaml_values import plain_scalar
 
 __all__ = ["comments_in", "json_text", "yaml_text"]
 

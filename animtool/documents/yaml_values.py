@@ -1,0 +1,291 @@
+"""YAML or JSON as plain values, with the line and column of each.
+
+YAML is read by the core schema of version 1.2: ``1e-3`` is a number, ``no``, ``12:30``
+and dates are text, ``010`` is ten. Anchors, aliases, tags and keys that stand twice
+are refused. JSON is nearly a part of YAML and is read the same way.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple, NoReturn, cast
+
+import yaml
+
+from animtool.errors import Fault, FormatError, excerpt
+
+__all__ = ["ReadValues", "plain_scalar", "read_values"]
+
+# A person nests five or six.
+DEEPEST = 50
+# Python refuses to read more digits, and no float has as many.
+MOST_DIGITS = 400
+LONGEST_HINT = 200
+
+# Groups say what kind of number it is: no group, a whole one.
+_NUMBER = re.compile(
+    r"[-+]?(?:[0-9]+(\.[0-9]*)?|(\.[0-9]+))([eE][-+]?[0-9]+)?"
+    r"|0o(?P<octal>[0-7]+)|0x(?P<hexadecimal>[0-9a-fA-F]+)"
+)
+_BASES = {"octal": 8, "hexadecimal": 16}
+_NUMERIC = frozenset("+-.0123456789")
+_NAMED = {
+    **dict.fromkeys(("", "~", "null", "Null", "NULL")),
+    **dict.fromkeys(("true", "True", "TRUE"), True),
+    **dict.fromkeys(("false", "False", "FALSE"), False),
+    **dict.fromkeys((".inf", ".Inf", ".INF", "+.inf", "+.Inf", "+.INF"), float("inf")),
+    **dict.fromkeys(("-.inf", "-.Inf", "-.INF"), float("-inf")),
+    **dict.fromkeys((".nan", ".NaN", ".NAN"), float("nan")),
+}
+# A surrogate pair, or any other escape, so that "\\\\ud83d" stays a backslash.
+_PAIRS = re.compile(
+    r"\\(?:u([dD][89abAB][0-9a-fA-F]{2})\\u([dD][c-fC-F][0-9a-fA-F]{2})|.)", re.DOTALL
+)
+
+
+class ReadValues(NamedTuple):
+    """What a text holds.
+
+    Attributes:
+        value: Plain values: mappings, lists, texts, numbers.
+        places: Line and column of every node, in the order of the text.
+        plain: Of scalars without quotes, what is written, by number of the node.
+    """
+
+    value: Any
+    places: list[tuple[int, int]]
+    plain: dict[int, str]
+
+
+def read_values(text: str, path: Path) -> ReadValues:
+    """Return what a text holds.
+
+    Args:
+        text: YAML, or JSON where the path says so.
+        path: Where it is from, for messages.
+
+    Raises:
+        FormatError: It is no YAML, or holds an anchor, alias or tag, or a key that
+            stands twice; with every such fault.
+    """
+    if path.suffix == ".json":
+        text = _PAIRS.sub(_joined, text)
+        # Ends of lines in YAML, but letters like others in JSON's strings.
+        for letter in "\x85\u2028\u2029":
+            text = text.replace(letter, f"\\u{ord(letter):04x}")
+    reader = _Reader(path)
+    value = None
+    try:
+        value = reader.read(text)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        spot = (mark.line + 1, mark.column + 1) if mark else (1, 1)
+        problem = " ".join(filter(None, (error.context, error.problem)))
+        hint = "tabs may not indent" if "cannot start any token" in problem else None
+        if _is_variable(text, mark):
+            hint = 'between brackets, a text with ${…} stands in quotes: "${…}"'
+        reader.fault("DOC001", f"is no YAML: {problem}", spot, hint)
+    except yaml.YAMLError as error:
+        reader.fault("DOC001", f"is no YAML: {error}".split("\n", 1)[0], (1, 1))
+    if reader.faults:
+        raise FormatError(reader.faults)
+    return ReadValues(value, reader.places, reader.plain)
+
+
+def _is_variable(text: str, mark: Any) -> bool:
+    """Return whether the bracket of a ``${name}`` is where the reader stopped."""
+    if mark is None:
+        return False
+    line = text.splitlines()[mark.line : mark.line + 1]
+    return bool(line) and line[0][max(0, mark.column - 1) :].startswith("${")
+
+
+def _joined(escape: re.Match[str]) -> str:
+    """Return an escape of JSON as YAML spells it: one number for a surrogate pair."""
+    high, low = escape.groups()
+    if high is None:
+        return escape[0]
+    return (
+        f"\\U{0x10000 + ((int(high, 16) - 0xD800) << 10) + int(low, 16) - 0xDC00:08X}"
+    )
+
+
+def plain_scalar(text: str) -> Any:
+    """Return what a scalar without quotes means, by the core schema of YAML 1.2.
+
+    Raises:
+        OverflowError: It is a number of more digits than Python reads.
+
+    >>> plain_scalar("1e-3"), plain_scalar("no"), plain_scalar("~")
+    (0.001, 'no', None)
+    """
+    if text in _NAMED:
+        return _NAMED[text]
+    if text[0] not in _NUMERIC or not (found := _NUMBER.fullmatch(text)):
+        return text
+    if len(text) > MOST_DIGITS:
+        raise OverflowError
+    kind = found.lastgroup
+    if kind is not None:
+        return int(found[kind], _BASES[kind])
+    return int(text) if found.lastindex is None else float(text)
+
+
+class _Reader:
+    """Builds values from parser events, with a stack of its own.
+
+    Events, not nodes: depth and aliases are met before anything is built of them.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.places: list[tuple[int, int]] = []
+        self.plain: dict[int, str] = {}
+        self.faults: list[Fault] = []
+
+    def fault(
+        self, code: str, message: str, place: tuple[int, int], hint: str | None = None
+    ) -> None:
+        line, column = place
+        self.faults.append(
+            Fault(code, message, str(self.path), (line,), hint, column=column)
+        )
+
+    def read(self, text: str) -> Any:
+        parser = cast("Any", yaml.CSafeLoader(text))
+        root: list[Any] = []
+        stack: list[_Open] = [_Open(root)]
+        documents = 0
+        while (event := parser.get_event()) is not None:
+            kind = type(event)
+            if kind is yaml.ScalarEvent:
+                place = self._place(event)
+                plain = event.value if event.implicit[0] else ""
+                if plain:
+                    self.plain[len(self.places) - 1] = plain
+                stack[-1].put(self._scalar(event, place), place, self, plain)
+            elif kind is yaml.MappingStartEvent or kind is yaml.SequenceStartEvent:
+                place = self._place(event)
+                made: Any = {} if kind is yaml.MappingStartEvent else []
+                if len(stack) > DEEPEST:
+                    self._stop("DOC005", f"is nested deeper than {DEEPEST}", place)
+                stack[-1].put(made, place, self)
+                stack.append(_Open(made, flow=bool(event.flow_style)))
+            elif kind is yaml.MappingEndEvent or kind is yaml.SequenceEndEvent:
+                stack.pop()
+            elif kind is yaml.AliasEvent:
+                place = self._spot(event)
+                self.places.append(place)
+                message = f"alias *{event.anchor} is not allowed"
+                self.fault("DOC002", message, place, "write the value out")
+                stack[-1].put(None, place, self)
+            elif kind is yaml.DocumentStartEvent:
+                documents += 1
+                if documents > 1:
+                    place = self._spot(event)
+                    self._stop("DOC007", "holds more than one document", place)
+        return root[0] if root else None
+
+    def _stop(self, code: str, message: str, place: tuple[int, int]) -> NoReturn:
+        self.fault(code, message, place)
+        raise FormatError(self.faults)
+
+    @staticmethod
+    def _spot(event: Any) -> tuple[int, int]:
+        mark = event.start_mark
+        return mark.line + 1, mark.column + 1
+
+    def _place(self, event: Any) -> tuple[int, int]:
+        place = self._spot(event)
+        self.places.append(place)
+        if event.anchor is not None:
+            message = f"anchor &{event.anchor} is not allowed"
+            self.fault("DOC002", message, place, "write the value out")
+        if event.tag is not None:
+            message = f"tag {event.tag} is not allowed"
+            self.fault("DOC003", message, place, "leave it out")
+        return place
+
+    def _scalar(self, event: Any, place: tuple[int, int]) -> Any:
+        text: str = event.value
+        if not event.implicit[0]:
+            return text
+        try:
+            return plain_scalar(text)
+        except OverflowError:
+            self.fault("DOC001", f"a number of {len(text)} characters", place)
+            return 0
+
+
+@dataclass(slots=True)
+class _Open:
+    """A mapping or list that is not at its end yet.
+
+    Attributes:
+        made: What there is of it.
+        key: Of a mapping, the one whose value comes next.
+        keys: Line of each key.
+        flow: Whether it stands between brackets.
+        pieces: What commas may have cut a text into: a value with an open bracket, and
+            the keys behind it.
+        brackets: How many are open in the pieces.
+        spot: Where the first of them is.
+        faults: How many there were before.
+    """
+
+    made: Any
+    key: str | None = None
+    keys: dict[str, int] = field(default_factory=dict)
+    flow: bool = False
+    pieces: list[str] = field(default_factory=list)
+    brackets: int = 0
+    spot: tuple[int, int] = (1, 1)
+    faults: int = 0
+
+    def put(
+        self, value: Any, place: tuple[int, int], reader: _Reader, plain: str = ""
+    ) -> None:
+        if isinstance(self.made, list):
+            self.made.append(value)
+            return
+        if self.key is not None:
+            self.made[self.key] = value
+            self.key = None
+            if self.flow and (self.pieces or "(" in plain):
+                self._piece(value, place, reader, plain)
+            return
+        if not isinstance(value, str):
+            shown = "a collection" if isinstance(value, dict | list) else repr(value)
+            reader.fault("DOC010", f"a key is {shown}, not text", place, "quote it")
+            value = f"\0{place}"
+        elif value in self.keys:
+            message = f"key {excerpt(value)} stands twice"
+            hint = f"first in line {self.keys[value]}"
+            reader.fault("DOC004", message, place, hint)
+        self.keys.setdefault(value, place[0])
+        self.key = value
+        if self.pieces:
+            self.pieces.append(plain)
+            self.brackets += _open_brackets(plain)
+
+    def _piece(
+        self, value: Any, place: tuple[int, int], reader: _Reader, plain: str
+    ) -> None:
+        """Put a text together that commas cut into a value and keys without any."""
+        if value is not None or plain or not self.pieces:
+            self.brackets = _open_brackets(plain)
+            self.pieces = [plain] if self.brackets > 0 else []
+            self.spot, self.faults = place, len(reader.faults)
+        elif self.brackets <= 0:
+            # What is wrong with the keys is that they are none.
+            del reader.faults[self.faults :]
+            message = f"{excerpt(self.pieces[0])} ends at a comma"
+            hint = f'quote all of it: "{", ".join(self.pieces)}"'
+            reader.fault("DOC010", message, self.spot, hint[:LONGEST_HINT])
+            self.pieces = []
+
+
+def _open_brackets(text: str) -> int:
+    return text.count("(") - text.count(")")
