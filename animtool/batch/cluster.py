@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import pickle
 import re
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from typing import Any
 from uuid import uuid4
 
@@ -23,6 +26,11 @@ __all__ = ["dask"]
 
 # A scheduler that has not answered by then is not there [s].
 PATIENCE = 10.0
+# How often the workers that there are are counted where nothing ends [s].
+GLANCE = 1.0
+# A nanny starts a lost worker anew within seconds, and clusters that grow by demand
+# start machines within minutes; what takes longer may never come [s].
+WORKERLESS = 300.0
 ADDRESS = re.compile(r"([a-z]+://.+)|(.+:[0-9]+)")
 
 
@@ -37,7 +45,8 @@ def dask(work: Work) -> Iterator[Outcome]:
     Raises:
         OptionError: The argument is no address (BAT031), or distributed is missing
             (BAT034).
-        OutputError: No scheduler answers, or its workers cannot be prepared (BAT035).
+        OutputError: No scheduler answers, its workers cannot be prepared, or none of
+            them is left (BAT035).
     """
     about = work.argument
     file = about.endswith(".json")
@@ -99,40 +108,98 @@ def _prepare(client: Any, about: str, name: str, task: Task) -> None:
 
 def _unreachable(about: str, error: Exception) -> OutputError:
     kind = type(error).__name__
-    message = (
-        f"no dask cluster at {about} can be used: {kind}: {excerpt(str(error), 200)}"
-    )
     hint = "its workers need the same animtool, and its scheduler the same distributed"
+    return _unusable(about, f"{kind}: {excerpt(str(error), 200)}", hint)
+
+
+def _unusable(about: str, why: str, hint: str) -> OutputError:
+    message = f"no dask cluster at {about} can be used: {why}"
     return OutputError(Fault("BAT035", message, hint=hint))
 
 
 def _made(client: Any, name: str, work: Work) -> Iterator[Outcome]:
-    """Begin an item whenever a thread is free; yield what became of those that end."""
-    from distributed import as_completed
+    """Begin an item whenever a thread is free; yield what became of those that end.
 
+    What was at a worker that is lost is begun again by the scheduler. No wait is longer
+    than `GLANCE`: between two, the workers are counted.
+    """
+    make, watch = _sent(name), _Watch(client, work.argument)
     going: dict[Any, Item] = {}
-    ended = as_completed([], loop=client.loop)
+    ended: SimpleQueue[Any] = SimpleQueue()
     while True:
-        places = work.asked or max(1, sum(client.nthreads().values()))
+        places = work.asked or max(1, watch.threads())
         while len(going) < places:
             item = next(work.items, None)
             if item is None:
                 break
-            future = client.submit(_make, name, item, pure=False)
+            future = client.submit(make, pickle.dumps(item), pure=False)
             going[future] = item
-            ended.add(future)
+            future.add_done_callback(ended.put)
         if not going:
             return
-        future = next(ended)
-        yield _outcome(future, going.pop(future))
+        try:
+            future = ended.get(timeout=GLANCE)
+        except Empty:
+            watch.threads()
+        else:
+            yield _outcome(future, going.pop(future))
 
 
-def _make(name: str, item: Item) -> Outcome:
-    """Make an item, on a worker."""
-    from distributed import get_worker
+@dataclass(slots=True)
+class _Watch:
+    """Whether there is still somebody who makes items.
 
-    lanes: _Lanes = get_worker().plugins[name]
-    return lanes.make(item)
+    Attributes:
+        client: The way to the cluster.
+        about: What the user called it.
+    """
+
+    client: Any
+    about: str
+    _seen: float = field(default_factory=time.monotonic)
+
+    def threads(self) -> int:
+        """Return how many threads the workers of now have.
+
+        Raises:
+            OutputError: There have been none for `WORKERLESS`, or the scheduler is gone
+                (BAT035).
+        """
+        hint = "what was made is recorded; the same command goes on with the rest"
+        if self.client.status in {"closing", "closed"}:
+            raise _unusable(self.about, "its scheduler is gone", hint)
+        try:
+            found = sum(self.client.nthreads().values())
+        except (OSError, RuntimeError):
+            # The client looks for its scheduler again, and closes where it is gone.
+            found = 0
+        now = time.monotonic()
+        if found:
+            self._seen = now
+        elif now - self._seen > WORKERLESS:
+            why = f"it has had no worker for {WORKERLESS:g} s"
+            raise _unusable(self.about, why, hint)
+        return found
+
+
+def _sent(name: str) -> Callable[[bytes], Outcome]:
+    """Return what makes an item, on a worker, by the lanes that are there.
+
+    A worker drops out of its cluster where it cannot import what a message to it names.
+    So this is sent by its code, and items as bytes: one that cannot import animtool
+    fails what it is given, and says why.
+    """
+
+    def make(pickled: bytes) -> Outcome:
+        import pickle
+
+        from distributed import get_worker
+
+        item = pickle.loads(pickled)
+        lanes: _Lanes = get_worker().plugins[name]
+        return lanes.make(item)
+
+    return make
 
 
 def _outcome(future: Any, item: Item) -> Outcome:
@@ -142,7 +209,7 @@ def _outcome(future: Any, item: Item) -> Outcome:
         why = f"{type(error).__name__}: {excerpt(str(error), 200)}"
     else:
         return outcome
-    message = f"the worker that made it was lost: {why}"
+    message = f"no worker of the cluster made it: {why}"
     return _failed(item, Fault("BAT020", message, str(item.found.path)))
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import os
+import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -10,9 +13,9 @@ from pathlib import Path
 import pytest
 from support.batch import take_files, trouble_files, trouble_plug_in
 from support.cli import animtool
-from support.cluster import local_cluster
+from support.cluster import local_cluster, small_cluster
 
-from animtool.batch.cluster import dask
+from animtool.batch.cluster import _sent, dask
 from animtool.batch.discover import find_batch
 from animtool.batch.executors import Work
 from animtool.batch.lane import Lane, Task
@@ -55,6 +58,60 @@ def test_a_crash_or_a_hang_costs_one_item(cluster: str, tmp_path: Path) -> None:
     codes = [o.faults[0].code for o in outcomes if o.status is Status.FAILED]
     assert codes == ["BAT020", "BAT021"]
     assert [o.status for o in outcomes[2:]] == [Status.DONE, Status.DONE]
+
+
+def test_a_worker_that_ends_is_replaced(cluster: str, tmp_path: Path) -> None:
+    """What it was at is begun again by another."""
+    from distributed import Client
+
+    take_files(tmp_path / "takes", 6)
+    flag = str(tmp_path / "ended")
+
+    # It is within the test because workers need not find the module of the test.
+    def ends() -> None:
+        if not os.path.exists(flag):  # noqa: PTH110
+            open(flag, "x").close()  # noqa: PTH123, SIM115
+            os._exit(1)
+
+    outcomes = dask(work(tmp_path, cluster))
+    found = [next(outcomes)]
+    with Client(cluster, set_as_default=False) as client:
+        ended = client.submit(ends, pure=False)
+        found += list(outcomes)
+        ended.result()
+    assert sorted(o.number for o in found) == [1, 2, 3, 4, 5, 6]
+    assert {o.status for o in found} == {Status.DONE}
+
+
+@pytest.mark.parametrize("whole", [False, True], ids=["workers", "scheduler"])
+def test_a_cluster_that_is_lost_ends_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: bool
+) -> None:
+    monkeypatch.setattr("animtool.batch.cluster.WORKERLESS", 0.2)
+    monkeypatch.setattr("animtool.batch.cluster.PATIENCE", 0.5)
+    take_files(tmp_path / "takes", 6)
+    with small_cluster() as lost:
+        outcomes = dask(work(tmp_path, lost.scheduler_address))
+        next(outcomes)
+        if whole:
+            lost.close()
+        else:
+            lost.scale(0)
+        with pytest.raises(OutputError) as error:
+            list(outcomes)
+    assert error.value.code == "BAT035"
+    assert "goes on with the rest" in str(error.value.faults[0].hint)
+
+
+def test_a_worker_without_animtool_can_be_told_of_items() -> None:
+    """It would drop out of its cluster by a message that it cannot read."""
+    pickle = pytest.importorskip("cloudpickle")
+    read = "import pickle, sys; sys.modules['animtool'] = None; "
+    read += "print(pickle.load(sys.stdin.buffer).__name__)"
+    sent = pickle.dumps(_sent("name"))
+    command = [sys.executable, "-c", read]
+    done = subprocess.run(command, input=sent, capture_output=True, check=True)
+    assert done.stdout.strip() == b"make"
 
 
 def test_other_versions_are_named(

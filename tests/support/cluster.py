@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
+from typing import Any
 
 import pytest
 
@@ -11,10 +12,16 @@ import pytest
 @contextmanager
 def local_cluster() -> Iterator[str]:
     """Give the address of a cluster of two workers; skip where dask is missing."""
+    with small_cluster() as cluster:
+        yield str(cluster.scheduler_address)
+
+
+def small_cluster() -> AbstractContextManager[Any]:
+    """Return a cluster of two workers; skip where dask is missing."""
     pytest.importorskip("distributed", reason="distributed is not installed (farm)")
     from distributed import LocalCluster
 
-    with LocalCluster(
+    cluster: AbstractContextManager[Any] = LocalCluster(
         n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=50
-    ) as cluster:
-        yield str(cluster.scheduler_address)
+    )
+    return cluster
