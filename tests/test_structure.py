@@ -170,6 +170,14 @@ def test_a_bake_loads_no_more_usd_than_it_needs(walk: Path, tmp_path: Path) -> N
     assert not loaded(code) & heavy
 
 
+def test_a_batch_is_planned_without_what_makes_it(walk: Path, tmp_path: Path) -> None:
+    code = (
+        "from animtool.cli.main import run\n"
+        f"run(['batch', {str(walk)!r}, '-n', '-o', {str(tmp_path / 'o.usdc')!r}])"
+    )
+    assert not loaded(code) & {"pxr", "numpy", "scipy", "rich", "pydantic"}
+
+
 def test_every_public_name_exists() -> None:
     for name in animtool.__all__:
         assert getattr(animtool, name) is not None

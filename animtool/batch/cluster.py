@@ -169,7 +169,7 @@ class _Watch:
         if self.client.status in {"closing", "closed"}:
             raise _unusable(self.about, "its scheduler is gone", hint)
         try:
-            found = sum(self.client.nthreads().values())
+            found = int(sum(self.client.nthreads().values()))
         except (OSError, RuntimeError):
             # The client looks for its scheduler again, and closes where it is gone.
             found = 0

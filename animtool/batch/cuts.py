@@ -9,7 +9,6 @@ from math import ceil, floor
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
-from urllib.request import url2pathname
 
 from animtool.errors import Fault, FormatError, OptionError, Severity, excerpt
 from animtool.files import FoundFile
@@ -272,6 +271,9 @@ def _path(url: str, folder: Path) -> Path:
     """Return the file of a URL, or of a path seen from a folder."""
     parts = urlsplit(url)
     if parts.scheme == "file":
+        # It imports much, and most timelines are not asked for.
+        from urllib.request import url2pathname
+
         return Path(url2pathname(parts.path))
     if len(parts.scheme) > 1:
         return Path(url)

@@ -13,7 +13,7 @@ from animtool.batch.limits import Limits
 from animtool.batch.names import INPUT_NAMES, input_names, output_root, unknown_names
 from animtool.batch.recipe import Item, Recipe
 from animtool.batch.spec import BatchSpec
-from animtool.documents.variables import check_given
+from animtool.documents.names import check_given
 from animtool.errors import Fault, NothingFoundError, OptionError, listed
 from animtool.files import FoundFile, Places, files_meant
 from animtool.readers import BVH, DOCUMENT, READERS

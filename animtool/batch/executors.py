@@ -11,7 +11,7 @@ from animtool.batch.outcome import Outcome
 from animtool.batch.pool import run_processes
 from animtool.batch.recipe import Item
 from animtool.batch.work import Maker
-from animtool.documents.check import nearest
+from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError, excerpt
 from animtool.plugins import load_object, load_plugin, plugin_points
 

@@ -12,30 +12,19 @@ from animtool.batch.names import unknown_names
 from animtool.batch.schema import BatchModel, OptionsModel
 from animtool.batch.spec import BatchSpec
 from animtool.config import project_roots
-from animtool.documents.arrays import referred
 from animtool.documents.check import check_version, validated
 from animtool.documents.document import Document, Location, read_document
-from animtool.documents.variables import is_variable_name
-from animtool.edit.resample import FrameRange
+from animtool.documents.names import is_variable_name
+from animtool.documents.references import referred
+from animtool.edit.frame_range import FrameRange
 from animtool.rates import parse_rate
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import SourceOptions
 from animtool.units import LengthUnit, UpAxis, parse_length
 
-__all__ = ["BATCH_SUFFIXES", "batch_of_document", "is_batch", "load_batch"]
-
-BATCH_SUFFIXES = (".batch.yaml", ".batch.yml", ".batch.json")
+__all__ = ["batch_of_document", "load_batch"]
 
 Made = TypeVar("Made")
-
-
-def is_batch(path: Path) -> bool:
-    """Return whether a path is that of a batch file.
-
-    >>> is_batch(Path("nightly.batch.yaml")), is_batch(Path("takes"))
-    (True, False)
-    """
-    return path.name.lower().endswith(BATCH_SUFFIXES)
 
 
 def load_batch(path: Path | str) -> BatchSpec:

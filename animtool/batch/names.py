@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import PurePath
 from string import Formatter
 
-from animtool.documents.check import nearest
+from animtool.documents.names import nearest
 from animtool.files import FoundFile
 from animtool.scene.sources import source_stem
 

@@ -102,7 +102,7 @@ class Recipe:
             item: What is made.
             source: What it, or one like it, is baked from.
         """
-        from animtool.scene.plan import bake_outputs
+        from animtool.scene.files import bake_outputs
 
         return bake_outputs([source], item.output, self._options(item.found.path))
 

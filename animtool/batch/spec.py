@@ -9,7 +9,9 @@ from pathlib import Path
 from animtool.batch.limits import Limits
 from animtool.scene.options import BakeOptions
 
-__all__ = ["BatchSpec"]
+__all__ = ["BatchSpec", "is_batch"]
+
+BATCH_SUFFIXES = (".batch.yaml", ".batch.yml", ".batch.json")
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,3 +47,12 @@ class BatchSpec:
     path: Path | None = None
     cuts: Path | None = None
     handles: int = 0
+
+
+def is_batch(path: Path) -> bool:
+    """Return whether a path is that of a batch file.
+
+    >>> is_batch(Path("nightly.batch.yaml")), is_batch(Path("takes"))
+    (True, False)
+    """
+    return path.name.lower().endswith(BATCH_SUFFIXES)

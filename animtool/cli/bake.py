@@ -363,7 +363,7 @@ def _opened(sources: Sequence[Path], variables: dict[str, str]) -> list[Path | S
         used |= scene.variables
         opened.append(scene)
     if variables:
-        from animtool.documents.variables import check_given
+        from animtool.documents.names import check_given
 
         check_given(variables, used)
     return opened
@@ -408,7 +408,7 @@ def _several(
 def _outputs(
     sources: Sequence[Path | Scene], path: Path, given: dict[str, Any]
 ) -> Sequence[Path]:
-    from animtool.scene.plan import bake_outputs
+    from animtool.scene.files import bake_outputs
 
     return bake_outputs(sources, path, _options(given))
 

@@ -270,13 +270,17 @@ def batch(console: Console, /, inputs: tuple[str, ...], **given: Any) -> None:
 
 def _spec(inputs: tuple[str, ...], given: dict[str, Any]) -> BatchSpec:
     """Return what is asked for: what a batch file says, and what comes before it."""
-    from animtool.batch.file import is_batch, load_batch
-    from animtool.batch.spec import BatchSpec
+    from animtool.batch.spec import BatchSpec, is_batch
 
     jobs = [text for text in inputs if is_batch(Path(text))]
     if jobs and len(inputs) > 1:
         raise click.UsageError(f"{jobs[0]} is a batch file: give it alone.")
-    spec = load_batch(Path(jobs[0])) if jobs else BatchSpec(_listed(inputs))
+    if jobs:
+        from animtool.batch.file import load_batch
+
+        spec = load_batch(Path(jobs[0]))
+    else:
+        spec = BatchSpec(_listed(inputs))
     if given["path_mapping"] is not None:
         from animtool.batch.mapping import mapped_spec, read_rules
 

@@ -80,7 +80,8 @@ def job(console: Console, /, batch_file: Path, **given: Any) -> None:
     )
     from animtool.batch.check import check_places
     from animtool.batch.discover import find_batch
-    from animtool.batch.file import is_batch, load_batch
+    from animtool.batch.file import load_batch
+    from animtool.batch.spec import is_batch
 
     if not is_batch(batch_file):
         raise click.UsageError(f"{batch_file} is no batch file: *.batch.yaml is one.")

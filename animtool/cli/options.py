@@ -80,7 +80,7 @@ def _joint_length(text: str) -> tuple[str, float]:
 
 
 def _variable(text: str) -> tuple[str, str]:
-    from animtool.documents.variables import is_variable_name
+    from animtool.documents.names import is_variable_name
 
     name, equals, value = text.partition("=")
     if not equals or not is_variable_name(name):

@@ -15,9 +15,9 @@ from animtool.clip.schema import ChannelModel, ClipModel
 from animtool.clip.targets import target_kind
 from animtool.clip.units import ClipUnits
 from animtool.config import project_roots
-from animtool.documents.arrays import referred
 from animtool.documents.check import check_version, validated
 from animtool.documents.document import Document, Location, read_document
+from animtool.documents.references import referred
 from animtool.errors import Fault, FormatError, OptionError
 from animtool.rates import parse_rate
 from animtool.rig.skeleton import Rig

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from animtool.documents.check import nearest
+from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError
 from animtool.rig.skeleton import Rig
 from animtool.rig.targets import KEYED_PARTS, nearest_part, split_part

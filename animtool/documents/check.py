@@ -11,7 +11,6 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from animtool.documents.document import Document, Location
 from animtool.documents.mend import (
-    UNKNOWN,
     annotation_at,
     fields_at,
     fields_of,
@@ -19,10 +18,11 @@ from animtool.documents.mend import (
     replaced,
     stand_in,
 )
+from animtool.documents.names import nearest
 from animtool.documents.versions import STEPS, newest, version_of
 from animtool.errors import counted, excerpt
 
-__all__ = ["FileModel", "check_version", "nearest", "validated", "wrong_values"]
+__all__ = ["FileModel", "check_version", "validated", "wrong_values"]
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -34,21 +34,6 @@ class FileModel(BaseModel):
     model_config = ConfigDict(
         extra="forbid", strict=True, allow_inf_nan=False, defer_build=True
     )
-
-
-def nearest(name: str, names: list[str]) -> str:
-    """Return a hint that names the nearest valid name, or the valid ones.
-
-    >>> nearest("ebow", ["elbow", "hand"])
-    "did you mean 'elbow'?"
-    """
-    names = [known for known in dict.fromkeys(names) if known != UNKNOWN]
-    near = get_close_matches(name, names, 1)
-    if near:
-        return f"did you mean {near[0]!r}?"
-    if not names:
-        return "there is none"
-    return f"allowed: {', '.join(names[:12])}" + (" …" if len(names) > 12 else "")
 
 
 def check_version(document: Document, kind: str) -> None:

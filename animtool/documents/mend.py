@@ -9,9 +9,9 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from animtool.documents.document import Location
+from animtool.documents.names import UNKNOWN
 
 __all__ = [
-    "UNKNOWN",
     "annotation_at",
     "annotation_of",
     "fields_at",
@@ -20,9 +20,6 @@ __all__ = [
     "replaced",
     "stand_in",
 ]
-
-# The text that stands in for a name.
-UNKNOWN = "?"
 
 
 def annotation_of(field: FieldInfo) -> Any:

@@ -3,31 +3,27 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from pydantic import BaseModel
 
-from animtool.documents.check import nearest
 from animtool.documents.document import Document, Location
 from animtool.documents.mend import annotation_at, replaced, stand_in
+from animtool.documents.names import VARIABLE_NAME, is_variable_name, nearest
 from animtool.documents.yaml_values import plain_scalar
-from animtool.errors import Fault, OptionError
 
 __all__ = [
     "Variables",
-    "check_given",
-    "is_variable_name",
     "resolve_variables",
     "with_variables",
 ]
 
 # Where a document gives variables their usual values.
 DEFAULTS = "variables"
-_NAME = r"[A-Za-z_][A-Za-z0-9_]*"
 # Two dollars stand for one, and what follows is text.
-_USE = re.compile(rf"\$(?P<kept>\$)?\{{(?:(?P<name>{_NAME})\}})?")
+_USE = re.compile(rf"\$(?P<kept>\$)?\{{(?:(?P<name>{VARIABLE_NAME})\}})?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,15 +37,6 @@ class Variables:
 
     names: frozenset[str] = frozenset()
     idle: frozenset[str] = frozenset()
-
-
-def is_variable_name(text: str) -> bool:
-    """Return whether a variable may have a name.
-
-    >>> is_variable_name("shot_2"), is_variable_name("2nd shot")
-    (True, False)
-    """
-    return re.fullmatch(_NAME, text) is not None
 
 
 def resolve_variables(
@@ -76,26 +63,8 @@ def resolve_variables(
     return Variables(stated | resolver.used, stated - resolver.used)
 
 
-def check_given(given: Iterable[str], used: Iterable[str]) -> None:
-    """Refuse variables that are given and that nothing uses.
-
-    Raises:
-        OptionError: With a fault for each (SCN031).
-
-    >>> check_given(["shot"], ["shot", "rate"])
-    """
-    names = sorted(used)
-    faults = [
-        Fault("SCN031", f"no scene uses a variable {name!r}", hint=nearest(name, names))
-        for name in given
-        if name not in names
-    ]
-    if faults:
-        raise OptionError(faults)
-
-
 # As JSON Schema says it: a text that becomes a value of another type.
-_TEXT = {"type": "string", "pattern": rf"\$\{{{_NAME}\}}"}
+_TEXT = {"type": "string", "pattern": rf"\$\{{{VARIABLE_NAME}\}}"}
 # What says of a value what it is, and not what it is for.
 _FACTS = frozenset(
     {"type", "enum", "minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum"}

@@ -9,6 +9,7 @@ from fractions import Fraction
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
+from animtool.edit.frame_range import FrameRange
 from animtool.edit.frames import check_count
 from animtool.edit.places import Places, even_places
 from animtool.errors import Fault, OptionError
@@ -25,7 +26,6 @@ from animtool.take import MOST_FRAMES, Clock, Motion, Take, time_codes
 
 __all__ = [
     "PASS",
-    "FrameRange",
     "ResampleOptions",
     "SampleTimes",
     "plan_samples",
@@ -34,15 +34,6 @@ __all__ = [
 ]
 
 BLOCK_FRAMES = 512
-
-
-@dataclass(frozen=True, slots=True)
-class FrameRange:
-    """Frames ``first`` to ``last``, both included, every ``step``-th [time codes]."""
-
-    first: int
-    last: int
-    step: int = 1
 
 
 @dataclass(frozen=True, slots=True)

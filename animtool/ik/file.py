@@ -15,8 +15,9 @@ from animtool.clip.schema import CurveModel
 from animtool.clip.units import ClipUnits
 from animtool.config import project_roots
 from animtool.documents.arrays import Archives
-from animtool.documents.check import check_version, nearest, validated
+from animtool.documents.check import check_version, validated
 from animtool.documents.document import Document, Location, read_document
+from animtool.documents.names import nearest
 from animtool.ik.goals import Goal
 from animtool.ik.schema import GoalModel, TargetsModel, WeightsModel
 from animtool.ik.tracks import PARTS, GoalTrack, TargetTracks

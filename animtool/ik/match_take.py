@@ -18,7 +18,7 @@ from animtool.clip.points import SHELL
 from animtool.clip.reduced_clip import fitted_channel
 from animtool.clip.tracks import euler_order
 from animtool.clip.units import ClipUnits
-from animtool.documents.check import nearest
+from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError, Severity, listed
 from animtool.ik.matching import Matched, match
 from animtool.ik.scales import refuse_scales

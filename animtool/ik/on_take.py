@@ -11,7 +11,7 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from animtool._types import IntArray
-from animtool.documents.check import nearest
+from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError
 from animtool.ik.carried import parts_of
 from animtool.ik.free import FreeEffector

@@ -14,8 +14,9 @@ from animtool._types import FloatArray
 from animtool.clip.channel_entries import ChannelReader, file_quaternions
 from animtool.clip.schema import CurveModel
 from animtool.clip.units import ClipUnits
-from animtool.documents.arrays import Archives, referred, split_reference
+from animtool.documents.arrays import Archives
 from animtool.documents.document import Document, Location
+from animtool.documents.references import referred, split_reference
 from animtool.errors import AnimtoolError, counted
 from animtool.ik.schema import ValueModel
 from animtool.ik.values import (

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from animtool.documents.arrays import Archives, referred, split_reference
+from animtool.documents.arrays import Archives
 from animtool.documents.document import Document, Location
+from animtool.documents.references import referred, split_reference
 from animtool.rig.parts import ArrayRef
 
 __all__ = ["ArrayReader"]

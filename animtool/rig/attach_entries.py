@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 
-from animtool.documents.check import nearest
 from animtool.documents.document import Document, Location
+from animtool.documents.names import nearest
 from animtool.rig.array_entries import ArrayReader
 from animtool.rig.parts import AttachKind, Attachment
 from animtool.rig.schema import AttachModel

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from animtool.documents.check import nearest
 from animtool.documents.document import Document
+from animtool.documents.names import nearest
 from animtool.rig.joint_entries import FileJoints, FileUnits, quaternion
 from animtool.rig.mirror import ORIGIN, Transform, mirrored_pose, placed
 from animtool.rig.schema import PoseModel

@@ -7,9 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from animtool.config import project_roots
-from animtool.documents.arrays import Archives, referred
-from animtool.documents.check import check_version, nearest, validated
+from animtool.documents.arrays import Archives
+from animtool.documents.check import check_version, validated
 from animtool.documents.document import Document, read_document
+from animtool.documents.names import nearest
+from animtool.documents.references import referred
 from animtool.errors import AnimtoolError
 from animtool.readers import DOCUMENT, find_reader
 from animtool.rig.array_entries import ArrayReader

@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
-from animtool.documents.check import nearest
 from animtool.documents.document import Document, Location
+from animtool.documents.names import nearest
 from animtool.maths import so3
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.mirror import ORIGIN, Transform, mirrored_joint, placed

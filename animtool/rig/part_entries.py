@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from animtool.documents.check import nearest
 from animtool.documents.document import Document, Location
+from animtool.documents.names import nearest
 from animtool.rig.array_entries import ArrayReader
 from animtool.rig.attach_entries import AttachmentReader
 from animtool.rig.controls import (

@@ -11,11 +11,12 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from animtool.config import project_roots
-from animtool.documents.arrays import referred
-from animtool.documents.check import check_version, nearest, validated, wrong_values
+from animtool.documents.check import check_version, validated, wrong_values
 from animtool.documents.document import Document, Location, read_document, spelled
+from animtool.documents.names import nearest
+from animtool.documents.references import referred
 from animtool.documents.variables import resolve_variables
-from animtool.edit.resample import FrameRange
+from animtool.edit.frame_range import FrameRange
 from animtool.errors import AnimtoolError, OptionError
 from animtool.passes import Pass, find_pass
 from animtool.rates import parse_rate

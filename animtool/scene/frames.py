@@ -9,7 +9,8 @@ from fractions import Fraction
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray
-from animtool.edit.resample import FrameRange, SampleTimes, plan_samples, sample
+from animtool.edit.frame_range import FrameRange
+from animtool.edit.resample import SampleTimes, plan_samples, sample
 from animtool.errors import Fault, OptionError, Severity
 from animtool.rig.skeleton import Rig
 from animtool.scene.take_plan import TakePlan

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.documents.check import nearest
+from animtool.documents.names import nearest
 from animtool.edit.other_take import other_frames
 from animtool.edit.places import nearby_places
 from animtool.errors import Fault, OptionError, Severity, excerpt, listed

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from fractions import Fraction
 from pathlib import Path
 
-from animtool.edit.resample import FrameRange
+from animtool.edit.frame_range import FrameRange
 from animtool.errors import Fault, OptionError
 from animtool.rates import rate_option
 from animtool.scene.sources import SourceOptions

@@ -12,12 +12,12 @@ from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.output import check_outputs, sparing_inputs, together
 from animtool.scene.bake import run_bake
 from animtool.scene.convert import ConvertReport, convert, convert_outputs
+from animtool.scene.files import output_files
 from animtool.scene.frames import timed_blocks
 from animtool.scene.options import BakeOptions, merged
 from animtool.scene.plan import (
     BakePlan,
     check_output,
-    output_files,
     plan_output,
     start_of,
 )

@@ -13,12 +13,13 @@ from animtool.errors import Fault, OptionError, Severity
 from animtool.output import check_outputs, sparing_inputs
 from animtool.rates import rate_label
 from animtool.reorient import reorient
+from animtool.scene.files import form_of, output_files
 from animtool.scene.options import BakeOptions, check_options
 from animtool.scene.reading import Source, found_sources
 from animtool.scene.sources import Opener, Progress, open_source
 from animtool.scene.take_plan import TakePlan
 from animtool.take import TakeStream
-from animtool.usd.jobs import Form, output_paths
+from animtool.usd.forms import Form
 from animtool.usd.layers import check_prim_path, check_suffix
 
 if TYPE_CHECKING:
@@ -27,10 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BakePlan",
-    "bake_outputs",
     "check_output",
-    "form_of",
-    "output_files",
     "plan_bake",
     "plan_output",
     "start_of",
@@ -203,33 +201,6 @@ def _check_count(count: int, options: BakeOptions) -> None:
         message = "--deform writes the points of one take, and there are several"
     if message:
         raise OptionError(Fault("CLI002", message))
-
-
-def bake_outputs(
-    given: Sequence[Source], output: Path, options: BakeOptions
-) -> list[Path]:
-    """Return the files that a bake writes, ``output`` among them.
-
-    Raises:
-        FormatError: The source is a scene, and malformed.
-    """
-    if len(given) == 1:
-        options, _ = found_sources(given).options(options)
-    return output_files(output, options)
-
-
-def form_of(options: BakeOptions) -> Form:
-    """Return what is written."""
-    return Form(options.form or (Form.LAYER if options.rig_layer else Form.STAGE))
-
-
-def output_files(path: Path, options: BakeOptions) -> list[Path]:
-    """Return the files to write; of a cache in chunks, those that it may replace."""
-    if options.chunk is None:
-        return output_paths(path, form_of(options))
-    from animtool.usd.point_chunks import chunk_files, manifest_path
-
-    return [path, manifest_path(path), *chunk_files(path)]
 
 
 def _character(take: TakePlan, target: RigTarget | None) -> Character:

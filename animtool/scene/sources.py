@@ -6,14 +6,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TypeAlias, cast
+from typing import TYPE_CHECKING, TypeAlias, cast
 
 from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.inputs import note_input
 from animtool.rates import rate_option
 from animtool.readers import READERS, USD, find_reader
-from animtool.take import TakeStream
 from animtool.units import LengthUnit, UpAxis
+
+if TYPE_CHECKING:
+    from animtool.take import TakeStream
 
 __all__ = [
     "Opener",
@@ -30,7 +32,7 @@ __all__ = [
 # Called with the share done, 0 to 1.
 Progress: TypeAlias = Callable[[float], None] | None
 # From a file, what it is, and by keyword whom to tell of the progress, to its motion.
-Opener: TypeAlias = Callable[..., TakeStream]
+Opener: TypeAlias = Callable[..., "TakeStream"]
 
 SCENE_SUFFIXES = (".scene.yaml", ".scene.yml", ".scene.json")
 # As the command line calls an option, and why a file may not take it.
@@ -162,7 +164,7 @@ def open_source(
         raise OptionError([_refusal(name, path) for name in refused])
     if "progress" in reader.options:
         given["progress"] = progress
-    return cast(TakeStream, reader.source_opener(path)(path, **given))
+    return cast("TakeStream", reader.source_opener(path)(path, **given))
 
 
 def _refusal(name: str, path: Path) -> Fault:

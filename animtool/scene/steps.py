@@ -13,13 +13,13 @@ from animtool.passes import TakePart
 from animtool.rates import rate_label
 from animtool.rig.skeleton import Rig
 from animtool.scene.convert import convert_outputs
+from animtool.scene.files import form_of, output_files
 from animtool.scene.options import BakeOptions, merged
-from animtool.scene.plan import form_of, output_files
 from animtool.scene.reading import Source, found_sources
 from animtool.scene.scene import OutputKind, Scene, ScenePass, kind_of
 from animtool.scene.sources import fitting_options, open_source
 from animtool.take import Motion, TakeStream
-from animtool.usd.jobs import Form
+from animtool.usd.forms import Form
 
 __all__ = ["Step", "StepKind", "bake_steps"]
 

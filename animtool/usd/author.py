@@ -14,13 +14,12 @@ from animtool.maths.curves import Curves
 from animtool.rig.surfaces import surfaces_of
 from animtool.usd.animation import AnimationWriter
 from animtool.usd.extents import author_extents
+from animtool.usd.forms import Form, output_paths
 from animtool.usd.jobs import (
-    Form,
     UsdJob,
     UsdResult,
     UsdTake,
     WrittenTake,
-    output_paths,
 )
 from animtool.usd.layers import (
     StageMetadata,

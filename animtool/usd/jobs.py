@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +13,7 @@ from animtool.errors import Fault
 from animtool.maths.curves import Curves
 from animtool.rig.skeleton import Rig
 from animtool.usd.animation import Rounding, WrittenBlock
+from animtool.usd.forms import Form
 from animtool.usd.names import UsdNames
 from animtool.usd.paths import RigPaths
 
@@ -22,25 +22,11 @@ if TYPE_CHECKING:
     from animtool.usd.target import RigTarget
 
 __all__ = [
-    "Form",
     "UsdJob",
     "UsdResult",
     "UsdTake",
     "WrittenTake",
-    "output_paths",
 ]
-
-
-class Form(StrEnum):
-    """What to write.
-
-    ``stage`` is one file with skeleton and animation; ``split`` the same in three
-    layers; ``layer`` only the animation, over a rig that lives elsewhere.
-    """
-
-    STAGE = "stage"
-    SPLIT = "split"
-    LAYER = "layer"
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,14 +163,3 @@ class UsdResult:
     def curves(self) -> list[CurveReport]:
         """What became of the curves of controls of all takes."""
         return [curve for take in self.takes for curve in take.curves]
-
-
-def output_paths(output: Path, form: Form) -> list[Path]:
-    """Return the files that a form writes, in the order written, ``output`` last."""
-    if form is not Form.SPLIT:
-        return [output]
-    return [
-        output.with_name(f"{output.stem}.rig.usda"),
-        output.with_name(f"{output.stem}.anim.usdc"),
-        output,
-    ]

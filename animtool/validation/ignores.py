@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
-from animtool.documents.check import nearest
 from animtool.documents.document import Document
+from animtool.documents.names import nearest
 from animtool.errors import Fault, Severity
 from animtool.validation.tables import all_rules
 

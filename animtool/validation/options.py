@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
-from animtool.documents.check import nearest
+from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError, Severity
 from animtool.validation.tables import RULES, all_rules
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -65,12 +64,12 @@ def test_a_worker_that_ends_is_replaced(cluster: str, tmp_path: Path) -> None:
     from distributed import Client
 
     take_files(tmp_path / "takes", 6)
-    flag = str(tmp_path / "ended")
+    flag = tmp_path / "ended"
 
     # It is within the test because workers need not find the module of the test.
     def ends() -> None:
-        if not os.path.exists(flag):  # noqa: PTH110
-            open(flag, "x").close()  # noqa: PTH123, SIM115
+        if not flag.exists():
+            flag.touch()
             os._exit(1)
 
     outcomes = dask(work(tmp_path, cluster))

@@ -7,7 +7,7 @@ import pytest
 from annotated_types import Len
 from pydantic import Field
 
-from animtool.documents.check import FileModel, check_version, nearest, validated
+from animtool.documents.check import FileModel, check_version, validated
 from animtool.documents.document import Document, read_document
 from animtool.errors import Fault, FormatError
 
@@ -113,11 +113,6 @@ def test_versions(tmp_path: Path, text: str, code: str, words: str) -> None:
         check_version(document(tmp_path, text), "rig")
     assert caught.value.code == code
     assert words in str(caught.value)
-
-
-def test_nearest() -> None:
-    assert nearest("x", []) == "there is none"
-    assert nearest("zzz", [f"n{i}" for i in range(20)]).endswith("n11 …")
 
 
 def test_a_misspelt_key_is_not_missing_too(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from animtool.batch.limits import Limits
 from animtool.clip.file import load_clip, open_clip
 from animtool.documents.migrate import plan_migration
 from animtool.documents.versions import STEPS, newest
-from animtool.edit.resample import FrameRange
+from animtool.edit.frame_range import FrameRange
 from animtool.ik.file import load_targets
 from animtool.rig.file import load_rig
 from animtool.scene.file import load_scene

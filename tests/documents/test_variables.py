@@ -14,11 +14,10 @@ from pydantic import Field
 from animtool.documents.check import FileModel, validated
 from animtool.documents.document import Document, document_of
 from animtool.documents.variables import (
-    check_given,
     resolve_variables,
     with_variables,
 )
-from animtool.errors import FormatError, OptionError
+from animtool.errors import FormatError
 
 HEAD = "scene: animtool/1\n"
 
@@ -147,14 +146,6 @@ def test_what_no_text_uses_is_known() -> None:
     document = document_of(HEAD + text, Path("a.scene.yaml"))
     found = resolve_variables(document, Model, {"d": "x", "e": "y"})
     assert (found.names, found.idle) == (set("abcd"), {"b", "c"})
-
-
-def test_what_is_given_must_be_used() -> None:
-    check_given([], [])
-    with pytest.raises(OptionError) as caught:
-        check_given(["shto", "shot", "x"], {"shot"})
-    assert [f.code for f in caught.value.faults] == ["SCN031", "SCN031"]
-    assert "'shot'" in (caught.value.faults[0].hint or "")
 
 
 @given(st.text(st.sampled_from("${}ab\\ '")))

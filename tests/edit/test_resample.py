@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from animtool.edit.resample import FrameRange, plan_samples, resampled, sample
+from animtool.edit.frame_range import FrameRange
+from animtool.edit.resample import plan_samples, resampled, sample
 from animtool.errors import OptionError
 from animtool.maths import so3
 from animtool.rig.skeleton import Joint, Rig

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from support.bvh import random_rows, small_bvh
 
-from animtool.edit.resample import FrameRange
+from animtool.edit.frame_range import FrameRange
 from animtool.errors import AnimtoolError, OptionError
 from animtool.scene.bake import run_bake
 from animtool.scene.options import (

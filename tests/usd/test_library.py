@@ -18,7 +18,7 @@ from support.example_rig import write_example_rig
 from support.takes import assert_same_motion, motion_of, takes
 from support.usd import joint_positions, open_stage, skeleton_query, validation_errors
 
-from animtool.edit.resample import FrameRange
+from animtool.edit.frame_range import FrameRange
 from animtool.errors import AnimtoolError
 from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
@@ -26,7 +26,8 @@ from animtool.scene.report import BakeReport
 from animtool.take import Take
 from animtool.usd.animation import round_blocks
 from animtool.usd.author import author, write_usd
-from animtool.usd.jobs import Form, UsdJob, UsdTake
+from animtool.usd.forms import Form
+from animtool.usd.jobs import UsdJob, UsdTake
 from animtool.usd.library import take_range
 from animtool.usd.names import joint_names
 from animtool.usd.paths import RigPaths

@@ -10,7 +10,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 from support.bvh import random_rows, small_bvh
 from support.usd import joint_positions
 
-from animtool.edit.resample import FrameRange
+from animtool.edit.frame_range import FrameRange
 from animtool.errors import FormatError
 from animtool.formats.bvh import read_bvh
 from animtool.report.compare import compare_takes

@@ -20,7 +20,8 @@ from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Channel, Motion
 from animtool.usd.animation import FLOAT32_MAX, round_blocks
 from animtool.usd.author import author, write_usd
-from animtool.usd.jobs import Form, UsdJob, UsdResult, UsdTake
+from animtool.usd.forms import Form
+from animtool.usd.jobs import UsdJob, UsdResult, UsdTake
 from animtool.usd.names import joint_names
 from animtool.usd.paths import RigPaths
 from animtool.usd.read import read_usd

@@ -44,7 +44,7 @@ def find_integrator(name: str) -> Integrator:
     4
     """
     if name not in INTEGRATORS:
-        from animtool.documents.check import nearest
+        from animtool.documents.names import nearest
 
         message = f"no integrator is named {excerpt(name)}"
         raise OptionError(

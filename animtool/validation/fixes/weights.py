@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from animtool.documents.arrays import split_reference
 from animtool.documents.edit import Put
+from animtool.documents.references import split_reference
 from animtool.errors import Fault
 from animtool.rig.parts import ArrayRef
 from animtool.validation.fixes.mend import Mend, NotMendedError

@@ -9,7 +9,7 @@ from functools import cache
 from importlib import resources
 from typing import TYPE_CHECKING
 
-from animtool.documents.check import nearest
+from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError
 from animtool.plugins import load_plugin, plugin_points
 from animtool.validation.rule import Rule

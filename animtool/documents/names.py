@@ -1,0 +1,58 @@
+"""Names that people write: what a variable may be called, and the nearest valid one."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+from animtool.errors import Fault, OptionError
+
+__all__ = ["UNKNOWN", "VARIABLE_NAME", "check_given", "is_variable_name", "nearest"]
+
+# What stands in for a name that is missing, and is none.
+UNKNOWN = "?"
+# Of variables: a regular expression.
+VARIABLE_NAME = r"[A-Za-z_][A-Za-z0-9_]*"
+
+
+def is_variable_name(text: str) -> bool:
+    """Return whether a variable may have a name.
+
+    >>> is_variable_name("shot_2"), is_variable_name("2nd shot")
+    (True, False)
+    """
+    return re.fullmatch(VARIABLE_NAME, text) is not None
+
+
+def nearest(name: str, names: list[str]) -> str:
+    """Return a hint that names the nearest valid name, or the valid ones.
+
+    >>> nearest("ebow", ["elbow", "hand"])
+    "did you mean 'elbow'?"
+    """
+    names = [known for known in dict.fromkeys(names) if known != UNKNOWN]
+    near = get_close_matches(name, names, 1)
+    if near:
+        return f"did you mean {near[0]!r}?"
+    if not names:
+        return "there is none"
+    return f"allowed: {', '.join(names[:12])}" + (" …" if len(names) > 12 else "")
+
+
+def check_given(given: Iterable[str], used: Iterable[str]) -> None:
+    """Refuse variables that are given and that nothing uses.
+
+    Raises:
+        OptionError: With a fault for each (SCN031).
+
+    >>> check_given(["shot"], ["shot", "rate"])
+    """
+    names = sorted(used)
+    faults = [
+        Fault("SCN031", f"no scene uses a variable {name!r}", hint=nearest(name, names))
+        for name in given
+        if name not in names
+    ]
+    if faults:
+        raise OptionError(faults)

@@ -1,0 +1,50 @@
+"""The files that a bake writes, known before anything heavy is imported."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from animtool.scene.options import BakeOptions
+from animtool.scene.sources import is_scene
+from animtool.usd.forms import Form, output_paths
+
+if TYPE_CHECKING:
+    from animtool.scene.reading import Source
+
+__all__ = ["bake_outputs", "form_of", "output_files"]
+
+
+def bake_outputs(
+    given: Sequence[Source], output: Path, options: BakeOptions
+) -> list[Path]:
+    """Return the files that a bake writes, ``output`` among them.
+
+    Raises:
+        FormatError: The source is a scene, and malformed.
+    """
+    if len(given) == 1 and not _is_take(given[0]):
+        from animtool.scene.reading import found_sources
+
+        options, _ = found_sources(given).options(options)
+    return output_files(output, options)
+
+
+def _is_take(source: Source) -> bool:
+    """Return whether a source is a file that says nothing of outputs."""
+    return isinstance(source, Path | str) and not is_scene(Path(source))
+
+
+def form_of(options: BakeOptions) -> Form:
+    """Return what is written."""
+    return Form(options.form or (Form.LAYER if options.rig_layer else Form.STAGE))
+
+
+def output_files(path: Path, options: BakeOptions) -> list[Path]:
+    """Return the files to write; of a cache in chunks, those that it may replace."""
+    if options.chunk is None:
+        return output_paths(path, form_of(options))
+    from animtool.usd.point_chunks import chunk_files, manifest_path
+
+    return [path, manifest_path(path), *chunk_files(path)]
