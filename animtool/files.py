@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["FoundFile", "Places", "files_meant"]
+__all__ = ["FoundFile", "Places", "files_meant", "seen_from"]
 
 _WILD = frozenset("*?[")
 
@@ -76,3 +76,19 @@ def files_meant(text: str, suffixes: Sequence[str]) -> Iterator[FoundFile]:
 def _is_shown(file: Path, folder: Path) -> bool:
     parts = file.relative_to(folder).parts
     return not any(part.startswith(".") for part in parts) and file.is_file()
+
+
+def seen_from(path: Path, folder: Path) -> str:
+    """Return what files of a folder call a file: relative to it, where there is a way.
+
+    >>> seen_from(Path("/shots/rigs/hero.usda"), Path("/shots/sh010"))
+    '../rigs/hero.usda'
+    """
+    path, folder = path.resolve(), folder.resolve()
+    parents = (folder, *folder.parents)
+    above = next((up for up in parents if path.is_relative_to(up)), None)
+    if above is None:
+        # Another drive.
+        return path.as_posix()
+    steps = [".."] * len(folder.relative_to(above).parts)
+    return "/".join([*steps, *path.relative_to(above).parts])

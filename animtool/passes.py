@@ -17,12 +17,14 @@ from typing import Any, TypeAlias, cast
 from animtool.errors import Fault, OptionError, excerpt
 from animtool.plugins import load_object, load_plugin, plugin_points
 from animtool.take import Take, TakeStream
+from animtool.tracks_aside import TracksAside, checked_tracks
 
 __all__ = [
     "EVERY_PART",
     "MOTION_PARTS",
     "PASSES",
     "PLUGIN_GROUP",
+    "RETIMED_PARTS",
     "ClipRun",
     "ListedPass",
     "OptionChecks",
@@ -70,11 +72,14 @@ class TakePart(StrEnum):
     SHAPES = "shapes"
     CONTROLS = "controls"
     CLOCK = "clock"
+    TRACKS = "tracks"
 
 
 EVERY_PART = frozenset(TakePart)
 # What moves.
 MOTION_PARTS = frozenset({TakePart.JOINTS, TakePart.SHAPES, TakePart.CONTROLS})
+# What is other than it was where frames lie between those of before.
+RETIMED_PARTS = MOTION_PARTS | {TakePart.CLOCK, TakePart.TRACKS}
 
 
 def named_take(path: Path | None, option: str = "take") -> Path:
@@ -142,7 +147,8 @@ class Pass:
             there is a take.
         reads: Parts of the take that decide what it does; nothing else shows in it.
         changes: Parts that it may change; all else stays as it is. What stays does so
-            at the time codes that are left, where the clock is among them.
+            at the time codes that are left, where the clock is among them. A pass that
+            changes neither clock nor tracks does not see what is beside the rig.
         settles: It begins from a state of its own and needs the pre-roll of a shot to
             come to the take; it keeps the frames that it is given.
     """
@@ -227,16 +233,22 @@ def apply_pass(
 
     Raises:
         OptionError: The options make no sense for the take; from FRAME and WINDOW
-            passes perhaps only while the blocks are read.
+            passes perhaps only while the blocks are read, as where one has lost the
+            tracks (SCN045).
     """
+    if stream.tracks and not pass_.changes & {TakePart.CLOCK, TakePart.TRACKS}:
+        aside = TracksAside(stream)
+        done = apply_pass(aside.stream, pass_, options, context)
+        return aside.put_back(done)
     if pass_.scope is not Scope.CLIP:
         done = cast(StreamRun, pass_.run)(stream, options, context)
         # What the source was between its frames, the result is no more.
-        return replace(done, control_curves={}, curve=None, count=0)
+        done = replace(done, control_curves={}, curve=None, count=0)
+        return checked_tracks(done, stream.tracks, pass_.name)
     before = stream.collect()
     take = cast(ClipRun, pass_.run)(before, options, context)
     kept = _untouched(before, take) if stream.control_curves else set()
-    result = TakeStream.of(take)
+    result = checked_tracks(TakeStream.of(take), before.tracks, pass_.name)
     unstated = stream.start is None and take.clock.start == Fraction(1)
     return replace(
         result,

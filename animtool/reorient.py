@@ -13,6 +13,7 @@ from animtool.maths import so3
 from animtool.rig.parts import Attachment, HeldArray, IkChain, Mesh
 from animtool.rig.skeleton import Pose, Rig
 from animtool.take import Channel, Motion, TakeStream
+from animtool.transforms import turned_track
 from animtool.units import UpAxis, up_from_up
 
 __all__ = ["reorient"]
@@ -22,7 +23,7 @@ def reorient(stream: TakeStream, up: UpAxis) -> TakeStream:
     """Return the take with its roots, at rest and in motion, turned to an up axis.
 
     Everything below the roots is in their frames and stays as it is; strands, and the
-    pole directions of chains that begin at a root, are in the world.
+    pole directions of chains that begin at a root, are in the world, as are tracks.
 
     Raises:
         FormatError: An array of the rig cannot be read any more (RIG018).
@@ -33,7 +34,12 @@ def reorient(stream: TakeStream, up: UpAxis) -> TakeStream:
     rotation = np.array(turn)
     rig = _turned_rig(stream.rig, rotation, up)
     source, curve = stream.rig, stream.curve
-    turned = replace(stream, rig=rig, blocks=_turned(stream.blocks, source, rotation))
+    turned = replace(
+        stream,
+        rig=rig,
+        blocks=_turned(stream.blocks, source, rotation),
+        tracks=tuple(turned_track(track, rotation) for track in stream.tracks),
+    )
     if curve is not None:
         turned.curve = lambda times: next(
             _turned(iter([curve(times)]), source, rotation)

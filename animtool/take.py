@@ -20,6 +20,7 @@ from animtool.maths.curves import Curves
 from animtool.rates import rate_label
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
+from animtool.transforms import Track
 
 __all__ = [
     "MOST_FRAMES",
@@ -209,6 +210,8 @@ class Motion:
             none.
         controls: Values of the rig's controls, in its order, K = 1; None where the
             take has none. Joints and shapes already hold what they drive.
+        track_times: Which time of its own each of the take's tracks shows, K = 1; None
+            where the take has no tracks.
     """
 
     translations: Channel
@@ -216,6 +219,7 @@ class Motion:
     scales: Channel | None = None
     weights: Channel | None = None
     controls: Channel | None = None
+    track_times: Channel | None = None
 
     @property
     def frames(self) -> int:
@@ -250,7 +254,12 @@ class Motion:
             function(self.rotations),
             *(
                 None if channel is None else function(channel)
-                for channel in (self.scales, self.weights, self.controls)
+                for channel in (
+                    self.scales,
+                    self.weights,
+                    self.controls,
+                    self.track_times,
+                )
             ),
         )
 
@@ -268,6 +277,7 @@ class Motion:
             joined("scales"),
             joined("weights"),
             joined("controls"),
+            joined("track_times"),
         )
 
 
@@ -280,18 +290,20 @@ class Take:
         clock: When its F frames are.
         motion: What they hold.
         notices: Warnings and notes about where it comes from.
+        tracks: Things beside the rig; most takes have none.
 
     Raises:
         OptionError: The motion's arrays are not of the rig's joints, shapes and
-            controls, or not of the clock's frames (TAKE001), or a channel's joints
-            do not ascend (TAKE002), with every such fault; else a value is not
-            finite (TAKE004) or a rotation no unit quaternion (TAKE005).
+            controls, of the tracks, or not of the clock's frames (TAKE001), or a
+            channel's joints do not ascend (TAKE002), with every such fault; else a
+            value is not finite (TAKE004) or a rotation no unit quaternion (TAKE005).
     """
 
     rig: Rig
     clock: Clock
     motion: Motion
     notices: tuple[Fault, ...] = ()
+    tracks: tuple[Track, ...] = ()
 
     def __post_init__(self) -> None:
         """Check that rig, clock and motion fit together."""
@@ -336,8 +348,12 @@ def _misfits(take: Take) -> list[Fault]:
         ("scales", motion.scales, len(rig.joints), 3),
         ("weights", motion.weights, len(rig.shapes), 1),
         ("controls", motion.controls, len(rig.controls), 1),
+        ("track_times", motion.track_times, len(take.tracks), 1),
     ]
     faults = []
+    if take.tracks and motion.track_times is None:
+        message = f"track_times are missing of {counted(len(take.tracks), 'track')}"
+        faults.append(Fault("TAKE001", message))
     for name, channel, many, width in expected:
         if channel is None:
             continue
@@ -357,10 +373,20 @@ def _misfits(take: Take) -> list[Fault]:
     return faults
 
 
+_CHANNELS = (
+    "translations",
+    "rotations",
+    "scales",
+    "weights",
+    "controls",
+    "track_times",
+)
+
+
 def _no_motion(take: Take) -> list[Fault]:
     """Return what of a take is no number, or no rotation: the first of each channel."""
     motion, faults = take.motion, []
-    for name in ("translations", "rotations", "scales", "weights", "controls"):
+    for name in _CHANNELS:
         channel: Channel | None = getattr(motion, name)
         if channel is None:
             continue
@@ -397,8 +423,11 @@ def _spot(
 ) -> str:
     """Return which value of a take stands at a place of an array."""
     index = at[0] if still else int(channel.animated[at[1]])
-    kind = {"weights": "shapes", "controls": "controls"}.get(name, "joints")
-    owner = getattr(take.rig, kind)[index].name
+    if name == "track_times":
+        kind, owner = "tracks", take.tracks[index].path
+    else:
+        kind = {"weights": "shapes", "controls": "controls"}.get(name, "joints")
+        owner = getattr(take.rig, kind)[index].name
     when = "" if still else f" at frame {float(take.clock.times[at[0]]):g}"
     return f"{name}: {kind[:-1]} {owner!r}{when}"
 
@@ -422,6 +451,8 @@ class TakeStream:
         count: Number of frames, where ``curve`` is given.
         control_curves: The curves that controls were keyed with, by name, one each,
             over time codes of the source; those that still hold.
+        tracks: Things beside the rig, whose times are in the blocks; most takes have
+            none.
     """
 
     rig: Rig
@@ -434,13 +465,14 @@ class TakeStream:
     curve: Callable[[FloatArray], Motion] | None = None
     count: int = 0
     control_curves: dict[str, Curves] = field(default_factory=dict)
+    tracks: tuple[Track, ...] = ()
 
     def collect(self) -> Take:
         """Return the whole take, static joints stored once."""
         motion = Motion.concatenate(list(self.blocks)).map(Channel.compact)
         start = Fraction(1) if self.start is None else self.start
         clock = Clock(self.fps, start, self.step, motion.frames)
-        return Take(self.rig, clock, motion, tuple(self.notices))
+        return Take(self.rig, clock, motion, tuple(self.notices), self.tracks)
 
     @staticmethod
     def of(take: Take) -> TakeStream:
@@ -453,4 +485,5 @@ class TakeStream:
             clock.step,
             iter([take.motion]),
             list(take.notices),
+            tracks=take.tracks,
         )

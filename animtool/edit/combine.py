@@ -107,6 +107,7 @@ def combine(
         scales,
         numbers("weights"),
         numbers("controls"),
+        base.track_times,
     )
 
 

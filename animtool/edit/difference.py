@@ -71,7 +71,7 @@ def _base(base: Take, frame: float | None) -> Take:
     if frame is not None:
         index = frame_index(base.clock, frame, "frame")
         motion = base.motion.select(slice(index, index + 1)).map(Channel.compact)
-        base = Take(base.rig, replace(base.clock, count=1), motion)
+        base = replace(base, clock=replace(base.clock, count=1), motion=motion)
     scales = base.motion.scales
     if scales is not None:
         flat = (scales.dense() == 0).any(axis=(0, 2))

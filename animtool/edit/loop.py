@@ -11,18 +11,21 @@ from animtool.edit.cycle import Cycle, find_cycle, measure_cycle
 from animtool.edit.frames import check_count, check_range, frame_index
 from animtool.edit.seam import Onward, SeamBlend, closed_lines, closed_turns
 from animtool.edit.signs import continuous
+from animtool.edit.track_grid import gridded, mapped_numbers
 from animtool.edit.travel import Travel, travel_of
 from animtool.errors import Fault, OptionError, Severity
 from animtool.maths import so3
 from animtool.passes import (
-    MOTION_PARTS,
+    RETIMED_PARTS,
     OptionChecks,
     Pass,
     PassContext,
     Scope,
-    TakePart,
 )
+from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Channel, Motion, Take
+from animtool.transforms import Track, Transforms
+from animtool.units import UpAxis
 
 __all__ = ["PASS", "LoopOptions", "loop"]
 
@@ -70,7 +73,8 @@ def loop(
     take has frames on either side of the cycle. What carries the character
     keeps its travel: each cycle goes on, over the ground and about the up axis,
     from where the one before it ended. That is a root, or the topmost joint that
-    travels below a root that stands still. A take of one frame stays as it is.
+    travels below a root that stands still. Tracks keep their own travel likewise. A
+    take of one frame stays as it is.
 
     Raises:
         OptionError: A frame is outside the take (SCN013), there is no cycle or
@@ -89,18 +93,72 @@ def loop(
     length = j - i
     check_count(length * repeats)
     before, behind = int(i > 0), int(j < clock.count - 1)
-    cycle = _Cycling(
-        travel_of(take.rig, take.motion.select(slice(i, j + 1))),
-        SeamBlend.over(length, blend, before, behind),
-        repeats,
-    )
-    motion = cycle.motion(take.motion.select(slice(i - before, j + behind + 1)))
+    seam = SeamBlend.over(length, blend, before, behind)
+    within, around = slice(i, j + 1), slice(i - before, j + behind + 1)
+    cycle = _Cycling(travel_of(take.rig, take.motion.select(within)), seam, repeats)
+    motion = cycle.motion(take.motion.select(around))
+    tracks = take.tracks
+    if tracks:
+        motion, tracks = _looped_tracks(take, motion, around, seam, repeats)
     start = clock.start + i * clock.step
     return replace(
         take,
         clock=replace(clock, start=start, count=length * repeats),
         motion=continuous(motion).map(Channel.compact),
+        tracks=tracks,
     )
+
+
+def _looped_tracks(
+    take: Take, motion: Motion, around: slice, seam: SeamBlend, repeats: int
+) -> tuple[Motion, tuple[Track, ...]]:
+    """Return the looped motion with the times of looped tracks, and these.
+
+    Each goes on as a root does, and is a function of time no more: its times are the
+    frames of the loop.
+    """
+    times = take.motion.track_times
+    assert times is not None
+    shown = times.select(around).dense()[..., 0]
+    tracks = tuple(
+        _looped_track(track, track.at(shown[:, i]), take.rig.up, seam, repeats)
+        if track.moves
+        else track
+        for i, track in enumerate(take.tracks)
+    )
+    frames = np.arange(seam.length * repeats, dtype=np.float64)
+    every = np.repeat(frames[:, None, None], len(tracks), axis=1)
+    return replace(motion, track_times=Channel.from_dense(every)), tracks
+
+
+def _looped_track(
+    track: Track, known: Transforms, up: UpAxis, seam: SeamBlend, repeats: int
+) -> Track:
+    root = Rig("track", (Joint("root", -1),), up=up)
+    place = Motion(
+        Channel.from_dense(known.translations[:, None]),
+        Channel.from_dense(known.rotations[:, None]),
+    )
+    ends = slice(seam.before, seam.before + seam.length + 1)
+    cycle = _Cycling(travel_of(root, place.select(ends)), seam, repeats)
+    moved = cycle.motion(place)
+
+    def closed(values: FloatArray) -> FloatArray:
+        once = closed_lines(values, seam, lambda same: same)
+        return np.concatenate([once] * repeats)
+
+    made = mapped_numbers(track, known, closed)
+    held = tuple(
+        values if attribute.width else np.tile(seam.cycle(values)[:-1], repeats)
+        for attribute, values in zip(track.attributes, made.values, strict=True)
+    )
+    looped = replace(
+        made,
+        translations=moved.translations.dense()[:, 0],
+        rotations=moved.rotations.dense()[:, 0],
+        values=held,
+    )
+    return gridded(track, looped)
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,5 +258,5 @@ PASS = Pass(
     Scope.CLIP,
     _run,
     _checks,
-    changes=MOTION_PARTS | {TakePart.CLOCK},
+    changes=RETIMED_PARTS,
 )

@@ -213,6 +213,7 @@ def _blocks(
             else _seen(block.scales, glass.partners, glass.scales),
             _swapped(block.weights, swaps[0]),
             _swapped(block.controls, swaps[1]),
+            block.track_times,
         )
 
 

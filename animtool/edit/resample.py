@@ -14,12 +14,11 @@ from animtool.edit.frames import check_count
 from animtool.edit.places import Places, even_places
 from animtool.errors import Fault, OptionError
 from animtool.passes import (
-    MOTION_PARTS,
+    RETIMED_PARTS,
     OptionChecks,
     Pass,
     PassContext,
     Scope,
-    TakePart,
 )
 from animtool.rates import rate_option
 from animtool.take import MOST_FRAMES, Clock, Motion, Take, time_codes
@@ -212,6 +211,6 @@ PASS = Pass(
     Scope.CLIP,
     _run,
     _checks,
-    reads=MOTION_PARTS | {TakePart.CLOCK},
-    changes=MOTION_PARTS | {TakePart.CLOCK},
+    reads=RETIMED_PARTS,
+    changes=RETIMED_PARTS,
 )

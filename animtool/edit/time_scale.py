@@ -12,12 +12,11 @@ from animtool.edit.places import even_places
 from animtool.edit.signs import continuous
 from animtool.errors import Fault, OptionError
 from animtool.passes import (
-    MOTION_PARTS,
+    RETIMED_PARTS,
     OptionChecks,
     Pass,
     PassContext,
     Scope,
-    TakePart,
 )
 from animtool.take import Channel, Take
 
@@ -90,6 +89,6 @@ PASS = Pass(
     Scope.CLIP,
     _run,
     _checks,
-    reads=MOTION_PARTS | {TakePart.CLOCK},
-    changes=MOTION_PARTS | {TakePart.CLOCK},
+    reads=RETIMED_PARTS,
+    changes=RETIMED_PARTS,
 )

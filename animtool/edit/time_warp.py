@@ -13,12 +13,11 @@ from animtool.edit.keyed import Interpolation, Keys, key_arrays, keyed
 from animtool.edit.places import nearby_places
 from animtool.edit.signs import continuous
 from animtool.passes import (
-    MOTION_PARTS,
+    RETIMED_PARTS,
     OptionChecks,
     Pass,
     PassContext,
     Scope,
-    TakePart,
 )
 from animtool.take import Channel, Clock, Take
 
@@ -100,6 +99,6 @@ PASS = Pass(
     Scope.CLIP,
     _run,
     _checks,
-    reads=MOTION_PARTS | {TakePart.CLOCK},
-    changes=MOTION_PARTS | {TakePart.CLOCK},
+    reads=RETIMED_PARTS,
+    changes=RETIMED_PARTS,
 )

@@ -20,7 +20,7 @@ from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
 from animtool.scene.frames import moving_joints, timed_blocks
 from animtool.scene.options import BakeOptions
-from animtool.scene.plan import BakePlan, plan_bake
+from animtool.scene.plan import BakePlan, plan_bake, rig_paths
 from animtool.scene.reading import Source
 from animtool.scene.report import BakeReport, TakeReport
 from animtool.scene.sources import Opener, Progress, open_source, source_stem
@@ -29,7 +29,7 @@ from animtool.take import Motion
 from animtool.usd.animation import WrittenBlock, round_blocks
 from animtool.usd.author import author, write_usd
 from animtool.usd.jobs import UsdJob, UsdTake, WrittenTake
-from animtool.usd.names import UsdNames, joint_names, legal_name
+from animtool.usd.names import UsdNames, joint_names
 from animtool.usd.paths import RigPaths
 
 if TYPE_CHECKING:
@@ -193,7 +193,12 @@ class _TakeRun:
         assert self._opened is not None
         timed, frames, _ = self._opened
         plan, options, mapping = self.plan, self.plan.options, self.plan.mapping
-        chosen = None
+        chosen, beside = None, None
+        if plan.stream.tracks:
+            from animtool.usd.beside import Beside
+
+            beside = Beside(plan.stream.tracks)
+            timed = beside.watched(timed)
         if mapping is not None:
             mapped = mapping
             timed = ((codes, mapped.apply(motion)) for codes, motion in timed)
@@ -217,6 +222,7 @@ class _TakeRun:
             curves=_kept_curves(plan) if options.keep_curves else {},
             name=plan.name,
             source_name=source_stem(plan.source),
+            beside=beside,
         )
         return take, timed
 
@@ -302,19 +308,13 @@ def _kept_curves(plan: TakePlan) -> dict[str, Curves]:
 
 def _usd_places(plan: BakePlan, rig: Rig) -> tuple[UsdNames, list[str], RigPaths]:
     """Return USD names of the joints, their paths, and the character's prims."""
+    called = [take.stream.rig.name for take in plan.takes]
+    paths = rig_paths(called, plan.target, plan.options, plan.output)
     if plan.target is not None:
-        names = UsdNames(rig.names, {}, [])
-        return names, plan.target.skeleton.tokens, plan.target.paths
+        return UsdNames(rig.names, {}, []), plan.target.skeleton.tokens, paths
     names = joint_names(rig.joints, plan.options.strip_namespace)
     where = str(plan.takes[0].source)
     names = replace(
         names, notices=[replace(fault, path=where) for fault in names.notices]
     )
-    model = plan.options.prim_path or f"/{legal_name(_character(plan, rig))}"
-    return names, rig.paths(names.names), RigPaths.below(model)
-
-
-def _character(plan: BakePlan, rig: Rig) -> str:
-    """Return the rig's name; of a library whose takes name several, the output's."""
-    named = {take.stream.rig.name for take in plan.takes}
-    return rig.name if len(named) == 1 or plan.output is None else plan.output.stem
+    return names, rig.paths(names.names), paths

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from animtool.documents.versions import KINDS
 from animtool.errors import Fault, OptionError, refuse_warnings
+from animtool.files import seen_from
 from animtool.output import check_outputs, output_error, replacing
 from animtool.rig.skeleton import JointType, Rig
 from animtool.scene.sources import (
@@ -224,19 +225,11 @@ def _to_clip(
         write_arrays(arrays_path, arrays)
     if keys.rig_file is None:
         _write(rig_path, [rig_text(rig).encode()])
-    text = clip_text(made.clip, rig, _seen_from(rig_path, output))
+    text = clip_text(made.clip, rig, seen_from(rig_path, output.parent))
     _write(output, [text.encode()])
     return ConvertReport(
         output, take.clock.count, len(rig.joints), stream.notices, made.reduction
     )
-
-
-def _seen_from(path: Path, output: Path) -> str:
-    """Return what a file calls another, from its own folder."""
-    path, folder = path.resolve(), output.resolve().parent
-    above = next(up for up in (folder, *folder.parents) if path.is_relative_to(up))
-    steps = [".."] * len(folder.relative_to(above).parts)
-    return "/".join([*steps, *path.relative_to(above).parts])
 
 
 def _below(take: Take, path: Path, options: SourceOptions | None) -> Take:

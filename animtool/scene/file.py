@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from fractions import Fraction
@@ -29,10 +30,11 @@ from animtool.scene.scene import (
     SceneOutput,
     ScenePass,
     SceneSource,
+    SceneThing,
     kind_of,
 )
-from animtool.scene.schema import OutputModel, SceneModel, SourceModel
-from animtool.scene.sources import SourceOptions, takes_option
+from animtool.scene.schema import BesideModel, OutputModel, SceneModel, SourceModel
+from animtool.scene.sources import SourceOptions, is_usd, takes_option
 from animtool.scene.tracks import TrackNames
 from animtool.units import LengthUnit, UpAxis, parse_length
 
@@ -69,6 +71,14 @@ def scene_of_document(
     return scene
 
 
+_PRIM_PATH = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
+
+
+def _meet(one: str, other: str) -> bool:
+    """Return whether a path is another, or below it."""
+    return f"{one}/".startswith(f"{other}/") or f"{other}/".startswith(f"{one}/")
+
+
 class _SceneReader:
     def __init__(
         self, document: Document, model: SceneModel, named: list[Path]
@@ -77,7 +87,7 @@ class _SceneReader:
         self.roots = (*project_roots(document.path), *named)
 
     def scene(self) -> Scene:
-        model = self.model
+        model, shot = self.model, self.model.shot
         rig = None if model.rig is None else self._input(("rig",), model.rig)
         passes = [
             made
@@ -91,7 +101,47 @@ class _SceneReader:
             tuple(passes),
             self._outputs(),
             rig,
+            self._beside(),
+            None if shot is None or shot.start is None else Fraction(shot.start),
             self._preroll(),
+        )
+
+    def _beside(self) -> tuple[SceneThing, ...]:
+        things = [
+            self._thing(("beside", i), entry)
+            for i, entry in enumerate(self.model.beside)
+        ]
+        for i, thing in enumerate(things):
+            for other in things[:i]:
+                if _meet(thing.path, other.path):
+                    message = f"{thing.path!r} meets {other.path!r} of "
+                    message += other.place.where
+                    hint = "each has a path of its own, none below another's"
+                    self.document.add("SCN046", ("beside", i, "path"), message, hint)
+        return tuple(things)
+
+    def _thing(self, at: Location, model: BesideModel) -> SceneThing:
+        file = self._input((*at, "from"), model.file)
+        if not is_usd(file):
+            message = f"{model.file!r} is no USD file"
+            self.document.add("SCN048", (*at, "from"), message)
+        path = model.path or model.prim.rpartition("/")[2]
+        if not _PRIM_PATH.fullmatch(path):
+            message = f"{path!r} is no path such as Props/box or /World/box"
+            self.document.add("SCN048", (*at, "path"), message)
+        shown: Path | None = None
+        if isinstance(model.reference, str):
+            shown = self._input((*at, "reference"), model.reference)
+        elif model.reference:
+            shown = file
+        return SceneThing(
+            file,
+            model.prim,
+            path,
+            None if model.frame is None else Fraction(repr(model.frame)),
+            tuple(model.attributes),
+            shown,
+            self._place(at),
         )
 
     def _preroll(self) -> Preroll | None:

@@ -8,7 +8,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TypeAlias
 
-from animtool.errors import AnimtoolError, Fault, OptionError
+from animtool.errors import AnimtoolError, Fault, OptionError, Severity, listed
 from animtool.output import check_outputs, sparing_inputs, together
 from animtool.scene.bake import run_bake
 from animtool.scene.convert import ConvertReport, convert, convert_outputs
@@ -26,8 +26,11 @@ from animtool.scene.report import BakeReport
 from animtool.scene.scene import OutputKind, Scene, SceneOutput, kind_of
 from animtool.scene.take_plan import TakePlan
 from animtool.take import Clock, Motion, Take, TakeStream
+from animtool.tracks_aside import TracksAside
 
 __all__ = ["OutputReport", "bake_scene", "is_several", "scene_files"]
+
+MOST_NAMED = 6
 
 # What became of one output.
 OutputReport: TypeAlias = BakeReport | ConvertReport
@@ -131,7 +134,14 @@ def _planned(
 ) -> BakePlan | TakePlan:
     options = merged(given, output.bake)
     if _kind(output) is OutputKind.USD:
-        return plan_output([scene.path], [stream], _path(output), options, [])
+        with scene.blamed_things():
+            return plan_output([scene.path], [stream], _path(output), options, [])
+    notices = []
+    if stream.tracks:
+        paths = listed([track.path for track in stream.tracks], MOST_NAMED)
+        message = f"a {_kind(output)} file has no place for {paths}"
+        notices.append(output.place.fault("SCN112", message, None, Severity.NOTE))
+        stream = TracksAside(stream).stream
     return TakePlan(
         scene.path,
         "",
@@ -140,7 +150,7 @@ def _planned(
         options,
         options.fps or stream.fps,
         start_of(options, None, stream, scene.path),
-        [],
+        notices,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -21,6 +22,8 @@ from animtool.scene.take_plan import TakePlan
 from animtool.take import TakeStream
 from animtool.usd.forms import Form
 from animtool.usd.layers import check_prim_path, check_suffix
+from animtool.usd.names import legal_name
+from animtool.usd.paths import RigPaths
 
 if TYPE_CHECKING:
     from animtool.scene.deform import Character
@@ -31,6 +34,7 @@ __all__ = [
     "check_output",
     "plan_bake",
     "plan_output",
+    "rig_paths",
     "start_of",
 ]
 
@@ -95,7 +99,10 @@ def plan_bake(
     options, notices = reading.options(options or BakeOptions())
     with sparing_inputs(check_output(path, options, reading.inputs)):
         streams = reading.open(options, progress, opener)
-    return plan_output(reading.files, streams, path, options, notices)
+    with ExitStack() as blamed:
+        for scene in reading.scenes.values():
+            blamed.enter_context(scene.blamed_things())
+        return plan_output(reading.files, streams, path, options, notices)
 
 
 def check_output(
@@ -187,10 +194,49 @@ def plan_output(
             zip(sources, names, streams, mappings, strict=True)
         )
     )
+    _check_things(streams, target, options, path)
     character = _character(takes[0], target) if options.deform else None
     return BakePlan(
         takes, path, options, form, reason, target, fps, start, notices, character
     )
+
+
+def _check_things(
+    streams: Sequence[TakeStream],
+    target: RigTarget | None,
+    options: BakeOptions,
+    output: Path | None,
+) -> None:
+    """Refuse things beside characters that have no place in the output."""
+    if not any(stream.tracks for stream in streams):
+        return
+    from animtool.usd.beside import check_things
+
+    paths = rig_paths([stream.rig.name for stream in streams], target, options, output)
+    stage = None if target is None else target.stage
+    for stream in streams:
+        check_things(stream.tracks, paths, stage, library=len(streams) > 1)
+
+
+def rig_paths(
+    names: Sequence[str],
+    target: RigTarget | None,
+    options: BakeOptions,
+    output: Path | None,
+) -> RigPaths:
+    """Return where a character's prims are to be.
+
+    Args:
+        names: What the rigs of the takes are called; where several have several names,
+            the character has that of the output.
+        target: The rig of a layer.
+        options: Of the bake.
+        output: The file; None is stdout.
+    """
+    if target is not None:
+        return target.paths
+    name = names[0] if len(set(names)) == 1 or output is None else output.stem
+    return RigPaths.below(options.prim_path or f"/{legal_name(name)}")
 
 
 def _check_count(count: int, options: BakeOptions) -> None:

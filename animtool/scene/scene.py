@@ -27,6 +27,7 @@ __all__ = [
     "SceneOutput",
     "ScenePass",
     "SceneSource",
+    "SceneThing",
     "kind_of",
 ]
 
@@ -104,6 +105,30 @@ class SceneSource:
 
 
 @dataclass(frozen=True, slots=True)
+class SceneThing:
+    """A thing beside the character of a scene.
+
+    Attributes:
+        file: The USD file that it is read from.
+        prim: Path of its prim.
+        path: Where it is written: below the character, or from ``/`` on.
+        frame: Time code of its file that comes with the first frame of the sources;
+            None is the number of that frame.
+        attributes: Names of what is read of it beside its place.
+        reference: File that shows it; None is nothing.
+        place: Of the entry.
+    """
+
+    file: Path
+    prim: str
+    path: str
+    frame: Fraction | None
+    attributes: tuple[str, ...]
+    reference: Path | None
+    place: Place
+
+
+@dataclass(frozen=True, slots=True)
 class ScenePass:
     """One entry of a scene's passes.
 
@@ -164,6 +189,9 @@ class Scene:
         outputs: What to write, at least one.
         rig: Of clips, and of several sources the one that all move; None is that of
             the first.
+        beside: What is carried beside the character.
+        first: Frame of the shot that the first frame of the sources is; None is what
+            they say.
         preroll: How early passes with a state of their own begin; None is with the
             take.
         variables: Names of the variables that it uses or gives a value.
@@ -176,6 +204,8 @@ class Scene:
     passes: tuple[ScenePass, ...]
     outputs: tuple[SceneOutput, ...]
     rig: Path | None = None
+    beside: tuple[SceneThing, ...] = ()
+    first: Fraction | None = None
     preroll: Preroll | None = None
     variables: frozenset[str] = frozenset()
     idle_variables: frozenset[str] = frozenset()
@@ -197,6 +227,8 @@ class Scene:
         folder = self.path.resolve().parent
         named = [self.path, *(source.path for source in self.sources)]
         named += [self.rig] if self.rig is not None else []
+        for thing in self.beside:
+            named += [thing.file, *filter(None, [thing.reference])]
         for entry in self.passes:
             given = [getattr(entry.options, f.name) for f in fields(entry.options)]
             named += [folder / path for path in given if isinstance(path, Path)]
@@ -244,7 +276,27 @@ class Scene:
             stream = self._sources()
         stream.curve = self.meter.curve(stage, stream.curve)
         stream.blocks = self.meter.blocks(stage, stream.blocks)
-        return stream
+        if not self.beside:
+            return stream
+        from animtool.scene.beside import with_things
+
+        return with_things(stream, self.beside, self.first, self.meter)
+
+    @contextmanager
+    def blamed_things(self) -> Iterator[None]:
+        """Give faults of where things are to be written the places of their entries.
+
+        Raises:
+            FormatError: What an `OptionError` said, where it is of such a thing.
+        """
+        places = {thing.path: thing.place for thing in self.beside}
+        try:
+            yield
+        except OptionError as error:
+            if not all(fault.where in places for fault in error.faults):
+                raise
+            faults = [places[str(f.where)].put(f) for f in error.faults]
+            raise FormatError(faults) from error
 
     def _passed(
         self, stream: TakeStream, entry: ScenePass, context: PassContext

@@ -13,7 +13,7 @@ from pydantic import Discriminator, Field, Tag
 from animtool.documents.check import FileModel
 from animtool.documents.ignore import IgnoreModel
 
-__all__ = ["OutputModel", "SceneModel", "SourceModel"]
+__all__ = ["BesideModel", "OutputModel", "SceneModel", "SourceModel"]
 
 
 class TracksModel(FileModel):
@@ -86,6 +86,44 @@ class SourceModel(FileModel):
         description="Frames a second that the time code counts. Not given: those of "
         "the source.",
         examples=[29.97],
+    )
+
+
+class BesideModel(FileModel):
+    """A prop, a camera or attributes next to the character."""
+
+    file: Annotated[str, Field(min_length=1)] = Field(
+        alias="from",
+        description="The USD file that it is read from.",
+        examples=["set/props.usda"],
+    )
+    prim: Annotated[str, Field(min_length=1)] = Field(
+        description="Path of its prim there.", examples=["/Set/box"]
+    )
+    path: str | None = Field(
+        default=None,
+        description="Where it is written: below the character and in its space, or, "
+        "from `/` on, in the world of the stage. Not given: the name of the prim.",
+        examples=["Props/box"],
+    )
+    frame: float | None = Field(
+        default=None,
+        description="Time code of its file that comes with the first frame of the "
+        "source. Not given: the number of that frame, by `start` of the shot or as the "
+        "source states it.",
+        examples=[1001],
+    )
+    attributes: list[str] = Field(
+        default=[],
+        description="Names of attributes to read of it; those of a camera are read "
+        "anyway.",
+        examples=[["primvars:wetness", "visibility"]],
+    )
+    reference: bool | str = Field(
+        default=False,
+        description="Refer to what is to be seen: `true` to the prim itself, or to "
+        "the default prim of another file.",
+        examples=[True],
     )
 
 
@@ -253,6 +291,12 @@ class SceneModel(FileModel):
         description="What is read; of a list the first is the whole, and the others "
         "put tracks in its place.",
         examples=[{"file": "walk.bvh"}],
+    )
+    beside: list[BesideModel] = Field(
+        default=[],
+        description="Props, cameras and attributes next to the character, which take "
+        "part in every change of time and are written with it.",
+        examples=[[{"from": "props.usda", "prim": "/Set/box", "path": "Props/box"}]],
     )
     passes: list[Annotated[dict[str, dict[str, Any] | None], Len(1, 1)]] = Field(
         default=[],

@@ -18,6 +18,7 @@ from animtool.usd.names import UsdNames
 from animtool.usd.paths import RigPaths
 
 if TYPE_CHECKING:
+    from animtool.usd.beside import Beside
     from animtool.usd.curves import CurveReport
     from animtool.usd.target import RigTarget
 
@@ -73,6 +74,8 @@ class UsdTake:
         name: Of a library's take, legal and distinct; empty where it is the only
             animation, which needs no variant.
         source_name: What the source of a library's take is called.
+        beside: Things beside the rig, gathered while the blocks are drawn; None is
+            none.
     """
 
     blocks: Iterable[WrittenBlock]
@@ -84,6 +87,7 @@ class UsdTake:
     curves: Mapping[str, Curves] = field(default_factory=dict)
     name: str = ""
     source_name: str = ""
+    beside: Beside | None = None
 
 
 @dataclass(slots=True)
@@ -100,6 +104,7 @@ class WrittenTake:
         joints: Joints in the SkelAnimation.
         rounding: What rounding to float32, and of scales to float16, moved.
         curves: What became of the curves of controls.
+        things: Paths of the things beside the rig.
     """
 
     animation: str
@@ -111,6 +116,7 @@ class WrittenTake:
     joints: int = 0
     rounding: Rounding = field(default_factory=Rounding)
     curves: list[CurveReport] = field(default_factory=list)
+    things: list[str] = field(default_factory=list)
 
 
 @dataclass(slots=True)

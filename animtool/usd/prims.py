@@ -19,7 +19,7 @@ from animtool.units import up_from_up
 from animtool.usd.layers import usd_errors
 from animtool.usd.rig_prims import decompose, open_stage, up_axis
 
-__all__ = ["open_prim"]
+__all__ = ["find_prim", "nearest_prim", "open_prim"]
 
 # Whose names are compared with one that there is not.
 MOST_COMPARED = 20_000
@@ -90,20 +90,29 @@ def _matrices(prim: Any, above: Any, codes: FloatArray) -> FloatArray:
 
 def _prim(stage: Any, path: Path, name: str, where: str | None = None) -> Any:
     """Return a prim, or say that there is none, ``where`` it was named."""
-    valid = Sdf.Path.IsValidPathString(name) and Sdf.Path(name).IsAbsolutePath()
-    found = stage.GetPrimAtPath(name) if valid else None
+    found = find_prim(stage, name)
     if found:
         return found
-    all_of_them = islice(stage.Traverse(), MOST_COMPARED)
-    names = [str(prim.GetPath()) for prim in all_of_them]
-    near = get_close_matches(name, names, 1)
-    hint = f"did you mean {near[0]}?" if near else None
     raise FormatError(
         Fault(
             "USD034",
             f"holds no prim {excerpt(name)}",
             str(path),
-            hint=hint,
+            hint=nearest_prim(stage, name),
             where=where,
         )
     )
+
+
+def find_prim(stage: Any, name: str) -> Any:
+    """Return the prim at an absolute path; None where there is none."""
+    valid = Sdf.Path.IsValidPathString(name) and Sdf.Path(name).IsAbsolutePath()
+    return (stage.GetPrimAtPath(name) or None) if valid else None
+
+
+def nearest_prim(stage: Any, name: str) -> str | None:
+    """Return a hint that names the prim whose path is most like one."""
+    all_of_them = islice(stage.Traverse(), MOST_COMPARED)
+    names = [str(prim.GetPath()) for prim in all_of_them]
+    near = get_close_matches(name, names, 1)
+    return f"did you mean {near[0]}?" if near else None

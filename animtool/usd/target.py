@@ -276,6 +276,7 @@ class JointMap:
             mapped,
             motion.weights,
             motion.controls,
+            motion.track_times,
         )
 
     def _channel(self, channel: Channel, rest: FloatArray) -> Channel:

@@ -1,0 +1,143 @@
+"""Tracks of rigid things beside a rig: props, cameras, and values of attributes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from animtool._types import FloatArray
+from animtool.maths import so3
+
+__all__ = ["Attribute", "Reference", "Track", "Transforms", "turned_track"]
+
+
+@dataclass(frozen=True, slots=True)
+class Attribute:
+    """A value that a thing has over time.
+
+    Attributes:
+        name: As USD has it.
+        type_name: Likewise, such as ``float2``.
+        width: How many numbers it is; 0 where it is one of some choices.
+        choices: What it may be that is no number, and lasts until it is another.
+        length: Whether its numbers are lengths, which are [m] then.
+    """
+
+    name: str
+    type_name: str
+    width: int = 1
+    choices: tuple[object, ...] = ()
+    length: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """What is to be seen of a thing.
+
+    Attributes:
+        file: A USD file.
+        prim: Path of a prim in it; empty is its default prim.
+        meters_per_unit: Its length unit [m].
+    """
+
+    file: str
+    prim: str
+    meters_per_unit: float
+
+
+@dataclass(frozen=True, slots=True)
+class Transforms:
+    """Where a thing is at F times, in the world of the rig, and its values.
+
+    Attributes:
+        translations: ``(F, 3)`` [m].
+        rotations: Unit quaternions (x, y, z, w) ``(F, 4)``.
+        scales: ``(F, 3)``.
+        matrices: Column vectors, [m] ``(F, 4, 4)``, in place of the three where these
+            do not come to the same; None where they do.
+        values: Of each attribute: numbers ``(F, width)``, or which of its choices
+            ``(F,)``.
+    """
+
+    translations: FloatArray
+    rotations: FloatArray
+    scales: FloatArray
+    matrices: FloatArray | None = None
+    values: tuple[npt.NDArray[Any], ...] = ()
+
+    def __len__(self) -> int:
+        """Return the number of times."""
+        return len(self.translations)
+
+    def matrix(self) -> FloatArray:
+        """Return the whole as matrices of column vectors, [m] ``(F, 4, 4)``.
+
+        >>> still = np.zeros((1, 3)), np.array([[0, 0, 0, 1.0]]), np.ones((1, 3))
+        >>> bool((Transforms(*still).matrix() == np.eye(4)).all())
+        True
+        """
+        if self.matrices is not None:
+            return self.matrices
+        whole = np.tile(np.eye(4), (len(self), 1, 1))
+        whole[:, :3, :3] = so3.to_matrix(self.rotations) * self.scales[:, None]
+        whole[:, :3, 3] = self.translations
+        return whole
+
+
+# From times ``(F,)`` of the track's own, in any order.
+Sampling: TypeAlias = Callable[[FloatArray], Transforms]
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """A thing beside a rig: a function of a time of its own.
+
+    A take says which of these times each of its frames shows, so that whatever cuts,
+    resamples and retimes its frames does the same to the thing, without loss.
+
+    Attributes:
+        path: Where it is written: below the character, or from ``/`` on.
+        sample: Gives it at times.
+        type_name: Of its prim; empty leaves it to the reference.
+        placed: Whether it has a place in the world; else only attributes.
+        moves: Whether anything of it changes over time.
+        attributes: Values that it has, in order.
+        reference: What is to be seen; None is nothing.
+    """
+
+    path: str
+    sample: Sampling
+    type_name: str = "Xform"
+    placed: bool = True
+    moves: bool = True
+    attributes: tuple[Attribute, ...] = ()
+    reference: Reference | None = None
+
+    def at(self, times: FloatArray) -> Transforms:
+        """Return the thing at times ``(F,)``, signs of rotations continuous."""
+        found = self.sample(times)
+        return replace(found, rotations=so3.align_signs(found.rotations))
+
+
+def turned_track(track: Track, turn: FloatArray) -> Track:
+    """Return a track in a world that is turned ``(4,)``."""
+    matrix = so3.to_matrix(turn)
+
+    def sample(times: FloatArray) -> Transforms:
+        found = track.sample(times)
+        matrices = found.matrices
+        if matrices is not None:
+            matrices = matrices.copy()
+            matrices[:, :3] = matrix @ matrices[:, :3]
+        return replace(
+            found,
+            translations=so3.rotate(turn, found.translations),
+            rotations=so3.multiply(turn, found.rotations),
+            matrices=matrices,
+        )
+
+    return replace(track, sample=sample)

@@ -1,0 +1,268 @@
+"""Writing things beside a rig: their prims, where they are, and their values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from pxr import Gf, Sdf, Vt
+
+from animtool._types import FloatArray
+from animtool.errors import Fault, OptionError
+from animtool.files import seen_from
+from animtool.take import Motion
+from animtool.transforms import Reference, Track, Transforms, turned_track
+from animtool.usd.layers import attribute, prim
+from animtool.usd.paths import RigPaths
+from animtool.usd.samples import Samples
+
+__all__ = [
+    "Beside",
+    "ThingPlaces",
+    "ThingWorld",
+    "author_things",
+    "check_things",
+    "thing_paths",
+]
+
+
+@dataclass(slots=True)
+class Beside:
+    """The tracks of a take on their way to a layer, apart from the motion of its rig.
+
+    Attributes:
+        tracks: What they are.
+        codes: Time codes of the frames that have passed, one array a block.
+        times: Which time of its own each track shows there ``(F, N)``, likewise.
+    """
+
+    tracks: tuple[Track, ...]
+    codes: list[FloatArray] = field(default_factory=list)
+    times: list[FloatArray] = field(default_factory=list)
+
+    def watched(
+        self, timed: Iterator[tuple[FloatArray, Motion]]
+    ) -> Iterator[tuple[FloatArray, Motion]]:
+        """Yield frames, and keep which times of the tracks they show."""
+        for codes, motion in timed:
+            assert motion.track_times is not None
+            self.codes.append(codes)
+            self.times.append(motion.track_times.dense()[..., 0])
+            yield codes, motion
+
+
+# From a row of values to what USD has of it.
+_Make: TypeAlias = Callable[[Any], Any]
+
+
+def thing_paths(tracks: Sequence[Track], model: str) -> list[str]:
+    """Return where tracks are on a stage that has a character at a path."""
+    return [
+        track.path if track.path.startswith("/") else f"{model}/{track.path}"
+        for track in tracks
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class ThingWorld:
+    """The world that numbers of a layer are in.
+
+    Attributes:
+        meters_per_unit: Its unit [m].
+        turn: From the up axis of the rig to its own; None is none.
+    """
+
+    meters_per_unit: float
+    turn: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ThingPlaces:
+    """Where things are to be written.
+
+    Attributes:
+        model: The prim of the character.
+        inside: World of what is below it.
+        outside: World of the stage.
+        exists: Whether something else has a prim at a path.
+        variant: The model in the variant of a take; empty where there is none.
+    """
+
+    model: str
+    inside: ThingWorld
+    outside: ThingWorld
+    exists: Callable[[str], bool]
+    variant: str = ""
+
+    def world(self, path: str) -> ThingWorld:
+        """Return the world of a path."""
+        return self.inside if _within(path, self.model) else self.outside
+
+    def spec(self, path: str) -> str:
+        """Return where a layer has a prim of the stage."""
+        if not self.variant:
+            return path
+        return str(Sdf.Path(path).ReplacePrefix(self.model, self.variant))
+
+
+def check_things(
+    things: Sequence[Track], paths: RigPaths, stage: Any = None, *, library: bool
+) -> None:
+    """Refuse things where the character is, or where another thing is.
+
+    Args:
+        things: What is to be written.
+        paths: The character's prims.
+        stage: What the layer goes over; None is nothing.
+        library: Whether takes are variants of the model.
+
+    Raises:
+        OptionError: With every such fault (SCN046, SCN047), whose ``where`` is the
+            thing's own path.
+    """
+    faults = []
+    model, root = paths.model, paths.root
+    found = thing_paths(things, model)
+    for i, (thing, path) in enumerate(zip(things, found, strict=True)):
+        there = None if stage is None else stage.GetPrimAtPath(path)
+        message, hint = "", "name a path of its own, such as Props/box"
+        if _meet(path, root) or _within(model, path):
+            message = f"{path} is of the character at {model}"
+        elif there and there.IsInstanceProxy():
+            message = f"{path} is inside of an instance, which a layer cannot reach"
+        elif library and not _within(path, model):
+            message = f"{path} is not below {model}, whose variants are the takes"
+        if message:
+            faults.append(Fault("SCN047", message, hint=hint, where=thing.path))
+        for other in found[:i]:
+            if _meet(path, other):
+                message = f"{path} meets {other}, which another thing has"
+                hint = "each has a path of its own, none below another's"
+                faults.append(Fault("SCN046", message, hint=hint, where=thing.path))
+    if faults:
+        raise OptionError(faults)
+
+
+def _within(path: str, above: str) -> bool:
+    return path == above or path.startswith(f"{above}/")
+
+
+def _meet(one: str, other: str) -> bool:
+    return _within(one, other) or _within(other, one)
+
+
+def author_things(
+    layer: Any,
+    beside: Beside,
+    places: ThingPlaces,
+    output: Path | None,
+) -> list[str]:
+    """Write the prims of tracks, with samples of what changes, and return their paths.
+
+    Args:
+        layer: Where to.
+        beside: The tracks, all frames passed.
+        places: Where they are to be.
+        output: The file that it becomes; None is stdout.
+    """
+    found = thing_paths(beside.tracks, places.model)
+    codes, times = np.concatenate(beside.codes), np.concatenate(beside.times)
+    for i, (track, path) in enumerate(zip(beside.tracks, found, strict=True)):
+        _author_above(layer, path, places)
+        there, world = places.exists(path), places.world(path)
+        if world.turn is not None:
+            track = turned_track(track, world.turn)  # noqa: PLW2901
+        type_name = "" if there else track.type_name
+        spec = prim(layer, places.spec(path), type_name, over=there)
+        if track.reference is not None:
+            _author_reference(spec, track.reference, output)
+        _author_track(spec, track, codes, track.at(times[:, i]), world)
+    return found
+
+
+def _author_above(layer: Any, path: str, places: ThingPlaces) -> None:
+    """Define the prims above a path that nothing else does."""
+    for above in list(Sdf.Path(path).GetAncestorsRange())[1:]:
+        text = str(above)
+        if above.IsAbsoluteRootPath() or _within(places.model, text):
+            continue
+        spec = places.spec(text)
+        if layer.GetPrimAtPath(spec) is None and not places.exists(text):
+            prim(layer, spec, "Xform")
+
+
+def _author_reference(spec: Any, reference: Reference, output: Path | None) -> None:
+    folder = Path() if output is None else output.parent
+    name = seen_from(Path(reference.file), folder)
+    if not (name.startswith("../") or Path(name).is_absolute()):
+        # Else USD would search for it.
+        name = f"./{name}"
+    prim_path = Sdf.Path(reference.prim) if reference.prim else Sdf.Path()
+    spec.referenceList.prependedItems.append(Sdf.Reference(name, prim_path))
+
+
+def _author_track(
+    spec: Any, track: Track, codes: FloatArray, found: Transforms, world: ThingWorld
+) -> None:
+    types, unit = Sdf.ValueTypeNames, world.meters_per_unit
+    # What is referred to has points in a unit of its own.
+    factor = 1.0 if track.reference is None else track.reference.meters_per_unit / unit
+
+    def author(name: str, type_name: Any, rows: Any, make: _Make) -> None:
+        samples = Samples(spec, name, type_name, make)
+        samples.add(codes, rows)
+        samples.finish(rows[0])
+
+    if found.matrices is not None:
+        matrices = found.matrices.copy()
+        matrices[:, :3, 3] /= unit
+        matrices[:, :3, :3] *= factor
+        rows = matrices.swapaxes(1, 2)
+        author("xformOp:transform", types.Matrix4d, rows, _matrix)
+        _author_order(spec, "xformOp:transform")
+    elif track.placed:
+        author("xformOp:translate", types.Double3, found.translations / unit, _vector)
+        author("xformOp:orient", types.Quatd, found.rotations, _quaternion)
+        author("xformOp:scale", types.Double3, found.scales * factor, _vector)
+        _author_order(spec, "xformOp:translate", "xformOp:orient", "xformOp:scale")
+    for one, values in zip(track.attributes, found.values, strict=True):
+        own_type = types.Find(one.type_name)
+        if one.width:
+            make = _number if one.width == 1 else _numbers
+            author(one.name, own_type, values / (unit if one.length else 1.0), make)
+        else:
+            author(one.name, own_type, values, _choice(one.choices))
+
+
+def _author_order(spec: Any, *names: str) -> None:
+    order = Vt.TokenArray(names)
+    types = Sdf.ValueTypeNames
+    attribute(spec, "xformOpOrder", types.TokenArray, order, uniform=True)
+
+
+def _choice(choices: Sequence[object]) -> Callable[[Any], object]:
+    return lambda row: choices[int(row)]
+
+
+def _number(row: FloatArray) -> float:
+    return float(row[0])
+
+
+def _numbers(row: FloatArray) -> tuple[float, ...]:
+    return tuple(row.tolist())
+
+
+def _vector(row: FloatArray) -> Any:
+    return Gf.Vec3d(*row.tolist())
+
+
+def _matrix(row: FloatArray) -> Any:
+    return Gf.Matrix4d(row.tolist())
+
+
+def _quaternion(row: FloatArray) -> Any:
+    x, y, z, w = row.tolist()
+    return Gf.Quatd(w, x, y, z)

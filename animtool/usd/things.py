@@ -1,0 +1,413 @@
+"""Reading props, cameras and attributes: where a prim is over time, and its values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Usd, UsdGeom
+
+from animtool._types import FloatArray
+from animtool.errors import Fault, FormatError, OptionError, excerpt
+from animtool.maths import so3
+from animtool.rates import rate_from_float
+from animtool.transforms import Attribute, Reference, Track, Transforms
+from animtool.units import UpAxis, up_from_up
+from animtool.usd.layers import usd_errors
+from animtool.usd.prims import find_prim, nearest_prim
+from animtool.usd.rig_prims import decompose, open_stage, up_axis
+from animtool.usd.sample_grid import time_fraction
+
+__all__ = ["ThingSource", "Wanted", "open_thing"]
+
+# What float64 rounds along a hierarchy is a smaller share of a transform than this.
+ROUNDED = 1e-11
+# A time this near to a key [time code] is that of the key.
+ON_KEY = 1e-9
+
+# By the C++ type of a value that is between two others, how many numbers it is.
+_WIDTHS = {"float": 1, "double": 1, "GfHalf": 1} | {
+    f"GfVec{width}{letter}": width for width in (2, 3, 4) for letter in "fdh"
+}
+# What lasts until the next value.
+_HELD = {
+    "bool",
+    "int",
+    "unsigned int",
+    "int64_t",
+    "uint64_t",
+    "unsigned char",
+    "TfToken",
+    "std::string",
+    *(f"GfVec{width}i" for width in (2, 3, 4)),
+}
+# What a camera sees depends on these, stated or not.
+_LENS = ("focalLength", "horizontalAperture", "verticalAperture")
+_OF_CAMERAS = (
+    *_LENS,
+    "horizontalApertureOffset",
+    "verticalApertureOffset",
+    "clippingRange",
+    "focusDistance",
+    "fStop",
+    "projection",
+    "shutter:open",
+    "shutter:close",
+)
+# In units of the stage, or in tenths of these.
+_LENGTHS = frozenset(_OF_CAMERAS[:7])
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What is to be read of a file.
+
+    Attributes:
+        file: The file.
+        prim: Path of the prim.
+        path: Where it is to be written.
+        attributes: Names of attributes beside those of a camera.
+        reference: File that shows it; the file itself with the prim, or another with
+            its default prim. None shows nothing.
+    """
+
+    file: Path
+    prim: str
+    path: str
+    attributes: tuple[str, ...] = ()
+    reference: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ThingSource:
+    """A prim of a stage that is open.
+
+    Attributes:
+        track: It, over the time codes of its file.
+        fps: Time codes a second.
+        keys: Time codes of everything that moves it, ascending ``(K,)``.
+        span: First and last time code that it is for; None where it never moves.
+        unstated: What decides what a camera sees, and is not stated.
+        sheared: Whether its place is a matrix, as translation, rotation and scale do
+            not come to the same.
+        shear: Returns the largest share of a transform that was left out so far, as
+            such a matrix would have it between keys.
+    """
+
+    track: Track
+    fps: Fraction
+    keys: FloatArray
+    span: tuple[Fraction, Fraction] | None
+    unstated: tuple[str, ...]
+    sheared: bool
+    shear: Callable[[], float]
+
+
+def open_thing(wanted: Wanted, up: UpAxis) -> ThingSource:
+    """Open a prim whose transform and values are to be read over time.
+
+    Its place is that in the world of its file: all operations of it and of the prims
+    above come together. Units are metres, the up axis is that of the rig.
+
+    Args:
+        wanted: Which prim.
+        up: Up axis of the rig's world.
+
+    Raises:
+        FormatError: The file is no USD.
+        OptionError: It has no such prim, or none that is placed or has the attributes
+            (SCN048, SCN049).
+    """
+    with usd_errors(wanted.file):
+        stage = open_stage(wanted.file)
+        prim = find_prim(stage, wanted.prim)
+        if prim is None:
+            message = f"{wanted.file.name} holds no prim {excerpt(wanted.prim)}"
+            raise OptionError(
+                Fault("SCN048", message, hint=nearest_prim(stage, wanted.prim))
+            )
+        return _opened(wanted, stage, prim, up)
+
+
+def _opened(wanted: Wanted, stage: Any, prim: Any, up: UpAxis) -> ThingSource:
+    placed = bool(UsdGeom.Xformable(prim))
+    attributes = _attributes(prim, wanted)
+    if not placed and not attributes:
+        message = f"{wanted.prim} has no place: it is a {prim.GetTypeName() or 'prim'}"
+        hint = "attributes: names what to read of it"
+        raise OptionError(Fault("SCN048", message, hint=hint))
+    sampler = _Sampler(
+        stage,
+        prim,
+        attributes,
+        tuple(_described(attribute) for attribute in attributes),
+        UsdGeom.GetStageMetersPerUnit(stage),
+        up_from_up(up, up_axis(stage)),
+        str(wanted.file),
+        placed,
+    )
+    sampler.settle()
+    track = Track(
+        wanted.path,
+        sampler.at,
+        _type_name(prim, wanted),
+        placed,
+        sampler.moves,
+        sampler.described,
+        _reference(wanted, stage),
+    )
+    lens = _LENS if prim.IsA(UsdGeom.Camera) else ()
+    return ThingSource(
+        track,
+        rate_from_float(stage.GetTimeCodesPerSecond()),
+        sampler.keys,
+        _span(stage, sampler.keys) if sampler.moves else None,
+        tuple(n for n in lens if not prim.GetAttribute(n).HasAuthoredValue()),
+        sampler.sheared,
+        lambda: sampler.shear,
+    )
+
+
+def _type_name(prim: Any, wanted: Wanted) -> str:
+    """Return the type to write: that of a camera or light, else of a mere frame."""
+    own = str(prim.GetTypeName())
+    if prim.IsA(UsdGeom.Gprim) or prim.IsA(UsdGeom.PointInstancer) or not own:
+        own = "Xform"
+    if wanted.reference is not None:
+        return "" if wanted.reference != wanted.file else str(prim.GetTypeName())
+    return own
+
+
+def _reference(wanted: Wanted, stage: Any) -> Reference | None:
+    if wanted.reference is None:
+        return None
+    if wanted.reference == wanted.file:
+        unit = UsdGeom.GetStageMetersPerUnit(stage)
+        return Reference(str(wanted.file.resolve()), wanted.prim, unit)
+    other = open_stage(wanted.reference)
+    if not other.GetDefaultPrim():
+        message = f"{wanted.reference.name} has no default prim to refer to"
+        raise OptionError(Fault("SCN048", message))
+    unit = UsdGeom.GetStageMetersPerUnit(other)
+    return Reference(str(wanted.reference.resolve()), "", unit)
+
+
+def _attributes(prim: Any, wanted: Wanted) -> list[Any]:
+    """Return the attributes to read.
+
+    Raises:
+        OptionError: One is not there, or of a type that is not carried (SCN049).
+    """
+    found, faults = [], []
+    if prim.IsA(UsdGeom.Camera):
+        # What USD takes for lengths that are not stated depends on the unit.
+        always = {*_LENS, "clippingRange"}
+        own = [prim.GetAttribute(name) for name in _OF_CAMERAS]
+        found = [a for a in own if a.GetName() in always or a.HasAuthoredValue()]
+    for name in wanted.attributes:
+        attribute = prim.GetAttribute(name)
+        if attribute and attribute.GetName() in {a.GetName() for a in found}:
+            continue
+        if not attribute or not attribute.HasValue():
+            names = [a.GetName() for a in prim.GetAttributes() if a.HasValue()]
+            near = get_close_matches(name, names, 1)
+            hint = f"did you mean {near[0]}?" if near else None
+            message = f"{wanted.prim} has no value of {excerpt(name)}"
+            faults.append(Fault("SCN049", message, hint=hint))
+        elif _kind(attribute) not in {*_WIDTHS, *_HELD}:
+            message = f"{name} of {wanted.prim} is a {attribute.GetTypeName()}"
+            hint = "numbers, vectors, bools, tokens and strings are carried"
+            faults.append(Fault("SCN049", message, hint=hint))
+        else:
+            found.append(attribute)
+    if faults:
+        raise OptionError(faults)
+    return found
+
+
+def _kind(attribute: Any) -> str:
+    type_name = attribute.GetTypeName()
+    return "array" if type_name.isArray else str(type_name.cppTypeName)
+
+
+def _described(attribute: Any) -> Attribute:
+    name, type_name = attribute.GetName(), str(attribute.GetTypeName())
+    width = _WIDTHS.get(_kind(attribute), 0)
+    if width:
+        return Attribute(name, type_name, width, length=name in _LENGTHS)
+    times = attribute.GetTimeSamples() or [Usd.TimeCode.EarliestTime()]
+    choices = dict.fromkeys(map(attribute.Get, times))
+    return Attribute(name, type_name, 0, tuple(choices))
+
+
+def _span(stage: Any, keys: FloatArray) -> tuple[Fraction, Fraction]:
+    """Return the time codes that a prim is for: those of the stage, and its keys."""
+    ends = keys[[0, -1]].tolist() if len(keys) else []
+    if stage.HasAuthoredTimeCodeRange() or not ends:
+        ends += [stage.GetStartTimeCode(), stage.GetEndTimeCode()]
+    return time_fraction(min(ends)), time_fraction(max(ends))
+
+
+@dataclass(slots=True)
+class _Sampler:
+    """Reads a prim at time codes.
+
+    Attributes:
+        stage: Open as long as this is, and its prims with it.
+        prim: The prim.
+        attributes: Of it.
+        described: The same, without values.
+        unit: Of the stage [m].
+        turn: From its up axis to that of the rig; None is none.
+        where: The file.
+        placed: Whether it has a place in the world.
+        keys: Time codes at which something is stated, ascending.
+        moves: Whether anything is another at one time than at another.
+        sheared: Whether places are matrices.
+        shear: Largest share of a transform that was left out so far.
+        scales: Those of every time, where they are even but for rounding.
+    """
+
+    stage: Any
+    prim: Any
+    attributes: Sequence[Any]
+    described: tuple[Attribute, ...]
+    unit: float
+    turn: tuple[float, float, float, float] | None
+    where: str
+    placed: bool
+    keys: FloatArray = field(default_factory=lambda: np.zeros(0))
+    moves: bool = True
+    sheared: bool = False
+    shear: float = 0.0
+    scales: FloatArray | None = None
+
+    def settle(self) -> None:
+        """Find the keys, and by them what the prim is like."""
+        moving = list(self._moving())
+        stated = {time for part in moving for time in part.GetTimeSamples()}
+        self.keys = np.array(sorted(stated))
+        codes = self.keys
+        if not len(codes):
+            codes = np.array([self.stage.GetStartTimeCode()])
+        self.sheared = self.placed and _split(self._matrices(codes))[3] > ROUNDED
+        found = self.at(codes)
+        # Values that are functions of time, such as splines, have no samples.
+        self.moves = any(not part.GetTimeSamples() for part in moving) or any(
+            bool((values != values[:1]).any())
+            for values in (found.matrix(), *found.values)
+        )
+        even = np.abs(found.scales - found.scales[0]).max() <= ROUNDED
+        self.scales = found.scales[0] if even and not self.sheared else None
+
+    def _moving(self) -> Iterator[Any]:
+        """Yield attributes and places that may change over time."""
+        for attribute in self.attributes:
+            if attribute.ValueMightBeTimeVarying():
+                yield attribute
+        prim = self.prim
+        while self.placed and prim and not prim.IsPseudoRoot():
+            place = UsdGeom.Xformable(prim)
+            if place and place.TransformMightBeTimeVarying():
+                yield place
+            if place and place.GetResetXformStack():
+                return
+            prim = prim.GetParent()
+
+    def at(self, times: FloatArray) -> Transforms:
+        """Return the prim at time codes ``(F,)``.
+
+        Raises:
+            FormatError: Its transform or a value is not finite (USD014).
+        """
+        codes = self._on_keys(times if self.moves else times[:1])
+        count, matrices = len(codes), None
+        places, turns = np.zeros((count, 3)), np.tile(so3.IDENTITY, (count, 1))
+        scales = np.ones((count, 3))
+        if self.sheared:
+            matrices = self._matrices(codes)
+        elif self.placed:
+            places, turns, scales, shear = _split(self._matrices(codes))
+            self.shear = max(self.shear, shear)
+            if self.scales is not None:
+                near = np.abs(scales - self.scales) <= ROUNDED * np.abs(self.scales)
+                scales = np.where(near, self.scales, scales)
+        found = Transforms(places, turns, scales, matrices, self._values(codes))
+        return found if self.moves else _lasting(found, len(times))
+
+    def _on_keys(self, times: FloatArray) -> FloatArray:
+        """Return time codes, those of keys where they are as near as rounding goes."""
+        if not len(self.keys):
+            return times
+        behind = np.searchsorted(self.keys, times).clip(max=len(self.keys) - 1)
+        before = (behind - 1).clip(min=0)
+        for at in (before, behind):
+            near = np.abs(times - self.keys[at]) <= ON_KEY
+            times = np.where(near, self.keys[at], times)
+        return times
+
+    def _values(self, codes: FloatArray) -> tuple[Any, ...]:
+        found: list[Any] = []
+        for attribute, about in zip(self.attributes, self.described, strict=True):
+            rows = [attribute.Get(Usd.TimeCode(code)) for code in codes.tolist()]
+            if about.width:
+                values = np.array(rows, np.float64).reshape(len(codes), about.width)
+                self._check(values)
+                found.append(values * (self.unit if about.length else 1.0))
+            else:
+                found.append(np.array([about.choices.index(row) for row in rows]))
+        return tuple(found)
+
+    def _matrices(self, codes: FloatArray) -> FloatArray:
+        """Return where the prim is, column vectors, [m] ``(F, 4, 4)``."""
+        cache = UsdGeom.XformCache()
+        found = []
+        with usd_errors(Path(self.where)):
+            for code in codes.tolist():
+                cache.SetTime(Usd.TimeCode(code))
+                found.append(cache.GetLocalToWorldTransform(self.prim))
+        matrices = np.array(found, np.float64).reshape(-1, 4, 4).swapaxes(1, 2)
+        self._check(matrices)
+        matrices[:, :3, 3] *= self.unit
+        if self.turn is not None:
+            matrices[:, :3] = so3.to_matrix(self.turn) @ matrices[:, :3]
+        return matrices
+
+    def _check(self, values: FloatArray) -> None:
+        if not np.isfinite(values).all():
+            where = f"{self.where}<{self.prim.GetPath()}>"
+            message = "its transform, or a value of it, is not finite"
+            raise FormatError(Fault("USD014", message, where))
+
+
+def _lasting(found: Transforms, count: int) -> Transforms:
+    """Return one transform, and its values, as that of all times."""
+
+    def all_times(values: Any) -> Any:
+        return np.repeat(values, count, axis=0)
+
+    return Transforms(
+        all_times(found.translations),
+        all_times(found.rotations),
+        all_times(found.scales),
+        None if found.matrices is None else all_times(found.matrices),
+        tuple(map(all_times, found.values)),
+    )
+
+
+def _split(
+    matrices: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """Return translations, rotations, scales, and the share that they leave out."""
+    places, turns, scales = decompose(matrices.swapaxes(1, 2))
+    turns = so3.normalize(turns)
+    again = so3.to_matrix(turns) * scales[:, None, :]
+    size = np.abs(matrices[:, :3, :3]).max(axis=(1, 2))
+    apart = np.abs(again - matrices[:, :3, :3]).max(axis=(1, 2))
+    shares = apart / np.where(size > 0, size, 1.0)
+    return places, turns, scales, float(shares.max(initial=0.0))
