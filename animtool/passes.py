@@ -37,6 +37,7 @@ __all__ = [
     "find_pass",
     "listed_passes",
     "named_take",
+    "sees_tracks",
 ]
 
 PLUGIN_GROUP = "animtool.passes"
@@ -222,6 +223,15 @@ def listed_passes() -> list[ListedPass]:
     return found
 
 
+def sees_tracks(pass_: Pass) -> bool:
+    """Return whether a pass is given what is beside the rig.
+
+    >>> sees_tracks(find_pass("mirror")), sees_tracks(find_pass("trim"))
+    (False, True)
+    """
+    return bool(pass_.changes & {TakePart.CLOCK, TakePart.TRACKS})
+
+
 def apply_pass(
     stream: TakeStream, pass_: Pass, options: object, context: PassContext
 ) -> TakeStream:
@@ -236,7 +246,7 @@ def apply_pass(
             passes perhaps only while the blocks are read, as where one has lost the
             tracks (SCN045).
     """
-    if stream.tracks and not pass_.changes & {TakePart.CLOCK, TakePart.TRACKS}:
+    if stream.tracks and not sees_tracks(pass_):
         aside = TracksAside(stream)
         done = apply_pass(aside.stream, pass_, options, context)
         return aside.put_back(done)

@@ -9,7 +9,7 @@ from fractions import Fraction
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray
-from animtool.errors import AnimtoolError, Fault, FormatError, Severity, counted, listed
+from animtool.errors import AnimtoolError, Fault, FormatError, Severity, listed
 from animtool.rates import rate_label
 from animtool.scene.scene import SceneThing
 from animtool.scene.stats import Meter, StageCost
@@ -51,6 +51,7 @@ def with_things(
     stream: TakeStream,
     entries: Sequence[SceneThing],
     first: Fraction | None,
+    fps: Fraction | None,
     meter: Meter,
 ) -> TakeStream:
     """Return a take with things beside its rig, read at each of its frames.
@@ -59,6 +60,7 @@ def with_things(
         stream: The take.
         entries: The things, at least one.
         first: Number of its first frame; None is what it says itself, or 1.
+        fps: Frames a second of the output; None is the take's time codes.
         meter: Counts what reading them costs.
 
     Raises:
@@ -78,7 +80,7 @@ def with_things(
     ]
     beside = _Beside(stream, things)
     for thing in things:
-        stream.notices += thing.notes(stream)
+        stream.notices += thing.notes(fps or stream.fps)
     tracks = [
         _counted(thing, stage, meter, stream.notices)
         for thing, stage in zip(things, stages, strict=True)
@@ -109,7 +111,7 @@ def _counted(
             message = f"{thing.entry.prim} is sheared between its keys, by up to "
             message += f"{shear:.2g} of its size, which is left out"
             note = thing.entry.place.fault
-            notices.append(note("SCN113", message, None, Severity.WARNING))
+            notices.append(note("SCN113", message, None, Severity.NOTE))
         return found
 
     return replace(track, sample=sample)
@@ -135,7 +137,7 @@ class _Thing:
         """Return its time codes at frames of the take ``(count,)``."""
         return time_codes(self.begin + first * self.step, self.step, count)
 
-    def notes(self, stream: TakeStream) -> Iterator[Fault]:
+    def notes(self, fps: Fraction) -> Iterator[Fault]:
         """Yield what there is to say of it, whatever the frames are."""
         source, note = self.source, self.entry.place.fault
         if source.unstated:
@@ -145,21 +147,15 @@ class _Thing:
         if source.span is None:
             message = f"{self.entry.prim} does not move: it is written once"
             yield note("SCN109", message, None, Severity.NOTE)
-        elif hidden := self._between(source.keys):
-            mine, theirs = rate_label(source.fps), rate_label(stream.fps / stream.step)
-            message = f"{counted(hidden, 'key')} of {self.entry.prim} lie between "
-            message += f"frames: it has {mine}, the take {theirs}"
-            yield note("SCN110", message, None, Severity.NOTE)
+        elif (fps / source.fps).denominator > 1:
+            mine, theirs = rate_label(source.fps), rate_label(fps)
+            message = f"{self.entry.prim} has {mine}, and the output {theirs}"
+            hint = "what it is between its own frames is written"
+            yield note("SCN110", message, hint, Severity.NOTE)
         if source.sheared:
             message = f"{self.entry.prim} is sheared: its place is written as a matrix"
             hint = "a scale that is not even stands above a rotation"
             yield note("SCN111", message, hint, Severity.NOTE)
-
-    def _between(self, keys: FloatArray) -> int:
-        """Return how many keys no frame of the take shows."""
-        frames = (keys - float(self.begin)) / float(self.step)
-        inside = frames >= 0
-        return int((np.abs(frames - np.round(frames)) > ON_FRAME)[inside].sum())
 
     def held(self, count: int) -> BoolArray | None:
         """Return which of a take's frames it has not; None where it never moves."""

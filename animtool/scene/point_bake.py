@@ -19,6 +19,7 @@ from animtool.scene.plan import BakePlan
 from animtool.scene.report import BakeReport, MeshReport, TakeReport
 from animtool.take import Motion
 from animtool.usd.animation import Rounding
+from animtool.usd.beside import Beside, author_things, thing_places
 from animtool.usd.jobs import UsdResult, WrittenTake
 from animtool.usd.layers import save_layer
 from animtool.usd.names import legal_name
@@ -71,6 +72,10 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
     counted = replace(stream, blocks=frames.of_source(stream.blocks))
     timed, span, _ = timed_blocks(take, counted)
     job, character, spaces = _job(plan, character, span)
+    beside = Beside(stream.tracks)
+    if stream.tracks:
+        timed = beside.watched(timed)
+    things: list[str] = []
     points = PointStream(
         character,
         job.meters_per_unit,
@@ -79,7 +84,12 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
         plan.options.velocities,
     )
 
-    def check(_: object) -> None:
+    def check(layer: Any) -> None:
+        if stream.tracks:
+            places = thing_places(
+                job.paths, plan.target, None, job.meters_per_unit, character.rig.up
+            )
+            things.extend(author_things(layer, beside, places, plan.output))
         refuse_warnings(stream.notices + plan.notices, strict=plan.options.strict)
 
     ahead = prefetch(points.blocks(frames.of_output(timed)))
@@ -100,6 +110,7 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
     else:
         size = sum(path.stat().st_size for path in outputs)
     result = _result(job, layer, written, frames.samples, outputs, size)
+    result.takes[0].things = things
     seconds["total"] = time.perf_counter() - began
     seconds["save"] = seconds["total"] - seconds["author"]
     surfaces = len(character.surfaces)

@@ -280,7 +280,8 @@ class Scene:
             return stream
         from animtool.scene.beside import with_things
 
-        return with_things(stream, self.beside, self.first, self.meter)
+        fps = self.bake.fps
+        return with_things(stream, self.beside, self.first, fps, self.meter)
 
     @contextmanager
     def blamed_things(self) -> Iterator[None]:

@@ -9,16 +9,17 @@ from pathlib import Path
 from typing import cast
 
 from animtool.errors import counted
-from animtool.passes import TakePart
+from animtool.passes import TakePart, sees_tracks
 from animtool.rates import rate_label
 from animtool.rig.skeleton import Rig
 from animtool.scene.convert import convert_outputs
 from animtool.scene.files import form_of, output_files
 from animtool.scene.options import BakeOptions, merged
 from animtool.scene.reading import Source, found_sources
-from animtool.scene.scene import OutputKind, Scene, ScenePass, kind_of
+from animtool.scene.scene import OutputKind, Scene, ScenePass, SceneThing, kind_of
 from animtool.scene.sources import fitting_options, open_source
 from animtool.take import Motion, TakeStream
+from animtool.transforms import Track
 from animtool.usd.forms import Form
 
 __all__ = ["Step", "StepKind", "bake_steps"]
@@ -28,6 +29,7 @@ class StepKind(StrEnum):
     """What a step is."""
 
     SOURCE = "source"
+    BESIDE = "beside"
     PASS = "pass"
     OUTPUT = "output"
 
@@ -103,6 +105,7 @@ class _State:
         curves: Controls that have a curve.
         dropped: The pass that took their curves away; empty where none did.
         facts: How many frames there are, and of what.
+        tracks: What is beside the rig.
         still: What never moves.
     """
 
@@ -112,6 +115,7 @@ class _State:
     dropped: str
     facts: tuple[str, ...]
     still: tuple[str, ...]
+    tracks: tuple[Track, ...] = ()
 
     @staticmethod
     def of(stream: TakeStream) -> _State:
@@ -128,6 +132,8 @@ class _State:
         if motion.controls is not None:
             parts.add(TakePart.CONTROLS)
             facts.append(counted(len(rig.controls), "control"))
+        if take.tracks:
+            parts.add(TakePart.TRACKS)
         return _State(
             rig,
             frozenset(parts),
@@ -135,6 +141,7 @@ class _State:
             "",
             tuple(facts),
             tuple(_still(motion)),
+            take.tracks,
         )
 
 
@@ -175,6 +182,8 @@ def _scene_steps(scene: Scene, steps: list[Step]) -> _State:
     if len(scene.sources) == 1:
         source = scene.sources[0]
         steps.append(_source_step(source.path, source.place.where, state))
+    for thing, track in zip(scene.beside, state.tracks, strict=True):
+        steps.append(_beside_step(thing, track))
     for entry in scene.passes:
         steps.append(_pass_step(scene, entry, state))
         if state.curves and not state.dropped and _drops(entry):
@@ -182,6 +191,25 @@ def _scene_steps(scene: Scene, steps: list[Step]) -> _State:
         if TakePart.CLOCK in entry.pass_.changes:
             state = replace(state, facts=())
     return state
+
+
+def _beside_step(thing: SceneThing, track: Track) -> Step:
+    makes = [f"{track.type_name or 'what is referred to'} at {thing.path}"]
+    if track.attributes:
+        makes.append(", ".join(attribute.name for attribute in track.attributes))
+    left_out = []
+    if not track.moves:
+        left_out.append("samples: it never moves, and is stored once")
+    if track.reference is None and track.type_name == "Xform":
+        left_out.append("geometry: not asked for (reference)")
+    return Step(
+        StepKind.BESIDE,
+        f"{thing.prim} of {thing.file}",
+        thing.place.where,
+        (str(thing.file),),
+        tuple(makes),
+        tuple(left_out),
+    )
 
 
 def _drops(entry: ScenePass) -> bool:
@@ -197,6 +225,8 @@ def _pass_step(scene: Scene, entry: ScenePass, state: _State) -> Step:
         if isinstance(value := getattr(options, field.name), Path)
     ]
     there = state.moving | {TakePart.RIG, TakePart.CLOCK}
+    if not sees_tracks(entry.pass_):
+        there -= {TakePart.TRACKS}
     left_out = []
     if scene.preroll is not None and not entry.pass_.settles:
         left_out.append("pre-roll: it has no state that would have to settle")
@@ -240,6 +270,8 @@ def _output_step(
     if options.rig_layer is not None:
         reads.insert(0, str(options.rig_layer))
     makes = "deformed points" if options.deform else "an animation of the skeleton"
+    if state.tracks:
+        makes += f" and {counted(len(state.tracks), 'thing')} beside it"
     return Step(
         StepKind.OUTPUT,
         "stdout" if path is None else str(path),
@@ -254,6 +286,11 @@ def _converted_step(path: Path, where: str, state: _State) -> Step:
     is_clip = kind_of(path) is OutputKind.CLIP
     what = "keys within a tolerance" if is_clip else "samples of rotations"
     left_out = []
+    if state.tracks:
+        kind = "keys have" if is_clip else "a BVH has"
+        left_out.append(
+            f"{counted(len(state.tracks), 'thing')} beside: {kind} no place"
+        )
     if not is_clip and TakePart.SHAPES in state.moving:
         left_out.append("shapes: a BVH has no place for them")
     if state.rig.meshes and not is_clip:

@@ -6,14 +6,12 @@ from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
 from pxr import Sdf
 
 from animtool.maths.curves import Curves
 from animtool.rig.surfaces import surfaces_of
-from animtool.units import up_from_up
 from animtool.usd.animation import AnimationWriter
 from animtool.usd.extents import author_extents
 from animtool.usd.forms import Form, output_paths
@@ -32,9 +30,6 @@ from animtool.usd.layers import (
 )
 from animtool.usd.skeleton import author_binding, author_rig
 from animtool.usd.stderr import without_version_warnings
-
-if TYPE_CHECKING:
-    from animtool.usd.beside import ThingPlaces
 
 __all__ = ["Authored", "author", "write_usd"]
 
@@ -131,11 +126,13 @@ def _author_take(
         writer.finish(job.target.operations, replaces_motion=job.target.moves)
     written = _written(job, take, writer)
     if take.beside is not None:
-        from animtool.usd.beside import author_things
+        from animtool.usd.beside import author_things, thing_places
 
-        written.things = author_things(
-            layer, take.beside, _places(job, authored, take.name), job.output
+        rig_layer = None if authored.rig is layer else authored.rig
+        places = thing_places(
+            job.paths, job.target, rig_layer, job.meters_per_unit, job.rig.up, take.name
         )
+        written.things = author_things(layer, take.beside, places, job.output)
     if take.name:
         from animtool.usd.library import author_range
 
@@ -143,30 +140,6 @@ def _author_take(
             layer, paths.animation, take.source_name, written.first, written.last
         )
     return _Part(writer, written, take.curves)
-
-
-def _places(job: UsdJob, authored: Authored, name: str) -> ThingPlaces:
-    """Return where a take's things beside the character go."""
-    from animtool.usd.beside import ThingPlaces, ThingWorld
-
-    inside = outside = ThingWorld(job.meters_per_unit)
-    target, rig = job.target, authored.rig
-    if target is not None:
-        turn = up_from_up(target.up, job.rig.up)
-        outside = ThingWorld(target.unit, None if turn is None else np.array(turn))
-
-    def exists(path: str) -> bool:
-        if target is not None:
-            return bool(target.stage.GetPrimAtPath(target.on_stage(path)))
-        return rig is not authored.animation and rig.GetPrimAtPath(path) is not None
-
-    variant = ""
-    if name:
-        from animtool.usd.library import TAKE_SET
-
-        model = Sdf.Path(job.paths.model)
-        variant = str(model.AppendVariantSelection(TAKE_SET, name))
-    return ThingPlaces(job.paths.model, inside, outside, exists, variant)
 
 
 def _written(job: UsdJob, take: UsdTake, writer: AnimationWriter) -> WrittenTake:

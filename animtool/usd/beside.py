@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from pxr import Gf, Sdf, Vt
@@ -15,9 +15,14 @@ from animtool.errors import Fault, OptionError
 from animtool.files import seen_from
 from animtool.take import Motion
 from animtool.transforms import Reference, Track, Transforms, turned_track
+from animtool.units import UpAxis, up_from_up
 from animtool.usd.layers import attribute, prim
+from animtool.usd.library import TAKE_SET
 from animtool.usd.paths import RigPaths
 from animtool.usd.samples import Samples
+
+if TYPE_CHECKING:
+    from animtool.usd.target import RigTarget
 
 __all__ = [
     "Beside",
@@ -26,6 +31,7 @@ __all__ = [
     "author_things",
     "check_things",
     "thing_paths",
+    "thing_places",
 ]
 
 
@@ -106,6 +112,39 @@ class ThingPlaces:
         if not self.variant:
             return path
         return str(Sdf.Path(path).ReplacePrefix(self.model, self.variant))
+
+
+def thing_places(
+    paths: RigPaths,
+    target: RigTarget | None,
+    rig_layer: Any,
+    meters_per_unit: float,
+    up: UpAxis,
+    take: str = "",
+) -> ThingPlaces:
+    """Return where a take's tracks go.
+
+    Args:
+        paths: The character's prims.
+        target: The rig that a layer goes over.
+        rig_layer: Another layer that holds the rig; None where there is none.
+        meters_per_unit: Unit of the rig [m].
+        up: Its up axis.
+        take: Of a library, the take whose variant holds them.
+    """
+    inside = outside = ThingWorld(meters_per_unit)
+    if target is not None:
+        turn = up_from_up(target.up, up)
+        outside = ThingWorld(target.unit, None if turn is None else np.array(turn))
+
+    def exists(path: str) -> bool:
+        if target is not None:
+            return bool(target.stage.GetPrimAtPath(target.on_stage(path)))
+        return rig_layer is not None and rig_layer.GetPrimAtPath(path) is not None
+
+    model = Sdf.Path(paths.model)
+    variant = str(model.AppendVariantSelection(TAKE_SET, take)) if take else ""
+    return ThingPlaces(paths.model, inside, outside, exists, variant)
 
 
 def check_things(

@@ -303,7 +303,7 @@ class _Sampler:
             for values in (found.matrix(), *found.values)
         )
         even = np.abs(found.scales - found.scales[0]).max() <= ROUNDED
-        self.scales = found.scales[0] if even and not self.sheared else None
+        self.scales = _plain(found.scales[0]) if even and not self.sheared else None
 
     def _moving(self) -> Iterator[Any]:
         """Yield attributes and places that may change over time."""
@@ -383,6 +383,12 @@ class _Sampler:
             where = f"{self.where}<{self.prim.GetPath()}>"
             message = "its transform, or a value of it, is not finite"
             raise FormatError(Fault("USD014", message, where))
+
+
+def _plain(scales: FloatArray) -> FloatArray:
+    """Return scales without what rounding left of a short decimal."""
+    plain = np.round(scales, 9)
+    return np.where(np.abs(plain - scales) <= ROUNDED * np.abs(scales), plain, scales)
 
 
 def _lasting(found: Transforms, count: int) -> Transforms:

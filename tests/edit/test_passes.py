@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
-from support.small_takes import content, small
+from support.small_takes import content, small, with_tracks
 
 from animtool.errors import OptionError
 from animtool.formats.bvh import read_bvh
@@ -138,7 +138,7 @@ def full(seed: int = 3) -> Take:
     values = rng.random((2, take.clock.count, len(parts), 1))
     weights, controls = (Channel.from_dense(one) for one in values)
     motion = replace(take.motion, weights=weights, controls=controls)
-    return replace(take, rig=rig, motion=motion)
+    return with_tracks(replace(take, rig=rig, motion=motion))
 
 
 def part_of(motion: Motion, part: TakePart, frames: list[int]) -> list[np.ndarray]:
@@ -148,6 +148,7 @@ def part_of(motion: Motion, part: TakePart, frames: list[int]) -> list[np.ndarra
         TakePart.SHAPES: ("weights",),
         TakePart.CONTROLS: ("controls",),
     }
+    names[TakePart.TRACKS] = ("track_times",)
     channels = [getattr(motion, name) for name in names.get(part, ())]
     return [channel.dense()[frames] for channel in channels if channel is not None]
 
@@ -197,3 +198,33 @@ def test_what_is_not_read_does_not_show(name: str, part: TakePart) -> None:
         pairs = (part_of(take.motion, kept, everywhere) for take in (first, second))
         for ours, theirs in zip(*pairs, strict=True):
             assert_array_equal(ours, theirs)
+
+
+RETIMED = [name for name in PASSES if TakePart.TRACKS in find_pass(name).changes]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_tracks_stay_with_a_take(name: str) -> None:
+    before = with_tracks(small())
+    after = run(name, before)
+    assert [track.path for track in after.tracks] == ["Props/ball", "/post"]
+    assert after.motion.track_times is not None
+    if TakePart.CLOCK not in find_pass(name).changes:
+        assert after.tracks == before.tracks
+
+
+@pytest.mark.parametrize("name", [n for n in RETIMED if n != "loop"])
+def test_retiming_is_sampling_the_source_at_other_times(name: str) -> None:
+    """A take whose hips slide evenly shows by these which time a frame is of."""
+    take = with_tracks(small())
+    count, shown = take.clock.count, take.motion.track_times.dense()[:, 0, 0]
+    slide = np.zeros((count, 3, 3))
+    slide[:, 0, 0] = shown
+    motion = replace(take.motion, translations=Channel.from_dense(slide))
+    found = run(name, replace(take, motion=motion))
+    times = found.motion.track_times.dense()[:, 0, 0]
+    np.testing.assert_allclose(
+        times, found.motion.translations.dense()[:, 0, 0], atol=1e-12
+    )
+    whole = found.tracks[0].at(times).matrix()
+    np.testing.assert_array_equal(whole, take.tracks[0].at(times).matrix())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -9,8 +10,9 @@ import numpy as np
 from animtool.maths import so3
 from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Channel, Clock, Motion, Take
+from animtool.transforms import Track, Transforms
 
-__all__ = ["content", "small"]
+__all__ = ["content", "small", "with_tracks"]
 
 
 def small(count: int = 12) -> Take:
@@ -33,3 +35,25 @@ def content(take: Take) -> bytes:
         for channel in (take.motion.translations, take.motion.rotations)
         for part in (channel.rest, channel.animated, channel.values)
     )
+
+
+def with_tracks(take: Take) -> Take:
+    """Return a take with a thing beside it that moves, and one that is still."""
+    frames = np.arange(take.clock.count, dtype=np.float64)
+    times = np.stack([7.5 + 0.8 * frames, frames], axis=1)[..., None]
+    motion = replace(take.motion, track_times=Channel.from_dense(times))
+    tracks = (Track("Props/ball", rolling), Track("/post", resting, moves=False))
+    return replace(take, motion=motion, tracks=tracks)
+
+
+def rolling(times: np.ndarray) -> Transforms:
+    """Return what rolls along a curve."""
+    turn = np.stack([times, 0.3 * times, 0 * times], axis=1) / 5
+    place = np.stack([times, np.sin(times), times**2 / 9], axis=1)
+    scale = np.stack([1 + times / 20, 1 + 0 * times, 2 + 0 * times], axis=1)
+    return Transforms(place, so3.exp(turn), scale)
+
+
+def resting(times: np.ndarray) -> Transforms:
+    """Return what never moves."""
+    return rolling(np.ones_like(times))
