@@ -124,7 +124,7 @@ def written_and_read(clip: Clip, rig: Rig, folder: Path) -> Clip:
     return load_clip(open_clip(path), rig)
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(clip=clips(), unit=st.integers(0, len(UNITS) - 1))
 def test_any_clip_comes_back(
     heroes: list[tuple[Path, Rig]], clip: Clip, unit: int

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from pxr import Sdf
 from support.bvh import random_rows, small_bvh
-from support.cli import animtool, animtool_killed
+from support.cli import animtool, killable
 
 TRIES = 20
 
@@ -21,7 +21,7 @@ TRIES = 20
 def long_take(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a take that takes a moment."""
     path = tmp_path_factory.mktemp("take") / "long.bvh"
-    path.write_text(small_bvh(random_rows(4_000)))
+    path.write_text(small_bvh(random_rows(2_000)))
     return path
 
 
@@ -30,26 +30,27 @@ def test_a_bake_killed_at_any_moment(tmp_path: Path) -> None:
     take = tmp_path / "short.bvh"
     take.write_text(small_bvh(random_rows(500)))
 
-    whole = tmp_path / "whole.usdc"
-    done = animtool_killed(0, "bake", take, "-o", whole)
-    assert done.code == 0, done.stderr
-    content, calls = whole.read_bytes(), int(done.stdout)
-    rng = np.random.default_rng(0)
-    # Most of the calls author samples; the moments about the end matter as much.
-    moments = [
-        *rng.integers(1, calls, TRIES // 2),
-        *(calls - np.arange(TRIES // 2) * 3),
-    ]
-    whole_ones = 0
-    for i, moment in enumerate(moments):
-        folder = tmp_path / str(i)
-        folder.mkdir()
-        output = folder / "o.usdc"
-        done = animtool_killed(int(moment), "bake", take, "-o", output)
-        assert done.code in {0, -signal.SIGKILL}
-        if output.exists():
-            whole_ones += 1
-            assert output.read_bytes() == content
+    with killable(tmp_path) as run:
+        whole = tmp_path / "whole.usdc"
+        done = run(0, "bake", take, "-o", whole)
+        assert done.code == 0, done.stderr
+        content, calls = whole.read_bytes(), int(done.stdout)
+        rng = np.random.default_rng(0)
+        # Most of the calls author samples; the moments about the end matter as much.
+        moments = [
+            *rng.integers(1, calls, TRIES // 2),
+            *(calls - np.arange(TRIES // 2) * 3),
+        ]
+        whole_ones = 0
+        for i, moment in enumerate(moments):
+            folder = tmp_path / str(i)
+            folder.mkdir()
+            output = folder / "o.usdc"
+            done = run(int(moment), "bake", take, "-o", output)
+            assert done.code in {0, -signal.SIGKILL}
+            if output.exists():
+                whole_ones += 1
+                assert output.read_bytes() == content
     assert 0 < whole_ones < TRIES
 
 
@@ -88,7 +89,7 @@ def test_a_bake_asked_to_stop_cleans_up(
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX file size limits")
 @pytest.mark.parametrize("suffix", [".usda", ".usdc"])
-@pytest.mark.parametrize("limit", [0, 20_000, 300_000])
+@pytest.mark.parametrize("limit", [0, 20_000, 100_000])
 def test_a_full_disk(long_take: Path, tmp_path: Path, suffix: str, limit: int) -> None:
     output = tmp_path / f"o{suffix}"
     # A limit on the size of files fails writes as a full disk does.

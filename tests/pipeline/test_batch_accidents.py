@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.batch import take_files, trouble_files, trouble_plug_in, whole_outputs
-from support.cli import Done, animtool, animtool_killed, animtool_process
+from support.cli import Done, animtool, animtool_process, killable
 
 GOOD = 8
 KILLS = 8
@@ -78,29 +78,31 @@ def test_an_item_that_fails_costs_one_item(
 def test_a_run_killed_at_any_moment_goes_on(tmp_path: Path) -> None:
     take_files(tmp_path / "takes", 6)
 
-    def killed(last: int, cwd: Path) -> Done:
-        cwd.mkdir(exist_ok=True)
-        words = ("batch", "../takes", "-o", "out/{stem}.usdc", "-j", 2)
-        return animtool_killed(last, *words, cwd=cwd)
+    with killable(tmp_path) as command:
 
-    done = killed(0, tmp_path / "whole")
-    assert done.code == 0, done.stderr
-    whole, calls = whole_outputs(tmp_path / "whole"), int(done.stdout)
-    rng = np.random.default_rng(0)
-    # The moments when items are made and recorded are the last ones.
-    moments = calls - rng.integers(1, calls // 3, KILLS)
-    folder, stopped = tmp_path / "resumed", 0
-    for moment in moments.tolist():
-        code = killed(moment, folder).code
-        assert code in {0, -signal.SIGKILL}
-        stopped += code != 0
-        if code == 0:
-            assert whole_outputs(folder) == whole
-            shutil.rmtree(folder)
-    assert stopped >= 2
-    last = killed(0, folder)
-    assert last.code == 0, last.stderr
-    assert whole_outputs(folder) == whole
+        def killed(last: int, cwd: Path) -> Done:
+            cwd.mkdir(exist_ok=True)
+            words = ("batch", "../takes", "-o", "out/{stem}.usdc", "-j", 2)
+            return command(last, *words, cwd=cwd)
+
+        done = killed(0, tmp_path / "whole")
+        assert done.code == 0, done.stderr
+        whole, calls = whole_outputs(tmp_path / "whole"), int(done.stdout)
+        rng = np.random.default_rng(0)
+        # The moments when items are made and recorded are the last ones.
+        moments = calls - rng.integers(1, calls // 3, KILLS)
+        folder, stopped = tmp_path / "resumed", 0
+        for moment in moments.tolist():
+            code = killed(moment, folder).code
+            assert code in {0, -signal.SIGKILL}
+            stopped += code != 0
+            if code == 0:
+                assert whole_outputs(folder) == whole
+                shutil.rmtree(folder)
+        assert stopped >= 2
+        last = killed(0, folder)
+        assert last.code == 0, last.stderr
+        assert whole_outputs(folder) == whole
 
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")

@@ -73,7 +73,7 @@ def test_statistics(name: str) -> None:
 
 
 @settings(max_examples=15)
-@given(parts=st.lists(st.integers(1, 40), min_size=2, max_size=5))
+@given(parts=st.lists(st.integers(1, 12), min_size=2, max_size=5))
 def test_a_motion_in_parts_is_the_whole_bit_for_bit(parts: list[int]) -> None:
     system = ForceSystem(
         lambda t, x, v: np.sin(3 * t) - 9 * x - 0.2 * v,

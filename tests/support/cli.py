@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -35,12 +36,8 @@ def animtool_process(
     *arguments: object, cwd: Path | None = None, **environment: str
 ) -> Done:
     """Run a command in a process of its own."""
-    return _process("-m", "animtool", *arguments, cwd=cwd, **environment)
-
-
-def _process(*arguments: object, cwd: Path | None = None, **environment: str) -> Done:
     done = subprocess.run(
-        [sys.executable, "-P", *map(str, arguments)],
+        [sys.executable, "-P", "-m", "animtool", *map(str, arguments)],
         capture_output=True,
         text=True,
         check=False,
@@ -50,33 +47,80 @@ def _process(*arguments: object, cwd: Path | None = None, **environment: str) ->
     return Done(done.returncode, done.stdout, done.stderr)
 
 
-# Runs a command and counts its calls; kills it outright at one of them, if told which.
-_COUNTED = """
-import os, signal, sys
-calls, last = 0, int(sys.argv[1])
+# Forks for each line of its input: what a command imports is imported once. The fork
+# counts the calls of a command, and kills itself outright at one if told which.
+_KILLABLE = """
+import json, os, signal, sys
+import animtool.batch.warm
+from animtool.cli.main import run
+
+calls = last = 0
+
 def count(frame, event, argument):
     global calls
     calls += 1
     if calls == last:
         os.kill(os.getpid(), signal.SIGKILL)
-from animtool.cli.main import run
-sys.setprofile(count)
-code = run(sys.argv[2:])
-sys.setprofile(None)
-print(calls)
-sys.exit(code)
+
+def command(arguments, cwd, said):
+    os.chdir(cwd)
+    for number in (1, 2):
+        os.dup2(os.open(f"{said}.{number}", os.O_CREAT | os.O_WRONLY), number)
+    sys.setprofile(count)
+    code = run(arguments)
+    sys.setprofile(None)
+    print(calls, flush=True)
+    return code
+
+for line in sys.stdin:
+    last, *rest = json.loads(line)
+    child = os.fork()
+    if not child:
+        os._exit(command(*rest))
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 """
 
 
-def animtool_killed(last: int, *arguments: object, cwd: Path | None = None) -> Done:
-    """Run a command that is killed at one of its calls, in a process of its own.
+class Killable:
+    """Commands that are killed at one of their calls, each a process of its own."""
 
-    Args:
-        last: Which call; 0 lets it end, and how many there were is its last line.
-        arguments: Of the command.
-        cwd: Where it runs.
-    """
-    return _process("-c", _COUNTED, last, *arguments, cwd=cwd)
+    def __init__(self, process: subprocess.Popen[str], folder: Path) -> None:
+        self.process, self.folder = process, folder
+
+    def __call__(self, last: int, *arguments: object, cwd: Path | None = None) -> Done:
+        """Run a command.
+
+        Args:
+            last: The call that kills it; 0 lets it end, and how many there were is the
+                last line that it says.
+            arguments: Of the command.
+            cwd: Where it runs.
+        """
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        said = self.folder / "said"
+        words = [str(argument) for argument in arguments]
+        line = json.dumps([int(last), words, str(cwd or Path.cwd()), str(said)])
+        self.process.stdin.write(f"{line}\n")
+        self.process.stdin.flush()
+        code = int(self.process.stdout.readline())
+        texts = [Path(f"{said}.{number}") for number in (1, 2)]
+        done = Done(code, *(path.read_text("utf-8") for path in texts))
+        for path in texts:
+            path.unlink()
+        return done
+
+
+@contextmanager
+def killable(folder: Path) -> Iterator[Killable]:
+    """Yield what runs commands that are killed; a folder has what they say."""
+    with subprocess.Popen(
+        [sys.executable, "-P", "-c", _KILLABLE],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        yield Killable(process, folder)
 
 
 @contextmanager

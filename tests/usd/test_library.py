@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
@@ -527,6 +527,7 @@ def test_meshes_stand_in_the_extent_of_each_take(tmp_path: Path) -> None:
             assert_allclose(extent, np.array(computed), rtol=1e-5, atol=1e-6)
 
 
+@settings(max_examples=40)
 @given(takes(), st.integers(2, 9), st.integers(0, 2**31), st.booleans())
 def test_any_takes_come_back_as_if_alone(
     tmp_path_factory: pytest.TempPathFactory,
