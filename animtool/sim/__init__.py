@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING
+
+from animtool.lazy import lazy_names
 
 if TYPE_CHECKING:
     from animtool.sim.functions import ForceSystem as ForceSystem
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
     from animtool.sim.trajectory import Status as Status
     from animtool.sim.trajectory import Trajectory as Trajectory
 
-# Modules have other names than what is in them: a module that is imported becomes an
-# attribute of its package.
 _PUBLIC = {
     "INTEGRATORS": "animtool.sim.integrators",
     "Carried": "animtool.sim.trajectory",
@@ -44,15 +43,4 @@ _PUBLIC = {
 
 __all__ = sorted(_PUBLIC)  # noqa: PLE0605 - the table above is the list
 
-
-def __getattr__(name: str) -> object:
-    """Import a public name when it is first used."""
-    if name not in _PUBLIC:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value: object = getattr(importlib.import_module(_PUBLIC[name]), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return [*globals(), *_PUBLIC]
+__getattr__, __dir__ = lazy_names(__name__, _PUBLIC)

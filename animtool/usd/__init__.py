@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from animtool.lazy import lazy_names
+
 if TYPE_CHECKING:
     from animtool.usd.takes import write as write
 
-__all__ = ["write"]
+_PUBLIC = {"write": "animtool.usd.takes"}
 
+__all__ = sorted(_PUBLIC)  # noqa: PLE0605 - the table above is the list
 
-def __getattr__(name: str) -> object:
-    """Import `write` when it is first used."""
-    if name != "write":
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from animtool.usd.takes import write
-
-    globals()[name] = write
-    return write
+__getattr__, __dir__ = lazy_names(__name__, _PUBLIC)

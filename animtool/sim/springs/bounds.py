@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from animtool._types import FloatArray
-
-if TYPE_CHECKING:
-    from animtool.sim.springs.system import SpringSystem
+from animtool.sim.springs.loaded import LoadedBody
 
 __all__ = ["fastest"]
 
 
-def fastest(system: SpringSystem) -> FloatArray | None:
+def fastest(system: LoadedBody) -> FloatArray | None:
     """Return bounds of the fastest motions (ω, ζ) ``(2, 2)``, None without springs.
 
     The stiffness over √(m m') has no eigenvalue above the largest sum of sizes in a row
@@ -32,7 +28,7 @@ def fastest(system: SpringSystem) -> FloatArray | None:
     return np.array([[omega, slowed / (2 * omega)], [omega, least / (2 * omega)]])
 
 
-def _largest(system: SpringSystem, pull: FloatArray, draws: FloatArray) -> float:
+def _largest(system: LoadedBody, pull: FloatArray, draws: FloatArray) -> float:
     weights = system.inverse_masses
     first, second = system.body.springs.ends.T
     between = np.sqrt(weights[first] * weights[second])

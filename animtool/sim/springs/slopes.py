@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from animtool import _kernels
 from animtool._types import FloatArray, IntArray
+from animtool.sim.springs.loaded import LoadedBody
 from animtool.sim.system import Matrix
-
-if TYPE_CHECKING:
-    from animtool.sim.springs.system import SpringSystem
 
 __all__ = ["slopes"]
 
@@ -57,7 +53,7 @@ class _Blocks:
 
 
 def slopes(
-    system: SpringSystem, t: float, x: FloatArray, v: FloatArray
+    system: LoadedBody, t: float, x: FloatArray, v: FloatArray
 ) -> tuple[Matrix, Matrix]:
     """Return derivatives of accelerations by positions and by velocities, sparse.
 
@@ -75,7 +71,7 @@ def slopes(
 
 
 def _add_springs(
-    blocks: _Blocks, system: SpringSystem, x: FloatArray, v: FloatArray
+    blocks: _Blocks, system: LoadedBody, x: FloatArray, v: FloatArray
 ) -> None:
     springs = system.body.springs
     first, second = springs.ends.T
@@ -99,7 +95,7 @@ def _add_springs(
 
 
 def _add_air(
-    blocks: _Blocks, system: SpringSystem, t: float, x: FloatArray, v: FloatArray
+    blocks: _Blocks, system: LoadedBody, t: float, x: FloatArray, v: FloatArray
 ) -> None:
     triangles = system.body.triangles
     apart = _kernels.SpringNetwork(
