@@ -12,6 +12,7 @@ from pydantic import Field
 
 from animtool.documents.check import FileModel
 from animtool.documents.ignore import IgnoreModel
+from animtool.scene.output_fields import Bones, FormName, ReduceAt, RigLayer, Sparse
 
 __all__ = ["BatchModel", "LimitsModel", "OptionsModel"]
 
@@ -79,18 +80,8 @@ class OptionsModel(FileModel):
         description="Time code of the first frame. Not given: as `bake` has it.",
         examples=[1001],
     )
-    form: Literal["stage", "split", "layer"] | None = Field(
-        default=None,
-        alias="as",
-        description="One file, three, or an animation layer. Not given: `layer` with "
-        "`rig_layer`, else `stage`.",
-        examples=["split"],
-    )
-    rig_layer: str | None = Field(
-        default=None,
-        description="The rig in USD, or a shot that holds it, that layers go over.",
-        examples=["hero.usda"],
-    )
+    form: FormName = None
+    rig_layer: RigLayer = None
     prim_path: str | None = Field(
         default=None,
         description="Where the character stands. Not given: as `bake` has it.",
@@ -106,27 +97,15 @@ class OptionsModel(FileModel):
         description="Up axis of the outputs. Not given: each source's.",
         examples=["Y"],
     )
-    sparse: bool = Field(
-        default=False,
-        description="Write only joints that leave their rest pose.",
-        examples=[True],
-    )
-    bones: bool = Field(
-        default=False,
-        description="Add geometry that shows the joints.",
-        examples=[True],
-    )
+    sparse: Sparse = False
+    bones: Bones = False
     reduce: str | None = Field(
         default=None,
         description="Leave out samples that the others give back within this length. "
         "Not given: all stay.",
         examples=["0.5mm"],
     )
-    reduce_at: dict[str, str] = Field(
-        default={},
-        description="Other tolerances, by joint or pattern.",
-        examples=[{"hand_*": "0.1mm"}],
-    )
+    reduce_at: ReduceAt = {}
     strict: bool = Field(
         default=False,
         description="Take warnings for errors.",

@@ -12,6 +12,7 @@ from pydantic import Discriminator, Field, Tag
 
 from animtool.documents.check import FileModel
 from animtool.documents.ignore import IgnoreModel
+from animtool.scene.output_fields import Bones, FormName, ReduceAt, RigLayer, Sparse
 
 __all__ = ["BesideModel", "OutputModel", "SceneModel", "SourceModel"]
 
@@ -167,18 +168,8 @@ class OutputModel(FileModel):
         "given: USD beside the source.",
         examples=["shot.usdc"],
     )
-    form: Literal["stage", "split", "layer"] | None = Field(
-        default=None,
-        alias="as",
-        description="One file, three, or an animation layer. Not given: `layer` with "
-        "`rig_layer`, else `stage`.",
-        examples=["split"],
-    )
-    rig_layer: str | None = Field(
-        default=None,
-        description="The rig in USD, or a shot that holds it, that a layer goes over.",
-        examples=["hero.usda"],
-    )
+    form: FormName = None
+    rig_layer: RigLayer = None
     prim_path: str | None = Field(
         default=None,
         description="Where the character stands. Not given: /NAME of the source, or "
@@ -197,16 +188,8 @@ class OutputModel(FileModel):
         "one on the frame.",
         examples=[[-0.25, 0, 0.25]],
     )
-    sparse: bool = Field(
-        default=False,
-        description="Write only joints that leave their rest pose.",
-        examples=[True],
-    )
-    bones: bool = Field(
-        default=False,
-        description="Add geometry that shows the joints.",
-        examples=[True],
-    )
+    sparse: Sparse = False
+    bones: Bones = False
     keep_curves: bool = Field(
         default=False,
         description="Of a clip: write the curves of its controls as splines too.",
@@ -218,11 +201,7 @@ class OutputModel(FileModel):
         "Not given: all stay; of keys: 0.5mm.",
         examples=["0.5mm"],
     )
-    reduce_at: dict[str, str] = Field(
-        default={},
-        description="Other tolerances, by joint or pattern.",
-        examples=[{"hand_*": "0.1mm"}],
-    )
+    reduce_at: ReduceAt = {}
     deform: bool = Field(
         default=False,
         description="Write the meshes deformed, as point caches, in place of a skinned "
