@@ -10,6 +10,7 @@ import gc
 import json
 import sys
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,6 +59,28 @@ class Solver(Protocol):
         self, start: Array, frames: range, asked: Asked
     ) -> Iterator[tuple[Array, float]]:
         """Yield the pose and the seconds of each frame, from the one before."""
+
+
+class OneByOne(ABC):
+    """A tool that takes one target a call."""
+
+    @abstractmethod
+    def one(self, start: Array, frame: int, asked: Asked) -> tuple[Array, float]:
+        """Return the pose and the seconds of a target."""
+
+    def solve(
+        self, starts: Array, frames: range, asked: Asked
+    ) -> Iterator[tuple[Array, float]]:
+        for start, frame in zip(starts, frames, strict=True):
+            yield self.one(start, frame, asked)
+
+    def follow(
+        self, start: Array, frames: range, asked: Asked
+    ) -> Iterator[tuple[Array, float]]:
+        pose = start
+        for frame in frames:
+            pose, seconds = self.one(pose, frame, asked)
+            yield pose, seconds
 
 
 class Draw:

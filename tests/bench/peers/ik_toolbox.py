@@ -1,12 +1,11 @@
 """roboticstoolbox: its compiled Levenberg-Marquardt, restarts within it."""
 
 import time
-from collections.abc import Iterator
 
 import numpy as np
 import roboticstoolbox as rtb
 from ik_problems import Array, Case, matrices
-from ik_serve import Asked, Solver, serve
+from ik_serve import Asked, OneByOne, Solver, serve
 
 # Chosen on the arms: the quickest of its methods and gains that loses no problem.
 METHOD, GAIN, STEPS = "chan", 0.1, 30
@@ -43,7 +42,7 @@ def _from_z(axis: Array) -> Array:
     return np.stack([x, np.cross(axis, x), axis], 1)
 
 
-class Toolbox:
+class Toolbox(OneByOne):
     """One chain of roboticstoolbox."""
 
     def __init__(self, case: Case) -> None:
@@ -56,21 +55,7 @@ class Toolbox:
         found = np.asarray(self.chain.eval(pose))
         return found[None, :3, :3], found[None, :3, 3]
 
-    def solve(
-        self, starts: Array, frames: range, asked: Asked
-    ) -> Iterator[tuple[Array, float]]:
-        for start, frame in zip(starts, frames, strict=True):
-            yield self._one(start, frame, asked)
-
-    def follow(
-        self, start: Array, frames: range, asked: Asked
-    ) -> Iterator[tuple[Array, float]]:
-        pose = start
-        for frame in frames:
-            pose, seconds = self._one(pose, frame, asked)
-            yield pose, seconds
-
-    def _one(self, start: Array, frame: int, asked: Asked) -> tuple[Array, float]:
+    def one(self, start: Array, frame: int, asked: Asked) -> tuple[Array, float]:
         # It stops by half the sum of squares of both, so by the smaller tolerance.
         bound = min(asked.position, asked.angle) ** 2 / 2
         began = time.perf_counter()

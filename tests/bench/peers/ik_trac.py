@@ -1,14 +1,13 @@
 """TRAC-IK, by the bindings of pytracik: two solvers beside each other in threads."""
 
 import time
-from collections.abc import Iterator
 from math import atan2, hypot
 from xml.etree import ElementTree as Tree
 
 import numpy as np
 import pytracik
 from ik_problems import Array, Case, matrices
-from ik_serve import Asked, Solver, serve
+from ik_serve import Asked, OneByOne, Solver, serve
 
 KINDS = {"pin": "revolute", "prismatic": "prismatic", "fixed": "fixed"}
 # It compares each component of the miss.
@@ -74,7 +73,7 @@ def _angles(turn: Array) -> list[float]:
     return [atan2(rest[2, 1], rest[1, 1]), pitch, yaw]
 
 
-class Trac:
+class Trac(OneByOne):
     """One chain of TRAC-IK."""
 
     def __init__(self, case: Case) -> None:
@@ -96,21 +95,7 @@ class Trac:
             )
         return self.made[asked]
 
-    def solve(
-        self, starts: Array, frames: range, asked: Asked
-    ) -> Iterator[tuple[Array, float]]:
-        for start, frame in zip(starts, frames, strict=True):
-            yield self._one(start, frame, asked)
-
-    def follow(
-        self, start: Array, frames: range, asked: Asked
-    ) -> Iterator[tuple[Array, float]]:
-        pose = start
-        for frame in frames:
-            pose, seconds = self._one(pose, frame, asked)
-            yield pose, seconds
-
-    def _one(self, start: Array, frame: int, asked: Asked) -> tuple[Array, float]:
+    def one(self, start: Array, frame: int, asked: Asked) -> tuple[Array, float]:
         solver = self._solver(asked)
         quaternion = _quaternion(self.turns[frame])
         began = time.perf_counter()
