@@ -232,7 +232,7 @@ class ChannelReader:
             if width == 3 and len(values) == 1 and even:
                 values = values * 3
             if isinstance(dt, list) or len(values) != width:
-                message = f"the handle is not a time and {width} values"
+                message = f"the handle is not a time and {counted(width, 'value')}"
                 self.document.add("CLIP007", (*at, name), message)
                 found.append((Tangent.FREE, none))
                 continue

@@ -25,6 +25,8 @@ Location = tuple[str | int, ...]
 # A rig of thousands of joints has a few; more is data, which belongs into npz.
 MOST_BYTES = 32_000_000
 MOST_FAULTS = 100
+# What a file says that it is, in its name too.
+_KINDS = frozenset({"batch", "clip", "rig", "scene", "targets"})
 
 
 @dataclass(slots=True)
@@ -221,10 +223,16 @@ def document_of(text: str, path: Path) -> Document:
         raise FormatError(_cut(error.faults)) from error
     if not isinstance(value, dict):
         kind = "empty" if value is None else f"a {type(value).__name__}"
-        hint = "begin with a line such as 'rig: animtool/1'"
+        hint = f"begin with a line such as '{_kind_named(path)}: animtool/1'"
         message = f"is {kind}, not a mapping of keys"
         raise FormatError(Fault("DOC007", message, str(path), (1,), hint, column=1))
     return Document(path, value, places, plain=plain)
+
+
+def _kind_named(path: Path) -> str:
+    """Return what the name of a file says that it is: ``hero.targets.yaml``."""
+    kinds = [suffix[1:] for suffix in path.suffixes if suffix[1:] in _KINDS]
+    return kinds[-1] if kinds else "rig"
 
 
 def read_text(path: Path) -> str:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, OptionError, excerpt
+from animtool.errors import Fault, OptionError, counted, excerpt
 from animtool.rig.parts import Vector
 from animtool.rig.skeleton import Rig
 
@@ -126,7 +126,8 @@ def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
         message = f"stretch must be a number from 0, not {goal.stretch}"
         faults.append(Fault("IK002", message, where=where))
     if np.shape(goal.offset) != (3,):
-        message = f"its offset has {np.size(goal.offset)} numbers where 3 are wanted"
+        count = counted(np.size(goal.offset), "number")
+        message = f"its offset has {count} where 3 are wanted"
         faults.append(Fault("IK002", message, where=where))
     if not (np.abs(goal.offset) <= FARTHEST).all():
         message = f"its offset is beyond {FARTHEST:g} m, or no number"

@@ -8,7 +8,7 @@ import numpy as np
 from pxr import Usd
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, FormatError
+from animtool.errors import Fault, FormatError, counted
 from animtool.take import Channel
 from animtool.usd.rig_prims import array_value
 
@@ -73,7 +73,8 @@ def sampled_values(
     for i, time in enumerate(when):
         value = array_value(attr, time)
         if len(value) != count:
-            message = f"{attr.GetName()} has {len(value)} values for {count} {of}s"
+            message = f"{attr.GetName()} has {counted(len(value), 'value')}"
+            message += f" for {counted(count, of)}"
             hint = f"{_moment(time)}; UsdSkel falls back to rest"
             raise FormatError(Fault("USD013", message, where, (), hint))
         rows[i] = np.array(value, np.float64).reshape(count, width)

@@ -10,7 +10,7 @@ import numpy as np
 from pxr import UsdSkel
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, FormatError
+from animtool.errors import Fault, FormatError, counted
 from animtool.rig.strands import Strands, strands_of
 from animtool.rig.surfaces import Surface, surfaces_of
 from animtool.units import UpAxis
@@ -90,7 +90,9 @@ def _bind(skeleton: Any, joints: int, where: str) -> FloatArray:
     matrices = array_value(skeleton.GetBindTransformsAttr())
     bind = np.array(matrices, np.float64).reshape(-1, 4, 4)
     if len(bind) != joints or not np.isfinite(bind).all():
-        message = f"{len(bind)} bindTransforms for {joints} joints"
+        message = (
+            f"{counted(len(bind), 'bindTransform')} for {counted(joints, 'joint')}"
+        )
         if len(bind) == joints:
             message = "a bind transform is not finite"
         raise FormatError(Fault("USD019", message, where))

@@ -8,7 +8,7 @@ import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, FormatError, Severity
+from animtool.errors import Fault, FormatError, Severity, counted
 from animtool.rig.parts import (
     HeldArray,
     Inbetween,
@@ -219,7 +219,11 @@ def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
             return None
         values = floats(attr, 3, at)
         if len(values) != rows:
-            _fail("USD017", f"{attr.GetName()} has {len(values)} rows, not {rows}", at)
+            _fail(
+                "USD017",
+                f"{attr.GetName()} has {counted(len(values), 'row')}, not {rows}",
+                at,
+            )
         return HeldArray(values)
 
     between = []

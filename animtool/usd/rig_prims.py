@@ -13,7 +13,7 @@ import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, FormatError, Severity, excerpt, listed
+from animtool.errors import Fault, FormatError, Severity, counted, excerpt, listed
 from animtool.maths import so3
 from animtool.rig.skeleton import CHANNEL_NAMES, Joint, Rig
 from animtool.units import UpAxis
@@ -124,7 +124,8 @@ def skeleton_rig(skeleton: Any, path: Path) -> SkeletonRig:
         _fail("USD002", "the Skeleton has no joints", where)
     matrices = array_value(skeleton.GetRestTransformsAttr())
     if len(matrices) != len(tokens):
-        message = f"{len(matrices)} restTransforms for {len(tokens)} joints"
+        message = f"{counted(len(matrices), 'restTransform')}"
+        message += f" for {counted(len(tokens), 'joint')}"
         _fail("USD003", message, where, "UsdSkel has no rest pose then")
     rest = np.array(matrices, np.float64).reshape(-1, 4, 4)
     if not (np.abs(rest) <= LARGEST_REST).all():

@@ -130,7 +130,7 @@ PLANTED = [
     (PIN + "  - {t: 0, v: [1, 2]}", "CLIP007", 7, "2 numbers where 1"),
     ("- target: joint/hips.rotation\n  keys:\n  - {t: 0, v: [1, 2, 3]}",
      "CLIP007", 7, "4 are wanted"),
-    (PIN + "  - {t: 0, v: 0, out: [1, [2, 3]]}", "CLIP007", 7, "1 values"),
+    (PIN + "  - {t: 0, v: 0, out: [1, [2, 3]]}", "CLIP007", 7, "1 value"),
     (PIN + "  - {t: 0, v: 0, interp: slerp}", "CLIP009", 7, "slerp does not fit"),
     ("- target: joint/hips.rotation\n  interp: bezier\n"
      "  keys: [{t: 0, v: [1, 0, 0, 0]}]", "CLIP009", 6, "squad"),

@@ -166,6 +166,26 @@ def test_what_is_refused(tmp_path: Path, trap: str) -> None:
     assert refused(tmp_path, text) == wanted
 
 
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("a.targets.yaml", "targets"),
+        ("a.rig.v2.clip.yaml", "clip"),
+        ("rig.json", "rig"),
+        ("a.b.yaml", "rig"),
+    ],
+)
+def test_an_empty_file_is_told_the_first_line_of_its_kind(
+    tmp_path: Path, name: str, kind: str
+) -> None:
+    path = tmp_path / name
+    path.write_text("", "utf-8")
+    with pytest.raises(FormatError) as caught:
+        read_document(path)
+    hint = caught.value.faults[0].hint
+    assert hint == f"begin with a line such as '{kind}: animtool/1'"
+
+
 def test_block_depth_by_indents(tmp_path: Path) -> None:
     text = "".join(" " * i + "a:\n" for i in range(1000))
     assert refused(tmp_path, text) == [("DOC005", 51)]

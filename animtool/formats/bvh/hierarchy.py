@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 
-from animtool.errors import Fault, Severity, excerpt, listed
+from animtool.errors import Fault, Severity, counted, excerpt, listed
 from animtool.formats.bvh.lines import HeaderLines
 from animtool.rates import RateChoice, RateKind, rate_from_frame_time, rate_label
 from animtool.rig.skeleton import CHANNEL_NAMES
@@ -180,7 +180,7 @@ class _Hierarchy:
         texts = [words.pop(0) for _ in range(3) if words and words[0] not in "{}"]
         if len(texts) < 3 or (words and words[0].upper() not in _AFTER_OFFSET):
             count = len(texts) + sum(word not in "{}" for word in words)
-            message = f"OFFSET has {count} numbers, 3 are needed"
+            message = f"OFFSET has {counted(count, 'number')}, 3 are needed"
             self.lines.fail("BVH006", message, self._name(block))
         values = tuple(self._number(text) for text in texts)
         offset = (values[0], values[1], values[2])

@@ -12,7 +12,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, FormatError, Severity, excerpt, listed
+from animtool.errors import Fault, FormatError, Severity, counted, excerpt, listed
 from animtool.formats.bvh.hierarchy import FLOAT32_MAX
 from animtool.formats.bvh.lines import CHUNK_BYTES
 
@@ -159,7 +159,9 @@ class RowReader:
             hint = "does the HIERARCHY name every channel?"
         elif last:
             hint = "the last line of the file: is it truncated?"
-        message = f"the row has {found} numbers; the channels need {self._width}"
+        message = (
+            f"the row has {counted(found, 'number')}; the channels need {self._width}"
+        )
         return Fault("BVH010", message, path, (line,), hint)
 
     def _note_count(self, lines: IntArray) -> None:

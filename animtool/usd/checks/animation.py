@@ -10,7 +10,7 @@ import numpy as np
 from pxr import UsdSkel
 
 from animtool._types import BoolArray
-from animtool.errors import Fault, excerpt, listed
+from animtool.errors import Fault, counted, excerpt, listed
 from animtool.usd.checks.subject import AnyArray, Sampled, Subject, at_samples
 from animtool.usd.checks.table import finding
 
@@ -71,7 +71,7 @@ def _transforms(subject: Subject, animation: Any, joints: list[str]) -> Iterator
         name for name, (attr, _) in attributes.items() if not attr.HasAuthoredValue()
     ]
     if missing:
-        message = f"no value of {listed(missing)}, for {len(joints)} joints"
+        message = f"no value of {listed(missing)}, for {counted(len(joints), 'joint')}"
         yield finding("USD201", animation.GetPath(), message)
     for name, (attr, width) in attributes.items():
         if name in missing:
@@ -92,7 +92,7 @@ def _counts(
     wrong = sampled.counts != wanted
     if wrong.any():
         found = sampled.counts[np.flatnonzero(wrong)[0]]
-        have = "no value" if found < 0 else f"{found} values"
+        have = "no value" if found < 0 else counted(found, "value")
         message = f"{have} for {wanted} {things} {at_samples(sampled, wrong)}"
         yield finding(code, attr.GetPath(), message)
 

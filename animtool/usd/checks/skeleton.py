@@ -9,7 +9,7 @@ import numpy as np
 from pxr import UsdSkel
 
 from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, excerpt, listed
+from animtool.errors import Fault, counted, excerpt, listed
 from animtool.usd.checks.animation import duplicates, tokens
 from animtool.usd.checks.subject import Subject
 from animtool.usd.checks.table import finding
@@ -90,10 +90,12 @@ def _rest(skeleton: Any, joints: list[str]) -> Iterator[Fault]:
     attr = skeleton.GetRestTransformsAttr()
     rest = own_matrices(attr)
     if not len(rest):
-        message = f"no restTransforms for {len(joints)} joints"
+        message = f"no restTransforms for {counted(len(joints), 'joint')}"
         yield finding("USD229", attr.GetPath(), message)
     elif len(rest) != len(joints):
-        message = f"{len(rest)} restTransforms for {len(joints)} joints"
+        message = (
+            f"{counted(len(rest), 'restTransform')} for {counted(len(joints), 'joint')}"
+        )
         yield finding("USD223", attr.GetPath(), message)
     else:
         yield from _finite(attr, rest, joints)
@@ -112,7 +114,8 @@ def _bind(skeleton: Any, joints: list[str], skins: bool) -> Iterator[Fault]:
     bind, rest = own_matrices(attr), own_matrices(skeleton.GetRestTransformsAttr())
     if len(bind) != len(joints):
         if len(bind) or skins:
-            message = f"{len(bind)} bindTransforms for {len(joints)} joints"
+            message = f"{counted(len(bind), 'bindTransform')}"
+            message += f" for {counted(len(joints), 'joint')}"
             yield finding("USD224", attr.GetPath(), message)
         return
     if not np.isfinite(bind).all():

@@ -17,7 +17,7 @@ from animtool.scene.schema import SceneModel
 from animtool.scene.sources import SCENE_SUFFIXES
 from animtool.validation.subjects.scene import SceneSubject
 
-__all__ = ["over_input", "over_other", "refused", "without_curves"]
+__all__ = ["homeless", "over_input", "over_other", "refused", "without_curves"]
 
 
 def over_input(subject: SceneSubject) -> Iterator[Fault]:
@@ -71,6 +71,18 @@ def _outputs(path: Path, _changed: int, _size: int) -> tuple[Path, ...]:
     return tuple(
         (path.parent / name).resolve() for name in names if isinstance(name, str)
     )
+
+
+def homeless(subject: SceneSubject) -> Iterator[Fault]:
+    """Yield outputs whose folder is not there (SCN212)."""
+    for at, output in subject.outputs:
+        folder = None if output.path is None else output.path.parent
+        if folder is None or folder.is_dir():
+            continue
+        how = "is no folder" if folder.exists() else "is not there"
+        message = f"is to be written into {str(folder)!r}, which {how}"
+        hint = "bake makes no folders: make it first"
+        yield subject.fault("SCN212", (*at, "file"), message, hint)
 
 
 def refused(subject: SceneSubject) -> Iterator[Fault]:

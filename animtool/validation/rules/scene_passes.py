@@ -11,7 +11,14 @@ from animtool.passes import Pass, TakePart
 from animtool.rates import rate_label
 from animtool.validation.subjects.scene import SceneSubject
 
-__all__ = ["idle", "near_rate", "outside_take", "undone_goals", "unused_rig"]
+__all__ = [
+    "idle",
+    "near_rate",
+    "outside_take",
+    "undone_goals",
+    "unused_rig",
+    "without_frames",
+]
 
 # Rates that differ by less are meant to be one: 24 and 23.976, 30 and 29.97 [1].
 NEAR_RATES = Fraction(1, 50)
@@ -35,6 +42,18 @@ def idle(subject: SceneSubject) -> Iterator[Fault]:
 
 def outside_take(subject: SceneSubject) -> Iterator[Fault]:
     """Yield a range that reaches beyond what there is to write (SCN202)."""
+    yield from _outside(subject, "SCN202", "reaches beyond the take", wholly=False)
+
+
+def without_frames(subject: SceneSubject) -> Iterator[Fault]:
+    """Yield a range in which there is nothing to write (SCN211)."""
+    yield from _outside(subject, "SCN211", "has no frame of the take", wholly=True)
+
+
+def _outside(
+    subject: SceneSubject, code: str, how: str, *, wholly: bool
+) -> Iterator[Fault]:
+    """Yield a range that is outside the take, wholly or in part."""
     scene, clock = subject.scene, subject.take.clock
     wanted, start = scene.bake.frame_range, _start(subject)
     if wanted is None or start is None:
@@ -42,15 +61,17 @@ def outside_take(subject: SceneSubject) -> Iterator[Fault]:
     last = start + clock.duration * (scene.bake.fps or clock.fps)
     if start <= wanted.first and wanted.last <= last:
         return
+    if wholly != (wanted.last < start or wanted.first > last):
+        return
     what, at = "range", ("range",)
     if scene.bake.cut is not None:
         what, at = "cut with its handles,", ("shot",)
     message = (
-        f"the {what} from {wanted.first} to {wanted.last} reaches beyond the take, "
+        f"the {what} from {wanted.first} to {wanted.last} {how}, "
         f"which the output numbers {float(start):g} to {float(last):g}"
     )
     hint = "frames count as the output does, from its start"
-    yield subject.fault("SCN202", at, message, hint)
+    yield subject.fault(code, at, message, hint)
 
 
 def _start(subject: SceneSubject) -> Fraction | None:

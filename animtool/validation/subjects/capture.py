@@ -34,8 +34,23 @@ class TakeSubject:
         return steps_of(self.take)
 
     def fault(self, code: str, joint: str, message: str, hint: str) -> Fault:
-        """Return a fault of a joint."""
-        return Fault(code, message, str(self.path), (), hint, where=joint)
+        """Return a fault of a joint, in the line that begins it."""
+        line = self._lines.get(joint)
+        lines = () if line is None else (line,)
+        return Fault(code, message, str(self.path), lines, hint, where=joint)
+
+    @cached_property
+    def _lines(self) -> dict[str, int]:
+        """Where joints begin, by name; those that the reader gave theirs have none."""
+        found: dict[str, int] = {}
+        with self.path.open(encoding="utf-8", errors="replace") as file:
+            for number, line in enumerate(file, 1):
+                keyword, _, name = line.strip().partition(" ")
+                if keyword.upper() == "MOTION":
+                    break
+                if keyword.upper() in {"ROOT", "JOINT"}:
+                    found.setdefault(name.strip(), number)
+        return found
 
 
 def open_bvh(path: Path) -> Opened:

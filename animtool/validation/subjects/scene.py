@@ -58,6 +58,11 @@ class SceneSubject(DocumentSubject):
             found.append((take, tracks.placed(take.clock)))
         return found
 
+    @property
+    def targets(self) -> set[str]:
+        """The targets files that its passes name, as their faults have them."""
+        return {str(tracks.path) for _, tracks in self.asked}
+
     @cached_property
     def outputs(self) -> list[tuple[Location, SceneOutput]]:
         """What is written, and where the file says it."""
@@ -86,8 +91,10 @@ def open_scene(document: Document) -> Opened:
     except AnimtoolError as error:
         faults = list(error.faults)
     else:
-        # What is odd about another file is said of that one.
-        faults = [fault for fault in notices if fault.path in {None, path}]
+        # What is odd about another file is said of that one; but targets make no
+        # sense alone.
+        said = {None, path, *opened.subject.targets}
+        faults = [fault for fault in notices if fault.path in said]
     opened.faults = [f if f.path else replace(f, path=path) for f in faults]
     return opened
 

@@ -91,4 +91,11 @@ RULES = (
         "a pass that moves what ik brought to targets",
         "scene_passes:undone_goals",
     ),
+    _rule(
+        "SCN211",
+        "a range without a frame of the take",
+        "scene_passes:without_frames",
+        Severity.ERROR,
+    ),
+    _rule("SCN212", "an output in a folder that is not there", "scene_output:homeless"),
 )

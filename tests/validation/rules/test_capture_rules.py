@@ -50,3 +50,11 @@ def test_a_capture(name: str, tmp_path: Path) -> None:
     path = tmp_path / "take.bvh"
     path.write_text(HEAD.format(len(angles)) + rows, "utf-8")
     assert [fault.code for fault in validate(path)] == wanted
+
+
+def test_faults_of_joints_stand_where_these_begin(tmp_path: Path) -> None:
+    rows = "".join(f"0 {angle:g}\n" for angle in CASES["a leap"][0])
+    path = tmp_path / "take.bvh"
+    path.write_text(HEAD.format(len(RAMP)) + rows, "utf-8")
+    (fault,) = validate(path)
+    assert (fault.where, fault.lines) == ("arm_l", (6,))

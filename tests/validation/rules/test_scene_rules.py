@@ -37,6 +37,7 @@ HIPS = "- {effector: base, position: [0, 0.9, 0.2]}\n"
 def shot(tmp_path: Path) -> Path:
     write_rig(tmp_path)
     (tmp_path / "limb.clip.yaml").write_text(CLIP, "utf-8")
+    (tmp_path / "made").mkdir()
     return tmp_path / "shot.scene.yaml"
 
 
@@ -88,7 +89,14 @@ def test_a_goal_out_of_reach_is_said_of_its_line(shot: Path) -> None:
     ("text", "wanted"),
     [
         ("output: {file: shot.usda, start: 1001}\nrange: [1001, 1012]\n", []),
-        ("output: {file: shot.usda, start: 1001}\nrange: [1, 12]\n", ["SCN202"]),
+        ("output: {file: shot.usda, start: 1001}\nrange: [1, 12]\n", ["SCN211"]),
+        ("output: {file: shot.usda, start: 1001}\nrange: [1, 1001]\n", ["SCN202"]),
+        ("range: [13, 20]\n", ["SCN211"]),
+        ("range: [12, 20]\n", ["SCN202"]),
+        ("output: {file: none/shot.usda}\n", ["SCN212"]),
+        ("output: {file: limb.rig.yaml/shot.usda}\n", ["SCN212"]),
+        ("output: [{file: a.usda}, {file: none/b.usda}]\n", ["SCN212"]),
+        ("output: {file: made/shot.usda}\n", []),
         ("fps: 48\nrange: [1, 23]\n", []),
         ("fps: 48\nrange: [1, 24]\n", ["SCN202"]),
         ("passes: [{time_scale: {speed: 1}}]\n", ["SCN201"]),
@@ -101,6 +109,19 @@ def test_a_goal_out_of_reach_is_said_of_its_line(shot: Path) -> None:
 def test_a_scene(text: str, wanted: list[str], shot: Path) -> None:
     shot.write_text(SCENE + text, "utf-8")
     assert codes(shot) == wanted
+
+
+def test_what_is_odd_about_targets_is_said_of_their_scene(shot: Path) -> None:
+    shot.write_text(SOLVED, "utf-8")
+    targets = shot.parent / "page.targets.yaml"
+    goal = "- {effector: arm, position: [0, 0.5, 0.4], weight: WEIGHT}\n"
+    targets.write_text(TARGETS + goal.replace("WEIGHT", "{orientation: 2}"), "utf-8")
+    (fault,) = [fault for fault in validate(shot) if fault.code == "TGT101"]
+    assert (Path(fault.path or "").name, fault.lines) == (targets.name, (5,))
+    # Of both files, it is said once.
+    assert codes(shot.parent).count("TGT101") == 1
+    targets.write_text(TARGETS + goal.replace("WEIGHT", "{position: 2}"), "utf-8")
+    assert codes(shot) == []
 
 
 def test_scenes_that_write_one_file_are_found_while_they_do(shot: Path) -> None:
