@@ -258,7 +258,8 @@ def read_text(path: Path) -> str:
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         message = f"byte {data[error.start]:#04x} is not UTF-8"
-        raise FormatError(Fault("DOC008", message, str(path), (line,))) from error
+        hint = "is it a text at all? if so, save it as UTF-8"
+        raise FormatError(Fault("DOC008", message, str(path), (line,), hint)) from error
 
 
 def _cut(faults: Sequence[Fault]) -> Sequence[Fault]:

@@ -23,6 +23,8 @@ DEEPEST = 50
 # Python refuses to read more digits, and no float has as many.
 MOST_DIGITS = 400
 LONGEST_HINT = 200
+# How the names of files end that hold such text; others are likely of another kind.
+SUFFIXES = (".yaml", ".yml", ".json")
 
 # Groups say what kind of number it is: no group, a whole one.
 _NUMBER = re.compile(
@@ -84,7 +86,9 @@ def read_values(text: str, path: Path) -> ReadValues:
         spot = (mark.line + 1, mark.column + 1) if mark else (1, 1)
         problem = " ".join(filter(None, (error.context, error.problem)))
         hint = "tabs may not indent" if "cannot start any token" in problem else None
-        if _is_variable(text, mark):
+        if path.suffix.lower() not in SUFFIXES:
+            hint = f"wanted is a file that ends in {', '.join(SUFFIXES)}"
+        elif _is_variable(text, mark):
             hint = 'between brackets, a text with ${…} stands in quotes: "${…}"'
         reader.fault("DOC001", f"is no YAML: {problem}", spot, hint)
     except yaml.YAMLError as error:

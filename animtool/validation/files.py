@@ -21,7 +21,8 @@ def find_files(paths: Iterable[Path | str]) -> list[Path]:
     Raises:
         NothingFoundError: There is none (VAL006).
     """
-    given = [str(path) for path in paths]
+    # Of a variable of a shell that is not set; the folder that it is run in is ".".
+    given = [text for path in paths if (text := str(path))]
     meant = (found.path for text in given for found in files_meant(text, SUFFIXES))
     files = list(dict.fromkeys(meant))
     if not files:

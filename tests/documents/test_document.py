@@ -167,6 +167,19 @@ def test_what_is_refused(tmp_path: Path, trap: str) -> None:
 
 
 @pytest.mark.parametrize(
+    ("name", "hint"), [("walk.bvh", "ends in .yaml"), ("walk.yml", "tabs")]
+)
+def test_a_file_of_another_kind_is_told_what_is_wanted(
+    tmp_path: Path, name: str, hint: str
+) -> None:
+    path = tmp_path / name
+    path.write_text("a:\n\tb: 1", "utf-8")
+    with pytest.raises(FormatError) as caught:
+        read_document(path)
+    assert hint in (caught.value.faults[0].hint or "")
+
+
+@pytest.mark.parametrize(
     ("name", "kind"),
     [
         ("a.targets.yaml", "targets"),

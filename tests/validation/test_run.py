@@ -227,6 +227,23 @@ def test_which_files(leg: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert error.value.exit_code is ExitCode.NOTHING_MATCHED
 
 
+@pytest.mark.parametrize("name", ["rigs", "hero.txt", "hero.rig.yaml"])
+def test_what_is_not_there_is_told_so_whatever_its_name(
+    tmp_path: Path, name: str
+) -> None:
+    (fault,) = validate(tmp_path / name)
+    assert fault.code == "IO001"
+
+
+def test_an_empty_name_means_no_folder(
+    leg: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(leg.parent)
+    assert validate([leg.name, ""]) == validate([leg.name])
+    with pytest.raises(NothingFoundError):
+        find_files([""])
+
+
 def test_a_kind_that_is_not_checked(tmp_path: Path) -> None:
     (tmp_path / "a.txt").touch()
     with pytest.raises(OptionError) as error:

@@ -8,7 +8,7 @@ from typing import cast
 
 from animtool.documents.document import Document, read_document
 from animtool.documents.versions import STEPS, version_of
-from animtool.errors import AnimtoolError, Fault, OptionError
+from animtool.errors import AnimtoolError, Fault, FormatError, OptionError
 from animtool.plugins import load_object
 from animtool.readers import BVH, DOCUMENT, READERS, USD
 from animtool.validation.rule import Kind
@@ -43,12 +43,15 @@ def open_file(path: Path) -> Opened:
     """Return a file as rules look at it, with every fault of its reader.
 
     Raises:
-        FormatError: It is no YAML, or of no kind that is known, with every fault.
+        FormatError: It is not there, no YAML, or of no kind that is known, with every
+            fault.
         OptionError: Its suffix is none that is checked (IO002).
     """
     reader = READERS.get(path.suffix.lower())
     if reader is BVH or reader is USD:
         return _open(Kind.BVH if reader is BVH else Kind.USD, path)
+    if reader is None and not path.exists():
+        raise FormatError(Fault("IO001", "cannot be read: does not exist", str(path)))
     if reader is not DOCUMENT:
         hint = f"checked are {', '.join(READERS)}"
         message = "is of no kind that is checked"
