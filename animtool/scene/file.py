@@ -139,6 +139,7 @@ class _SceneReader:
             model.prim,
             path,
             None if model.frame is None else Fraction(repr(model.frame)),
+            model.retimed,
             tuple(model.attributes),
             shown,
             self._place(at),

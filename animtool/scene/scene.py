@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from animtool.errors import AnimtoolError, Fault, FormatError, OptionError, Severity
 from animtool.passes import Pass, PassContext, apply_pass
@@ -19,6 +19,9 @@ from animtool.scene.sources import SourceOptions, open_source, takes_option
 from animtool.scene.stats import Meter
 from animtool.scene.tracks import TrackNames
 from animtool.take import Motion, Take, TakeStream
+
+if TYPE_CHECKING:
+    from animtool.scene.beside import OpenThing
 
 __all__ = [
     "OutputKind",
@@ -112,8 +115,10 @@ class SceneThing:
         file: The USD file that it is read from.
         prim: Path of its prim.
         path: Where it is written: below the character, or from ``/`` on.
-        frame: Time code of its file that comes with the first frame of the sources;
-            None is the number of that frame.
+        frame: Time code of its file that comes with the first frame; None is the
+            number of that frame.
+        retimed: Whether passes retime it with the take; else it has the frames of
+            what comes out of them.
         attributes: Names of what is read of it beside its place.
         reference: File that shows it; None is nothing.
         place: Of the entry.
@@ -123,6 +128,7 @@ class SceneThing:
     prim: str
     path: str
     frame: Fraction | None
+    retimed: bool
     attributes: tuple[str, ...]
     reference: Path | None
     place: Place
@@ -243,19 +249,25 @@ class Scene:
             OptionError: An option does not apply to the source.
         """
         stream, context = self._source(), self._context()
+        things = self._things(stream)
+        stream = self._beside(stream, things, retimed=True)
         for entry in self.passes:
             stream = self._passed(stream, entry, context)
         stream.notices += context.notices
-        return stream
+        return self._beside(stream, things, retimed=False)
 
     def steps(self) -> Iterator[tuple[Take, TakeStream]]:
         """Yield the source and what it is after each pass, as takes and as streams.
+
+        Things beside the character that no pass retimes are not among them.
 
         Raises:
             FormatError: As `open`, at the step that raises it.
             OptionError: Likewise.
         """
-        take, stream = _gathered(self._source())
+        source = self._source()
+        things = self._things(source)
+        take, stream = _gathered(self._beside(source, things, retimed=True))
         yield take, stream
         context = self._context()
         for entry in self.passes:
@@ -276,12 +288,26 @@ class Scene:
             stream = self._sources()
         stream.curve = self.meter.curve(stage, stream.curve)
         stream.blocks = self.meter.blocks(stage, stream.blocks)
+        return stream
+
+    def _things(self, stream: TakeStream) -> Sequence[OpenThing]:
+        """Return what is beside the character, open; all faults are said at once."""
         if not self.beside:
+            return ()
+        from animtool.scene.beside import open_things
+
+        return open_things(self.beside, stream.rig.up, self.meter, stream.notices)
+
+    def _beside(
+        self, stream: TakeStream, things: Sequence[OpenThing], *, retimed: bool
+    ) -> TakeStream:
+        """Return a take with the things that passes retime, or with the others."""
+        chosen = [thing for thing in things if thing.entry.retimed is retimed]
+        if not chosen:
             return stream
         from animtool.scene.beside import with_things
 
-        fps = self.bake.fps
-        return with_things(stream, self.beside, self.first, fps, self.meter)
+        return with_things(stream, chosen, self.first, self.bake.fps)
 
     @contextmanager
     def blamed_things(self) -> Iterator[None]:

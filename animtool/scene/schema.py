@@ -114,6 +114,13 @@ class BesideModel(FileModel):
         "source states it.",
         examples=[1001],
     )
+    retimed: bool = Field(
+        default=True,
+        description="Whether passes that change the time of the take change its time "
+        "too. `false` is for a camera of the shot: `frame` is then that of the first "
+        "frame behind the passes.",
+        examples=[False],
+    )
     attributes: list[str] = Field(
         default=[],
         description="Names of attributes to read of it; those of a camera are read "

@@ -182,8 +182,9 @@ def _scene_steps(scene: Scene, steps: list[Step]) -> _State:
     if len(scene.sources) == 1:
         source = scene.sources[0]
         steps.append(_source_step(source.path, source.place.where, state))
-    for thing, track in zip(scene.beside, state.tracks, strict=True):
-        steps.append(_beside_step(thing, track))
+    tracks = {track.path: track for track in state.tracks}
+    for thing in scene.beside:
+        steps.append(_beside_step(thing, tracks[thing.path]))
     for entry in scene.passes:
         steps.append(_pass_step(scene, entry, state))
         if state.curves and not state.dropped and _drops(entry):
@@ -200,6 +201,8 @@ def _beside_step(thing: SceneThing, track: Track) -> Step:
     left_out = []
     if not track.moves:
         left_out.append("samples: it never moves, and is stored once")
+    if not thing.retimed:
+        left_out.append("changes of time by passes: it is not retimed")
     if track.reference is None and track.type_name == "Xform":
         left_out.append("geometry: not asked for (reference)")
     return Step(

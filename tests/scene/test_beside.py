@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose
 from pxr import Usd, UsdGeom
 from support.cli import Done, animtool
 from support.props import prop_matrices, write_props
+from support.skinned_rig import write_pair
 from support.usd import validation_errors
 
 from animtool.errors import FormatError
@@ -378,3 +379,32 @@ def test_a_library_binds_them_with_its_takes(folder: Path) -> None:
     assert stage.GetPrimAtPath(path)
     takes.SetVariantSelection(next(name for name in names if name != "shot"))
     assert not stage.GetPrimAtPath(path)
+
+
+def test_a_camera_of_the_shot_is_not_retimed(folder: Path) -> None:
+    write_props(folder / "props.usda", first=1001)
+    camera = CAMERA.replace("}", ", retimed: false}")
+    rest = "fps: 24\nshot: {start: 1001, cut: [1005, 1030], handles: 3}\n"
+    rest += "passes:\n- time_scale: {speed: 0.5}\n- trim: {first: 11}\n"
+    done = bake(folder, rest + "output: {file: out.usda}\n", beside=camera + BOX)
+    assert done.code == 0, done.stderr
+    frames = range(1002, 1034)
+    camera_times = {t: t for t in frames}
+    same(folder, "out.usda", camera_times, {"/Set/camera": "/Cameras/main"})
+    box_times = {t: 1001 + 10 / 30 * 12 + (t - 1001) / 2 for t in frames}
+    same(folder, "out.usda", box_times, {"/Set/box": "/walk/Props/box"})
+    plan = animtool("bake", folder / "shot.scene.yaml", "--plan").stdout
+    assert "leaves out changes of time by passes" in plan
+
+
+@pytest.mark.parametrize("flags", [(), ("--chunk", "4")])
+def test_point_caches_have_them_too(tmp_path: Path, flags: tuple[str, ...]) -> None:
+    write_pair(tmp_path)
+    write_props(tmp_path / "props.usda")
+    text = "scene: animtool/1\nsource: {file: pair.clip.yaml}\nfps: 24\n"
+    path = tmp_path / "pair.scene.yaml"
+    path.write_text(f"{text}beside:\n{BOX}{CAMERA}output: {{file: out.usda}}\n")
+    done = animtool("bake", path, "--deform", *flags)
+    assert done.code == 0, done.stderr
+    prims = {"/Set/box": "/pair/Props/box", "/Set/camera": "/Cameras/main"}
+    same(tmp_path, "out.usda", {t: t for t in range(1, 9)}, prims)
