@@ -9,7 +9,8 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from animtool._types import FloatArray
+from animtool._types import BoolArray, FloatArray
+from animtool.errors import Fault
 from animtool.maths import so3
 
 __all__ = ["Attribute", "Reference", "Track", "Transforms", "turned_track"]
@@ -61,6 +62,8 @@ class Transforms:
             do not come to the same; None where they do.
         values: Of each attribute: numbers ``(F, width)``, or which of its choices
             ``(F,)``.
+        held: Whether its file has no such time, and it is as at the nearest ``(F,)``;
+            None where it has them all.
     """
 
     translations: FloatArray
@@ -68,6 +71,7 @@ class Transforms:
     scales: FloatArray
     matrices: FloatArray | None = None
     values: tuple[npt.NDArray[Any], ...] = ()
+    held: BoolArray | None = None
 
     def __len__(self) -> int:
         """Return the number of times."""
@@ -107,6 +111,7 @@ class Track:
         moves: Whether anything of it changes over time.
         attributes: Values that it has, in order.
         reference: What is to be seen; None is nothing.
+        note: Makes a fault of it, with the place where it is named.
     """
 
     path: str
@@ -116,6 +121,7 @@ class Track:
     moves: bool = True
     attributes: tuple[Attribute, ...] = ()
     reference: Reference | None = None
+    note: Callable[..., Fault] = Fault
 
     def at(self, times: FloatArray) -> Transforms:
         """Return the thing at times ``(F,)``, signs of rotations continuous."""

@@ -157,6 +157,9 @@ def _looped_track(
         translations=moved.translations.dense()[:, 0],
         rotations=moved.rotations.dense()[:, 0],
         values=held,
+        held=None
+        if known.held is None
+        else np.tile(seam.cycle(known.held)[:-1], repeats),
     )
     return gridded(track, looped)
 

@@ -11,15 +11,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from animtool._types import FloatArray
 from animtool.maths import so3
 
 __all__ = ["Onward", "SeamBlend", "closed_lines", "closed_turns"]
 
+_Value = TypeVar("_Value", bound=np.generic)
 Onward: TypeAlias = Callable[[FloatArray], FloatArray]
 
 # Where a cycle is the whole of its take, its ends tell speeds apart only roughly. A
@@ -57,7 +59,7 @@ class SeamBlend:
         pose, speed = pose[:, None, None], speed[:, None, None]
         return SeamBlend(length, before, behind, pose, speed)
 
-    def cycle(self, values: FloatArray) -> FloatArray:
+    def cycle(self, values: npt.NDArray[_Value]) -> npt.NDArray[_Value]:
         """Return the frames of the cycle and the one behind it ``(L + 1, ...)``."""
         return values[self.before : self.before + self.length + 1]
 

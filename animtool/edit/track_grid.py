@@ -40,6 +40,7 @@ def mapped_numbers(
             numbers(values) if attribute.width else values
             for attribute, values in zip(track.attributes, known.values, strict=True)
         ),
+        known.held,
     )
 
 
@@ -63,6 +64,7 @@ def gridded(track: Track, known: Transforms) -> Track:
             made.values[i] if attribute.width else known.values[i][places.frames]
             for i, attribute in enumerate(track.attributes)
         )
-        return replace(made, values=values)
+        held = None if known.held is None else known.held[places.frames]
+        return replace(made, values=values, held=held)
 
     return replace(track, sample=sample)

@@ -8,7 +8,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray
+from animtool._types import FloatArray
 from animtool.errors import AnimtoolError, Fault, FormatError, Severity, listed
 from animtool.rates import rate_label
 from animtool.scene.scene import SceneThing
@@ -20,8 +20,6 @@ from animtool.usd.things import ThingSource, Wanted, open_thing
 
 __all__ = ["OpenThing", "open_things", "with_things"]
 
-# A frame this near to a whole one [frame] is that, with the rounding of time codes.
-ON_FRAME = 1e-9
 # Between keys a transform may shear by this share, which nobody sees, and not say so.
 SEEN_SHEAR = 1e-9
 
@@ -106,7 +104,6 @@ def with_things(
     curve = stream.curve
     if curve is not None:
         made.curve = lambda times: beside.added(curve(times), beside.times_at(times))
-        beside.say_frames(stream.count)
     return made
 
 
@@ -132,7 +129,7 @@ def _counted(
             notices.append(entry.place.fault("SCN113", message, None, Severity.NOTE))
         return found
 
-    return replace(source.track, sample=sample)
+    return replace(source.track, sample=sample, note=entry.place.fault)
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,15 +171,6 @@ class _Thing:
             hint = "a scale that is not even stands above a rotation"
             yield note("SCN111", message, hint, Severity.NOTE)
 
-    def held(self, count: int) -> BoolArray | None:
-        """Return which of a take's frames it has not; None where it never moves."""
-        if self.opened.source.span is None:
-            return None
-        codes = self.times(0, count)
-        low, high = map(float, self.opened.source.span)
-        slack = ON_FRAME * float(self.step)
-        return (codes < low - slack) | (codes > high + slack)
-
 
 @dataclass(frozen=True, slots=True)
 class _Beside:
@@ -201,8 +189,6 @@ class _Beside:
             times = [thing.times(first, block.frames) for thing in self.things]
             yield self.added(block, np.stack(times, axis=1))
             first += block.frames
-        if self.stream.curve is None:
-            self.say_frames(first)
 
     def added(self, motion: Motion, times: FloatArray) -> Motion:
         """Return a motion with the times ``(F, N)`` of the things, behind others."""
@@ -217,34 +203,8 @@ class _Beside:
         steps = np.array([float(thing.step) for thing in self.things])
         return np.asarray(begins + frames[:, None] * steps)
 
-    def say_frames(self, count: int) -> None:
-        """Name the frames at which things are held, as their files have none."""
-        for thing in self.things:
-            held = thing.held(count)
-            if held is None or not held.any():
-                continue
-            low, high = map(float, thing.opened.source.span or (0, 0))
-            names = time_codes(self._start, self.stream.step, count)
-            shown = f"{thing.opened.entry.prim} has frames {low:g} to {high:g}"
-            message = f"{shown}: it is held at {_spans(names, held)} of the take"
-            hint = None
-            if held.all():
-                hint = "frame: says which of its frames comes with the first"
-            note = thing.opened.entry.place.fault
-            self.stream.notices.append(note("SCN107", message, hint, Severity.WARNING))
-
 
 def _channel(times: FloatArray) -> Channel:
     """Return times ``(F, N)`` as a channel in which all move, as blocks have to."""
     count = times.shape[1]
     return Channel(np.zeros((count, 1)), np.arange(count), times[..., None])
-
-
-def _spans(names: FloatArray, held: BoolArray) -> str:
-    """Return the frames that are held as people read them."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], held, [False]])))
-    ends = zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True)
-    spans = [
-        " to ".join(dict.fromkeys(f"{names[i]:.10g}" for i in pair)) for pair in ends
-    ]
-    return ", ".join(spans)

@@ -89,7 +89,9 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
             places = thing_places(
                 job.paths, plan.target, None, job.meters_per_unit, character.rig.up
             )
-            things.extend(author_things(layer, beside, places, plan.output))
+            found, said = author_things(layer, beside, places, plan.output)
+            things.extend(found)
+            plan.notices.extend(said)
         refuse_warnings(stream.notices + plan.notices, strict=plan.options.strict)
 
     ahead = prefetch(points.blocks(frames.of_output(timed)))

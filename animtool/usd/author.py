@@ -74,6 +74,7 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
             for i, take in enumerate(takes)
         ]
         result.takes = [part.written for part in parts]
+        result.notices += [n for part in parts for n in part.written.notices]
         _author_metadata(job, authored, result)
     for part in parts:
         if part.curves:
@@ -132,7 +133,9 @@ def _author_take(
         places = thing_places(
             job.paths, job.target, rig_layer, job.meters_per_unit, job.rig.up, take.name
         )
-        written.things = author_things(layer, take.beside, places, job.output)
+        written.things, written.notices = author_things(
+            layer, take.beside, places, job.output
+        )
     if take.name:
         from animtool.usd.library import author_range
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from pxr import Gf, Sdf, Vt
 
-from animtool._types import FloatArray
-from animtool.errors import Fault, OptionError
+from animtool._types import BoolArray, FloatArray
+from animtool.errors import Fault, OptionError, Severity
 from animtool.files import seen_from
 from animtool.take import Motion
 from animtool.transforms import Reference, Track, Transforms, turned_track
@@ -198,17 +198,21 @@ def author_things(
     beside: Beside,
     places: ThingPlaces,
     output: Path | None,
-) -> list[str]:
-    """Write the prims of tracks, with samples of what changes, and return their paths.
+) -> tuple[list[str], list[Fault]]:
+    """Write the prims of tracks, with samples of what changes.
 
     Args:
         layer: Where to.
         beside: The tracks, all frames passed.
         places: Where they are to be.
         output: The file that it becomes; None is stdout.
+
+    Returns:
+        Their paths, and what there is to say of their frames.
     """
     found = thing_paths(beside.tracks, places.model)
     codes, times = np.concatenate(beside.codes), np.concatenate(beside.times)
+    notices: list[Fault] = []
     for i, (track, path) in enumerate(zip(beside.tracks, found, strict=True)):
         _author_above(layer, path, places)
         there, world = places.exists(path), places.world(path)
@@ -218,8 +222,25 @@ def author_things(
         spec = prim(layer, places.spec(path), type_name, over=there)
         if track.reference is not None:
             _author_reference(spec, track.reference, output)
-        _author_track(spec, track, codes, track.at(times[:, i]), world)
-    return found
+        known = track.at(times[:, i])
+        _author_track(spec, track, codes, known, world)
+        if known.held is not None and known.held.any():
+            notices.append(_held_notice(track, path, codes, known.held))
+    return found, notices
+
+
+def _held_notice(track: Track, path: str, codes: FloatArray, held: BoolArray) -> Fault:
+    """Name the frames at which a thing is held, as its file has none such."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], held, [False]])))
+    ends = zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True)
+    spans = [
+        " to ".join(dict.fromkeys(f"{codes[i]:.10g}" for i in pair)) for pair in ends
+    ]
+    message = f"{path} is held at frames {', '.join(spans)}: its file has none there"
+    hint = (
+        "frame: says which of its frames comes with the first" if held.all() else None
+    )
+    return track.note("SCN107", message, hint=hint, severity=Severity.WARNING)
 
 
 def _author_above(layer: Any, path: str, places: ThingPlaces) -> None:

@@ -105,6 +105,7 @@ class WrittenTake:
         rounding: What rounding to float32, and of scales to float16, moved.
         curves: What became of the curves of controls.
         things: Paths of the things beside the rig.
+        notices: What there is to say of its frames.
     """
 
     animation: str
@@ -117,6 +118,7 @@ class WrittenTake:
     rounding: Rounding = field(default_factory=Rounding)
     curves: list[CurveReport] = field(default_factory=list)
     things: list[str] = field(default_factory=list)
+    notices: list[Fault] = field(default_factory=list)
 
 
 @dataclass(slots=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from fractions import Fraction
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from animtool._types import FloatArray
+from animtool._types import BoolArray, FloatArray
 from animtool.errors import Fault, FormatError, OptionError, excerpt
 from animtool.maths import so3
 from animtool.rates import rate_from_float
@@ -338,7 +338,16 @@ class _Sampler:
                 near = np.abs(scales - self.scales) <= ROUNDED * np.abs(self.scales)
                 scales = np.where(near, self.scales, scales)
         found = Transforms(places, turns, scales, matrices, self._values(codes))
-        return found if self.moves else _lasting(found, len(times))
+        if not self.moves:
+            return _lasting(found, len(times))
+        return replace(found, held=self._held(codes))
+
+    def _held(self, codes: FloatArray) -> BoolArray | None:
+        low, high = map(float, _span(self.stage, self.keys))
+        # A frame lasts until the next would come, and so does its shutter before it.
+        slack = 1 - ON_KEY
+        held = (codes < low - slack) | (codes > high + slack)
+        return held if held.any() else None
 
     def _on_keys(self, times: FloatArray) -> FloatArray:
         """Return time codes, those of keys where they are as near as rounding goes."""

@@ -5,7 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
+from pxr import Gf, Usd, UsdGeom
 from support.cli import animtool
+from support.props import prop_matrices
 
 from animtool import open_source
 from animtool.scene.file import load_scene
@@ -62,6 +65,55 @@ def test_what_its_passes_do(root: Path) -> None:
     missed = np.linalg.norm(hand(done) - rail, axis=1)
     assert missed[beside].max() < 1e-4
     np.testing.assert_allclose(hand(done)[:15], hand(waving)[:15], atol=1e-9)
+
+
+def test_what_is_beside_the_walker(workplace: Path) -> None:
+    """At every frame that is written, camera and lamp are where the set has them."""
+    done = animtool("bake", workplace / NAME, "--strict", "--set", "shot=one")
+    assert done.code == 0, done.stderr
+    folder = workplace / "samples/shot"
+    stage = Usd.Stage.Open(str(folder / "one.usdc"))
+    model = stage.GetDefaultPrim().GetPath()
+    frames = [t + o for t in range(1001, 1077) for o in (-0.25, 0, 0.25)][1:-1]
+    places = {
+        "/Set/camera": "/Cameras/main",
+        "/Set/post/lamp": f"{model}/Props/lamp",
+    }
+    for theirs, ours in places.items():
+        expected = prop_matrices(folder / "set.usda", theirs, frames)
+        found = prop_matrices(stage, ours, frames)
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-7)
+    camera = UsdGeom.Camera(stage.GetPrimAtPath("/Cameras/main"))
+    source = Usd.Stage.Open(str(folder / "set.usda"))
+    truth = UsdGeom.Camera(source.GetPrimAtPath("/Set/camera"))
+    for frame in frames:
+        ours, theirs = (c.GetCamera(Usd.TimeCode(frame)) for c in (camera, truth))
+        assert ours.focalLength == pytest.approx(theirs.focalLength, rel=1e-6)
+        assert ours.focusDistance == pytest.approx(theirs.focusDistance, rel=1e-6)
+        wide = [c.GetFieldOfView(Gf.Camera.FOVHorizontal) for c in (ours, theirs)]
+        assert wide[0] == pytest.approx(wide[1], rel=1e-6)
+    lamp = stage.GetPrimAtPath(places["/Set/post/lamp"])
+    state = lamp.GetAttribute("state")
+    assert [state.Get(t) for t in (1001, 1039, 1040, 1076)] == [
+        "off",
+        "off",
+        "on",
+        "on",
+    ]
+    assert lamp.GetChild("glass")
+
+
+def test_the_barrow_is_pushed_on(workplace: Path) -> None:
+    animtool("bake", workplace / NAME, "--set", "shot=one")
+    path = workplace / "samples/shot/one.usdc"
+    stage, take = Usd.Stage.Open(str(path)), open_source(path).collect()
+    frames = [frame for frame in take.clock.times.tolist() if frame == round(frame)]
+    at = [take.clock.times.tolist().index(frame) for frame in frames]
+    model = stage.GetDefaultPrim().GetPath()
+    barrow = prop_matrices(stage, f"{model}/Props/barrow", frames)[:, 3, :3] / 100
+    ahead = barrow[:, 2] - take.world().positions[at, 0, 2]
+    assert 0.5 < ahead.min() < ahead.max() < 0.9
+    assert np.diff(barrow[:, 2]).min() > 0
 
 
 def test_the_files_of_the_scene_are_clean(root: Path) -> None:

@@ -262,12 +262,12 @@ def test_frames_that_they_lack_are_named(folder: Path) -> None:
     assert done.code == 0
     line = notices(done)["SCN107"]
     assert "4:3" in line
-    assert "has frames 1 to 40: it is held at 50 to 64" in line
+    assert "/walk/Props/box is held at frames 51 to 64" in line
     done = bake(folder, "output: {file: out.usda}\n", "--strict", "--overwrite")
     assert done.code == 1
     write_props(folder / "props.usda", first=1001)
     done = bake(folder, "output: {file: other.usda}\n", beside=BOX)
-    assert "held at 1 to 64" in notices(done)["SCN107"]
+    assert "held at frames 1 to 64" in notices(done)["SCN107"]
     assert "frame:" in done.stderr
 
 
