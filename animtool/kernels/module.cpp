@@ -225,6 +225,12 @@ wind ``(K or 1, 1, 3)``.)")
            "held"_a, "held_path"_a, "anchors"_a, "anchor_numbers"_a, "anchor_path"_a,
            "winds"_a);
 
+  m.def("spring_order", &spring_order, "ends"_a, "particles"_a,
+        R"(The order ``(S,)`` in which springs ``(S, 2)`` are gone through.
+
+It is that of their particles, but for springs that do not wait for each other: these stand
+together, so that several are done at once.)");
+
   m.def("spring_accelerations", &spring_accelerations, "network"_a, "t"_a, "h"_a, "state"_a,
         "torn"_a,
         R"(Accelerations ``(N, 3)`` at positions and velocities ``(2, N, 3)`` and a time.

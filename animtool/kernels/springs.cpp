@@ -2,6 +2,8 @@
 #include "springs.h"
 
 #include <algorithm>
+#include <array>
+#include <utility>
 #include <stdexcept>
 
 namespace animtool {
@@ -43,9 +45,11 @@ SpringNetwork::SpringNetwork(In<double, 1> masses, In<double, 1> slowing,
     throw std::invalid_argument("numbers of anchors are (A, 2)");
   for (std::size_t s = 0; s < ends.shape(0); ++s) {
     const double* n = numbers.data() + 4 * s;
-    springs.push_back({particle(ends.data()[2 * s], count),
+    lines.springs.push_back({particle(ends.data()[2 * s], count),
                        particle(ends.data()[2 * s + 1], count), n[0], n[1], n[2], n[3]});
+    lines.numbers.push_back(static_cast<std::int32_t>(s));
   }
+  lines.line_up();
   for (std::size_t k = 0; k < faces.size(); ++k)
     triangles.push_back(particle(faces.data()[k], count));
   std::copy_n(field.data(), 3, gravity);
@@ -80,32 +84,10 @@ void SpringNetwork::follow(const Track& track, const Spot& spot, double* out) {
   for (std::size_t k = 0; k < width; ++k) out[k] = a[k] + (a[width + k] - a[k]) * spot.share;
 }
 
-void SpringNetwork::add_spring_forces(const std::vector<Spring>& all, const double* x,
-                                      const double* v, double* forces) const {
-  for (const Spring& spring : all) {
-    const double *p = x + 3 * spring.i, *q = x + 3 * spring.j;
-    const double *a = v + 3 * spring.i, *b = v + 3 * spring.j;
-    const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
-    const double e[3] = {b[0] - a[0], b[1] - a[1], b[2] - a[2]};
-    const double square = dot3(d, d);
-    // Ends at one place have no direction, and no force.
-    const double inverse = square > 0 ? 1 / square : 0;
-    const double shortening = spring.rest * (std::sqrt(square) * inverse);
-    const double pull = spring.stiffness * (1 - shortening) +
-                        spring.damping * (dot3(d, e) * inverse);
-    double *f = forces + 3 * spring.i, *g = forces + 3 * spring.j;
-    for (int k = 0; k < 3; ++k) {
-      const double force = pull * d[k];
-      f[k] += force;
-      g[k] -= force;
-    }
-  }
-}
-
 void SpringNetwork::add_anchor_forces(const double* points, const double* speeds,
                                       const double* x, const double* v, double* forces) const {
   for (std::size_t a = 0; a < anchors.size(); ++a) {
-    const std::size_t at = 3 * static_cast<std::size_t>(anchors[a]);
+    const std::size_t at = ROW * static_cast<std::size_t>(anchors[a]);
     for (std::size_t k = 0; k < 3; ++k)
       forces[at + k] += anchor_stiffness[a] * (points[3 * a + k] - x[at + k]) +
                         anchor_damping[a] * (speeds[3 * a + k] - v[at + k]);
@@ -116,9 +98,9 @@ void SpringNetwork::add_air_forces(const double* wind, const double* x, const do
                                    double* forces) const {
   if (air_drag == 0 && air_lift == 0) return;
   for (std::size_t t = 0; t < triangles.size(); t += 3) {
-    const std::size_t corners[3] = {3 * static_cast<std::size_t>(triangles[t]),
-                                    3 * static_cast<std::size_t>(triangles[t + 1]),
-                                    3 * static_cast<std::size_t>(triangles[t + 2])};
+    const std::size_t corners[3] = {ROW * static_cast<std::size_t>(triangles[t]),
+                                    ROW * static_cast<std::size_t>(triangles[t + 1]),
+                                    ROW * static_cast<std::size_t>(triangles[t + 2])};
     double a[3], b[3], flow[3];
     for (std::size_t k = 0; k < 3; ++k) {
       a[k] = x[corners[1] + k] - x[corners[0] + k];
@@ -149,7 +131,7 @@ void SpringNetwork::place_held(double t, double h, const double* before, double*
   const double* a = held_track.rows.data() + (held_track.still ? 0 : now.row * width);
   const bool between = !held_track.still && now.share != 0;
   for (std::size_t p = 0; p < held.size(); ++p) {
-    const std::size_t at = 3 * static_cast<std::size_t>(held[p]);
+    const std::size_t at = ROW * static_cast<std::size_t>(held[p]);
     for (std::size_t k = 0; k < 3; ++k) {
       const double here = a[3 * p + k];
       x[at + k] = between ? here + (a[width + 3 * p + k] - here) * now.share : here;
@@ -161,35 +143,73 @@ void SpringNetwork::place_held(double t, double h, const double* before, double*
 SpringRun::SpringRun(const SpringNetwork& network, const double* x0, const double* v0,
                      const std::uint8_t* torn0)
     : network(network),
-      size(3 * network.particles()),
-      x(x0, x0 + size),
-      v(v0, v0 + size),
-      torn(torn0, torn0 + network.springs.size()),
+      size(ROW * network.particles()),
+      x(size),
+      v(size),
+      torn(torn0, torn0 + network.lines.springs.size()),
       points(3 * network.anchors.size()),
       points_before(3 * network.anchors.size()),
-      speeds(3 * network.anchors.size()) {
-  for (std::size_t s = 0; s < network.springs.size(); ++s) {
-    if (torn[s]) continue;
-    springs.push_back(network.springs[s]);
-    numbers.push_back(static_cast<std::int32_t>(s));
-    tears = tears || std::isfinite(network.springs[s].limit);
+      speeds(3 * network.anchors.size()),
+      add_pulls_(add_pulls_in_quads()) {
+  if (!add_pulls_) add_pulls_ = add_pulls<PlainRows>;
+  for (std::size_t n = 0; n < network.particles(); ++n) {
+    std::copy_n(x0 + 3 * n, 3, x.data() + ROW * n);
+    std::copy_n(v0 + 3 * n, 3, v.data() + ROW * n);
   }
+  if (std::find(torn.begin(), torn.end(), 1) != torn.end()) leave_out_torn();
 }
 
-void SpringRun::tear() {
-  std::size_t kept = 0;
-  for (std::size_t s = 0; s < springs.size(); ++s) {
-    const double *p = x.data() + 3 * springs[s].i, *q = x.data() + 3 * springs[s].j;
+bool SpringRun::tear() {
+  if (!lines().tear) return false;
+  bool found = false;
+  const SpringLines& now = lines();
+  for (std::size_t s = 0; s < now.springs.size(); ++s) {
+    const Spring& spring = now.springs[s];
+    const double* p = x.data() + ROW * static_cast<std::size_t>(spring.i);
+    const double* q = x.data() + ROW * static_cast<std::size_t>(spring.j);
     const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
-    if (dot3(d, d) > springs[s].limit * springs[s].limit) {
-      torn[static_cast<std::size_t>(numbers[s])] = 1;
-      continue;
-    }
-    springs[kept] = springs[s];
-    numbers[kept++] = numbers[s];
+    if (!(dot3(d, d) > spring.limit * spring.limit)) continue;
+    torn[static_cast<std::size_t>(now.numbers[s])] = 1;
+    found = true;
   }
-  springs.resize(kept);
-  numbers.resize(kept);
+  if (found) leave_out_torn();
+  return found;
+}
+
+void SpringRun::leave_out_torn() {
+  SpringLines left;
+  for (std::size_t s = 0; s < torn.size(); ++s) {
+    if (torn[s]) continue;
+    left.springs.push_back(network.lines.springs[s]);
+    left.numbers.push_back(static_cast<std::int32_t>(s));
+  }
+  left.line_up();
+  own_ = std::move(left);
+}
+
+void SpringLines::line_up() {
+  const std::size_t count = springs.size();
+  for (const Spring& spring : springs) {
+    ends.push_back(spring.i);
+    ends.push_back(spring.j);
+    rest.push_back(spring.rest);
+    stiffness.push_back(spring.stiffness);
+    damping.push_back(spring.damping);
+    tear = tear || std::isfinite(spring.limit);
+  }
+  const auto apart = [&](std::size_t s) {
+    if (s + WIDE > count) return false;
+    for (std::size_t a = 2 * s; a < 2 * (s + WIDE); ++a)
+      for (std::size_t b = 2 * s; b < a; ++b)
+        if (ends[a] == ends[b]) return false;
+    return true;
+  };
+  for (std::size_t s = 0; s < count;) {
+    SpringRunLength run{s, 0, 0};
+    for (; apart(s); s += WIDE) ++run.fours;
+    for (; s < count && !apart(s); ++s) ++run.ones;
+    runs.push_back(run);
+  }
 }
 
 void SpringRun::look(double t, double h) {
@@ -208,18 +228,85 @@ void SpringRun::look(double t, double h) {
 
 void SpringRun::accelerate(const double* at, const double* going, double* out) const {
   std::fill_n(out, size, 0.0);
-  network.add_spring_forces(springs, at, going, out);
+  const SpringLines& now = lines();
+  const SpringColumns columns{now.ends.data(), now.rest.data(), now.stiffness.data(),
+                              now.damping.data()};
+  add_pulls_(columns, 0, now.springs.size(), at, going, out);
   network.add_anchor_forces(points.data(), speeds.data(), at, going, out);
   network.add_air_forces(wind, at, going, out);
   for (std::size_t n = 0; n < network.particles(); ++n) {
     const double inverse = network.inverse_masses[n];
     for (std::size_t k = 0; k < 3; ++k) {
-      double& a = out[3 * n + k];
+      double& a = out[ROW * n + k];
       a = inverse > 0
-              ? a * inverse + (network.gravity[k] - network.drags[n] * going[3 * n + k])
+              ? a * inverse + (network.gravity[k] - network.drags[n] * going[ROW * n + k])
               : 0.0;
     }
   }
+}
+
+namespace {
+
+// Springs of a block of components, at least, and of a block, at most: what is near in time
+// is to be near in memory.
+constexpr std::int64_t BLOCK = 512, LARGEST_BLOCK = 8192;
+
+std::vector<std::int64_t> components(const std::int64_t* ends, std::size_t springs,
+                                     std::size_t particles) {
+  std::vector<std::int64_t> root(particles);
+  for (std::size_t n = 0; n < particles; ++n) root[n] = static_cast<std::int64_t>(n);
+  const auto find = [&](std::int64_t n) {
+    const auto at = [&](std::int64_t m) -> std::int64_t& {
+      return root[static_cast<std::size_t>(m)];
+    };
+    while (at(n) != n) n = at(n) = at(at(n));
+    return n;
+  };
+  for (std::size_t s = 0; s < springs; ++s) {
+    const std::int64_t a = find(ends[2 * s]), b = find(ends[2 * s + 1]);
+    root[static_cast<std::size_t>(std::max(a, b))] = std::min(a, b);
+  }
+  for (std::size_t n = 0; n < particles; ++n) root[n] = find(static_cast<std::int64_t>(n));
+  return root;
+}
+
+}  // namespace
+
+std::vector<std::int64_t> order_springs(const std::int64_t* ends, std::size_t springs,
+                                        std::size_t particles) {
+  const std::vector<std::int64_t> component = components(ends, springs, particles);
+  const auto low = [&](std::int64_t s) { return std::min(ends[2 * s], ends[2 * s + 1]); };
+  const auto high = [&](std::int64_t s) { return std::max(ends[2 * s], ends[2 * s + 1]); };
+  std::vector<std::int64_t> order(springs), level(springs), block(springs);
+  for (std::size_t s = 0; s < springs; ++s) order[s] = static_cast<std::int64_t>(s);
+  std::sort(order.begin(), order.end(), [&](std::int64_t a, std::int64_t b) {
+    const auto key = [&](std::int64_t s) {
+      return std::array<std::int64_t, 4>{component[static_cast<std::size_t>(low(s))], low(s),
+                                         high(s), s};
+    };
+    return key(a) < key(b);
+  });
+  // A spring waits for those before it that it shares a particle with.
+  std::vector<std::int64_t> waits(particles, 0);
+  std::int64_t whole = 0, filled = 0, last = -1;
+  for (const std::int64_t s : order) {
+    const std::int64_t from = component[static_cast<std::size_t>(low(s))];
+    if ((from != last && filled >= BLOCK) || filled >= LARGEST_BLOCK) ++whole, filled = 0;
+    last = from;
+    ++filled;
+    std::int64_t& a = waits[static_cast<std::size_t>(low(s))];
+    std::int64_t& b = waits[static_cast<std::size_t>(high(s))];
+    level[static_cast<std::size_t>(s)] = std::max(a, b);
+    block[static_cast<std::size_t>(s)] = whole;
+    a = b = std::max(a, b) + 1;
+  }
+  std::stable_sort(order.begin(), order.end(), [&](std::int64_t a, std::int64_t b) {
+    const auto key = [&](std::int64_t s) {
+      return std::pair(block[static_cast<std::size_t>(s)], level[static_cast<std::size_t>(s)]);
+    };
+    return key(a) < key(b);
+  });
+  return order;
 }
 
 }  // namespace animtool

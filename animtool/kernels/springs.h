@@ -4,15 +4,29 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include "arrays.h"
+#include "springs_rows.h"
 
 namespace animtool {
 
 struct Spring {
   std::int32_t i, j;
   double rest, stiffness, damping, limit;  // limit: the length at which it tears
+};
+
+// Springs in the order in which they are gone through, and in columns.
+struct SpringLines {
+  std::vector<Spring> springs;
+  std::vector<std::int32_t> numbers;  // theirs in the network
+  std::vector<std::int32_t> ends;
+  std::vector<double> rest, stiffness, damping;
+  std::vector<SpringRunLength> runs;  // those that share no end in fours
+  bool tear = false;                  // whether any can
+
+  void line_up();
 };
 
 // Points over the times of knots, straight between two, held outside them.
@@ -42,10 +56,8 @@ class SpringNetwork {
   // Points of a track at a spot, into (P, 3).
   static void follow(const Track& track, const Spot& spot, double* out);
 
-  // Forces [N] of springs, anchors and air, added into (N, 3). Where anchors are and how
+  // Forces [N] of anchors and air, added to rows of particles. Where anchors are and how
   // they move is given, and so is the wind.
-  void add_spring_forces(const std::vector<Spring>& springs, const double* x, const double* v,
-                         double* forces) const;
   void add_anchor_forces(const double* points, const double* speeds, const double* x,
                          const double* v, double* forces) const;
   void add_air_forces(const double* wind, const double* x, const double* v,
@@ -55,7 +67,7 @@ class SpringNetwork {
   void place_held(double t, double h, const double* before, double* x, double* v) const;
 
   std::vector<double> inverse_masses, drags;
-  std::vector<Spring> springs;
+  SpringLines lines;
   std::vector<std::int32_t> triangles;
   double gravity[3];
   double air_drag, air_lift;
@@ -74,25 +86,37 @@ class SpringRun {
   SpringRun(const SpringNetwork& network, const double* x, const double* v,
             const std::uint8_t* torn);
 
-  // Take out what is stretched beyond its limit.
-  void tear();
+  // Take out what is stretched beyond its limit, and return whether anything was.
+  bool tear();
 
   const SpringNetwork& network;
-  std::size_t size;  // 3 N
-  std::vector<double> x, v;
-  std::vector<Spring> springs;             // those not torn
-  std::vector<std::int32_t> numbers;       // theirs in the network
+  std::size_t size;  // of rows
+  std::vector<double> x, v;           // in rows
   std::vector<std::uint8_t> torn;
-  bool tears = false;
+
+  // Springs that are not torn.
+  const SpringLines& lines() const { return own_ ? *own_ : network.lines; }
 
   // Anchors and wind at a time; speeds are those of the h before it.
   void look(double t, double h);
   std::vector<double> points, points_before, speeds;
   double wind[3] = {0, 0, 0};
 
-  // Accelerations (N, 3) at a state: held particles have none.
+  // Accelerations in rows at a state: held particles have none.
   void accelerate(const double* x, const double* v, double* out) const;
+
+ private:
+  void leave_out_torn();
+
+  // Where some are torn, the others.
+  std::optional<SpringLines> own_;
+  AddPulls add_pulls_;
 };
+
+// The order in which springs are gone through: as by their particles, but with those that do
+// not wait for each other next to each other.
+std::vector<std::int64_t> order_springs(const std::int64_t* ends, std::size_t springs,
+                                        std::size_t particles);
 
 inline double dot3(const double* a, const double* b) {
   return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];

@@ -11,16 +11,19 @@ SpringRun begin_springs(const SpringNetwork& network, const In<double, 3>& state
   const std::size_t count = network.particles();
   if (state.shape(0) != 2 || state.shape(1) != count || state.shape(2) != 3)
     throw std::invalid_argument("the state is (2, N, 3)");
-  if (torn.shape(0) != network.springs.size())
+  if (torn.shape(0) != network.lines.springs.size())
     throw std::invalid_argument("torn is (S,)");
   return {network, state.data(), state.data() + 3 * count, torn.data()};
 }
 
 Out<double, 3> ended_state(const SpringRun& run) {
-  Buffer<double> result(2 * run.size);
-  std::copy(run.x.begin(), run.x.end(), result.get());
-  std::copy(run.v.begin(), run.v.end(), result.get() + run.size);
-  const std::size_t shape[3] = {2, run.network.particles(), 3};
+  const std::size_t count = run.network.particles();
+  Buffer<double> result(6 * count);
+  for (std::size_t n = 0; n < count; ++n) {
+    std::copy_n(run.x.data() + ROW * n, 3, result.get() + 3 * n);
+    std::copy_n(run.v.data() + ROW * n, 3, result.get() + 3 * (count + n));
+  }
+  const std::size_t shape[3] = {2, count, 3};
   return result.release(shape);
 }
 
@@ -34,13 +37,31 @@ Out<std::uint8_t, 1> ended_torn(const SpringRun& run) {
 Out<double, 2> spring_accelerations(const SpringNetwork& network, double t, double h,
                                     In<double, 3> state, In<std::uint8_t, 1> torn) {
   SpringRun run = begin_springs(network, state, torn);
-  Buffer<double> result(run.size);
+  Buffer<double> result(3 * network.particles());
   {
     nb::gil_scoped_release release;
+    std::vector<double> rate(run.size);
     run.look(t, h);
-    run.accelerate(run.x.data(), run.v.data(), result.get());
+    run.accelerate(run.x.data(), run.v.data(), rate.data());
+    for (std::size_t n = 0; n < network.particles(); ++n)
+      std::copy_n(rate.data() + ROW * n, 3, result.get() + 3 * n);
   }
   const std::size_t shape[2] = {network.particles(), 3};
+  return result.release(shape);
+}
+
+Out<std::int64_t, 1> spring_order(In<std::int64_t, 2> ends, std::size_t particles) {
+  if (ends.shape(1) != 2) throw std::invalid_argument("ends are (S, 2)");
+  for (std::size_t k = 0; k < ends.size(); ++k)
+    if (ends.data()[k] < 0 || ends.data()[k] >= static_cast<std::int64_t>(particles))
+      throw std::invalid_argument("particles are counted from 0");
+  Buffer<std::int64_t> result(ends.shape(0));
+  {
+    nb::gil_scoped_release release;
+    const auto order = order_springs(ends.data(), ends.shape(0), particles);
+    std::copy(order.begin(), order.end(), result.get());
+  }
+  const std::size_t shape[1] = {ends.shape(0)};
   return result.release(shape);
 }
 
@@ -65,7 +86,7 @@ SpringsStepped step_springs(const SpringNetwork& network, In<double, 3> state,
         }
         network.place_held(t + h, h, before.data(), run.x.data(), run.v.data());
       }
-      if (run.tears) run.tear();
+      run.tear();
     }
   }
   return {ended_state(run), ended_torn(run)};

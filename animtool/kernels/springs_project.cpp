@@ -31,7 +31,10 @@ Give give(double stiffness, double damping, double weight, double h) {
 
 class Projection {
  public:
-  Projection(SpringRun& run, double cell) : run_(run), cell_(cell), before_(run.size) {}
+  Projection(SpringRun& run, double cell)
+      : run_(run), cell_(cell), before_(run.size), project_all_(project_all_in_quads()) {
+    if (!project_all_) project_all_ = project_all<PlainRows>;
+  }
 
   // One cell in a number of steps; returns the largest stretch of a spring that is not for
   // the most part what its own stiffness gives under what it bears.
@@ -43,12 +46,10 @@ class Projection {
       run_.look(t + h, h);
       predict(h);
       run_.network.place_held(t + h, h, before_.data(), run_.x.data(), run_.v.data());
-      if (j + 1 < substeps)
-        project<false>();
-      else
-        project<true>();
+      project(j + 1 < substeps ? nullptr : pulls_.data());
       pull_anchors();
-      for (std::size_t k = 0; k < run_.size; ++k) run_.v[k] = (run_.x[k] - before_[k]) / h;
+      const double rate = 1 / h;
+      for (std::size_t k = 0; k < run_.size; ++k) run_.v[k] = (run_.x[k] - before_[k]) * rate;
     }
     return stretch(h);
   }
@@ -61,18 +62,23 @@ class Projection {
     prepared_ = substeps;
     const double h = cell_ / substeps;
     const auto& masses = run_.network.inverse_masses;
-    gives_.clear();
-    for (const Spring& spring : run_.springs)
-      gives_.push_back(give(spring.stiffness, spring.damping,
-                            masses[static_cast<std::size_t>(spring.i)] +
-                                masses[static_cast<std::size_t>(spring.j)],
-                            h));
+    lengths_.clear();
+    changes_.clear();
+    weights_.clear();
+    for (const Spring& spring : run_.lines().springs) {
+      weights_.push_back(masses[static_cast<std::size_t>(spring.i)]);
+      weights_.push_back(masses[static_cast<std::size_t>(spring.j)]);
+      const double both = *(weights_.end() - 2) + weights_.back();
+      const Give own = give(spring.stiffness, spring.damping, both, h);
+      lengths_.push_back(own.length);
+      changes_.push_back(own.change);
+    }
     anchor_gives_.clear();
     for (std::size_t a = 0; a < run_.network.anchors.size(); ++a)
       anchor_gives_.push_back(
           give(run_.network.anchor_stiffness[a], run_.network.anchor_damping[a],
                masses[static_cast<std::size_t>(run_.network.anchors[a])], h));
-    pulls_.assign(run_.springs.size(), 0.0);
+    pulls_.assign(run_.lines().springs.size(), 0.0);
   }
 
   void predict(double h) {
@@ -92,45 +98,26 @@ class Projection {
       if (inverse == 0) continue;
       const double slowed = 1 / (1 + h * network.drags[n]);
       for (std::size_t k = 0; k < 3; ++k) {
-        double speed = v[3 * n + k] + fall[k];
-        if (windy) speed += h * inverse * forces_[3 * n + k];
-        x[3 * n + k] += h * (speed * slowed);
+        double speed = v[ROW * n + k] + fall[k];
+        if (windy) speed += h * inverse * forces_[ROW * n + k];
+        x[ROW * n + k] += h * (speed * slowed);
       }
     }
   }
 
-  template <bool Kept>
-  void project() {
-    const double* masses = run_.network.inverse_masses.data();
-    double* x = run_.x.data();
-    const double* before = before_.data();
-    const std::size_t count = run_.springs.size();
-    for (std::size_t s = 0; s < count; ++s) {
-      const Spring& spring = run_.springs[s];
-      double *p = x + 3 * spring.i, *q = x + 3 * spring.j;
-      const double *a = before + 3 * spring.i, *b = before + 3 * spring.j;
-      const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
-      const double e[3] = {d[0] - (b[0] - a[0]), d[1] - (b[1] - a[1]), d[2] - (b[2] - a[2])};
-      const double square = dot3(d, d);
-      const double inverse = square > 0 ? 1 / square : 0;
-      const double length = std::sqrt(square) * inverse;
-      // The pull over the length, with which the ends come together.
-      const double pull = gives_[s].length * (square > 0 ? 1 - spring.rest * length : 0) +
-                          gives_[s].change * (dot3(d, e) * inverse);
-      const double wp = pull * masses[spring.i], wq = pull * masses[spring.j];
-      for (int k = 0; k < 3; ++k) {
-        p[k] += wp * d[k];
-        q[k] -= wq * d[k];
-      }
-      if constexpr (Kept) pulls_[s] = pull * std::sqrt(square);
-    }
+  void project(double* kept) {
+    const SpringLines& lines = run_.lines();
+    const GiveColumns columns{lines.ends.data(), lines.rest.data(), lengths_.data(),
+                              changes_.data(), weights_.data()};
+    project_all_(columns, lines.runs.data(), lines.runs.size(), run_.x.data(), before_.data(),
+                 kept);
   }
 
   void pull_anchors() {
     const SpringNetwork& network = run_.network;
     for (std::size_t a = 0; a < network.anchors.size(); ++a) {
-      const std::size_t at = 3 * static_cast<std::size_t>(network.anchors[a]);
-      const double inverse = network.inverse_masses[at / 3];
+      const std::size_t at = ROW * static_cast<std::size_t>(network.anchors[a]);
+      const double inverse = network.inverse_masses[at / ROW];
       for (std::size_t k = 0; k < 3; ++k) {
         const double off = run_.points[3 * a + k] - run_.x[at + k];
         const double went = off - (run_.points_before[3 * a + k] - before_[at + k]);
@@ -142,10 +129,11 @@ class Projection {
 
   double stretch(double h) const {
     double most = 0;
-    for (std::size_t s = 0; s < run_.springs.size(); ++s) {
-      const Spring& spring = run_.springs[s];
+    for (std::size_t s = 0; s < run_.lines().springs.size(); ++s) {
+      const Spring& spring = run_.lines().springs[s];
       if (!(spring.rest > 0) || !(spring.stiffness > 0)) continue;
-      const double *p = run_.x.data() + 3 * spring.i, *q = run_.x.data() + 3 * spring.j;
+      const double* p = run_.x.data() + ROW * static_cast<std::size_t>(spring.i);
+      const double* q = run_.x.data() + ROW * static_cast<std::size_t>(spring.j);
       const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
       const double square = dot3(d, d), bound = spring.rest * (1 + most);
       if (square <= bound * bound) continue;
@@ -160,8 +148,9 @@ class Projection {
   SpringRun& run_;
   double cell_;
   int prepared_ = 0;
-  std::vector<double> before_, forces_, pulls_;
-  std::vector<Give> gives_, anchor_gives_;
+  std::vector<double> before_, forces_, pulls_, lengths_, changes_, weights_;
+  std::vector<Give> anchor_gives_;
+  ProjectAll project_all_;
 };
 
 }  // namespace
@@ -197,10 +186,7 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
         substeps = std::max(substeps / 2, least);
         calm = 0;
       }
-      if (run.tears) {
-        run.tear();
-        projection.forget();
-      }
+      if (run.tear()) projection.forget();
     }
   }
   return {ended_state(run), ended_torn(run), substeps, calm, worst, taken};

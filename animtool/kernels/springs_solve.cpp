@@ -35,7 +35,7 @@ class Implicit {
         z_(run.size),
         p_(run.size),
         q_(run.size),
-        blocks_(3 * run.size),
+        blocks_(9 * run.network.particles()),
         trial_x_(run.size),
         trial_v_(run.size) {}
 
@@ -84,7 +84,7 @@ class Implicit {
     double sum = 0;
     for (std::size_t n = 0; n < run_.network.particles(); ++n) {
       const double inverse = run_.network.inverse_masses[n];
-      for (std::size_t k = 3 * n; k < 3 * n + 3; ++k) {
+      for (std::size_t k = ROW * n; k < ROW * n + 3; ++k) {
         if (inverse == 0) {
           residual_[k] = 0;
           continue;
@@ -115,7 +115,7 @@ class Implicit {
     stiffen_air(s);
     diagonal_.resize(network.particles());
     for (std::size_t n = 0; n < network.particles(); ++n) diagonal_[n] = blocks_[9 * n];
-    for (const Spring& spring : run_.springs) stiffen_spring(spring, s);
+    for (const Spring& spring : run_.lines().springs) stiffen_spring(spring, s);
     for (std::size_t n = 0; n < network.particles(); ++n) invert(blocks_.data() + 9 * n);
   }
 
@@ -126,12 +126,14 @@ class Implicit {
     const double *x = run_.x.data(), *v = run_.v.data();
     for (std::size_t t = 0; t < network.triangles.size(); t += 3) {
       const std::int32_t* corners = network.triangles.data() + t;
+      const std::size_t rows[3] = {ROW * static_cast<std::size_t>(corners[0]),
+                                   ROW * static_cast<std::size_t>(corners[1]),
+                                   ROW * static_cast<std::size_t>(corners[2])};
       double a[3], b[3], flow[3];
-      for (int k = 0; k < 3; ++k) {
-        a[k] = x[3 * corners[1] + k] - x[3 * corners[0] + k];
-        b[k] = x[3 * corners[2] + k] - x[3 * corners[0] + k];
-        flow[k] = run_.wind[k] - (v[3 * corners[0] + k] + v[3 * corners[1] + k] +
-                                  v[3 * corners[2] + k]) / 3;
+      for (std::size_t k = 0; k < 3; ++k) {
+        a[k] = x[rows[1] + k] - x[rows[0] + k];
+        b[k] = x[rows[2] + k] - x[rows[0] + k];
+        flow[k] = run_.wind[k] - (v[rows[0] + k] + v[rows[1] + k] + v[rows[2] + k]) / 3;
       }
       const double n[3] = {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
                            a[0] * b[1] - a[1] * b[0]};
@@ -145,7 +147,8 @@ class Implicit {
   }
 
   void stiffen_spring(const Spring& spring, double s) {
-    const double *p = run_.x.data() + 3 * spring.i, *q = run_.x.data() + 3 * spring.j;
+    const double* p = run_.x.data() + ROW * static_cast<std::size_t>(spring.i);
+    const double* q = run_.x.data() + ROW * static_cast<std::size_t>(spring.j);
     const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
     const double length = std::sqrt(dot3(d, d)), inverse = length > 0 ? 1 / length : 0;
     const double k = s * s * spring.stiffness;
@@ -177,12 +180,14 @@ class Implicit {
   }
 
   void multiply(const std::vector<double>& in, std::vector<double>& out) const {
-    for (std::size_t k = 0; k < run_.size; ++k) out[k] = diagonal_[k / 3] * in[k];
+    for (std::size_t k = 0; k < run_.size; ++k) out[k] = diagonal_[k / ROW] * in[k];
     for (const Link& link : links_) {
-      const double *a = in.data() + 3 * link.i, *b = in.data() + 3 * link.j;
+      const double* a = in.data() + ROW * static_cast<std::size_t>(link.i);
+      const double* b = in.data() + ROW * static_cast<std::size_t>(link.j);
       const double e[3] = {a[0] - b[0], a[1] - b[1], a[2] - b[2]};
       const double along = link.along * dot3(link.u, e);
-      double *f = out.data() + 3 * link.i, *g = out.data() + 3 * link.j;
+      double* f = out.data() + ROW * static_cast<std::size_t>(link.i);
+      double* g = out.data() + ROW * static_cast<std::size_t>(link.j);
       for (int k = 0; k < 3; ++k) {
         const double force = link.across * e[k] + along * link.u[k];
         f[k] += force;
@@ -194,13 +199,13 @@ class Implicit {
 
   void hold(std::vector<double>& values) const {
     for (const std::int32_t n : run_.network.held)
-      std::fill_n(values.begin() + 3 * n, 3, 0.0);
+      std::fill_n(values.data() + ROW * static_cast<std::size_t>(n), 3, 0.0);
   }
 
   void precondition(const std::vector<double>& in, std::vector<double>& out) const {
     for (std::size_t n = 0; n < run_.network.particles(); ++n) {
-      const double *block = blocks_.data() + 9 * n, *a = in.data() + 3 * n;
-      for (std::size_t k = 0; k < 3; ++k) out[3 * n + k] = dot3(block + 3 * k, a);
+      const double *block = blocks_.data() + 9 * n, *a = in.data() + ROW * n;
+      for (std::size_t k = 0; k < 3; ++k) out[ROW * n + k] = dot3(block + 3 * k, a);
     }
   }
 
@@ -310,8 +315,9 @@ SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
   {
     nb::gil_scoped_release release;
     if (earlier && two_steps) {
-      crossing.before = {{earlier->data(), earlier->data() + run.size},
-                         {earlier->data() + run.size, earlier->data() + 2 * run.size}};
+      const std::size_t row = 3 * network.particles();
+      const SpringRun back(network, earlier->data(), earlier->data() + row, torn.data());
+      crossing.before = {back.x, back.v};
       crossing.known = true;
     }
     for (std::int64_t i = 0; i < cells && !lost; ++i) {
@@ -332,7 +338,7 @@ SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
           run.v = start.v;
         }
       }
-      if (run.tears) run.tear();
+      run.tear();
     }
   }
   SpringRun back = run;

@@ -32,6 +32,8 @@ using SpringsProjected = std::tuple<Out<double, 3>, Out<std::uint8_t, 1>, int, i
 using SpringsSolved = std::tuple<Out<double, 3>, Out<double, 3>, bool, Out<std::uint8_t, 1>,
                                  std::int64_t, std::int64_t, std::int64_t>;
 
+Out<std::int64_t, 1> spring_order(In<std::int64_t, 2> ends, std::size_t particles);
+
 Out<double, 2> spring_accelerations(const SpringNetwork& network, double t, double h,
                                     In<double, 3> state, In<std::uint8_t, 1> torn);
 

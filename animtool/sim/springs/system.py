@@ -108,9 +108,9 @@ class SpringSystem(SecondOrder):
 
     @cached_property
     def order(self) -> IntArray:
-        """The order in which springs are gone through ``(S,)``: by their particles."""
-        low, high = np.sort(self.body.springs.ends, axis=1).T
-        return np.lexsort((high, low))
+        """The order in which springs are gone through ``(S,)``."""
+        count = len(self.body.positions)
+        return _kernels.spring_order(self.body.springs.ends, count)
 
     @cached_property
     def inverse_masses(self) -> FloatArray:

@@ -1,0 +1,57 @@
+// Springs four at a time for processors with registers of four doubles; the build says
+// where the compiler may use them, and the processor is asked before it runs.
+#include "springs_rows.h"
+
+#if defined(__AVX2__) && defined(__GNUC__)
+#define ANIMTOOL_QUADS
+#include <immintrin.h>
+#endif
+
+namespace animtool {
+
+#ifdef ANIMTOOL_QUADS
+
+namespace {
+
+struct QuadRows {
+  using Row = __m256d;
+
+  static Row load(const double* from) { return _mm256_loadu_pd(from); }
+  static void store(Row row, double* to) { _mm256_storeu_pd(to, row); }
+  static Row spread(double value) { return _mm256_set1_pd(value); }
+  static Row add(Row a, Row b) { return _mm256_add_pd(a, b); }
+  static Row subtract(Row a, Row b) { return _mm256_sub_pd(a, b); }
+  static Row multiply(Row a, Row b) { return _mm256_mul_pd(a, b); }
+  static Row where_above(Row a, Row value) {
+    return _mm256_and_pd(_mm256_cmp_pd(a, _mm256_setzero_pd(), _CMP_GT_OQ), value);
+  }
+  static Row inverse(Row a) { return where_above(a, _mm256_div_pd(_mm256_set1_pd(1), a)); }
+  static Row root(Row a) { return _mm256_sqrt_pd(a); }
+  static Row dots(const Row* a, const Row* b) {
+    const Row low = _mm256_hadd_pd(_mm256_mul_pd(a[0], b[0]), _mm256_mul_pd(a[1], b[1]));
+    const Row high = _mm256_hadd_pd(_mm256_mul_pd(a[2], b[2]), _mm256_mul_pd(a[3], b[3]));
+    const Row crossed = _mm256_permute2f128_pd(low, high, 0x21);
+    const Row kept = _mm256_blend_pd(low, high, 0xC);
+    return _mm256_add_pd(kept, crossed);
+  }
+};
+
+}  // namespace
+
+AddPulls add_pulls_in_quads() {
+  return __builtin_cpu_supports("avx2") ? add_pulls<QuadRows> : nullptr;
+}
+
+ProjectAll project_all_in_quads() {
+  return __builtin_cpu_supports("avx2") ? project_all<QuadRows> : nullptr;
+}
+
+#else
+
+AddPulls add_pulls_in_quads() { return nullptr; }
+
+ProjectAll project_all_in_quads() { return nullptr; }
+
+#endif
+
+}  // namespace animtool

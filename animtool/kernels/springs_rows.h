@@ -1,0 +1,216 @@
+// Springs four at a time: rows of particles (N, 4), of which the last number is 0.
+#pragma once
+
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+
+namespace animtool {
+
+// Numbers to a particle.
+constexpr std::size_t ROW = 4;
+// Springs that are done at once.
+constexpr std::size_t WIDE = 4;
+
+// What of springs the loops read, a column each; ends two by two.
+struct SpringColumns {
+  const std::int32_t* ends;
+  const double *rest, *stiffness, *damping;
+};
+
+// What of springs a step of extended position based dynamics reads.
+struct GiveColumns {
+  const std::int32_t* ends;
+  const double *rest, *length, *change;
+  // Weights of both ends, two by two.
+  const double* weights;
+};
+
+// Four springs, or particles of four numbers, whichever way a processor holds them.
+struct PlainRows {
+  struct Row {
+    double at[WIDE];
+  };
+
+  template <class Function>
+  static Row each(Function function) {
+    Row row;
+    for (std::size_t l = 0; l < WIDE; ++l) row.at[l] = function(l);
+    return row;
+  }
+  static Row load(const double* from) {
+    return each([&](std::size_t l) { return from[l]; });
+  }
+  static void store(const Row& row, double* to) {
+    for (std::size_t l = 0; l < WIDE; ++l) to[l] = row.at[l];
+  }
+  static Row spread(double value) {
+    return each([&](std::size_t) { return value; });
+  }
+  static Row add(const Row& a, const Row& b) {
+    return each([&](std::size_t l) { return a.at[l] + b.at[l]; });
+  }
+  static Row subtract(const Row& a, const Row& b) {
+    return each([&](std::size_t l) { return a.at[l] - b.at[l]; });
+  }
+  static Row multiply(const Row& a, const Row& b) {
+    return each([&](std::size_t l) { return a.at[l] * b.at[l]; });
+  }
+  // One over what is above 0, else 0.
+  static Row inverse(const Row& a) {
+    return each([&](std::size_t l) { return a.at[l] > 0 ? 1 / a.at[l] : 0.0; });
+  }
+  // A value where another is above 0, else 0.
+  static Row where_above(const Row& a, const Row& value) {
+    return each([&](std::size_t l) { return a.at[l] > 0 ? value.at[l] : 0.0; });
+  }
+  static Row root(const Row& a) {
+    return each([&](std::size_t l) { return std::sqrt(a.at[l]); });
+  }
+  // The products of four pairs of particles' rows.
+  static Row dots(const Row* a, const Row* b) {
+    return each([&](std::size_t l) {
+      const double *p = a[l].at, *q = b[l].at;
+      return p[0] * q[0] + p[1] * q[1] + (p[2] * q[2] + p[3] * q[3]);
+    });
+  }
+};
+
+// Add the forces of springs from one to another to rows of particles.
+template <class W>
+void add_pulls(const SpringColumns& springs, std::size_t begin, std::size_t end,
+               const double* x, const double* v, double* forces) {
+  using Row = typename W::Row;
+  std::size_t s = begin;
+  for (; s + WIDE <= end; s += WIDE) {
+    const std::int32_t* ends = springs.ends + 2 * s;
+    Row d[WIDE], e[WIDE];
+    for (std::size_t l = 0; l < WIDE; ++l) {
+      const std::size_t i = ROW * static_cast<std::size_t>(ends[2 * l]);
+      const std::size_t j = ROW * static_cast<std::size_t>(ends[2 * l + 1]);
+      d[l] = W::subtract(W::load(x + j), W::load(x + i));
+      e[l] = W::subtract(W::load(v + j), W::load(v + i));
+    }
+    const Row square = W::dots(d, d), closing = W::dots(d, e);
+    // Ends at one place have no direction, and no force.
+    const Row inverse = W::inverse(square);
+    const Row length = W::multiply(W::load(springs.rest + s),
+                                   W::multiply(W::root(square), inverse));
+    const Row pull =
+        W::add(W::multiply(W::load(springs.stiffness + s), W::subtract(W::spread(1), length)),
+               W::multiply(W::load(springs.damping + s), W::multiply(closing, inverse)));
+    double pulls[WIDE];
+    W::store(pull, pulls);
+    for (std::size_t l = 0; l < WIDE; ++l) {
+      double* f = forces + ROW * static_cast<std::size_t>(ends[2 * l]);
+      double* g = forces + ROW * static_cast<std::size_t>(ends[2 * l + 1]);
+      const Row force = W::multiply(W::spread(pulls[l]), d[l]);
+      W::store(W::add(W::load(f), force), f);
+      W::store(W::subtract(W::load(g), force), g);
+    }
+  }
+  for (; s < end; ++s) {
+    const std::size_t i = ROW * static_cast<std::size_t>(springs.ends[2 * s]);
+    const std::size_t j = ROW * static_cast<std::size_t>(springs.ends[2 * s + 1]);
+    double d[3], e[3];
+    for (std::size_t k = 0; k < 3; ++k) {
+      d[k] = x[j + k] - x[i + k];
+      e[k] = v[j + k] - v[i + k];
+    }
+    const double square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
+    const double closing = d[0] * e[0] + d[1] * e[1] + d[2] * e[2];
+    const double inverse = square > 0 ? 1 / square : 0;
+    const double length = springs.rest[s] * (std::sqrt(square) * inverse);
+    const double pull =
+        springs.stiffness[s] * (1 - length) + springs.damping[s] * (closing * inverse);
+    for (std::size_t k = 0; k < 3; ++k) {
+      const double force = pull * d[k];
+      forces[i + k] += force;
+      forces[j + k] -= force;
+    }
+  }
+}
+
+// Move the ends of four springs that share none together, and keep the pulls.
+template <class W>
+void project_four(const GiveColumns& springs, std::size_t s, double* x, const double* before,
+                  double* kept) {
+  using Row = typename W::Row;
+  const std::int32_t* ends = springs.ends + 2 * s;
+  Row d[WIDE], e[WIDE];
+  for (std::size_t l = 0; l < WIDE; ++l) {
+    const std::size_t i = ROW * static_cast<std::size_t>(ends[2 * l]);
+    const std::size_t j = ROW * static_cast<std::size_t>(ends[2 * l + 1]);
+    d[l] = W::subtract(W::load(x + j), W::load(x + i));
+    e[l] = W::subtract(d[l], W::subtract(W::load(before + j), W::load(before + i)));
+  }
+  const Row square = W::dots(d, d), went = W::dots(d, e);
+  const Row inverse = W::inverse(square), root = W::root(square);
+  const Row beyond = W::subtract(
+      W::spread(1), W::multiply(W::load(springs.rest + s), W::multiply(root, inverse)));
+  // The pull over the length, with which the ends come together.
+  const Row pull = W::add(
+      W::multiply(W::load(springs.length + s), W::where_above(square, beyond)),
+      W::multiply(W::load(springs.change + s), W::multiply(went, inverse)));
+  double pulls[WIDE];
+  W::store(pull, pulls);
+  if (kept) W::store(W::multiply(pull, root), kept + s);
+  const double* weights = springs.weights + 2 * s;
+  for (std::size_t l = 0; l < WIDE; ++l) {
+    double* p = x + ROW * static_cast<std::size_t>(ends[2 * l]);
+    double* q = x + ROW * static_cast<std::size_t>(ends[2 * l + 1]);
+    W::store(W::add(W::load(p), W::multiply(W::spread(pulls[l] * weights[2 * l]), d[l])), p);
+    W::store(W::subtract(W::load(q),
+                         W::multiply(W::spread(pulls[l] * weights[2 * l + 1]), d[l])),
+             q);
+  }
+}
+
+inline void project_one(const GiveColumns& springs, std::size_t s, double* x,
+                        const double* before, double* kept) {
+  const std::size_t i = ROW * static_cast<std::size_t>(springs.ends[2 * s]);
+  const std::size_t j = ROW * static_cast<std::size_t>(springs.ends[2 * s + 1]);
+  double d[3], e[3];
+  for (std::size_t k = 0; k < 3; ++k) {
+    d[k] = x[j + k] - x[i + k];
+    e[k] = d[k] - (before[j + k] - before[i + k]);
+  }
+  const double square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
+  const double went = d[0] * e[0] + d[1] * e[1] + d[2] * e[2];
+  const double inverse = square > 0 ? 1 / square : 0, root = std::sqrt(square);
+  const double beyond = square > 0 ? 1 - springs.rest[s] * (root * inverse) : 0;
+  const double pull = springs.length[s] * beyond + springs.change[s] * (went * inverse);
+  if (kept) kept[s] = pull * root;
+  for (std::size_t k = 0; k < 3; ++k) {
+    x[i + k] += pull * springs.weights[2 * s] * d[k];
+    x[j + k] -= pull * springs.weights[2 * s + 1] * d[k];
+  }
+}
+
+// Runs of springs, of which each four share no end or are done one by one.
+struct SpringRunLength {
+  std::size_t begin, fours, ones;
+};
+
+template <class W>
+void project_all(const GiveColumns& springs, const SpringRunLength* runs, std::size_t count,
+                 double* x, const double* before, double* kept) {
+  for (std::size_t r = 0; r < count; ++r) {
+    std::size_t s = runs[r].begin;
+    for (std::size_t n = 0; n < runs[r].fours; ++n, s += WIDE)
+      project_four<W>(springs, s, x, before, kept);
+    for (std::size_t n = 0; n < runs[r].ones; ++n, ++s)
+      project_one(springs, s, x, before, kept);
+  }
+}
+
+using AddPulls = void (*)(const SpringColumns&, std::size_t, std::size_t, const double*,
+                          const double*, double*);
+using ProjectAll = void (*)(const GiveColumns&, const SpringRunLength*, std::size_t, double*,
+                            const double*, double*);
+
+// Where the processor has registers of four doubles, loops that use them; else null.
+AddPulls add_pulls_in_quads();
+ProjectAll project_all_in_quads();
+
+}  // namespace animtool

@@ -1,0 +1,84 @@
+"""Loops over springs: their order, and what they do in it."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from animtool import _kernels
+
+SEEDS = st.integers(0, 2**31)
+
+
+def random_ends(seed: int) -> tuple[np.ndarray, int]:
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(2, 60))
+    ends = rng.integers(0, count, (int(rng.integers(0, 200)), 2))
+    return ends[ends[:, 0] != ends[:, 1]], count
+
+
+@given(SEEDS)
+def test_springs_that_share_a_particle_keep_their_order(seed: int) -> None:
+    ends, count = random_ends(seed)
+    order = _kernels.spring_order(ends, count)
+    assert sorted(order.tolist()) == list(range(len(ends)))
+    low, high = np.sort(ends, axis=1).T
+    place = np.argsort(order)
+    for particle in range(count):
+        mine = np.flatnonzero((ends == particle).any(axis=1))
+        by_particles = mine[np.lexsort((mine, high[mine], low[mine]))]
+        assert (np.diff(place[by_particles]) > 0).all()
+
+
+@given(SEEDS)
+def test_the_order_is_of_the_springs_and_not_of_their_list(seed: int) -> None:
+    ends, count = random_ends(seed)
+    ends = np.unique(np.sort(ends, axis=1), axis=0)
+    mixed = np.random.default_rng(seed).permutation(len(ends))
+    one = ends[_kernels.spring_order(ends, count)]
+    other = ends[mixed][_kernels.spring_order(ends[mixed], count)]
+    assert one.tolist() == other.tolist()
+
+
+def network(ends: np.ndarray, count: int, rng: np.random.Generator) -> object:
+    numbers = rng.uniform(0.5, 2, (len(ends), 4))
+    numbers[:, 3] = np.inf
+    nowhere = np.zeros((1, 0, 3))
+    return _kernels.SpringNetwork(
+        rng.uniform(0.5, 2, count), np.zeros(count), ends, numbers,
+        np.zeros((0, 3), np.int64), np.zeros(5), np.zeros(1), np.zeros(0, np.int64),
+        nowhere, np.zeros(0, np.int64), np.zeros((0, 2)), nowhere, np.zeros((1, 1, 3)),
+    )  # fmt: skip
+
+
+def projected(ends: np.ndarray, count: int, seed: int) -> np.ndarray:
+    """Return where one step of each spring in its order leads, in plain numpy."""
+    rng = np.random.default_rng(seed)
+    numbers = rng.uniform(0.5, 2, (len(ends), 4))
+    weights = rng.uniform(0.5, 2, count)
+    x, v = rng.normal(size=(2, count, 3))
+    h, before = 0.01, x.copy()
+    x = x + h * v
+    for (i, j), (rest, k, c, _) in zip(ends, numbers, strict=True):
+        d = x[j] - x[i]
+        length = np.linalg.norm(d)
+        u, whole = d / length, (k * h * h + c * h) * (weights[i] + weights[j]) + 1
+        went = u @ (d - (before[j] - before[i]))
+        pull = (k * h * h * (length - rest) + c * h * went) / whole
+        x[i] += weights[i] * pull * u
+        x[j] -= weights[j] * pull * u
+    return np.stack([x, (x - before) / h])
+
+
+@given(SEEDS)
+def test_springs_are_projected_one_after_the_other(seed: int) -> None:
+    ends, count = random_ends(seed)
+    ends = np.ascontiguousarray(ends[_kernels.spring_order(ends, count)])
+    rng = np.random.default_rng(seed)
+    made = network(ends, count, rng)
+    state = rng.normal(size=(2, count, 3))
+    found = _kernels.project_springs(
+        made, state, np.zeros(len(ends), np.uint8), 0.0, 0, 0.01, 1, 1, 0, 1, 1, np.inf
+    )[0]
+    np.testing.assert_allclose(found, projected(ends, count, seed), atol=1e-9)
