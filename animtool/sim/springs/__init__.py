@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from animtool.sim.springs.paths import Air as Air
     from animtool.sim.springs.paths import Pins as Pins
     from animtool.sim.springs.paths import Targets as Targets
+    from animtool.sim.springs.resting import Rest as Rest
+    from animtool.sim.springs.resting import find_rest as find_rest
     from animtool.sim.springs.sheets import sheet as sheet
     from animtool.sim.springs.simulating import simulate_springs as simulate_springs
     from animtool.sim.springs.surfaces import surface as surface
@@ -37,7 +39,9 @@ _PUBLIC = {
     "SpringSystem": "system",
     "Springs": "body",
     "Targets": "paths",
+    "Rest": "resting",
     "block": "volumes",
+    "find_rest": "resting",
     "join": "body",
     "rope": "lines",
     "sheet": "sheets",

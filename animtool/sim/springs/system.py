@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from functools import cached_property
 
 import numpy as np
@@ -141,6 +142,28 @@ class SpringSystem(SecondOrder):
         from animtool.sim.springs.slopes import slopes
 
         return slopes(self, t, x, v)
+
+    def stiffness(self, t: float, x: FloatArray) -> Matrix:
+        """Return the derivative of forces by positions, negative ``(3 N, 3 N)``.
+
+        Of springs and targets, sparse; rows of particles that are held are 0.
+        """
+        from scipy.sparse import diags_array
+
+        from animtool.sim.springs.slopes import slopes
+
+        masses = np.where(self.fixed, 0.0, self.body.masses)
+        by_x, _ = slopes(self, t, x, np.zeros_like(x))
+        return diags_array(np.repeat(-masses, 3)) @ by_x
+
+    def without_air(self) -> SpringSystem:
+        """Return the same springs without the air."""
+        if not any(self.pressures):
+            return self
+        calm = copy(self)
+        calm.pressures = (0.0, 0.0)
+        calm.__dict__.pop("network", None)
+        return calm
 
     def energy(self, t: float, state: FloatArray) -> Energy:
         """Return the energy of springs, gravity and motion.
