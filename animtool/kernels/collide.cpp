@@ -57,11 +57,13 @@ std::vector<Collider> colliders_of(const ColliderArrays& in) {
 }  // namespace
 
 Collided collide_particles(ColliderArrays colliders, In<double, 3> before,
-                           In<double, 3> after, In<double, 1> radii, double step) {
+                           In<double, 3> after, In<double, 1> radii,
+                           In<double, 1> begins, double step) {
   const std::size_t count = before.shape(1);
   if (before.shape(0) != 2 || before.shape(2) != 3 || after.shape(0) != 2 ||
-      after.shape(1) != count || after.shape(2) != 3 || radii.shape(0) != count)
-    throw std::invalid_argument("states are (2, N, 3), radii (N,)");
+      after.shape(1) != count || after.shape(2) != 3 || radii.shape(0) != count ||
+      begins.shape(0) != count)
+    throw std::invalid_argument("states are (2, N, 3), radii and begins (N,)");
   const std::vector<Collider> made = colliders_of(colliders);
   Buffer<double> state(6 * count), normals(3 * count);
   Buffer<std::int64_t> touches(2 * count);
@@ -72,7 +74,8 @@ Collided collide_particles(ColliderArrays colliders, In<double, 3> before,
       const std::size_t x = 3 * i, v = 3 * (count + i);
       const collide::Particle start{load(from + x), load(from + v)};
       collide::Particle end{load(to + x), load(to + v)};
-      collide::Settling settling(made.data(), made.size(), step, radii.data()[i]);
+      collide::Settling settling(made.data(), made.size(), step, radii.data()[i],
+                                 begins.data()[i]);
       const collide::Contact contact = settling.settle(start, end);
       store(end.position, state.get() + x);
       store(end.velocity, state.get() + v);

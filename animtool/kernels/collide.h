@@ -92,14 +92,16 @@ struct Path {
 // One particle in one step against all colliders.
 class Settling {
  public:
-  Settling(const Collider* colliders, std::size_t count, double step, double radius)
-      : colliders_(colliders), count_(count), step_(step), radius_(radius) {}
+  // The particle is there from a time of the step on, 0 where it was before.
+  Settling(const Collider* colliders, std::size_t count, double step, double radius,
+           double begin = 0)
+      : colliders_(colliders), count_(count), step_(step), begin_(begin), radius_(radius) {}
 
   // Brings the end of a step to where contacts let it be. It stays, bit for bit, where there
   // are none.
   Contact settle(const Particle& before, Particle& after) {
     contact_ = {};
-    if (!(step_ > 0)) return contact_;
+    if (!(step_ > begin_)) return contact_;
     path_ = begun(before, after);
     resting_on_ = -1;
     far_ = 0;
@@ -135,9 +137,10 @@ class Settling {
   }
 
   Path begun(const Particle& before, const Particle& after) const {
-    const Vec bend = (after.velocity - before.velocity) * (1 / step_);
-    const Vec chord = (after.position - before.position) * (1 / step_);
-    return {before.position, chord - bend * (step_ / 2), before.velocity, bend, 0, step_};
+    const double left = step_ - begin_;
+    const Vec bend = (after.velocity - before.velocity) * (1 / left);
+    const Vec chord = (after.position - before.position) * (1 / left);
+    return {before.position, chord - bend * (left / 2), before.velocity, bend, begin_, left};
   }
 
   Pose pose_at(const Collider& c, double s) const {
@@ -278,9 +281,9 @@ class Settling {
     const Pose end = c.motion.at(1);
     const Sample found = sample(c, end, after.position, radius_, reach_inside(c));
     if (found.distance >= -TOUCH) return false;
-    const Sample start = sample(c, c.motion.at(0), before.position, radius_, reach_inside(c));
+    const Sample start = sample(c, c.motion.at(begin_ / step_), before.position, radius_, reach_inside(c));
     const double goal = start.distance < -INSIDE
-                            ? std::min(start.distance + c.depenetration * step_, 0.0)
+                            ? std::min(start.distance + c.depenetration * (step_ - begin_), 0.0)
                             : 0.0;
     const bool out = goal >= 0;
     contact_ = {static_cast<std::int64_t>(i), out ? Touch::RESTS : Touch::UNRESOLVED,
@@ -317,7 +320,7 @@ class Settling {
 
   const Collider* colliders_;
   std::size_t count_;
-  double step_, radius_;
+  double step_, begin_, radius_;
   Path path_{};
   // A bit for each of the first colliders, of those that the path cannot meet.
   std::uint64_t far_ = 0;

@@ -125,10 +125,13 @@ Out<double, 3> point_extents(In<double, 3> points);
 MeshTree build_mesh_tree(In<double, 2> points, In<std::int32_t, 2> triangles);
 
 Collided collide_particles(ColliderArrays colliders, In<double, 3> before,
-                           In<double, 3> after, In<double, 1> radii, double step);
+                           In<double, 3> after, In<double, 1> radii,
+                           In<double, 1> begins, double step);
 
 ColliderSamples sample_colliders(ColliderArrays colliders, In<double, 2> points, double share,
                                  double step);
+
+Out<double, 2> curl_noise(In<double, 2> points, In<double, 1> times, std::uint64_t seed);
 
 RoundedPoints round_points(In<double, 3> points, double unit);
 

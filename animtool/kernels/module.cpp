@@ -130,14 +130,15 @@ order of the tree, what tells inside from outside at corners ``(P, 3)`` and edge
 children, or ``-1 - first`` and a count of triangles ``(M, 2)``.)");
 
   m.def("collide_particles", &collide_particles, "colliders"_a, "before"_a, "after"_a,
-        "radii"_a, "step"_a,
+        "radii"_a, "begins"_a, "step"_a,
         R"(End a step of N particles where colliders let it end.
 
 ``colliders``: ``kinds`` ``(C, 3)`` (0 plane, 1 sphere, 2 capsule, 3 box, 4 mesh; whether it
 is a container; a mesh's node), ``sizes`` ``(C, 7)``, ``materials`` ``(C, 4)`` (restitution,
 friction, margin, depenetration speed), ``poses`` ``(C, 2, 7)`` at both ends of the step
 (origin, quaternion), then points and what `build_mesh_tree` gives of all meshes together.
-States ``(2, N, 3)`` are positions and velocities at both ends of the ``step``.
+States ``(2, N, 3)`` are positions and velocities at both ends of the ``step``, or from
+where the particle is there on, ``begins`` ``(N,)`` of the step.
 
 Returns ``(state, touches, normals)``: ``(2, N, 3)``; the last collider touched or -1, and
 how (0 not, 1 bounced, 2 rests, 3 unresolved) ``(N, 2)``; the way out ``(N, 3)``.)");
@@ -147,6 +148,11 @@ how (0 not, 1 bounced, 2 rests, 3 unresolved) ``(N, 2)``; the way out ``(N, 3)``
 
 Returns ``(distances, normals, velocities)``: ``(C, N)``, less the margins, negative inside;
 ways out and velocities of the surfaces ``(C, N, 3)``.)");
+
+  m.def("curl_noise", &curl_noise, "points"_a, "times"_a, "seed"_a,
+        R"(Swirls of size 1 without divergence ``(N, 3)`` at points ``(N, 3)`` and times ``(N,)``.
+
+Between whole times one field goes over into the next.)");
 
   m.def("place_ik_targets", &place_ik_targets, "targets"_a, "frames"_a, "length"_a,
         R"(Bring targets ``(B, E, 17)`` to a chain, in place.

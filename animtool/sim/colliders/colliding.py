@@ -173,6 +173,7 @@ def collide(
     t0: float,
     t1: float,
     radii: ArrayLike = 0.0,
+    begins: ArrayLike | None = None,
 ) -> Collided:
     """Return where colliders let a step of particles end.
 
@@ -189,6 +190,8 @@ def collide(
         t0: Start of the step [s].
         t1: Its end [s].
         radii: Of the particles ``(N,)``, or one [m].
+        begins: From when on particles are there that come within the step ``(N,)``
+            [s]; `before` is then. None is from its start.
 
     Raises:
         OptionError: Something of the colliders makes no sense (SIM020).
@@ -205,8 +208,9 @@ def collide(
     after = np.stack([places, as_floats(velocities, (len(places), 3), "velocities")])
     start = as_floats(before, (2, len(places), 3), "before")
     sizes = np.ascontiguousarray(np.broadcast_to(radii, len(places)), np.float64)
+    late = np.zeros(len(places)) if begins is None else np.subtract(begins, t0)
     state, touches, normals = _kernels.collide_particles(
-        ready.arrays(t0, t1), start, after, sizes, t1 - t0
+        ready.arrays(t0, t1), start, after, sizes, late, t1 - t0
     )
     found, touched = touches.T.copy()
     return Collided(state[0], state[1], Contacts(found, touched, normals))

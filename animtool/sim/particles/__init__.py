@@ -1,0 +1,34 @@
+"""Particles: emitted, moved by forces or a field, stopped by colliders, removed."""
+
+from animtool.sim.particles.cloud import Cloud
+from animtool.sim.particles.emitter import Emitter
+from animtool.sim.particles.forces import FORCES, find_force
+from animtool.sim.particles.forces.force import Force
+from animtool.sim.particles.places import (
+    BoxPlace,
+    Disc,
+    MeshSurface,
+    Point,
+    SpherePlace,
+)
+from animtool.sim.particles.run import ParticleFrame, ParticleRun
+from animtool.sim.particles.setup import KillRegion, Particles
+from animtool.sim.particles.velocity_field import VelocityField
+
+__all__ = [
+    "FORCES",
+    "BoxPlace",
+    "Cloud",
+    "Disc",
+    "Emitter",
+    "Force",
+    "KillRegion",
+    "MeshSurface",
+    "ParticleFrame",
+    "ParticleRun",
+    "Particles",
+    "Point",
+    "SpherePlace",
+    "VelocityField",
+    "find_force",
+]

@@ -1,0 +1,58 @@
+"""What particles are, beside where they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray, IntArray
+
+__all__ = ["Cloud"]
+
+
+@dataclass(frozen=True, slots=True)
+class Cloud:
+    """N particles, in the order of their births.
+
+    Attributes:
+        ids: Of each its own, never used again ``(N,)``.
+        masses: ``(N,)`` [kg].
+        charges: ``(N,)`` [C].
+        radii: ``(N,)`` [m].
+        births: When each was born ``(N,)`` [s].
+        deaths: When each goes ``(N,)`` [s]; infinity is never.
+        origins: Where each was born ``(N, 3)`` [m].
+    """
+
+    ids: IntArray
+    masses: FloatArray
+    charges: FloatArray
+    radii: FloatArray
+    births: FloatArray
+    deaths: FloatArray
+    origins: FloatArray
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self.ids)
+
+    @staticmethod
+    def none() -> Cloud:
+        """Return no particles."""
+        flat = np.zeros(0)
+        ids, origins = np.zeros(0, np.int64), np.zeros((0, 3))
+        return Cloud(ids, flat, flat, flat, flat, flat, origins)
+
+    def select(self, kept: BoolArray | IntArray) -> Cloud:
+        """Return some of them."""
+        return Cloud(*(getattr(self, field.name)[kept] for field in fields(self)))
+
+    def joined(self, others: Cloud) -> Cloud:
+        """Return these, then others."""
+        return Cloud(
+            *(
+                np.concatenate([getattr(self, field.name), getattr(others, field.name)])
+                for field in fields(self)
+            )
+        )

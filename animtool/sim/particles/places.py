@@ -1,0 +1,141 @@
+"""Where emitters make particles: places in their frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.sim.colliders.shapes import Mesh
+
+__all__ = ["BoxPlace", "Disc", "MeshSurface", "Place", "Point", "SpherePlace"]
+
+# Of a place: points ``(N, 3)``, and the way out there or None where there is none.
+Placed: TypeAlias = tuple[FloatArray, FloatArray | None]
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """The origin of the emitter's frame."""
+
+    def points(self, chances: FloatArray) -> Placed:
+        """Return points for random numbers in [0, 1) ``(N, 3)``."""
+        return np.zeros((len(chances), 3)), None
+
+    def faults(self) -> list[str]:
+        """Return what makes no sense."""
+        return []
+
+
+@dataclass(frozen=True, slots=True)
+class Disc:
+    """A disc at right angles to y.
+
+    Attributes:
+        radius: [m].
+    """
+
+    radius: float
+
+    def points(self, chances: FloatArray) -> Placed:
+        """Return points, evenly by area."""
+        radius = self.radius * np.sqrt(chances[:, 0])
+        angle = 2 * np.pi * chances[:, 1]
+        flat = np.zeros(len(chances))
+        return np.stack(
+            [radius * np.cos(angle), flat, radius * np.sin(angle)], axis=1
+        ), None
+
+    def faults(self) -> list[str]:
+        """Return what makes no sense."""
+        return _above("radius", [self.radius])
+
+
+@dataclass(frozen=True, slots=True)
+class SpherePlace:
+    """A ball.
+
+    Attributes:
+        radius: [m].
+        hollow: Its surface alone; particles go outwards then.
+    """
+
+    radius: float
+    hollow: bool = False
+
+    def points(self, chances: FloatArray) -> Placed:
+        """Return points, evenly by volume or by area."""
+        height = 2 * chances[:, 0] - 1
+        across = np.sqrt(np.maximum(1 - height * height, 0))
+        angle = 2 * np.pi * chances[:, 1]
+        out = np.stack([across * np.cos(angle), height, across * np.sin(angle)], axis=1)
+        if self.hollow:
+            return out * self.radius, out
+        return out * (self.radius * np.cbrt(chances[:, 2:])), None
+
+    def faults(self) -> list[str]:
+        """Return what makes no sense."""
+        return _above("radius", [self.radius])
+
+
+@dataclass(frozen=True, slots=True)
+class BoxPlace:
+    """A box about the origin.
+
+    Attributes:
+        size: Its three sides, whole [m]; 0 is flat.
+    """
+
+    size: Sequence[float]
+
+    def points(self, chances: FloatArray) -> Placed:
+        """Return points, evenly by volume."""
+        return (chances - 0.5) * np.asarray(self.size, np.float64), None
+
+    def faults(self) -> list[str]:
+        """Return what makes no sense."""
+        if len(self.size) != 3 or not all(0 <= side < np.inf for side in self.size):
+            return ["its size must be three numbers of 0 or more"]
+        return []
+
+
+@dataclass(frozen=True, slots=True)
+class MeshSurface:
+    """The surface of a mesh; particles go outwards.
+
+    Attributes:
+        mesh: Its triangles.
+    """
+
+    mesh: Mesh
+
+    def points(self, chances: FloatArray) -> Placed:
+        """Return points, evenly by area."""
+        places, corners = self.mesh.welded()
+        a, b, c = places[corners].swapaxes(0, 1)
+        normals = np.cross(b - a, c - a)
+        areas = np.linalg.norm(normals, axis=1)
+        ends = np.cumsum(areas)
+        chosen = np.searchsorted(ends, chances[:, 0] * ends[-1], side="right")
+        chosen = np.minimum(chosen, len(areas) - 1)
+        # Folded over the diagonal, a square of chances is a triangle.
+        u, v = chances[:, 1], chances[:, 2]
+        over = u + v > 1
+        u, v = np.where(over, 1 - u, u)[:, None], np.where(over, 1 - v, v)[:, None]
+        points = a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen]
+        return points, normals[chosen] / areas[chosen, None]
+
+    def faults(self) -> list[str]:
+        """Return what makes no sense."""
+        return self.mesh.faults()
+
+
+Place: TypeAlias = Point | Disc | SpherePlace | BoxPlace | MeshSurface
+
+
+def _above(name: str, values: Sequence[float]) -> list[str]:
+    odd = [value for value in values if not 0 < value < np.inf]
+    return [f"its {name} must be above 0, not {value:g}" for value in odd[:1]]

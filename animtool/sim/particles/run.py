@@ -1,0 +1,237 @@
+"""Particles through time: born, moved, stopped, removed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.errors import Fault, Severity, ToleranceError
+from animtool.sim.colliders.colliding import Colliders
+from animtool.sim.integrating import integrate
+from animtool.sim.particles.cloud import Cloud
+from animtool.sim.particles.newborn import brought_to
+from animtool.sim.particles.setup import Particles
+from animtool.sim.particles.system import CloudFlow, cloud_system
+from animtool.sim.trajectory import Carried, Status
+
+__all__ = ["ParticleFrame", "ParticleRun", "ParticleState"]
+
+_NONE = np.zeros((2, 0, 3))
+
+
+@dataclass(frozen=True, slots=True)
+class ParticleState:
+    """Where a simulation stands at the end of a step, so that it can be gone on with.
+
+    Attributes:
+        steps: Taken since the beginning.
+        cloud: Who lives.
+        state: Positions, then velocities ``(2, N, 3)``.
+        born: How many were born so far.
+        missed: How many were not, for want of room.
+        carried: What the method takes along, as long as the same particles live.
+    """
+
+    steps: int
+    cloud: Cloud
+    state: FloatArray
+    born: int = 0
+    missed: int = 0
+    carried: Carried | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ParticleFrame:
+    """Particles at a time.
+
+    Attributes:
+        time: [s].
+        ids: ``(N,)``, ascending.
+        points: ``(N, 3)`` [m].
+        velocities: ``(N, 3)`` [m/s].
+        radii: ``(N,)`` [m].
+        ages: Since birth ``(N,)`` [s].
+    """
+
+    time: float
+    ids: IntArray
+    points: FloatArray
+    velocities: FloatArray
+    radii: FloatArray
+    ages: FloatArray
+
+
+class ParticleRun:
+    """Takes particles through time in steps of one length, and looks at any time.
+
+    Steps begin at the beginning and do not heed the times that are asked for: a look
+    between two steps takes a part of a step that is not kept. So the frame rate of an
+    output changes neither who is born nor how anything moves.
+
+    Args:
+        setup: What there is.
+        begin: Time of the first step [s].
+        state: Where to go on from, in place of the beginning.
+
+    Raises:
+        OptionError: Something makes no sense (SIM001, SIM004 to SIM006, SIM020 to
+            SIM024).
+    """
+
+    def __init__(
+        self, setup: Particles, begin: float = 0.0, state: ParticleState | None = None
+    ) -> None:
+        setup.check()
+        self.setup, self.begin = setup, begin
+        self.colliders = Colliders(setup.colliders)
+        self.notices: list[Fault] = self.colliders.notices()
+        self._kills = [Colliders([kill.region]) for kill in setup.kills]
+        assert setup.options.step is not None
+        self._step = setup.options.step
+        self._warned = False
+        if state is None:
+            state = ParticleState(0, Cloud.none(), _NONE)
+            state = self._with_first(state)
+        self.state = state
+
+    def at(self, t: float) -> ParticleFrame:
+        """Return the particles at a time, not before the last one asked for.
+
+        Raises:
+            OptionError: Time runs backwards (SIM002).
+            ToleranceError: It blew up (SIM102), or the method could not go on.
+        """
+        whole = self._steps_to(t)
+        if whole < self.state.steps:
+            from animtool.errors import OptionError
+
+            message = f"time {t:g} s is before that of the simulation"
+            raise OptionError(Fault("SIM002", message, hint="begin again"))
+        while self.state.steps < whole:
+            self.state = self._stepped(self.state, self._time(self.state.steps + 1))
+        now = self._time(whole)
+        seen = self.state if t <= now else self._stepped(self.state, t)
+        return self._frame(seen, max(t, now))
+
+    def _time(self, steps: int) -> float:
+        return self.begin + steps * self._step
+
+    def _steps_to(self, t: float) -> int:
+        """Return how many whole steps end at a time or before."""
+        steps = math.floor((t - self.begin) / self._step + 1e-9)
+        return max(steps, 0)
+
+    def _stepped(self, state: ParticleState, until: float) -> ParticleState:
+        """Return the end of a step, or of a part of one."""
+        now = self._time(state.steps)
+        same = state.cloud
+        if len(same):
+            state = self._moved(state, now, until)
+        state = replace(state, steps=state.steps + 1)
+        state = self._with_born(state, now, now, until)
+        state = self._without_dead(state, until)
+        return state if state.cloud is same else replace(state, carried=None)
+
+    def _moved(self, state: ParticleState, now: float, until: float) -> ParticleState:
+        system = cloud_system(self.setup, self.colliders, state.cloud, state.state)
+        options = self.setup.options
+        done = integrate(system, [now, until], options, state.carried)
+        if done.stats.status is not Status.OK:
+            raise ToleranceError(
+                [replace(fault, severity=Severity.ERROR) for fault in done.notices]
+            )
+        if done.notices and not self._warned:
+            self._warned = True
+            self.notices += done.notices
+        end = done.states[-1]
+        if isinstance(system, CloudFlow):
+            end = np.stack([end, system.rate(until, end)])
+        return replace(state, state=end, carried=done.carried)
+
+    def _with_first(self, state: ParticleState) -> ParticleState:
+        """Return a state with those who are born at the very beginning."""
+        return self._with_born(state, None, self.begin, self.begin)
+
+    def _with_born(
+        self, state: ParticleState, after: float | None, now: float, until: float
+    ) -> ParticleState:
+        """Return a state with those who are born in a step, at its end."""
+        cloud, born = self._born(after, until, state.born)
+        room = max(self.setup.most - len(state.cloud), 0)
+        made, missed = len(cloud), max(len(cloud) - room, 0)
+        if missed and not state.missed:
+            self._say_full(until)
+        state = replace(state, born=state.born + made, missed=state.missed + missed)
+        cloud, born = cloud.select(np.arange(made)[:room]), born[:, :room]
+        if not len(cloud):
+            return state
+        if until > now:
+            born = brought_to(self.setup, self.colliders, cloud, born, now, until)
+        elif self.setup.velocity is not None:
+            born[1] = self.setup.velocity.velocity(until, born[0], cloud)
+        return replace(
+            state,
+            cloud=state.cloud.joined(cloud),
+            state=np.concatenate([state.state, born], axis=1),
+        )
+
+    def _born(
+        self, after: float | None, until: float, first: int
+    ) -> tuple[Cloud, FloatArray]:
+        """Return who is born, with ids in the order of births, and how."""
+        clouds, states = [], []
+        for emitter in self.setup.emitters:
+            births = emitter.births(self.begin, after, until)
+            x, v, lifetimes, radii = emitter.drawn(births)
+            count = len(x)
+            clouds.append(
+                Cloud(
+                    np.zeros(count, np.int64),
+                    np.full(count, float(emitter.mass)),
+                    np.full(count, float(emitter.charge)),
+                    radii,
+                    births.times,
+                    births.times + lifetimes,
+                    x,
+                )
+            )
+            states.append(np.stack([x, v]))
+        cloud, state = clouds[0], np.concatenate(states, axis=1)
+        for other in clouds[1:]:
+            cloud = cloud.joined(other)
+        order = np.argsort(cloud.births, kind="stable")
+        cloud, state = cloud.select(order), state[:, order]
+        ids = first + np.arange(len(cloud), dtype=np.int64)
+        return replace(cloud, ids=ids), state
+
+    def _say_full(self, t: float) -> None:
+        message = f"there is room for {self.setup.most} particles, from {t:g} s on for"
+        hint = "raise most, or lower rates or lifetimes"
+        self.notices.append(
+            Fault(
+                "SIM121",
+                f"{message} no more",
+                where=self.setup.name,
+                hint=hint,
+                severity=Severity.WARNING,
+            )
+        )
+
+    def _without_dead(self, state: ParticleState, t: float) -> ParticleState:
+        kept: BoolArray = state.cloud.deaths > t
+        for region in self._kills:
+            kept = kept & (region.sample(state.state[0], t).distances[0] >= 0)
+        if kept.all():
+            return state
+        return replace(
+            state, cloud=state.cloud.select(kept), state=state.state[:, kept]
+        )
+
+    def _frame(self, state: ParticleState, t: float) -> ParticleFrame:
+        cloud = state.cloud
+        points, velocities = state.state
+        ages = t - cloud.births
+        return ParticleFrame(t, cloud.ids, points, velocities, cloud.radii, ages)

@@ -1,0 +1,129 @@
+"""The particles that live at a time, as integrators see them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.sim.colliders.colliding import Colliders, Contacts, collide
+from animtool.sim.particles.cloud import Cloud
+from animtool.sim.particles.setup import Particles
+from animtool.sim.system import Energy, FirstOrder, SecondOrder
+
+__all__ = ["CloudFlow", "CloudForces", "cloud_system"]
+
+
+class _Living:
+    """What particles under forces and in a field have in common."""
+
+    def __init__(
+        self, setup: Particles, colliders: Colliders, cloud: Cloud, state: FloatArray
+    ) -> None:
+        self.setup, self.cloud = setup, cloud
+        self.settles = len(colliders) > 0
+        self.contacts: Contacts | None = None
+        self._colliders = colliders
+        self._state = state
+
+    @property
+    def state(self) -> FloatArray:
+        """Where they start."""
+        return self._state
+
+
+class CloudForces(_Living, SecondOrder):
+    """Particles that forces move."""
+
+    def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
+        """Return accelerations ``(N, 3)`` [m/s²]."""
+        return accelerations(self.setup, self.cloud, t, x, v)
+
+    def settle(
+        self, t: float, h: float, before: FloatArray, after: FloatArray
+    ) -> FloatArray:
+        """Return where colliders let a step end."""
+        x, v = after
+        done = collide(x, v, before, self._colliders, t - h, t, self.cloud.radii)
+        self.contacts = done.contacts
+        if not done.contacts.any.any():
+            return after
+        return np.stack([done.points, done.velocities])
+
+    def energy(self, t: float, state: FloatArray) -> Energy | None:  # noqa: ARG002
+        """Return kinetic and potential energy, None where a force has none."""
+        x, v = state
+        kinetic = float(0.5 * self.cloud.masses @ (v * v).sum(axis=1))
+        potential = 0.0
+        for force in self.setup.forces:
+            found = force.potential(x, self.cloud)
+            if found is None:
+                return None
+            potential += float(found.sum())
+        # Moving colliders bring energy in, and no more at once than is there.
+        supply = kinetic if self.settles else 0.0
+        return Energy(kinetic, potential, supply)
+
+    def frequencies(self, t: float, state: FloatArray) -> FloatArray | None:  # noqa: ARG002
+        """Return the fastest motions that forces bring about ``(M, 2)``."""
+        if not len(self.cloud):
+            return None
+        forces, mass = self.setup.forces, float(self.cloud.masses.min())
+        stiffness = sum(force.stiffness() for force in forces) / mass
+        damping = sum(force.damping(state[1], self.cloud) for force in forces) / mass
+        turning = max((force.turning(self.cloud) for force in forces), default=0.0)
+        rows = [(turning, 0.0)] if turning > 0 else []
+        if stiffness > 0:
+            omega = math.sqrt(stiffness)
+            rows.append((omega, damping / (2 * omega)))
+        elif damping > 0:
+            rows.append((damping, 1.0))
+        return np.array(rows) if rows else None
+
+    def suspect(self, t: float, state: FloatArray) -> str:
+        """Return which particle is accelerated most."""
+        pulls = np.linalg.norm(self.acceleration(t, *state), axis=1)
+        return f"particle {int(self.cloud.ids[np.argmax(pulls)])} is accelerated most"
+
+
+class CloudFlow(_Living, FirstOrder):
+    """Particles that go with a velocity field; the state is where they are."""
+
+    def rate(self, t: float, y: FloatArray) -> FloatArray:
+        """Return velocities ``(N, 3)`` [m/s]."""
+        assert self.setup.velocity is not None
+        return self.setup.velocity.velocity(t, y, self.cloud)
+
+    def settle(
+        self, t: float, h: float, before: FloatArray, after: FloatArray
+    ) -> FloatArray:
+        """Return where colliders let a step end."""
+        speed = (after - before) / h
+        start = np.stack([before, speed])
+        done = collide(after, speed, start, self._colliders, t - h, t, self.cloud.radii)
+        self.contacts = done.contacts
+        return done.points if done.contacts.any.any() else after
+
+
+def cloud_system(
+    setup: Particles, colliders: Colliders, cloud: Cloud, state: FloatArray
+) -> CloudForces | CloudFlow:
+    """Return particles in a state ``(2, N, 3)`` as a system."""
+    if setup.velocity is not None:
+        return CloudFlow(setup, colliders, cloud, state[0])
+    return CloudForces(setup, colliders, cloud, state)
+
+
+def accelerations(
+    setup: Particles,
+    cloud: Cloud,
+    t: float | FloatArray,
+    x: FloatArray,
+    v: FloatArray,
+) -> FloatArray:
+    """Return what all forces do ``(N, 3)`` [m/s²]; times may be one each."""
+    whole = np.zeros_like(x)
+    for force in setup.forces:
+        whole += force.force(t, x, v, cloud)
+    return whole / cloud.masses[:, None]
