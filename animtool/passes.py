@@ -51,6 +51,7 @@ PASSES: dict[str, str] = {
     "mirror": "animtool.edit.mirror:PASS",
     "resample": "animtool.edit.resample:PASS",
     "root_motion": "animtool.edit.root_motion:PASS",
+    "simulate": "animtool.sim.attach.take_pass:PASS",
     "time_scale": "animtool.edit.time_scale:PASS",
     "time_warp": "animtool.edit.time_warp:PASS",
     "trim": "animtool.edit.trim:PASS",
@@ -74,13 +75,14 @@ class TakePart(StrEnum):
     CONTROLS = "controls"
     CLOCK = "clock"
     TRACKS = "tracks"
+    POINTS = "points"
 
 
 EVERY_PART = frozenset(TakePart)
 # What moves.
 MOTION_PARTS = frozenset({TakePart.JOINTS, TakePart.SHAPES, TakePart.CONTROLS})
 # What is other than it was where frames lie between those of before.
-RETIMED_PARTS = MOTION_PARTS | {TakePart.CLOCK, TakePart.TRACKS}
+RETIMED_PARTS = MOTION_PARTS | {TakePart.CLOCK, TakePart.TRACKS, TakePart.POINTS}
 
 
 def named_take(path: Path | None, option: str = "take") -> Path:
@@ -244,16 +246,20 @@ def apply_pass(
     Raises:
         OptionError: The options make no sense for the take; from FRAME and WINDOW
             passes perhaps only while the blocks are read, as where one has lost the
-            tracks (SCN045).
+            tracks (SCN045). Or it would move joints away from points that are
+            simulated (SIM034).
     """
+    _check_points(stream, pass_)
     if stream.tracks and not sees_tracks(pass_):
         aside = TracksAside(stream)
         done = apply_pass(aside.stream, pass_, options, context)
         return aside.put_back(done)
     if pass_.scope is not Scope.CLIP:
         done = cast(StreamRun, pass_.run)(stream, options, context)
+        stays = not pass_.changes & {TakePart.CONTROLS, TakePart.CLOCK}
         # What the source was between its frames, the result is no more.
-        done = replace(done, control_curves={}, curve=None, count=0)
+        curves = stream.control_curves if stays else {}
+        done = replace(done, control_curves=curves, curve=None, count=0)
         return checked_tracks(done, stream.tracks, pass_.name)
     before = stream.collect()
     take = cast(ClipRun, pass_.run)(before, options, context)
@@ -267,6 +273,16 @@ def apply_pass(
         details=stream.details,
         control_curves={k: c for k, c in stream.control_curves.items() if k in kept},
     )
+
+
+def _check_points(stream: TakeStream, pass_: Pass) -> None:
+    """Refuse to move joints whose points do not follow them any more."""
+    changes = pass_.changes
+    if not stream.points or TakePart.JOINTS not in changes or TakePart.POINTS in changes:
+        return
+    names = ", ".join(sorted(stream.points))
+    message = f"{pass_.name} would move joints away from what is simulated: {names}"
+    raise OptionError(Fault("SIM034", message, hint="put simulate behind it"))
 
 
 def _untouched(before: Take, after: Take) -> set[str]:

@@ -122,4 +122,12 @@ def _turned(blocks: Iterator[Motion], rig: Rig, turn: FloatArray) -> Iterator[Mo
             block,
             translations=apply(block.translations, False),
             rotations=apply(block.rotations, True),
+            points={
+                name: replace(
+                    channel,
+                    rest=so3.rotate(turn, channel.rest),
+                    values=so3.rotate(turn, channel.values),
+                )
+                for name, channel in block.points.items()
+            },
         )

@@ -6,7 +6,7 @@ held whole, or is gathered into one `Take` where an operation needs all of it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from itertools import pairwise
@@ -212,6 +212,8 @@ class Motion:
             take has none. Joints and shapes already hold what they drive.
         track_times: Which time of its own each of the take's tracks shows, K = 1; None
             where the take has no tracks.
+        points: Where points of meshes and strands are in the world that do not follow
+            joints any more, by their name [m], K = 3.
     """
 
     translations: Channel
@@ -220,6 +222,7 @@ class Motion:
     weights: Channel | None = None
     controls: Channel | None = None
     track_times: Channel | None = None
+    points: Mapping[str, Channel] = field(default_factory=dict)
 
     @property
     def frames(self) -> int:
@@ -261,6 +264,7 @@ class Motion:
                     self.track_times,
                 )
             ),
+            points={name: function(one) for name, one in self.points.items()},
         )
 
     @staticmethod
@@ -278,6 +282,10 @@ class Motion:
             joined("weights"),
             joined("controls"),
             joined("track_times"),
+            {
+                name: Channel.concatenate([block.points[name] for block in blocks])
+                for name in blocks[0].points
+            },
         )
 
 
@@ -453,6 +461,7 @@ class TakeStream:
             over time codes of the source; those that still hold.
         tracks: Things beside the rig, whose times are in the blocks; most takes have
             none.
+        points: Names of the meshes and strands whose points the motions hold.
     """
 
     rig: Rig
@@ -466,6 +475,7 @@ class TakeStream:
     count: int = 0
     control_curves: dict[str, Curves] = field(default_factory=dict)
     tracks: tuple[Track, ...] = ()
+    points: frozenset[str] = frozenset()
 
     def collect(self) -> Take:
         """Return the whole take, static joints stored once."""
@@ -486,4 +496,5 @@ class TakeStream:
             iter([take.motion]),
             list(take.notices),
             tracks=take.tracks,
+            points=frozenset(take.motion.points),
         )

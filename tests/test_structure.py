@@ -38,7 +38,7 @@ LAYERS = [
     {"transforms"},
     {"take"},
     {"tracks_aside"},
-    {"passes", "reorient"},
+    {"passes", "reorient", "choices", "keyed"},
     {"clip"},
     {"skin"},
     {"ik"},

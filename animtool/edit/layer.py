@@ -12,11 +12,11 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.edit.additive import add
-from animtool.edit.choices import chosen
+from animtool.choices import chosen
 from animtool.edit.combine import Strength, check_same_rig
 from animtool.edit.frames import exact
 from animtool.edit.joint_names import joints_matching
-from animtool.edit.keyed import Interpolation, Weight, weights_at
+from animtool.keyed import Interpolation, Weight, weights_at
 from animtool.edit.mix import mix
 from animtool.edit.other_take import other_frames
 from animtool.edit.signs import continuous

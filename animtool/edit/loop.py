@@ -261,5 +261,5 @@ PASS = Pass(
     Scope.CLIP,
     _run,
     _checks,
-    changes=RETIMED_PARTS,
+    changes=RETIMED_PARTS - {TakePart.POINTS},
 )

@@ -11,7 +11,7 @@ from typing import TypeAlias
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
-from animtool.edit.choices import chosen
+from animtool.choices import chosen
 from animtool.edit.joint_names import joint_index
 from animtool.errors import Fault, OptionError
 from animtool.maths import so3

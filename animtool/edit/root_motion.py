@@ -14,7 +14,7 @@ from animtool.edit.chain import (
     rest_rotation,
     twist,
 )
-from animtool.edit.choices import chosen
+from animtool.choices import chosen
 from animtool.edit.joint_names import joint_index
 from animtool.edit.signs import continuous
 from animtool.edit.travel import traveller

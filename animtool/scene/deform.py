@@ -24,7 +24,8 @@ from animtool.skin.character import (
     character_strands,
 )
 from animtool.skin.deform import Deformed, block_frames, deform, deform_blocks
-from animtool.take import Motion
+from animtool.skin.moved import moved_points
+from animtool.take import Channel, Motion
 from animtool.units import UpAxis, up_from_up
 from animtool.usd.point_cache import PointBlock, round_points
 from animtool.usd.point_space import PointSpace
@@ -215,7 +216,26 @@ class PointStream:
             weights = None if motion.weights is None else motion.weights.dense()[..., 0]
             for i, mesh in enumerate(character.meshes):
                 made = self._frames(mesh, codes, mesh.weights(weights), world)
+                if mesh.name in motion.points:
+                    made = self._moved(i, made, codes, motion.points[mesh.name])
                 yield from self._rounded(i, codes, made, own)
+
+    def _moved(
+        self,
+        mesh: int,
+        made: Iterator[Deformed],
+        codes: FloatArray,
+        points: Channel,
+    ) -> Iterator[Deformed]:
+        """Yield frames of a mesh whose points are not where its joints have them."""
+        surfaces = self.character.surfaces
+        surface = surfaces[mesh] if mesh < len(surfaces) else None
+        times = codes / self.rate if self.velocities else None
+        done = 0
+        for part in made:
+            frames = slice(done, done + len(part.points))
+            yield moved_points(part, points, frames, surface, times)
+            done = frames.stop
 
     def _rounded(
         self, mesh: int, codes: FloatArray, made: Iterator[Deformed], own: slice

@@ -277,6 +277,7 @@ class JointMap:
             motion.weights,
             motion.controls,
             motion.track_times,
+            motion.points,
         )
 
     def _channel(self, channel: Channel, rest: FloatArray) -> Channel:

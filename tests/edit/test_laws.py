@@ -12,7 +12,7 @@ from support.takes import assert_same_motion, motion_of, rigs, takes
 
 from animtool.edit.blend import blend
 from animtool.edit.difference import difference
-from animtool.edit.keyed import Interpolation
+from animtool.keyed import Interpolation
 from animtool.edit.layer import LayerMode, layer
 from animtool.edit.mirror import Axis, mirror
 from animtool.edit.resample import resampled

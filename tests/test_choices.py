@@ -10,7 +10,7 @@ import pytest
 from support.small_takes import content, small
 
 from animtool.edit.blend import blend
-from animtool.edit.keyed import Interpolation
+from animtool.keyed import Interpolation
 from animtool.edit.layer import LayerMode, layer
 from animtool.edit.mirror import Axis, mirror
 from animtool.edit.root_motion import RootMotionOptions

@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.edit.choices import chosen
+from animtool.choices import chosen
 from animtool.errors import Fault, OptionError
 from animtool.maths.curves import cubic_curves, evaluate
 from animtool.maths.tangents import auto_clamped

@@ -1,0 +1,1 @@
+"""Secondary motion: what a rig's ``attach`` lists, moved by its joints."""

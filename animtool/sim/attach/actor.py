@@ -1,0 +1,165 @@
+"""One attachment on its way through a take."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.maths import so3
+from animtool.rig.kinematics import WorldTransforms
+from animtool.rig.skeleton import Rig
+from animtool.sim.attach.bodies import Body
+from animtool.sim.attach.capsules import Capsules
+from animtool.sim.attach.poses import Pose, Way, way
+from animtool.sim.attach.settings import Settings
+from animtool.sim.attach.stepping import (
+    Motions,
+    State,
+    Stepper,
+    Tally,
+    steps_wanted,
+)
+from animtool.units import UpAxis
+
+__all__ = ["Actor", "Ways", "carried", "upwards"]
+
+
+def upwards(rig: Rig) -> FloatArray:
+    """Return the direction away from the ground ``(3,)``."""
+    return np.eye(3)[{UpAxis.Y: 1, UpAxis.Z: 2}[rig.up]]
+
+
+@dataclass
+class Ways:
+    """A character over one frame, worked out once for each number of steps.
+
+    Attributes:
+        rig: The character.
+        before: Its pose at the begin.
+        after: Its pose at the end.
+    """
+
+    rig: Rig
+    before: Pose
+    after: Pose
+    _made: dict[int, Way] = field(default_factory=dict)
+
+    def of(self, steps: int) -> Way:
+        """Return the character at the begin, and at the end of each step."""
+        if steps not in self._made:
+            self._made[steps] = way(self.rig, self.before, self.after, steps)
+        return self._made[steps]
+
+
+class Actor:
+    """Carries one attachment from frame to frame.
+
+    Attributes:
+        body: What it is.
+        steps: A frame.
+        state: Where it is.
+        target: Where the animation has it ``(N, 3)`` [m].
+        tally: What happened.
+        jumps: How often it was carried over a jump.
+        seconds: Time spent [s].
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        body: Body,
+        settings: Settings,
+        span: float,
+        pose: Pose,
+    ) -> None:
+        """Begin in a pose, at rest, in the size that the character has there.
+
+        Args:
+            rig: The character.
+            body: What of it.
+            settings: How it moves.
+            span: Length of a frame [s].
+            pose: The first.
+        """
+        self.body = body
+        self._rig = rig
+        first = way(rig, pose, pose, 1)
+        scale = _size(first.world, body.carrier)
+        network = body.network if scale == 1 else body.network.scaled(scale)
+        self.steps = max(1, math.ceil(steps_wanted(network, settings) * span - 1e-9))
+        self.tally = Tally()
+        self.jumps = 0
+        self.seconds = 0.0
+        self._stepper = Stepper(network, settings, -upwards(rig), self.tally)
+        self._span = span
+        self._capsules = Capsules.of(rig) if settings.colliders else Capsules.none()
+        self._radii = self._capsules.sizes(first.world)
+        self.target = body.targets(first)[0]
+        self.state = State(self.target, np.zeros_like(self.target))
+
+    def rush(self, speed: FloatArray) -> None:
+        """Add a velocity ``(3,)`` [m/s] to the whole."""
+        state = self.state
+        self.state = State(state.positions, state.velocities + speed)
+
+    def cross(self, ways: Ways) -> None:
+        """Go on by a frame."""
+        began = time.perf_counter()
+        motion = ways.of(self.steps)
+        targets = self.body.targets(motion)
+        placed = self._capsules.placed(motion.world)
+        motions = Motions(targets, placed, self._radii)
+        self.state = self._stepper.cross(self.state, motions, self._span)
+        self.target = targets[-1]
+        self.seconds += time.perf_counter() - began
+
+    def follow(self, ways: Ways) -> None:
+        """Go on by a frame as the animation does."""
+        self.target = self.body.targets(ways.of(1))[-1]
+        self.state = State(self.target, np.zeros_like(self.target))
+
+    def place(self, pose: Pose) -> None:
+        """Note where the animation has it in a pose; it stays where it is."""
+        self.target = self.body.targets(Ways(self._rig, pose, pose).of(1))[0]
+
+    def jump(self, ways: Ways) -> None:
+        """Go on by a frame that is a jump: all moves with what carries it."""
+        motion = ways.of(1)
+        self.target = self.body.targets(motion)[-1]
+        shift, turn = _move(motion.world, self.body.carrier)
+        state = carried(self.state, shift, turn)
+        held = self.body.network.held
+        state.positions[held] = self.target[held]
+        self.state = state
+        self.jumps += 1
+
+    def speed(self, ways: Ways) -> float:
+        """Return how fast what carries it is over a frame [m/s]."""
+        places = ways.of(1).world.positions[:, self.body.carrier]
+        return float(np.linalg.norm(places[1] - places[0])) / self._span
+
+
+def carried(state: State, shift: FloatArray, turn: FloatArray) -> State:
+    """Return a state moved as a whole: turned about the origin, and shifted."""
+    return State(
+        so3.rotate(turn, state.positions) + shift, so3.rotate(turn, state.velocities)
+    )
+
+
+def _move(world: WorldTransforms, joint: int) -> tuple[FloatArray, FloatArray]:
+    """Return shift and turn of a joint from the first to the last time."""
+    turns = so3.split_scale(world.linear[:, joint])[0]
+    turn = so3.multiply(turns[-1], so3.conjugate(turns[0]))
+    places = world.positions[:, joint]
+    return places[-1] - so3.rotate(turn, places[0]), turn
+
+
+def _size(world: WorldTransforms, joint: int) -> float:
+    """Return how large the animation makes what a joint carries [1]."""
+    size = float(np.cbrt(abs(np.linalg.det(world.linear[0, joint]))))
+    # Rotations have a determinant of 1 but for rounding.
+    return size if abs(size - 1) > 1e-9 else 1.0

@@ -1,0 +1,124 @@
+"""What a simulation has to say about itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from animtool.errors import Fault, Severity, counted
+from animtool.sim.attach.actor import Actor
+from animtool.sim.attach.settings import SimulateOptions
+from animtool.sim.attach.simulation import Closing, Simulation
+
+__all__ = ["AttachReport", "notices_of", "reports_of"]
+
+# Springs may be this much longer than aimed at before it is worth a warning [1].
+PARDON = 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class AttachReport:
+    """What became of one attachment.
+
+    Attributes:
+        name: As the rig names it.
+        kind: Of `AttachKind`.
+        status: ``ok``, ``stretched`` beyond what was aimed at, or ``unresolved``:
+            something stays inside a collider.
+        particles: How many there are.
+        steps: Steps a frame.
+        stretch: Most that a spring was longer than at rest [1].
+        contacts: Most particles that touched colliders at once.
+        unresolved: Most that were left inside.
+        jumps: How often it was carried over a jump.
+        seconds: Time spent [s].
+    """
+
+    name: str
+    kind: str
+    status: str
+    particles: int
+    steps: int
+    stretch: float
+    contacts: int
+    unresolved: int
+    jumps: int
+    seconds: float
+
+
+def reports_of(simulation: Simulation) -> list[AttachReport]:
+    """Return what became of each attachment so far."""
+    aimed = simulation.options.stretch
+    return [_report(actor, aimed) for actor in simulation.actors]
+
+
+def _report(actor: Actor, aimed: float) -> AttachReport:
+    tally = actor.tally
+    status = "ok"
+    if tally.stretch > PARDON * aimed:
+        status = "stretched"
+    if tally.unresolved:
+        status = "unresolved"
+    return AttachReport(
+        actor.body.name,
+        actor.body.kind,
+        status,
+        actor.body.network.count,
+        actor.steps,
+        tally.stretch,
+        tally.contacts,
+        tally.unresolved,
+        actor.jumps,
+        actor.seconds,
+    )
+
+
+def notices_of(simulation: Simulation) -> list[Fault]:
+    """Return what is worth saying of a simulation that is over."""
+    options = simulation.options
+    said = [_note(report) for report in reports_of(simulation)]
+    for report in reports_of(simulation):
+        said += _warnings(report, options)
+    if simulation.closing is not None:
+        said.append(_closed(simulation.closing))
+    return said
+
+
+def _note(report: AttachReport) -> Fault:
+    parts = [
+        f"{report.name}: {counted(report.steps, 'step')} a frame",
+        f"springs up to {100 * report.stretch:.2g}% longer",
+    ]
+    if report.contacts:
+        parts.append(f"up to {counted(report.contacts, 'particle')} in contact")
+    if report.jumps:
+        parts.append(f"carried over {counted(report.jumps, 'jump')}")
+    return Fault("SIM130", ", ".join(parts), severity=Severity.NOTE)
+
+
+def _warnings(report: AttachReport, options: SimulateOptions) -> list[Fault]:
+    said = []
+    if report.stretch > PARDON * options.stretch:
+        message = (
+            f"{report.name}: springs become {100 * report.stretch:.2g}% longer than at "
+            f"rest, and {100 * options.stretch:g}% was aimed at"
+        )
+        hint = "give it a higher rate, or let it settle from a pose that it can hold"
+        said.append(Fault("SIM131", message, hint=hint, severity=Severity.WARNING))
+    if report.unresolved:
+        points = counted(report.unresolved, "particle")
+        message = f"{report.name}: {points} stay inside colliders"
+        hint = "colliders that close in leave them no way out"
+        said.append(Fault("SIM132", message, hint=hint, severity=Severity.WARNING))
+    return said
+
+
+def _closed(closing: Closing) -> Fault:
+    message = (
+        f"the cycle was run {counted(closing.repeats, 'time')}; its ends differ by "
+        f"{1000 * closing.residual:.3g} mm"
+    )
+    if closing.residual <= closing.tolerance:
+        return Fault("SIM130", message, severity=Severity.NOTE)
+    message += f", and {1000 * closing.tolerance:g} mm was asked for"
+    hint = "what is left is brought in over the last quarter; raise loop_repeats"
+    return Fault("SIM133", message, hint=hint, severity=Severity.WARNING)

@@ -1,0 +1,248 @@
+"""The options of the pass ``simulate``, and what they come to for one attachment."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from animtool.choices import chosen
+from animtool.errors import Fault, OptionError
+from animtool.keyed import Interpolation, Weight, weights_at
+from animtool.passes import OptionChecks
+from animtool.rig.parts import AttachKind
+from animtool.units import parse_length
+
+__all__ = ["Lead", "Settings", "SimulateOptions", "option_checks", "settings_for"]
+
+# How fast each kind swings back to its animated pose, unless the scene says it [Hz].
+_FREQUENCIES = {AttachKind.SPRING_CHAIN: 2.0, AttachKind.STRANDS: 2.0}
+# Of folds, likewise [Hz].
+_BENDS = {AttachKind.CLOTH: 1.0, AttachKind.STRANDS: 1.0}
+
+
+class Lead(StrEnum):
+    """What the character does before its first frame.
+
+    ``hold`` stands in the first pose; ``extrapolate`` travels on into it at the speed
+    that the roots have from the first frame to the second.
+    """
+
+    HOLD = "hold"
+    EXTRAPOLATE = "extrapolate"
+
+
+@dataclass(frozen=True, slots=True)
+class SimulateOptions:
+    """What moves by itself, and how.
+
+    Attributes:
+        what: Names of the rig's attachments.
+        frequency: How fast they swing back to the animated pose [Hz]; 0 does not draw
+            them there. None is 2 for chains and strands, and 0 for cloth.
+        damping: Of that, 1 comes back without swinging over [1].
+        bend: How fast folds of cloth and bends of strands spring back [Hz]. None is 1.
+        stretch: How much longer than at rest springs may become [1].
+        gravity: Downwards along the rig's up axis [m/s²]. 0 leaves a still character's
+            attachments where they are.
+        drag: How fast the air takes speed [1/s].
+        wind: Velocity of the air ``[x, y, z]`` [m/s].
+        colliders: Keep out of the rig's capsules.
+        radius: Distance kept from them, such as ``5mm``.
+        friction: On them, Coulomb's coefficient [1].
+        settle: Time in the first pose before anything moves [s].
+        preroll: Time of the way into the first frame, behind ``settle`` [s].
+        lead: How that way goes.
+        loop: The take is a cycle, whose first pose follows on its last.
+        loop_tolerance: The cycle is repeated until nothing differs from the repeat
+            before by more, such as ``0.1mm``.
+        loop_repeats: Most repeats.
+        weight: Share of the simulation, one number or ``[[frame, weight], …]`` [1].
+        interpolation: How weights run from key to key.
+        teleport_speed: What carries an attachment jumps where it would be faster
+            [m/s]; 0 never does.
+        teleports: Frames that begin with a jump.
+        rate: Least steps a second; None is as many as ``stretch`` needs.
+        save: File (``.npz``) for the states at the frames of ``save_at``, beside the
+            scene.
+        save_at: Frames.
+        resume: Such a file to go on from, at the latest frame that it has.
+    """
+
+    what: tuple[str, ...] = ()
+    frequency: float | None = None
+    damping: float = 0.3
+    bend: float | None = None
+    stretch: float = 0.01
+    gravity: float = 9.81
+    drag: float = 0.5
+    wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    colliders: bool = True
+    radius: str = "5mm"
+    friction: float = 0.2
+    settle: float = 1.0
+    preroll: float = 0.0
+    lead: Lead = Lead.HOLD
+    loop: bool = False
+    loop_tolerance: str = "0.1mm"
+    loop_repeats: int = 20
+    weight: Weight = 1.0
+    interpolation: Interpolation = Interpolation.LINEAR
+    teleport_speed: float = 50.0
+    teleports: tuple[float, ...] = ()
+    rate: float | None = None
+    save: str = ""
+    save_at: tuple[float, ...] = ()
+    resume: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What of the options one attachment needs, in SI units.
+
+    Attributes:
+        frequency: Angular, of the draw to the animated pose [rad/s].
+        damping: Its damping ratio [1].
+        bend: Angular, of folds [rad/s].
+        stretch: Aimed at [1].
+        gravity: [m/s²]
+        drag: [1/s]
+        wind: [m/s]
+        radius: Distance kept from colliders [m].
+        friction: [1]
+        colliders: Keep out of the rig's capsules.
+        rate: Least steps a second; None is by ``stretch``.
+    """
+
+    frequency: float
+    damping: float
+    bend: float
+    stretch: float
+    gravity: float
+    drag: float
+    wind: tuple[float, float, float]
+    radius: float
+    friction: float
+    colliders: bool
+    rate: float | None
+
+
+def settings_for(options: SimulateOptions, kind: str) -> Settings:
+    """Return what the options come to for an attachment of a kind."""
+    known = AttachKind(kind)
+    frequency, bend = options.frequency, options.bend
+    if frequency is None:
+        frequency = _FREQUENCIES.get(known, 0.0)
+    if bend is None:
+        bend = _BENDS.get(known, 0.0)
+    return Settings(
+        2 * math.pi * frequency,
+        options.damping,
+        2 * math.pi * bend,
+        options.stretch,
+        options.gravity,
+        options.drag,
+        options.wind,
+        parse_length(options.radius),
+        options.friction,
+        options.colliders,
+        options.rate,
+    )
+
+
+# What numbers must be: least value, and whether that itself is one.
+_LEAST: dict[str, tuple[float, bool]] = {
+    "frequency": (0.0, True),
+    "damping": (0.0, True),
+    "bend": (0.0, True),
+    "stretch": (0.0, False),
+    "gravity": (-math.inf, False),
+    "drag": (0.0, True),
+    "friction": (0.0, True),
+    "settle": (0.0, True),
+    "preroll": (0.0, True),
+    "loop_repeats": (1.0, True),
+    "teleport_speed": (0.0, True),
+    "rate": (0.0, False),
+}
+
+
+def option_checks(options: SimulateOptions) -> OptionChecks:
+    """Return what can be checked of the options before there is a take."""
+    checks: dict[str, Callable[[], object]] = {
+        name: partial(_check_number, options, name) for name in _LEAST
+    }
+    checks |= {
+        name: partial(_check_length, options, name)
+        for name in ("radius", "loop_tolerance")
+    }
+    checks["what"] = partial(_check_what, options)
+    checks["wind"] = partial(_check_finite, options.wind, "wind")
+    checks["teleports"] = partial(_check_finite, options.teleports, "teleports")
+    checks["lead"] = partial(chosen, Lead, options.lead, "lead")
+    checks["weight"] = partial(weights_at, options.weight, np.zeros(1))
+    checks["interpolation"] = partial(
+        chosen, Interpolation, options.interpolation, "interpolation"
+    )
+    checks["save"] = partial(_check_save, options)
+    checks["save_at"] = partial(_check_finite, options.save_at, "save_at")
+    checks["loop"] = partial(_check_loop, options)
+    return checks
+
+
+def _check_what(options: SimulateOptions) -> None:
+    if not options.what:
+        message = "what names no attachment of the rig"
+        raise OptionError(Fault("SIM030", message, hint="write what: [cape]"))
+    twice = sorted({name for name in options.what if options.what.count(name) > 1})
+    if twice:
+        message = f"what names {twice[0]!r} more than once"
+        raise OptionError(Fault("SIM030", message))
+
+
+def _check_number(options: SimulateOptions, name: str) -> None:
+    value = getattr(options, name)
+    least, itself = _LEAST[name]
+    if value is None:
+        return
+    if math.isfinite(value) and (value > least or (itself and value == least)):
+        return
+    allowed = "finite"
+    if math.isfinite(least):
+        allowed = f"{least:g} or more" if itself else f"more than {least:g}"
+    message = f"{name} is {value:g}; it must be {allowed}"
+    raise OptionError(Fault("SIM031", message))
+
+
+def _check_finite(values: tuple[float, ...], name: str) -> None:
+    if not all(map(math.isfinite, values)):
+        message = f"{name} holds a number that is not finite"
+        raise OptionError(Fault("SIM031", message))
+
+
+def _check_length(options: SimulateOptions, name: str) -> None:
+    try:
+        parse_length(getattr(options, name))
+    except ValueError as error:
+        raise OptionError(Fault("SIM031", f"{name}: {error}")) from error
+
+
+def _check_save(options: SimulateOptions) -> None:
+    if bool(options.save) != bool(options.save_at):
+        message = "save and save_at go together: a file, and frames"
+        raise OptionError(Fault("SIM032", message))
+    if options.save and not options.save.endswith(".npz"):
+        message = f"save is {options.save!r}, and its name must end with .npz"
+        raise OptionError(Fault("SIM032", message))
+
+
+def _check_loop(options: SimulateOptions) -> None:
+    given = [name for name in ("save", "resume") if getattr(options, name)]
+    if options.loop and given:
+        message = f"a cycle has no {given[0]}: it ends where it began"
+        raise OptionError(Fault("SIM032", message))

@@ -1,0 +1,91 @@
+"""Meshes whose points a simulation has moved away from their joints."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.rig.surfaces import Surface
+from animtool.skin.deform import Deformed, extents
+from animtool.take import Channel
+
+__all__ = ["moved_points", "vertex_normals"]
+
+
+def moved_points(
+    made: Deformed,
+    points: Channel,
+    frames: slice,
+    surface: Surface | None,
+    times: FloatArray | None,
+) -> Deformed:
+    """Return frames of a mesh at other points than those that its joints give.
+
+    Normals stay in frames whose points are those that they were made for, and are
+    those of the faces elsewhere.
+
+    Args:
+        made: The frames as joints have them.
+        points: Where the points are, in more frames ``(F, V, 3)`` [m].
+        frames: Which of those these are.
+        surface: Its faces; None of strands.
+        times: Of all frames ``(F,)`` [s]; None for no velocities.
+
+    >>> still = Deformed(np.zeros((1, 2, 3)), np.zeros((1, 2, 3)))
+    >>> up = Channel(np.zeros((2, 3)), np.arange(2), np.ones((3, 2, 3)))
+    >>> moved_points(still, up, slice(1, 2), None, None).extents.tolist()
+    [[[1.0, 1.0, 1.0], [1.0, 1.0, 1.0]]]
+    """
+    margin = 0 if times is None else 1
+    low = max(frames.start - margin, 0)
+    high = min(frames.stop + margin, len(points.values))
+    whole = points.select(slice(low, high)).dense()
+    own = slice(frames.start - low, frames.stop - low)
+    values = np.ascontiguousarray(whole[own])
+    velocities = made.velocities
+    if times is not None:
+        velocities = np.zeros_like(values)
+        if len(whole) > 1:
+            velocities = np.gradient(whole, times[low:high], axis=0)[own]
+    normals = made.normals
+    if normals is not None and surface is not None:
+        differ = (values != made.points).any(axis=(1, 2))
+        normals = normals.copy()
+        normals[differ] = vertex_normals(surface, values[differ])
+    return replace(
+        made,
+        points=values,
+        extents=extents(values),
+        normals=normals,
+        velocities=velocities,
+    )
+
+
+def vertex_normals(surface: Surface, points: FloatArray) -> FloatArray:
+    """Return unit normals of the faces about each point ``(F, V, 3)``, by area.
+
+    Args:
+        surface: Its faces.
+        points: ``(F, V, 3)``.
+    """
+    corners = _triangles(surface.counts, surface.indices)
+    a, b, c = (points[:, corners[:, k]] for k in range(3))
+    areas = np.cross(b - a, c - a)
+    sums = np.zeros_like(points)
+    for k in range(3):
+        np.add.at(sums, (slice(None), corners[:, k]), areas)
+    length = np.linalg.norm(sums, axis=-1, keepdims=True)
+    return np.asarray(sums / np.where(length > 0, length, 1.0))
+
+
+def _triangles(counts: IntArray, indices: IntArray) -> IntArray:
+    """Return the triangles of faces cut into fans ``(T, 3)``."""
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    fans = [
+        [indices[start], indices[start + k], indices[start + k + 1]]
+        for start, count in zip(starts.tolist(), counts.tolist(), strict=True)
+        for k in range(1, count - 1)
+    ]
+    return np.array(fans, np.int64).reshape(-1, 3)
