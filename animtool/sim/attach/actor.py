@@ -13,7 +13,7 @@ from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 from animtool.sim.attach.bodies import Body
-from animtool.sim.attach.capsules import Capsules
+from animtool.sim.attach.capsules import Capsules, depth_at_bind
 from animtool.sim.attach.poses import Pose, Way, way
 from animtool.sim.attach.settings import Settings
 from animtool.sim.attach.stepping import (
@@ -98,6 +98,10 @@ class Actor:
         self._span = span
         self._capsules = Capsules.of(rig) if settings.colliders else Capsules.none()
         self._radii = self._capsules.sizes(first.world)
+        bound = body.network.points
+        self._depths = scale * depth_at_bind(
+            self._capsules, rig, bound, settings.radius / scale
+        )
         self.target = body.targets(first)[0]
         self.state = State(self.target, np.zeros_like(self.target))
 
@@ -112,7 +116,7 @@ class Actor:
         motion = ways.of(self.steps)
         targets = self.body.targets(motion)
         placed = self._capsules.placed(motion.world)
-        motions = Motions(targets, placed, self._radii)
+        motions = Motions(targets, placed, self._radii, self._depths)
         self.state = self._stepper.cross(self.state, motions, self._span)
         self.target = targets[-1]
         self.seconds += time.perf_counter() - began

@@ -16,8 +16,9 @@ from animtool.rig.strands import strands_of
 from animtool.rig.surfaces import Surface, surfaces_of
 from animtool.sim.attach.network import (
     Network,
-    bends_of_faces,
-    edges_of_faces,
+    diagonals_of_faces,
+    folds_of_faces,
+    sides_of_faces,
 )
 from animtool.sim.attach.poses import Way
 from animtool.skin.character import (
@@ -153,7 +154,7 @@ def _chain(rig: Rig, entry: Attachment) -> Body:
     end = bind.positions[0, joints[-1]] + bind.linear[0, joints[-1]] @ tip
     points = np.concatenate([bind.positions[0, joints], end[None]])
     ends = np.stack([np.arange(len(joints)), np.arange(1, len(joints) + 1)], axis=1)
-    network = Network.of(points, np.array([0]), ends, ends[:0])
+    network = Network.of(points, np.array([0]), ends)
     parent = rig.joints[joints[0]].parent
     carrier = parent if parent >= 0 else joints[0]
     return ChainBody(entry.name, entry.kind, network, carrier, np.array(joints), tip)
@@ -183,7 +184,7 @@ def _strands(rig: Rig, entry: Attachment) -> Body:
         index[:, 0],
         # Root to tip over all strands: the order in which springs are looked at.
         np.stack([index[:, :-1], index[:, 1:]], axis=-1).reshape(-1, 2),
-        np.stack([index[:, :-2], index[:, 2:]], axis=-1).reshape(-1, 2),
+        folds=np.stack([index[:, :-2], index[:, 2:]], axis=-1).reshape(-1, 2),
     )
     carrier = rig.index(strands.joint)
     return SurfaceBody(entry.name, entry.kind, network, carrier, mesh)
@@ -194,7 +195,7 @@ def _cloth(rig: Rig, entry: Attachment) -> Body:
     shapes = [shape.name for shape in rig.shapes]
     (mesh,) = character_meshes([surface], rig.names, _bind(rig), shapes)
     faces = _faces(surface)
-    ends = edges_of_faces(faces)
+    ends = sides_of_faces(faces)
     if not len(ends):
         message = f"the mesh of {entry.name!r} has no faces"
         raise OptionError(Fault("SIM033", message))
@@ -211,7 +212,14 @@ def _cloth(rig: Rig, entry: Attachment) -> Body:
         for face in faces
         for k in range(1, len(face) - 1)
     ]
-    network = Network.of(placed, pins, ends, bends_of_faces(faces), np.array(triangles))
+    network = Network.of(
+        placed,
+        pins,
+        ends,
+        shears=diagonals_of_faces(faces),
+        folds=folds_of_faces(faces),
+        triangles=np.array(triangles),
+    )
     carrier = _carrier(rig, surface, network)
     return SurfaceBody(entry.name, entry.kind, network, carrier, mesh)
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
-from animtool.rig.kinematics import WorldTransforms
+from animtool.rig.kinematics import WorldTransforms, bind_world
 from animtool.rig.skeleton import Rig
 
-__all__ = ["Capsules"]
+__all__ = ["Capsules", "depth", "depth_at_bind"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,3 +60,46 @@ class Capsules:
         """Return the radii in the world ``(C,)`` [m], as the first pose scales them."""
         volumes = np.abs(np.linalg.det(world.linear[0, self.joints]))
         return np.asarray(self.radii * np.cbrt(volumes))
+
+
+def depth(
+    points: FloatArray, ends: FloatArray, radius: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return how far points are outside a capsule, the way out, and where on its axis.
+
+    A point on the axis has no way out.
+
+    Args:
+        points: ``(N, 3)`` [m].
+        ends: Of the axis ``(2, 3)`` [m].
+        radius: [m]
+
+    Returns:
+        Distances ``(N,)`` [m], negative inside; directions ``(N, 3)``; shares of the
+        axis ``(N,)`` [1].
+    """
+    axis = ends[1] - ends[0]
+    square = float((axis * axis).sum())
+    away = points - ends[0]
+    share = np.zeros(len(points))
+    if square > 0:
+        share = np.clip((away * axis).sum(axis=1) / square, 0.0, 1.0)
+    apart = away - share[:, None] * axis
+    length = np.sqrt((apart * apart).sum(axis=1))[:, None]
+    out = np.divide(apart, length, out=np.zeros_like(apart), where=length > 0)
+    return length[:, 0] - radius, out, share
+
+
+def depth_at_bind(
+    capsules: Capsules, rig: Rig, points: FloatArray, margin: float
+) -> FloatArray:
+    """Return how deep points are in capsules at bind ``(C, N)`` [m], at most 0.
+
+    Capsules are thicker than the body here and there, and what lies on the body is in
+    them from the start: there they let it be.
+    """
+    placed = capsules.placed(bind_world(rig))[0]
+    found = np.zeros((len(capsules), len(points)))
+    for c, radius in enumerate((capsules.radii + margin).tolist()):
+        found[c] = np.minimum(depth(points, placed[c], radius)[0], 0.0)
+    return found

@@ -9,7 +9,36 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 
-__all__ = ["Network", "bends_of_faces", "edges_of_faces", "reach"]
+__all__ = [
+    "Links",
+    "Network",
+    "diagonals_of_faces",
+    "folds_of_faces",
+    "reach",
+    "sides_of_faces",
+]
+
+NO_PAIRS: IntArray = np.zeros((0, 2), np.int64)
+NO_TRIANGLES: IntArray = np.zeros((0, 3), np.int64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Links:
+    """L springs of one kind.
+
+    Attributes:
+        ends: Particles on either end ``(L, 2)``.
+        rests: Length at rest ``(L,)`` [m].
+    """
+
+    ends: IntArray
+    rests: FloatArray
+
+    @staticmethod
+    def of(points: FloatArray, ends: IntArray) -> Links:
+        """Return springs that are at rest between points ``(N, 3)`` [m]."""
+        apart = points[ends[:, 1]] - points[ends[:, 0]]
+        return Links(ends, np.asarray(np.linalg.norm(apart, axis=-1)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -17,48 +46,48 @@ class Network:
     """N particles of equal mass, and what joins them.
 
     Attributes:
-        count: N.
+        points: Where they are at bind ``(N, 3)`` [m].
         held: Particles that go where the animation has them ``(P,)``, ascending.
-        ends: Particles that a stiff spring keeps apart ``(E, 2)``.
-        rests: Its length at rest ``(E,)`` [m].
-        folds: Particles on either side of a fold ``(B, 2)``.
-        fold_rests: Their distance at rest ``(B,)`` [m].
+        stiff: What does not become longer.
+        shears: Diagonals of faces, which give way sideways.
+        folds: From one side of a fold to the other.
         triangles: Corners of the surface ``(T, 3)``.
     """
 
-    count: int
+    points: FloatArray
     held: IntArray
-    ends: IntArray
-    rests: FloatArray
-    folds: IntArray
-    fold_rests: FloatArray
+    stiff: Links
+    shears: Links
+    folds: Links
     triangles: IntArray
 
     @staticmethod
     def of(
         points: FloatArray,
         held: IntArray,
-        ends: IntArray,
-        folds: IntArray,
-        triangles: IntArray | None = None,
+        stiff: IntArray,
+        *,
+        shears: IntArray = NO_PAIRS,
+        folds: IntArray = NO_PAIRS,
+        triangles: IntArray = NO_TRIANGLES,
     ) -> Network:
         """Return a network that is at rest at points ``(N, 3)`` [m]."""
-        none = np.zeros((0, 3), np.int64)
-        return Network(
-            len(points),
-            np.unique(held).astype(np.int64),
-            ends,
-            _lengths(points, ends),
-            folds,
-            _lengths(points, folds),
-            none if triangles is None else triangles,
-        )
+        links = (Links.of(points, ends) for ends in (stiff, shears, folds))
+        return Network(points, np.unique(held).astype(np.int64), *links, triangles)
 
     def scaled(self, scale: float) -> Network:
         """Return the network of another size."""
-        return replace(
-            self, rests=self.rests * scale, fold_rests=self.fold_rests * scale
-        )
+        points = self.points * scale
+        links = {
+            name: Links.of(points, getattr(self, name).ends)
+            for name in ("stiff", "shears", "folds")
+        }
+        return replace(self, points=points, **links)
+
+    @property
+    def count(self) -> int:
+        """N."""
+        return len(self.points)
 
     @property
     def free(self) -> IntArray:
@@ -68,10 +97,6 @@ class Network:
         return np.flatnonzero(loose)
 
 
-def _lengths(points: FloatArray, ends: IntArray) -> FloatArray:
-    return np.asarray(np.linalg.norm(points[ends[:, 1]] - points[ends[:, 0]], axis=-1))
-
-
 def reach(network: Network) -> int:
     """Return how many springs the farthest particle is away from a held one.
 
@@ -79,11 +104,11 @@ def reach(network: Network) -> int:
 
     >>> line = np.array([[0, 1], [1, 2]])
     >>> points = np.eye(3)
-    >>> reach(Network.of(points, np.array([0]), line, line[:0]))
+    >>> reach(Network.of(points, np.array([0]), line))
     2
     """
     beside: list[list[int]] = [[] for _ in range(network.count)]
-    for i, j in network.ends.tolist():
+    for i, j in network.stiff.ends.tolist():
         beside[i].append(j)
         beside[j].append(i)
     starts = network.held.tolist() or [0]
@@ -98,29 +123,45 @@ def reach(network: Network) -> int:
     return max(away.values(), default=0)
 
 
-def edges_of_faces(faces: list[list[int]]) -> IntArray:
-    """Return the sides and diagonals of faces, each once, ascending ``(E, 2)``.
+def sides_of_faces(faces: list[list[int]]) -> IntArray:
+    """Return the sides of faces, each once, ascending ``(L, 2)``.
 
-    >>> edges_of_faces([[0, 1, 2, 3]]).tolist()
-    [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]
+    >>> sides_of_faces([[0, 1, 2], [0, 2, 3]]).tolist()
+    [[0, 1], [0, 2], [0, 3], [1, 2], [2, 3]]
     """
-    found = set()
-    for face in faces:
-        for k, i in enumerate(face):
-            found.add(_ordered(i, face[(k + 1) % len(face)]))
-        if len(face) == 4:
-            found |= {_ordered(face[0], face[2]), _ordered(face[1], face[3])}
-    return _pairs(found)
+    return _pairs(
+        {
+            _ordered(i, face[(k + 1) % len(face)])
+            for face in faces
+            for k, i in enumerate(face)
+        }
+    )
 
 
-def bends_of_faces(faces: list[list[int]]) -> IntArray:
-    """Return the points on either side of each edge that faces share ``(B, 2)``.
+def diagonals_of_faces(faces: list[list[int]]) -> IntArray:
+    """Return both diagonals of each quadrangle ``(L, 2)``.
+
+    >>> diagonals_of_faces([[0, 1, 2, 3]]).tolist()
+    [[0, 2], [1, 3]]
+    """
+    return _pairs(
+        {
+            _ordered(face[k], face[k + 2])
+            for face in faces
+            if len(face) == 4
+            for k in (0, 1)
+        }
+    )
+
+
+def folds_of_faces(faces: list[list[int]]) -> IntArray:
+    """Return the points on either side of each edge that faces share ``(L, 2)``.
 
     Of two triangles those are the corners that face the edge, of two quadrangles the
     next points on either side of each end. An edge of three faces bends between each
     two.
 
-    >>> bends_of_faces([[0, 1, 2], [1, 0, 3]]).tolist()
+    >>> folds_of_faces([[0, 1, 2], [1, 0, 3]]).tolist()
     [[2, 3]]
     """
     beyond: dict[tuple[int, int], list[dict[int, int]]] = {}

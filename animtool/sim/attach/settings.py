@@ -23,7 +23,7 @@ __all__ = ["Lead", "Settings", "SimulateOptions", "option_checks", "settings_for
 # How fast each kind swings back to its animated pose, unless the scene says it [Hz].
 _FREQUENCIES = {AttachKind.SPRING_CHAIN: 2.0, AttachKind.STRANDS: 2.0}
 # Of folds, likewise [Hz].
-_BENDS = {AttachKind.CLOTH: 1.0, AttachKind.STRANDS: 1.0}
+_BENDS = {AttachKind.CLOTH: 2.0, AttachKind.STRANDS: 2.0}
 
 
 class Lead(StrEnum):
@@ -46,7 +46,8 @@ class SimulateOptions:
         frequency: How fast they swing back to the animated pose [Hz]; 0 does not draw
             them there. None is 2 for chains and strands, and 0 for cloth.
         damping: Of that, 1 comes back without swinging over [1].
-        bend: How fast folds of cloth and bends of strands spring back [Hz]. None is 1.
+        bend: How fast folds of cloth and bends of strands spring back [Hz]. None is 2.
+        shear: How fast cloth that is drawn askew springs back [Hz].
         stretch: How much longer than at rest springs may become [1].
         gravity: Downwards along the rig's up axis [m/s²]. 0 leaves a still character's
             attachments where they are.
@@ -78,6 +79,7 @@ class SimulateOptions:
     frequency: float | None = None
     damping: float = 0.3
     bend: float | None = None
+    shear: float = 20.0
     stretch: float = 0.01
     gravity: float = 9.81
     drag: float = 0.5
@@ -109,6 +111,7 @@ class Settings:
         frequency: Angular, of the draw to the animated pose [rad/s].
         damping: Its damping ratio [1].
         bend: Angular, of folds [rad/s].
+        shear: Angular, of diagonals [rad/s].
         stretch: Aimed at [1].
         gravity: [m/s²]
         drag: [1/s]
@@ -122,6 +125,7 @@ class Settings:
     frequency: float
     damping: float
     bend: float
+    shear: float
     stretch: float
     gravity: float
     drag: float
@@ -144,6 +148,7 @@ def settings_for(options: SimulateOptions, kind: str) -> Settings:
         2 * math.pi * frequency,
         options.damping,
         2 * math.pi * bend,
+        2 * math.pi * options.shear,
         options.stretch,
         options.gravity,
         options.drag,
@@ -160,6 +165,7 @@ _LEAST: dict[str, tuple[float, bool]] = {
     "frequency": (0.0, True),
     "damping": (0.0, True),
     "bend": (0.0, True),
+    "shear": (0.0, True),
     "stretch": (0.0, False),
     "gravity": (-math.inf, False),
     "drag": (0.0, True),

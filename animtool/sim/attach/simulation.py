@@ -130,7 +130,7 @@ class Simulation:
         """Bring everything to the first frame."""
         options, rate = self.options, float(self._rate)
         leading = math.ceil(options.preroll * rate)
-        travels = options.lead is Lead.EXTRAPOLATE
+        travels = Lead(options.lead) is Lead.EXTRAPOLATE
         begin = pose
         if travels:
             begin = extrapolated(self.rig, pose, following, leading)

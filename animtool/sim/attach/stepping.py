@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.sim.attach.capsules import depth
 from animtool.sim.attach.network import Network, reach
 from animtool.sim.attach.settings import Settings
 
@@ -53,11 +54,13 @@ class Motions:
         targets: Particles as they are animated ``(K, N, 3)`` [m].
         capsules: Ends of colliders ``(K, C, 2, 3)`` [m].
         radii: Of these ``(C,)`` [m].
+        depths: How deep particles may be in them ``(C, N)`` [m], at most 0.
     """
 
     targets: FloatArray
     capsules: FloatArray
     radii: FloatArray
+    depths: FloatArray
 
 
 @dataclass(slots=True)
@@ -86,7 +89,7 @@ def steps_wanted(network: Network, settings: Settings) -> float:
     """
     if settings.rate is not None:
         return settings.rate
-    lengths = network.rests[network.rests > 0]
+    lengths = network.stiff.rests[network.stiff.rests > 0]
     if not len(lengths):
         return FEWEST_STEPS
     carried = reach(network) * DESIGN_ACCELERATION
@@ -117,13 +120,17 @@ class Stepper:
         weights[network.held] = 0.0
         self._weights = weights
         self._free = network.free
-        stiff, folds = network.ends, network.folds
-        ends = np.concatenate([stiff, folds])
-        rests = np.concatenate([network.rests, network.fold_rests])
-        soft = np.arange(len(ends)) >= len(stiff)
-        loose = weights[ends].sum(axis=1) > 0
+        kinds = (
+            (network.stiff, np.inf),
+            (network.shears, self.settings.shear),
+            (network.folds, self.settings.bend),
+        )
+        ends = np.concatenate([links.ends for links, _ in kinds])
+        rests = np.concatenate([links.rests for links, _ in kinds])
+        pulls = np.concatenate([np.full(len(one.rests), pull) for one, pull in kinds])
+        loose = (weights[ends].sum(axis=1) > 0) & (pulls > 0)
         self._groups = [
-            (ends[group, 0], ends[group, 1], rests[group], soft[group])
+            (ends[group, 0], ends[group, 1], rests[group], pulls[group])
             for group in _groups(ends, loose, network.count)
         ]
 
@@ -141,6 +148,7 @@ class Stepper:
         for k in range(steps):
             x, v = self._step(x, v, motions, k, h)
         self._measure(x)
+        self._look(x, motions)
         self.tally.steps += steps
         return State(x, v)
 
@@ -162,12 +170,11 @@ class Stepper:
 
     def _project(self, x: FloatArray, h: float) -> None:
         """Bring springs to their lengths, group by group."""
-        soft_give = (self.settings.bend * h) ** 2
-        for i, j, rests, soft in self._groups:
+        for i, j, rests, pulls in self._groups:
             apart = x[j] - x[i]
             lengths = np.sqrt((apart * apart).sum(axis=1))
             weights = self._weights[i] + self._weights[j]
-            give = np.where(soft, soft_give / (1 + soft_give * weights), 1 / weights)
+            give = 1 / (1 / (pulls * h) ** 2 + weights)
             # Of coincident ends no direction is better than another: none is taken.
             along = np.divide(1.0, lengths, out=np.zeros_like(lengths), where=lengths > 0)
             pull = (give * (lengths - rests) * along)[:, None] * apart
@@ -200,68 +207,46 @@ class Stepper:
             return
         settings, free = self.settings, self._free
         touching = np.zeros(len(free), bool)
-        inside = np.zeros(len(free), bool)
         for c, radius in enumerate((motions.radii + settings.radius).tolist()):
             was, now = motions.capsules[k, c], motions.capsules[k + 1, c]
-            out_before, _, _ = _depth(old[free], was, radius)
-            depth, out, share = _depth(x[free], now, radius)
-            # What was inside already comes out slowly.
-            allowed = np.minimum(out_before + DEPENETRATION * h, 0.0)
-            push = allowed - depth
+            least = motions.depths[c, free]
+            begun, _, _ = depth(old[free], was, radius)
+            ended, out, share = depth(x[free], now, radius)
+            # What was deeper already comes out slowly.
+            push = np.minimum(begun + DEPENETRATION * h, least) - ended
             hit = push > 0
-            if hit.any():
-                touching |= hit
-                rows = free[hit]
-                x[rows] += push[hit, None] * out[hit]
-                moved = now - was
-                surface = moved[0] + share[hit, None] * (moved[1] - moved[0])
-                slip = x[rows] - old[rows] - surface
-                slip -= (slip * out[hit]).sum(axis=1, keepdims=True) * out[hit]
-                length = np.sqrt((slip * slip).sum(axis=1))
-                most = settings.friction * push[hit]
-                held = np.divide(
-                    np.minimum(most, length),
-                    length,
-                    out=np.zeros_like(length),
-                    where=length > 0,
-                )
-                x[rows] -= held[:, None] * slip
-        for c, radius in enumerate(motions.radii.tolist()):
-            depth, _, _ = _depth(x[free], motions.capsules[k + 1, c], radius)
-            # Where the animation has it inside too, nothing is amiss.
-            aimed, _, _ = _depth(
-                motions.targets[k + 1][free], motions.capsules[k + 1, c], radius
-            )
-            inside |= (depth < -UNRESOLVED) & (aimed > 0)
+            if not hit.any():
+                continue
+            touching |= hit
+            rows = free[hit]
+            x[rows] += push[hit, None] * out[hit]
+            moved = now - was
+            surface = moved[0] + share[hit, None] * (moved[1] - moved[0])
+            slip = x[rows] - old[rows] - surface
+            slip -= (slip * out[hit]).sum(axis=1, keepdims=True) * out[hit]
+            length = np.sqrt((slip * slip).sum(axis=1))
+            most = np.minimum(settings.friction * push[hit], length)
+            held = np.divide(most, length, out=np.zeros_like(length), where=length > 0)
+            x[rows] -= held[:, None] * slip
         self.tally.contacts = max(self.tally.contacts, int(touching.sum()))
+
+    def _look(self, x: FloatArray, motions: Motions) -> None:
+        """Count particles that are left inside capsules at the end of a frame."""
+        free = self._free
+        inside = np.zeros(len(free), bool)
+        for c, radius in enumerate((motions.radii + self.settings.radius).tolist()):
+            ended, _, _ = depth(x[free], motions.capsules[-1, c], radius)
+            inside |= ended < motions.depths[c, free] - UNRESOLVED
         self.tally.unresolved = max(self.tally.unresolved, int(inside.sum()))
 
     def _measure(self, x: FloatArray) -> None:
         network = self.network
-        loose = self._weights[network.ends].sum(axis=1) > 0
-        solid = loose & (network.rests > 0)
-        i, j = network.ends[solid].T
+        loose = self._weights[network.stiff.ends].sum(axis=1) > 0
+        solid = loose & (network.stiff.rests > 0)
+        i, j = network.stiff.ends[solid].T
         lengths = np.sqrt(((x[j] - x[i]) ** 2).sum(axis=1))
-        longer = lengths / network.rests[solid] - 1
+        longer = lengths / network.stiff.rests[solid] - 1
         self.tally.stretch = max(self.tally.stretch, float(longer.max(initial=0.0)))
-
-
-def _depth(
-    points: FloatArray, ends: FloatArray, radius: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return how far points are outside a capsule, the way out, and where on its axis."""
-    axis = ends[1] - ends[0]
-    square = float((axis * axis).sum())
-    away = points - ends[0]
-    share = np.zeros(len(points))
-    if square > 0:
-        share = np.clip((away * axis).sum(axis=1) / square, 0.0, 1.0)
-    apart = away - share[:, None] * axis
-    length = np.sqrt((apart * apart).sum(axis=1))
-    out = np.divide(
-        apart, length[:, None], out=np.zeros_like(apart), where=length[:, None] > 0
-    )
-    return length - radius, out, share
 
 
 def _groups(ends: IntArray, loose: BoolArray, count: int) -> list[IntArray]:
