@@ -294,6 +294,25 @@ def project_springs(network: SpringNetwork, state: Annotated[NDArray[numpy.float
     well, to go on with; the largest stretch that is not a spring's own; steps in all.
     """
 
+class SpringCapsules:
+    """
+    Capsules that particles of a network keep out of.
+
+    Over the times of ``knots`` ``(K,)``: both ends of each, ``ends`` ``(K or 1, 2 C, 3)``; their
+    ``radii`` ``(C,)``; how deep each particle may be in each, ``depths`` ``(C, N)``, 0 or less;
+    Coulomb's coefficient; the speed at which what is deeper comes out.
+    """
+
+    def __init__(self, knots: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], ends: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], radii: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], depths: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], friction: float, depenetration: float) -> None: ...
+
+def follow_springs(network: SpringNetwork, capsules: SpringCapsules, state: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], start: float, span: float, steps: int, tolerance: float) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], int, int]:
+    """
+    Take steps of extended position based dynamics from a time on, out of capsules.
+
+    Returns ``(state, touched, inside)``: most particles that capsules moved in one step, and
+    those that are left deeper in one than they may be by more than ``tolerance``.
+    """
+
 def solve_springs(network: SpringNetwork, state: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], before: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)] | None, torn: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], origin: float, first: int, cell: float, cells: int, substeps: int, two_steps: bool, tolerance: float) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], bool, Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C')], int, int, int]:
     """
     Take implicit steps: of Euler, or backward differences of ``two_steps``.

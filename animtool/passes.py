@@ -278,7 +278,11 @@ def apply_pass(
 def _check_points(stream: TakeStream, pass_: Pass) -> None:
     """Refuse to move joints whose points do not follow them any more."""
     changes = pass_.changes
-    if not stream.points or TakePart.JOINTS not in changes or TakePart.POINTS in changes:
+    if (
+        not stream.points
+        or TakePart.JOINTS not in changes
+        or TakePart.POINTS in changes
+    ):
         return
     names = ", ".join(sorted(stream.points))
     message = f"{pass_.name} would move joints away from what is simulated: {names}"

@@ -10,10 +10,10 @@ import numpy as np
 
 from animtool.edit.combine import Strength, check_same_rig
 from animtool.edit.frames import check_count, exact
-from animtool.keyed import Interpolation, Weight, weights_at
 from animtool.edit.mix import mix
 from animtool.edit.other_take import other_frames
 from animtool.edit.signs import continuous
+from animtool.keyed import Interpolation, Weight, weights_at
 from animtool.passes import (
     MOTION_PARTS,
     OptionChecks,

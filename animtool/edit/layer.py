@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.edit.additive import add
 from animtool.choices import chosen
+from animtool.edit.additive import add
 from animtool.edit.combine import Strength, check_same_rig
 from animtool.edit.frames import exact
 from animtool.edit.joint_names import joints_matching
-from animtool.keyed import Interpolation, Weight, weights_at
 from animtool.edit.mix import mix
 from animtool.edit.other_take import other_frames
 from animtool.edit.signs import continuous
+from animtool.keyed import Interpolation, Weight, weights_at
 from animtool.passes import (
     MOTION_PARTS,
     OptionChecks,

@@ -7,6 +7,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from animtool.choices import chosen
 from animtool.edit.chain import (
     above,
     ancestors,
@@ -14,7 +15,6 @@ from animtool.edit.chain import (
     rest_rotation,
     twist,
 )
-from animtool.choices import chosen
 from animtool.edit.joint_names import joint_index
 from animtool.edit.signs import continuous
 from animtool.edit.travel import traveller

@@ -9,9 +9,9 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.edit.frames import check_count, exact, frame_refusal
-from animtool.keyed import Interpolation, Keys, key_arrays, keyed
 from animtool.edit.places import nearby_places
 from animtool.edit.signs import continuous
+from animtool.keyed import Interpolation, Keys, key_arrays, keyed
 from animtool.passes import (
     RETIMED_PARTS,
     OptionChecks,

@@ -264,6 +264,23 @@ up to ``most``; after many that go well half as many are tried, down to ``least`
 Returns ``(state, torn, substeps, calm, stretch, steps)``: steps a cell and cells that went
 well, to go on with; the largest stretch that is not a spring's own; steps in all.)");
 
+  nb::class_<SpringCapsules>(m, "SpringCapsules",
+                             R"(Capsules that particles of a network keep out of.
+
+Over the times of ``knots`` ``(K,)``: both ends of each, ``ends`` ``(K or 1, 2 C, 3)``; their
+``radii`` ``(C,)``; how deep each particle may be in each, ``depths`` ``(C, N)``, 0 or less;
+Coulomb's coefficient; the speed at which what is deeper comes out.)")
+      .def(nb::init<In<double, 1>, In<double, 3>, In<double, 1>, In<double, 2>, double,
+                    double>(),
+           "knots"_a, "ends"_a, "radii"_a, "depths"_a, "friction"_a, "depenetration"_a);
+
+  m.def("follow_springs", &follow_springs, "network"_a, "capsules"_a, "state"_a, "start"_a,
+        "span"_a, "steps"_a, "tolerance"_a,
+        R"(Take steps of extended position based dynamics from a time on, out of capsules.
+
+Returns ``(state, touched, inside)``: most particles that capsules moved in one step, and
+those that are left deeper in one than they may be by more than ``tolerance``.)");
+
   m.def("solve_springs", &solve_springs, "network"_a, "state"_a, "before"_a.none(), "torn"_a,
         "origin"_a, "first"_a, "cell"_a, "cells"_a, "substeps"_a, "two_steps"_a,
         "tolerance"_a,

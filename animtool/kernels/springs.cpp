@@ -66,7 +66,7 @@ SpringNetwork::SpringNetwork(In<double, 1> masses, In<double, 1> slowing,
   wind_track = track_of(winds, 1, knots.size());
 }
 
-Spot SpringNetwork::spot(double t) const {
+Spot spot_of(const std::vector<double>& knots, double t) {
   if (knots.size() == 1 || t <= knots.front()) return {0, 0.0};
   if (t >= knots.back()) return {knots.size() - 1, 0.0};
   const auto after = std::upper_bound(knots.begin(), knots.end(), t);

@@ -42,6 +42,8 @@ struct Spot {
   double share;
 };
 
+Spot spot_of(const std::vector<double>& knots, double t);
+
 class SpringNetwork {
  public:
   SpringNetwork(In<double, 1> inverse_masses, In<double, 1> drags, In<std::int64_t, 2> ends,
@@ -52,7 +54,7 @@ class SpringNetwork {
 
   std::size_t particles() const { return inverse_masses.size(); }
 
-  Spot spot(double t) const;
+  Spot spot(double t) const { return spot_of(knots, t); }
   // Points of a track at a spot, into (P, 3).
   static void follow(const Track& track, const Spot& spot, double* out);
 

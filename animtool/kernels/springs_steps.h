@@ -7,7 +7,7 @@
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/tuple.h>
 
-#include "springs.h"
+#include "springs_capsules.h"
 
 namespace animtool {
 
@@ -34,6 +34,9 @@ using SpringsSolved = std::tuple<Out<double, 3>, Out<double, 3>, bool, Out<std::
 
 Out<std::int64_t, 1> spring_order(In<std::int64_t, 2> ends, std::size_t particles);
 
+// states, most particles in contact, those left inside
+using SpringsFollowed = std::tuple<Out<double, 3>, std::int64_t, std::int64_t>;
+
 Out<double, 2> spring_accelerations(const SpringNetwork& network, double t, double h,
                                     In<double, 3> state, In<std::uint8_t, 1> torn);
 
@@ -45,6 +48,10 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
                                  In<std::uint8_t, 1> torn, double origin, std::int64_t first,
                                  double cell, std::int64_t cells, int substeps, int calm,
                                  int least, int most, double stretch);
+
+SpringsFollowed follow_springs(const SpringNetwork& network, SpringCapsules& capsules,
+                               In<double, 3> state, double start, double span, int steps,
+                               double tolerance);
 
 SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
                             std::optional<In<double, 3>> before, In<std::uint8_t, 1> torn,

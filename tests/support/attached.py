@@ -17,8 +17,8 @@ from animtool.take import Channel, Clock, Motion, Take, TakeStream
 __all__ = [
     "GRAVITY",
     "moved",
-    "simulated",
     "sheet_rig",
+    "simulated",
     "strands_rig",
     "tail_rig",
     "take_of",
@@ -103,9 +103,7 @@ def take_of(
     return Take(rig, Clock(Fraction(fps), Fraction(1), Fraction(1), count), motion)
 
 
-def simulated(
-    take: Take, blocks: int = 1, **options: object
-) -> tuple[Take, list[str]]:
+def simulated(take: Take, blocks: int = 1, **options: object) -> tuple[Take, list[str]]:
     """Return a take with its only attachment simulated, and the codes of notices."""
     stream = TakeStream.of(take)
     parts = np.array_split(np.arange(take.clock.count), blocks)

@@ -27,6 +27,9 @@ from animtool.units import UpAxis
 
 __all__ = ["Actor", "Ways", "carried", "upwards"]
 
+# Times of a frame at which the animation is looked at; it goes straight between them.
+MOST_KNOTS = 8
+
 
 def upwards(rig: Rig) -> FloatArray:
     """Return the direction away from the ground ``(3,)``."""
@@ -60,6 +63,7 @@ class Actor:
 
     Attributes:
         body: What it is.
+        settings: How it moves.
         steps: A frame.
         state: Where it is.
         target: Where the animation has it ``(N, 3)`` [m].
@@ -85,7 +89,7 @@ class Actor:
             span: Length of a frame [s].
             pose: The first.
         """
-        self.body = body
+        self.body, self.settings = body, settings
         self._rig = rig
         first = way(rig, pose, pose, 1)
         scale = _size(first.world, body.carrier)
@@ -113,11 +117,11 @@ class Actor:
     def cross(self, ways: Ways) -> None:
         """Go on by a frame."""
         began = time.perf_counter()
-        motion = ways.of(self.steps)
+        motion = ways.of(min(self.steps, MOST_KNOTS))
         targets = self.body.targets(motion)
         placed = self._capsules.placed(motion.world)
         motions = Motions(targets, placed, self._radii, self._depths)
-        self.state = self._stepper.cross(self.state, motions, self._span)
+        self.state = self._stepper.cross(self.state, motions, self._span, self.steps)
         self.target = targets[-1]
         self.seconds += time.perf_counter() - began
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -144,7 +145,7 @@ def bodies_of(rig: Rig, names: tuple[str, ...]) -> list[Body]:
 
 def _chain(rig: Rig, entry: Attachment) -> Body:
     joints = [rig.index(name) for name in entry.joints]
-    for above, below in zip(joints, joints[1:], strict=False):
+    for above, below in pairwise(joints):
         if rig.joints[below].parent != above:
             names = rig.joints[above].name, rig.joints[below].name
             message = f"joints of {entry.name!r} are no chain: {names[1]!r} is no child"

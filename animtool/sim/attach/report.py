@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from animtool.errors import Fault, Severity, counted
 from animtool.sim.attach.actor import Actor
-from animtool.sim.attach.settings import SimulateOptions
 from animtool.sim.attach.simulation import Closing, Simulation
 
 __all__ = ["AttachReport", "notices_of", "reports_of"]
@@ -27,6 +26,7 @@ class AttachReport:
         particles: How many there are.
         steps: Steps a frame.
         stretch: Most that a spring was longer than at rest [1].
+        aimed: At which stretch [1].
         contacts: Most particles that touched colliders at once.
         unresolved: Most that were left inside.
         jumps: How often it was carried over a jump.
@@ -39,6 +39,7 @@ class AttachReport:
     particles: int
     steps: int
     stretch: float
+    aimed: float
     contacts: int
     unresolved: int
     jumps: int
@@ -47,12 +48,11 @@ class AttachReport:
 
 def reports_of(simulation: Simulation) -> list[AttachReport]:
     """Return what became of each attachment so far."""
-    aimed = simulation.options.stretch
-    return [_report(actor, aimed) for actor in simulation.actors]
+    return [_report(actor) for actor in simulation.actors]
 
 
-def _report(actor: Actor, aimed: float) -> AttachReport:
-    tally = actor.tally
+def _report(actor: Actor) -> AttachReport:
+    tally, aimed = actor.tally, actor.settings.stretch
     status = "ok"
     if tally.stretch > PARDON * aimed:
         status = "stretched"
@@ -65,6 +65,7 @@ def _report(actor: Actor, aimed: float) -> AttachReport:
         actor.body.network.count,
         actor.steps,
         tally.stretch,
+        aimed,
         tally.contacts,
         tally.unresolved,
         actor.jumps,
@@ -74,10 +75,10 @@ def _report(actor: Actor, aimed: float) -> AttachReport:
 
 def notices_of(simulation: Simulation) -> list[Fault]:
     """Return what is worth saying of a simulation that is over."""
-    options = simulation.options
-    said = [_note(report) for report in reports_of(simulation)]
-    for report in reports_of(simulation):
-        said += _warnings(report, options)
+    reports = reports_of(simulation)
+    said = [_note(report) for report in reports]
+    for report in reports:
+        said += _warnings(report)
     if simulation.closing is not None:
         said.append(_closed(simulation.closing))
     return said
@@ -95,12 +96,12 @@ def _note(report: AttachReport) -> Fault:
     return Fault("SIM130", ", ".join(parts), severity=Severity.NOTE)
 
 
-def _warnings(report: AttachReport, options: SimulateOptions) -> list[Fault]:
+def _warnings(report: AttachReport) -> list[Fault]:
     said = []
-    if report.stretch > PARDON * options.stretch:
+    if report.stretch > PARDON * report.aimed:
         message = (
             f"{report.name}: springs become {100 * report.stretch:.2g}% longer than at "
-            f"rest, and {100 * options.stretch:g}% was aimed at"
+            f"rest, and {100 * report.aimed:g}% was aimed at"
         )
         hint = "give it a higher rate, or let it settle from a pose that it can hold"
         said.append(Fault("SIM131", message, hint=hint, severity=Severity.WARNING))

@@ -22,6 +22,10 @@ __all__ = ["Lead", "Settings", "SimulateOptions", "option_checks", "settings_for
 
 # How fast each kind swings back to its animated pose, unless the scene says it [Hz].
 _FREQUENCIES = {AttachKind.SPRING_CHAIN: 2.0, AttachKind.STRANDS: 2.0}
+# How much longer springs may become, likewise [1]: many particles in a line cost many
+# steps, and of hair nobody sees it.
+_STRETCHES = {AttachKind.STRANDS: 0.05}
+STRETCH = 0.01
 # Of folds, likewise [Hz].
 _BENDS = {AttachKind.CLOTH: 2.0, AttachKind.STRANDS: 2.0}
 
@@ -48,10 +52,12 @@ class SimulateOptions:
         damping: Of that, 1 comes back without swinging over [1].
         bend: How fast folds of cloth and bends of strands spring back [Hz]. None is 2.
         shear: How fast cloth that is drawn askew springs back [Hz].
-        stretch: How much longer than at rest springs may become [1].
+        stretch: How much longer than at rest springs may become [1]. None is 0.05 for
+            strands, and 0.01 for others.
         gravity: Downwards along the rig's up axis [m/s²]. 0 leaves a still character's
             attachments where they are.
-        drag: How fast the air takes speed [1/s].
+        drag: How fast the air takes speed [1/s]; of cloth, the coefficient of drag of
+            its faces [1].
         wind: Velocity of the air ``[x, y, z]`` [m/s].
         colliders: Keep out of the rig's capsules.
         radius: Distance kept from them, such as ``5mm``.
@@ -80,7 +86,7 @@ class SimulateOptions:
     damping: float = 0.3
     bend: float | None = None
     shear: float = 20.0
-    stretch: float = 0.01
+    stretch: float | None = None
     gravity: float = 9.81
     drag: float = 0.5
     wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -114,7 +120,7 @@ class Settings:
         shear: Angular, of diagonals [rad/s].
         stretch: Aimed at [1].
         gravity: [m/s²]
-        drag: [1/s]
+        drag: [1/s], or [1] of cloth.
         wind: [m/s]
         radius: Distance kept from colliders [m].
         friction: [1]
@@ -144,12 +150,15 @@ def settings_for(options: SimulateOptions, kind: str) -> Settings:
         frequency = _FREQUENCIES.get(known, 0.0)
     if bend is None:
         bend = _BENDS.get(known, 0.0)
+    stretch = options.stretch
+    if stretch is None:
+        stretch = _STRETCHES.get(known, STRETCH)
     return Settings(
         2 * math.pi * frequency,
         options.damping,
         2 * math.pi * bend,
         2 * math.pi * options.shear,
-        options.stretch,
+        stretch,
         options.gravity,
         options.drag,
         options.wind,

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from itertools import pairwise
 
 import numpy as np
 
@@ -135,9 +136,7 @@ class Simulation:
         if travels:
             begin = extrapolated(self.rig, pose, following, leading)
         self.actors = [
-            Actor(
-                self.rig, body, settings_for(options, body.kind), 1 / rate, begin
-            )
+            Actor(self.rig, body, settings_for(options, body.kind), 1 / rate, begin)
             for body in self.bodies
         ]
         if self._resumed is not None:
@@ -228,7 +227,7 @@ class Simulation:
         codes = self._codes(0, len(poses)).tolist()
         for actor in self.actors:
             actor.place(poses[0])
-        for i, (before, after) in enumerate(zip(poses, poses[1:], strict=False)):
+        for i, (before, after) in enumerate(pairwise(poses)):
             for row, actor in zip(rows, self.actors, strict=True):
                 row.moved.append(actor.state.positions)
                 row.targets.append(actor.target)

@@ -1,23 +1,14 @@
-"""One attachment over one frame, in small steps.
-
-Extended position based dynamics, each spring once a step. Springs that share no particle
-are looked at together, in an order that only depends on the network.
-
-References:
-    M. Macklin, M. Müller, N. Chentanez, XPBD: Position-Based Simulation of Compliant
-    Constrained Dynamics, 2016; M. Macklin et al., Small Steps in Physics Simulation,
-    2019.
-"""
+"""One attachment over one frame, in small steps of position based dynamics."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.sim.attach.capsules import depth
+from animtool import _kernels
+from animtool._types import FloatArray, IntArray
 from animtool.sim.attach.network import Network, reach
 from animtool.sim.attach.settings import Settings
 
@@ -27,6 +18,13 @@ __all__ = ["Motions", "State", "Stepper", "Tally", "steps_wanted"]
 DESIGN_ACCELERATION = 40.0
 FEWEST_STEPS = 240.0  # a second
 MOST_STEPS = 20_000.0
+# Springs that do not give [rad/s].
+STIFF = 1e6
+# Cloth [kg/m²], and the least mass of a particle among the others' [1].
+CLOTH_WEIGHT = 0.3
+LEAST_SHARE = 1e-3
+# Half the density of air [kg/m³].
+AIR = 0.6
 # A particle that begins inside a collider is moved out at this speed [m/s].
 DEPENETRATION = 1.0
 # Deeper than this after every push [m], a contact is not resolved.
@@ -68,13 +66,11 @@ class Tally:
     """What happened over the steps.
 
     Attributes:
-        steps: How many there were.
         stretch: Most that a spring was longer than at rest, over that [1].
         contacts: Most particles that touched colliders at once.
         unresolved: Most that were left inside one.
     """
 
-    steps: int = 0
     stretch: float = 0.0
     contacts: int = 0
     unresolved: int = 0
@@ -97,170 +93,132 @@ def steps_wanted(network: Network, settings: Settings) -> float:
     return min(max(wanted, FEWEST_STEPS), MOST_STEPS)
 
 
-@dataclass
 class Stepper:
     """Carries particles over frames.
 
     Attributes:
         network: What they are joined by, in the size of the character.
         settings: How they move.
-        down: Direction of gravity ``(3,)``.
         tally: What happened so far.
     """
 
-    network: Network
-    settings: Settings
-    down: FloatArray
-    tally: Tally = field(default_factory=Tally)
+    def __init__(
+        self, network: Network, settings: Settings, down: FloatArray, tally: Tally
+    ) -> None:
+        """Make the arrays that kernels take.
 
-    def __post_init__(self) -> None:
-        """Sort springs into groups that can be looked at together."""
-        network = self.network
-        weights = np.ones(network.count)
-        weights[network.held] = 0.0
-        self._weights = weights
+        Args:
+            network: What particles are joined by.
+            settings: How they move.
+            down: Direction of gravity ``(3,)``.
+            tally: Where to count.
+        """
+        self.network, self.settings, self.tally = network, settings, tally
+        masses = masses_of(network)
+        self._inverse = 1.0 / masses
+        self._inverse[network.held] = 0.0
         self._free = network.free
-        kinds = (
-            (network.stiff, np.inf),
-            (network.shears, self.settings.shear),
-            (network.folds, self.settings.bend),
-        )
-        ends = np.concatenate([links.ends for links, _ in kinds])
-        rests = np.concatenate([links.rests for links, _ in kinds])
-        pulls = np.concatenate([np.full(len(one.rests), pull) for one, pull in kinds])
-        loose = (weights[ends].sum(axis=1) > 0) & (pulls > 0)
-        self._groups = [
-            (ends[group, 0], ends[group, 1], rests[group], pulls[group])
-            for group in _groups(ends, loose, network.count)
+        self._ends, self._numbers = _springs(network, settings, masses, self._inverse)
+        self._drawn = self._free if settings.frequency else self._free[:0]
+        weight = masses[self._drawn]
+        pulls = [
+            weight * settings.frequency**2,
+            weight * (2 * settings.damping * settings.frequency),
         ]
+        self._pulls = np.stack(pulls, axis=1)
+        # Cloth feels the air by its triangles, other things by their speed alone.
+        wind, cloth = np.array(settings.wind), len(network.triangles) > 0
+        slowing = 0.0 if cloth else settings.drag
+        field = settings.gravity * down + slowing * wind
+        pressures = (AIR * settings.drag, AIR * settings.drag / 2) if cloth else (0, 0)
+        self._field = np.array([*field, *pressures], np.float64)
+        self._drags = np.full(network.count, slowing)
+        self._wind = wind[None, None]
 
-    def cross(self, state: State, motions: Motions, span: float) -> State:
+    def cross(self, state: State, motions: Motions, span: float, steps: int) -> State:
         """Return the state a frame later.
 
         Args:
             state: At its begin.
-            motions: What the animation does meanwhile; a step for each of its times.
+            motions: What the animation does meanwhile.
             span: Length of the frame [s].
+            steps: In it.
         """
-        steps = len(motions.targets) - 1
-        h = span / steps
-        x, v = state.positions.copy(), state.velocities.copy()
-        for k in range(steps):
-            x, v = self._step(x, v, motions, k, h)
-        self._measure(x)
-        self._look(x, motions)
-        self.tally.steps += steps
-        return State(x, v)
+        network, settings = self.network, self.settings
+        knots = np.linspace(0.0, span, len(motions.targets))
+        ready = _kernels.SpringNetwork(
+            self._inverse,
+            self._drags,
+            self._ends,
+            self._numbers,
+            network.triangles,
+            self._field,
+            knots,
+            network.held,
+            np.ascontiguousarray(motions.targets[:, network.held]),
+            self._drawn,
+            self._pulls,
+            np.ascontiguousarray(motions.targets[:, self._drawn]),
+            self._wind,
+        )
+        capsules = _kernels.SpringCapsules(
+            knots,
+            motions.capsules.reshape(len(knots), -1, 3),
+            motions.radii + settings.radius,
+            motions.depths,
+            settings.friction,
+            DEPENETRATION,
+        )
+        both = np.stack([state.positions, state.velocities])
+        made, touched, inside = _kernels.follow_springs(
+            ready, capsules, both, 0.0, span, steps, UNRESOLVED
+        )
+        self._count(made[0], touched, inside)
+        return State(made[0], made[1])
 
-    def _step(
-        self, x: FloatArray, v: FloatArray, motions: Motions, k: int, h: float
-    ) -> tuple[FloatArray, FloatArray]:
-        settings, free = self.settings, self._free
-        before, here = motions.targets[k], motions.targets[k + 1]
-        made = here.copy()
-        air = np.array(settings.wind)
-        fall = v[free] + h * settings.gravity * self.down
-        # Implicit, so that no drag is too much for a step.
-        speed = (fall + h * settings.drag * air) / (1 + h * settings.drag)
-        made[free] = x[free] + h * speed
-        self._project(made, h)
-        self._draw(made, x, before, here, h)
-        self._collide(made, x, motions, k, h)
-        return made, (made - x) / h
-
-    def _project(self, x: FloatArray, h: float) -> None:
-        """Bring springs to their lengths, group by group."""
-        for i, j, rests, pulls in self._groups:
-            apart = x[j] - x[i]
-            lengths = np.sqrt((apart * apart).sum(axis=1))
-            weights = self._weights[i] + self._weights[j]
-            give = 1 / (1 / (pulls * h) ** 2 + weights)
-            # Of coincident ends no direction is better than another: none is taken.
-            along = np.divide(1.0, lengths, out=np.zeros_like(lengths), where=lengths > 0)
-            pull = (give * (lengths - rests) * along)[:, None] * apart
-            x[i] += self._weights[i, None] * pull
-            x[j] -= self._weights[j, None] * pull
-
-    def _draw(
-        self,
-        x: FloatArray,
-        old: FloatArray,
-        before: FloatArray,
-        here: FloatArray,
-        h: float,
-    ) -> None:
-        """Draw particles to where they are animated, implicitly."""
-        settings, free = self.settings, self._free
-        if not settings.frequency:
-            return
-        stiff = (settings.frequency * h) ** 2
-        damp = 2 * settings.damping * settings.frequency * h
-        off = here[free] - x[free]
-        went = (here[free] - before[free]) - (x[free] - old[free])
-        x[free] += (stiff * off + damp * went) / (1 + stiff + damp)
-
-    def _collide(
-        self, x: FloatArray, old: FloatArray, motions: Motions, k: int, h: float
-    ) -> None:
-        """Keep particles out of capsules that move."""
-        if not len(motions.radii):
-            return
-        settings, free = self.settings, self._free
-        touching = np.zeros(len(free), bool)
-        for c, radius in enumerate((motions.radii + settings.radius).tolist()):
-            was, now = motions.capsules[k, c], motions.capsules[k + 1, c]
-            least = motions.depths[c, free]
-            begun, _, _ = depth(old[free], was, radius)
-            ended, out, share = depth(x[free], now, radius)
-            # What was deeper already comes out slowly.
-            push = np.minimum(begun + DEPENETRATION * h, least) - ended
-            hit = push > 0
-            if not hit.any():
-                continue
-            touching |= hit
-            rows = free[hit]
-            x[rows] += push[hit, None] * out[hit]
-            moved = now - was
-            surface = moved[0] + share[hit, None] * (moved[1] - moved[0])
-            slip = x[rows] - old[rows] - surface
-            slip -= (slip * out[hit]).sum(axis=1, keepdims=True) * out[hit]
-            length = np.sqrt((slip * slip).sum(axis=1))
-            most = np.minimum(settings.friction * push[hit], length)
-            held = np.divide(most, length, out=np.zeros_like(length), where=length > 0)
-            x[rows] -= held[:, None] * slip
-        self.tally.contacts = max(self.tally.contacts, int(touching.sum()))
-
-    def _look(self, x: FloatArray, motions: Motions) -> None:
-        """Count particles that are left inside capsules at the end of a frame."""
-        free = self._free
-        inside = np.zeros(len(free), bool)
-        for c, radius in enumerate((motions.radii + self.settings.radius).tolist()):
-            ended, _, _ = depth(x[free], motions.capsules[-1, c], radius)
-            inside |= ended < motions.depths[c, free] - UNRESOLVED
-        self.tally.unresolved = max(self.tally.unresolved, int(inside.sum()))
-
-    def _measure(self, x: FloatArray) -> None:
-        network = self.network
-        loose = self._weights[network.stiff.ends].sum(axis=1) > 0
-        solid = loose & (network.stiff.rests > 0)
-        i, j = network.stiff.ends[solid].T
-        lengths = np.sqrt(((x[j] - x[i]) ** 2).sum(axis=1))
-        longer = lengths / network.stiff.rests[solid] - 1
-        self.tally.stretch = max(self.tally.stretch, float(longer.max(initial=0.0)))
+    def _count(self, x: FloatArray, touched: int, inside: int) -> None:
+        links, tally = self.network.stiff, self.tally
+        i, j = links.ends.T
+        counted = (self._inverse[i] + self._inverse[j] > 0) & (links.rests > 0)
+        lengths = np.linalg.norm(x[j[counted]] - x[i[counted]], axis=1)
+        longer = lengths / links.rests[counted] - 1
+        tally.stretch = max(tally.stretch, float(longer.max(initial=0.0)))
+        tally.contacts = max(tally.contacts, touched)
+        tally.unresolved = max(tally.unresolved, inside)
 
 
-def _groups(ends: IntArray, loose: BoolArray, count: int) -> list[IntArray]:
-    """Return springs in groups without a common particle, those before first."""
-    used: list[int] = [0] * count
-    groups: list[list[int]] = []
-    for spring in np.flatnonzero(loose).tolist():
-        i, j = ends[spring].tolist()
-        taken, group = used[i] | used[j], 0
-        while taken >> group & 1:
-            group += 1
-        if group == len(groups):
-            groups.append([])
-        groups[group].append(spring)
-        used[i] |= 1 << group
-        used[j] |= 1 << group
-    return [np.array(group, np.int64) for group in groups]
+def masses_of(network: Network) -> FloatArray:
+    """Return masses of the particles ``(N,)`` [kg]: of cloth those of its area."""
+    corners = network.triangles
+    if not len(corners):
+        return np.ones(network.count)
+    a, b, c = (network.points[corners[:, k]] for k in range(3))
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    thirds = np.repeat(areas * (CLOTH_WEIGHT / 3), 3)
+    masses = np.bincount(corners.ravel(), thirds, network.count)
+    # Faces without area leave some particles none.
+    least = LEAST_SHARE * float(masses.max(initial=0.0))
+    return np.maximum(masses, least if least > 0 else 1.0)
+
+
+def _springs(
+    network: Network, settings: Settings, masses: FloatArray, inverse: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """Return ends ``(S, 2)`` and numbers ``(S, 4)`` of springs, as kernels take."""
+    ends, numbers = [], []
+    for links, pull in (
+        (network.stiff, STIFF),
+        (network.shears, settings.shear),
+        (network.folds, settings.bend),
+    ):
+        i, j = links.ends.T
+        kept = (inverse[i] + inverse[j] > 0) & (pull > 0)
+        ends.append(links.ends[kept])
+        stiffness = pull**2 * (masses[i] + masses[j])[kept] / 2
+        row = np.zeros((len(stiffness), 4))
+        row[:, 0], row[:, 1], row[:, 3] = links.rests[kept], stiffness, np.inf
+        numbers.append(row)
+    every = np.concatenate(ends)
+    low, high = np.sort(every, axis=1).T
+    order = np.lexsort((high, low))
+    return np.ascontiguousarray(every[order]), np.concatenate(numbers)[order]

@@ -7,9 +7,7 @@ from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
-
 from animtool.errors import Fault, OptionError
-
 from animtool.passes import Pass, PassContext, Scope, TakePart
 from animtool.sim.attach.bodies import Body, SurfaceBody, bodies_of
 from animtool.sim.attach.report import notices_of

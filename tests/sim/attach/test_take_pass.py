@@ -229,7 +229,10 @@ def test_a_way_into_the_first_frame() -> None:
     drag = {"drag": 1.0, "frequency": 0.0, "settle": 0.0}
     steady, _ = simulated(take, preroll=8.0, lead="extrapolate", **drag)
     standing, _ = simulated(take, preroll=8.0, **drag)
-    own = [moved(one)[..., 2] - 3.0 * np.arange(13)[:, None] / 24 for one in (steady, standing)]
+    own = [
+        moved(one)[..., 2] - 3.0 * np.arange(13)[:, None] / 24
+        for one in (steady, standing)
+    ]
     assert np.abs(own[0] - own[0][0]).max() < 2e-3
     assert np.abs(own[1] - own[1][0]).max() > 2e-2
     # At constant speed drag is a wind from the front.
