@@ -252,19 +252,18 @@ class Motion:
 
     def map(self, function: Callable[[Channel], Channel]) -> Motion:
         """Return the motion with a function applied to each channel it has."""
+
+        def mapped(channel: Channel | None) -> Channel | None:
+            return None if channel is None else function(channel)
+
         return Motion(
             function(self.translations),
             function(self.rotations),
-            *(
-                None if channel is None else function(channel)
-                for channel in (
-                    self.scales,
-                    self.weights,
-                    self.controls,
-                    self.track_times,
-                )
-            ),
-            points={name: function(one) for name, one in self.points.items()},
+            mapped(self.scales),
+            mapped(self.weights),
+            mapped(self.controls),
+            mapped(self.track_times),
+            {name: function(one) for name, one in self.points.items()},
         )
 
     @staticmethod

@@ -98,16 +98,16 @@ def evaluate_reduction(reduction: Reduction, frames: ArrayLike | None = None) ->
     at = np.asarray(
         np.arange(reduction.clock.count) if frames is None else frames, np.float64
     )
+
+    def held(kind: ChannelKind, rest: FloatArray | None) -> Channel | None:
+        return None if rest is None else _channel(reduction, kind, rest, at)
+
+    rest = reduction.rest
     return Motion(
-        _channel(reduction, ChannelKind.TRANSLATION, reduction.rest.translations, at),
-        _channel(reduction, ChannelKind.ROTATION, reduction.rest.rotations, at),
-        *(
-            None if rest is None else _channel(reduction, kind, rest, at)
-            for kind, rest in (
-                (ChannelKind.SCALE, reduction.rest.scales),
-                (ChannelKind.WEIGHT, reduction.rest.weights),
-            )
-        ),
+        _channel(reduction, ChannelKind.TRANSLATION, rest.translations, at),
+        _channel(reduction, ChannelKind.ROTATION, rest.rotations, at),
+        held(ChannelKind.SCALE, rest.scales),
+        held(ChannelKind.WEIGHT, rest.weights),
     )
 
 

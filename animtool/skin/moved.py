@@ -74,8 +74,9 @@ def vertex_normals(surface: Surface, points: FloatArray) -> FloatArray:
     a, b, c = (points[:, corners[:, k]] for k in range(3))
     areas = np.cross(b - a, c - a)
     sums = np.zeros_like(points)
+    by_vertex = np.moveaxis(sums, 1, 0)
     for k in range(3):
-        np.add.at(sums, (slice(None), corners[:, k]), areas)
+        np.add.at(by_vertex, corners[:, k], np.moveaxis(areas, 1, 0))
     length = np.linalg.norm(sums, axis=-1, keepdims=True)
     return np.asarray(sums / np.where(length > 0, length, 1.0))
 

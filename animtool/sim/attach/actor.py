@@ -33,7 +33,7 @@ MOST_KNOTS = 8
 
 def upwards(rig: Rig) -> FloatArray:
     """Return the direction away from the ground ``(3,)``."""
-    return np.eye(3)[{UpAxis.Y: 1, UpAxis.Z: 2}[rig.up]]
+    return np.asarray(np.eye(3)[{UpAxis.Y: 1, UpAxis.Z: 2}[rig.up]])
 
 
 @dataclass

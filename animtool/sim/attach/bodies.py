@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol
 
 import numpy as np
 
@@ -32,7 +31,8 @@ from animtool.skin.deform import deform
 __all__ = ["Body", "ChainBody", "SurfaceBody", "bodies_of", "check_names"]
 
 
-class Body(Protocol):
+@dataclass(frozen=True, slots=True, eq=False)
+class Body:
     """An attachment as particles.
 
     Attributes:
@@ -49,11 +49,11 @@ class Body(Protocol):
 
     def targets(self, way: Way) -> FloatArray:
         """Return where the animation has the particles ``(K, N, 3)`` [m], world."""
-        ...
+        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ChainBody:
+class ChainBody(Body):
     """A chain of joints: its first origin is held, the end of each bone swings.
 
     Attributes:
@@ -61,10 +61,6 @@ class ChainBody:
         tip: End of the last bone, in the frame of its joint ``(3,)`` [m].
     """
 
-    name: str
-    kind: str
-    network: Network
-    carrier: int
     joints: IntArray
     tip: FloatArray
 
@@ -77,17 +73,13 @@ class ChainBody:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SurfaceBody:
+class SurfaceBody(Body):
     """Cloth or strands: points that follow the skin until they are moved.
 
     Attributes:
         mesh: What moves them; it has the name that the points have in a motion.
     """
 
-    name: str
-    kind: str
-    network: Network
-    carrier: int
     mesh: CharacterMesh
 
     def targets(self, way: Way) -> FloatArray:

@@ -72,17 +72,25 @@ class Network:
         triangles: IntArray = NO_TRIANGLES,
     ) -> Network:
         """Return a network that is at rest at points ``(N, 3)`` [m]."""
-        links = (Links.of(points, ends) for ends in (stiff, shears, folds))
-        return Network(points, np.unique(held).astype(np.int64), *links, triangles)
+        return Network(
+            points,
+            np.unique(held).astype(np.int64),
+            Links.of(points, stiff),
+            Links.of(points, shears),
+            Links.of(points, folds),
+            triangles,
+        )
 
     def scaled(self, scale: float) -> Network:
         """Return the network of another size."""
         points = self.points * scale
-        links = {
-            name: Links.of(points, getattr(self, name).ends)
-            for name in ("stiff", "shears", "folds")
-        }
-        return replace(self, points=points, **links)
+        return replace(
+            self,
+            points=points,
+            stiff=Links.of(points, self.stiff.ends),
+            shears=Links.of(points, self.shears.ends),
+            folds=Links.of(points, self.folds.ends),
+        )
 
     @property
     def count(self) -> int:

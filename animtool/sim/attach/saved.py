@@ -6,10 +6,10 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError, OptionError
 from animtool.output import output_error, replacing
 from animtool.sim.attach.stepping import State
@@ -40,8 +40,9 @@ def write_states(path: Path, saved: list[Saved]) -> None:
     Raises:
         OutputError: It cannot be written.
     """
-    arrays: dict[str, FloatArray] = {
-        "frames": np.array([one.frame for one in saved], np.float64)
+    arrays: dict[str, Any] = {
+        "format": np.array(FORMAT),
+        "frames": np.array([one.frame for one in saved], np.float64),
     }
     for i, one in enumerate(saved):
         for name, state in one.states.items():
@@ -50,7 +51,7 @@ def write_states(path: Path, saved: list[Saved]) -> None:
             arrays[f"{i}/{name}/steps"] = np.array(float(one.steps[name]))
     try:
         with replacing(path) as temporary, temporary.open("wb") as file:
-            np.savez(file, format=np.array(FORMAT), **arrays)
+            np.savez(file, **arrays)
     except OSError as error:
         raise output_error(path, error) from error
 

@@ -23,8 +23,8 @@ __all__ = ["Lead", "Settings", "SimulateOptions", "option_checks", "settings_for
 # How fast each kind swings back to its animated pose, unless the scene says it [Hz].
 _FREQUENCIES = {AttachKind.SPRING_CHAIN: 2.0, AttachKind.STRANDS: 2.0}
 # How much longer springs may become, likewise [1]: many particles in a line cost many
-# steps, and of hair nobody sees it.
-_STRETCHES = {AttachKind.STRANDS: 0.05}
+# steps, and of cloth and hair nobody sees it.
+_STRETCHES = {AttachKind.STRANDS: 0.05, AttachKind.CLOTH: 0.05}
 STRETCH = 0.01
 # Of folds, likewise [Hz].
 _BENDS = {AttachKind.CLOTH: 2.0, AttachKind.STRANDS: 2.0}
@@ -52,8 +52,8 @@ class SimulateOptions:
         damping: Of that, 1 comes back without swinging over [1].
         bend: How fast folds of cloth and bends of strands spring back [Hz]. None is 2.
         shear: How fast cloth that is drawn askew springs back [Hz].
-        stretch: How much longer than at rest springs may become [1]. None is 0.05 for
-            strands, and 0.01 for others.
+        stretch: How much longer than at rest springs may become [1]. None is 0.01 for
+            chains, and 0.05 for others.
         gravity: Downwards along the rig's up axis [m/s²]. 0 leaves a still character's
             attachments where they are.
         drag: How fast the air takes speed [1/s]; of cloth, the coefficient of drag of

@@ -178,7 +178,7 @@ def jump(t: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("options", [{}, {"teleport_speed": 0.0, "teleports": (14.0,)}])
 def test_a_jump_carries_what_is_attached(rig_take: Take, options: dict) -> None:
     take = take_of(rig_take.rig, 24, 1.5, jump)
-    found, codes = simulated(take, settle=0.2, **options)
+    found, codes = simulated(take, settle=0.2, rate=2000.0, **options)
     assert codes == ["SIM130"]
     places = moved(found)
     own = moved(found) - found.world().positions[:, :1]
