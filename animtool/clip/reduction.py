@@ -99,7 +99,7 @@ def evaluate_reduction(reduction: Reduction, frames: ArrayLike | None = None) ->
         np.arange(reduction.clock.count) if frames is None else frames, np.float64
     )
 
-    def held(kind: ChannelKind, rest: FloatArray | None) -> Channel | None:
+    def held(kind: ChannelKind, rest: Channel | None) -> Channel | None:
         return None if rest is None else _channel(reduction, kind, rest, at)
 
     rest = reduction.rest
