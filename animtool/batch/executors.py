@@ -9,7 +9,7 @@ from typing import TypeAlias, cast
 from animtool.batch.limits import Limits
 from animtool.batch.outcome import Outcome
 from animtool.batch.pool import run_processes
-from animtool.batch.recipe import Item
+from animtool.batch.recipe import Item, Recipe
 from animtool.batch.work import Maker
 from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError, excerpt
@@ -65,14 +65,22 @@ class Executor:
     Attributes:
         about: How it makes items, one line.
         run: ``module:object`` of a function from `Work` to outcomes.
+        ready: ``module:object`` of a function from a `Recipe` that begins, and does
+            not wait for, what takes long before the first item; empty is nothing.
     """
 
     about: str
     run: str
+    ready: str = ""
 
     def load(self) -> Run:
         """Return the function that makes items."""
         return cast(Run, load_object(self.run))
+
+    def get_ready(self, recipe: Recipe) -> None:
+        """Begin what takes long before the first item, of a batch that has some."""
+        if self.ready:
+            cast(Callable[[Recipe], None], load_object(self.ready))(recipe)
 
 
 EXECUTORS = {
@@ -81,7 +89,9 @@ EXECUTORS = {
         "animtool.batch.cluster:dask",
     ),
     "processes": Executor(
-        "several processes on this machine", "animtool.batch.executors:processes"
+        "several processes on this machine",
+        "animtool.batch.executors:processes",
+        "animtool.batch.pool:warm_up",
     ),
     "serial": Executor(
         "one after another, in animtool's own process",

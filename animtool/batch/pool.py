@@ -21,14 +21,15 @@ from pathlib import Path
 from typing import Any, cast
 
 from animtool.batch.limits import Limits, bytes_text
+from animtool.batch.needs import needed_modules
 from animtool.batch.outcome import Outcome, Status
-from animtool.batch.recipe import Item
+from animtool.batch.recipe import Item, Recipe
 from animtool.batch.work import Maker
 from animtool.batch.worker import READY, serve
 from animtool.errors import Fault
 from animtool.output import remove_leftovers
 
-__all__ = ["run_processes"]
+__all__ = ["run_processes", "warm_up"]
 
 # One thread each: as many processes run as there are processors.
 ENVIRONMENT = {
@@ -46,7 +47,6 @@ ENVIRONMENT = {
     # The folder that a batch is run in may hold a package of any name.
     "PYTHONSAFEPATH": "1",
 }
-WARM = "animtool.batch.warm"
 # How often the memory of a process that has a limit is looked at [s].
 GLANCE = 0.05
 # Processes that end in a row before they can take an item: then none can.
@@ -102,18 +102,22 @@ class _Pool:
 
     Attributes:
         maker: What makes items.
+        items: What is to be made.
         limits: What each may take.
+        left: Whether there may be more items.
         workers: Those that live.
         stillborn: How many in a row ended before they could take an item.
     """
 
     maker: Maker
+    items: Iterator[Item]
     limits: Limits
+    left: bool = True
     workers: list[_Worker] = field(default_factory=list)
     stillborn: int = 0
 
     def start(self) -> None:
-        context = _context()
+        context = _context(self.maker.recipe)
         here, there = context.Pipe()
         arguments = (there, self.maker, self.limits.memory)
         process = context.Process(target=serve, args=arguments, daemon=True)
@@ -121,6 +125,14 @@ class _Pool:
             process.start()
         there.close()
         self.workers.append(_Worker(process, here))
+
+    def feed(self, worker: _Worker) -> None:
+        """Give a process an item, if it waits for one and there is one."""
+        if self.left and worker.waits_for_item():
+            item = next(self.items, None)
+            self.left = item is not None
+            if item is not None:
+                worker.give(item)
 
     def outcomes(self) -> Iterator[Outcome]:
         """Wait until something happens; yield what became of items."""
@@ -142,11 +154,7 @@ class _Pool:
         if sent == READY:
             worker.ready, self.stillborn = True, 0
         elif isinstance(sent, Outcome):
-            worker.item = None
-            yield sent
-            if sent.worn or self._swollen(worker):
-                self.workers.remove(worker)
-                worker.end(kill=False)
+            yield from self._ended(worker, sent)
         elif not worker.ready:
             self.workers.remove(worker)
             worker.end(kill=True)
@@ -165,6 +173,17 @@ class _Pool:
             if self.limits.memory is not None:
                 hint = hint and "its limit of memory may be too small"
             yield self._lost(worker, Fault("BAT020", message, hint=hint))
+
+    def _ended(self, worker: _Worker, outcome: Outcome) -> Iterator[Outcome]:
+        worker.item = None
+        worn = outcome.worn or self._swollen(worker)
+        # One that fails may be the last that is begun: that is known when it is heard.
+        if outcome.status is Status.DONE and not worn:
+            self.feed(worker)
+        yield outcome
+        if worn:
+            self.workers.remove(worker)
+            worker.end(kill=False)
 
     def _beyond(self, worker: _Worker) -> Fault | None:
         """Return by what an item exceeds its limits."""
@@ -223,6 +242,17 @@ class _Pool:
                 worker.end(kill=False)
 
 
+def warm_up(recipe: Recipe) -> None:
+    """Begin to import what processes need, beside what this one does meanwhile."""
+    context = _context(recipe)
+    if isinstance(context, SpawnContext):
+        return
+    from multiprocessing.forkserver import ensure_running
+
+    with _environment():
+        ensure_running()
+
+
 def run_processes(
     maker: Maker, items: Iterator[Item], limits: Limits, jobs: int
 ) -> Iterator[Outcome]:
@@ -239,19 +269,14 @@ def run_processes(
     Raises:
         RuntimeError: Processes cannot be started.
     """
-    pool, left = _Pool(maker, limits), True
-    well = False
+    pool, well = _Pool(maker, items, limits), False
     try:
         while True:
-            while left and len(pool.workers) < jobs:
+            while pool.left and len(pool.workers) < jobs:
                 pool.start()
             for worker in pool.workers:
-                if left and worker.waits_for_item():
-                    item = next(items, None)
-                    left = item is not None
-                    if item is not None:
-                        worker.give(item)
-            if not left and not any(worker.item for worker in pool.workers):
+                pool.feed(worker)
+            if not pool.left and not any(worker.item for worker in pool.workers):
                 break
             yield from pool.outcomes()
         well = True
@@ -259,12 +284,16 @@ def run_processes(
         pool.end(kill=not well)
 
 
-def _context() -> ForkServerContext | SpawnContext:
-    """Return how processes are started: forked from a warm one where that is sound."""
+def _context(recipe: Recipe) -> ForkServerContext | SpawnContext:
+    """Return how processes are started: forked from a warm one where that is sound.
+
+    Where it is warm already, by another batch of this very process, they import the
+    rest themselves.
+    """
     if sys.platform != "linux":
         return get_context("spawn")
     context = get_context("forkserver")
-    context.set_forkserver_preload([WARM])
+    context.set_forkserver_preload(needed_modules(recipe))
     return context
 
 

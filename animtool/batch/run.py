@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from animtool.batch.check import check_overwrites, check_places
 from animtool.batch.discover import Batch, find_batch
-from animtool.batch.executors import Work, find_executor
+from animtool.batch.executors import Executor, Work, find_executor
 from animtool.batch.ledger import Ledger, held_ledger, read_history
 from animtool.batch.outcome import Outcome, Status
 from animtool.batch.places import named_from, place_of
@@ -146,14 +146,18 @@ class _Run:
     def plan(self, items: Sequence[Item]) -> None:
         """Decide what is to be made, and check that it may be."""
         retried = set(self.ledger.history.failed)
+        due: list[Item] = []
         for decision in self.planner.decisions(items):
             item = decision.item
             if self.options.retry_failed and self.planner.key(item) not in retried:
                 continue
             self.decisions[item.number] = decision
+            if decision.due:
+                if not due:
+                    self._executor()[0].get_ready(self.batch.recipe)
+                due.append(item)
             if decision.refreshed is not None:
                 self.ledger.made(decision.refreshed)
-        due = [d.item for d in self.decisions.values() if d.due]
         self._tidy(due)
         if not self.options.overwrite:
             known = self.ledger.history.made.known
@@ -163,6 +167,11 @@ class _Run:
                 lambda path: named_from(path, self.batch.root) in known,
             )
         self.listener.planned(len(due), len(self.decisions))
+
+    def _executor(self) -> tuple[Executor, str]:
+        """Return what makes items, and what that is told."""
+        name, _, argument = self.options.executor.partition("=")
+        return find_executor(name), argument
 
     def _tidy(self, due: Sequence[Item]) -> None:
         """Remove what killed runs began to write."""
@@ -175,8 +184,8 @@ class _Run:
         due = [d.item for d in self.decisions.values() if d.due]
         if not due:
             return
-        name, _, argument = self.options.executor.partition("=")
-        execute = find_executor(name).load()
+        executor, argument = self._executor()
+        execute = executor.load()
         maker = Maker(self.batch.recipe, self.batch.root)
         asked = self.options.jobs or self.batch.jobs
         jobs = min(asked or _processors(), len(due))

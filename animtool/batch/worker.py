@@ -10,6 +10,7 @@ import threading
 from multiprocessing import parent_process
 from multiprocessing.connection import Connection, wait
 
+from animtool.batch.needs import import_needed
 from animtool.batch.work import Maker
 
 __all__ = ["READY", "serve"]
@@ -32,7 +33,7 @@ def serve(connection: Connection, maker: Maker, memory: int | None) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     # What is imported before the first item takes none of its time.
-    import animtool.batch.warm  # noqa: F401
+    import_needed(maker.recipe)
     from animtool.usd.layers import compute_alone
 
     compute_alone()
