@@ -29,7 +29,7 @@ def check_places(batch: Batch) -> None:
     inputs |= {place(path) for path in batch.given}
     faults = list(_clashes(batch, place, inputs))
     _refuse(faults, OptionError)
-    folders = dict.fromkeys(item.output.parent for item in batch.items)
+    folders = dict.fromkeys(folder for item in batch.items for folder in item.folders)
     _refuse(list(_closed(folders)), OutputError)
 
 
@@ -38,6 +38,7 @@ def _clashes(
 ) -> Iterator[Fault]:
     taken: dict[str, Item] = {}
     for item in batch.items:
+        own: set[str] = set()
         for path in batch.outputs(item):
             where = place(path)
             if where in inputs:
@@ -50,6 +51,10 @@ def _clashes(
                 message = f"would be written for both {sources}"
                 hint = "{parent} in -o keeps the folders of inputs apart"
                 yield Fault("BAT006", message, str(path), (), hint)
+            elif name in own:
+                message = f"would be written twice for {item.found.path}"
+                yield Fault("BAT006", message, str(path))
+            own.add(name)
 
 
 def _closed(folders: Iterable[Path]) -> Iterator[Fault]:

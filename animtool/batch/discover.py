@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -70,6 +70,8 @@ class Batch:
 
     def outputs(self, item: Item) -> list[Path]:
         """Return the files that an item writes."""
+        if item.files:
+            return list(item.files)
         source = item.found.path if self.sample is None else self.sample
         if self.sample is None and is_scene(item.found.path):
             source = self.recipe.source(item)
@@ -83,7 +85,8 @@ def find_batch(spec: BatchSpec) -> Batch:
         FormatError: A scene or a timeline is malformed.
         NothingFoundError: There is no input (BAT005).
         OptionError: The output has a name that there is none of (BAT004), or a
-            variable that nothing uses is given (SCN031).
+            variable that nothing uses is given (SCN031), or both the batch and its
+            scene name outputs (SCN044).
     """
     _check_pattern(spec)
     cuts = _cuts(spec)
@@ -95,6 +98,8 @@ def find_batch(spec: BatchSpec) -> Batch:
     if spec.scene is not None:
         first = shots[0]
         sample = recipe.source(Item(1, first.found, first.found.path, first.names))
+        if spec.output is not None:
+            recipe.refuse_several(sample)
     _check_variables(spec, recipe, sample)
     items = tuple(_items(spec, recipe, shots, sample))
     options = spec.options
@@ -164,8 +169,7 @@ def _items(
             beside = spec.cuts.with_name(f"{shot.names['shot']}.usdc")
         item = Item(number, file, beside, shot.names)
         if named_by_scene or (spec.scene is None and is_scene(file.path)):
-            own = getattr(recipe.source(item), "output", None)
-            item = replace(item, output=own or beside)
+            item = recipe.named(item)
         yield item
 
 

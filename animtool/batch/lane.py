@@ -95,7 +95,9 @@ def main() -> None:
     with os.fdopen(os.dup(1), "wb") as results:
         os.dup2(2, 1)
         task: Task = pickle.load(sys.stdin.buffer)
-        for outcome in run_processes(task.maker, _items(), task.limits, 1):
+        # Whoever sends an item waits for what became of it before it sends the next.
+        outcomes = run_processes(task.maker, _items(), task.limits, 1, ahead=False)
+        for outcome in outcomes:
             pickle.dump(outcome, results)
             results.flush()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import cached_property
 
 from animtool.batch.discover import Batch
 from animtool.batch.ledger import History
@@ -80,7 +81,6 @@ class Planner:
         """
         self._batch, self._history, self._now = batch, history, now
         self._verify, self._force = verify, force
-        self._versions = digest_of(made_by())
         self._states: dict[str, FileState | None] = {}
         self._digests: dict[str, str] = {}
 
@@ -92,10 +92,10 @@ class Planner:
         """Return a digest of everything but files that decides how an item is made."""
         return digest_of(self._batch.recipe.described(item, self._batch.root))
 
-    @property
+    @cached_property
     def versions(self) -> str:
         """Digest of the versions of what makes items."""
-        return self._versions
+        return digest_of(made_by())
 
     def decisions(self, items: Sequence[Item]) -> Iterator[Decision]:
         """Yield what becomes of each item, in order."""
@@ -121,7 +121,7 @@ class Planner:
     def _compared(self, item: Item, record: ItemRecord) -> Decision:
         if record.how != self.how(item):
             return Decision(item, Reason.OPTIONS)
-        if record.versions != self._versions:
+        if record.versions != self.versions:
             return Decision(item, Reason.VERSION)
         inputs: list[FileRecord] = []
         outputs: list[FileRecord] = []

@@ -104,6 +104,7 @@ class _Pool:
         maker: What makes items.
         items: What is to be made.
         limits: What each may take.
+        ahead: Whether the next item is begun before it is told how the last ended.
         left: Whether there may be more items.
         workers: Those that live.
         stillborn: How many in a row ended before they could take an item.
@@ -112,6 +113,7 @@ class _Pool:
     maker: Maker
     items: Iterator[Item]
     limits: Limits
+    ahead: bool
     left: bool = True
     workers: list[_Worker] = field(default_factory=list)
     stillborn: int = 0
@@ -178,7 +180,7 @@ class _Pool:
         worker.item = None
         worn = outcome.worn or self._swollen(worker)
         # One that fails may be the last that is begun: that is known when it is heard.
-        if outcome.status is Status.DONE and not worn:
+        if self.ahead and outcome.status is Status.DONE and not worn:
             self.feed(worker)
         yield outcome
         if worn:
@@ -213,8 +215,8 @@ class _Pool:
         self.workers.remove(worker)
         worker.end(kill=True)
         if worker.item is not None:
-            folder = worker.item.output.resolve().parent
-            remove_leftovers([folder], worker.process.pid)
+            folders = [folder.resolve() for folder in worker.item.folders]
+            remove_leftovers(folders, worker.process.pid)
 
     def _swollen(self, worker: _Worker) -> bool:
         """Return whether what items left behind takes half of what one may have."""
@@ -254,7 +256,12 @@ def warm_up(recipe: Recipe) -> None:
 
 
 def run_processes(
-    maker: Maker, items: Iterator[Item], limits: Limits, jobs: int
+    maker: Maker,
+    items: Iterator[Item],
+    limits: Limits,
+    jobs: int,
+    *,
+    ahead: bool = True,
 ) -> Iterator[Outcome]:
     """Yield what becomes of items, as each ends, made by several processes.
 
@@ -265,11 +272,13 @@ def run_processes(
         items: What is to be made.
         limits: What each may take.
         jobs: How many processes.
+        ahead: Begin the next item before it is told how the last ended; not where items
+            come only then.
 
     Raises:
         RuntimeError: Processes cannot be started.
     """
-    pool, well = _Pool(maker, items, limits), False
+    pool, well = _Pool(maker, items, limits, ahead), False
     try:
         while True:
             while pool.left and len(pool.workers) < jobs:

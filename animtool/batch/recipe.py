@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from animtool.batch.names import input_names
 from animtool.batch.places import named_from
@@ -16,27 +16,36 @@ from animtool.scene.options import BakeOptions
 from animtool.scene.sources import fitting_options, is_scene
 
 if TYPE_CHECKING:
+    from animtool.scene.outputs import OutputReport
     from animtool.scene.reading import Source
-    from animtool.scene.report import BakeReport
+    from animtool.scene.scene import Scene
 
 __all__ = ["Item", "Recipe"]
 
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One file to make.
+    """What is made of one file.
 
     Attributes:
         number: Its place among those of the batch, from 1.
         found: What it is made of.
-        output: The file to write.
+        output: The file to write; of several the first.
         names: What names stand for in its scene, beside those of its input.
+        files: Every file to write, where its scene names several outputs, or one that
+            is no USD; empty where they follow from ``output``.
     """
 
     number: int
     found: FoundFile
     output: Path
     names: Mapping[str, str] = field(default_factory=dict)
+    files: tuple[Path, ...] = ()
+
+    @property
+    def folders(self) -> list[Path]:
+        """The folders that it writes to."""
+        return [*dict.fromkeys(path.parent for path in (self.output, *self.files))]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,31 +78,67 @@ class Recipe:
 
         Raises:
             FormatError: The scene is malformed.
-            OptionError: It has other outputs than one USD file (SCN044).
         """
         path = item.found.path if self.scene is None else self.scene
         if not is_scene(path):
             return path
         from animtool.scene.file import load_scene
+
+        return load_scene(path, self.names(item))
+
+    def named(self, item: Item) -> Item:
+        """Return an item with the outputs that its scene names, if it names some.
+
+        Raises:
+            FormatError: The scene is malformed.
+            OptionError: One of several outputs names no file (DOC021).
+        """
+        scene = self.source(item)
+        own = getattr(scene, "output", None)
+        files: Sequence[Path] = ()
+        if self._is_several(scene):
+            from animtool.scene.outputs import scene_files
+
+            files = scene_files(cast("Scene", scene), self._options(item.found.path))
+        return replace(item, output=own or item.output, files=tuple(files))
+
+    def refuse_several(self, source: Source) -> None:
+        """Refuse a scene that names its outputs, where a pattern names them too.
+
+        Raises:
+            OptionError: It has other outputs than one USD file (SCN044).
+        """
+        if self._is_several(source):
+            message = "the scene names its outputs, and the batch names one"
+            hint = "leave out the batch's output (-o), and use ${stem} in the scene's"
+            place = cast("Scene", source).outputs[-1].place
+            raise OptionError(place.fault("SCN044", message, hint))
+
+    @staticmethod
+    def _is_several(source: Source) -> bool:
+        if isinstance(source, Path | str):
+            return False
         from animtool.scene.outputs import is_several
 
-        scene = load_scene(path, self.names(item))
-        if is_several(scene):
-            message = "a batch writes one USD file for each item"
-            hint = "write a scene for each output, or animtool bake the scene"
-            place = scene.outputs[-1].place
-            raise OptionError(place.fault("SCN044", message, hint))
-        return scene
+        return is_several(source)
 
-    def bake(self, item: Item) -> BakeReport:
-        """Make an item; what its output was before is replaced.
+    def bake(self, item: Item) -> list[OutputReport]:
+        """Make an item, and return what became of each of its outputs.
+
+        What they were before is replaced.
 
         Raises:
             AnimtoolError: As `animtool.bake`.
         """
+        source, options = self.source(item), self._options(item.found.path)
+        if item.files:
+            from animtool.scene.outputs import bake_scene
+
+            return bake_scene(cast("Scene", source), options)
+        self.refuse_several(source)
         from animtool.scene.bake import bake
 
-        return bake(self.source(item), item.output, self._options(item.found.path))
+        return [bake(source, item.output, options)]
 
     def outputs(self, item: Item, source: Source) -> list[Path]:
         """Return the files that a bake writes.
@@ -102,6 +147,8 @@ class Recipe:
             item: What is made.
             source: What it, or one like it, is baked from.
         """
+        if item.files:
+            return list(item.files)
         from animtool.scene.files import bake_outputs
 
         return bake_outputs([source], item.output, self._options(item.found.path))

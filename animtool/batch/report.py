@@ -69,10 +69,12 @@ class ItemReport:
 
     def as_dict(self) -> dict[str, object]:
         """Return it as plain values."""
+        files = self.item.files
         found: dict[str, object] = {
             "item": self.item.number,
             "input": str(self.item.found.path),
             "output": str(self.item.output),
+            **({"outputs": [str(path) for path in files]} if files else {}),
             "status": str(self.status),
             "reason": str(self.reason),
         }

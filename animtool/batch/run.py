@@ -175,7 +175,7 @@ class _Run:
 
     def _tidy(self, due: Sequence[Item]) -> None:
         """Remove what killed runs began to write."""
-        folders = dict.fromkeys(item.output.parent for item in due)
+        folders = dict.fromkeys(folder for item in due for folder in item.folders)
         folders[self.batch.records] = None
         remove_leftovers(folder.resolve() for folder in folders)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,7 +18,7 @@ from animtool.inputs import FileState, Inputs, note_input, recorded_inputs
 from animtool.output import output_error
 
 if TYPE_CHECKING:
-    from animtool.scene.report import BakeReport
+    from animtool.scene.outputs import OutputReport
 
 __all__ = ["Maker"]
 
@@ -65,20 +66,22 @@ class Maker:
     def _made(self, item: Item, began: float) -> Outcome:
         with recorded_inputs() as inputs:
             note_input(item.found.path)
-            try:
-                item.output.parent.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise output_error(item.output, error) from error
-            report = self.recipe.bake(item)
-        outputs = tuple(self._output(path) for path in report.result.outputs)
+            for folder in item.folders:
+                try:
+                    folder.mkdir(parents=True, exist_ok=True)
+                except OSError as error:
+                    raise output_error(folder, error) from error
+            reports = self.recipe.bake(item)
+        paths = dict.fromkeys(path for report in reports for path in report.files)
+        outputs = tuple(self._output(path) for path in paths)
         at = max(file.state.changed for file in outputs if file.state is not None)
         return Outcome(
             item.number,
             Status.DONE,
             time.perf_counter() - began,
             (),
-            tuple(report.notices),
-            _measured(report),
+            tuple(dict.fromkeys(n for report in reports for n in report.notices)),
+            _measured(reports),
             self._inputs(inputs, at),
             outputs,
             at,
@@ -104,11 +107,23 @@ class Maker:
         return record_of(path, named_from(path, self.root), FileState.of(path))
 
 
-def _measured(report: BakeReport) -> Measured:
-    worst = report.worst
-    return Measured(
-        report.result.samples, worst.written.rounding.error, worst.error_joint
-    )
+def _measured(reports: Sequence[OutputReport]) -> Measured:
+    """Return what was measured of all outputs: every sample, the largest error."""
+    found = [_one_measured(report) for report in reports]
+    worst = max(found, key=lambda one: one.error)
+    return Measured(sum(one.samples for one in found), worst.error, worst.joint)
+
+
+def _one_measured(report: OutputReport) -> Measured:
+    from animtool.scene.report import BakeReport
+
+    if isinstance(report, BakeReport):
+        worst = report.worst
+        error = worst.written.rounding.error
+        return Measured(report.result.samples, error, worst.error_joint)
+    if report.reduction is None:
+        return Measured(report.frames, 0.0, "")
+    return Measured(report.frames, report.reduction.error, report.reduction.joint)
 
 
 def _named(item: Item) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -42,6 +42,7 @@ class ConvertReport:
         joints: Joints written.
         notices: Warnings and notes.
         reduction: What became of the samples, where keys were written.
+        files: Every file written, ``output`` last.
     """
 
     output: Path
@@ -49,6 +50,7 @@ class ConvertReport:
     joints: int
     notices: list[Fault]
     reduction: Reduction | None = None
+    files: list[Path] = field(default_factory=list)
 
 
 def convert(
@@ -122,7 +124,9 @@ def convert(
     notices = stream.notices + text.notices
     refuse_warnings(notices, strict=strict)
     _write(output, text.parts)
-    return ConvertReport(output, take.clock.count, len(take.rig.joints), notices)
+    return ConvertReport(
+        output, take.clock.count, len(take.rig.joints), notices, files=[output]
+    )
 
 
 def convert_outputs(output: Path, rig_file: Path | None = None) -> list[Path]:
@@ -227,8 +231,10 @@ def _to_clip(
         _write(rig_path, [rig_text(rig).encode()])
     text = clip_text(made.clip, rig, seen_from(rig_path, output.parent))
     _write(output, [text.encode()])
+    files = [arrays_path] if arrays else []
+    files += [output] if keys.rig_file is not None else [rig_path, output]
     return ConvertReport(
-        output, take.clock.count, len(rig.joints), stream.notices, made.reduction
+        output, take.clock.count, len(rig.joints), stream.notices, made.reduction, files
     )
 
 
@@ -288,4 +294,10 @@ def _to_usd(
         source=options or SourceOptions(), overwrite=overwrite, strict=strict
     )
     report = bake(source, output, settings, progress=progress, opener=opener)
-    return ConvertReport(output, report.result.samples, report.joints, report.notices)
+    return ConvertReport(
+        output,
+        report.result.samples,
+        report.joints,
+        report.notices,
+        files=report.files,
+    )

@@ -103,6 +103,11 @@ class BakeReport:
         return max(self.takes, key=lambda take: take.written.rounding.error)
 
     @property
+    def files(self) -> list[Path]:
+        """Every file written, the one that was asked for last."""
+        return self.result.outputs
+
+    @property
     def source_bytes(self) -> int:
         """Size of all sources."""
         return sum(take.source_bytes for take in self.takes)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from support.batch import take_files
 
+from animtool.batch.check import check_places
 from animtool.batch.discover import find_batch
 from animtool.batch.spec import BatchSpec
 from animtool.errors import FormatError, NothingFoundError, OptionError
@@ -80,12 +82,29 @@ def test_a_folder_is_searched_for_no_usd(takes: Path) -> None:
     assert made(takes, "takes/*.usdc", output="out/{stem}.usdc")
 
 
-def test_a_scene_of_several_outputs_is_refused(takes: Path) -> None:
+def test_a_scene_names_several_outputs_of_each_item(takes: Path) -> None:
+    scene = takes / "t.scene.yaml"
+    scene.write_text(f"{SCENE}output: [{{file: \"a/${{stem}}.usda\"}}, {{file: b.bvh}}]\n")
+    spec = BatchSpec(("takes/take000.bvh",), takes, scene=scene)
+    (item,) = find_batch(spec).items
+    names = [takes / "a/take000.usda", takes / "b.bvh"]
+    assert (item.output, [*item.files]) == (names[0], names)
+    assert item.folders == [takes / "a", takes]
+    # The second would be one file of all items.
+    with pytest.raises(OptionError) as caught:
+        check_places(find_batch(replace(spec, inputs=("takes",))))
+    assert caught.value.code == "BAT006"
+    scene.write_text(f"{SCENE}output: [{{file: a.usda}}, {{file: A.usda}}]\n")
+    with pytest.raises(OptionError, match="twice"):
+        check_places(find_batch(spec))
+
+
+def test_an_output_beside_those_of_a_scene_is_refused(takes: Path) -> None:
     scene = takes / "t.scene.yaml"
     for output in ("[{file: a.usda}, {file: b.bvh}]", "{file: b.clip.yaml}"):
         scene.write_text(f"{SCENE}output: {output}\n")
         with pytest.raises(OptionError) as caught:
-            made(takes, "takes", scene=scene)
+            made(takes, "takes", scene=scene, output="out/{stem}.usdc")
         assert (caught.value.code, caught.value.faults[0].path) == (
             "SCN044",
             str(scene),

@@ -155,3 +155,61 @@ def test_a_rig_layer_that_changes_is_read_anew(workplace: Path) -> None:
     report = run_batch(spec, SERIAL)
     assert [str(entry.reason) for entry in report.items] == ["input changed"]
     assert report.items[0].detail == "../walker.rig.usda"
+
+
+@pytest.fixture
+def several(tmp_path: Path) -> BatchSpec:
+    """Return a batch of two takes whose scene names four files for each."""
+    take_files(tmp_path / "takes", 2)
+    (tmp_path / "t.scene.yaml").write_text(
+        "scene: animtool/1\nsource:\n  file: ${input}\noutput:\n"
+        "- file: out/${stem}.usda\n- file: out/${stem}.bvh\n"
+        "- file: keys/${stem}.clip.yaml\n"
+    )
+    return BatchSpec(("takes",), tmp_path, scene=tmp_path / "t.scene.yaml")
+
+
+def test_scenes_of_several_outputs(several: BatchSpec, tmp_path: Path) -> None:
+    report = run_batch(several, SERIAL)
+    assert statuses(report) == ["done", "done"]
+    made = {
+        **whole_outputs(tmp_path / "out"),
+        **whole_outputs(tmp_path / "keys"),
+    }
+    suffixes = (".usda", ".bvh", ".rig.yaml", ".clip.yaml")
+    assert set(made) == {f"take00{i}{suffix}" for i in (0, 1) for suffix in suffixes}
+    plain = report.items[0].as_dict()
+    assert [Path(name).suffix for name in plain["outputs"]] == [  # type: ignore[attr-defined]
+        ".usda",
+        ".bvh",
+        ".yaml",
+        ".yaml",
+    ]
+    assert report.items[0].measured is not None
+    assert statuses(run_batch(several, SERIAL)) == ["skipped"] * 2
+
+
+@pytest.mark.parametrize("name", ["out/take001.bvh", "keys/take001.rig.yaml"])
+def test_each_of_several_outputs_is_looked_at(
+    several: BatchSpec, tmp_path: Path, name: str
+) -> None:
+    run_batch(several, SERIAL)
+    kept = (tmp_path / name).read_bytes()
+    (tmp_path / name).unlink()
+    again = run_batch(several, SERIAL)
+    assert statuses(again) == ["skipped", "done"]
+    assert (str(again.items[1].reason), again.items[1].detail) == (
+        "output changed",
+        name,
+    )
+    assert (tmp_path / name).read_bytes() == kept
+
+
+def test_none_of_several_outputs_that_are_not_the_batchs_is_replaced(
+    several: BatchSpec, tmp_path: Path
+) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/take001.bvh").write_text("mine")
+    with pytest.raises(OptionError) as error:
+        run_batch(several, SERIAL)
+    assert error.value.code == "OUT001"

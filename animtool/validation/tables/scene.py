@@ -54,6 +54,7 @@ RULES = (
     Rule("SCN047", "a thing beside the character at a path of the character"),
     Rule("SCN048", "a thing beside the character that is not there"),
     Rule("SCN049", "an attribute beside the character that cannot be read"),
+    Rule("SCN044", "outputs that both a batch and its scene name"),
     Rule(
         "SCN101",
         "a loop whose ends differ by more than a fifth of what it moves",
