@@ -27,6 +27,7 @@ __all__ = [
     "CHUNK",
     "TASK_SECONDS",
     "Bundle",
+    "Cuts",
     "batch_bundle",
     "chunk_size",
     "mean_seconds",
@@ -43,6 +44,19 @@ CHUNK = 100
 NOTICE = 30
 TEMPLATE, VALUES = "template.yaml", "parameter_values.yaml"
 LONGEST_NAME = 128
+
+
+@dataclass(frozen=True, slots=True)
+class Cuts:
+    """A cut list that the command line adds to a batch file.
+
+    Attributes:
+        path: The timeline.
+        handles: Frames wanted before and behind each cut; None is as the batch says.
+    """
+
+    path: Path
+    handles: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,19 +126,23 @@ def chunk_size(
     return max(1, min(items, round(wanted / max(seconds, 1e-6))))
 
 
-def batch_bundle(batch: Batch, path: Path, chunk: int) -> Bundle:
+def batch_bundle(
+    batch: Batch, path: Path, chunk: int, cuts: Cuts | None = None
+) -> Bundle:
     """Return the bundle of a batch.
 
     Args:
         batch: The batch.
         path: The file that says it.
         chunk: How many items a task makes.
+        cuts: The cut list that its items are of, where that file does not say it.
     """
+    more = [] if cuts is None else _cut_words(cuts)
     name = re.sub(r"[{}\x00-\x1f\x7f]", "_", f"animtool {batch.name}")
     template = {
         "specificationVersion": "jobtemplate-2023-09",
         "name": name[:LONGEST_NAME],
-        "parameterDefinitions": _parameters(batch, chunk),
+        "parameterDefinitions": _parameters(batch, chunk, cuts),
         "steps": [
             {
                 "name": "Bake",
@@ -138,21 +156,35 @@ def batch_bundle(batch: Batch, path: Path, chunk: int) -> Bundle:
                     ]
                 },
                 "script": _script(
-                    "--items", "{{Task.Param.First}}+{{Param.ChunkSize}}"
+                    "--items", "{{Task.Param.First}}+{{Param.ChunkSize}}", *more
                 ),
             },
             {
                 "name": "Settle",
                 "dependencies": [{"dependsOn": "Bake"}],
-                "script": _script(),
+                "script": _script(*more),
             },
         ],
     }
     values = {"BatchFile": str(path.absolute())}
+    if cuts is not None:
+        values["CutList"] = str(cuts.path.absolute())
     return Bundle(template, values, len(batch.items), chunk)
 
 
-def _parameters(batch: Batch, chunk: int) -> list[dict[str, Any]]:
+def _cut_words(cuts: Cuts) -> list[str]:
+    words = ["--cut", "{{Param.CutList}}"]
+    return words if cuts.handles is None else [*words, "--handles", str(cuts.handles)]
+
+
+def _parameters(batch: Batch, chunk: int, cuts: Cuts | None) -> list[dict[str, Any]]:
+    timeline = {
+        "name": "CutList",
+        "type": "PATH",
+        "objectType": "FILE",
+        "dataFlow": "IN",
+        "description": "The timeline whose clips are the items.",
+    }
     return [
         {
             "name": "BatchFile",
@@ -187,6 +219,7 @@ def _parameters(batch: Batch, chunk: int) -> list[dict[str, Any]]:
             "default": "animtool",
             "description": "What starts animtool on the workers.",
         },
+        *([] if cuts is None else [timeline]),
     ]
 
 

@@ -7,6 +7,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, TypeVar
 
+from animtool.batch.cuts import SHOT_NAMES
 from animtool.batch.limits import Limits, parse_bytes
 from animtool.batch.names import unknown_names
 from animtool.batch.schema import BatchModel, OptionsModel
@@ -57,6 +58,9 @@ class _Reader:
             message = "there are both a scene and options"
             hint = "write into the scene's output what the options say"
             self.document.add("BAT001", ("options",), message, hint)
+        if model.scene is None and model.cut is not None:
+            message = "a cut list needs a scene that says what is done to its shots"
+            self.document.add("BAT001", ("cut",), message)
         self._names()
         memory = self._parsed(("limits", "memory"), model.limits.memory, parse_bytes)
         return BatchSpec(
@@ -71,6 +75,8 @@ class _Reader:
             Limits(model.limits.seconds, memory),
             None if model.jobs == "auto" else model.jobs,
             path,
+            None if model.cut is None else self._file(("cut",), model.cut),
+            model.handles,
         )
 
     def _names(self) -> None:
@@ -81,7 +87,10 @@ class _Reader:
                 message = f"{name!r} is no name of a variable"
                 hint = "letters, digits and _ make one, and no digit begins it"
                 self.document.add("BAT002", ("variables", name), message, hint)
-        for message, hint in unknown_names(model.output or "", model.variables):
+        known = dict(model.variables)
+        if model.cut is not None:
+            known |= dict.fromkeys(SHOT_NAMES, "")
+        for message, hint in unknown_names(model.output or "", known):
             self.document.add("BAT004", ("output",), message, hint)
 
     def _options(self, model: OptionsModel) -> BakeOptions:

@@ -135,6 +135,18 @@ class BatchModel(FileModel):
         "it. Not given: each is baked as it is.",
         examples=["clean.scene.yaml"],
     )
+    cut: str | None = Field(
+        default=None,
+        description="A timeline that OpenTimelineIO reads: each of its clips is an "
+        "item, and `inputs` are where media is looked for that it does not lead to. It "
+        "goes with a `scene`.",
+        examples=["edit.otio"],
+    )
+    handles: Annotated[int, Ge(0)] = Field(
+        default=0,
+        description="Frames wanted before and behind each cut of the timeline.",
+        examples=[8],
+    )
     variables: dict[str, str] = Field(
         default={},
         description="What `${name}` stands for in the scene; `--set` of the command "

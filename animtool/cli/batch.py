@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from animtool.cli.batch_cuts import cut_options, with_cuts
 from animtool.cli.batch_openjd import openjd_failure, openjd_lines
 from animtool.cli.batch_progress import shown_progress
 from animtool.cli.console import Console
@@ -97,21 +98,7 @@ Examples:
     help="A scene that says what is done to each: ${input} in it is the input.",
 )
 @set_option
-@click.option(
-    "--cut",
-    "cuts",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
-    help="A timeline that OpenTimelineIO reads: each clip is an item, with --scene. "
-    "INPUTs are where media is looked for that it does not lead to.",
-)
-@click.option(
-    "--handles",
-    type=click.IntRange(0),
-    default=0,
-    metavar="N",
-    help="Frames wanted before and behind each cut: ${begin} and ${end} reach so far.",
-)
+@cut_options
 @click.option(
     "--exclude",
     multiple=True,
@@ -291,8 +278,7 @@ def _spec(inputs: tuple[str, ...], given: dict[str, Any]) -> BatchSpec:
         spec = replace(spec, output=output)
     if given["scene"] is not None:
         spec = replace(spec, scene=given["scene"])
-    if given["cuts"] is not None and spec.scene is None:
-        raise click.UsageError("--cut needs a --scene that says what is done.")
+    spec = with_cuts(spec, given)
     excluded = tuple(str(here / text) if jobs else text for text in given["exclude"])
     limits = replace(
         spec.limits,
@@ -310,8 +296,6 @@ def _spec(inputs: tuple[str, ...], given: dict[str, Any]) -> BatchSpec:
         exclude=(*spec.exclude, *excluded),
         variables={**spec.variables, **dict(given["variables"])},
         limits=limits,
-        cuts=given["cuts"],
-        handles=given["handles"],
     )
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from animtool.cli.batch_cuts import cut_options, with_cuts
 from animtool.cli.console import Console
 from animtool.cli.options import Parsed, common_options, format_option
 
@@ -27,7 +28,8 @@ def _chunk(text: str) -> int | None:
 Examples:
   animtool job nightly.batch.yaml -o nightly.job
   animtool batch nightly.batch.yaml --items 1-20 --force --format json > costs.json
-  animtool job nightly.batch.yaml --costs costs.json -o nightly.job"""
+  animtool job nightly.batch.yaml --costs costs.json -o nightly.job
+  animtool job shots.batch.yaml --cut edit.otio --handles 8 -o edit.job"""
 )
 @click.argument(
     "batch_file", metavar="JOB", type=click.Path(path_type=Path, dir_okay=False)
@@ -62,6 +64,7 @@ Examples:
     metavar="SECONDS",
     help="What a task is to take on one processor.",
 )
+@cut_options
 @click.option("--overwrite", is_flag=True, help="Replace a bundle that is there.")
 @format_option
 @common_options
@@ -73,6 +76,7 @@ def job(console: Console, /, batch_file: Path, **given: Any) -> None:
     job makes a chunk of them, as animtool batch JOB --items does, and ends like it.
     """
     from animtool.batch.bundle import (
+        Cuts,
         batch_bundle,
         chunk_size,
         mean_seconds,
@@ -85,13 +89,15 @@ def job(console: Console, /, batch_file: Path, **given: Any) -> None:
 
     if not is_batch(batch_file):
         raise click.UsageError(f"{batch_file} is no batch file: *.batch.yaml is one.")
-    found = find_batch(load_batch(batch_file))
+    found = find_batch(with_cuts(load_batch(batch_file), given))
+    console.faults(found.notices)
     check_places(found)
     costs = given["costs"]
     seconds = None if costs is None else mean_seconds(costs)
     count = len(found.items)
     chunk = given["chunk"] or chunk_size(count, seconds, given["task_seconds"])
-    bundle = batch_bundle(found, batch_file, min(chunk, count))
+    cuts = None if given["cuts"] is None else Cuts(given["cuts"], given["handles"])
+    bundle = batch_bundle(found, batch_file, min(chunk, count), cuts)
     files = write_bundle(bundle, given["output"], overwrite=given["overwrite"])
     values = [f"{name}={value}" for name, value in bundle.values.items()]
     command = ["openjd", "run", str(files[0]), "--step", "Settle"]

@@ -109,6 +109,13 @@ def openjd(*words: object) -> str:
     return done.stdout
 
 
+def starter(path: Path) -> Path:
+    """Make a command that starts animtool as it is here."""
+    path.write_text(f'#!/bin/sh\nexec {sys.executable} -P -m animtool "$@"\n')
+    path.chmod(0o755)
+    return path
+
+
 def test_openjd_runs_it_to_the_same_bytes(takes: Path, tmp_path: Path) -> None:
     pytest.importorskip("openjd.cli", reason="openjd-cli is not installed")
     animtool("job", "a.batch.yaml", "-o", "a.job", "--chunk", 3, cwd=takes)
@@ -121,9 +128,7 @@ def test_openjd_runs_it_to_the_same_bytes(takes: Path, tmp_path: Path) -> None:
         "destination_path": takes.as_posix(),
     }
     rules = {"version": "pathmapping-1.0", "path_mapping_rules": [rule]}
-    command = tmp_path / "start"
-    command.write_text(f'#!/bin/sh\nexec {sys.executable} -P -m animtool "$@"\n')
-    command.chmod(0o755)
+    command = starter(tmp_path / "start")
     values = ["-p", "BatchFile=/show/a.batch.yaml", "-p", f"Command={command}"]
     words = ["--step", "Settle", "--run-dependencies", *values, "-p", "Jobs=1"]
     said = openjd("run", template, *words, "--path-mapping-rules", json.dumps(rules))
@@ -133,3 +138,87 @@ def test_openjd_runs_it_to_the_same_bytes(takes: Path, tmp_path: Path) -> None:
     words = ["-o", "alone/{stem}.usdc", "-j", 1]
     assert animtool("batch", "takes", *words, cwd=takes).code == 0
     assert made == whole_outputs(takes / "alone")
+
+
+CUT_JOB = """
+batch: animtool/1
+inputs: [takes]
+scene: shot.scene.yaml
+cut: edit.otio
+handles: 2
+output: out/{shot}.usda
+"""
+CUT_SCENE = """
+scene: animtool/1
+variables: {begin: 1, end: 4}
+source: {file: "${input}"}
+passes:
+- trim:
+    first: ${begin}
+    last: ${end}
+output:
+  file: named/${shot}.usda
+"""
+
+
+@pytest.fixture
+def edit(tmp_path: Path) -> Path:
+    """Return a folder with a timeline of three shots of two takes."""
+    pytest.importorskip("opentimelineio", reason="no OpenTimelineIO (extra: otio)")
+    from support.timelines import clip, timeline
+
+    first, second = take_files(tmp_path / "takes", 2, frames=40)
+    clips = [
+        clip(name, f"takes/{path.name}", (10 * i + 4, 4), (0, 40))
+        for i, (name, path) in enumerate(
+            zip("abc", (first, first, second), strict=True)
+        )
+    ]
+    timeline(tmp_path / "edit.otio", *clips)
+    (tmp_path / "shot.scene.yaml").write_text(CUT_SCENE)
+    (tmp_path / "shots.batch.yaml").write_text(CUT_JOB)
+    lines = CUT_JOB.replace("cut: edit.otio\nhandles: 2\n", "").splitlines()
+    plain = "\n".join(line for line in lines if not line.startswith("output"))
+    (tmp_path / "plain.batch.yaml").write_text(f"{plain}\n")
+    return tmp_path
+
+
+def test_a_batch_file_has_a_cut_list(edit: Path) -> None:
+    done = animtool("batch", "shots.batch.yaml", "--executor", "serial", cwd=edit)
+    assert done.code == 0, done.stderr
+    assert set(whole_outputs(edit / "out")) == {"a.usda", "b.usda", "c.usda"}
+    done = animtool("job", "shots.batch.yaml", "-o", "j", "--chunk", 2, cwd=edit)
+    assert "3 items, 2 a task, 2 tasks" in done.stderr
+
+
+def test_a_job_of_a_cut_list_runs_to_the_same_bytes(edit: Path, tmp_path: Path) -> None:
+    pytest.importorskip("openjd.cli", reason="openjd-cli is not installed")
+    cut = ("plain.batch.yaml", "--cut", "edit.otio", "--handles", 2)
+    done = animtool("job", *cut, "-o", "a.job", "--chunk", 2, cwd=edit)
+    assert "3 items, 2 a task, 2 tasks" in done.stderr
+    values = yaml.safe_load((edit / "a.job/parameter_values.yaml").read_text())
+    assert values["parameterValues"][1] == {
+        "name": "CutList",
+        "value": str(edit / "edit.otio"),
+    }
+    command = starter(tmp_path / "start")
+    given = [f"{entry['name']}={entry['value']}" for entry in values["parameterValues"]]
+    words = [word for value in (*given, "Jobs=1", f"Command={command}")
+             for word in ("-p", value)]  # fmt: skip
+    template = edit / "a.job/template.yaml"
+    said = openjd("run", template, "--step", "Settle", "--run-dependencies", *words)
+    assert "3 of 3 are up to date" in said
+    made = whole_outputs(edit / "named")
+    assert set(made) == {"a.usda", "b.usda", "c.usda"}
+    again = animtool("batch", *cut, "--executor", "serial", "--force", cwd=edit)
+    assert again.code == 0, again.stderr
+    assert whole_outputs(edit / "named") == made
+
+
+def test_a_cut_list_needs_a_scene(edit: Path) -> None:
+    (edit / "b.batch.yaml").write_text(JOB)
+    done = animtool("job", "b.batch.yaml", "--cut", "edit.otio", "-o", "x", cwd=edit)
+    assert (done.code, "scene" in done.stderr) == (2, True)
+    (edit / "c.batch.yaml").write_text(f"{JOB}cut: edit.otio\n")
+    done = animtool("job", "c.batch.yaml", "-o", "x", cwd=edit)
+    assert (done.code, "BAT001" in done.stderr) == (3, True), done.stderr

@@ -238,5 +238,5 @@ def test_outputs_without_a_pattern_are_beside_the_list(takes: Path) -> None:
     assert done.code == 0, done.stderr
     assert (takes / "a.usdc").exists()
     bare = animtool("batch", "--cut", "edit.otio", cwd=takes)
-    assert (bare.code, "needs a --scene" in bare.stderr) == (2, True)
+    assert (bare.code, "needs a scene" in bare.stderr) == (2, True)
     assert animtool("batch", cwd=takes).code == 2

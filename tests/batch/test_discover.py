@@ -84,7 +84,9 @@ def test_a_folder_is_searched_for_no_usd(takes: Path) -> None:
 
 def test_a_scene_names_several_outputs_of_each_item(takes: Path) -> None:
     scene = takes / "t.scene.yaml"
-    scene.write_text(f"{SCENE}output: [{{file: \"a/${{stem}}.usda\"}}, {{file: b.bvh}}]\n")
+    scene.write_text(
+        f'{SCENE}output: [{{file: "a/${{stem}}.usda"}}, {{file: b.bvh}}]\n'
+    )
     spec = BatchSpec(("takes/take000.bvh",), takes, scene=scene)
     (item,) = find_batch(spec).items
     names = [takes / "a/take000.usda", takes / "b.bvh"]

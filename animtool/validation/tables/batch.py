@@ -8,7 +8,7 @@ from animtool.validation.rule import Rule
 __all__ = ["RULES"]
 
 RULES = (
-    Rule("BAT001", "both a scene and options"),
+    Rule("BAT001", "a scene with options, or a cut list without a scene"),
     Rule("BAT002", "a length, rate, size, range or name that is none"),
     Rule("BAT003", "a file that is not there, or outside the project"),
     Rule("BAT004", "a name in an output that there is none of"),

@@ -1,0 +1,47 @@
+"""Cut lists on the command line: what ``animtool batch`` and ``job`` share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from animtool.cli.options import Command
+
+if TYPE_CHECKING:
+    from animtool.batch.spec import BatchSpec
+
+__all__ = ["cut_options", "with_cuts"]
+
+
+def cut_options(command: Command) -> Command:
+    """Give a command ``--cut`` and ``--handles``."""
+    command = click.option(
+        "--handles",
+        type=click.IntRange(0),
+        metavar="N",
+        help="Frames wanted before and behind each cut: ${begin} and ${end} reach so "
+        "far.  [default: as the batch file says, else 0]",
+    )(command)
+    return click.option(
+        "--cut",
+        "cuts",
+        type=click.Path(path_type=Path, dir_okay=False),
+        metavar="FILE",
+        help="A timeline that OpenTimelineIO reads: each clip is an item, baked by a "
+        "scene. Inputs are where media is looked for that it does not lead to.",
+    )(command)
+
+
+def with_cuts(spec: BatchSpec, given: Mapping[str, Any]) -> BatchSpec:
+    """Return a batch with the cut list that a command line names, if it names one."""
+    if given["cuts"] is not None:
+        if spec.scene is None:
+            raise click.UsageError("--cut needs a scene that says what is done.")
+        spec = replace(spec, cuts=given["cuts"])
+    if given["handles"] is not None:
+        spec = replace(spec, handles=given["handles"])
+    return spec
