@@ -21,6 +21,7 @@ from animtool.passes import (
     Pass,
     PassContext,
     Scope,
+    TakePart,
 )
 from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Channel, Motion, Take

@@ -12,13 +12,13 @@ from support.takes import assert_same_motion, motion_of, rigs, takes
 
 from animtool.edit.blend import blend
 from animtool.edit.difference import difference
-from animtool.keyed import Interpolation
 from animtool.edit.layer import LayerMode, layer
 from animtool.edit.mirror import Axis, mirror
 from animtool.edit.resample import resampled
 from animtool.edit.time_scale import time_scale
 from animtool.edit.time_warp import time_warp
 from animtool.edit.trim import trim
+from animtool.keyed import Interpolation
 from animtool.maths import so3
 from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Channel, Take
