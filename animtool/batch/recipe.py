@@ -78,13 +78,22 @@ class Recipe:
 
         Raises:
             FormatError: The scene is malformed.
+            OptionError: It adds a take to a library (SCN052).
         """
         path = item.found.path if self.scene is None else self.scene
         if not is_scene(path):
             return path
         from animtool.scene.file import load_scene
 
-        return load_scene(path, self.names(item))
+        scene = load_scene(path, self.names(item))
+        for output in scene.outputs:
+            if output.bake.form == "library":
+                message = "items of a batch do not share a library"
+                hint = (
+                    "bake them apart, and then together: animtool bake *.usdc -o FILE"
+                )
+                raise OptionError(output.place.fault("SCN052", message, hint))
+        return scene
 
     def named(self, item: Item) -> Item:
         """Return an item with the outputs that its scene names, if it names some.

@@ -28,7 +28,7 @@ from animtool.scene.take_plan import TakePlan
 from animtool.take import Motion
 from animtool.usd.animation import WrittenBlock, round_blocks
 from animtool.usd.author import author, write_usd
-from animtool.usd.jobs import UsdJob, UsdTake, WrittenTake
+from animtool.usd.jobs import Form, UsdJob, UsdTake, WrittenTake
 from animtool.usd.names import UsdNames, joint_names
 from animtool.usd.paths import RigPaths
 
@@ -89,6 +89,12 @@ def run_bake(plan: BakePlan) -> BakeReport:
     job = _job(plan, rest)
     with closing(_usd_takes(runs, job)) as takes:
         authored, result = author(job, takes)
+    if plan.form is Form.LIBRARY and plan.target is not None:
+        from animtool.usd.library_merge import merged_library
+
+        authored.animation = merged_library(
+            plan.target.path, authored.animation, job.paths, plan.takes[0].name
+        )
     read = sum(run.seconds for run in runs)
     seconds = {"read": read, "author": time.perf_counter() - began}
     notices = [notice for take in plan.takes for notice in take.stream.notices]
@@ -123,7 +129,7 @@ def _job(plan: BakePlan, rest: Rig) -> UsdJob:
         meters = plan.options.to_units.meters
     names, joints, paths = _usd_places(plan, rig)
     return UsdJob(
-        form=plan.form,
+        form=_form(plan),
         output=plan.output,
         rig=rig,
         names=names,
@@ -134,6 +140,13 @@ def _job(plan: BakePlan, rest: Rig) -> UsdJob:
         target=plan.target,
         bones=plan.options.bones,
     )
+
+
+def _form(plan: BakePlan) -> Form:
+    """Return what is authored: of a library that is there, a layer over it."""
+    if plan.form is not Form.LIBRARY:
+        return plan.form
+    return Form.STAGE if plan.target is None else Form.LAYER
 
 
 def _usd_takes(runs: Sequence[_TakeRun], job: UsdJob) -> Generator[UsdTake]:

@@ -184,6 +184,9 @@ class _SceneReader:
         path = None if model.file is None else self._file((*at, "file"), model.file)
         if path is not None and kind_of(path) is not OutputKind.USD:
             self._check_kind(at, model, kind_of(path))
+        if model.take is not None and model.form != "library":
+            message = "take is for a take of a library"
+            self.document.add("SCN039", (*at, "take"), message, "write as: library")
         layer, shot = model.rig_layer, self.model.shot
         start = model.start
         if start is None and shot is not None:
@@ -191,6 +194,7 @@ class _SceneReader:
         bake = BakeOptions(
             form=model.form,
             rig_layer=None if layer is None else self._input((*at, "rig_layer"), layer),
+            take=model.take,
             prim_path=model.prim_path,
             fps=fps,
             frame_range=frames,

@@ -30,9 +30,10 @@ class BakeOptions:
 
     Attributes:
         source: What the source is, where its file does not say.
-        form: ``stage``, ``split`` or ``layer``; None is a layer where there is a
-            rig layer, else a stage.
+        form: ``stage``, ``split``, ``layer`` or ``library``; None is a layer where
+            there is a rig layer, else a stage.
         rig_layer: The rig, or a shot that holds it, for a layer.
+        take: Name of a library's take; None is that of the source.
         prim_path: Where the character stands; None is ``/{name of the source}``,
             or where the rig layer has it.
         bones: Add geometry that shows the joints.
@@ -70,6 +71,7 @@ class BakeOptions:
     source: SourceOptions = field(default_factory=SourceOptions)
     form: str | None = None
     rig_layer: Path | None = None
+    take: str | None = None
     prim_path: str | None = None
     bones: bool = False
     strip_namespace: int = 0
@@ -211,6 +213,17 @@ def check_options(options: BakeOptions, *, to_stdout: bool) -> None:
         (
             form == "layer" and (options.to_units or options.to_up) is not None,
             "a layer adopts its rig layer's units and up axis: no --to-units, --to-up",
+        ),
+        *(
+            (form == "library" and wrong, f"a take of a library goes without {flag}")
+            for wrong, flag in (
+                (to_stdout, "-o -"),
+                (options.deform, "--deform"),
+                (options.bones, "--bones"),
+                (options.rest_frame is not None, "--rest frame:N"),
+                (options.to_units is not None, "--to-units"),
+                (options.to_up is not None, "--to-up"),
+            )
         ),
         (form == "split" and to_stdout, "--split writes three files, not stdout"),
         (

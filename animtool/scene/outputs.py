@@ -124,7 +124,7 @@ def _check(scene: Scene, options: BakeOptions) -> None:
 def _check_one(scene: Scene, output: SceneOutput, options: BakeOptions) -> None:
     own = merged(options, output.bake)
     if _kind(output) is OutputKind.USD:
-        check_output(_path(output), own, scene.inputs)
+        check_output(_path(output), own, scene.inputs, scene.path)
         return
     check_outputs(_files(output, options), scene.inputs, overwrite=own.overwrite)
 

@@ -17,7 +17,7 @@ from animtool.reorient import reorient
 from animtool.scene.files import form_of, output_files
 from animtool.scene.options import BakeOptions, check_options
 from animtool.scene.reading import Source, found_sources
-from animtool.scene.sources import Opener, Progress, open_source
+from animtool.scene.sources import Opener, Progress, open_source, source_stem
 from animtool.scene.take_plan import TakePlan
 from animtool.take import TakeStream
 from animtool.usd.forms import Form
@@ -36,6 +36,7 @@ __all__ = [
     "plan_output",
     "rig_paths",
     "start_of",
+    "take_name",
 ]
 
 
@@ -97,7 +98,8 @@ def plan_bake(
     path = None if output is None else Path(output)
     reading = found_sources(given)
     options, notices = reading.options(options or BakeOptions())
-    with sparing_inputs(check_output(path, options, reading.inputs)):
+    outputs = check_output(path, options, reading.inputs, reading.files[0])
+    with sparing_inputs(outputs):
         streams = reading.open(options, progress, opener)
     with ExitStack() as blamed:
         for scene in reading.scenes.values():
@@ -106,7 +108,7 @@ def plan_bake(
 
 
 def check_output(
-    path: Path | None, options: BakeOptions, inputs: list[Path]
+    path: Path | None, options: BakeOptions, inputs: list[Path], source: Path
 ) -> list[Path]:
     """Return the files of an output that can be, before anything is read.
 
@@ -114,9 +116,11 @@ def check_output(
         path: The file; None is stdout.
         options: Of the bake.
         inputs: Files that are read, which none may replace.
+        source: Of the bake, the first if there are several.
 
     Raises:
-        OptionError: An option makes no sense, or the output exists.
+        OptionError: An option makes no sense, or the output exists, or is a library
+            that the take cannot be added to (SCN050, SCN051).
         OutputError: The output cannot be written.
     """
     check_options(options, to_stdout=path is None)
@@ -125,8 +129,21 @@ def check_output(
     check_suffix(path)
     layer = [options.rig_layer] if options.rig_layer else []
     outputs = output_files(path, options)
-    check_outputs(outputs, inputs + layer, overwrite=options.overwrite)
+    library = form_of(options) is Form.LIBRARY
+    # A library is added to; what may be replaced is one of its takes.
+    overwrite = options.overwrite or library
+    check_outputs(outputs, inputs + layer, overwrite=overwrite)
+    if library and path.exists():
+        from animtool.usd.library_merge import check_library
+
+        name = take_name(options, source)
+        check_library(path, name, options.prim_path, overwrite=options.overwrite)
     return outputs
+
+
+def take_name(options: BakeOptions, source: Path) -> str:
+    """Return what a source is called in a clip library."""
+    return legal_name(options.take or source_stem(source))
 
 
 def plan_output(
@@ -153,10 +170,14 @@ def plan_output(
     target = None
     reason = "a rig layer was named" if options.form is None else "asked for"
     mappings: list[JointMap | None] = [None] * len(streams)
-    if options.rig_layer is not None:
+    library = form is Form.LIBRARY
+    rig_layer = options.rig_layer
+    if library and path is not None and path.exists():
+        rig_layer = path
+    if rig_layer is not None:
         from animtool.usd.target import open_target
 
-        target = open_target(options.rig_layer, options.prim_path)
+        target = open_target(rig_layer, options.prim_path)
         notices += target.notices
         streams = [reorient(stream, target.skeleton.rig.up) for stream in streams]
         mappings = [_mapped(stream, target, options, notices) for stream in streams]
@@ -167,7 +188,7 @@ def plan_output(
             reason = "no rig layer was named"
         up = options.to_up or streams[0].rig.up
         streams = [reorient(stream, up) for stream in streams]
-    names = [""]
+    names = [take_name(options, sources[0]) if library else ""]
     if len(sources) > 1:
         from animtool.scene.library import alike, rate_notice, take_names
 
@@ -194,7 +215,7 @@ def plan_output(
             zip(sources, names, streams, mappings, strict=True)
         )
     )
-    _check_things(streams, target, options, path)
+    _check_things(streams, target, options, path, library=bool(names[0]))
     character = _character(takes[0], target) if options.deform else None
     return BakePlan(
         takes, path, options, form, reason, target, fps, start, notices, character
@@ -206,6 +227,8 @@ def _check_things(
     target: RigTarget | None,
     options: BakeOptions,
     output: Path | None,
+    *,
+    library: bool,
 ) -> None:
     """Refuse things beside characters that have no place in the output."""
     if not any(stream.tracks for stream in streams):
@@ -215,7 +238,7 @@ def _check_things(
     paths = rig_paths([stream.rig.name for stream in streams], target, options, output)
     stage = None if target is None else target.stage
     for stream in streams:
-        check_things(stream.tracks, paths, stage, library=len(streams) > 1)
+        check_things(stream.tracks, paths, stage, library=library)
 
 
 def rig_paths(

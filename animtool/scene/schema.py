@@ -12,7 +12,7 @@ from pydantic import Discriminator, Field, Tag
 
 from animtool.documents.check import FileModel
 from animtool.documents.ignore import IgnoreModel
-from animtool.scene.output_fields import Bones, FormName, ReduceAt, RigLayer, Sparse
+from animtool.scene.output_fields import Bones, ReduceAt, RigLayer, Sparse
 
 __all__ = ["BesideModel", "OutputModel", "SceneModel", "SourceModel"]
 
@@ -175,7 +175,20 @@ class OutputModel(FileModel):
         "given: USD beside the source.",
         examples=["shot.usdc"],
     )
-    form: FormName = None
+    form: Literal["stage", "split", "layer", "library"] | None = Field(
+        default=None,
+        alias="as",
+        description="One file, three, an animation layer, or a take of a clip library, "
+        "beside those that the file has. Not given: `layer` with `rig_layer`, else "
+        "`stage`.",
+        examples=["split"],
+    )
+    take: str | None = Field(
+        default=None,
+        description="With `as: library`: the name of the take. Not given: that of the "
+        "scene.",
+        examples=["walk"],
+    )
     rig_layer: RigLayer = None
     prim_path: str | None = Field(
         default=None,

@@ -273,6 +273,8 @@ def _output_step(
     if options.rig_layer is not None:
         reads.insert(0, str(options.rig_layer))
     makes = "deformed points" if options.deform else "an animation of the skeleton"
+    if form is Form.LIBRARY:
+        makes += " as a take, beside others that there are,"
     if state.tracks:
         makes += f" and {counted(len(state.tracks), 'thing')} beside it"
     return Step(

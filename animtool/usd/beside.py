@@ -138,6 +138,9 @@ def thing_places(
         outside = ThingWorld(target.unit, None if turn is None else np.array(turn))
 
     def exists(path: str) -> bool:
+        if take:
+            # Another take may have it, which is not bound at the same time.
+            return False
         if target is not None:
             return bool(target.stage.GetPrimAtPath(target.on_stage(path)))
         return rig_layer is not None and rig_layer.GetPrimAtPath(path) is not None

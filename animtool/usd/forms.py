@@ -12,12 +12,14 @@ class Form(StrEnum):
     """What to write.
 
     ``stage`` is one file with skeleton and animation; ``split`` the same in three
-    layers; ``layer`` only the animation, over a rig that lives elsewhere.
+    layers; ``layer`` only the animation, over a rig that lives elsewhere; ``library`` a
+    take of a clip library, beside those that this has.
     """
 
     STAGE = "stage"
     SPLIT = "split"
     LAYER = "layer"
+    LIBRARY = "library"
 
 
 def output_paths(output: Path, form: Form) -> list[Path]:
