@@ -176,7 +176,21 @@ source: {file: wave.clip.yaml}
 passes: [{ik: {targets: page.targets.yaml}}]
 """
 BASE = "rig: animtool/1\nname: base\njoints: [{name: hips, type: free}]\n"
+PROPS = """\
+#usda 1.0
+(
+    startTimeCode = 1001
+    endTimeCode = 1096
+    timeCodesPerSecond = 24
+)
+def Xform "ball"
+{
+    double3 xformOp:translate.timeSamples = {1001: (0, 0, 0), 1096: (0, 0, 4)}
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+}
+"""
 FILES = {
+    "props.usda": PROPS,
     "base.rig.yaml": BASE,
     "walker.rig.yaml": WALKER,
     "puppet.rig.yaml": PUPPET,

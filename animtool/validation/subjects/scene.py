@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +16,7 @@ from animtool.ik.tracks import TargetTracks
 from animtool.inputs import recorded_inputs
 from animtool.scene.file import scene_of_document
 from animtool.scene.scene import Scene, SceneOutput
-from animtool.take import Channel, Take
+from animtool.take import Channel, Motion, Take
 from animtool.validation.rule import Kind
 from animtool.validation.subjects.subject import DocumentSubject, Opened
 
@@ -130,11 +130,13 @@ def _alike(before: Take, after: Take) -> bool:
     """Return whether a pass left a take as it was."""
     if before.clock != after.clock or before.rig.names != after.rig.names:
         return False
-    parts = ("translations", "rotations", "scales", "weights", "controls")
-    return all(
-        _same(getattr(before.motion, part), getattr(after.motion, part))
-        for part in parts
-    )
+    parts = [f.name for f in fields(Motion) if f.name != "points"]
+    pairs = [
+        (getattr(before.motion, part), getattr(after.motion, part)) for part in parts
+    ]
+    old, new = before.motion.points, after.motion.points
+    pairs += [(old.get(name), new.get(name)) for name in {*old, *new}]
+    return all(_same(one, other) for one, other in pairs)
 
 
 def _same(one: Channel | None, two: Channel | None) -> bool:

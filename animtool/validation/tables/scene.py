@@ -113,4 +113,9 @@ RULES = (
         Severity.ERROR,
     ),
     _rule("SCN212", "an output in a folder that is not there", "scene_output:homeless"),
+    _rule(
+        "SCN213",
+        "something beside the character that has no frame of the take",
+        "scene_beside:out_of_time",
+    ),
 )

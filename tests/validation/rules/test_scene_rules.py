@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from support.props import write_props
 
 from animtool.errors import Severity
 from animtool.scene.file import load_scene
@@ -48,6 +49,28 @@ def write_rig(folder: Path, base: str = "fixed", hand: str = "fixed") -> None:
 
 def codes(path: Path) -> list[str]:
     return [fault.code for fault in validate(path)]
+
+
+@pytest.mark.parametrize(("frame", "wanted"), [(1, []), (40, []), (2001, ["SCN213"])])
+def test_things_have_frames_of_the_take(
+    frame: int, wanted: list[str], shot: Path
+) -> None:
+    write_props(shot.parent / "props.usda")
+    entry = f"{{from: props.usda, prim: /Set/box, frame: {frame}}}"
+    shot.write_text(f"{SCENE}beside: [{entry}]\n", "utf-8")
+    assert codes(shot) == wanted
+
+
+def test_a_pass_that_changes_the_time_of_things_does_something(shot: Path) -> None:
+    write_props(shot.parent / "props.usda")
+    still = "clip: animtool/1\nrig: limb.rig.yaml\nfps: 24\nrange: [1, 12]\n"
+    (shot.parent / "limb.clip.yaml").write_text(still + "channels: []\n", "utf-8")
+    warp = "passes: [{time_warp: {curve: [[1, 12], [12, 1]]}}]\n"
+    shot.write_text(SCENE + warp, "utf-8")
+    assert codes(shot) == ["SCN201"]
+    entry = "{from: props.usda, prim: /Set/box}"
+    shot.write_text(f"{SCENE}beside: [{entry}]\n{warp}", "utf-8")
+    assert codes(shot) == []
 
 
 @pytest.mark.parametrize(
