@@ -11,7 +11,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.errors import AnimtoolError, Fault, FormatError, Severity, listed
 from animtool.rates import rate_label
-from animtool.scene.scene import SceneThing
+from animtool.scene.entries import SceneThing
 from animtool.scene.stats import Meter, StageCost
 from animtool.take import Channel, Motion, TakeStream, time_codes
 from animtool.transforms import Track, Transforms

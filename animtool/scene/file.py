@@ -21,18 +21,18 @@ from animtool.edit.frame_range import FrameRange
 from animtool.errors import AnimtoolError, OptionError
 from animtool.passes import Pass, find_pass
 from animtool.rates import parse_rate
-from animtool.scene.options import BakeOptions, parse_offsets
-from animtool.scene.preroll import Preroll
-from animtool.scene.scene import (
+from animtool.scene.entries import (
     OutputKind,
     Place,
-    Scene,
     SceneOutput,
     ScenePass,
     SceneSource,
     SceneThing,
     kind_of,
 )
+from animtool.scene.options import BakeOptions, parse_offsets
+from animtool.scene.preroll import Preroll
+from animtool.scene.scene import Scene
 from animtool.scene.schema import BesideModel, OutputModel, SceneModel, SourceModel
 from animtool.scene.sources import SourceOptions, is_usd, takes_option
 from animtool.scene.tracks import TrackNames

@@ -12,6 +12,7 @@ from animtool.errors import AnimtoolError, Fault, OptionError, Severity, listed
 from animtool.output import check_outputs, sparing_inputs, together
 from animtool.scene.bake import run_bake
 from animtool.scene.convert import ConvertReport, convert, convert_outputs
+from animtool.scene.entries import OutputKind, SceneOutput, kind_of
 from animtool.scene.files import output_files
 from animtool.scene.frames import timed_blocks
 from animtool.scene.options import BakeOptions, merged
@@ -23,7 +24,7 @@ from animtool.scene.plan import (
 )
 from animtool.scene.reading import shared
 from animtool.scene.report import BakeReport
-from animtool.scene.scene import OutputKind, Scene, SceneOutput, kind_of
+from animtool.scene.scene import Scene
 from animtool.scene.take_plan import TakePlan
 from animtool.take import Clock, Motion, Take, TakeStream
 from animtool.tracks_aside import TracksAside

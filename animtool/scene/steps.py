@@ -13,10 +13,11 @@ from animtool.passes import TakePart, sees_tracks
 from animtool.rates import rate_label
 from animtool.rig.skeleton import Rig
 from animtool.scene.convert import convert_outputs
+from animtool.scene.entries import OutputKind, ScenePass, SceneThing, kind_of
 from animtool.scene.files import form_of, output_files
 from animtool.scene.options import BakeOptions, merged
 from animtool.scene.reading import Source, found_sources
-from animtool.scene.scene import OutputKind, Scene, ScenePass, SceneThing, kind_of
+from animtool.scene.scene import Scene
 from animtool.scene.sources import fitting_options, open_source
 from animtool.take import Motion, TakeStream
 from animtool.transforms import Track
