@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from animtool.config import find_config
-from animtool.errors import Fault, OptionError, Severity
+from animtool.errors import Fault, OptionError, Severity, listed
 from animtool.output import check_outputs, sparing_inputs
 from animtool.rates import rate_label
 from animtool.reorient import reorient
@@ -199,6 +199,7 @@ def plan_output(
     if len(sources) > 1:
         notices += rate_notice(names, streams, fps)
     notices += _rate_apart(target, fps)
+    notices += _left_points(streams, options)
     start = start_of(options, target, streams[0], sources[0])
     takes = tuple(
         TakePlan(
@@ -286,6 +287,16 @@ def _mapped(
     mapping = map_joints(stream.rig, target, options.strip_namespace)
     notices += mapping.notices
     return mapping
+
+
+def _left_points(streams: list[TakeStream], options: BakeOptions) -> list[Fault]:
+    """Name what is simulated, and not written."""
+    names = sorted({name for stream in streams for name in stream.points})
+    if not names or options.deform:
+        return []
+    message = f"points of {listed(names)} are simulated, and not written"
+    hint = "an output with deform: true has them"
+    return [Fault("SIM134", message, hint=hint, severity=Severity.WARNING)]
 
 
 def _rate_apart(target: RigTarget | None, fps: Fraction) -> list[Fault]:

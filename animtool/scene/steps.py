@@ -192,6 +192,7 @@ def _scene_steps(scene: Scene, steps: list[Step]) -> _State:
             state = replace(state, dropped=entry.pass_.name)
         if TakePart.CLOCK in entry.pass_.changes:
             state = replace(state, facts=())
+        state = replace(state, moving=state.moving | _made(entry))
     return state
 
 
@@ -221,6 +222,11 @@ def _drops(entry: ScenePass) -> bool:
     return bool(entry.pass_.changes & {TakePart.CONTROLS, TakePart.CLOCK})
 
 
+def _made(entry: ScenePass) -> frozenset[TakePart]:
+    """Return the parts that a pass adds to a take which has none."""
+    return (entry.pass_.changes - entry.pass_.reads) & {TakePart.POINTS}
+
+
 def _pass_step(scene: Scene, entry: ScenePass, state: _State) -> Step:
     options = entry.options
     files = [
@@ -243,7 +249,7 @@ def _pass_step(scene: Scene, entry: ScenePass, state: _State) -> Step:
         entry.pass_.name,
         entry.place.where,
         (*files, *_ordered(entry.pass_.reads & there)),
-        tuple(_ordered(entry.pass_.changes & there)),
+        tuple(_ordered((entry.pass_.changes & there) | _made(entry))),
         tuple(left_out),
     )
 
@@ -328,6 +334,8 @@ def _left_out(options: BakeOptions, form: Form, state: _State) -> Iterator[str]:
             yield f"curves of controls: the pass {state.dropped} may change these"
     if TakePart.SHAPES not in state.moving and state.rig.shapes:
         yield "shape weights: the take moves none"
+    if TakePart.POINTS in state.moving and not options.deform:
+        yield "points that are simulated: not asked for (deform)"
     wanted = options.frame_range
     if wanted is not None:
         yield f"frames but {wanted.first} to {wanted.last}: they are not asked for"

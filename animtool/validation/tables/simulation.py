@@ -36,6 +36,7 @@ RULES = (
     Rule("SIM131", "springs that are longer than they may be", Severity.WARNING),
     Rule("SIM132", "particles that stay inside colliders", Severity.WARNING),
     Rule("SIM133", "a cycle that does not come round", Severity.WARNING),
+    Rule("SIM134", "points that are simulated and not written", Severity.WARNING),
     Rule("SIM201", "a mass that is not above 0"),
     Rule("SIM202", "a position that is not finite"),
     Rule("SIM203", "a spring that cannot be"),
