@@ -13,7 +13,7 @@ class SpringCapsules {
   std::size_t particles() const { return particles_; }
   bool empty() const { return radii_.empty(); }
 
-  // Moves particles (N, 3) out of the capsules as these are at the end of a step; those of
+  // Moves rows of particles out of the capsules as these are at the end of a step; those of
   // no inverse mass stay. What is deeper at the begin of the step than it may be comes out
   // no faster than the depenetration speed. Returns how many were moved.
   std::int64_t keep_out(double t, double h, const std::vector<double>& inverse_masses,

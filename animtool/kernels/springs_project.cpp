@@ -208,7 +208,7 @@ SpringsFollowed follow_springs(const SpringNetwork& network, SpringCapsules& cap
     throw std::invalid_argument("a state is (2, N, 3)");
   if (capsules.particles() != network.particles() && !capsules.empty())
     throw std::invalid_argument("depths are of as many particles as there are");
-  const std::vector<std::uint8_t> torn(network.springs.size());
+  const std::vector<std::uint8_t> torn(network.lines.springs.size());
   SpringRun run(network, state.data(), state.data() + state.size() / 2, torn.data());
   std::int64_t touched = 0, inside = 0;
   {

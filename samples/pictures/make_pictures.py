@@ -19,6 +19,7 @@ from solved import arm_surfaces, carried, welding
 from animtool.clip.file import load_clip, open_clip
 from animtool.clip.sample import sample_channels
 from animtool.documents.arrays import load_array
+from animtool.scene.file import load_scene
 from animtool.take import Motion
 
 ROOT = Path(__file__).parents[2]
@@ -79,6 +80,7 @@ TAIL = Camera((0.0, 1.56, -0.05), 0.5, turn=130, lift=10)
 SCARLET, BROWN = (0.62, 0.13, 0.14), (0.34, 0.24, 0.17)
 KNEE = Camera((0.05, 0.75, 0.1), 0.95, turn=60)
 
+WALK = (0, 6, 12, 18)
 CARRY = (1, 36, 48, 68, 108)
 ROOM = Camera((0.22, 0.78, 0.17), 1.85, turn=-50, lift=10)
 WELD = (100, 200, 290, 360, 430)
@@ -177,6 +179,29 @@ def cape_sheet(body: Puppet, size: int) -> Array:
     )
 
 
+def walk_sheet(body: Puppet, size: int) -> Array:
+    """Return frames of the walk whose cape and hair move by themselves."""
+    take = load_scene(ROOT / "samples/cape/cape.scene.yaml").open().collect()
+    cape = next(mesh for mesh in body.rig.meshes if mesh.name == "cape")
+    moved = {name: points.dense() for name, points in take.motion.points.items()}
+    scarlet = np.tile(SCARLET, (moved["cape"].shape[1], 1))
+    count = len(body.rig.attach[1].points.load())
+
+    def shot(camera: Camera, frame: int) -> Array:
+        hips = take.motion.translations.dense()[frame, 0]
+        here = replace(camera, centre=(hips[0], 0.87, hips[2] - 0.1))
+        hair = moved["hair"][frame].reshape(count, -1, 3)
+        surfaces = [
+            body_surface(body, take.motion, frame),
+            Surface(moved["cape"][frame], body.triangles(cape), scarlet),
+            ribbons(hair, BROWN, 0.0025, here),
+        ]
+        return render(surfaces, here, (size, size))
+
+    aside, behind = replace(WHOLE, turn=90), replace(WHOLE, turn=150, lift=8)
+    return sheet([[shot(camera, i) for i in WALK] for camera in (aside, behind)])
+
+
 def carry_sheet(body: Puppet, size: int) -> Array:
     """Return frames of the carried box."""
     take = carried(body.rig)
@@ -222,6 +247,7 @@ def main() -> None:
     body = Puppet.load(ROOT / "rigs/biped/biped.rig.yaml")
     write_png(out / "body.png", body_sheet(body, 300))
     write_png(out / "cape.png", cape_sheet(body, 300))
+    write_png(out / "walk.png", walk_sheet(body, 300))
     write_png(out / "carry.png", carry_sheet(body, 320))
     write_png(out / "weld.png", weld_sheet(240))
 

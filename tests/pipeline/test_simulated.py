@@ -130,7 +130,9 @@ def test_point_caches_have_what_is_simulated(walker: Path) -> None:
     out = walker.parent / "out.usdc"
     motion = load_scene(walker).open().collect().motion
     for name in ("cape", "hair"):
-        wanted = motion.points[name].dense().reshape(len(motion.rotations.values), -1, 3)
+        wanted = (
+            motion.points[name].dense().reshape(len(motion.rotations.values), -1, 3)
+        )
         assert_allclose(points(out, name), wanted, atol=2e-7)
     body = points(out, "body")
     first = out.read_bytes()

@@ -223,6 +223,5 @@ def _springs(
         row[:, 0], row[:, 1], row[:, 3] = links.rests[kept], stiffness, np.inf
         numbers.append(row)
     every = np.concatenate(ends)
-    low, high = np.sort(every, axis=1).T
-    order = np.lexsort((high, low))
+    order = _kernels.spring_order(every, network.count)
     return np.ascontiguousarray(every[order]), np.concatenate(numbers)[order]
