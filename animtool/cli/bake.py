@@ -250,7 +250,6 @@ def bake(
 
         if given["stats"]:
             scene.meter.start()
-            click.get_current_context().call_on_close(scene.meter.stop)
         if is_several(scene):
             _several(console, scene, output, given, as_json=as_json)
             return

@@ -57,7 +57,7 @@ def stats_text(
         name = f"{stage.name} ({stage.where})"
         cells = (
             f"{stage.seconds:.3f}",
-            f"{stage.peak / 1e6:.1f}",
+            "" if stage.peak is None else f"{stage.peak / 1e6:.1f}",
             _length(stage.error),
         )
         rows.append((name, *cells))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import time
-import tracemalloc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from animtool._types import FloatArray
+from animtool.scene.memory import PeakMemory
 from animtool.take import Motion
 
 __all__ = ["Meter", "StageCost"]
@@ -22,8 +22,8 @@ class StageCost:
         name: Of a source's file, or of a pass.
         where: Its entry in the scene.
         seconds: Spent in it, without the stages before it [s].
-        peak: Most memory of Python and of arrays that was held while it ran, beyond
-            what was held at the beginning [byte].
+        peak: Most memory that the process held while it ran, beyond what it held at
+            the beginning [byte], as `PeakMemory` knows it; None where it does not.
         error: Largest distance in the world by which it missed what it was to reach
             [m]; None where it reports none.
     """
@@ -31,7 +31,7 @@ class StageCost:
     name: str
     where: str
     seconds: float = 0.0
-    peak: int = 0
+    peak: int | None = None
     error: float | None = None
 
 
@@ -40,8 +40,7 @@ class Meter:
     """Measures stages, of which one may wait for another within it.
 
     Blocks are read late: each stage is counted while its own code runs, and stands
-    still while it waits for the stage before. Memory is traced from `start` on, which
-    makes all a little slower.
+    still while it waits for the stage before. Memory is looked at from `start` on.
 
     Attributes:
         stages: In order.
@@ -50,17 +49,11 @@ class Meter:
     stages: list[StageCost] = field(default_factory=list)
     _stack: list[StageCost] = field(default_factory=list)
     _since: float = 0.0
-    _base: int = 0
+    _memory: PeakMemory = field(default_factory=PeakMemory)
 
     def start(self) -> None:
-        """Begin to trace memory."""
-        if not tracemalloc.is_tracing():
-            tracemalloc.start()
-        self._base, _ = tracemalloc.get_traced_memory()
-
-    def stop(self) -> None:
-        """Trace memory no more."""
-        tracemalloc.stop()
+        """Begin to look at memory."""
+        self._memory.begin()
 
     def stage(self, name: str, where: str) -> StageCost:
         """Return a new stage."""
@@ -104,13 +97,10 @@ class Meter:
     def _turn(self) -> None:
         """Count what has been since the last turn for the stage that ran."""
         now = time.perf_counter()
-        if tracemalloc.is_tracing():
-            _, peak = tracemalloc.get_traced_memory()
-            tracemalloc.reset_peak()
-        else:
-            peak = self._base
+        peak = self._memory.taken()
         if self._stack:
             stage = self._stack[-1]
             stage.seconds += now - self._since
-            stage.peak = max(stage.peak, peak - self._base)
-        self._since = now
+            if peak is not None:
+                stage.peak = max(stage.peak or 0, peak)
+        self._since = time.perf_counter()

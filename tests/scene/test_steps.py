@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-import tracemalloc
+import sys
 from pathlib import Path
 
 import pytest
@@ -168,10 +168,11 @@ def test_what_stages_cost(workplace: Path) -> None:
     assert source["error"] is None
     assert 0 < ik["error"] < 1e-3
     assert 0 < output["error"] < 1e-5
-    assert not tracemalloc.is_tracing()
     for stage in (source, ik):
-        assert stage["peak_bytes"] > 1000
+        assert (stage["peak_bytes"] is None) == (sys.platform == "win32")
         assert stage["seconds"] > 0
+    if sys.platform != "win32":
+        assert max(source["peak_bytes"], ik["peak_bytes"]) > 100_000
 
 
 def test_stages_that_stream_are_counted_apart(shot: Path) -> None:
