@@ -37,7 +37,7 @@ def add_failure(path: Path, key: str, why: str, length: int) -> int:
         OutputError: It cannot be written (BAT012).
     """
     with LineWriter(path, HEAD, length) as writer:
-        writer.add([{"item": key, "why": why}])
+        writer.write([{"item": key, "why": why}])
         return writer.length
 
 
@@ -51,4 +51,4 @@ def rewrite_failures(path: Path, failures: Mapping[str, str]) -> None:
         path.unlink(missing_ok=True)
         return
     with replacing(path) as temporary, LineWriter(temporary, HEAD) as writer:
-        writer.add({"item": key, "why": why} for key, why in failures.items())
+        writer.write({"item": key, "why": why} for key, why in failures.items())

@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
 from animtool.errors import Fault, FormatError, OutputError
 from animtool.output import output_error
@@ -103,9 +103,9 @@ class LineWriter:
         except OSError as error:
             raise self._unwritable(error) from error
         if not length:
-            self.add([head])
+            self.write([head])
 
-    def __enter__(self) -> LineWriter:
+    def __enter__(self) -> Self:
         """Return itself."""
         return self
 
@@ -118,7 +118,7 @@ class LineWriter:
         """Close the file."""
         os.close(self._handle)
 
-    def add(self, lines: Iterable[Line]) -> None:
+    def write(self, lines: Iterable[Line]) -> None:
         """Add lines.
 
         Raises:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from animtool.batch.lines import LineReader, LineWriter
@@ -93,7 +92,7 @@ def _item(
     )
 
 
-class ManifestWriter:
+class ManifestWriter(LineWriter):
     """A manifest that items are added to."""
 
     def __init__(self, path: Path, manifest: Manifest) -> None:
@@ -107,20 +106,7 @@ class ManifestWriter:
             OutputError: It cannot be written (BAT012).
         """
         self._files = dict(manifest.files)
-        self._lines = LineWriter(path, HEAD, manifest.length)
-
-    def __enter__(self) -> ManifestWriter:
-        """Return itself."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close the file."""
-        self._lines.__exit__(kind, error, trace)
+        super().__init__(path, HEAD, manifest.length)
 
     def claim(self, names: Iterable[str]) -> None:
         """Say which files are about to be written.
@@ -130,7 +116,7 @@ class ManifestWriter:
         """
         known = list(names)
         if known:
-            self._lines.add([{"known": known}])
+            self.write([{"known": known}])
 
     def add(self, made: ItemRecord) -> None:
         """Add an item.
@@ -147,7 +133,7 @@ class ManifestWriter:
             "outputs": [record.as_dict() for record in made.outputs],
             "at": made.at,
         }
-        self._lines.add([*new, line])
+        self.write([*new, line])
 
     def _numbered(self, records: Iterable[FileRecord]) -> Iterator[dict[str, object]]:
         """Give files numbers, and yield the lines of those that had none."""

@@ -15,21 +15,19 @@ from animtool.cli.batch_cuts import cut_options, with_cuts
 from animtool.cli.batch_openjd import openjd_failure, openjd_lines
 from animtool.cli.batch_progress import shown_progress
 from animtool.cli.console import Console
-from animtool.cli.options import Parsed, common_options, set_option
+from animtool.cli.options import (
+    FILE,
+    Parsed,
+    common_options,
+    count_or_auto,
+    set_option,
+)
 
 if TYPE_CHECKING:
     from animtool.batch.report import BatchReport, ItemReport
     from animtool.batch.spec import BatchSpec
 
 __all__ = ["batch"]
-
-
-def _jobs(text: str) -> int | None:
-    if text == "auto":
-        return None
-    if not text.isdigit() or not int(text):
-        raise ValueError(f"{text!r} is neither auto nor a number from 1 up")
-    return int(text)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +91,7 @@ Examples:
 )
 @click.option(
     "--scene",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     metavar="FILE",
     help="A scene that says what is done to each: ${input} in it is the input.",
 )
@@ -108,7 +106,7 @@ Examples:
 @click.option(
     "-j",
     "--jobs",
-    type=Parsed("processes", _jobs),
+    type=Parsed("processes", count_or_auto),
     metavar="N|auto",
     help="Processes that make them.  [default: auto, one for each processor]",
 )
@@ -186,14 +184,14 @@ Examples:
 )
 @click.option(
     "--path-mapping",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     metavar="RULES",
     help="Where folders of other machines are on this one, as JSON of Open Job "
     "Description: for the inputs and outputs of a batch file.",
 )
 @click.option(
     "--junit",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     metavar="FILE",
     help="Write a report as JUnit XML too.",
 )

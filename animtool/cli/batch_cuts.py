@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from animtool.cli.options import Command
+from animtool.cli.options import FILE, Command
 
 if TYPE_CHECKING:
     from animtool.batch.spec import BatchSpec
@@ -29,7 +28,7 @@ def cut_options(command: Command) -> Command:
     return click.option(
         "--cut",
         "cuts",
-        type=click.Path(path_type=Path, dir_okay=False),
+        type=FILE,
         metavar="FILE",
         help="A timeline that OpenTimelineIO reads: each clip is an item, baked by a "
         "scene. Inputs are where media is looked for that it does not lead to.",

@@ -10,17 +10,15 @@ import click
 
 from animtool.cli.batch_cuts import cut_options, with_cuts
 from animtool.cli.console import Console
-from animtool.cli.options import Parsed, common_options, format_option
+from animtool.cli.options import (
+    FILE,
+    Parsed,
+    common_options,
+    count_or_auto,
+    format_option,
+)
 
 __all__ = ["job"]
-
-
-def _chunk(text: str) -> int | None:
-    if text == "auto":
-        return None
-    if not text.isdigit() or not int(text):
-        raise ValueError(f"{text!r} is neither auto nor a number from 1 up")
-    return int(text)
 
 
 @click.command(
@@ -31,9 +29,7 @@ Examples:
   animtool job nightly.batch.yaml --costs costs.json -o nightly.job
   animtool job shots.batch.yaml --cut edit.otio --handles 8 -o edit.job"""
 )
-@click.argument(
-    "batch_file", metavar="JOB", type=click.Path(path_type=Path, dir_okay=False)
-)
+@click.argument("batch_file", metavar="JOB", type=FILE)
 @click.option(
     "-o",
     "--output",
@@ -44,7 +40,7 @@ Examples:
 )
 @click.option(
     "--chunk",
-    type=Parsed("items", _chunk),
+    type=Parsed("items", count_or_auto),
     default="auto",
     show_default=True,
     metavar="N|auto",
@@ -52,7 +48,7 @@ Examples:
 )
 @click.option(
     "--costs",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     metavar="REPORT",
     help="What items take: a report of animtool batch --format json.",
 )

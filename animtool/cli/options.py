@@ -11,6 +11,7 @@ import click
 from animtool.cli.console import Console
 
 __all__ = [
+    "FILE",
     "INPUT",
     "LENGTH",
     "OUTPUT",
@@ -19,6 +20,7 @@ __all__ = [
     "Command",
     "Parsed",
     "common_options",
+    "count_or_auto",
     "format_option",
     "reduce_at_option",
     "rig_layer_options",
@@ -72,6 +74,19 @@ def _tolerance(text: str) -> float:
     return value
 
 
+def count_or_auto(text: str) -> int | None:
+    """Return a number from 1 up; None for ``auto``.
+
+    Raises:
+        ValueError: It is neither.
+    """
+    if text == "auto":
+        return None
+    if not text.isdigit() or not int(text):
+        raise ValueError(f"{text!r} is neither auto nor a number from 1 up")
+    return int(text)
+
+
 def _joint_length(text: str) -> tuple[str, float]:
     name, equals, length = text.rpartition("=")
     if not equals or not name:
@@ -89,6 +104,8 @@ def _variable(text: str) -> tuple[str, str]:
 
 
 # What a file cannot be read for is said by whatever reads it.
+# A file that is looked for later, with a fault of its own.
+FILE = click.Path(path_type=Path, dir_okay=False)
 INPUT = click.Path(path_type=Path, readable=False)
 OUTPUT = click.Path(path_type=Path, allow_dash=True, readable=False)
 RATE = Parsed("rate", _rate)

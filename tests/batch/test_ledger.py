@@ -32,20 +32,29 @@ def test_who_may_run_beside_whom(
     tmp_path: Path, held: str, wanted: str, refused: bool
 ) -> None:
     with held_ledger(tmp_path, "a", held):
-        if not refused:
-            with held_ledger(tmp_path, "a", wanted):
-                return
-        with pytest.raises(OutputError) as error, held_ledger(tmp_path, "a", wanted):
-            pass
-    assert error.value.code == "BAT010"
-    assert str(os.getpid()) in str(error.value)
-    with held_ledger(tmp_path, "a", wanted):
-        pass
+        error = refusal(tmp_path, "a", wanted)
+        assert (error is not None) is refused
+        if error is not None:
+            assert error.code == "BAT010"
+            assert str(os.getpid()) in str(error)
+    assert refusal(tmp_path, "a", wanted) is None
+
+
+def refusal(folder: Path, name: str, part: str = "") -> OutputError | None:
+    """Return why a run may not begin; None where it does, and writes records."""
+    try:
+        with held_ledger(folder, name, part) as ledger:
+            ledger.claim([f"{part}.usdc"])
+    except OutputError as error:
+        return error
+    assert f"{part}.usdc" in read_history(folder, name).made.known
+    return None
 
 
 def test_batches_of_other_names_run_beside_each_other(tmp_path: Path) -> None:
-    with held_ledger(tmp_path, "a"), held_ledger(tmp_path, "b"):
-        pass
+    with held_ledger(tmp_path, "a"):
+        assert refusal(tmp_path, "b") is None
+        assert refusal(tmp_path, "a") is not None
 
 
 def test_parts_come_together(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ def read(path: Path) -> tuple[list[dict[str, object]], int]:
 def whole(path: Path) -> bytes:
     with LineWriter(path, HEAD) as writer:
         for line in LINES:
-            writer.add([line])
+            writer.write([line])
     return path.read_bytes()
 
 
@@ -40,7 +40,7 @@ def test_a_file_torn_anywhere(data: st.DataObject) -> None:
         assert found == LINES[: len(found)]
         assert len(found) == max(0, content[:cut].count(b"\n") - 1)
         with LineWriter(path, HEAD, length) as writer:
-            writer.add(LINES[len(found) :])
+            writer.write(LINES[len(found) :])
         assert read(path)[0] == LINES
 
 
@@ -85,6 +85,6 @@ def test_lines_that_do_not_fit_are_not_there(
     with LineWriter(path, HEAD, len(content)) as writer:
         monkeypatch.setattr(os, "write", lambda to, data: write(to, data[:5]))
         with pytest.raises(OutputError) as error:
-            writer.add(LINES)
+            writer.write(LINES)
     assert error.value.code == "BAT012"
     assert path.read_bytes() == content

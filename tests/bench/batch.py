@@ -288,7 +288,7 @@ def resumed(folder: Path, count: int) -> list[Row]:
             process.send_signal(signal.SIGKILL)
             process.wait()
             stopped += 1
-        time.sleep(0.2)
+        # The next run begins while processes of this one may still end.
     batch(folder, "-j", 2)
     names = {p.relative_to(whole / "out") for p in (whole / "out").rglob("*.usdc")}
     found = {p.relative_to(folder / "out") for p in (folder / "out").rglob("*")
