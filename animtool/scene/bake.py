@@ -28,7 +28,8 @@ from animtool.scene.take_plan import TakePlan
 from animtool.take import Motion
 from animtool.usd.animation import WrittenBlock, round_blocks
 from animtool.usd.author import author, write_usd
-from animtool.usd.jobs import Form, UsdJob, UsdTake, WrittenTake
+from animtool.usd.forms import Form
+from animtool.usd.jobs import UsdJob, UsdTake, WrittenTake
 from animtool.usd.names import UsdNames, joint_names
 from animtool.usd.paths import RigPaths
 

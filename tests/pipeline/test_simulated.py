@@ -19,7 +19,8 @@ joints:
 - {name: body, type: free}
 - {name: tail_1, parent: body, type: ball, translate: [0, 0, -10]}
 - {name: tail_2, parent: tail_1, type: ball, translate: [0, 0, -20]}
-- {name: tail_3, parent: tail_2, type: ball, translate: [0, 0, -20], tips: [[0, 0, -20]]}
+- {name: tail_3, parent: tail_2, type: ball, translate: [0, 0, -20],
+   tips: [[0, 0, -20]]}
 attach: [{name: tail, kind: spring_chain, joints: [tail_1, tail_2, tail_3]}]
 """
 CLIP = """clip: animtool/1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
@@ -25,6 +25,7 @@ from animtool.sim.springs import (
 )
 
 SEEDS = st.integers(0, 2**31)
+AIR = [1.0, 2.0, 3.0]  # [m/s]
 
 
 def shaken(seed: int, **options: object) -> SpringSystem:
@@ -38,6 +39,14 @@ def shaken(seed: int, **options: object) -> SpringSystem:
     masses = rng.uniform(0.1, 2, len(places))
     body = Body(places, masses, made.springs, made.triangles)
     return SpringSystem(body, velocities=rng.normal(size=places.shape), **options)
+
+
+def flow_through(system: SpringSystem, wind: list[float]) -> FloatArray:
+    """Return how fast air goes through each triangle [m/s]."""
+    x, v = (part[system.body.triangles] for part in system.state)
+    normals = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    flows = ((np.array(wind) - v.mean(axis=1)) * normals).sum(axis=1)
+    return np.abs(flows) / np.linalg.norm(normals, axis=1)
 
 
 def forces(system: SpringSystem, state: FloatArray, t: float = 0.0) -> FloatArray:
@@ -64,9 +73,11 @@ def test_forces_are_the_slope_of_the_energy(seed: int) -> None:
 def test_slopes_are_those_of_differences(seed: int) -> None:
     system = shaken(
         seed, pins=Pins([3]), targets=Targets([1], [[1, 2, 3]], 3.0, 0.5),
-        air=Air([1.0, 2.0, 3.0]), drag=0.3, resistance=0.2,
+        air=Air(AIR), drag=0.3, resistance=0.2,
     )  # fmt: skip
     x, v = system.state
+    # Pressure has a kink where air goes along a triangle.
+    assume(flow_through(system, AIR).min() > 1e-2)
     by_x, by_v = (matrix.toarray() for matrix in system.jacobians(0.0, x, v))
     h, rng = 1e-6, np.random.default_rng(seed)
     for matrix, part in ((by_x, 0), (by_v, 1)):
