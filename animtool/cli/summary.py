@@ -7,7 +7,7 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from animtool.cli.mesh_summary import mesh_json, mesh_text
-from animtool.errors import counted
+from animtool.errors import counted, listed
 from animtool.rates import rate_label
 from animtool.units import unit_name
 
@@ -53,6 +53,7 @@ def bake_text(report: BakeReport) -> list[str]:
             f"{files}: {report.form}",
             f"  {_frames_text(report, one)}",
             *mesh_text(one, report.meters_per_unit),
+            *_beside_text(report),
             f"  {report.up} up, lengths in {unit}{assumed}",
             f"  {result.bytes / 1e6:.3g} MB written in {total:.2f} s",
         ]
@@ -64,6 +65,7 @@ def bake_text(report: BakeReport) -> list[str]:
         lines.append(f"  {len(takes)} takes, {_range_text(report)}")
     lines += [
         f"  {counted(result.joints, 'joint')}, {moving} animated",
+        *_beside_text(report),
         f"  {report.up} up, lengths in {unit}{assumed}",
         f"  {result.bytes / 1e6:.3g} MB written in {total:.2f} s, "
         f"{report.source_bytes / 1e6 / total:.3g} MB/s of source",
@@ -155,6 +157,12 @@ def bake_details(report: BakeReport) -> list[str]:
     ]
 
 
+def _beside_text(report: BakeReport) -> list[str]:
+    """Return the line of what is written beside the characters, if there is any."""
+    paths = [path for take in report.takes for path in take.written.things]
+    return [f"  beside: {listed(paths)}"] if paths else []
+
+
 def bake_json(report: BakeReport) -> dict[str, object]:
     """Return the summary as plain values.
 
@@ -212,6 +220,7 @@ def _take_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
         "source_frames": take.source_frames,
         "source_rate": str(take.source_fps),
         "animation": written.animation,
+        **({"beside": written.things} if written.things else {}),
     }
     if written.name:
         found = {

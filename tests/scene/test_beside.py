@@ -56,6 +56,7 @@ PRIMS = {"/Set/box": "/walk/Props/box", "/Set/camera": "/Cameras/main"}
 def test_they_are_where_they_are(folder: Path) -> None:
     done = bake(folder, "fps: 24\nrange: [1, 40]\noutput: {file: out.usda}\n")
     assert done.code == 0, done.stderr
+    assert "  beside: /walk/Props/box, /Cameras/main\n" in done.stderr
     same(folder, "out.usda", {t: t for t in range(1, 41)}, PRIMS)
     stage = Usd.Stage.Open(str(folder / "out.usda"))
     camera = UsdGeom.Camera(stage.GetPrimAtPath("/Cameras/main"))

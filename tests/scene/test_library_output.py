@@ -180,3 +180,13 @@ def test_a_batch_does_not_write_one(folder: Path) -> None:
     done = animtool("batch", "walk.bvh", "--scene", "t.scene.yaml",
                     "-o", "{stem}.usda", "-j", "1", cwd=folder)  # fmt: skip
     assert "SCN052" in done.stdout + done.stderr
+
+
+def test_scenes_that_write_other_takes_are_clean(folder: Path) -> None:
+    for name in PASSES:
+        add(folder, name)
+    for name in PASSES:
+        found = animtool("validate", folder / f"{name}.scene.yaml")
+        assert found.code == 0, found.stdout
+    shutil.copy(folder / "slow.scene.yaml", folder / "again.scene.yaml")
+    assert "SCN204" in animtool("validate", folder / "again.scene.yaml").stdout

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from animtool.clip.points import joint_bounds
 from animtool.documents.document import Location, read_document
@@ -13,6 +14,7 @@ from animtool.documents.variables import resolve_variables
 from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.scene.options import BakeOptions, check_options
 from animtool.scene.outputs import scene_files
+from animtool.scene.plan import take_name
 from animtool.scene.schema import SceneModel
 from animtool.scene.sources import SCENE_SUFFIXES
 from animtool.validation.subjects.scene import SceneSubject
@@ -37,10 +39,13 @@ def over_input(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def over_other(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield outputs that another scene of the folder writes too (SCN204)."""
+    """Yield outputs that another scene of the folder writes too (SCN204).
+
+    Takes of one library are not the same.
+    """
     own = subject.scene.path.resolve()
     written = [
-        (at, output.path.resolve())
+        (at, (output.path.resolve(), _take(subject.scene.path, output.bake)))
         for at, output in subject.outputs
         if output.path is not None
     ]
@@ -51,14 +56,19 @@ def over_other(subject: SceneSubject) -> Iterator[Fault]:
         others = _outputs(path, stat.st_mtime_ns, stat.st_size)
         for at, output in written:
             if output in others:
-                message = f"{path.name!r} writes {output.name!r} too"
+                message = f"{path.name!r} writes {output[0].name!r} too"
                 hint = "name another in one of them"
                 yield subject.fault("SCN204", (*at, "file"), message, hint)
 
 
+def _take(scene: Path, bake: BakeOptions) -> str:
+    """Return the take of a library that is written; empty where it is a whole file."""
+    return take_name(bake, scene) if bake.form == "library" else ""
+
+
 @lru_cache(maxsize=4096)
-def _outputs(path: Path, _changed: int, _size: int) -> tuple[Path, ...]:
-    """Return the files that a scene writes, once a scene and version of it."""
+def _outputs(path: Path, _changed: int, _size: int) -> tuple[tuple[Path, str], ...]:
+    """Return the files and takes a scene writes, once a scene and version of it."""
     try:
         document = read_document(path)
         resolve_variables(document, SceneModel, {})
@@ -67,9 +77,19 @@ def _outputs(path: Path, _changed: int, _size: int) -> tuple[Path, ...]:
         return ()
     written = document.value.get("output")
     entries = written if isinstance(written, list) else [written]
-    names = [entry.get("file") for entry in entries if isinstance(entry, dict)]
     return tuple(
-        (path.parent / name).resolve() for name in names if isinstance(name, str)
+        ((path.parent / name).resolve(), _take(path, _named_take(entry)))
+        for entry in entries
+        if isinstance(entry, dict) and isinstance(name := entry.get("file"), str)
+    )
+
+
+def _named_take(entry: dict[str, Any]) -> BakeOptions:
+    """Return of an entry of outputs what says whether it is a take, and which."""
+    form, take = entry.get("as"), entry.get("take")
+    return BakeOptions(
+        form="library" if form == "library" else None,
+        take=take if isinstance(take, str) else None,
     )
 
 
