@@ -213,7 +213,10 @@ def _attributes(prim: Any, wanted: Wanted) -> list[Any]:
         attribute = prim.GetAttribute(name)
         if attribute and attribute.GetName() in {a.GetName() for a in found}:
             continue
-        if not attribute or not attribute.HasValue():
+        if name.startswith("xformOp"):
+            message = f"{name} of {wanted.prim} is of its place, which is read anyway"
+            faults.append(Fault("SCN049", message, hint="leave it out"))
+        elif not attribute or not attribute.HasValue():
             names = [a.GetName() for a in prim.GetAttributes() if a.HasValue()]
             near = get_close_matches(name, names, 1)
             hint = f"did you mean {near[0]}?" if near else None

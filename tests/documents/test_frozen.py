@@ -110,6 +110,22 @@ def test_scene_1_of_a_shot(tmp_path: Path) -> None:
         assert (folder / name).is_file()
 
 
+def test_scene_1_with_things_beside(tmp_path: Path) -> None:
+    folder = tmp_path / "frozen"
+    shutil.copytree(FROZEN, folder)
+    scene = load_scene(folder / "scene-1-beside.scene.yaml")
+    prop, still = scene.beside
+    assert (prop.prim, prop.path, prop.frame) == ("/World/prop", "Props/prop", 2)
+    assert (prop.retimed, still.retimed) == (True, False)
+    assert still.attributes == ("visibility",)
+    assert (prop.reference, still.reference) == (prop.file, None)
+    assert [output.bake.take for output in scene.outputs] == [None, "slow"]
+    done = animtool("bake", folder / "scene-1-beside.scene.yaml")
+    assert done.code == 0, done.stderr
+    for name in ("beside.usda", "moves.usda"):
+        assert "Props" in (folder / name).read_text("utf-8")
+
+
 def test_targets_1() -> None:
     rig = load_rig(FROZEN / "rig-1.rig.yaml")
     tracks = load_targets(FROZEN / "targets-1.targets.yaml", rig)

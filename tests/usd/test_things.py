@@ -152,6 +152,7 @@ def test_rate_and_range(tmp_path: Path) -> None:
         ("/Settings", (), "SCN048", "attributes"),
         ("/Set/box", ("stat",), "SCN049", "state"),
         ("/Settings", ("many",), "SCN049", "numbers"),
+        ("/Set/box", ("xformOp:scale",), "SCN049", "leave"),
     ],
 )
 def test_what_is_refused(
