@@ -246,6 +246,7 @@ def bake(
         _table(console, opened, output, _options(given), as_json=as_json)
         return
     if scene is not None:
+        _check_library(scene, given)
         from animtool.scene.outputs import is_several
 
         if given["stats"]:
@@ -311,6 +312,17 @@ def _check_usage(given: dict[str, Any]) -> None:
         raise click.UsageError("--plan and --table write nothing: give one.")
     if given["stats"] and (given["plan"] or given["table"]):
         raise click.UsageError("--stats measures a bake: no --plan or --table.")
+
+
+def _check_library(scene: Scene, given: dict[str, Any]) -> None:
+    """Refuse to skip a library, to which a take is added."""
+    if given["skip_existing"] and any(
+        output.bake.form == "library" for output in scene.outputs
+    ):
+        message = (
+            "--skip-existing is for whole files, and the scene adds a take to one."
+        )
+        raise click.UsageError(message)
 
 
 def _only_scene(opened: Sequence[Path | Scene]) -> Scene | None:

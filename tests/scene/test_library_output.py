@@ -103,6 +103,14 @@ def test_a_take_that_is_there_is_not_replaced_unasked(folder: Path) -> None:
     assert (folder / "lib.usda").read_bytes() == before
 
 
+def test_a_library_is_not_skipped(folder: Path) -> None:
+    add(folder, "slow")
+    done = add(folder, "left", "--skip-existing")
+    assert done.code == 2
+    assert "adds a take" in " ".join(done.stderr.split())
+    assert variants(folder) == ["slow"]
+
+
 def test_what_is_no_library_is_refused(folder: Path) -> None:
     assert animtool("bake", "walk.bvh", "-o", "lib.usda", cwd=folder).code == 0
     before = (folder / "lib.usda").read_bytes()
