@@ -273,16 +273,20 @@ def spring_accelerations(network: SpringNetwork, t: float, h: float, state: Anno
     anchors are drawn to are those of the h before.
     """
 
-def step_springs(network: SpringNetwork, state: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], torn: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], origin: float, first: int, cell: float, cells: int, substeps: int) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C')]]:
+def step_springs(network: SpringNetwork, state: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], torn: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], origin: float, first: int, cell: float, cells: int, substeps: int, colliders: tuple[tuple[Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)]], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C', device='cpu', writable=False)], float] | None) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C')], int]:
     """
     Take semi-implicit Euler steps from a state ``(2, N, 3)``.
 
     Cell i of time begins at ``origin + (first + i) cell`` and is that many substeps.
 
-    Returns ``(state, torn)``.
+    ``colliders``: those of `collide_particles`, their poses at both ends of each cell
+    ``(cells, C, 2, 7)``, and the distance that particles keep.
+
+    Returns ``(state, torn, unresolved)``: particles left inside colliders at the end of a cell,
+    at most.
     """
 
-def project_springs(network: SpringNetwork, state: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], torn: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], origin: float, first: int, cell: float, cells: int, substeps: int, calm: int, least: int, most: int, stretch: float) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C')], int, int, float, int]:
+def project_springs(network: SpringNetwork, state: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], torn: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], origin: float, first: int, cell: float, cells: int, substeps: int, calm: int, least: int, most: int, stretch: float, colliders: tuple[tuple[Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)]], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C', device='cpu', writable=False)], float] | None) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C')], int, int, float, int, int]:
     """
     Take steps of extended position based dynamics, each spring once a step, in order.
 
@@ -290,7 +294,7 @@ def project_springs(network: SpringNetwork, state: Annotated[NDArray[numpy.float
     than this ``stretch``, and not mostly by its own give, is crossed again in twice the steps,
     up to ``most``; after many that go well half as many are tried, down to ``least``.
 
-    Returns ``(state, torn, substeps, calm, stretch, steps)``: steps a cell and cells that went
+    Returns ``(state, torn, substeps, calm, stretch, steps, unresolved)``: steps a cell and cells that went
     well, to go on with; the largest stretch that is not a spring's own; steps in all.
     """
 
@@ -313,7 +317,7 @@ def follow_springs(network: SpringNetwork, capsules: SpringCapsules, state: Anno
     those that are left deeper in one than they may be by more than ``tolerance``.
     """
 
-def solve_springs(network: SpringNetwork, state: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], before: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)] | None, torn: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], origin: float, first: int, cell: float, cells: int, substeps: int, two_steps: bool, tolerance: float) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], bool, Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C')], int, int, int]:
+def solve_springs(network: SpringNetwork, state: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], before: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)] | None, torn: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], origin: float, first: int, cell: float, cells: int, substeps: int, two_steps: bool, tolerance: float, colliders: tuple[tuple[Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)]], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C', device='cpu', writable=False)], float] | None) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], bool, Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C')], int, int, int, int]:
     """
     Take implicit steps: of Euler, or backward differences of ``two_steps``.
 
@@ -321,6 +325,6 @@ def solve_springs(network: SpringNetwork, state: Annotated[NDArray[numpy.float64
     start. Newton's method goes on until a correction moves no particle by more than
     ``tolerance``; a cell that is not solved is tried in shorter steps.
 
-    Returns ``(state, before, known, torn, steps, corrections, lost)``: whether ``before`` is
+    Returns ``(state, before, known, torn, steps, corrections, lost, unresolved)``: whether ``before`` is
     known; steps and corrections taken; whether a cell could not be solved.
     """

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "kernels.h"
+#include "springs_contacts.h"
 
 namespace animtool {
 
@@ -111,6 +112,10 @@ ColliderSamples sample_colliders(ColliderArrays colliders, In<double, 2> points,
   }
   const std::size_t flat[2] = {made.size(), count}, deep[3] = {made.size(), count, 3};
   return {distances.release(flat), normals.release(deep), velocities.release(deep)};
+}
+
+std::vector<Collider> read_colliders(const ColliderArrays& arrays) {
+  return colliders_of(arrays);
 }
 
 }  // namespace animtool

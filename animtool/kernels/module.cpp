@@ -245,23 +245,27 @@ Held particles have none; springs that are ``torn`` ``(S,)`` pull nothing. Speed
 anchors are drawn to are those of the h before.)");
 
   m.def("step_springs", &step_springs, "network"_a, "state"_a, "torn"_a, "origin"_a, "first"_a,
-        "cell"_a, "cells"_a, "substeps"_a,
+        "cell"_a, "cells"_a, "substeps"_a, "colliders"_a.none(),
         R"(Take semi-implicit Euler steps from a state ``(2, N, 3)``.
 
 Cell i of time begins at ``origin + (first + i) cell`` and is that many substeps.
 
-Returns ``(state, torn)``.)");
+``colliders``: those of `collide_particles`, their poses at both ends of each cell
+``(cells, C, 2, 7)``, and the distance that particles keep.
+
+Returns ``(state, torn, unresolved)``: particles left inside colliders at the end of a cell,
+at most.)");
 
   m.def("project_springs", &project_springs, "network"_a, "state"_a, "torn"_a, "origin"_a,
         "first"_a, "cell"_a, "cells"_a, "substeps"_a, "calm"_a, "least"_a, "most"_a,
-        "stretch"_a,
+        "stretch"_a, "colliders"_a.none(),
         R"(Take steps of extended position based dynamics, each spring once a step, in order.
 
 Cells are those of `step_springs`. One at whose end a spring is longer than at rest by more
 than this ``stretch``, and not mostly by its own give, is crossed again in twice the steps,
 up to ``most``; after many that go well half as many are tried, down to ``least``.
 
-Returns ``(state, torn, substeps, calm, stretch, steps)``: steps a cell and cells that went
+Returns ``(state, torn, substeps, calm, stretch, steps, unresolved)``: steps a cell and cells that went
 well, to go on with; the largest stretch that is not a spring's own; steps in all.)");
 
   nb::class_<SpringCapsules>(m, "SpringCapsules",
@@ -283,13 +287,13 @@ those that are left deeper in one than they may be by more than ``tolerance``.)"
 
   m.def("solve_springs", &solve_springs, "network"_a, "state"_a, "before"_a.none(), "torn"_a,
         "origin"_a, "first"_a, "cell"_a, "cells"_a, "substeps"_a, "two_steps"_a,
-        "tolerance"_a,
+        "tolerance"_a, "colliders"_a.none(),
         R"(Take implicit steps: of Euler, or backward differences of ``two_steps``.
 
 Cells are those of `step_springs`; ``before`` is the state a step before, None at the
 start. Newton's method goes on until a correction moves no particle by more than
 ``tolerance``; a cell that is not solved is tried in shorter steps.
 
-Returns ``(state, before, known, torn, steps, corrections, lost)``: whether ``before`` is
+Returns ``(state, before, known, torn, steps, corrections, lost, unresolved)``: whether ``before`` is
 known; steps and corrections taken; whether a cell could not be solved.)");
 }

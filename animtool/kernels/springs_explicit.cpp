@@ -67,29 +67,33 @@ Out<std::int64_t, 1> spring_order(In<std::int64_t, 2> ends, std::size_t particle
 
 SpringsStepped step_springs(const SpringNetwork& network, In<double, 3> state,
                             In<std::uint8_t, 1> torn, double origin, std::int64_t first,
-                            double cell, std::int64_t cells, int substeps) {
+                            double cell, std::int64_t cells, int substeps,
+                            const std::optional<SpringColliders>& colliders) {
   SpringRun run = begin_springs(network, state, torn);
   const Cells grid{origin, first, cell, cells};
+  SpringContacts contacts(colliders, network.particles(), cells);
   {
     nb::gil_scoped_release release;
     const double h = cell / substeps;
     std::vector<double> rate(run.size), before(run.size);
     for (std::int64_t i = 0; i < cells; ++i) {
+      contacts.begin_cell(i, substeps);
       for (int j = 0; j < substeps; ++j) {
         const double t = grid.start(i) + j * h;
         run.look(t, h);
         run.accelerate(run.x.data(), run.v.data(), rate.data());
-        if (!network.held.empty()) before = run.x;
+        if (!network.held.empty() || contacts.any()) before = run.x;
         for (std::size_t k = 0; k < run.size; ++k) {
           run.v[k] += h * rate[k];
           run.x[k] += h * run.v[k];
         }
         network.place_held(t + h, h, before.data(), run.x.data(), run.v.data());
+        contacts.settle(network, j, h, before, run.x, &run.v);
       }
       run.tear();
     }
   }
-  return {ended_state(run), ended_torn(run)};
+  return {ended_state(run), ended_torn(run), contacts.unresolved};
 }
 
 }  // namespace animtool

@@ -33,15 +33,21 @@ Give give(double stiffness, double damping, double weight, double h) {
 
 class Projection {
  public:
-  Projection(SpringRun& run, double cell)
-      : run_(run), cell_(cell), before_(run.size), project_all_(project_all_in_quads()) {
+  Projection(SpringRun& run, double cell, SpringContacts& contacts)
+      : run_(run),
+        contacts_(contacts),
+        cell_(cell),
+        before_(run.size),
+        project_all_(project_all_in_quads()) {
     if (!project_all_) project_all_ = project_all<PlainRows>;
   }
 
   // One cell in a number of steps; returns the largest stretch of a spring that is not for
   // the most part what its own stiffness gives under what it bears.
-  double cross(double start, int substeps, SpringCapsules* capsules = nullptr) {
+  double cross(std::int64_t index, double start, int substeps,
+               SpringCapsules* capsules = nullptr) {
     prepare(substeps);
+    contacts_.begin_cell(index, substeps);
     const double h = cell_ / substeps;
     for (int j = 0; j < substeps; ++j) {
       const double t = start + j * h;
@@ -53,6 +59,7 @@ class Projection {
       if (capsules != nullptr)
         touched_ = std::max(touched_, capsules->keep_out(t, h, run_.network.inverse_masses,
                                                          before_.data(), run_.x.data()));
+      contacts_.settle(run_.network, j, h, before_, run_.x, nullptr);
       const double rate = 1 / h;
       for (std::size_t k = 0; k < run_.size; ++k) run_.v[k] = (run_.x[k] - before_[k]) * rate;
     }
@@ -154,6 +161,7 @@ class Projection {
   }
 
   SpringRun& run_;
+  SpringContacts& contacts_;
   double cell_;
   int prepared_ = 0;
   std::int64_t touched_ = 0;
@@ -167,26 +175,28 @@ class Projection {
 SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> state,
                                  In<std::uint8_t, 1> torn, double origin, std::int64_t first,
                                  double cell, std::int64_t cells, int substeps, int calm,
-                                 int least, int most, double stretch) {
+                                 int least, int most, double stretch,
+                                 const std::optional<SpringColliders>& colliders) {
   SpringRun run = begin_springs(network, state, torn);
   const Cells grid{origin, first, cell, cells};
+  SpringContacts contacts(colliders, network.particles(), cells);
   double worst = 0;
   std::int64_t taken = 0;
   {
     nb::gil_scoped_release release;
-    Projection projection(run, cell);
+    Projection projection(run, cell, contacts);
     std::vector<double> x, v;
     for (std::int64_t i = 0; i < cells; ++i) {
       x = run.x;
       v = run.v;
-      double found = projection.cross(grid.start(i), substeps);
+      double found = projection.cross(i, grid.start(i), substeps);
       taken += substeps;
       while (!(found <= stretch) && substeps < most) {
         substeps = std::min(2 * substeps, most);
         calm = 0;
         run.x = x;
         run.v = v;
-        found = projection.cross(grid.start(i), substeps);
+        found = projection.cross(i, grid.start(i), substeps);
         taken += substeps;
       }
       worst = std::max(worst, found);
@@ -198,7 +208,8 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
       if (run.tear()) projection.forget();
     }
   }
-  return {ended_state(run), ended_torn(run), substeps, calm, worst, taken};
+  return {ended_state(run), ended_torn(run), substeps, calm, worst, taken,
+          contacts.unresolved};
 }
 
 SpringsFollowed follow_springs(const SpringNetwork& network, SpringCapsules& capsules,
@@ -213,8 +224,9 @@ SpringsFollowed follow_springs(const SpringNetwork& network, SpringCapsules& cap
   std::int64_t touched = 0, inside = 0;
   {
     nb::gil_scoped_release release;
-    Projection projection(run, span);
-    projection.cross(start, steps, capsules.empty() ? nullptr : &capsules);
+    SpringContacts none(std::nullopt, network.particles(), 1);
+    Projection projection(run, span, none);
+    projection.cross(0, start, steps, capsules.empty() ? nullptr : &capsules);
     touched = projection.touched();
     if (!capsules.empty())
       inside = capsules.inside(start + span, tolerance, network.inverse_masses,

@@ -254,11 +254,12 @@ struct Pair {
 
 class Crossing {
  public:
-  Crossing(SpringRun& run, double tolerance, bool two_steps)
-      : run_(run), implicit_(run, tolerance), two_steps_(two_steps) {}
+  Crossing(SpringRun& run, SpringContacts& contacts, double tolerance, bool two_steps)
+      : run_(run), contacts_(contacts), implicit_(run, tolerance), two_steps_(two_steps) {}
 
   // One cell in a number of steps; whether all were solved.
-  bool cross(double start, double cell, int substeps) {
+  bool cross(std::int64_t index, double start, double cell, int substeps) {
+    contacts_.begin_cell(index, substeps);
     const double h = cell / substeps;
     for (int j = 0; j < substeps; ++j) {
       const double t = start + (j + 1) * h;
@@ -278,7 +279,9 @@ class Crossing {
       if (!implicit_.solve(bx_, bv_, s, t)) return false;
       run_.network.place_held(t, h, now.x.data(), run_.x.data(), run_.v.data());
       before = now;
-      known = two_steps_;
+      // What two steps go on from is smooth.
+      const bool met = contacts_.settle(run_.network, j, h, now.x, run_.x, &run_.v);
+      known = two_steps_ && !met;
       ++steps;
     }
     return true;
@@ -292,6 +295,7 @@ class Crossing {
 
  private:
   SpringRun& run_;
+  SpringContacts& contacts_;
   Implicit implicit_;
   bool two_steps_;
   std::vector<double> bx_, bv_;
@@ -303,13 +307,15 @@ SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
                             std::optional<In<double, 3>> earlier, In<std::uint8_t, 1> torn,
                             double origin, std::int64_t first, double cell,
                             std::int64_t cells, int substeps, bool two_steps,
-                            double tolerance) {
+                            double tolerance,
+                            const std::optional<SpringColliders>& colliders) {
   SpringRun run = begin_springs(network, state, torn);
   if (earlier && (earlier->shape(0) != 2 || earlier->shape(1) != network.particles() ||
                   earlier->shape(2) != 3))
     throw std::invalid_argument("the state before is (2, N, 3)");
   const Cells grid{origin, first, cell, cells};
-  Crossing crossing(run, tolerance, two_steps);
+  SpringContacts contacts(colliders, network.particles(), cells);
+  Crossing crossing(run, contacts, tolerance, two_steps);
   crossing.before = {run.x, run.v};
   std::int64_t lost = 0;
   {
@@ -322,14 +328,14 @@ SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
     }
     for (std::int64_t i = 0; i < cells && !lost; ++i) {
       const Pair start{run.x, run.v};
-      if (!crossing.cross(grid.start(i), cell, substeps)) {
+      if (!crossing.cross(i, grid.start(i), cell, substeps)) {
         // The equations of shorter steps are easier.
         bool found = false;
         for (int split = 1; split <= MOST_SPLITS && !found; ++split) {
           run.x = start.x;
           run.v = start.v;
           crossing.known = false;
-          found = crossing.cross(grid.start(i), cell, substeps << split);
+          found = crossing.cross(i, grid.start(i), cell, substeps << split);
           crossing.known = false;
         }
         lost += !found;
@@ -345,7 +351,8 @@ SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
   back.x = crossing.before.x;
   back.v = crossing.before.v;
   return {ended_state(run),          ended_state(back), crossing.known,        ended_torn(run),
-          crossing.steps, crossing.corrections(), lost};
+          crossing.steps, crossing.corrections(), lost,
+          contacts.unresolved};
 }
 
 }  // namespace animtool

@@ -79,6 +79,18 @@ def test_springs_are_projected_one_after_the_other(seed: int) -> None:
     made = network(ends, count, rng)
     state = rng.normal(size=(2, count, 3))
     found = _kernels.project_springs(
-        made, state, np.zeros(len(ends), np.uint8), 0.0, 0, 0.01, 1, 1, 0, 1, 1, np.inf
+        made,
+        state,
+        np.zeros(len(ends), np.uint8),
+        0.0,
+        0,
+        0.01,
+        1,
+        1,
+        0,
+        1,
+        1,
+        np.inf,
+        None,
     )[0]
     np.testing.assert_allclose(found, projected(ends, count, seed), atol=1e-9)

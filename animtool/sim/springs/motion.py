@@ -34,6 +34,7 @@ class Grid:
         steps: Taken so far.
         evaluations: Of all springs so far.
         lost: Whether a cell could not be crossed.
+        unresolved: Particles left inside colliders, at most.
     """
 
     solver: Solver
@@ -50,6 +51,7 @@ class Grid:
     steps: int = 0
     evaluations: int = 0
     lost: bool = False
+    unresolved: int = 0
 
     @property
     def time(self) -> float:
@@ -68,6 +70,8 @@ class SpringMotion(Trajectory):
         stretch: Of xpbd, the most that springs were longer than at rest, where this
             was not mostly their own give, over their length at rest [1]; else 0.
         torn: Which springs are, at the end ``(S,)``, in the order of the body's.
+        unresolved: Particles that colliders held from several sides, or that were on
+            their way out of one, at most at a time.
     """
 
     solver: Solver
@@ -75,3 +79,4 @@ class SpringMotion(Trajectory):
     step: float
     stretch: float
     torn: npt.NDArray[np.bool_]
+    unresolved: int

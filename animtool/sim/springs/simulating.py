@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from animtool._types import ArrayLike, FloatArray
-from animtool.errors import Fault, OptionError, Severity
+from animtool.errors import Fault, OptionError, Severity, counted
 from animtool.sim.checks import check_times
 from animtool.sim.options import IntegrateOptions
 from animtool.sim.springs.checks import start_notices
@@ -96,7 +96,7 @@ def simulate_springs(
 
 def _fresh(grid: Grid) -> Grid:
     """Return where a motion stands, with nothing counted."""
-    return replace(grid, stretch=0.0, steps=0, evaluations=0)
+    return replace(grid, stretch=0.0, steps=0, evaluations=0, unresolved=0)
 
 
 def _check_start(system: SpringSystem, state: FloatArray) -> None:
@@ -175,6 +175,7 @@ def _motion(
         step=step,
         stretch=run.grid.stretch,
         torn=torn,
+        unresolved=run.grid.unresolved,
     )
 
 
@@ -247,6 +248,7 @@ def _notices(
     stats: Stats,
 ) -> list[Fault]:
     found = start_notices(system.body) if begun.index == 0 else []
+    found += system.colliders.notices() if begun.index == 0 else []
     limit = explicit_limit(system, begun.time, begun.state)
     h = choice.cell / choice.substeps
     if choice.solver is Solver.SYMPLECTIC_EULER and h > limit:
@@ -267,6 +269,13 @@ def _notices(
         found.append(
             _warning("SIM212", message, "take bdf2, or less stiffness or mass")
         )
+    if run.grid.unresolved:
+        message = (
+            f"{counted(run.grid.unresolved, 'particle')} could not be brought out of "
+            "colliders at once"
+        )
+        hint = "they start inside, or colliders close in on them from several sides"
+        found.append(_warning("SIM214", message, hint))
     return found
 
 

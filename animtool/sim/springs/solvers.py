@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TypeAlias
 
 from animtool import _kernels
+from animtool.sim.springs.contacts import cell_colliders
 from animtool.sim.springs.motion import Grid
 from animtool.sim.springs.options import Solver, SpringOptions
 from animtool.sim.springs.system import SpringSystem
@@ -28,9 +29,10 @@ def _explicit(
     grid: Grid,
     cells: int,
 ) -> Grid:
-    state, torn = _kernels.step_springs(
+    met = cell_colliders(system.colliders, system.radius, grid, cells)
+    state, torn, inside = _kernels.step_springs(
         system.network, grid.state, grid.torn, grid.origin, grid.index, grid.cell,
-        cells, grid.substeps,
+        cells, grid.substeps, met,
     )  # fmt: skip
     steps = cells * grid.substeps
     return replace(
@@ -38,6 +40,7 @@ def _explicit(
         index=grid.index + cells,
         state=state,
         torn=torn,
+        unresolved=max(grid.unresolved, inside),
         steps=grid.steps + steps,
         evaluations=grid.evaluations + steps,
     )
@@ -47,9 +50,10 @@ def _projected(
     system: SpringSystem, options: SpringOptions, grid: Grid, cells: int
 ) -> Grid:
     most = max(grid.least, int(grid.cell / SHORTEST))
-    state, torn, substeps, calm, stretch, steps = _kernels.project_springs(
+    met = cell_colliders(system.colliders, system.radius, grid, cells)
+    state, torn, substeps, calm, stretch, steps, inside = _kernels.project_springs(
         system.network, grid.state, grid.torn, grid.origin, grid.index, grid.cell,
-        cells, grid.substeps, grid.calm, grid.least, most, options.stretch,
+        cells, grid.substeps, grid.calm, grid.least, most, options.stretch, met,
     )  # fmt: skip
     return replace(
         grid,
@@ -57,6 +61,7 @@ def _projected(
         substeps=substeps,
         state=state,
         torn=torn,
+        unresolved=max(grid.unresolved, inside),
         calm=calm,
         stretch=max(grid.stretch, stretch),
         steps=grid.steps + steps,
@@ -72,16 +77,19 @@ def _implicit(
 ) -> Grid:
     rest = system.body.springs.rest
     size = float(rest.mean()) if rest.any() else 1.0
-    state, before, known, torn, steps, corrections, lost = _kernels.solve_springs(
+    met = cell_colliders(system.colliders, system.radius, grid, cells)
+    found = _kernels.solve_springs(
         system.network, grid.state, grid.before, grid.torn, grid.origin, grid.index,
-        grid.cell, cells, grid.substeps, grid.solver is Solver.BDF2, SOLVED * size,
+        grid.cell, cells, grid.substeps, grid.solver is Solver.BDF2, SOLVED * size, met,
     )  # fmt: skip
+    state, before, known, torn, steps, corrections, lost, inside = found
     return replace(
         grid,
         index=grid.index + cells,
         state=state,
         before=before if known else None,
         torn=torn,
+        unresolved=max(grid.unresolved, inside),
         steps=grid.steps + steps,
         evaluations=grid.evaluations + corrections,
         lost=lost > 0,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from functools import cached_property
 
@@ -9,9 +10,11 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_floats
+from animtool.sim.colliders import Collider, Colliders, collide
 from animtool.sim.springs.body import Body
 from animtool.sim.springs.bounds import fastest
 from animtool.sim.springs.checks import check_body, check_path
+from animtool.sim.springs.contacts import fastest_collider
 from animtool.sim.springs.paths import Air, Pins, Targets, over_knots
 from animtool.sim.system import Energy, Matrix, Native, SecondOrder
 
@@ -37,9 +40,11 @@ class SpringSystem(SecondOrder):
         resistance: The same over speed, of each particle ``(N,)`` or all [N s/m].
         air: What acts on the triangles.
         velocities: At the start ``(N, 3)`` [m/s]; None is at rest.
+        colliders: What particles may run into.
+        radius: Distance that particles keep from colliders [m].
 
     Raises:
-        OptionError: What makes no sense (SIM201 to SIM205).
+        OptionError: What makes no sense (SIM201 to SIM205), of colliders SIM020.
 
     >>> from animtool.sim.springs.lines import rope
     >>> from animtool.sim.springs.body import Family
@@ -63,6 +68,8 @@ class SpringSystem(SecondOrder):
         resistance: ArrayLike = 0.0,
         air: Air | None = None,
         velocities: ArrayLike | None = None,
+        colliders: Sequence[Collider] = (),
+        radius: float = 0.0,
     ) -> None:
         held = Pins(()) if pins is None else pins
         check_body(body, held, targets)
@@ -76,7 +83,12 @@ class SpringSystem(SecondOrder):
         self.fixed: BoolArray = np.isin(np.arange(count), self.pinned)
         self._pin_path = _pin_path(body, held, self.pinned)
         self.drawn, self.draws, self._target_path = _drawn(targets)
-        self.settles = len(self._pin_path[0]) > 1
+        self.colliders = (
+            colliders if isinstance(colliders, Colliders) else Colliders(colliders)
+        )
+        self.radius = float(radius)
+        self._pins_move = len(self._pin_path[0]) > 1
+        self.settles = self._pins_move or len(self.colliders) > 0
         speeds = np.zeros((count, 3)) if velocities is None else velocities
         self._state = np.stack(
             [body.positions, as_floats(speeds, (count, 3), "velocities")]
@@ -186,6 +198,7 @@ class SpringSystem(SecondOrder):
     def _supply(self, mass: float) -> float:
         wind = float(np.linalg.norm(self._wind_path[1], axis=2).max(initial=0.0))
         speeds = [_speed(path) for path in (self._pin_path, self._target_path)]
+        speeds.append(fastest_collider(self.colliders))
         travel = [_travel(path) for path in (self._pin_path, self._target_path)]
         pull = float(np.linalg.norm(self.gravity))
         return mass * (wind**2 + max(speeds) ** 2 + pull * max(travel))
@@ -214,17 +227,24 @@ class SpringSystem(SecondOrder):
     def settle(
         self, t: float, h: float, before: FloatArray, after: FloatArray
     ) -> FloatArray:
-        """Return the state after a step, with pins where they are to be."""
+        """Return the state after a step: pins where they are to be, and contacts."""
         if not self.settles:
             return after
         moved = after.copy()
-        moved[0, self.pinned] = _position(self._pin_path, t)
-        moved[1, self.pinned] = (moved[0, self.pinned] - before[0, self.pinned]) / h
+        if len(self.colliders):
+            met = collide(
+                after[0], after[1], before, self.colliders, t - h, t, self.radius
+            )
+            moved = np.stack([met.points, met.velocities])
+        moved[:, self.pinned] = after[:, self.pinned]
+        if self._pins_move:
+            moved[0, self.pinned] = _position(self._pin_path, t)
+            moved[1, self.pinned] = (moved[0, self.pinned] - before[0, self.pinned]) / h
         return moved
 
     def native(self, method: str) -> Native | None:
         """Return what takes many steps at once, of symplectic_euler."""
-        if method != "symplectic_euler":
+        if method != "symplectic_euler" or len(self.colliders):
             return None
 
         def steps(t: float, state: FloatArray, h: float, count: int) -> FloatArray:
@@ -237,6 +257,7 @@ class SpringSystem(SecondOrder):
                 h,
                 count,
                 1,
+                None,
             )[0]
 
         return steps

@@ -45,4 +45,5 @@ RULES = (
     Rule("SIM211", "springs whose ends are at one place", Severity.WARNING),
     Rule("SIM212", "a spring longer than it may be", Severity.WARNING),
     Rule("SIM213", "an error that was not kept", Severity.WARNING),
+    Rule("SIM214", "particles of springs inside colliders", Severity.WARNING),
 )

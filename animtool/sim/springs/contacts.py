@@ -1,0 +1,65 @@
+"""Colliders as springs meet them: their poses in each cell of time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.maths import so3
+from animtool.sim.colliders import Collider, Colliders
+from animtool.sim.springs.motion import Grid
+
+__all__ = ["cell_colliders", "fastest_collider"]
+
+
+def cell_colliders(
+    colliders: Colliders, radius: float, grid: Grid, cells: int
+) -> tuple[Any, ...] | None:
+    """Return what kernels take of colliders for some cells, None where there are none.
+
+    Args:
+        colliders: What springs may run into.
+        radius: Distance that particles keep [m].
+        grid: Of which cells.
+        cells: How many.
+    """
+    if not len(colliders):
+        return None
+    steps = grid.index + np.arange(cells + 1)
+    edges = np.asarray(grid.origin + steps * grid.cell, np.float64)
+    poses = np.stack([_ends(collider, edges) for collider in colliders], axis=1)
+    at = float(edges[0])
+    return colliders.arrays(at, at), np.ascontiguousarray(poses), radius
+
+
+def _ends(collider: Collider, edges: FloatArray) -> FloatArray:
+    """Return poses of a collider at both ends of cells ``(cells, 2, 7)``."""
+    moments, rows = collider.poses.moments, collider.poses.rows
+    before = np.clip(np.searchsorted(moments, edges, "right") - 1, 0, len(moments) - 1)
+    after = np.minimum(before + 1, len(moments) - 1)
+    gaps = np.where(after > before, moments[after] - moments[before], 1.0)
+    share = np.clip((edges - moments[before]) / gaps, 0.0, 1.0)
+    jumps = np.append(collider.jumps, False)
+    share = np.where(jumps[before], 0.0, share)[:, None]
+    origins = rows[before, :3] + (rows[after, :3] - rows[before, :3]) * share
+    turns = so3.slerp(rows[before, 3:], rows[after, 3:], share[:, 0])
+    poses = np.concatenate([origins, turns], axis=1)
+    ends = np.stack([poses[:-1], poses[1:]], axis=1)
+    # One that is put elsewhere within a cell is there from its beginning.
+    crossed = np.cumsum(np.append(0, jumps))[before]
+    jumped = crossed[1:] > crossed[:-1]
+    ends[jumped, 0] = ends[jumped, 1]
+    return ends
+
+
+def fastest_collider(colliders: Colliders) -> float:
+    """Return the speed of the fastest [m/s]; where one is put elsewhere it has none."""
+    fastest = 0.0
+    for collider in colliders:
+        places = collider.poses.carried(collider.shape.anchors())
+        ways = np.linalg.norm(np.diff(places, axis=0), axis=2).max(axis=1, initial=0.0)
+        speeds = ways / np.diff(collider.poses.moments)
+        fastest = max(fastest, float(speeds[~collider.jumps].max(initial=0.0)))
+    return fastest
