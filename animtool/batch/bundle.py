@@ -34,7 +34,7 @@ __all__ = [
     "write_bundle",
 ]
 
-# A process that makes a chunk takes about 1.5 s to start, and looks at the whole
+# A process that makes a chunk takes about 1 s to start, and looks at the whole
 # batch: a hundredth of this [s].
 TASK_SECONDS = 120.0
 # Items a chunk where nothing says what one takes: real captures take about 0.1 s, long

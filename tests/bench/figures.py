@@ -20,6 +20,8 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
+# What is installed keeps its bytecode, so what is measured does.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 RSS_UNIT = 1 if sys.platform == "darwin" else 1024
 
 
