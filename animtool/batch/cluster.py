@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Empty, SimpleQueue
+from threading import Thread
 from typing import Any
 from uuid import uuid4
 
@@ -77,10 +78,24 @@ def _outcomes(work: Work, address: str) -> Iterator[Outcome]:
         _prepare(client, work.argument, name, task)
         yield from _made(client, name, work)
     finally:
-        # Workers end what they are at, whether or not all was made.
+        _left(client, name)
+
+
+def _left(client: Any, name: str) -> None:
+    """Let workers end what they are at, whether or not all was made, and leave them.
+
+    A scheduler that does not answer is not waited for.
+    """
+
+    def leave() -> None:
         with suppress(Exception):
             client.unregister_worker_plugin(name)
-        client.close()
+
+    leaving = Thread(target=leave, daemon=True)
+    leaving.start()
+    leaving.join(PATIENCE)
+    with suppress(TimeoutError):
+        client.close(PATIENCE)
 
 
 def _client(address: str) -> Any:
@@ -169,7 +184,7 @@ class _Watch:
         if self.client.status in {"closing", "closed"}:
             raise _unusable(self.about, "its scheduler is gone", hint)
         try:
-            found = int(sum(self.client.nthreads().values()))
+            found = int(sum(self.client.nthreads(callback_timeout=PATIENCE).values()))
         except (OSError, RuntimeError):
             # The client looks for its scheduler again, and closes where it is gone.
             found = 0
