@@ -86,16 +86,21 @@ def test_a_worker_that_ends_is_replaced(cluster: str, tmp_path: Path) -> None:
 def test_a_cluster_that_is_lost_ends_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: bool
 ) -> None:
-    monkeypatch.setattr("animtool.batch.cluster.WORKERLESS", 0.2)
-    monkeypatch.setattr("animtool.batch.cluster.PATIENCE", 0.5)
     take_files(tmp_path / "takes", 6)
     with small_cluster() as lost:
+        from distributed import Client
+
         outcomes = dask(work(tmp_path, lost.scheduler_address))
         next(outcomes)
+        monkeypatch.setattr("animtool.batch.cluster.WORKERLESS", 0.2)
+        monkeypatch.setattr("animtool.batch.cluster.PATIENCE", 0.5)
         if whole:
             lost.close()
         else:
-            lost.scale(0)
+            with Client(lost, set_as_default=False) as client:
+                lost.scale(0)
+                while client.nthreads():
+                    pass
         with pytest.raises(OutputError) as error:
             list(outcomes)
     assert error.value.code == "BAT035"
