@@ -20,6 +20,11 @@ def mesh_text(take: TakeReport, meters_per_unit: float) -> list[str]:
         take: What became of it.
         meters_per_unit: Unit of the output [m].
     """
+    if all(mesh.particles for mesh in take.meshes):
+        return [
+            f"  {counted(len(take.meshes), 'system')} of {take.meshes_of}, simulated",
+            *(_line(mesh, meters_per_unit) for mesh in take.meshes),
+        ]
     strands = sum(mesh.strands for mesh in take.meshes)
     shown = counted(len(take.meshes) - strands, "mesh", "meshes")
     if strands:
@@ -39,8 +44,11 @@ def _line(mesh: MeshReport, meters_per_unit: float) -> str:
     moves = "still, no samples"
     if written.samples:
         moves = f"{counted(written.samples, 'frame')}, {written.bytes / 1e6:.3g} MB"
+    many = counted(written.vertices, "vertex", "vertices")
+    if mesh.particles:
+        many = f"up to {counted(written.vertices, 'particle')}"
     return (
-        f"    {mesh.name}: {counted(written.vertices, 'vertex', 'vertices')}, {moves}, "
+        f"    {mesh.name}: {many}, {moves}, "
         f"{_milliseconds(mesh):.3g} ms a frame, largest error of float32 {error:.2g} "
         f"{unit}{where}"
     )
@@ -50,12 +58,18 @@ def _milliseconds(mesh: MeshReport) -> float:
     return mesh.seconds * 1e3 / max(mesh.frames, 1)
 
 
+def _kind(mesh: MeshReport) -> str:
+    if mesh.particles:
+        return "particles"
+    return "strands" if mesh.strands else "mesh"
+
+
 def mesh_json(take: TakeReport) -> list[dict[str, object]]:
     """Return what became of each mesh as plain values."""
     return [
         {
             "mesh": mesh.name,
-            "kind": "strands" if mesh.strands else "mesh",
+            "kind": _kind(mesh),
             "prim": mesh.written.path,
             "of": take.meshes_of,
             "vertices": mesh.written.vertices,

@@ -80,6 +80,10 @@ def run_bake(plan: BakePlan) -> BakeReport:
         OutputError: The output cannot be written.
         StrictError: There were warnings, and ``strict`` is on.
     """
+    if plan.systems is not None:
+        from animtool.scene.system_bake import run_system_bake
+
+        return run_system_bake(plan.systems)
     if plan.character is not None:
         from animtool.scene.point_bake import run_point_bake
 

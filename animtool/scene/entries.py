@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from animtool.errors import Fault, FormatError, OptionError, Severity
 from animtool.passes import Pass
@@ -16,12 +16,16 @@ from animtool.scene.options import BakeOptions
 from animtool.scene.sources import SourceOptions
 from animtool.scene.tracks import TrackNames
 
+if TYPE_CHECKING:
+    from animtool.sim.particles.setup import Particles
+
 __all__ = [
     "OutputKind",
     "Place",
     "SceneOutput",
     "ScenePass",
     "SceneSource",
+    "SceneSystem",
     "SceneThing",
     "kind_of",
 ]
@@ -138,6 +142,23 @@ class ScenePass:
 
     pass_: Pass
     options: Any
+    place: Place
+
+
+@dataclass(frozen=True, slots=True)
+class SceneSystem:
+    """One entry of a scene's systems.
+
+    Attributes:
+        name: Of its prim.
+        setup: What it is made of.
+        preroll: Seconds before the first frame that it begins in [s].
+        place: Of the entry.
+    """
+
+    name: str
+    setup: Particles
+    preroll: float
     place: Place
 
 

@@ -27,6 +27,7 @@ from animtool.scene.entries import (
     SceneOutput,
     ScenePass,
     SceneSource,
+    SceneSystem,
     SceneThing,
     kind_of,
 )
@@ -104,7 +105,54 @@ class _SceneReader:
             self._beside(),
             None if shot is None or shot.start is None else Fraction(shot.start),
             self._preroll(),
+            systems=self._systems(),
         )
+
+    def _systems(self) -> tuple[SceneSystem, ...]:
+        """Return what is simulated, which has no source beside it."""
+        model = self.model
+        if model.source is None and not model.systems:
+            hint = "it names the clip, BVH or USD file; what is simulated has systems"
+            self.document.add("DOC021", (), "key 'source' is missing", hint)
+        if not model.systems:
+            return ()
+        if model.source is not None:
+            message = "systems are for scenes without a source"
+            hint = "bake them apart, and bring both into one stage as layers"
+            self.document.add("SCN060", ("systems",), message, hint)
+        self._check_simulated()
+        from animtool.scene.particle_entries import read_particles
+
+        found = []
+        for i, entry in enumerate(model.systems):
+            at: Location = ("systems", i, "particles")
+            given = entry.particles
+            setup = read_particles(self.document, at, given, self.roots)
+            if setup is not None:
+                place = self._place(at)
+                found.append(SceneSystem(given.name, setup, given.preroll, place))
+        return tuple(found)
+
+    def _check_simulated(self) -> None:
+        """Refuse what there is only with a source, and outputs of other kinds."""
+        model = self.model
+        for key in sorted({"rig", "passes", "shot", "beside"} & model.model_fields_set):
+            message = f"{key} is for scenes with a source"
+            self.document.add("SCN060", (key,), message, "leave it out")
+        if model.range is None:
+            message = "what is simulated has no end of its own"
+            hint = "say which frames to write: range: [1, 120]"
+            self.document.add("SCN061", (), message, hint)
+        given = model.output
+        entries = given if isinstance(given, list) else [given]
+        if len(entries) > 1:
+            message = "what is simulated is written to one file"
+            self.document.add("SCN060", ("output",), message)
+        for i, entry in enumerate(entries):
+            at: Location = ("output", i) if isinstance(given, list) else ("output",)
+            if entry.file and kind_of(Path(entry.file)) is not OutputKind.USD:
+                message = f"{entry.file!r} is no USD file, and particles are"
+                self.document.add("SCN060", (*at, "file"), message)
 
     def _beside(self) -> tuple[SceneThing, ...]:
         things = [
@@ -256,6 +304,8 @@ class _SceneReader:
 
     def _sources(self, rig: Path | None) -> tuple[SceneSource, ...]:
         given = self.model.source
+        if given is None:
+            return ()
         if isinstance(given, SourceModel):
             for key in ("tracks", "timecode", "timecode_fps"):
                 if getattr(given, key) is not None:

@@ -27,6 +27,8 @@ from animtool.usd.paths import RigPaths
 
 if TYPE_CHECKING:
     from animtool.scene.deform import Character
+    from animtool.scene.scene import Scene
+    from animtool.scene.system_bake import SystemPlan
     from animtool.usd.target import JointMap, RigTarget
 
 __all__ = [
@@ -55,6 +57,7 @@ class BakePlan:
         start: Time code of the first frame.
         notices: What is odd so far.
         character: What it deforms, where point caches are asked for.
+        systems: What is simulated, in place of takes.
     """
 
     takes: tuple[TakePlan, ...]
@@ -67,6 +70,7 @@ class BakePlan:
     start: Fraction
     notices: list[Fault]
     character: Character | None = None
+    systems: SystemPlan | None = None
 
 
 def plan_bake(
@@ -99,12 +103,38 @@ def plan_bake(
     reading = found_sources(given)
     options, notices = reading.options(options or BakeOptions())
     outputs = check_output(path, options, reading.inputs, reading.files[0])
+    simulated = [scene for scene in reading.scenes.values() if scene.systems]
+    if simulated:
+        if len(given) > 1:
+            message = "what is simulated is no take of a library"
+            raise OptionError(Fault("SCN062", message, str(simulated[0].path)))
+        return _simulated(simulated[0], path, options, notices)
     with sparing_inputs(outputs):
         streams = reading.open(options, progress, opener)
     with ExitStack() as blamed:
         for scene in reading.scenes.values():
             blamed.enter_context(scene.blamed_things())
         return plan_output(reading.files, streams, path, options, notices)
+
+
+def _simulated(
+    scene: Scene, path: Path | None, options: BakeOptions, notices: list[Fault]
+) -> BakePlan:
+    from animtool.scene.system_bake import plan_systems
+
+    systems = plan_systems(scene, path, options)
+    return BakePlan(
+        (),
+        path,
+        options,
+        Form.STAGE,
+        "it is simulated",
+        None,
+        systems.job.fps,
+        systems.job.frames[0],
+        notices,
+        systems=systems,
+    )
 
 
 def check_output(

@@ -19,7 +19,7 @@ __all__ = ["BakeReport", "MeshReport", "TakeReport"]
 
 @dataclass(frozen=True, slots=True)
 class MeshReport:
-    """What became of a mesh, or of strands.
+    """What became of a mesh, of strands, or of particles.
 
     Attributes:
         name: As the rig names it.
@@ -27,6 +27,7 @@ class MeshReport:
         seconds: Spent on deforming and rounding it [s].
         frames: How many frames that was for.
         strands: Whether it is strands.
+        particles: Whether it is particles, simulated and not deformed.
     """
 
     name: str
@@ -34,6 +35,7 @@ class MeshReport:
     seconds: float
     frames: int
     strands: bool
+    particles: bool = False
 
 
 @dataclass(slots=True)

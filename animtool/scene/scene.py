@@ -17,6 +17,7 @@ from animtool.scene.entries import (
     SceneOutput,
     ScenePass,
     SceneSource,
+    SceneSystem,
     SceneThing,
 )
 from animtool.scene.options import BakeOptions
@@ -43,6 +44,7 @@ class Scene:
         rig: Of clips, and of several sources the one that all move; None is that of
             the first.
         beside: What is carried beside the character.
+        systems: What is simulated, where there is no source.
         first: Frame of the shot that the first frame of the sources is; None is what
             they say.
         preroll: How early passes with a state of their own begin; None is with the
@@ -63,6 +65,7 @@ class Scene:
     variables: frozenset[str] = frozenset()
     idle_variables: frozenset[str] = frozenset()
     meter: Meter = field(default_factory=Meter, compare=False, repr=False)
+    systems: tuple[SceneSystem, ...] = ()
 
     @property
     def output(self) -> Path | None:
@@ -129,6 +132,10 @@ class Scene:
     def _source(self) -> TakeStream:
         """Return the source, counted by the meter."""
         self.meter.stages.clear()
+        if not self.sources:
+            message = "is simulated, and has no source with joints"
+            hint = "bake it without options for characters"
+            raise OptionError(Fault("SCN062", message, str(self.path), (), hint))
         first = self.sources[0]
         stage = self.meter.stage(first.path.name, first.place.where)
         with self.meter.running(stage):

@@ -13,6 +13,7 @@ from pydantic import Discriminator, Field, Tag
 from animtool.documents.check import FileModel
 from animtool.documents.ignore import IgnoreModel
 from animtool.scene.output_fields import Bones, ReduceAt, RigLayer, Sparse
+from animtool.scene.system_schema import SystemModel
 
 __all__ = ["BesideModel", "OutputModel", "SceneModel", "SourceModel"]
 
@@ -282,11 +283,15 @@ class SceneModel(FileModel):
         description="The cut, its handles and pre-roll, in place of `range`.",
         examples=[{"start": 1001, "cut": [1009, 1090], "handles": 8}],
     )
-    source: Annotated[
-        Annotated[SourceModel, Tag("one")]
-        | Annotated[list[SourceModel], Len(1), Tag("several")],
-        Discriminator(_one_or_several),
-    ] = Field(
+    source: (
+        Annotated[
+            Annotated[SourceModel, Tag("one")]
+            | Annotated[list[SourceModel], Len(1), Tag("several")],
+            Discriminator(_one_or_several),
+        ]
+        | None
+    ) = Field(
+        default=None,
         description="What is read; of a list the first is the whole, and the others "
         "put tracks in its place.",
         examples=[{"file": "walk.bvh"}],
@@ -302,6 +307,11 @@ class SceneModel(FileModel):
         description="What is done to it, in order: the name of a pass, and its "
         "options.",
         examples=[[{"mirror": {}}, {"trim": {"first": 5, "last": 60}}]],
+    )
+    systems: list[SystemModel] = Field(
+        default=[],
+        description="What is simulated, without a source; `range` says for how long.",
+        examples=[[{"particles": {"emitters": [{"rate": 100, "speed": 2}]}}]],
     )
     output: Annotated[
         Annotated[OutputModel, Tag("one")]

@@ -32,6 +32,7 @@ class StepKind(StrEnum):
     SOURCE = "source"
     BESIDE = "beside"
     PASS = "pass"
+    SYSTEM = "system"
     OUTPUT = "output"
 
 
@@ -80,6 +81,8 @@ def bake_steps(
     last: _State | None = None
     for path in reading.files:
         scene = reading.scenes.get(path)
+        if scene is not None and scene.systems:
+            return _system_steps(scene, output, options)
         if scene is None:
             own = fitting_options(options.source, path, reading.files)
             last = _State.of(open_source(path, own))
@@ -194,6 +197,28 @@ def _scene_steps(scene: Scene, steps: list[Step]) -> _State:
             state = replace(state, facts=())
         state = replace(state, moving=state.moving | _made(entry))
     return state
+
+
+def _system_steps(
+    scene: Scene, output: Path | None, options: BakeOptions
+) -> list[Step]:
+    """Return the steps of a scene that is simulated."""
+    steps = []
+    for system in scene.systems:
+        setup = system.setup
+        reads = [counted(len(setup.emitters), "emitter")]
+        reads += [counted(len(setup.forces), "force")] if setup.forces else []
+        reads += ["a velocity field"] if setup.velocity else []
+        reads += [counted(len(setup.colliders), "collider")] if setup.colliders else []
+        step = setup.options.step
+        makes = f"particles, by {setup.options.method} in steps of {step:g} s"
+        where = system.place.where
+        steps.append(Step(StepKind.SYSTEM, system.name, where, tuple(reads), (makes,)))
+    ((path, _, where),) = _scene_outputs(scene, output, options)
+    name = "stdout" if path is None else str(path)
+    makes = f"{Form.STAGE} with points, their ids, velocities, widths and ages"
+    steps.append(Step(StepKind.OUTPUT, name, where, ("systems",), (makes, name)))
+    return steps
 
 
 def _beside_step(thing: SceneThing, track: Track) -> Step:

@@ -158,6 +158,9 @@ def _truth(source: Source, options: BakeOptions) -> tuple[_Truth, Take]:
     if plan.character is not None:
         message = "--table measures joints, and the scene writes deformed points"
         raise OptionError(Fault("CLI002", message, str(source_file(source))))
+    if plan.systems is not None:
+        message = "is simulated, and --table measures joints"
+        raise OptionError(Fault("SCN062", message, str(source_file(source))))
     stream = plan.takes[0].stream
     take = stream.collect()
     clock = take.clock

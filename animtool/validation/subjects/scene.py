@@ -87,6 +87,9 @@ def open_scene(document: Document) -> Opened:
     scene = scene_of_document(document)
     path = str(document.path)
     opened = Opened(Kind.SCENE)
+    if scene.systems:
+        # It has no take: its reader has checked all that there is to check.
+        return opened
     try:
         opened.subject, notices = _played(document, scene)
     except AnimtoolError as error:

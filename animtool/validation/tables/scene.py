@@ -57,6 +57,9 @@ RULES = (
     Rule("SCN050", "a take that a clip library has already"),
     Rule("SCN051", "a file that no take can be added to"),
     Rule("SCN052", "a library as the output of a batch"),
+    Rule("SCN060", "what scenes have only with, or only without, a source"),
+    Rule("SCN061", "a simulation without an end"),
+    Rule("SCN062", "what is for characters, of a scene that is simulated"),
     Rule(
         "SCN101",
         "a loop whose ends differ by more than a fifth of what it moves",

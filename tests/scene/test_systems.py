@@ -1,0 +1,261 @@
+"""Scenes that are simulated: read, baked, refused."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Sdf, Usd, UsdGeom
+
+from animtool import BakeOptions, bake
+from animtool.edit.frame_range import FrameRange
+from animtool.errors import AnimtoolError, FormatError, OptionError, ToleranceError
+from animtool.scene.file import load_scene
+from animtool.scene.steps import StepKind, bake_steps
+
+SCENE = """\
+scene: animtool/1
+fps: 24
+range: [1, 12]
+systems:
+- particles:
+    name: embers
+    preroll: 0.25
+    step: 0.02
+    emitters:
+    - {rate: 120, place: {disc: {radius: 0.2}}, speed: 3, spread: 20, lifetime: 0.4}
+    forces:
+    - gravity:
+    - turbulence: {strength: 4}
+    colliders:
+    - {shape: {plane: {}}, restitution: 0.4, friction: 0.3}
+    - name: lid
+      shape: {box: {size: [1, 1, 1]}}
+      at: [1, 0, 0]
+      moves: [[0, 0, 0, 0], [1, 0, 1, 0]]
+    kill:
+    - {shape: {sphere: {radius: 9}}, container: true}
+output: {file: embers.usdc}
+"""
+
+
+def written(folder: Path, text: str, name: str = "shot.scene.yaml") -> Path:
+    path = folder / name
+    path.write_text(text, "utf-8")
+    return path
+
+
+def codes(folder: Path, text: str) -> list[str]:
+    with pytest.raises(FormatError) as error:
+        load_scene(written(folder, text))
+    return [fault.code for fault in error.value.faults]
+
+
+def test_points_are_written_with_all_that_they_are(tmp_path: Path) -> None:
+    scene = written(tmp_path, SCENE)
+    report = bake(scene, tmp_path / "embers.usdc")
+    stage = Usd.Stage.Open(str(tmp_path / "embers.usdc"))
+    assert stage.GetDefaultPrim().GetPath() == "/shot"
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (1, 12)
+    points = UsdGeom.Points(stage.GetPrimAtPath("/shot/embers"))
+    assert points.GetPointsAttr().GetTimeSamples() == list(range(1, 13))
+    alive: set[int] = set()
+    for code in range(1, 13):
+        ids = np.array(points.GetIdsAttr().Get(code))
+        places = np.array(points.GetPointsAttr().Get(code))
+        widths = np.array(points.GetWidthsAttr().Get(code))
+        speeds = np.array(points.GetVelocitiesAttr().Get(code))
+        assert len(ids) == len(places) == len(widths) == len(speeds)
+        assert (np.diff(ids) > 0).all()
+        low, high = np.array(points.GetExtentAttr().Get(code))
+        assert (places >= low).all()
+        assert (places <= high).all()
+        computed = UsdGeom.Points.ComputeExtent(
+            points.GetPointsAttr().Get(code), points.GetWidthsAttr().Get(code)
+        )
+        np.testing.assert_allclose(computed, [low, high], atol=1e-6)
+        alive |= set(ids.tolist())
+    ages = UsdGeom.PrimvarsAPI(points).GetPrimvar("age")
+    assert max(ages.Get(12)) <= 0.4
+    assert report.takes[0].meshes[0].written.samples == 12
+    assert len(alive) > 40
+    assert points.GetWidthsInterpolation() == "vertex"
+
+
+def test_the_same_bytes_each_time(tmp_path: Path) -> None:
+    scene = written(tmp_path, SCENE)
+    for name in ("a.usdc", "b.usdc"):
+        bake(scene, tmp_path / name)
+    assert (tmp_path / "a.usdc").read_bytes() == (tmp_path / "b.usdc").read_bytes()
+
+
+def test_the_frame_rate_changes_nothing(tmp_path: Path) -> None:
+    scene = written(tmp_path, SCENE)
+    bake(scene, tmp_path / "slow.usda")
+    double = BakeOptions(fps=48, frame_range=FrameRange(1, 24))  # type: ignore[arg-type]
+    bake(scene, tmp_path / "fast.usda", double)
+    slow, fast = (
+        Sdf.Layer.FindOrOpen(str(tmp_path / name))
+        for name in ("slow.usda", "fast.usda")
+    )
+    for name in ("points", "ids", "velocities"):
+        path = f"/shot/embers.{name}"
+        for frame in range(12):
+            a = slow.QueryTimeSample(path, 1 + frame)
+            b = fast.QueryTimeSample(path, 1 + 2 * frame)
+            np.testing.assert_array_equal(np.array(a), np.array(b))
+
+
+def test_a_part_of_the_range_is_a_part_of_the_motion(tmp_path: Path) -> None:
+    scene = written(tmp_path, SCENE)
+    bake(scene, tmp_path / "whole.usda")
+    bake(scene, tmp_path / "part.usda", BakeOptions(frame_range=FrameRange(6, 9)))
+    whole, part = (
+        Sdf.Layer.FindOrOpen(str(tmp_path / f"{name}.usda"))
+        for name in ("whole", "part")
+    )
+    path = "/shot/embers.points"
+    assert part.ListTimeSamplesForPath(path) == [6, 7, 8, 9]
+    for code in (6, 9):
+        assert whole.QueryTimeSample(path, code) == part.QueryTimeSample(path, code)
+
+
+def test_units_and_names_of_the_output(tmp_path: Path) -> None:
+    from animtool.units import LengthUnit
+
+    scene = written(tmp_path, SCENE.replace("name: embers", "name: my embers!"))
+    bake(scene, tmp_path / "m.usda", BakeOptions(prim_path="/World/fx"))
+    bake(scene, tmp_path / "cm.usda", BakeOptions(to_units=LengthUnit("cm")))
+    one = Usd.Stage.Open(str(tmp_path / "m.usda"))
+    two = Usd.Stage.Open(str(tmp_path / "cm.usda"))
+    (fx,) = one.GetPrimAtPath("/World/fx").GetChildren()
+    (other,) = two.GetPrimAtPath("/shot").GetChildren()
+    assert UsdGeom.GetStageMetersPerUnit(two) == 0.01
+    a, b = (np.array(p.GetAttribute("points").Get(12)) for p in (fx, other))
+    np.testing.assert_allclose(a * 100, b, rtol=1e-6)
+
+
+def test_a_velocity_field_and_a_mesh(tmp_path: Path) -> None:
+    points = [[0.0, 0, 0], [1, 0, 0], [0, 0, 1]]
+    np.savez(tmp_path / "tri.npz", points=points, triangles=[[0, 2, 1]])
+    text = re.sub(r"    forces:.*?    colliders:", "    colliders:", SCENE, flags=re.S)
+    mesh = "{points: tri.npz, triangles: tri.npz}"
+    text = text.replace("{disc: {radius: 0.2}}", f"{{mesh: {mesh}}}")
+    text = text.replace(
+        "    colliders:", "    velocity: {x: '-z', z: x, y: '1'}\n    colliders:"
+    )
+    bake(written(tmp_path, text), tmp_path / "out.usda")
+
+
+def test_what_a_bake_would_do_is_said(tmp_path: Path) -> None:
+    steps = bake_steps(written(tmp_path, SCENE), tmp_path / "x.usdc")
+    assert [step.kind for step in steps] == [StepKind.SYSTEM, StepKind.OUTPUT]
+    assert steps[0].reads == ("1 emitter", "2 forces", "2 colliders")
+
+
+def test_a_scene_without_systems_loads_no_simulation(
+    walk: Path, tmp_path: Path
+) -> None:
+    scene = written(tmp_path, f"scene: animtool/1\nsource: {{file: {walk.name}}}\n")
+    (tmp_path / walk.name).write_bytes(walk.read_bytes())
+    code = (
+        "from animtool.cli.main import run\n"
+        f"run(['bake', {str(scene)!r}, '-o', {str(tmp_path / 'o.usdc')!r}])\n"
+        "import sys; print(sorted(m for m in sys.modules if 'animtool.sim' in m))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+# Faults
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("rate: 120", "rate: -1", ["SIM021"]),
+        ("lifetime: 0.4", "lifetime: -0.4", ["SIM021"]),
+        ("rate: 120", "rate: 120, mass: 0", ["SIM021"]),
+        ("gravity:", "gravty:", ["SIM023"]),
+        ("strength: 4", "strengh: 4", ["SCN001"]),
+        ("strength: 4", "strength: lots", ["SCN002"]),
+        ("strength: 4", "size: 0", ["SIM022"]),
+        ("gravity:", "field: {x: 'spam + 1'}", ["SIM022"]),
+        ("radius: 0.2", "radius: -0.2", ["SIM021"]),
+        ("disc:", "disk:", ["SIM021"]),
+        ("plane:", "plain:", ["SIM020"]),
+        ("size: [1, 1, 1]", "size: [1, 0, 1]", ["SIM020"]),
+        ("restitution: 0.4", "restitution: 1.4", ["SIM020"]),
+        ("[1, 0, 1, 0]", "[0, 0, 1, 0]", ["SIM020"]),
+        ("step: 0.02", "step: 0", ["SIM004"]),
+        ("step: 0.02", "step: -1", ["SIM004"]),
+        ("step: 0.02", "method: rk5", ["SIM001"]),
+        ("range: [1, 12]\n", "", ["SCN061"]),
+        ("range: [1, 12]", "rig: x.rig.yaml", ["SCN005", "SCN060", "SCN061"]),
+        ("embers.usdc", "embers.bvh", ["SCN060"]),
+        ("forces:", "velocity: {x: '1'}\n    forces:", ["SIM024"]),
+        ("forces:", "velocity: {x: '1 +'}\n    forces:", ["SIM022"]),
+        ("{disc: {radius: 0.2}}", "{mesh: {points: no.npz}}", ["SCN002", "SCN005"]),
+    ],
+)
+def test_faults_have_codes_and_places(
+    tmp_path: Path, old: str, new: str, expected: list[str]
+) -> None:
+    assert old in SCENE
+    text = SCENE.replace(old, new, 1)
+    assert sorted(codes(tmp_path, text)) == expected
+    with pytest.raises(FormatError) as error:
+        load_scene(written(tmp_path, text))
+    assert all(fault.lines for fault in error.value.faults)
+
+
+def test_all_faults_are_said_at_once(tmp_path: Path) -> None:
+    text = SCENE.replace("gravity:", "gravty:").replace("rate: 120", "rate: -1")
+    text = text.replace("restitution: 0.4", "restitution: 4")
+    assert sorted(codes(tmp_path, text)) == ["SIM020", "SIM021", "SIM023"]
+
+
+def test_a_source_beside_systems_is_refused(walk: Path, tmp_path: Path) -> None:
+    (tmp_path / walk.name).write_bytes(walk.read_bytes())
+    text = SCENE.replace("systems:", f"source: {{file: {walk.name}}}\nsystems:")
+    assert codes(tmp_path, text) == ["SCN060"]
+    assert codes(tmp_path, "scene: animtool/1\n") == ["DOC021"]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [BakeOptions(bones=True), BakeOptions(reduce=0.1), BakeOptions(form="split")],
+)
+def test_what_is_for_characters_is_refused(
+    tmp_path: Path, options: BakeOptions
+) -> None:
+    with pytest.raises(OptionError) as error:
+        bake(written(tmp_path, SCENE), tmp_path / "o.usdc", options)
+    assert error.value.code == "SCN062"
+    assert not (tmp_path / "o.usdc").exists()
+
+
+def test_what_blows_up_leaves_nothing_and_says_the_step(tmp_path: Path) -> None:
+    text = SCENE.replace("turbulence: {strength: 4}", "spring: {k: 1e9}")
+    text = text.replace("lifetime: 0.4", "mass: 1").split("    colliders:")[0]
+    with pytest.raises(AnimtoolError) as error:
+        bake(written(tmp_path, text), tmp_path / "o.usdc")
+    assert isinstance(error.value, ToleranceError | FormatError)
+    assert "SIM102" in {fault.code for fault in error.value.faults}
+    assert not list(tmp_path.glob("*.usdc"))
+
+
+def test_warnings_stop_where_none_are_wanted(tmp_path: Path) -> None:
+    text = SCENE.replace("step: 0.02", "most: 3")
+    scene = written(tmp_path, text)
+    report = bake(scene, tmp_path / "o.usdc")
+    assert [notice.code for notice in report.notices] == ["SIM121"]
+    with pytest.raises(AnimtoolError):
+        bake(scene, tmp_path / "p.usdc", BakeOptions(strict=True))
+    assert not (tmp_path / "p.usdc").exists()
