@@ -19,6 +19,7 @@ DOCUMENTS = [
     "samples/bounce/README.md",
     "samples/carry/README.md",
     "samples/ci/README.md",
+    "samples/embers/README.md",
     "samples/press/README.md",
     "samples/shot/README.md",
     "samples/speech/README.md",

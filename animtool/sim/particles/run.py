@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, Severity, ToleranceError
-from animtool.sim.colliders.colliding import Colliders
+from animtool.sim.colliders.colliding import Colliders, Contacts
 from animtool.sim.integrating import integrate
 from animtool.sim.particles.cloud import Cloud
 from animtool.sim.particles.newborn import brought_to
@@ -71,6 +71,12 @@ class ParticleRun:
     between two steps takes a part of a step that is not kept. So the frame rate of an
     output changes neither who is born nor how anything moves.
 
+    Attributes:
+        state: At the end of the last whole step.
+        contacts: What particles met in the last step that was taken; None where there
+            was none. Those who were born in it are not among them.
+        notices: What is odd so far.
+
     Args:
         setup: What there is.
         begin: Time of the first step [s].
@@ -92,6 +98,7 @@ class ParticleRun:
         assert setup.options.step is not None
         self._step = setup.options.step
         self._warned = False
+        self.contacts: Contacts | None = None
         if state is None:
             state = ParticleState(0, Cloud.none(), _NONE)
             state = self._with_first(state)
@@ -146,6 +153,7 @@ class ParticleRun:
         if done.notices and not self._warned:
             self._warned = True
             self.notices += done.notices
+        self.contacts = system.contacts
         end = done.states[-1]
         if isinstance(system, CloudFlow):
             end = np.stack([end, system.rate(until, end)])
