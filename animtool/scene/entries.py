@@ -154,12 +154,15 @@ class SceneSystem:
         setup: What it is made of.
         preroll: Seconds before the first frame that it begins in [s].
         place: Of the entry.
+        characters: Files of characters that it runs into, and what touching one does:
+            restitution, friction and margin.
     """
 
     name: str
     setup: Particles
     preroll: float
     place: Place
+    characters: tuple[tuple[Path, tuple[float, float, float]], ...] = ()
 
 
 class OutputKind(StrEnum):

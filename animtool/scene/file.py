@@ -130,7 +130,15 @@ class _SceneReader:
             setup = read_particles(self.document, at, given, self.roots)
             if setup is not None:
                 place = self._place(at)
-                found.append(SceneSystem(given.name, setup, given.preroll, place))
+                characters = tuple(
+                    (
+                        self._input((*at, "characters", k, "file"), entry.file),
+                        (entry.restitution, entry.friction, entry.margin),
+                    )
+                    for k, entry in enumerate(given.characters)
+                )
+                name, early = given.name, given.preroll
+                found.append(SceneSystem(name, setup, early, place, characters))
         return tuple(found)
 
     def _check_simulated(self) -> None:

@@ -85,6 +85,8 @@ class Scene:
         named += [self.rig] if self.rig is not None else []
         for thing in self.beside:
             named += [thing.file, *filter(None, [thing.reference])]
+        for system in self.systems:
+            named += [path for path, _ in system.characters]
         for entry in self.passes:
             given = [getattr(entry.options, f.name) for f in fields(entry.options)]
             named += [folder / path for path in given if isinstance(path, Path)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from animtool.errors import Fault
@@ -34,4 +35,14 @@ def open_system(system: SceneSystem) -> Simulation:
     """Return a system at its beginning; the first frame is at 0 s."""
     from animtool.sim.particles.run import ParticleRun
 
-    return ParticleRun(system.setup, -system.preroll)
+    setup = system.setup
+    if system.characters:
+        from animtool.scene.character_colliders import character_colliders
+
+        moving = [
+            collider
+            for path, material in system.characters
+            for collider in character_colliders(path, material)
+        ]
+        setup = replace(setup, colliders=[*setup.colliders, *moving])
+    return ParticleRun(setup, -system.preroll)

@@ -9,7 +9,13 @@ from pydantic import Field
 
 from animtool.documents.check import FileModel
 
-__all__ = ["EmitterModel", "ParticlesModel", "SystemColliderModel", "SystemModel"]
+__all__ = [
+    "CharacterModel",
+    "EmitterModel",
+    "ParticlesModel",
+    "SystemColliderModel",
+    "SystemModel",
+]
 
 Vector = Annotated[list[float], Len(3, 3)]
 # One name of a table, and its options.
@@ -137,6 +143,26 @@ class SystemColliderModel(_PlacedModel):
     )
 
 
+class CharacterModel(FileModel):
+    """A character in motion that particles run into: the capsules of its rig."""
+
+    file: Annotated[str, Field(min_length=1)] = Field(
+        description="A clip or a scene; its first frame comes at 0 s.",
+        examples=["walk.clip.yaml"],
+    )
+    restitution: float = Field(
+        default=0.0,
+        description="Share of the speed into the surface that comes back, 0 to 1.",
+        examples=[0.4],
+    )
+    friction: float = Field(
+        default=0.0, description="Coulomb's coefficient.", examples=[0.3]
+    )
+    margin: float = Field(
+        default=0.0, description="Distance that they keep [m].", examples=[0.01]
+    )
+
+
 class VelocityModel(FileModel):
     """A velocity field: expressions of x, y, z, t and age."""
 
@@ -169,6 +195,11 @@ class ParticlesModel(FileModel):
         default=[],
         description="What they run into.",
         examples=[[{"shape": {"plane": None}, "restitution": 0.4}]],
+    )
+    characters: list[CharacterModel] = Field(
+        default=[],
+        description="Characters in motion that they run into; none is written.",
+        examples=[[{"file": "walk.clip.yaml", "friction": 0.3}]],
     )
     kill: list[SystemColliderModel] = Field(
         default=[],

@@ -15,6 +15,7 @@ from animtool import BakeOptions, bake
 from animtool.edit.frame_range import FrameRange
 from animtool.errors import AnimtoolError, FormatError, OptionError, ToleranceError
 from animtool.scene.file import load_scene
+from animtool.scene.simulation import open_system
 from animtool.scene.steps import StepKind, bake_steps
 
 SCENE = """\
@@ -149,6 +150,27 @@ def test_a_velocity_field_and_a_mesh(tmp_path: Path) -> None:
         "    colliders:", "    velocity: {x: '-z', z: x, y: '1'}\n    colliders:"
     )
     bake(written(tmp_path, text), tmp_path / "out.usda")
+
+
+def test_particles_run_into_characters(root: Path, tmp_path: Path) -> None:
+    clip = root / "samples/stride/stride.clip.yaml"
+    character = f"    characters:\n    - {{file: {str(clip)!r}, friction: 0.2}}\n"
+    rain = SCENE.replace("    kill:", f"{character}    kill:")
+    system = load_scene(written(tmp_path, rain), {"at": str(root)}).systems[0]
+    hit = open_system(system).setup.colliders  # type: ignore[attr-defined]
+    assert len(hit) > 6
+    assert hit[2].name
+    assert len(hit[2].poses.moments) > 10
+
+
+def test_a_character_without_capsules_is_said(walk: Path, tmp_path: Path) -> None:
+    (tmp_path / "walk.bvh").write_bytes(walk.read_bytes())
+    text = SCENE.replace("    kill:", "    characters: [{file: walk.bvh}]\n    kill:")
+    with pytest.raises(FormatError) as error:
+        bake(written(tmp_path, text), tmp_path / "o.usdc")
+    assert error.value.code == "SIM020"
+    missing = text.replace("walk.bvh", "run.bvh")
+    assert codes(tmp_path, missing) == ["SCN005"]
 
 
 def test_what_a_bake_would_do_is_said(tmp_path: Path) -> None:
