@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
-from animtool.config import find_config
 from animtool.edit.frame_range import FrameRange
 from animtool.errors import Fault, OptionError, refuse_warnings
 from animtool.scene.entries import SceneSystem
@@ -69,9 +68,8 @@ def plan_systems(scene: Scene, output: Path | None, options: BakeOptions) -> Sys
         message = "what is simulated has no end of its own"
         hint = "say which frames to write: range: [1, 120]"
         raise OptionError(Fault("SCN061", message, str(scene.path), (), hint))
-    first = Fraction((own or frames).first)
-    if options.start is not None or find_config(scene.path).start is not None:
-        first = first if options.start is None else options.start
+    # Where only a part is asked for, the simulation still begins with the whole.
+    first = Fraction((own or frames).first) if options.start is None else options.start
     codes = _codes(frames, options.samples)
     names = [system.name for system in scene.systems]
     if options.prim_path is not None:
@@ -162,7 +160,7 @@ def run_system_bake(plan: SystemPlan) -> BakeReport:
         take,
         len(plan.codes),
         job.fps,
-        "",
+        plan.systems[written.index(worst)].name,
         source_bytes=plan.scene.stat().st_size,
         meshes=meshes,
         meshes_of=plan.scene.name,

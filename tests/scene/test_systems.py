@@ -12,6 +12,7 @@ import pytest
 from pxr import Sdf, Usd, UsdGeom
 
 from animtool import BakeOptions, bake
+from animtool.cli.summary import bake_json, bake_text
 from animtool.edit.frame_range import FrameRange
 from animtool.errors import AnimtoolError, FormatError, OptionError, ToleranceError
 from animtool.scene.file import load_scene
@@ -85,6 +86,28 @@ def test_points_are_written_with_all_that_they_are(tmp_path: Path) -> None:
     assert report.takes[0].meshes[0].written.samples == 12
     assert len(alive) > 40
     assert points.GetWidthsInterpolation() == "vertex"
+
+
+def test_the_summary_says_what_was_simulated(tmp_path: Path) -> None:
+    report = bake(written(tmp_path, SCENE), tmp_path / "embers.usdc")
+    lines = bake_text(report)
+    assert any("1 system of shot.scene.yaml, simulated" in line for line in lines)
+    assert any("embers: up to" in line and "12 frames" in line for line in lines)
+    (mesh,) = bake_json(report)["meshes"]  # type: ignore[misc]
+    assert (mesh["kind"], mesh["prim"]) == ("particles", "/shot/embers")
+
+
+def test_a_start_says_when_the_simulation_begins(tmp_path: Path) -> None:
+    later = SCENE.replace("embers.usdc}", "embers.usdc, start: 1001}")
+    later = later.replace("range: [1, 12]", "range: [1004, 1006]")
+    bake(written(tmp_path, SCENE), tmp_path / "whole.usda")
+    bake(written(tmp_path, later, "later.scene.yaml"), tmp_path / "part.usda")
+    whole, part = (
+        Sdf.Layer.FindOrOpen(str(tmp_path / f"{name}.usda"))
+        for name in ("whole", "part")
+    )
+    found = part.QueryTimeSample("/later/embers.points", 1004)
+    assert found == whole.QueryTimeSample("/shot/embers.points", 4)
 
 
 def test_the_same_bytes_each_time(tmp_path: Path) -> None:
