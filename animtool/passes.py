@@ -271,6 +271,7 @@ def apply_pass(
         start=None if unstated else result.start,
         notices=stream.notices,
         details=stream.details,
+        simulated=stream.simulated,
         control_curves={k: c for k, c in stream.control_curves.items() if k in kept},
     )
 

@@ -461,6 +461,8 @@ class TakeStream:
         tracks: Things beside the rig, whose times are in the blocks; most takes have
             none.
         points: Names of the meshes and strands whose points the motions hold.
+        simulated: What became of each thing that was simulated, as plain values;
+            complete once the blocks are read.
     """
 
     rig: Rig
@@ -475,6 +477,7 @@ class TakeStream:
     control_curves: dict[str, Curves] = field(default_factory=dict)
     tracks: tuple[Track, ...] = ()
     points: frozenset[str] = frozenset()
+    simulated: list[dict[str, object]] = field(default_factory=list)
 
     def collect(self) -> Take:
         """Return the whole take, static joints stored once."""

@@ -150,6 +150,10 @@ def bake_details(report: BakeReport) -> list[str]:
         stated = ", ".join(f"{key} {value}" for key, value in take.details.items())
         lines.append(f"  source: {stated}")
         lines.append(f"  animation: {take.written.animation}")
+        lines += [
+            f"  simulated: {', '.join(f'{key} {value}' for key, value in one.items())}"
+            for one in take.simulated
+        ]
     return [
         *lines,
         f"  seconds: {seconds} (read runs beside author)",
@@ -235,6 +239,8 @@ def _take_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
         }
     if take.meshes:
         found["meshes"] = mesh_json(take)
+    if take.simulated:
+        found["simulated"] = take.simulated
     if take.thinned is not None:
         found["reduction"] = {
             "samples": take.thinned.samples,

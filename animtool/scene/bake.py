@@ -258,6 +258,7 @@ class _TakeRun:
             stream.details,
             thinned,
             "" if thinned is None else job.rig.names[thinned.joint],
+            simulated=stream.simulated,
         )
 
     def time(self, blocks: Iterator[WrittenBlock]) -> Iterator[WrittenBlock]:

@@ -132,6 +132,7 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
             )
         ],
         meshes_of=character.origin,
+        simulated=stream.simulated,
     )
     return BakeReport(
         [report],

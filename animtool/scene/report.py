@@ -55,6 +55,7 @@ class TakeReport:
         thinned_joint: Name of the joint that this moved most.
         meshes: What was written of each mesh, where it was deformed.
         meshes_of: Whose meshes they are.
+        simulated: What became of each thing that was simulated, as plain values.
     """
 
     source: Path
@@ -69,6 +70,7 @@ class TakeReport:
     thinned_joint: str = ""
     meshes: list[MeshReport] = field(default_factory=list)
     meshes_of: str = ""
+    simulated: list[dict[str, object]] = field(default_factory=list)
 
 
 @dataclass(slots=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +78,11 @@ def test_usd_plays_a_tail(beast: Path) -> None:
     done = animtool("bake", beast, "--strict")
     assert done.code == 0, done.stderr
     assert "SIM130 tail: " in done.stderr
+    done = animtool("bake", beast, "--overwrite", "--format", "json")
+    (report,) = json.loads(done.stdout)["simulated"]
+    assert (report["name"], report["status"]) == ("tail", "ok")
+    assert 0 < report["stretch"] < 0.01
+    assert report["seconds"] > 0
     take = load_scene(beast).open().collect()
     stage = Usd.Stage.Open(str(beast.parent / "out.usdc"))
     (prim,) = [prim for prim in stage.Traverse() if prim.IsA(UsdSkel.Skeleton)]

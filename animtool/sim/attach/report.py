@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from animtool.errors import Fault, Severity, counted
+from animtool.errors import Fault, Severity, counted, listed
 from animtool.sim.attach.actor import Actor
 from animtool.sim.attach.simulation import Closing, Simulation
 
@@ -80,7 +80,8 @@ def notices_of(simulation: Simulation) -> list[Fault]:
     for report in reports:
         said += _warnings(report)
     if simulation.closing is not None:
-        said.append(_closed(simulation.closing))
+        names = listed([report.name for report in reports])
+        said.append(_closed(names, simulation.closing))
     return said
 
 
@@ -113,9 +114,9 @@ def _warnings(report: AttachReport) -> list[Fault]:
     return said
 
 
-def _closed(closing: Closing) -> Fault:
+def _closed(names: str, closing: Closing) -> Fault:
     message = (
-        f"the cycle was run {counted(closing.repeats, 'time')}; its ends differ by "
+        f"{names}: the cycle was run {counted(closing.repeats, 'time')}; its ends differ by "
         f"{1000 * closing.residual:.3g} mm"
     )
     if closing.residual <= closing.tolerance:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from fractions import Fraction
 from pathlib import Path
 
 from animtool.errors import Fault, OptionError
 from animtool.passes import Pass, PassContext, Scope, TakePart
 from animtool.sim.attach.bodies import Body, SurfaceBody, bodies_of
-from animtool.sim.attach.report import notices_of
+from animtool.sim.attach.report import notices_of, reports_of
 from animtool.sim.attach.saved import Saved, read_states, write_states
 from animtool.sim.attach.settings import SimulateOptions, option_checks
 from animtool.sim.attach.simulation import Simulation
@@ -69,6 +69,7 @@ def _blocks(
     if simulation.options.save:
         write_states(folder / simulation.options.save, simulation.saved)
     stream.notices.extend(notices_of(simulation))
+    stream.simulated.extend(asdict(report) for report in reports_of(simulation))
 
 
 def _resumed(
