@@ -115,10 +115,8 @@ def _warnings(report: AttachReport) -> list[Fault]:
 
 
 def _closed(names: str, closing: Closing) -> Fault:
-    message = (
-        f"{names}: the cycle was run {counted(closing.repeats, 'time')}; its ends differ by "
-        f"{1000 * closing.residual:.3g} mm"
-    )
+    message = f"{names}: the cycle was run {counted(closing.repeats, 'time')}; "
+    message += f"its ends differ by {1000 * closing.residual:.3g} mm"
     if closing.residual <= closing.tolerance:
         return Fault("SIM130", message, severity=Severity.NOTE)
     message += f", and {1000 * closing.tolerance:g} mm was asked for"
