@@ -21,13 +21,20 @@ double share_of(Vec a, Vec b, Vec p) {
   return squared > 0 ? std::clamp(dot(p - a, axis) / squared, 0.0, 1.0) : 0.0;
 }
 
-// Whether a point is farther from a capsule than its radius, without a root.
-bool is_clear(Vec a, Vec b, double radius, Vec p) {
-  const Vec off = p - (a + b) * 0.5;
-  const Vec half = (b - a) * 0.5;
-  // No more than the square of radius and half the axis together.
-  const double reach = 2 * (radius * radius + dot(half, half));
-  return dot(off, off) > reach;
+// A ball about a capsule: its centre, and its radius squared or a little more.
+struct Ball {
+  Vec centre;
+  double reach;
+
+  bool has(Vec p) const {
+    const Vec off = p - centre;
+    return dot(off, off) <= reach;
+  }
+};
+
+Ball ball_about(Vec a, Vec b, double radius) {
+  const double whole = radius + length(b - a) * 0.5;
+  return {(a + b) * 0.5, whole * whole * (1 + 1e-9)};
 }
 
 }  // namespace
@@ -60,18 +67,21 @@ std::int64_t SpringCapsules::keep_out(double t, double h,
                                       const double* before, double* x) {
   place(t, was_);
   place(t + h, now_);
+  std::vector<Ball> balls;
+  for (std::size_t c = 0; c < radii_.size(); ++c)
+    balls.push_back(ball_about(load(&now_[6 * c]), load(&now_[6 * c + 3]), radii_[c]));
   std::int64_t moved = 0;
   for (std::size_t n = 0; n < particles_; ++n) {
     if (inverse_masses[n] == 0) continue;
     Vec p = load(x + ROW * n);
-    const Vec old = load(before + ROW * n);
     bool hit = false;
     for (std::size_t c = 0; c < radii_.size(); ++c) {
+      if (!balls[c].has(p)) continue;
       const Vec a = load(&now_[6 * c]), b = load(&now_[6 * c + 3]);
-      if (is_clear(a, b, radii_[c], p)) continue;
       const auto ended = collide::sample_capsule(a, b, radii_[c], p);
       const double least = depths_[c * particles_ + n];
       if (ended.distance >= least) continue;
+      const Vec old = load(before + ROW * n);
       const Vec a0 = load(&was_[6 * c]), b0 = load(&was_[6 * c + 3]);
       const double begun = collide::sample_capsule(a0, b0, radii_[c], old).distance;
       const double push = std::min(begun + depenetration_ * h, least) - ended.distance;

@@ -14,10 +14,10 @@ from animtool.sim.attach.settings import Settings
 
 __all__ = ["Motions", "State", "Stepper", "Tally", "steps_wanted"]
 
-# Accelerations that steps are chosen for [m/s²]: a few times that of gravity.
-DESIGN_ACCELERATION = 40.0
+# Accelerations that steps are chosen for [m/s²]: twice that of gravity.
+DESIGN_ACCELERATION = 20.0
 # Of cloth, springs across bear more of it than those of a line: as measured [1].
-ACROSS = 5.0
+ACROSS = 10.0
 FEWEST_STEPS = 240.0  # a second
 MOST_STEPS = 20_000.0
 # Springs that do not give [rad/s].
