@@ -107,12 +107,15 @@ class PassContext:
         notices: Gathers what a pass has to say about its work.
         errors: Gathers the largest distance in the world by which a pass that solves
             something missed it [m].
+        early: How many frames stand before the take's own and hold its first, for a
+            pass that settles.
     """
 
     open: Callable[[Path], Take]
     folder: Path
     notices: list[Fault] = field(default_factory=list)
     errors: list[float] = field(default_factory=list)
+    early: int = 0
 
     def take(self, path: Path | None, option: str = "take") -> Take:
         """Return the take that an option names.

@@ -228,7 +228,8 @@ class Scene:
         if not early:
             return apply_pass(stream, entry.pass_, entry.options, context)
         led = begun_early(stream, early)
-        done = apply_pass(led, entry.pass_, entry.options, context)
+        sooner = replace(context, early=early)
+        done = apply_pass(led, entry.pass_, entry.options, sooner)
         return without_first(done, early, stream.start)
 
     def _sources(self) -> TakeStream:

@@ -100,6 +100,17 @@ def test_usd_plays_a_tail(beast: Path) -> None:
     assert np.abs(world[:, 3, 0] - world[:, 0, 0]).max() > 10
 
 
+def test_a_cycle_has_no_preroll(beast: Path) -> None:
+    cycle = SCENE.replace("settle: 0.2", "loop: true, damping: 1, settle: 0.2")
+    beast.write_text(cycle, "utf-8")
+    plain = load_scene(beast).open().collect()
+    shot = "shot: {start: 1, cut: [1, 25], preroll: 9}\noutput"
+    beast.write_text(cycle.replace("output", shot), "utf-8")
+    found = load_scene(beast).open().collect()
+    assert found.clock == plain.clock
+    assert_array_equal(found.motion.rotations.dense(), plain.motion.rotations.dense())
+
+
 def test_a_scene_without_weight_is_one_without_the_pass(beast: Path) -> None:
     made = []
     for given in ("weight: 0", ""):

@@ -77,6 +77,7 @@ class Simulation:
         start: Fraction,
         step: Fraction,
         resumed: Saved | None = None,
+        early: int = 0,
     ) -> None:
         """Make ready; nothing is read yet.
 
@@ -88,13 +89,14 @@ class Simulation:
             start: Time code of the first frame.
             step: Time codes from one frame to the next.
             resumed: States to go on from, at a frame of the take.
+            early: Frames before the take's own that hold its first; no cycle has them.
         """
         self.rig, self.bodies, self.options = rig, bodies, options
         self.actors: list[Actor] = []
         self.saved: list[Saved] = []
         self.closing: Closing | None = None
         self._rate, self._start, self._step = rate, start, step
-        self._resumed = resumed
+        self._resumed, self._early = resumed, early
         self._before: Pose | None = None
         self._done = 0
         self._signs: dict[int, FloatArray] = {}
@@ -102,7 +104,9 @@ class Simulation:
     def blocks(self, given: Iterator[Motion]) -> Iterator[Motion]:
         """Yield motions with what is attached moved."""
         if self.options.loop:
-            yield self._cycle(Motion.concatenate(list(given)))
+            whole, early = Motion.concatenate(list(given)), self._early
+            made = self._cycle(whole.select(slice(early, None)))
+            yield made.select(np.maximum(np.arange(-early, made.frames), 0))
             return
         for block in _begun(given):
             yield self._block(block)
@@ -219,12 +223,12 @@ class Simulation:
                 moved + weight * off
                 for moved, weight in zip(row.moved, share.tolist(), strict=True)
             ]
-        return self._moved(motion, self._codes(0, count), rows)
+        return self._moved(motion, self._codes(self._early, count), rows)
 
     def _round(self, poses: list[Pose]) -> list[_Rows]:
         """Go once through a cycle; return its frames but the last."""
         rows = [_Rows([], []) for _ in self.bodies]
-        codes = self._codes(0, len(poses)).tolist()
+        codes = self._codes(self._early, len(poses)).tolist()
         for actor in self.actors:
             actor.place(poses[0])
         for i, (before, after) in enumerate(pairwise(poses)):

@@ -20,7 +20,11 @@ __all__ = ["PASS", "simulate"]
 
 
 def simulate(
-    stream: TakeStream, options: SimulateOptions, folder: Path = Path()
+    stream: TakeStream,
+    options: SimulateOptions,
+    folder: Path = Path(),
+    *,
+    early: int = 0,
 ) -> TakeStream:
     """Return a take whose rig's attachments move by themselves, block by block.
 
@@ -32,6 +36,7 @@ def simulate(
         stream: The take.
         options: What, and how.
         folder: Where relative paths start.
+        early: Frames before the take's own that hold its first; no cycle has them.
 
     Raises:
         FormatError: Arrays of the rig cannot be read any more or do not fit (RIG018,
@@ -53,6 +58,7 @@ def simulate(
         start,
         stream.step,
         _resumed(bodies, options, folder),
+        early,
     )
     named = [body.mesh.name for body in bodies if isinstance(body, SurfaceBody)]
     return replace(
@@ -104,7 +110,7 @@ def _check(options: SimulateOptions) -> None:
 def _run(
     stream: TakeStream, options: SimulateOptions, context: PassContext
 ) -> TakeStream:
-    return simulate(stream, options, context.folder)
+    return simulate(stream, options, context.folder, early=context.early)
 
 
 PASS = Pass(
