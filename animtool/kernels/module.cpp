@@ -6,6 +6,8 @@ using namespace animtool;
 using namespace nanobind::literals;
 
 NB_MODULE(_kernels, m) {
+  // A command ends without collecting what is left, which is no leak.
+  nb::set_leak_warnings(false);
   m.doc() = "Loops that numpy cannot vectorise. C-contiguous arrays in, new arrays out.";
 
   m.def("parse_bvh_rows", &parse_bvh_rows, "text"_a, "columns"_a, "limit"_a, "final"_a,

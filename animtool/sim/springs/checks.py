@@ -19,18 +19,18 @@ def check_body(body: Body, pins: Pins, targets: Targets | None) -> None:
     """Raise where particles, springs or what holds them make no sense.
 
     Raises:
-        OptionError: A mass is not above 0 of a particle that is not held (SIM201); a
-            position is not finite (SIM202); a spring joins what is not there or has an
-            impossible number (SIM203); a pin or target is of a particle that is not
-            there, or held twice (SIM204).
+        OptionError: A mass is not above 0 of a particle that is not held (SIM040); a
+            position is not finite (SIM041); a spring joins what is not there or has an
+            impossible number (SIM042); a pin or target is of a particle that is not
+            there, or held twice (SIM043).
     """
     count = len(body.positions)
     held = _members(pins.particles)
-    faults = _named("SIM202", "its position is not finite", _odd(body.positions))
+    faults = _named("SIM041", "its position is not finite", _odd(body.positions))
     faults += _particle_faults(held, "pins", count)
     if len(np.unique(held)) < len(held):
         values, often = np.unique(held, return_counts=True)
-        faults += _named("SIM204", "it is pinned twice", values[often > 1])
+        faults += _named("SIM043", "it is pinned twice", values[often > 1])
     if targets is not None:
         faults += _particle_faults(_members(targets.particles), "targets", count)
     free = np.ones(count, bool)
@@ -38,11 +38,11 @@ def check_body(body: Body, pins: Pins, targets: Targets | None) -> None:
     with np.errstate(invalid="ignore"):
         light = ~((body.masses > 0) & np.isfinite(body.masses)) & free
     hint = "pin it, or give it a mass above 0"
-    faults += _named("SIM201", "its mass is not above 0", np.flatnonzero(light), hint)
+    faults += _named("SIM040", "its mass is not above 0", np.flatnonzero(light), hint)
     faults += _spring_faults(body.springs, count)
     outside = ((body.triangles < 0) | (body.triangles >= count)).any(axis=1)
     faults += [
-        Fault("SIM203", f"triangle {i} has a corner that is not there", where="body")
+        Fault("SIM042", f"triangle {i} has a corner that is not there", where="body")
         for i in np.flatnonzero(outside)[:MOST_NAMED].tolist()
     ]
     if faults:
@@ -58,7 +58,7 @@ def check_path(
     """Return times ``(K,)`` and positions ``(K, count, 3)`` of a path.
 
     Raises:
-        OptionError: They do not fit each other, or are not finite (SIM205).
+        OptionError: They do not fit each other, or are not finite (SIM044).
     """
     path = np.array(positions, np.float64)
     moments = np.zeros(1) if times is None else np.asarray(times, np.float64)
@@ -76,7 +76,7 @@ def check_path(
         row = int(np.argmin(np.isfinite(path).all(axis=(1, 2))))
         message = f"positions at {moments[row]:g} s are not finite"
     if message:
-        raise OptionError(Fault("SIM205", message, where=name))
+        raise OptionError(Fault("SIM044", message, where=name))
     return moments, path
 
 
@@ -92,7 +92,7 @@ def start_notices(body: Body) -> list[Fault]:
         f"the ends of {which} are at one place: with no direction they pull nothing "
         "until something parts them"
     )
-    return [Fault("SIM211", message, where="body", severity=Severity.WARNING)]
+    return [Fault("SIM140", message, where="body", severity=Severity.WARNING)]
 
 
 def _members(particles: ArrayLike) -> IntArray:
@@ -121,7 +121,7 @@ def _particle_faults(particles: IntArray, where: str, count: int) -> list[Fault]
     lost = particles[(particles < 0) | (particles >= count)]
     message = f"there is no particle {{}}: they are 0 to {count - 1}"
     return [
-        Fault("SIM204", message.format(i), where=where)
+        Fault("SIM043", message.format(i), where=where)
         for i in lost[:MOST_NAMED].tolist()
     ]
 
@@ -147,7 +147,7 @@ def _spring_faults(springs: Springs, count: int) -> list[Fault]:
         ]
         found.append((~(springs.limit >= springs.rest), "tears before it is stretched"))
     return [
-        Fault("SIM203", f"spring {i} {message}", where="body")
+        Fault("SIM042", f"spring {i} {message}", where="body")
         for bad, message in found
         for i in np.flatnonzero(bad)[:MOST_NAMED].tolist()
     ]

@@ -128,7 +128,7 @@ def _near_enough(
             return coarse
     message = f"the error of positions is {said:.3g} m, and was to be {error:.3g} m"
     hint = "take bdf2, or ask for less: motion after a fold or a contact is not smooth"
-    notice = Fault("SIM213", message, hint=hint, severity=Severity.WARNING)
+    notice = Fault("SIM142", message, hint=hint, severity=Severity.WARNING)
     return replace(coarse, notices=(*coarse.notices, notice))
 
 
@@ -267,7 +267,7 @@ def _notices(
             f"own give; {options.stretch:.1%} is allowed"
         )
         found.append(
-            _warning("SIM212", message, "take bdf2, or less stiffness or mass")
+            _warning("SIM141", message, "take bdf2, or less stiffness or mass")
         )
     if run.grid.unresolved:
         message = (
@@ -275,7 +275,7 @@ def _notices(
             "colliders at once"
         )
         hint = "they start inside, or colliders close in on them from several sides"
-        found.append(_warning("SIM214", message, hint))
+        found.append(_warning("SIM143", message, hint))
     return found
 
 

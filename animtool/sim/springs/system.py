@@ -44,7 +44,7 @@ class SpringSystem(SecondOrder):
         radius: Distance that particles keep from colliders [m].
 
     Raises:
-        OptionError: What makes no sense (SIM201 to SIM205), of colliders SIM020.
+        OptionError: What makes no sense (SIM040 to SIM044), of colliders SIM020.
 
     >>> from animtool.sim.springs.lines import rope
     >>> from animtool.sim.springs.body import Family
