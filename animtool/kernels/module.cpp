@@ -246,6 +246,12 @@ together, so that several are done at once.)");
 Held particles have none; springs that are ``torn`` ``(S,)`` pull nothing. Speeds of what
 anchors are drawn to are those of the h before.)");
 
+  m.def("spring_energy", &spring_energy, "network"_a, "positions"_a,
+        R"(Energy of springs at positions ``(N, 3)``, and their largest length.
+
+Returns ``(energy, longest)``: of those with a length at rest, over that; 0 where there are
+none.)");
+
   m.def("step_springs", &step_springs, "network"_a, "state"_a, "torn"_a, "origin"_a, "first"_a,
         "cell"_a, "cells"_a, "substeps"_a, "colliders"_a.none(),
         R"(Take semi-implicit Euler steps from a state ``(2, N, 3)``.

@@ -65,6 +65,22 @@ Out<std::int64_t, 1> spring_order(In<std::int64_t, 2> ends, std::size_t particle
   return result.release(shape);
 }
 
+std::tuple<double, double> spring_energy(const SpringNetwork& network,
+                                         In<double, 2> positions) {
+  if (positions.shape(0) != network.particles() || positions.shape(1) != 3)
+    throw std::invalid_argument("positions are (N, 3)");
+  double energy = 0, longest = 0;
+  for (const Spring& spring : network.lines.springs) {
+    const double* p = positions.data() + 3 * static_cast<std::size_t>(spring.i);
+    const double* q = positions.data() + 3 * static_cast<std::size_t>(spring.j);
+    const double d[3] = {q[0] - p[0], q[1] - p[1], q[2] - p[2]};
+    const double length = std::sqrt(dot3(d, d)), longer = length - spring.rest;
+    energy += 0.5 * spring.stiffness * longer * longer;
+    if (spring.rest > 0 && !(length <= longest * spring.rest)) longest = length / spring.rest;
+  }
+  return {energy, longest};
+}
+
 SpringsStepped step_springs(const SpringNetwork& network, In<double, 3> state,
                             In<std::uint8_t, 1> torn, double origin, std::int64_t first,
                             double cell, std::int64_t cells, int substeps,

@@ -43,6 +43,9 @@ using SpringsFollowed = std::tuple<Out<double, 3>, std::int64_t, std::int64_t>;
 Out<double, 2> spring_accelerations(const SpringNetwork& network, double t, double h,
                                     In<double, 3> state, In<std::uint8_t, 1> torn);
 
+// energy [J] of springs, and the largest length over that at rest, 0 of none
+std::tuple<double, double> spring_energy(const SpringNetwork& network, In<double, 2> positions);
+
 SpringsStepped step_springs(const SpringNetwork& network, In<double, 3> state,
                             In<std::uint8_t, 1> torn, double origin, std::int64_t first,
                             double cell, std::int64_t cells, int substeps,

@@ -185,17 +185,17 @@ class SpringSystem(SecondOrder):
         """
         x, v = state
         masses = np.where(self.fixed, 0.0, self.body.masses)
-        kinetic = 0.5 * float(masses @ (v * v).sum(axis=1))
-        springs = self.body.springs
-        long = self._lengths(x) - springs.rest
-        potential = 0.5 * float(springs.stiffness @ (long * long))
-        potential -= float(masses @ (x @ self.gravity))
+        kinetic = 0.5 * float(masses @ np.einsum("nk,nk->n", v, v))
+        potential, _ = _kernels.spring_energy(self.network, np.ascontiguousarray(x))
+        potential -= float(masses @ x @ self.gravity)
         if len(self.drawn):
             gaps = x[self.drawn] - _position(self._target_path, t)
             potential += 0.5 * float(self.draws[:, 0] @ (gaps * gaps).sum(axis=1))
-        return Energy(kinetic, potential, self._supply(float(masses.sum())))
+        return Energy(kinetic, potential, self._supply)
 
-    def _supply(self, mass: float) -> float:
+    @cached_property
+    def _supply(self) -> float:
+        mass = float(self.body.masses[~self.fixed].sum())
         wind = float(np.linalg.norm(self._wind_path[1], axis=2).max(initial=0.0))
         speeds = [_speed(path) for path in (self._pin_path, self._target_path)]
         speeds.append(fastest_collider(self.colliders))
@@ -214,11 +214,9 @@ class SpringSystem(SecondOrder):
 
     def stretch(self, t: float, state: FloatArray) -> float | None:  # noqa: ARG002
         """Return the largest length of a spring over its length at rest [1]."""
-        rest = self.body.springs.rest
-        long = rest > 0
-        if not long.any():
-            return None
-        return float((self._lengths(state[0])[long] / rest[long]).max())
+        places = np.ascontiguousarray(state[0])
+        longest = _kernels.spring_energy(self.network, places)[1]
+        return longest if (self.body.springs.rest > 0).any() else None
 
     def frequencies(self, t: float, state: FloatArray) -> FloatArray | None:  # noqa: ARG002
         """Return bounds of the fastest motions ``(M, 2)``, wherever particles are."""
