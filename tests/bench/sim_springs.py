@@ -33,7 +33,7 @@ OWN = {
     ],
     100: [
         ("symplectic_euler", 14400),
-        *[("xpbd", rate) for rate in (240, 480, 960, 1920)],
+        *[("xpbd", rate) for rate in (480, 960, 1920)],
     ],
 }
 FINE = {20: None, 100: 28800}

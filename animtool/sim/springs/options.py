@@ -44,7 +44,7 @@ class SpringOptions:
         error: Most error of positions [m]: the motion is made again in half the step
             until two agree. None does not ask.
         growth: Energy gained, in those of the start and what may be supplied, from
-            which on a motion has blown up.
+            which on a motion has blown up; of xpbd it is not asked for.
         longest: Length of a spring, in lengths at rest, from which on it has.
     """
 

@@ -193,7 +193,9 @@ class _Run:
         self.most_substeps = grid.substeps
         self.status = Status.OK
         self.sign = ""
-        bounds = IntegrateOptions(growth=options.growth, stretch=options.longest)
+        # What xpbd leaves of a stretch is no energy that it goes on with.
+        growth = np.inf if grid.solver is Solver.XPBD else options.growth
+        bounds = IntegrateOptions(growth=growth, stretch=options.longest)
         self._watch = Watch(system, bounds)
         self._watch.start(grid.time, grid.state)
 
