@@ -231,7 +231,7 @@ def test_the_action_checks(root: Path, repository: Repository) -> None:
         ({"paths": "rigs", "strict": "true", "ignore": "RIG2,CLIP"}, 0),
         ({"paths": "rigs", "strict": "true", "select": "CLIP"}, 0),
         ({"paths": "rigs", "select": "; touch x"}, 2),
-        ({"paths": "$(touch x)"}, 2),
+        ({"paths": "$(touch x)"}, 3),
         ({"paths": "*.bvh"}, 5),
     ],
 )

@@ -186,6 +186,8 @@ ELSEWHERE = {
     *("SCN040", "SCN042", "SCN043", "SCN044", "SCN103", "SCN104", "SCN105", "SCN106"),
     # Those of tests/test_tracks_aside.py, test_beside.py and test_library_output.py.
     *(f"SCN{n:03d}" for n in (*range(45, 53), *range(107, 114))),
+    # Those of tests/scene/test_systems.py.
+    *(f"SCN{n:03d}" for n in range(60, 63)),
 }
 
 

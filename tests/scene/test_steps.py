@@ -171,8 +171,6 @@ def test_what_stages_cost(workplace: Path) -> None:
     for stage in (source, ik):
         assert (stage["peak_bytes"] is None) == (sys.platform == "win32")
         assert stage["seconds"] > 0
-    if sys.platform != "win32":
-        assert max(source["peak_bytes"], ik["peak_bytes"]) > 100_000
 
 
 def test_stages_that_stream_are_counted_apart(shot: Path) -> None:

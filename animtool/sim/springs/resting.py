@@ -53,7 +53,8 @@ def find_rest(system: SpringSystem, t: float = 0.0) -> Rest:
 
     >>> from animtool.sim.springs import Family, Pins, rope
     >>> line = rope([0, 0, 0], [0, 0, -1], 2, Family(98.1), mass=1.0)
-    >>> find_rest(SpringSystem(line, pins=Pins([0]))).positions[1, 2].round(6)
+    >>> rest = find_rest(SpringSystem(line, pins=Pins([0])))
+    >>> rest.positions[1, 2].round(6).tolist()
     -1.1
     """
     calm = system.without_air()
