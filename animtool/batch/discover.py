@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING
 
 from animtool.batch.cuts import SHOT_NAMES, CutList, Shot, read_cuts
 from animtool.batch.limits import Limits
-from animtool.batch.names import INPUT_NAMES, input_names, output_root, unknown_names
+from animtool.batch.names import (
+    INPUT_NAMES,
+    file_pattern,
+    input_names,
+    output_root,
+    unknown_names,
+)
 from animtool.batch.recipe import Item, Recipe
 from animtool.batch.spec import BatchSpec
 from animtool.documents.names import check_given
@@ -18,6 +24,7 @@ from animtool.errors import Fault, NothingFoundError, OptionError, listed
 from animtool.files import FoundFile, Places, files_meant
 from animtool.readers import BVH, DOCUMENT, READERS
 from animtool.scene.sources import is_scene, source_stem
+from animtool.usd.forms import check_suffix
 
 if TYPE_CHECKING:
     from animtool.scene.reading import Source
@@ -86,9 +93,14 @@ def find_batch(spec: BatchSpec) -> Batch:
         NothingFoundError: There is no input (BAT005).
         OptionError: The output has a name that there is none of (BAT004), or a
             variable that nothing uses is given (SCN031), or both the batch and its
-            scene name outputs (SCN044).
+            scene name outputs (SCN044), or outputs are of no kind of USD layer
+            (OUT004).
     """
-    _check_pattern(spec)
+    if spec.output is not None:
+        name = "{parent}/{stem}" if spec.cuts is None else "{shot}"
+        pattern = file_pattern(spec.output, name)
+        spec = replace(spec, output=pattern)
+        _check_pattern(spec, pattern)
     cuts = _cuts(spec)
     shots = cuts.shots
     if not shots:
@@ -117,17 +129,19 @@ def find_batch(spec: BatchSpec) -> Batch:
     )
 
 
-def _check_pattern(spec: BatchSpec) -> None:
+def _check_pattern(spec: BatchSpec, pattern: str) -> None:
     place = None if spec.path is None else str(spec.path)
     known = dict(spec.variables)
     if spec.cuts is not None:
         known |= dict.fromkeys(SHOT_NAMES, "")
     faults = [
         Fault("BAT004", message, place, (), hint)
-        for message, hint in unknown_names(spec.output or "", known)
+        for message, hint in unknown_names(pattern, known)
     ]
     if faults:
         raise OptionError(faults)
+    if "{" not in PurePath(pattern).suffix:
+        check_suffix(Path(pattern))
 
 
 def _recipe(spec: BatchSpec, found: Sequence[FoundFile]) -> Recipe:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping
 from pathlib import PurePath
 from string import Formatter
@@ -10,7 +11,7 @@ from animtool.documents.names import nearest
 from animtool.files import FoundFile
 from animtool.scene.sources import source_stem
 
-__all__ = ["INPUT_NAMES", "input_names", "output_root", "unknown_names"]
+__all__ = ["INPUT_NAMES", "file_pattern", "input_names", "output_root", "unknown_names"]
 
 INPUT_NAMES = ("input", "folder", "name", "parent", "stem")
 
@@ -35,6 +36,15 @@ def input_names(found: FoundFile) -> dict[str, str]:
         "parent": path.parent.relative_to(found.base).as_posix(),
         "stem": source_stem(path),
     }
+
+
+def file_pattern(pattern: str, name: str) -> str:
+    """Return the pattern of files that a pattern stands for, which may name a folder.
+
+    >>> file_pattern("out/", "{parent}/{stem}"), file_pattern("{stem}.usda", "{stem}")
+    ('out/{parent}/{stem}.usdc', '{stem}.usda')
+    """
+    return f"{pattern}{name}.usdc" if pattern.endswith(("/", os.sep)) else pattern
 
 
 def unknown_names(

@@ -160,8 +160,9 @@ class BatchModel(FileModel):
     )
     output: str | None = Field(
         default=None,
-        description="The file to write of each input, with names between braces. Not "
-        "given: as the scene says, else beside the input, as .usdc.",
+        description="The file to write of each input, with names between braces; "
+        "`out/` stands for `out/{parent}/{stem}.usdc`. Not given: as the "
+        "scene says, else beside the input, as .usdc.",
         examples=["out/{parent}/{stem}.usdc"],
     )
     limits: LimitsModel = Field(

@@ -87,7 +87,8 @@ Examples:
     "--output",
     metavar="PATTERN",
     help="The file to write of each, with {stem}, {name}, {parent}, {folder}, or a "
-    "variable.  [default: as the scene says, else beside the input, as .usdc]",
+    "variable; FOLDER/ stands for FOLDER/{parent}/{stem}.usdc.  [default: as the scene "
+    "says, else beside the input, as .usdc]",
 )
 @click.option(
     "--scene",
@@ -272,7 +273,11 @@ def _spec(inputs: tuple[str, ...], given: dict[str, Any]) -> BatchSpec:
         spec = mapped_spec(spec, read_rules(given["path_mapping"]))
     here = Path.cwd()
     if given["output"] is not None:
-        output = str(here / given["output"]) if jobs else given["output"]
+        output = given["output"]
+        if jobs:
+            # A path has no slash at its end, which says that it is a folder.
+            slash = "/" if output.endswith("/") else ""
+            output = f"{here / output}{slash}"
         spec = replace(spec, output=output)
     if given["scene"] is not None:
         spec = replace(spec, scene=given["scene"])

@@ -20,8 +20,8 @@ from animtool.scene.reading import Source, found_sources
 from animtool.scene.sources import Opener, Progress, open_source, source_stem
 from animtool.scene.take_plan import TakePlan
 from animtool.take import TakeStream
-from animtool.usd.forms import Form
-from animtool.usd.layers import check_prim_path, check_suffix
+from animtool.usd.forms import Form, check_suffix
+from animtool.usd.layers import check_prim_path
 from animtool.usd.names import legal_name
 from animtool.usd.paths import RigPaths
 

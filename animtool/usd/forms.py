@@ -5,7 +5,11 @@ from __future__ import annotations
 from enum import StrEnum
 from pathlib import Path
 
-__all__ = ["Form", "output_paths"]
+from animtool.errors import Fault, OptionError
+
+__all__ = ["Form", "check_suffix", "output_paths"]
+
+SUFFIXES = (".usd", ".usda", ".usdc")
 
 
 class Form(StrEnum):
@@ -31,3 +35,12 @@ def output_paths(output: Path, form: Form) -> list[Path]:
         output.with_name(f"{output.stem}.anim.usdc"),
         output,
     ]
+
+
+def check_suffix(path: Path) -> None:
+    """Raise `OptionError` where a path is not that of a USD layer (OUT004)."""
+    if path.suffix.lower() not in SUFFIXES:
+        allowed = f"allowed: {', '.join(SUFFIXES)}"
+        kind = f"suffix {path.suffix!r}" if path.suffix else "a name without suffix"
+        message = f"{kind} is no kind of USD layer"
+        raise OptionError(Fault("OUT004", message, str(path), (), allowed))

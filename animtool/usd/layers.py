@@ -20,12 +20,10 @@ from animtool.output import output_error, replacing
 from animtool.units import UpAxis
 
 __all__ = [
-    "SUFFIXES",
     "StageMetadata",
     "attribute",
     "author_metadata",
     "check_prim_path",
-    "check_suffix",
     "compute_alone",
     "export_layer",
     "find_layer",
@@ -37,8 +35,6 @@ __all__ = [
     "save_layer",
     "usd_errors",
 ]
-
-SUFFIXES = (".usd", ".usda", ".usdc")
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,15 +69,6 @@ def author_metadata(layer: Any, metadata: StageMetadata) -> None:
     layer.endTimeCode = float(metadata.last)
     root.SetInfo("metersPerUnit", metadata.meters_per_unit)
     root.SetInfo("upAxis", metadata.up.value)
-
-
-def check_suffix(path: Path) -> None:
-    """Raise `OptionError` where a path is not that of a USD layer."""
-    if path.suffix.lower() not in SUFFIXES:
-        allowed = f"allowed: {', '.join(SUFFIXES)}"
-        kind = f"suffix {path.suffix!r}" if path.suffix else "a name without suffix"
-        message = f"{kind} is no kind of USD layer"
-        raise OptionError(Fault("OUT004", message, str(path), (), allowed))
 
 
 def check_prim_path(text: str) -> None:

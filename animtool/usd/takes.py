@@ -14,9 +14,9 @@ from animtool.take import Motion, Take, TakeStream
 from animtool.units import LengthUnit
 from animtool.usd.animation import round_blocks
 from animtool.usd.author import author, write_usd
-from animtool.usd.forms import Form, output_paths
+from animtool.usd.forms import Form, check_suffix, output_paths
 from animtool.usd.jobs import UsdJob, UsdResult, UsdTake
-from animtool.usd.layers import check_prim_path, check_suffix
+from animtool.usd.layers import check_prim_path
 from animtool.usd.names import UsdNames, joint_names, legal_name
 from animtool.usd.paths import RigPaths
 

@@ -54,6 +54,23 @@ def test_names_of_inputs_and_variables(takes: Path) -> None:
     ]
 
 
+def test_a_folder_gets_the_folders_of_inputs(takes: Path) -> None:
+    assert [output for _, output in made(takes, "takes", output="out/")] == [
+        "out/a/b/take000.usdc",
+        "out/take000.usdc",
+        "out/take001.usdc",
+    ]
+
+
+@pytest.mark.parametrize("pattern", ["out", "out/{stem}", "{stem}.bvh"])
+def test_outputs_of_no_kind_are_refused_before_the_work(
+    takes: Path, pattern: str
+) -> None:
+    with pytest.raises(OptionError) as error:
+        made(takes, "takes", output=pattern)
+    assert error.value.code == "OUT004"
+
+
 def test_each_input_once_less_what_is_excluded(takes: Path) -> None:
     found = made(takes, "takes/take*.bvh", "takes", exclude=("takes/a", "takes/*1.bvh"))
     assert [path for path, _ in found] == ["takes/take000.bvh"]
