@@ -173,6 +173,15 @@ def test_a_velocity_field_and_a_mesh(tmp_path: Path) -> None:
         "    colliders:", "    velocity: {x: '-z', z: x, y: '1'}\n    colliders:"
     )
     bake(written(tmp_path, text), tmp_path / "out.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "out.usda"))
+    attributes = UsdGeom.Points(stage.GetPrimAtPath("/shot/embers"))
+    points = np.array(attributes.GetPointsAttr().Get(12))
+    speeds = np.array(attributes.GetVelocitiesAttr().Get(12))
+    assert len(points) > 20
+    x, _, z = points.T
+    field = np.stack([-z, np.ones_like(x), x], axis=1)
+    free = x < 0.4  # away from the lid
+    np.testing.assert_allclose(speeds[free], field[free], atol=1e-5)
 
 
 def test_particles_run_into_characters(root: Path, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -32,7 +33,7 @@ __all__ = ["Body", "ChainBody", "SurfaceBody", "bodies_of", "check_names"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Body:
+class Body(ABC):
     """An attachment as particles.
 
     Attributes:
@@ -47,9 +48,9 @@ class Body:
     network: Network
     carrier: int
 
+    @abstractmethod
     def targets(self, way: Way) -> FloatArray:
         """Return where the animation has the particles ``(K, N, 3)`` [m], world."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True, eq=False)

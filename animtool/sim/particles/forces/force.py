@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import TypeAlias
 
@@ -18,7 +19,7 @@ Vector: TypeAlias = tuple[float, float, float]
 Time: TypeAlias = "float | FloatArray"
 
 
-class Force:
+class Force(ABC):
     """A force on particles; a record of its options.
 
     Attributes:
@@ -29,9 +30,9 @@ class Force:
     pairs: bool = False
     drains: bool = False
 
+    @abstractmethod
     def force(self, t: Time, x: FloatArray, v: FloatArray, cloud: Cloud) -> FloatArray:
         """Return forces ``(N, 3)`` [N] at positions and velocities ``(N, 3)``."""
-        raise NotImplementedError
 
     def potential(self, x: FloatArray, cloud: Cloud) -> FloatArray | None:  # noqa: ARG002
         """Return energies ``(N,)`` [J], None of a force that has none."""
