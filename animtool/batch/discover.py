@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from animtool.batch.cuts import SHOT_NAMES, CutList, Shot, read_cuts
@@ -140,7 +140,8 @@ def _check_pattern(spec: BatchSpec, pattern: str) -> None:
     ]
     if faults:
         raise OptionError(faults)
-    if "{" not in PurePath(pattern).suffix:
+    # Other names at the end may bring a suffix.
+    if not pattern.replace("{stem}", "stem").endswith("}"):
         check_suffix(Path(pattern))
 
 
