@@ -20,7 +20,7 @@ __all__ = ["COMMANDS", "cli", "main"]
 COMMANDS = {
     "bake": (
         "animtool.cli.bake:bake",
-        "Bake a clip, BVH or USD file to a USD animation.",
+        "Bake a scene, clip, BVH or USD file to USD.",
     ),
     "batch": (
         "animtool.cli.batch:batch",
