@@ -20,12 +20,12 @@ def mesh_text(take: TakeReport, meters_per_unit: float) -> list[str]:
         take: What became of it.
         meters_per_unit: Unit of the output [m].
     """
-    if all(mesh.particles for mesh in take.meshes):
+    if all(mesh.simulated for mesh in take.meshes):
         return [
             f"  {counted(len(take.meshes), 'system')} of {take.meshes_of}, simulated",
             *(_line(mesh, meters_per_unit) for mesh in take.meshes),
         ]
-    strands = sum(mesh.strands for mesh in take.meshes)
+    strands = sum(mesh.kind == "strands" for mesh in take.meshes)
     shown = counted(len(take.meshes) - strands, "mesh", "meshes")
     if strands:
         shown += f" and {counted(strands, 'set', 'sets')} of strands"
@@ -45,7 +45,7 @@ def _line(mesh: MeshReport, meters_per_unit: float) -> str:
     if written.samples:
         moves = f"{counted(written.samples, 'frame')}, {written.bytes / 1e6:.3g} MB"
     many = counted(written.vertices, "vertex", "vertices")
-    if mesh.particles:
+    if mesh.simulated:
         many = f"up to {counted(written.vertices, 'particle')}"
     return (
         f"    {mesh.name}: {many}, {moves}, "
@@ -58,18 +58,12 @@ def _milliseconds(mesh: MeshReport) -> float:
     return mesh.seconds * 1e3 / max(mesh.frames, 1)
 
 
-def _kind(mesh: MeshReport) -> str:
-    if mesh.particles:
-        return "particles"
-    return "strands" if mesh.strands else "mesh"
-
-
 def mesh_json(take: TakeReport) -> list[dict[str, object]]:
     """Return what became of each mesh as plain values."""
     return [
         {
             "mesh": mesh.name,
-            "kind": _kind(mesh),
+            "kind": mesh.kind,
             "prim": mesh.written.path,
             "of": take.meshes_of,
             "vertices": mesh.written.vertices,

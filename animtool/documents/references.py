@@ -7,7 +7,7 @@ from pathlib import Path
 
 from animtool.documents.document import Document, Location
 
-__all__ = ["reference", "referred", "split_reference"]
+__all__ = ["reference", "referred", "referred_input", "split_reference"]
 
 
 def split_reference(text: str, default: str) -> tuple[str, str]:
@@ -58,3 +58,26 @@ def referred(
         hint = "roots in animtool.toml allows more folders"
         document.add(code, location, str(error), hint)
         return None
+
+
+def referred_input(
+    document: Document,
+    location: Location,
+    name: str,
+    roots: Sequence[Path],
+    codes: tuple[str, str],
+) -> Path | None:
+    """Return a file that a document reads; None, and a fault, where it cannot.
+
+    Args:
+        document: Whose folder names start from.
+        location: Where the name stands in it.
+        name: As written.
+        roots: Folders that references may lead into.
+        codes: Of faults: one that leads out of them, and one that is not there.
+    """
+    path = referred(document, location, name, roots, codes[0])
+    if path is not None and not path.exists():
+        document.add(codes[1], location, f"{name!r} does not exist")
+        return None
+    return path

@@ -17,7 +17,7 @@ from animtool.scene.sources import SourceOptions
 from animtool.scene.tracks import TrackNames
 
 if TYPE_CHECKING:
-    from animtool.sim.particles.setup import Particles
+    from animtool.scene.system_kinds import SystemSetup
 
 __all__ = [
     "OutputKind",
@@ -151,18 +151,15 @@ class SceneSystem:
 
     Attributes:
         name: Of its prim.
+        kind: Of `SYSTEM_KINDS`.
         setup: What it is made of.
-        preroll: Seconds before the first frame that it begins in [s].
         place: Of the entry.
-        characters: Files of characters that it runs into, and what touching one does:
-            restitution, friction and margin.
     """
 
     name: str
-    setup: Particles
-    preroll: float
+    kind: str
+    setup: SystemSetup
     place: Place
-    characters: tuple[tuple[Path, tuple[float, float, float]], ...] = ()
 
 
 class OutputKind(StrEnum):

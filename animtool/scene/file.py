@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import fields, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -15,11 +15,12 @@ from animtool.config import project_roots
 from animtool.documents.check import check_version, validated, wrong_values
 from animtool.documents.document import Document, Location, read_document, spelled
 from animtool.documents.names import nearest
-from animtool.documents.references import referred
+from animtool.documents.references import referred, referred_input
 from animtool.documents.variables import resolve_variables
 from animtool.edit.frame_range import FrameRange
 from animtool.errors import AnimtoolError, OptionError
 from animtool.passes import Pass, find_pass
+from animtool.plugins import load_object
 from animtool.rates import parse_rate
 from animtool.scene.entries import (
     OutputKind,
@@ -36,6 +37,8 @@ from animtool.scene.preroll import Preroll
 from animtool.scene.scene import Scene
 from animtool.scene.schema import BesideModel, OutputModel, SceneModel, SourceModel
 from animtool.scene.sources import SourceOptions, is_usd, takes_option
+from animtool.scene.system_kinds import SYSTEM_KINDS, SystemReader
+from animtool.scene.system_schema import SystemModel
 from animtool.scene.tracks import TrackNames
 from animtool.units import LengthUnit, UpAxis, parse_length
 
@@ -121,25 +124,34 @@ class _SceneReader:
             hint = "bake them apart, and bring both into one stage as layers"
             self.document.add("SCN060", ("systems",), message, hint)
         self._check_simulated()
-        from animtool.scene.particle_entries import read_particles
+        found = (self._system(i, entry) for i, entry in enumerate(model.systems))
+        return tuple(system for system in found if system is not None)
 
-        found = []
-        for i, entry in enumerate(model.systems):
-            at: Location = ("systems", i, "particles")
-            given = entry.particles
-            setup = read_particles(self.document, at, given, self.roots)
-            if setup is not None:
-                place = self._place(at)
-                characters = tuple(
-                    (
-                        self._input((*at, "characters", k, "file"), entry.file),
-                        (entry.restitution, entry.friction, entry.margin),
-                    )
-                    for k, entry in enumerate(given.characters)
-                )
-                name, early = given.name, given.preroll
-                found.append(SceneSystem(name, setup, early, place, characters))
-        return tuple(found)
+    def _system(self, i: int, entry: SystemModel) -> SceneSystem | None:
+        kind = self._kind(("systems", i), entry)
+        if kind is None:
+            return None
+        at: Location = ("systems", i, kind)
+        given = getattr(entry, kind)
+        read = cast(SystemReader, load_object(SYSTEM_KINDS[kind].reader))
+        setup = read(self.document, at, given, self.roots)
+        if setup is None:
+            return None
+        return SceneSystem(given.name, kind, setup, self._place(at))
+
+    def _kind(self, at: Location, entry: SystemModel) -> str | None:
+        """Return the kind that an entry names."""
+        kinds = sorted(entry.model_fields_set)
+        known = ", ".join(SYSTEM_KINDS)
+        if len(kinds) == 1:
+            return kinds[0]
+        if kinds:
+            message = f"a system is of one kind, and this of {' and '.join(kinds)}"
+            hint = "give each an entry of its own, beginning with a dash"
+            self.document.add("SCN065", at, message, hint)
+        elif not self.document.value["systems"][at[1]]:
+            self.document.add("SCN065", at, "it names no kind", f"they are {known}")
+        return None
 
     def _check_simulated(self) -> None:
         """Refuse what there is only with a source, and outputs of other kinds."""
@@ -366,9 +378,8 @@ class _SceneReader:
 
     def _input(self, at: Location, name: str) -> Path:
         """Return a file to read, which must be there."""
-        found = referred(self.document, at, name, self.roots, "SCN004")
-        if found is not None and not found.exists():
-            self.document.add("SCN005", at, f"{name!r} does not exist")
+        codes = "SCN004", "SCN005"
+        found = referred_input(self.document, at, name, self.roots, codes)
         return Path(name) if found is None else found
 
     def _rate(self, at: Location, given: float | str | None) -> Fraction | None:

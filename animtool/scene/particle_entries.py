@@ -15,9 +15,15 @@ from animtool.documents.arrays import Archives
 from animtool.documents.check import wrong_values
 from animtool.documents.document import Document, Location
 from animtool.documents.names import nearest
-from animtool.documents.references import referred, split_reference
+from animtool.documents.references import (
+    referred,
+    referred_input,
+    split_reference,
+)
 from animtool.errors import AnimtoolError, Fault, OptionError
+from animtool.scene.particle_system import ParticleSetup
 from animtool.scene.system_schema import (
+    CharacterModel,
     EmitterModel,
     Named,
     ParticlesModel,
@@ -60,7 +66,7 @@ Record = TypeVar("Record")
 
 def read_particles(
     document: Document, at: Location, model: ParticlesModel, roots: Sequence[Path]
-) -> Particles | None:
+) -> ParticleSetup | None:
     """Return the particles of an entry; None where what is noted leaves none.
 
     Args:
@@ -69,7 +75,12 @@ def read_particles(
         model: What it says.
         roots: Folders that files may be in.
     """
-    return _Reader(document, roots).particles(at, model)
+    reader = _Reader(document, roots)
+    particles = reader.particles(at, model)
+    characters = reader.characters((*at, "characters"), model.characters)
+    if particles is None:
+        return None
+    return ParticleSetup(particles, model.preroll, characters)
 
 
 class _Reader:
@@ -113,6 +124,18 @@ class _Reader:
         except OptionError as error:
             self._note_keys(at, model, error.faults)
         return setup
+
+    def characters(
+        self, at: Location, models: Sequence[CharacterModel]
+    ) -> tuple[tuple[Path, tuple[float, float, float]], ...]:
+        """Return files of characters, and what touching one does."""
+        found = []
+        for i, model in enumerate(models):
+            codes, place = ("SCN004", "SCN005"), (*at, i, "file")
+            path = referred_input(self.document, place, model.file, self.roots, codes)
+            if path is not None:
+                found.append((path, (model.restitution, model.friction, model.margin)))
+        return tuple(found)
 
     def _note_keys(
         self, at: Location, model: ParticlesModel, faults: Sequence[Fault]

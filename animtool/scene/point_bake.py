@@ -116,6 +116,7 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
     seconds["total"] = time.perf_counter() - began
     seconds["save"] = seconds["total"] - seconds["author"]
     surfaces = len(character.surfaces)
+    kinds = ["mesh"] * surfaces + ["strands"] * (len(character.meshes) - surfaces)
     report = TakeReport(
         take.source,
         result.takes[0],
@@ -126,9 +127,9 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
         take.source.stat().st_size,
         stream.details,
         meshes=[
-            MeshReport(mesh.name, made, spent, frames.samples, i >= surfaces)
-            for i, (mesh, made, spent) in enumerate(
-                zip(character.meshes, written, points.seconds, strict=True)
+            MeshReport(mesh.name, made, spent, frames.samples, kind)
+            for mesh, made, spent, kind in zip(
+                character.meshes, written, points.seconds, kinds, strict=True
             )
         ],
         meshes_of=character.origin,

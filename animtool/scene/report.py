@@ -19,23 +19,23 @@ __all__ = ["BakeReport", "MeshReport", "TakeReport"]
 
 @dataclass(frozen=True, slots=True)
 class MeshReport:
-    """What became of a mesh, of strands, or of particles.
+    """What became of a mesh, of strands, or of a system.
 
     Attributes:
         name: As the rig names it.
         written: What was written of it.
         seconds: Spent on deforming and rounding it [s].
         frames: How many frames that was for.
-        strands: Whether it is strands.
-        particles: Whether it is particles, simulated and not deformed.
+        kind: ``mesh`` or ``strands`` of a character, or a kind of system.
+        simulated: Whether it is a system, and not deformed.
     """
 
     name: str
     written: CachedMesh
     seconds: float
     frames: int
-    strands: bool
-    particles: bool = False
+    kind: str
+    simulated: bool = False
 
 
 @dataclass(slots=True)

@@ -86,7 +86,7 @@ class Scene:
         for thing in self.beside:
             named += [thing.file, *filter(None, [thing.reference])]
         for system in self.systems:
-            named += [path for path, _ in system.characters]
+            named += system.setup.files
         for entry in self.passes:
             given = [getattr(entry.options, f.name) for f in fields(entry.options)]
             named += [folder / path for path in given if isinstance(path, Path)]

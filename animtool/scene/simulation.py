@@ -1,48 +1,44 @@
-"""What a scene simulates: kinds of systems, and what they give for each frame."""
+"""What a scene simulates, under way."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING, Protocol, TypeAlias
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol, TypeAlias, cast
 
 from animtool.errors import Fault
+from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
+from animtool.scene.system_kinds import SYSTEM_KINDS, SystemSetup
 
-if TYPE_CHECKING:
-    from animtool.sim.particles.run import ParticleFrame
-
-__all__ = ["Simulation", "open_system"]
-
-# What a frame may be; each has its writer in `animtool.usd`.
-Geometry: TypeAlias = "ParticleFrame"
+__all__ = ["Simulation", "open_systems"]
 
 
 class Simulation(Protocol):
-    """A system under way.
+    """A system under way."""
 
-    Attributes:
-        notices: What is odd about it so far.
+    @property
+    def notices(self) -> list[Fault]:
+        """What is odd about it so far."""
+
+    def at(self, t: float) -> Any:
+        """Return what there is at a time [s], as the writer of its kind takes it.
+
+        Times do not descend.
+        """
+
+
+Opener: TypeAlias = Callable[[SystemSetup], Simulation]
+
+
+def open_systems(systems: Sequence[SceneSystem]) -> list[Simulation]:
+    """Return systems at their beginnings; the first frame is at 0 s.
+
+    Raises:
+        FormatError: Something makes no sense, at the place of its system.
     """
-
-    notices: list[Fault]
-
-    def at(self, t: float) -> Geometry:
-        """Return what there is at a time [s], not before the last one asked for."""
-        ...
-
-
-def open_system(system: SceneSystem) -> Simulation:
-    """Return a system at its beginning; the first frame is at 0 s."""
-    from animtool.sim.particles.run import ParticleRun
-
-    setup = system.setup
-    if system.characters:
-        from animtool.scene.character_colliders import character_colliders
-
-        moving = [
-            collider
-            for path, material in system.characters
-            for collider in character_colliders(path, material)
-        ]
-        setup = replace(setup, colliders=[*setup.colliders, *moving])
-    return ParticleRun(setup, -system.preroll)
+    opened = []
+    for system in systems:
+        opener = cast(Opener, load_object(SYSTEM_KINDS[system.kind].opener))
+        with system.place.blamed():
+            opened.append(opener(system.setup))
+    return opened

@@ -205,15 +205,9 @@ def _system_steps(
     """Return the steps of a scene that is simulated."""
     steps = []
     for system in scene.systems:
-        setup = system.setup
-        reads = [counted(len(setup.emitters), "emitter")]
-        reads += [counted(len(setup.forces), "force")] if setup.forces else []
-        reads += ["a velocity field"] if setup.velocity else []
-        reads += [counted(len(setup.colliders), "collider")] if setup.colliders else []
-        step = setup.options.step
-        makes = f"particles, by {setup.options.method} in steps of {step:g} s"
-        where = system.place.where
-        steps.append(Step(StepKind.SYSTEM, system.name, where, tuple(reads), (makes,)))
+        setup, where = system.setup, system.place.where
+        made = (setup.makes,)
+        steps.append(Step(StepKind.SYSTEM, system.name, where, setup.reads, made))
     ((path, _, where),) = _scene_outputs(scene, output, options)
     name = "stdout" if path is None else str(path)
     makes = f"{Form.STAGE} with points, their ids, velocities, widths and ages"

@@ -7,22 +7,26 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from typing import Any, cast
 
 from animtool.edit.frame_range import FrameRange
 from animtool.errors import Fault, OptionError, refuse_warnings
+from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
 from animtool.scene.options import BakeOptions
 from animtool.scene.report import BakeReport, MeshReport, TakeReport
 from animtool.scene.scene import Scene
-from animtool.scene.simulation import Simulation, open_system
+from animtool.scene.simulation import open_systems
 from animtool.scene.sources import source_stem
+from animtool.scene.system_kinds import SYSTEM_KINDS
 from animtool.units import UpAxis
 from animtool.usd.animation import Rounding
 from animtool.usd.forms import Form
 from animtool.usd.jobs import UsdResult, WrittenTake
 from animtool.usd.layers import check_prim_path
 from animtool.usd.names import distinct_names, legal_name
-from animtool.usd.particle_points import PointsJob, PointsRow, write_points
+from animtool.usd.prim_writer import PrimWriter
+from animtool.usd.simulated import SimulatedJob, write_simulated
 
 __all__ = ["SystemPlan", "plan_systems", "run_system_bake"]
 
@@ -44,7 +48,7 @@ class SystemPlan:
 
     scene: Path
     systems: tuple[SceneSystem, ...]
-    job: PointsJob
+    job: SimulatedJob
     codes: tuple[Fraction, ...]
     first: Fraction
     options: BakeOptions
@@ -76,16 +80,21 @@ def plan_systems(scene: Scene, output: Path | None, options: BakeOptions) -> Sys
         check_prim_path(options.prim_path)
     model = options.prim_path or f"/{legal_name(source_stem(scene.path))}"
     unit = 1.0 if options.to_units is None else options.to_units.meters
-    job = PointsJob(
+    job = SimulatedJob(
         output,
         model,
         distinct_names(names, names, names).names,
+        tuple(_writer(system) for system in scene.systems),
         fps,
         (Fraction(frames.first), Fraction(frames.last)),
         unit,
         options.to_up or UpAxis.Y,
     )
     return SystemPlan(scene.path, scene.systems, job, codes, first, options)
+
+
+def _writer(system: SceneSystem) -> type[PrimWriter]:
+    return cast(type[PrimWriter], load_object(SYSTEM_KINDS[system.kind].writer))
 
 
 def _codes(frames: FrameRange, offsets: tuple[Fraction, ...]) -> tuple[Fraction, ...]:
@@ -131,16 +140,14 @@ def run_system_bake(plan: SystemPlan) -> BakeReport:
     began = time.perf_counter()
     job = plan.job
     running = _Running(plan)
-    written, size = write_points(
+    written, size = write_simulated(
         job,
         running.rows(),
         lambda: refuse_warnings(running.notices, strict=plan.options.strict),
     )
     total = time.perf_counter() - began
     meshes = [
-        MeshReport(
-            system.name, found, spent, len(plan.codes), strands=False, particles=True
-        )
+        MeshReport(system.name, found, spent, len(plan.codes), system.kind, True)
         for system, found, spent in zip(
             plan.systems, written, running.seconds, strict=True
         )
@@ -192,10 +199,7 @@ class _Running:
     def __init__(self, plan: SystemPlan) -> None:
         self._plan = plan
         self.seconds = [0.0] * len(plan.systems)
-        self._open: list[Simulation] = []
-        for system in plan.systems:
-            with system.place.blamed():
-                self._open.append(open_system(system))
+        self._open = open_systems(plan.systems)
 
     @property
     def notices(self) -> list[Fault]:
@@ -206,18 +210,16 @@ class _Running:
             for notice in opened.notices
         ]
 
-    def rows(self) -> Iterator[tuple[float, list[PointsRow]]]:
+    def rows(self) -> Iterator[tuple[float, list[Any]]]:
         """Yield every time code with what each system is then."""
         plan = self._plan
         for code in plan.codes:
             t = float((code - plan.first) / plan.job.fps)
             yield float(code), [self._row(i, t) for i in range(len(self._open))]
 
-    def _row(self, i: int, t: float) -> PointsRow:
+    def _row(self, i: int, t: float) -> Any:
         began = time.perf_counter()
         with self._plan.systems[i].place.blamed():
-            frame = self._open[i].at(t)
+            row = self._open[i].at(t)
         self.seconds[i] += time.perf_counter() - began
-        return PointsRow(
-            frame.ids, frame.points, frame.velocities, frame.radii, frame.ages
-        )
+        return row

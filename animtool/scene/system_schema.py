@@ -21,6 +21,9 @@ Vector = Annotated[list[float], Len(3, 3)]
 # One name of a table, and its options.
 Named = Annotated[dict[str, dict[str, Any] | None], Len(1, 1)]
 
+# Of an entry's kinds one is given; that one may not be nothing.
+_NOT_GIVEN: Any = None
+
 
 class _PlacedModel(FileModel):
     at: Vector = Field(
@@ -233,6 +236,7 @@ class SystemModel(FileModel):
     """One simulation, of one kind."""
 
     particles: ParticlesModel = Field(
+        default=_NOT_GIVEN,
         description="Particles.",
         examples=[{"emitters": [{"rate": 100, "speed": 2, "lifetime": 1}]}],
     )

@@ -16,7 +16,7 @@ from animtool.cli.summary import bake_json, bake_text
 from animtool.edit.frame_range import FrameRange
 from animtool.errors import AnimtoolError, FormatError, OptionError, ToleranceError
 from animtool.scene.file import load_scene
-from animtool.scene.simulation import open_system
+from animtool.scene.simulation import open_systems
 from animtool.scene.steps import StepKind, bake_steps
 
 SCENE = """\
@@ -188,8 +188,9 @@ def test_particles_run_into_characters(root: Path, tmp_path: Path) -> None:
     clip = root / "samples/stride/stride.clip.yaml"
     character = f"    characters:\n    - {{file: {str(clip)!r}, friction: 0.2}}\n"
     rain = SCENE.replace("    kill:", f"{character}    kill:")
-    system = load_scene(written(tmp_path, rain), {"at": str(root)}).systems[0]
-    hit = open_system(system).setup.colliders  # type: ignore[attr-defined]
+    systems = load_scene(written(tmp_path, rain), {"at": str(root)}).systems
+    (particles,) = open_systems(systems)
+    hit = particles.run.setup.colliders  # type: ignore[attr-defined]
     assert len(hit) > 6
     assert hit[2].name
     assert len(hit[2].poses.moments) > 10
@@ -273,6 +274,15 @@ def test_all_faults_are_said_at_once(tmp_path: Path) -> None:
     text = SCENE.replace("gravity:", "gravty:").replace("rate: 120", "rate: -1")
     text = text.replace("restitution: 0.4", "restitution: 4")
     assert sorted(codes(tmp_path, text)) == ["SIM020", "SIM021", "SIM023"]
+
+
+def test_a_system_is_of_one_kind(tmp_path: Path) -> None:
+    assert codes(tmp_path, SCENE.replace("- particles:", "- {}\n- particles:")) == [
+        "SCN065"
+    ]
+    assert codes(tmp_path, SCENE.replace("- particles:", "- partcles:")) == ["DOC020"]
+    nothing = SCENE.partition("- particles:")[0] + "- particles:\n"
+    assert codes(tmp_path, nothing) == ["DOC022"]
 
 
 def test_a_source_beside_systems_is_refused(walk: Path, tmp_path: Path) -> None:

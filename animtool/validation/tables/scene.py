@@ -60,6 +60,7 @@ RULES = (
     Rule("SCN060", "what scenes have only with, or only without, a source"),
     Rule("SCN061", "a simulation without an end"),
     Rule("SCN062", "what is for characters, of a scene that is simulated"),
+    Rule("SCN065", "a system of no kind, or of several"),
     Rule(
         "SCN101",
         "a loop whose ends differ by more than a fifth of what it moves",

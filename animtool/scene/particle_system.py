@@ -1,0 +1,95 @@
+"""Particles of a scene, and how they are run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from animtool.errors import Fault, counted
+from animtool.scene.character_colliders import character_colliders
+from animtool.sim.particles.run import ParticleRun
+from animtool.usd.particle_points import PointsRow
+
+if TYPE_CHECKING:
+    from animtool.sim.particles.setup import Particles
+
+__all__ = ["ParticleSetup", "RunningParticles", "open_particles"]
+
+
+@dataclass(frozen=True, slots=True)
+class ParticleSetup:
+    """What particles are made of.
+
+    Attributes:
+        particles: What makes, moves, stops and removes them.
+        preroll: Time before 0 s that they begin in [s].
+        characters: Files of characters that they run into, and what touching one
+            does: restitution, friction and margin.
+    """
+
+    particles: Particles
+    preroll: float = 0.0
+    characters: tuple[tuple[Path, tuple[float, float, float]], ...] = ()
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """What is read beside the scene."""
+        return tuple(path for path, _ in self.characters)
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """What acts on them, in words."""
+        given = self.particles
+        reads = [counted(len(given.emitters), "emitter")]
+        reads += [counted(len(given.forces), "force")] if given.forces else []
+        reads += ["a velocity field"] if given.velocity else []
+        reads += [counted(len(given.colliders), "collider")] if given.colliders else []
+        return tuple(reads)
+
+    @property
+    def makes(self) -> str:
+        """What becomes of them, in words."""
+        options = self.particles.options
+        return f"particles, by {options.method} in steps of {options.step:g} s"
+
+
+def open_particles(setup: ParticleSetup) -> RunningParticles:
+    """Return particles at their beginning; characters are read now.
+
+    Raises:
+        FormatError: The file of a character is malformed.
+        OptionError: A character has no colliders (SIM020), or something makes no
+            sense.
+    """
+    moving = [
+        collider
+        for path, material in setup.characters
+        for collider in character_colliders(path, material)
+    ]
+    given = setup.particles
+    whole = replace(given, colliders=[*given.colliders, *moving])
+    return RunningParticles(ParticleRun(whole, -setup.preroll))
+
+
+class RunningParticles:
+    """Particles under way.
+
+    Attributes:
+        run: What takes them through time.
+    """
+
+    def __init__(self, run: ParticleRun) -> None:
+        self.run = run
+
+    @property
+    def notices(self) -> list[Fault]:
+        """What is odd so far."""
+        return self.run.notices
+
+    def at(self, t: float) -> PointsRow:
+        """Return the particles at a time [s], not before the last one asked for."""
+        frame = self.run.at(t)
+        return PointsRow(
+            frame.ids, frame.points, frame.velocities, frame.radii, frame.ages
+        )

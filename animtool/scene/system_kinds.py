@@ -1,0 +1,66 @@
+"""The kinds of systems of scenes; each is imported when a scene has one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol, TypeAlias
+
+from animtool.documents.document import Document, Location
+
+__all__ = ["SYSTEM_KINDS", "SystemKind", "SystemReader", "SystemSetup"]
+
+
+class SystemSetup(Protocol):
+    """What a system is made of, as its file says it.
+
+    Attributes:
+        files: What is read beside the scene.
+        reads: What acts on it, in words.
+        makes: What becomes of it, in words.
+    """
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """What is read beside the scene."""
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """What acts on it, in words."""
+
+    @property
+    def makes(self) -> str:
+        """What becomes of it, in words."""
+
+
+# Where faults are noted, place and keys of the entry, and folders files may be in.
+SystemReader: TypeAlias = Callable[
+    [Document, Location, Any, Sequence[Path]], SystemSetup | None
+]
+
+
+@dataclass(frozen=True, slots=True)
+class SystemKind:
+    """A kind of system, its parts as ``module:object``.
+
+    Attributes:
+        reader: Returns its setup from the keys of an entry; None where faults leave
+            none.
+        opener: Returns it at its beginning.
+        writer: Writes its prim.
+    """
+
+    reader: str
+    opener: str
+    writer: str
+
+
+# The keys of each are a field of `SystemModel`.
+SYSTEM_KINDS: dict[str, SystemKind] = {
+    "particles": SystemKind(
+        "animtool.scene.particle_entries:read_particles",
+        "animtool.scene.particle_system:open_particles",
+        "animtool.usd.particle_points:PointsWriter",
+    ),
+}
