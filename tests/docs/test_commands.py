@@ -17,6 +17,7 @@ DOCUMENTS = [
     "animtool/docs/guide.md",
     "samples/batch/README.md",
     "samples/bounce/README.md",
+    "samples/cape/README.md",
     "samples/carry/README.md",
     "samples/ci/README.md",
     "samples/embers/README.md",

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.bodies import out_of_capsules, out_of_skin, skin_of
 from support.cli import animtool
 
 from animtool.rig.file import load_rig
@@ -48,6 +49,19 @@ def test_the_cape_keeps_its_size(take: Take) -> None:
     loose = (sides >= 25).any(axis=1)
     moved = lengths(take.motion.points["cape"].dense())[:, loose]
     assert (moved < 1.075 * lengths(cape.points)[loose]).all()
+
+
+@pytest.mark.parametrize(("name", "radius"), [("cape", 0.01), ("hair", 0.0)])
+def test_nothing_of_it_is_in_the_body(take: Take, name: str, radius: float) -> None:
+    points = take.motion.points[name].dense()
+    # Folds of the upper edge, which goes with the shoulders, lie on them.
+    loose = points[:, 100:] if name == "cape" else points
+    assert out_of_capsules(take.rig, take.motion, loose).min() > radius - 1e-4
+    for frame, *skin in zip(
+        points, *skin_of(take.rig, take.motion, "body"), strict=True
+    ):
+        # Hair grows on it.
+        assert out_of_skin(frame, *skin).min() > (0 if name == "cape" else -1e-3)
 
 
 def test_it_is_baked_and_valid(tmp_path: Path) -> None:
