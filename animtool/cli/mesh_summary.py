@@ -46,7 +46,8 @@ def _line(mesh: MeshReport, meters_per_unit: float) -> str:
         moves = f"{counted(written.samples, 'frame')}, {written.bytes / 1e6:.3g} MB"
     many = counted(written.vertices, "vertex", "vertices")
     if mesh.simulated:
-        many = f"up to {counted(written.vertices, 'particle')}"
+        many = counted(written.vertices, "particle")
+        many = f"up to {many}" if mesh.kind == "particles" else many
     return (
         f"    {mesh.name}: {many}, {moves}, "
         f"{_milliseconds(mesh):.3g} ms a frame, largest error of float32 {error:.2g} "

@@ -38,6 +38,7 @@ from animtool.scene.scene import Scene
 from animtool.scene.schema import BesideModel, OutputModel, SceneModel, SourceModel
 from animtool.scene.sources import SourceOptions, is_usd, takes_option
 from animtool.scene.system_kinds import SYSTEM_KINDS, SystemReader
+from animtool.scene.system_links import check_links
 from animtool.scene.system_schema import SystemModel
 from animtool.scene.tracks import TrackNames
 from animtool.units import LengthUnit, UpAxis, parse_length
@@ -125,7 +126,10 @@ class _SceneReader:
             self.document.add("SCN060", ("systems",), message, hint)
         self._check_simulated()
         found = (self._system(i, entry) for i, entry in enumerate(model.systems))
-        return tuple(system for system in found if system is not None)
+        systems = tuple(system for system in found if system is not None)
+        if len(systems) == len(model.systems):
+            check_links(self.document, systems)
+        return systems
 
     def _system(self, i: int, entry: SystemModel) -> SceneSystem | None:
         kind = self._kind(("systems", i), entry)
@@ -171,7 +175,7 @@ class _SceneReader:
         for i, entry in enumerate(entries):
             at: Location = ("output", i) if isinstance(given, list) else ("output",)
             if entry.file and kind_of(Path(entry.file)) is not OutputKind.USD:
-                message = f"{entry.file!r} is no USD file, and particles are"
+                message = f"{entry.file!r} is no USD file, as what is simulated is"
                 self.document.add("SCN060", (*at, "file"), message)
 
     def _beside(self) -> tuple[SceneThing, ...]:

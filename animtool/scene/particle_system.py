@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
+from animtool.documents.document import Location
 from animtool.errors import Fault, counted
-from animtool.scene.character_colliders import character_colliders
+from animtool.scene.entries import SceneSystem
+from animtool.scene.simulation import Opening
 from animtool.sim.particles.run import ParticleRun
 from animtool.usd.particle_points import PointsRow
 
@@ -33,6 +36,16 @@ class ParticleSetup:
     characters: tuple[tuple[Path, tuple[float, float, float]], ...] = ()
 
     @property
+    def joined(self) -> tuple[tuple[str, Location], ...]:
+        """Systems that they are one with: none."""
+        return ()
+
+    @property
+    def needs(self) -> tuple[tuple[str, Location], ...]:
+        """Systems that they meet, and that do not feel them."""
+        return ()
+
+    @property
     def files(self) -> tuple[Path, ...]:
         """What is read beside the scene."""
         return tuple(path for path, _ in self.characters)
@@ -54,7 +67,9 @@ class ParticleSetup:
         return f"particles, by {options.method} in steps of {options.step:g} s"
 
 
-def open_particles(setup: ParticleSetup) -> RunningParticles:
+def open_particles(
+    members: Sequence[SceneSystem], opening: Opening
+) -> list[RunningParticles]:
     """Return particles at their beginning; characters are read now.
 
     Raises:
@@ -62,14 +77,16 @@ def open_particles(setup: ParticleSetup) -> RunningParticles:
         OptionError: A character has no colliders (SIM020), or something makes no
             sense.
     """
+    (member,) = members
+    setup = cast(ParticleSetup, member.setup)
     moving = [
         collider
         for path, material in setup.characters
-        for collider in character_colliders(path, material)
+        for collider in opening.characters.of(path).colliders(material)
     ]
     given = setup.particles
     whole = replace(given, colliders=[*given.colliders, *moving])
-    return RunningParticles(ParticleRun(whole, -setup.preroll))
+    return [RunningParticles(ParticleRun(whole, -setup.preroll))]
 
 
 class RunningParticles:
@@ -86,6 +103,10 @@ class RunningParticles:
     def notices(self) -> list[Fault]:
         """What is odd so far."""
         return self.run.notices
+
+    def report(self) -> dict[str, object]:
+        """Return nothing: what is written says it all."""
+        return {}
 
     def at(self, t: float) -> PointsRow:
         """Return the particles at a time [s], not before the last one asked for."""

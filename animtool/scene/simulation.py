@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeAlias, cast
 
 from animtool.errors import Fault
 from animtool.plugins import load_object
+from animtool.scene.character_motion import CharacterMotions
 from animtool.scene.entries import SceneSystem
-from animtool.scene.system_kinds import SYSTEM_KINDS, SystemSetup
+from animtool.scene.system_kinds import SYSTEM_KINDS
+from animtool.scene.system_links import in_order
 
-__all__ = ["Simulation", "open_systems"]
+__all__ = ["Opener", "Opening", "Simulation", "open_systems"]
 
 
 class Simulation(Protocol):
@@ -26,19 +29,48 @@ class Simulation(Protocol):
         Times do not descend.
         """
 
+    def report(self) -> dict[str, object]:
+        """Return what became of it so far, as plain values; nothing to say is none."""
 
-Opener: TypeAlias = Callable[[SystemSetup], Simulation]
+
+@dataclass
+class Opening:
+    """What systems that are opened may ask for.
+
+    Attributes:
+        last: The last time that will be asked for [s].
+        characters: Characters in motion, each read once.
+        opened: Systems that are open, by name.
+    """
+
+    last: float
+    characters: CharacterMotions = field(default_factory=CharacterMotions)
+    opened: dict[str, Simulation] = field(default_factory=dict)
 
 
-def open_systems(systems: Sequence[SceneSystem]) -> list[Simulation]:
-    """Return systems at their beginnings; the first frame is at 0 s.
+# From systems that are simulated as one to these at their beginnings.
+Opener: TypeAlias = Callable[[Sequence[SceneSystem], Opening], Sequence[Simulation]]
+
+
+def open_systems(systems: Sequence[SceneSystem], last: float = 0.0) -> list[Simulation]:
+    """Return systems at their beginnings, in their order; the first frame is at 0 s.
+
+    Args:
+        systems: Those of a scene.
+        last: The last time that will be asked for [s].
 
     Raises:
         FormatError: Something makes no sense, at the place of its system.
+        ToleranceError: A system blew up at once.
     """
-    opened = []
-    for system in systems:
-        opener = cast(Opener, load_object(SYSTEM_KINDS[system.kind].opener))
-        with system.place.blamed():
-            opened.append(opener(system.setup))
-    return opened
+    opening = Opening(last)
+    found: dict[int, Simulation] = {}
+    for group in in_order(systems):
+        members = [systems[i] for i in group]
+        opener = cast(Opener, load_object(SYSTEM_KINDS[members[0].kind].opener))
+        with members[0].place.blamed():
+            made = opener(members, opening)
+        found |= dict(zip(group, made, strict=True))
+        named = zip(members, made, strict=True)
+        opening.opened |= {member.name: one for member, one in named}
+    return [found[i] for i in range(len(systems))]

@@ -8,7 +8,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import cast
 
-from animtool.errors import counted
+from animtool.errors import counted, listed
 from animtool.passes import TakePart, sees_tracks
 from animtool.rates import rate_label
 from animtool.rig.skeleton import Rig
@@ -210,7 +210,8 @@ def _system_steps(
         steps.append(Step(StepKind.SYSTEM, system.name, where, setup.reads, made))
     ((path, _, where),) = _scene_outputs(scene, output, options)
     name = "stdout" if path is None else str(path)
-    makes = f"{Form.STAGE} with points, their ids, velocities, widths and ages"
+    prims = listed([system.name for system in scene.systems])
+    makes = f"{Form.STAGE} with {prims}, their points and velocities"
     steps.append(Step(StepKind.OUTPUT, name, where, ("systems",), (makes, name)))
     return steps
 

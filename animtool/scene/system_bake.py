@@ -171,6 +171,7 @@ def run_system_bake(plan: SystemPlan) -> BakeReport:
         source_bytes=plan.scene.stat().st_size,
         meshes=meshes,
         meshes_of=plan.scene.name,
+        simulated=running.reports,
     )
     outputs = [] if job.output is None else [job.output]
     spent = sum(running.seconds)
@@ -199,7 +200,8 @@ class _Running:
     def __init__(self, plan: SystemPlan) -> None:
         self._plan = plan
         self.seconds = [0.0] * len(plan.systems)
-        self._open = open_systems(plan.systems)
+        last = float((plan.codes[-1] - plan.first) / plan.job.fps)
+        self._open = open_systems(plan.systems, last)
 
     @property
     def notices(self) -> list[Fault]:
@@ -209,6 +211,11 @@ class _Running:
             for system, opened in zip(self._plan.systems, self._open, strict=True)
             for notice in opened.notices
         ]
+
+    @property
+    def reports(self) -> list[dict[str, object]]:
+        """What became of each that has something to say."""
+        return [said for opened in self._open if (said := opened.report())]
 
     def rows(self) -> Iterator[tuple[float, list[Any]]]:
         """Yield every time code with what each system is then."""

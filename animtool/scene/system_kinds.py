@@ -16,10 +16,20 @@ class SystemSetup(Protocol):
     """What a system is made of, as its file says it.
 
     Attributes:
+        joined: Names of systems that it is one with, and where they stand.
+        needs: Names of systems that are to be there before it, and where they stand.
         files: What is read beside the scene.
         reads: What acts on it, in words.
         makes: What becomes of it, in words.
     """
+
+    @property
+    def joined(self) -> tuple[tuple[str, Location], ...]:
+        """Names of systems that it is one with, and where they stand."""
+
+    @property
+    def needs(self) -> tuple[tuple[str, Location], ...]:
+        """Names of systems that are to be there before it, and where they stand."""
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -47,13 +57,25 @@ class SystemKind:
     Attributes:
         reader: Returns its setup from the keys of an entry; None where faults leave
             none.
-        opener: Returns it at its beginning.
+        opener: Returns systems that are simulated as one at their beginnings.
         writer: Writes its prim.
+        joiner: Notes what keeps systems that are joined from being one; empty where
+            particles cannot be joined.
     """
 
     reader: str
     opener: str
     writer: str
+    joiner: str = ""
+
+
+def _springs(name: str, writer: str) -> SystemKind:
+    return SystemKind(
+        f"animtool.scene.spring_entries:read_{name}",
+        "animtool.scene.spring_system:open_springs",
+        f"animtool.usd.simulated_points:{writer}",
+        "animtool.scene.spring_joins:check_joins",
+    )
 
 
 # The keys of each are a field of `SystemModel`.
@@ -63,4 +85,8 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
         "animtool.scene.particle_system:open_particles",
         "animtool.usd.particle_points:PointsWriter",
     ),
+    "rope": _springs("rope", "CurvesWriter"),
+    "strands": _springs("strands", "CurvesWriter"),
+    "cloth": _springs("cloth", "FacesWriter"),
+    "volume": _springs("volume", "FacesWriter"),
 }

@@ -1,235 +1,25 @@
-"""The keys of systems in a scene file, as models."""
+"""The kinds of systems that a scene file may name, as a model."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Any
 
-from annotated_types import Ge, Gt, Le, Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
+from animtool.scene.particle_schema import ParticlesModel
+from animtool.scene.spring_schema import (
+    ClothModel,
+    RopeModel,
+    StrandsModel,
+    VolumeModel,
+)
 
-__all__ = [
-    "CharacterModel",
-    "EmitterModel",
-    "ParticlesModel",
-    "SystemColliderModel",
-    "SystemModel",
-]
-
-Vector = Annotated[list[float], Len(3, 3)]
-# One name of a table, and its options.
-Named = Annotated[dict[str, dict[str, Any] | None], Len(1, 1)]
+__all__ = ["SystemModel"]
 
 # Of an entry's kinds one is given; that one may not be nothing.
 _NOT_GIVEN: Any = None
-
-
-class _PlacedModel(FileModel):
-    at: Vector = Field(
-        default=[0.0, 0.0, 0.0],
-        description="Where it is [m].",
-        examples=[[0, 1.5, 0]],
-    )
-    rotate: Annotated[list[float], Len(4, 4)] = Field(
-        default=[1.0, 0.0, 0.0, 0.0],
-        description="How it is turned: a quaternion w, x, y, z.",
-        examples=[[0.7071, 0, 0.7071, 0]],
-    )
-    moves: list[Annotated[list[float], Len(4, 4)]] = Field(
-        default=[],
-        description="Where it is over time, from `at`: rows of seconds from the first "
-        "frame on and three coordinates [m]. Not given: it stays.",
-        examples=[[[0, 0, 0, 0], [2, 4, 0, 0]]],
-    )
-
-
-class EmitterModel(_PlacedModel):
-    """What makes particles."""
-
-    name: str = Field(default="", description="For messages.", examples=["embers"])
-    place: Named = Field(
-        default={"point": None},
-        description="Where they are born: `point`, `disc`, `sphere`, `box` or `mesh`.",
-        examples=[{"disc": {"radius": 0.2}}],
-    )
-    rate: float = Field(default=0.0, description="Particles a second.", examples=[200])
-    bursts: list[Annotated[list[float], Len(2, 2)]] = Field(
-        default=[],
-        description="Seconds from the first frame on, and how many at once.",
-        examples=[[[0, 50], [1.5, 50]]],
-    )
-    start: float | None = Field(
-        default=None,
-        description="Second that the rate begins in. Not given: the first.",
-        examples=[0.5],
-    )
-    end: float | None = Field(
-        default=None,
-        description="Second that the rate ends in. Not given: never.",
-        examples=[2.5],
-    )
-    direction: Vector | None = Field(
-        default=None,
-        description="Middle of their directions. Not given: y, and from surfaces "
-        "outwards.",
-        examples=[[1, 1, 0]],
-    )
-    spread: float = Field(
-        default=0.0,
-        description="Half the angle of the cone about it [deg]; 180 is all around.",
-        examples=[20],
-    )
-    speed: float = Field(default=0.0, description="Speed [m/s].", examples=[3])
-    speed_spread: float = Field(
-        default=0.0, description="Most that it differs by [m/s].", examples=[0.5]
-    )
-    inherit: float = Field(
-        default=1.0,
-        description="Share of the emitter's velocity that they have too.",
-        examples=[0.5],
-    )
-    lifetime: float | None = Field(
-        default=None,
-        description="How long they live [s]. Not given: for ever.",
-        examples=[2.5],
-    )
-    lifetime_spread: float = Field(
-        default=0.0, description="Most that it differs by [s].", examples=[0.5]
-    )
-    radius: float = Field(
-        default=0.005, description="Their radius [m].", examples=[0.01]
-    )
-    radius_spread: float = Field(
-        default=0.0, description="Most that it differs by [m].", examples=[0.005]
-    )
-    mass: float = Field(default=0.001, description="Their mass [kg].", examples=[0.1])
-    charge: float = Field(default=0.0, description="Their charge [C].", examples=[1e-6])
-    seed: int = Field(
-        default=0, description="Of what is random about them.", examples=[7]
-    )
-
-
-class SystemColliderModel(_PlacedModel):
-    """What particles run into, or where they are removed."""
-
-    name: str = Field(default="", description="For messages.", examples=["step_1"])
-    shape: Named = Field(
-        description="`plane`, `sphere`, `capsule`, `box` or `mesh`.",
-        examples=[{"box": {"size": [2, 0.2, 1]}}],
-    )
-    container: bool = Field(
-        default=False,
-        description="Particles are to stay inside; of `kill`, those outside go.",
-        examples=[True],
-    )
-    restitution: float = Field(
-        default=0.0,
-        description="Share of the speed into the surface that comes back, 0 to 1.",
-        examples=[0.4],
-    )
-    friction: float = Field(
-        default=0.0, description="Coulomb's coefficient.", examples=[0.3]
-    )
-    margin: float = Field(
-        default=0.0, description="Distance that they keep [m].", examples=[0.01]
-    )
-    depenetration: float = Field(
-        default=1.0,
-        description="How fast those that begin inside are moved out [m/s].",
-        examples=[0.5],
-    )
-    speed_limit: float = Field(
-        default=200.0,
-        description="What moves faster was put elsewhere, and hits nothing [m/s].",
-        examples=[500],
-    )
-
-
-class CharacterModel(FileModel):
-    """A character in motion that particles run into: the capsules of its rig."""
-
-    file: Annotated[str, Field(min_length=1)] = Field(
-        description="A clip or a scene; its first frame comes at 0 s.",
-        examples=["walk.clip.yaml"],
-    )
-    restitution: float = Field(
-        default=0.0,
-        description="Share of the speed into the surface that comes back, 0 to 1.",
-        examples=[0.4],
-    )
-    friction: float = Field(
-        default=0.0, description="Coulomb's coefficient.", examples=[0.3]
-    )
-    margin: float = Field(
-        default=0.0, description="Distance that they keep [m].", examples=[0.01]
-    )
-
-
-class VelocityModel(FileModel):
-    """A velocity field: expressions of x, y, z, t and age."""
-
-    x: str = Field(default="0", description="Along x [m/s].", examples=["-z"])
-    y: str = Field(default="0", description="Along y [m/s].", examples=["0.2"])
-    z: str = Field(default="0", description="Along z [m/s].", examples=["x"])
-
-
-class ParticlesModel(FileModel):
-    """Particles: born, moved, stopped and removed. Lengths are in metres."""
-
-    name: str = Field(
-        default="particles", description="Name of the prim.", examples=["embers"]
-    )
-    emitters: Annotated[list[EmitterModel], Len(1)] = Field(
-        description="What makes them.",
-        examples=[[{"rate": 100, "speed": 2, "lifetime": 1}]],
-    )
-    forces: list[Named] = Field(
-        default=[],
-        description="What moves them: the name of a force, and its options.",
-        examples=[[{"gravity": None}, {"drag": {"linear": 0.001}}]],
-    )
-    velocity: VelocityModel | None = Field(
-        default=None,
-        description="A field that they go with, in place of forces.",
-        examples=[{"x": "-z", "z": "x"}],
-    )
-    colliders: list[SystemColliderModel] = Field(
-        default=[],
-        description="What they run into.",
-        examples=[[{"shape": {"plane": None}, "restitution": 0.4}]],
-    )
-    characters: list[CharacterModel] = Field(
-        default=[],
-        description="Characters in motion that they run into; none is written.",
-        examples=[[{"file": "walk.clip.yaml", "friction": 0.3}]],
-    )
-    kill: list[SystemColliderModel] = Field(
-        default=[],
-        description="Where they are removed.",
-        examples=[[{"shape": {"plane": {"offset": -1}}}]],
-    )
-    method: str = Field(
-        default="midpoint", description="An integrator.", examples=["rk4"]
-    )
-    step: float = Field(
-        default=0.01,
-        description="Step of the simulation [s], whatever the frame rate is.",
-        examples=[0.005],
-    )
-    tolerance: float | None = Field(
-        default=None,
-        description="Of integrators that choose their steps: most error of each.",
-        examples=[1e-5],
-    )
-    preroll: Annotated[float, Ge(0)] = Field(
-        default=0.0,
-        description="Seconds before the first frame that it begins in.",
-        examples=[2],
-    )
-    most: Annotated[int, Gt(0), Le(10**8)] = Field(
-        default=1_000_000, description="Particles at once.", examples=[5000]
-    )
+_STRUCTURAL = {"structural": {"stiffness": 1000}}
 
 
 class SystemModel(FileModel):
@@ -237,6 +27,34 @@ class SystemModel(FileModel):
 
     particles: ParticlesModel = Field(
         default=_NOT_GIVEN,
-        description="Particles.",
+        description="Particles that are born, moved, stopped and removed.",
         examples=[{"emitters": [{"rate": 100, "speed": 2, "lifetime": 1}]}],
+    )
+    rope: RopeModel = Field(
+        default=_NOT_GIVEN,
+        description="A rope.",
+        examples=[
+            {
+                "from": [0, 2, 0],
+                "to": [1, 2, 0],
+                "count": 21,
+                "mass": 0.5,
+                "springs": _STRUCTURAL,
+            }
+        ],
+    )
+    strands: StrandsModel = Field(
+        default=_NOT_GIVEN,
+        description="Many strands.",
+        examples=[{"points": "hair.npz#points", "mass": 0.1, "springs": _STRUCTURAL}],
+    )
+    cloth: ClothModel = Field(
+        default=_NOT_GIVEN,
+        description="A sheet of cloth, or cloth of a mesh.",
+        examples=[{"across": [1.5, 0, 0], "mass": 0.3, "springs": _STRUCTURAL}],
+    )
+    volume: VolumeModel = Field(
+        default=_NOT_GIVEN,
+        description="A soft body.",
+        examples=[{"size": [1, 0.5, 1], "mass": 2, "springs": _STRUCTURAL}],
     )

@@ -34,6 +34,10 @@ class Watch:
                 abs(first.total), first.kinetic, abs(first.potential), first.supply
             )
 
+    def look_at(self, system: System) -> None:
+        """Look at another system from now on, such as what is left of the first."""
+        self._system = system
+
     def sign(self, t: float, state: FloatArray) -> str:
         """Return why a state is beyond bounds, empty where it is not."""
         if not np.isfinite(state).all():

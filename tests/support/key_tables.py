@@ -111,7 +111,10 @@ def marked(text: str) -> list[tuple[str, str]]:
 def _row(key: Key, models: list[str]) -> str:
     about = key.spec["description"]
     if len(key.models) < len(models):
-        kinds = [name.removesuffix("JointModel").lower() for name in key.models]
+        kinds = [
+            name.removesuffix("JointModel").removesuffix("Model").lower()
+            for name in key.models
+        ]
         about = f"Of {' and '.join(kinds)}. {about}"
     given = (field_of(key.models[0], key.name).examples or [None])[0]
     # As it stands between braces, where commas want quotes.

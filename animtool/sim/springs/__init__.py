@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from animtool.sim.springs.system import SpringSystem as SpringSystem
     from animtool.sim.springs.volumes import block as block
     from animtool.sim.springs.volumes import tetrahedra as tetrahedra
+    from animtool.sim.springs.welding import Welded as Welded
+    from animtool.sim.springs.welding import weld as weld
 
 _PUBLIC = {
     "Air": "paths",
@@ -39,6 +41,7 @@ _PUBLIC = {
     "SpringSystem": "system",
     "Springs": "body",
     "Targets": "paths",
+    "Welded": "welding",
     "Rest": "resting",
     "block": "volumes",
     "find_rest": "resting",
@@ -50,6 +53,7 @@ _PUBLIC = {
     "strand": "lines",
     "surface": "surfaces",
     "tetrahedra": "volumes",
+    "weld": "welding",
 }
 
 __all__ = sorted(_PUBLIC)  # noqa: PLE0605 - the table above is the list

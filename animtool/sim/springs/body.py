@@ -23,12 +23,14 @@ class Family:
         ratio: More of it, as a share of what a spring of this stiffness on the mean
             mass of its ends is critical with [1]: c = 2 ratio √(k m).
         tear: Lengthening over the length at rest beyond which a spring tears [1].
+        rest: Length at rest over the distance of the ends as built [1].
     """
 
     stiffness: float
     damping: float = 0.0
     ratio: float = 0.0
     tear: float = math.inf
+    rest: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +90,8 @@ def springs_between(
         family: What they have in common.
         positions: Of particles ``(N, 3)`` [m].
         masses: ``(N,)`` [kg].
-        rest: Length at rest ``(S,)`` or one for all [m]; None is the distance.
+        rest: Length at rest ``(S,)`` or one for all [m]; None is the distance, times
+            what the family has.
 
     >>> line = np.array([[0.0, 0, 0], [2.0, 0, 0]])
     >>> springs_between([[0, 1]], Family(10.0), line, np.ones(2)).rest.tolist()
@@ -96,7 +99,7 @@ def springs_between(
     """
     pairs = np.asarray(ends, np.int64).reshape(-1, 2)
     gaps = np.linalg.norm(positions[pairs[:, 1]] - positions[pairs[:, 0]], axis=1)
-    lengths = gaps if rest is None else np.asarray(rest, np.float64)
+    lengths = gaps * family.rest if rest is None else np.asarray(rest, np.float64)
     lengths = np.broadcast_to(lengths, len(pairs)).astype(np.float64)
     stiffness = np.full(len(pairs), float(family.stiffness))
     critical = 2 * np.sqrt(stiffness * masses[pairs].mean(axis=1))

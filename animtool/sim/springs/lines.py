@@ -14,7 +14,7 @@ def rope(
     start: ArrayLike,
     end: ArrayLike,
     count: int,
-    along: Family,
+    along: Family | None,
     *,
     mass: float,
     tip_mass: float | None = None,
@@ -26,7 +26,7 @@ def rope(
         start: Where it begins ``(3,)`` [m].
         end: Where it ends ``(3,)`` [m].
         count: Of particles, two or more.
-        along: Springs from each particle to the next.
+        along: Springs from each particle to the next; None leaves them out.
         mass: Of each particle [kg].
         tip_mass: Of the last [kg]; None is `mass`.
         bend: Springs that skip one, against bending.
@@ -47,7 +47,7 @@ def rope(
 
 def strand(
     points: ArrayLike,
-    along: Family,
+    along: Family | None,
     *,
     mass: ArrayLike,
     bend: Family | None = None,
@@ -56,7 +56,7 @@ def strand(
 
     Args:
         points: ``(N, 3)`` [m].
-        along: Springs from each particle to the next.
+        along: Springs from each particle to the next; None leaves them out.
         mass: Of each particle, or of all ``(N,)`` [kg].
         bend: Springs that skip one, against bending.
     """

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from animtool._types import ArrayLike, FloatArray
+from animtool._types import ArrayLike, BoolArray, FloatArray
 from animtool.errors import Fault, OptionError, Severity, counted
 from animtool.sim.checks import check_times
 from animtool.sim.options import IntegrateOptions
@@ -141,11 +141,13 @@ def _motion(
 ) -> SpringMotion:
     run = _Run(system, options, grid)
     states = [run.states_at(float(moments[0]))]
+    energies = [run.left.energy(float(moments[0]), states[0]).total]
     for t in moments[1:].tolist():
         state = run.states_at(t)
         if run.status is not Status.OK:
             break
         states.append(state)
+        energies.append(run.left.energy(t, state).total)
     reached = moments[: len(states)]
     step = run.grid.cell / run.most_substeps
     stable = None
@@ -156,12 +158,6 @@ def _motion(
         run.grid.steps, None, run.grid.evaluations, step,
         run.grid.cell / grid.substeps, None, stable_step=stable,
     )  # fmt: skip
-    energies = [
-        system.energy(t, state).total
-        for t, state in zip(reached.tolist(), states, strict=True)
-    ]
-    torn = np.zeros(len(run.grid.torn), bool)
-    torn[system.order] = run.grid.torn.astype(bool)
     return SpringMotion(
         reached,
         np.array(states),
@@ -174,7 +170,7 @@ def _motion(
         reason=choice.reason,
         step=step,
         stretch=run.grid.stretch,
-        torn=torn,
+        torn=run.torn,
         unresolved=run.grid.unresolved,
     )
 
@@ -196,7 +192,10 @@ class _Run:
         # What xpbd leaves of a stretch is no energy that it goes on with.
         growth = np.inf if grid.solver is Solver.XPBD else options.growth
         bounds = IntegrateOptions(growth=growth, stretch=options.longest)
+        # Its springs that are not torn.
+        self.left, self._gone = system, 0
         self._watch = Watch(system, bounds)
+        self._leave_out_torn()
         self._watch.start(grid.time, grid.state)
 
     def states_at(self, t: float) -> FloatArray:
@@ -215,12 +214,28 @@ class _Run:
         ahead = ADVANCE[self.grid.solver](self._system, self._options, self.grid, 1)
         return _between(self.grid, ahead, t)
 
+    @property
+    def torn(self) -> BoolArray:
+        """Which springs are torn ``(S,)``, in the order of the body's."""
+        torn = np.zeros(len(self.grid.torn), bool)
+        torn[self._system.order] = self.grid.torn.astype(bool)
+        return torn
+
+    def _leave_out_torn(self) -> None:
+        """Judge energy and stretch by the springs that there are."""
+        gone = int(self.grid.torn.sum())
+        if gone != self._gone:
+            self._gone = gone
+            self.left = self._system.without_springs(self.torn)
+            self._watch.look_at(self.left)
+
     def _advance(self, cells: int) -> None:
         with np.errstate(all="ignore"):
             self.grid = ADVANCE[self.grid.solver](
                 self._system, self._options, self.grid, cells
             )
             self.most_substeps = max(self.most_substeps, self.grid.substeps)
+            self._leave_out_torn()
             self.sign = self._watch.sign(self.grid.time, self.grid.state)
         if self.sign:
             self.status = Status.UNSTABLE

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
+from dataclasses import fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from animtool import _kernels
 from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_floats
 from animtool.sim.colliders import Collider, Colliders, collide
-from animtool.sim.springs.body import Body
+from animtool.sim.springs.body import Body, Springs
 from animtool.sim.springs.bounds import fastest
 from animtool.sim.springs.checks import check_body, check_path
 from animtool.sim.springs.contacts import fastest_collider
@@ -176,6 +177,31 @@ class SpringSystem(SecondOrder):
         calm.pressures = (0.0, 0.0)
         calm.__dict__.pop("network", None)
         return calm
+
+    def without_springs(self, gone: BoolArray) -> SpringSystem:
+        """Return the same particles without some of their springs ``(S,)``."""
+        springs = self.body.springs
+        kept = {
+            each.name: getattr(springs, each.name)[~gone] for each in fields(springs)
+        }
+        left = copy(self)
+        left.body = replace(self.body, springs=Springs(**kept))
+        left._whole = np.zeros(len(left.body.springs.rest), np.uint8)
+        for name in ("network", "order"):
+            left.__dict__.pop(name, None)
+        return left
+
+    def starting_at(self, positions: ArrayLike) -> SpringSystem:
+        """Return the same springs that begin elsewhere, at rest.
+
+        Args:
+            positions: ``(N, 3)`` [m].
+        """
+        places = as_floats(positions, self.body.positions.shape, "positions")
+        moved = copy(self)
+        moved.body = replace(self.body, positions=places)
+        moved._state = np.stack([places, np.zeros_like(places)])
+        return moved
 
     def energy(self, t: float, state: FloatArray) -> Energy:
         """Return the energy of springs, gravity and motion.

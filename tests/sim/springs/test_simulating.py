@@ -331,3 +331,14 @@ def test_times_and_starts_are_checked() -> None:
         with pytest.raises(OptionError) as error:
             simulate_springs(flag(), [0, 1], carried=Carried(0.0, state))
         assert error.value.code == "SIM003"
+
+
+def test_what_is_torn_off_may_fall_as_far_as_it_likes() -> None:
+    line = rope(
+        [0, 0, 0], [0, 0, -0.1], 2, Family(1e3, 1.0, tear=0.02), mass=0.1, tip_mass=5.0
+    )
+    system = SpringSystem(line, pins=Pins([0]))
+    motion = simulate_springs(system, np.linspace(0, 3, 31))
+    assert motion.torn.all()
+    assert motion.stats.status is Status.OK
+    assert motion.positions[-1, 1, 2] < -40

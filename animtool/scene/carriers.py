@@ -1,0 +1,117 @@
+"""What carries particles that are held: joints, vertices and prims in motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.maths import so3
+from animtool.rig.kinematics import bind_world
+from animtool.rig.surfaces import surfaces_of
+from animtool.scene.character_motion import CharacterMotion, CharacterMotions
+from animtool.sim.colliders import Poses, joint_poses
+from animtool.skin.character import character_meshes
+from animtool.skin.deform import deform_blocks
+from animtool.units import UpAxis
+
+__all__ = ["Carrier", "OnJoint", "OnPrim", "OnVertex"]
+
+# Between two of these a prim goes straight, whatever turns it [1/s].
+PRIM_RATE = 120
+# Times of a prim that are looked at, at most.
+MOST_TIMES = 100_000
+
+
+@dataclass(frozen=True, slots=True)
+class OnJoint:
+    """A joint of a character.
+
+    Attributes:
+        file: A clip or a scene.
+        joint: Its name.
+    """
+
+    file: Path
+    joint: str
+
+    def poses(self, characters: CharacterMotions) -> Poses:
+        """Return where it is over time."""
+        found = characters.of(self.file)
+        return joint_poses(found.world, found.rig.index(self.joint), found.times)
+
+
+@dataclass(frozen=True, slots=True)
+class OnVertex:
+    """A vertex of a character's mesh.
+
+    Attributes:
+        file: A clip or a scene.
+        mesh: Name of the mesh.
+        vertex: Its number.
+    """
+
+    file: Path
+    mesh: str
+    vertex: int
+
+    def poses(self, characters: CharacterMotions) -> Poses:
+        """Return where it is over time; it never turns."""
+        found = characters.of(self.file)
+        places = _vertex(found, self.mesh, self.vertex)
+        return Poses(found.times, places, np.tile(so3.IDENTITY, (len(places), 1)))
+
+
+def _vertex(found: CharacterMotion, name: str, vertex: int) -> FloatArray:
+    """Return where a vertex is over the frames ``(F, 3)`` [m]."""
+    rig = found.rig
+    (surface,) = [one for one in surfaces_of(rig) if one.name == name]
+    world = bind_world(rig)
+    bind = np.zeros((len(rig.joints), 4, 4))
+    bind[:, :3, :3], bind[:, :3, 3] = world.linear[0], world.positions[0]
+    bind[:, 3, 3] = 1.0
+    shapes = [shape.name for shape in rig.shapes]
+    (mesh,) = character_meshes([surface], rig.names, bind, shapes)
+    weights = found.motion.weights
+    own = None if weights is None else mesh.weights(weights.dense()[..., 0])
+    parts = deform_blocks(mesh.mesh, own, found.world, normals=False)
+    return np.concatenate([part.points[:, vertex] for part in parts])
+
+
+@dataclass(frozen=True, slots=True)
+class OnPrim:
+    """A prim of a USD file.
+
+    Attributes:
+        file: The file.
+        prim: Path of the prim.
+        frame: Time code that comes at 0 s; None is the first.
+    """
+
+    file: Path
+    prim: str
+    frame: float | None = None
+
+    def poses(self, characters: CharacterMotions) -> Poses:  # noqa: ARG002
+        """Return where it is over time."""
+        from animtool.usd.things import Wanted, open_thing
+
+        thing = open_thing(Wanted(self.file, self.prim, self.prim), UpAxis.Y)
+        codes, start = np.zeros(1), 0.0
+        if thing.span is not None:
+            first, last = map(float, thing.span)
+            start = first if self.frame is None else self.frame
+            seconds = (last - first) / float(thing.fps)
+            count = min(int(np.ceil(seconds * PRIM_RATE)) + 1, MOST_TIMES)
+            codes = np.linspace(first, last, max(count, 2))
+            codes = np.unique(np.concatenate([codes, thing.keys]))
+            codes = codes[(codes >= first) & (codes <= last)]
+        found = thing.track.sample(codes)
+        times = (codes - start) / float(thing.fps)
+        return Poses(times, found.translations, so3.align_signs(found.rotations))
+
+
+Carrier: TypeAlias = OnJoint | OnVertex | OnPrim

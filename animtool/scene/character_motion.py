@@ -1,0 +1,94 @@
+"""Characters in motion that systems meet: they are read, and not written."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.errors import Fault, OptionError
+from animtool.rig.kinematics import WorldTransforms, forward
+from animtool.rig.skeleton import Rig
+from animtool.scene.sources import is_scene, open_source
+from animtool.sim.colliders import Collider, Sphere, rig_colliders
+from animtool.take import Motion, TakeStream
+
+__all__ = ["CharacterMotion", "CharacterMotions", "open_take"]
+
+
+@dataclass(frozen=True, slots=True)
+class CharacterMotion:
+    """A character over its F frames.
+
+    Attributes:
+        path: Its file.
+        rig: Its rig.
+        motion: Poses, and weights of shapes.
+        world: Of its joints.
+        times: Of the frames, the first at 0 s ``(F,)`` [s].
+    """
+
+    path: Path
+    rig: Rig
+    motion: Motion
+    world: WorldTransforms
+    times: FloatArray
+
+    def colliders(self, material: tuple[float, float, float]) -> list[Collider]:
+        """Return the capsules of its rig over its frames.
+
+        Args:
+            material: Restitution, friction and margin [m].
+
+        Raises:
+            OptionError: Its rig has none (SIM020).
+        """
+        if not self.rig.colliders:
+            message = f"the rig {self.rig.name!r} has no colliders"
+            hint = "particles run into the capsules that its rig file lists"
+            raise OptionError(Fault("SIM020", message, str(self.path), (), hint))
+        restitution, friction, margin = material
+        like = Collider(
+            Sphere(1.0), restitution=restitution, friction=friction, margin=margin
+        )
+        return rig_colliders(self.rig, self.world, self.times, like)
+
+
+@dataclass
+class CharacterMotions:
+    """Characters by their files, each read once."""
+
+    found: dict[Path, CharacterMotion] = field(default_factory=dict)
+
+    def of(self, path: Path) -> CharacterMotion:
+        """Return the character of a clip or a scene.
+
+        Raises:
+            FormatError: The file is malformed.
+        """
+        if path not in self.found:
+            self.found[path] = _read(path)
+        return self.found[path]
+
+
+def _read(path: Path) -> CharacterMotion:
+    take = open_take(path).collect()
+    world = forward(take.rig, *take.motion.dense())
+    clock = take.clock
+    times = np.arange(clock.count, dtype=np.float64) * float(clock.step / clock.fps)
+    return CharacterMotion(path, take.rig, take.motion, world, times)
+
+
+def open_take(path: Path) -> TakeStream:
+    """Return the take of a clip, or of a scene with its passes.
+
+    Raises:
+        FormatError: The file is malformed.
+    """
+    if not is_scene(path):
+        return open_source(path)
+    from animtool.scene.file import load_scene
+
+    return load_scene(path).open()

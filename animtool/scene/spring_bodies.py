@@ -1,0 +1,87 @@
+"""The particles and springs of an entry, with the names of places on them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from animtool._types import IntArray
+from animtool.documents.document import Location
+from animtool.errors import Fault
+from animtool.scene.spring_schema import FamilyModel
+from animtool.scene.spring_shapes import Shape
+from animtool.scene.system_entries import EntryReader
+from animtool.sim.springs import Body, Family
+
+__all__ = ["MOST", "SpringBody", "families_of", "mass_of", "some_of"]
+
+# Of many that are odd in the same way, those that are named.
+MOST_NAMED = 5
+# Particles of a system, at most: their springs fit into memory.
+MOST = 10_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class SpringBody:
+    """Particles and springs as an entry has them.
+
+    Attributes:
+        body: Particles and springs, at rest where they are.
+        places: Numbers of particles by the name of their place.
+        shape: What is drawn of them.
+        notices: What is odd about them.
+    """
+
+    body: Body
+    places: Mapping[str, IntArray]
+    shape: Shape
+    notices: tuple[Fault, ...] = ()
+
+
+def mass_of(reader: EntryReader, at: Location, mass: float) -> float:
+    """Return a mass, and note where it is none."""
+    if not mass > 0:
+        message = f"its mass must be above 0, not {mass:g} kg"
+        reader.note(at, Fault("SIM040", message))
+    return mass
+
+
+def families_of(
+    reader: EntryReader, at: Location, model: Any
+) -> dict[str, Family | None]:
+    """Return the families of springs of an entry by name, None of those left out."""
+    names = list(type(model).model_fields)
+    found: dict[str, Family | None] = {}
+    for name in names:
+        given: FamilyModel | None = getattr(model, name)
+        found[name] = None if given is None else _family(reader, (*at, name), given)
+    if not any(found.values()):
+        message = "it has no springs, and its particles fall apart"
+        hint = f"give it some of {', '.join(names)}"
+        reader.note(at, Fault("SIM050", message, hint=hint))
+    return found
+
+
+def _family(reader: EntryReader, at: Location, model: FamilyModel) -> Family:
+    for name in ("stiffness", "damping", "ratio", "rest"):
+        value = getattr(model, name)
+        if value < 0:
+            message = f"its {name} must be 0 or more, not {value:g}"
+            reader.note((*at, name), Fault("SIM042", message))
+    if model.tear is not None and not model.tear > 0:
+        message = f"its tear must be above 0, not {model.tear:g}"
+        reader.note((*at, "tear"), Fault("SIM042", message))
+    elif model.tear is not None and model.rest == 0:
+        message = "springs of no length tear at once"
+        reader.note((*at, "tear"), Fault("SIM042", message, hint="leave tear out"))
+    tear = math.inf if model.tear is None else model.tear
+    return Family(model.stiffness, model.damping, model.ratio, tear, model.rest)
+
+
+def some_of(numbers: IntArray) -> str:
+    """Return the first of some numbers, and how many more there are."""
+    more = len(numbers) - MOST_NAMED
+    text = ", ".join(map(str, numbers[:MOST_NAMED].tolist()))
+    return f"{text} and {more} more" if more > 0 else text

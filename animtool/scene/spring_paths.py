@@ -1,0 +1,183 @@
+"""Where particles are held and drawn to, over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.maths import so3
+from animtool.scene.spring_pins import Pin
+from animtool.scene.spring_setup import Wind
+from animtool.sim.colliders import Poses
+from animtool.sim.springs import Pins, Targets
+from animtool.sim.springs.paths import over_knots
+
+__all__ = ["Tie", "Ties", "brought", "ties_of", "wind_ties"]
+
+# What keeps a turn as small as it may be where points leave it open.
+LEAST_TURN = 1e-9
+# Times between two gusts at which the air that went by is looked at.
+GUST_STEPS = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tie:
+    """Particles that go along paths, or are drawn to what does.
+
+    Attributes:
+        particles: Which ``(P,)``.
+        times: Ascending ``(K,)`` [s].
+        places: At the times ``(K, P, 3)`` [m].
+        start: At the beginning ``(P, 3)`` [m].
+        stiffness: Of springs that draw them ``(P,)`` [N/m]; None where they are held.
+        damping: Likewise ``(P,)`` [N s/m].
+    """
+
+    particles: IntArray
+    times: FloatArray
+    places: FloatArray
+    start: FloatArray
+    stiffness: FloatArray | None = None
+    damping: FloatArray | None = None
+
+
+def ties_of(
+    pins: Sequence[Pin], poses: Sequence[Poses], points: FloatArray, begin: float
+) -> list[Tie]:
+    """Return where pins have their particles.
+
+    Args:
+        pins: What holds and draws them.
+        poses: The frame of each over time.
+        points: Where particles are built ``(N, 3)`` [m].
+        begin: When the simulation begins [s].
+    """
+    found = []
+    for pin, frame in zip(pins, poses, strict=True):
+        inside = pin.inside(frame, points[pin.particles])
+        now = frame.at(begin)
+        start = now[:3] + so3.rotate(now[3:], inside)
+        many = len(pin.particles)
+        soft = pin.stiffness is not None
+        found.append(
+            Tie(
+                pin.particles,
+                frame.moments,
+                frame.carried(inside),
+                start,
+                np.full(many, pin.stiffness) if soft else None,
+                np.full(many, pin.damping) if soft else None,
+            )
+        )
+    return found
+
+
+def brought(
+    pins: Sequence[Pin], poses: Sequence[Poses], points: FloatArray, begin: float
+) -> FloatArray:
+    """Return points brought to where pins with an offset want their particles.
+
+    They are moved as a whole, and turned as little as it takes.
+
+    Args:
+        pins: What holds particles.
+        poses: The frame of each over time.
+        points: Where particles are built ``(N, 3)`` [m].
+        begin: When the simulation begins [s].
+    """
+    goals, own = [], []
+    for pin, frame in zip(pins, poses, strict=True):
+        if pin.offset is not None:
+            now, inside = frame.at(begin), pin.inside(frame, points[pin.particles])
+            goals.append(now[:3] + so3.rotate(now[3:], inside))
+            own.append(points[pin.particles])
+    if not goals:
+        return points
+    wanted, given = np.concatenate(goals), np.concatenate(own)
+    centre, middle = wanted.mean(axis=0), given.mean(axis=0)
+    spread = (wanted - centre).T @ (given - middle)
+    size = max(float(np.abs(spread).max()), 1.0)
+    u, _, v = np.linalg.svd(spread + LEAST_TURN * size * np.eye(3))
+    u[:, -1] *= np.sign(np.linalg.det(u @ v))
+    turned: FloatArray = centre + (points - middle) @ (u @ v).T
+    return turned
+
+
+def wind_ties(
+    wind: Wind, points: FloatArray, drags: FloatArray, span: tuple[float, float]
+) -> Tie:
+    """Return the air that takes particles along, as what draws them by damping alone.
+
+    Args:
+        wind: How it moves.
+        points: Where particles begin ``(N, 3)`` [m].
+        drags: What slows each, over its speed in still air ``(N,)`` [N s/m].
+        span: First and last time [s].
+    """
+    gusts, (first, last) = wind.gusts, span
+    times = np.array([first, max(last, first + 1.0)])
+    if len(gusts):
+        inner = gusts[(gusts[:, 0] > times[0]) & (gusts[:, 0] < times[1]), 0]
+        ends = np.unique(np.concatenate([times, inner]))
+        shares = np.arange(GUST_STEPS) / GUST_STEPS
+        fine = ends[:-1, None] + np.diff(ends)[:, None] * shares
+        times = np.append(fine.ravel(), ends[-1])
+    speeds = np.tile(wind.velocity, (len(times) - 1, 1))
+    if len(gusts):
+        middle = (times[:-1] + times[1:]) / 2
+        blown = [np.interp(middle, gusts[:, 0], gusts[:, k]) for k in (1, 2, 3)]
+        speeds = speeds + np.stack(blown, axis=1)
+    ways = np.cumsum(speeds * np.diff(times)[:, None], axis=0)
+    ways = np.concatenate([np.zeros((1, 3)), ways])
+    places = points + ways[:, None]
+    numbers = np.arange(len(points))
+    return Tie(numbers, times, places, points, np.zeros(len(points)), drags)
+
+
+class Ties:
+    """The ties of bodies that are one system."""
+
+    def __init__(self) -> None:
+        self._held: list[tuple[IntArray, Tie]] = []
+        self._drawn: list[tuple[IntArray, Tie]] = []
+
+    def add(self, tie: Tie, rows: IntArray) -> None:
+        """Add a tie.
+
+        Args:
+            tie: Of particles of one body.
+            rows: What these are in the system ``(N,)``.
+        """
+        kind = self._held if tie.stiffness is None else self._drawn
+        kind.append((rows[tie.particles], tie))
+
+    @property
+    def pins(self) -> Pins | None:
+        """Those that hold."""
+        if not self._held:
+            return None
+        particles = np.concatenate([rows for rows, _ in self._held])
+        times, places = _together([tie for _, tie in self._held])
+        return Pins(particles, places, times)
+
+    @property
+    def targets(self) -> Targets | None:
+        """Those that draw."""
+        if not self._drawn:
+            return None
+        ties = [tie for _, tie in self._drawn]
+        particles = np.concatenate([rows for rows, _ in self._drawn])
+        times, places = _together(ties)
+        stiffness = np.concatenate([tie.stiffness for tie in ties])
+        damping = np.concatenate([tie.damping for tie in ties])
+        return Targets(particles, places, stiffness, damping, times)
+
+
+def _together(ties: Sequence[Tie]) -> tuple[FloatArray, FloatArray]:
+    """Return the times of all, and places then ``(K, P, 3)``."""
+    knots, paths = over_knots([(tie.times, tie.places) for tie in ties])
+    whole = [np.broadcast_to(p, (len(knots), *p.shape[1:])) for p in paths]
+    return knots, np.concatenate(whole, axis=1)

@@ -1,0 +1,291 @@
+"""What holds, draws and joins the particles of an entry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.documents.document import Location
+from animtool.documents.names import nearest
+from animtool.errors import AnimtoolError, Fault, listed
+from animtool.maths import so3
+from animtool.rig.skeleton import Rig
+from animtool.rig.surfaces import surfaces_of
+from animtool.scene.carriers import Carrier, OnJoint, OnPrim, OnVertex
+from animtool.scene.character_motion import CharacterMotions, open_take
+from animtool.scene.spring_bodies import SpringBody
+from animtool.scene.spring_schema import (
+    CarryingJointModel,
+    CarryingPrimModel,
+    CarryingVertexModel,
+    PinModel,
+)
+from animtool.scene.system_entries import EntryReader
+from animtool.sim.colliders import Poses
+from animtool.units import UpAxis
+
+__all__ = ["Join", "Pin", "numbered", "particles_of", "read_pins"]
+
+# The first frame of what carries, in which it is when particles are bound to it.
+BOUND_AT = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Pin:
+    """Particles that are held or drawn.
+
+    Attributes:
+        particles: Which ``(P,)``.
+        moves: Where they are over time, from where they begin: times, and ways
+            ``(K, 4)`` [s, m]; None where they stay, or something carries them.
+        carrier: What carries them.
+        offset: Where in its frame they are [m]; None is where they are at 0 s.
+        stiffness: Of springs that draw them [N/m]; None where they are held.
+        damping: Likewise [N s/m].
+    """
+
+    particles: IntArray
+    moves: FloatArray | None = None
+    carrier: Carrier | None = None
+    offset: tuple[float, float, float] | None = None
+    stiffness: float | None = None
+    damping: float = 0.0
+
+    def poses(self, characters: CharacterMotions) -> Poses:
+        """Return the frame that they are in, over time."""
+        if self.carrier is not None:
+            return self.carrier.poses(characters)
+        if self.moves is None:
+            return Poses()
+        turns = np.tile(so3.IDENTITY, (len(self.moves), 1))
+        return Poses(self.moves[:, 0], self.moves[:, 1:], turns)
+
+    def inside(self, poses: Poses, points: FloatArray) -> FloatArray:
+        """Return where in that frame they are ``(P, 3)`` [m].
+
+        Args:
+            poses: Of the frame.
+            points: Where they are in the world ``(P, 3)`` [m].
+        """
+        if self.offset is not None:
+            return np.tile(self.offset, (len(points), 1))
+        if self.carrier is None:
+            return points
+        at = poses.at(BOUND_AT)
+        return np.asarray(so3.rotate(so3.conjugate(at[3:]), points - at[:3]))
+
+
+@dataclass(frozen=True, slots=True)
+class Join:
+    """Particles that are one with those of another system.
+
+    Attributes:
+        particles: Which ``(P,)``.
+        system: Name of the other.
+        others: Names and numbers of its particles, as written.
+        at: Place of the other's name, and of its particles.
+    """
+
+    particles: IntArray
+    system: str
+    others: tuple[str | int, ...]
+    at: tuple[Location, Location]
+
+
+def read_pins(
+    reader: EntryReader, at: Location, models: Sequence[PinModel], body: SpringBody
+) -> tuple[tuple[Pin, ...], tuple[Join, ...]]:
+    """Return what holds particles, and what joins them to other systems.
+
+    Args:
+        reader: Where faults are noted.
+        at: Place of the pins.
+        models: What they say.
+        body: Whose particles they are.
+    """
+    pins, joins = [], []
+    held: set[int] = set()
+    for i, model in enumerate(models):
+        place = (*at, i)
+        found = particles_of(reader, (*place, "particles"), model.particles, body)
+        if model.stiffness is None and model.to is None:
+            twice = sorted(held.intersection(found.tolist()))
+            if twice:
+                message = f"particles that another pin holds: {listed(twice)}"
+                reader.note((*place, "particles"), Fault("SIM052", message))
+            held.update(found.tolist())
+        if model.to is not None:
+            _check_alone(reader, place, model, "to")
+            to = (*place, "to")
+            names = ((*to, "system"), (*to, "particles"))
+            others = tuple(model.to.particles)
+            joins.append(Join(found, model.to.system, others, names))
+        else:
+            pins.append(_pin(reader, place, model, found))
+    return tuple(pins), tuple(joins)
+
+
+def particles_of(
+    reader: EntryReader, at: Location, names: Sequence[str | int], body: SpringBody
+) -> IntArray:
+    """Return the numbers of particles, those of each name in its order.
+
+    Args:
+        reader: Where faults are noted.
+        at: Place of the names.
+        names: Names of places, numbers, and arrays of numbers.
+        body: Whose particles they are.
+    """
+    found: list[int] = []
+    for i, name in enumerate(names):
+        if isinstance(name, str) and name not in body.places and ".npz" in name:
+            values = reader.array((*at, i), name, "pins")
+            given: list[str | int] = []
+            if values is not None:
+                given += values.astype(np.int64).ravel().tolist()
+        else:
+            given = [name]
+        numbers, faults = numbered(given, body)
+        for _, fault in faults:
+            reader.note((*at, i), fault)
+        found += numbers
+    if len(set(found)) < len(found):
+        twice = sorted({n for n in found if found.count(n) > 1})
+        message = f"particles that are named twice: {listed(twice)}"
+        reader.note(at, Fault("SIM052", message))
+    return np.array(found, np.int64)
+
+
+def numbered(
+    names: Sequence[str | int], body: SpringBody
+) -> tuple[list[int], list[tuple[int, Fault]]]:
+    """Return the numbers of particles, and which names are none, with the reason.
+
+    Args:
+        names: Names of places, and numbers.
+        body: Whose particles they are.
+    """
+    count, known = len(body.body.positions), list(body.places)
+    found: list[int] = []
+    faults = []
+    for i, name in enumerate(names):
+        if isinstance(name, str) and name in body.places:
+            found += [int(n) for n in body.places[name]]
+        elif isinstance(name, str):
+            hint = nearest(name, known) or f"it has {listed(known)}, and numbers"
+            message = f"no particles of it are {name!r}"
+            faults.append((i, Fault("SIM052", message, hint=hint)))
+        elif -count <= name < count:
+            found.append(name % count)
+        else:
+            message = f"there is no particle {name}: they are 0 to {count - 1}"
+            faults.append((i, Fault("SIM052", message)))
+    return found, faults
+
+
+def _check_alone(reader: EntryReader, at: Location, model: PinModel, kept: str) -> None:
+    """Note what cannot be beside one of the keys that say where particles go."""
+    keys = {"moves", "joint", "vertex", "prim", "to", "stiffness", "damping"}
+    allowed = {kept} if kept == "to" else {kept, "stiffness", "damping"}
+    for key in sorted((keys & model.model_fields_set) - allowed):
+        message = f"{key} is not for a pin that has {kept}"
+        reader.note((*at, key), Fault("SIM052", message))
+
+
+def _pin(reader: EntryReader, at: Location, model: PinModel, found: IntArray) -> Pin:
+    moves = None
+    if model.moves:
+        _check_alone(reader, at, model, "moves")
+        moves = np.array(model.moves)
+        if (np.diff(moves[:, 0]) <= 0).any():
+            message = "its times must ascend"
+            reader.note((*at, "moves"), Fault("SIM044", message))
+    for name in ("stiffness", "damping"):
+        value = getattr(model, name)
+        if value is not None and value < 0:
+            message = f"its {name} must be 0 or more, not {value:g}"
+            reader.note((*at, name), Fault("SIM042", message))
+    carrier, offset = None, None
+    for key, read in _CARRIERS.items():
+        given = getattr(model, key)
+        if given is not None:
+            _check_alone(reader, at, model, key)
+            carrier = read(reader, (*at, key), given)
+            offset = None if given.offset is None else tuple(given.offset)
+    return Pin(found, moves, carrier, offset, model.stiffness, model.damping)
+
+
+def _on_joint(
+    reader: EntryReader, at: Location, model: CarryingJointModel
+) -> Carrier | None:
+    found = _rig(reader, (*at, "file"), model.file)
+    if found is None:
+        return None
+    path, rig = found
+    if model.joint not in rig.names:
+        message = f"no joint of {rig.name!r} is {model.joint!r}"
+        hint = nearest(model.joint, list(rig.names))
+        reader.note((*at, "joint"), Fault("SIM053", message, hint=hint))
+    return OnJoint(path, model.joint)
+
+
+def _on_vertex(
+    reader: EntryReader, at: Location, model: CarryingVertexModel
+) -> Carrier | None:
+    found = _rig(reader, (*at, "file"), model.file)
+    if found is None:
+        return None
+    path, rig = found
+    meshes = {surface.name: surface for surface in surfaces_of(rig)}
+    if model.mesh not in meshes:
+        message = f"no mesh of {rig.name!r} is {model.mesh!r}"
+        hint = nearest(model.mesh, list(meshes))
+        reader.note((*at, "mesh"), Fault("SIM053", message, hint=hint))
+    elif model.vertex >= len(meshes[model.mesh].points):
+        last = len(meshes[model.mesh].points) - 1
+        message = f"{model.mesh!r} has no vertex {model.vertex}: they are 0 to {last}"
+        reader.note((*at, "vertex"), Fault("SIM053", message))
+    return OnVertex(path, model.mesh, model.vertex)
+
+
+def _rig(reader: EntryReader, at: Location, name: str) -> tuple[Path, Rig] | None:
+    """Return the file of a character, and its rig."""
+    path = reader.input(at, name)
+    if path is None:
+        return None
+    try:
+        return path, open_take(path).rig
+    except AnimtoolError as error:
+        # They are of that file, and are told with it.
+        reader.document.faults.extend(error.faults)
+        reader.sound = False
+        return None
+
+
+def _on_prim(
+    reader: EntryReader, at: Location, model: CarryingPrimModel
+) -> Carrier | None:
+    path = reader.input((*at, "file"), model.file)
+    if path is None:
+        return None
+    from animtool.usd.things import Wanted, open_thing
+
+    try:
+        open_thing(Wanted(path, model.prim, model.prim), UpAxis.Y)
+    except AnimtoolError as error:
+        fault = error.faults[0]
+        message = fault.message
+        reader.note((*at, "prim"), Fault("SIM053", message, hint=fault.hint))
+    return OnPrim(path, model.prim, model.frame)
+
+
+_CARRIERS: dict[str, Callable[[EntryReader, Location, Any], Carrier | None]] = {
+    "joint": _on_joint,
+    "vertex": _on_vertex,
+    "prim": _on_prim,
+}

@@ -1,0 +1,137 @@
+"""Particles and springs taken through time, and what is to be said of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from animtool._types import FloatArray
+from animtool.errors import Fault, OptionError, Severity, ToleranceError
+from animtool.sim.springs import (
+    SpringMotion,
+    SpringOptions,
+    SpringSystem,
+    simulate_springs,
+)
+from animtool.sim.trajectory import Carried, Status
+
+__all__ = ["SpringRun"]
+
+# Times of a whole motion that are compared with those of one in half steps.
+COMPARED = 64
+
+
+class SpringRun:
+    """Springs under way.
+
+    Attributes:
+        system: What is simulated.
+        solver: What takes it through time.
+        reason: Why this one, in words.
+        step: The shortest step so far [s].
+        steps: Taken so far.
+        stretch: Most that a whole spring was longer than at rest, over that, at the
+            times asked for [1].
+        error: Of positions, where it was asked for [m].
+        unresolved: Most particles that were left inside colliders.
+        torn: Which springs are ``(S,)``.
+
+    Args:
+        system: Particles and springs.
+        options: How to simulate them.
+        begin: When [s].
+        last: The last time that will be asked for [s].
+
+    Raises:
+        OptionError: An option makes no sense.
+        ToleranceError: It blew up.
+    """
+
+    def __init__(
+        self,
+        system: SpringSystem,
+        options: SpringOptions,
+        begin: float,
+        last: float,
+    ) -> None:
+        self.system = system
+        self._said: dict[str, Fault] = {}
+        self.error: float | None = None
+        reason = ""
+        if options.error is not None:
+            options, reason = self._fine_enough(options, begin, last)
+        self._options = options
+        self.step, self.steps, self.stretch, self.unresolved = np.inf, 0, 0.0, 0
+        self._carried: Carried | None = None
+        self._state, self.torn = system.state, np.zeros(0, np.bool_)
+        motion = self._to(begin, begin)
+        self.solver, self.reason = motion.solver, reason or motion.reason
+
+    def _fine_enough(
+        self, options: SpringOptions, begin: float, last: float
+    ) -> tuple[SpringOptions, str]:
+        """Return options whose steps keep the error over the whole motion, and why."""
+        times = np.linspace(begin, max(last, begin), COMPARED)
+        motion = simulate_springs(self.system, times, options)
+        self._check(motion)
+        self.error = motion.stats.error
+        found = replace(options, solver=motion.solver, step=motion.step, error=None)
+        return found, motion.reason
+
+    @property
+    def notices(self) -> list[Fault]:
+        """What is odd so far."""
+        return list(self._said.values())
+
+    def at(self, t: float) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+        """Return the state at a time, and which springs are torn.
+
+        Raises:
+            OptionError: Time runs backwards (SIM002).
+            ToleranceError: It blew up (SIM102), or could not go on.
+        """
+        assert self._carried is not None
+        now = self._carried.time
+        if t < now:
+            message = f"time {t:g} s is before that of the simulation"
+            raise OptionError(Fault("SIM002", message, hint="begin again"))
+        if t > now:
+            self._to(now, t)
+        return self._state, self.torn
+
+    def _to(self, now: float, t: float) -> SpringMotion:
+        times = [now] if t == now else [now, t]
+        motion = simulate_springs(self.system, times, self._options, self._carried)
+        self._check(motion)
+        self._carried, self._state = motion.carried, motion.states[-1]
+        self.torn = motion.torn
+        self.step = min(self.step, motion.step)
+        self.steps += motion.stats.steps
+        self.unresolved = max(self.unresolved, motion.unresolved)
+        self.stretch = max(self.stretch, self._stretched())
+        return motion
+
+    def _check(self, motion: SpringMotion) -> None:
+        """Keep what a motion says, the worst of each kind, and stop where it ended."""
+        if motion.stats.status is not Status.OK:
+            raise ToleranceError(
+                [replace(fault, severity=Severity.ERROR) for fault in motion.notices]
+            )
+        for fault in motion.notices:
+            worse = fault.code == "SIM141" and motion.stretch >= self._worst
+            if fault.code not in self._said or worse:
+                self._said[fault.code] = fault
+        self._worst = max(self._worst, motion.stretch)
+
+    _worst = 0.0
+
+    def _stretched(self) -> float:
+        springs = self.system.body.springs
+        whole = ~self.torn & (springs.rest > 0)
+        if not whole.any():
+            return 0.0
+        x, ends = self._state[0], springs.ends[whole]
+        lengths = np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1)
+        return max(float((lengths / springs.rest[whole]).max()) - 1.0, 0.0)

@@ -1,0 +1,131 @@
+"""What is drawn of particles and springs: curves, or faces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from animtool._types import FloatArray, IntArray
+from animtool.sim.springs import Springs
+from animtool.usd.simulated_points import CurvesRow, FacesRow
+
+__all__ = ["Curves", "Faces", "Shape"]
+
+Flags: TypeAlias = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Particles in rows.
+
+    Where a spring between two neighbours tears, a curve becomes two; a particle alone
+    is not drawn.
+
+    Attributes:
+        counts: Particles of each ``(C,)``.
+        width: [m].
+        springs: Between them.
+    """
+
+    counts: IntArray
+    width: float
+    springs: Springs
+
+    @property
+    def tears(self) -> bool:
+        """Whether it may be drawn otherwise than at the start."""
+        return bool(np.isfinite(self.springs.limit).any())
+
+    def row(self, points: FloatArray, velocities: FloatArray, torn: Flags) -> CurvesRow:
+        """Return what is drawn at a frame.
+
+        Args:
+            points: ``(N, 3)`` [m].
+            velocities: ``(N, 3)`` [m/s].
+            torn: Which springs are ``(S,)``.
+        """
+        if not torn.any():
+            return CurvesRow(points, velocities, self.counts, self.width, self.tears)
+        last = np.zeros(len(points), np.bool_)
+        last[np.cumsum(self.counts) - 1] = True
+        gone = torn[self._next] & (self._next >= 0)
+        last[:-1] |= gone
+        piece = np.cumsum(np.append(0, last[:-1]))
+        sizes = np.bincount(piece)
+        drawn = sizes[piece] > 1
+        counts = sizes[sizes > 1]
+        return CurvesRow(points[drawn], velocities[drawn], counts, self.width, True)
+
+    @cached_property
+    def _next(self) -> IntArray:
+        """The spring from each particle to the next ``(N - 1,)``, -1 for none."""
+        first = np.arange(int(self.counts.sum()) - 1)
+        return _between(self.springs, np.stack([first, first + 1], axis=1))
+
+
+@dataclass(frozen=True)
+class Faces:
+    """A surface of particles.
+
+    A face goes when a spring along one of its sides tears.
+
+    Attributes:
+        counts: Corners of each face ``(M,)``.
+        indices: Corners, face by face.
+        springs: Between the particles.
+        closed: Whether only its outside is to be seen.
+    """
+
+    counts: IntArray
+    indices: IntArray
+    springs: Springs
+    closed: bool = False
+
+    @property
+    def tears(self) -> bool:
+        """Whether faces may go."""
+        return bool(np.isfinite(self.springs.limit).any())
+
+    def row(self, points: FloatArray, velocities: FloatArray, torn: Flags) -> FacesRow:
+        """Return what is drawn at a frame.
+
+        Args:
+            points: ``(N, 3)`` [m].
+            velocities: ``(N, 3)`` [m/s].
+            torn: Which springs are ``(S,)``.
+        """
+        counts, indices = self.counts, self.indices
+        if torn.any():
+            open_sides = torn[self._sides] & (self._sides >= 0)
+            starts = np.cumsum(counts) - counts
+            kept = ~np.logical_or.reduceat(open_sides, starts)
+            indices = indices[np.repeat(kept, counts)]
+            counts = counts[kept]
+        return FacesRow(points, velocities, counts, indices, self.closed, self.tears)
+
+    @cached_property
+    def _sides(self) -> IntArray:
+        """The spring along each side, face by face; -1 for none."""
+        ends = np.cumsum(self.counts)
+        ahead = np.roll(self.indices, -1)
+        ahead[ends - 1] = self.indices[ends - self.counts]
+        return _between(self.springs, np.stack([self.indices, ahead], axis=1))
+
+
+Shape: TypeAlias = Curves | Faces
+
+
+def _between(springs: Springs, pairs: IntArray) -> IntArray:
+    """Return the first spring between each of some pairs ``(P,)``, -1 for none."""
+    if not len(springs.rest):
+        return np.full(len(pairs), -1)
+    size = int(max(springs.ends.max(), pairs.max(initial=0))) + 1
+    ends = np.sort(springs.ends, axis=1) @ [size, 1]
+    known, first = np.unique(ends, return_index=True)
+    wanted = np.sort(pairs, axis=1) @ [size, 1]
+    at = np.searchsorted(known, wanted).clip(max=len(known) - 1)
+    return np.where(known[at] == wanted, first[at], -1)

@@ -1,0 +1,237 @@
+"""Ropes, strands, cloth and volumes of a scene under way, joined ones as one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault, Severity, counted
+from animtool.scene.entries import SceneSystem
+from animtool.scene.simulation import Opening
+from animtool.scene.spring_joins import join_pairs
+from animtool.scene.spring_paths import Tie, Ties, brought, ties_of, wind_ties
+from animtool.scene.spring_run import SpringRun
+from animtool.scene.spring_setup import SpringSetup
+from animtool.scene.spring_sharing import shared
+from animtool.sim.colliders import Collider
+from animtool.sim.springs import Body, SpringSystem, Welded, find_rest, join, weld
+
+__all__ = ["RunningSprings", "open_springs"]
+
+# Particles that are put together, or held, this far from where they are built are
+# said to be apart [m].
+APART = 1e-4
+
+
+def open_springs(
+    members: Sequence[SceneSystem], opening: Opening
+) -> list[RunningSprings]:
+    """Return systems that are joined, or one alone, at their beginning.
+
+    Raises:
+        FormatError: The file of a character is malformed.
+        OptionError: Something makes no sense.
+        ToleranceError: It blew up at once.
+    """
+    setups = [cast(SpringSetup, member.setup) for member in members]
+    names = [member.name for member in members]
+    whole = _Whole(names, setups, opening)
+    run = SpringRun(whole.system, whole.shared.options, whole.begin, opening.last)
+    running: list[RunningSprings] = []
+    springs = 0
+    for member, setup, rows in zip(members, setups, whole.rows, strict=True):
+        own = slice(springs, springs + len(setup.body.body.springs.rest))
+        springs = own.stop
+        first = not running
+        notices = (*setup.body.notices, *(whole.notices if first else ()))
+        running.append(RunningSprings(member, setup, run, rows, own, notices, first))
+    return running
+
+
+class _Whole:
+    """Bodies that are one system of particles.
+
+    Attributes:
+        shared: What they have in common.
+        begin: When they begin [s].
+        system: Of all particles.
+        rows: Of each body, its particles in the system ``(N,)``.
+        notices: What is odd about them together.
+    """
+
+    def __init__(
+        self, names: Sequence[str], setups: Sequence[SpringSetup], opening: Opening
+    ) -> None:
+        self.shared = shared(setups)
+        self.begin = -self.shared.preroll
+        self.notices: list[Fault] = []
+        bodies, ties = self._placed(setups, opening)
+        starts = np.cumsum([0, *(len(body.positions) for body in bodies)])
+        pairs = join_pairs(names, setups, starts)
+        made = weld(join(bodies), pairs)
+        self._say_apart("particles that are joined are", made.gap)
+        self.rows = [
+            made.rows[start : start + len(body.positions)]
+            for start, body in zip(starts, bodies, strict=False)
+        ]
+        self.system = self._system(setups, opening, made, ties)
+
+    def _placed(
+        self, setups: Sequence[SpringSetup], opening: Opening
+    ) -> tuple[list[Body], list[list[Tie]]]:
+        """Return bodies where pins have them, and what ties each."""
+        bodies, ties = [], []
+        for setup in setups:
+            body, pins = setup.body.body, setup.pins
+            poses = [pin.poses(opening.characters) for pin in pins]
+            points = brought(pins, poses, body.positions, self.begin)
+            own = ties_of(pins, poses, points, self.begin)
+            held = points.copy()
+            for tie in own:
+                if tie.stiffness is None:
+                    held[tie.particles] = tie.start
+            gap = float(np.linalg.norm(held - points, axis=1).max())
+            self._say_apart("pins hold particles", gap)
+            faces = setup.wind is not None and setup.wind.faces is not None
+            none = np.zeros((0, 3), np.int64)
+            triangles = body.triangles if faces else none
+            bodies.append(replace(body, positions=held, triangles=triangles))
+            ties.append(own)
+        return bodies, ties
+
+    def _system(
+        self,
+        setups: Sequence[SpringSetup],
+        opening: Opening,
+        made: Welded,
+        ties: Sequence[Sequence[Tie]],
+    ) -> SpringSystem:
+        every, count = Ties(), len(made.body.positions)
+        resistance = np.zeros(count)
+        for setup, rows, own in zip(setups, self.rows, ties, strict=True):
+            for tie in own:
+                every.add(tie, rows)
+            slowing = setup.drag * setup.body.body.masses
+            if setup.wind is not None and setup.wind.faces is None:
+                span = self.begin, opening.last
+                points = made.body.positions[rows]
+                every.add(wind_ties(setup.wind, points, slowing, span), rows)
+            else:
+                np.add.at(resistance, rows, slowing)
+        wind = self.shared.wind
+        system = SpringSystem(
+            made.body,
+            pins=every.pins,
+            targets=every.targets,
+            gravity=self.shared.gravity,
+            resistance=resistance,
+            air=None if wind is None else wind.air,
+            colliders=_colliders(setups, opening),
+            radius=self.shared.radius,
+        )
+        return self._settled(system) if self.shared.settle else system
+
+    def _settled(self, system: SpringSystem) -> SpringSystem:
+        """Return a system that begins where it comes to rest."""
+        rest = find_rest(system, self.begin)
+        if not rest.solved:
+            message = f"no rest was found: forces of {rest.residual:.2g} N are left"
+            hint = "let it settle in a preroll, with drag"
+            self._warn("SIM152", message, hint)
+        return system.starting_at(rest.positions)
+
+    def _say_apart(self, what: str, gap: float) -> None:
+        if gap > APART:
+            message = f"{what} {gap:.3g} m from where they are built: springs pull"
+            hint = "place them so that they fit, or give pins an offset"
+            self._warn("SIM150", message, hint)
+
+    def _warn(self, code: str, message: str, hint: str) -> None:
+        self.notices.append(Fault(code, message, hint=hint, severity=Severity.WARNING))
+
+
+def _colliders(setups: Sequence[SpringSetup], opening: Opening) -> list[Collider]:
+    """Return what any of them runs into, a character once."""
+    found: list[Collider] = []
+    seen = set()
+    for setup in setups:
+        found += setup.colliders
+        for path, material in setup.characters:
+            if path not in seen:
+                seen.add(path)
+                found += opening.characters.of(path).colliders(material)
+    return found
+
+
+@dataclass
+class RunningSprings:
+    """A rope, strands, cloth or a volume under way.
+
+    Attributes:
+        member: Its entry.
+        setup: What it is made of.
+        run: What takes it, and what it is joined to, through time.
+        rows: Its particles in the run ``(N,)``.
+        springs: Its springs there.
+        own: What is odd about it alone.
+        first: Whether it speaks for all that it is joined to.
+    """
+
+    member: SceneSystem
+    setup: SpringSetup
+    run: SpringRun
+    rows: IntArray
+    springs: slice
+    own: Sequence[Fault]
+    first: bool
+
+    def at(self, t: float) -> Any:
+        """Return what is drawn of it at a time [s], not before the last one."""
+        state, torn = self.run.at(t)
+        points: FloatArray = state[0, self.rows]
+        return self.setup.body.shape.row(
+            points, state[1, self.rows], torn[self.springs]
+        )
+
+    @property
+    def notices(self) -> list[Fault]:
+        """What is odd so far, and what it came to."""
+        if not self.first:
+            return list(self.own)
+        return [*self.own, *self.run.notices, self._note()]
+
+    def _note(self) -> Fault:
+        run = self.run
+        parts = [
+            f"{run.solver} ({run.reason})",
+            f"steps of {run.step:.3g} s and more",
+            f"springs up to {100 * run.stretch:.2g}% longer than at rest",
+        ]
+        if run.error is not None:
+            parts.append(f"error {run.error:.2g} m")
+        if run.torn.any():
+            parts.append(f"{counted(int(run.torn.sum()), 'spring')} torn")
+        message = f"{self.member.name}: {', '.join(parts)}"
+        return Fault("SIM130", message, severity=Severity.NOTE)
+
+    def report(self) -> dict[str, object]:
+        """Return what became of it, as plain values."""
+        run, body = self.run, self.setup.body.body
+        found: dict[str, object] = {
+            "name": self.member.name,
+            "kind": self.member.kind,
+            "particles": len(body.positions),
+            "springs": len(body.springs.rest),
+            "solver": str(run.solver),
+            "reason": run.reason,
+            "step": run.step,
+            "steps": run.steps,
+            "stretch": run.stretch,
+            "torn": int(run.torn[self.springs].sum()),
+            "unresolved": run.unresolved,
+        }
+        return found if run.error is None else {**found, "error": run.error}

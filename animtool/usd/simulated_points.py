@@ -1,0 +1,167 @@
+"""Points with velocities that stay the same ones, and the shapes drawn of them."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Any, ClassVar, Generic, TypeVar
+
+import numpy as np
+from pxr import Sdf, Vt
+
+from animtool import _kernels
+from animtool._types import Float32Array, FloatArray, IntArray
+from animtool.usd.layers import attribute, prim
+from animtool.usd.prim_writer import PrimWriter
+
+__all__ = ["CurvesRow", "CurvesWriter", "FacesRow", "FacesWriter"]
+
+_TYPES = Sdf.ValueTypeNames
+
+
+@dataclass(frozen=True, slots=True)
+class CurvesRow:
+    """Curves at one frame.
+
+    Attributes:
+        points: One curve after the other ``(N, 3)`` [m].
+        velocities: ``(N, 3)`` [m/s].
+        counts: Points of each curve ``(C,)``.
+        width: Of all [m].
+        tears: Whether counts may change.
+    """
+
+    points: FloatArray
+    velocities: FloatArray
+    counts: IntArray
+    width: float
+    tears: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class FacesRow:
+    """A surface at one frame.
+
+    Attributes:
+        points: ``(N, 3)`` [m].
+        velocities: ``(N, 3)`` [m/s].
+        counts: Corners of each face ``(M,)``.
+        indices: Corners, face by face.
+        closed: Whether only its outside is to be seen.
+        tears: Whether faces may go.
+    """
+
+    points: FloatArray
+    velocities: FloatArray
+    counts: IntArray
+    indices: IntArray
+    closed: bool = False
+    tears: bool = False
+
+
+Row = TypeVar("Row", CurvesRow, FacesRow)
+
+
+class _MovedWriter(PrimWriter, Generic[Row]):
+    """Writes points, velocities and extent of each frame, and a shape.
+
+    Attributes:
+        type_name: Of the prim.
+    """
+
+    type_name: ClassVar[str]
+
+    def begin(self, layer: Any, row: Row) -> None:
+        """Write the prim: attributes, what never changes, and the shape."""
+        spec = prim(layer, self.report.path, self.type_name)
+        for name, kind in (
+            ("points", _TYPES.Point3fArray),
+            ("velocities", _TYPES.Vector3fArray),
+            ("extent", _TYPES.Float3Array),
+        ):
+            attribute(spec, name, kind)
+        self.report.sampled = ["points", "velocities", "extent"]
+        for name, values in self.shape(row).items():
+            value = None if row.tears else Vt.IntArray.FromNumpy(values)
+            attribute(spec, name, _TYPES.IntArray, value)
+            self.report.sampled += [name] if row.tears else []
+        self.describe(spec, row)
+
+    def add(self, layer: Any, code: float, row: Row) -> None:
+        """Write a frame; the shape too where it may change."""
+        points, error, _, worst = _kernels.round_points(row.points[None], self.unit)
+        speeds = _kernels.round_points(row.velocities[None], self.unit)[0][0]
+        self.put(layer, code, "points", Vt.Vec3fArray.FromNumpy(points[0]))
+        self.put(layer, code, "velocities", Vt.Vec3fArray.FromNumpy(speeds))
+        extent = _extent(points[0], self.margin(row))
+        self.put(layer, code, "extent", Vt.Vec3fArray.FromNumpy(extent))
+        size = 24 * len(row.points) + 24
+        for name, values in self.shape(row).items() if row.tears else ():
+            self.put(layer, code, name, Vt.IntArray.FromNumpy(values))
+            size += values.nbytes
+        self.report.vertices = max(self.report.vertices, len(row.points))
+        self.count(code, error, worst, size)
+
+    @abstractmethod
+    def shape(self, row: Row) -> dict[str, Any]:
+        """Return attributes of whole numbers that say how points are joined."""
+
+    @abstractmethod
+    def describe(self, spec: Any, row: Row) -> None:
+        """Write what else the prim is, which no frame changes."""
+
+    @abstractmethod
+    def margin(self, row: Row) -> float:
+        """Return how far what is drawn goes beyond the points, in the layer's unit."""
+
+
+class CurvesWriter(_MovedWriter[CurvesRow]):
+    """Writes linear curves of one width."""
+
+    type_name = "BasisCurves"
+
+    def shape(self, row: CurvesRow) -> dict[str, Any]:
+        """Return how many points each curve has."""
+        return {"curveVertexCounts": row.counts.astype(np.int32)}
+
+    def describe(self, spec: Any, row: CurvesRow) -> None:
+        """Write kind and width of the curves."""
+        attribute(spec, "type", _TYPES.Token, "linear", uniform=True)
+        attribute(spec, "wrap", _TYPES.Token, "nonperiodic", uniform=True)
+        widths = Vt.FloatArray([row.width / self.unit])
+        attribute(spec, "widths", _TYPES.FloatArray, widths, interpolation="constant")
+
+    def margin(self, row: CurvesRow) -> float:
+        """Return half their width."""
+        return row.width / self.unit / 2
+
+
+class FacesWriter(_MovedWriter[FacesRow]):
+    """Writes a polygon mesh."""
+
+    type_name = "Mesh"
+
+    def shape(self, row: FacesRow) -> dict[str, Any]:
+        """Return the faces."""
+        return {
+            "faceVertexCounts": row.counts.astype(np.int32),
+            "faceVertexIndices": row.indices.astype(np.int32),
+        }
+
+    def describe(self, spec: Any, row: FacesRow) -> None:
+        """Write that it is no cage, and whether both sides are to be seen."""
+        attribute(spec, "subdivisionScheme", _TYPES.Token, "none", uniform=True)
+        if not row.closed:
+            attribute(spec, "doubleSided", _TYPES.Bool, True, uniform=True)
+
+    def margin(self, row: FacesRow) -> float:  # noqa: ARG002
+        """Return nothing: faces have no thickness."""
+        return 0.0
+
+
+def _extent(points: Float32Array, margin: float) -> Float32Array:
+    """Return bounds of points and what is about them; empty ones of none."""
+    if not len(points):
+        return np.zeros((2, 3), np.float32)
+    low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
+    return np.stack([low, high]).astype(np.float32)

@@ -1,0 +1,85 @@
+"""A mesh of a USD file as it stands, for what needs its points and faces alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pxr import Usd, UsdGeom
+
+from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault, OptionError, excerpt
+from animtool.maths import so3
+from animtool.units import UpAxis, up_from_up
+from animtool.usd.layers import usd_errors
+from animtool.usd.prims import find_prim, nearest_prim
+from animtool.usd.rig_prims import open_stage, up_axis
+
+__all__ = ["StillMesh", "read_still_mesh"]
+
+
+@dataclass(frozen=True, slots=True)
+class StillMesh:
+    """Points and faces in the world.
+
+    Attributes:
+        points: ``(N, 3)`` [m].
+        counts: Corners of each face ``(M,)``.
+        indices: Corners, face by face.
+    """
+
+    points: FloatArray
+    counts: IntArray
+    indices: IntArray
+
+
+def read_still_mesh(path: Path, prim: str, up: UpAxis) -> StillMesh:
+    """Return a mesh as it is at the earliest time that its file has.
+
+    Args:
+        path: The USD file.
+        prim: Path of the prim.
+        up: Up axis of the world.
+
+    Raises:
+        FormatError: The file is no USD.
+        OptionError: It has no such mesh, or the mesh makes no sense (SIM051).
+    """
+    with usd_errors(path):
+        stage = open_stage(path)
+        found = find_prim(stage, prim)
+        if found is None or not found.IsA(UsdGeom.Mesh):
+            what = "no prim" if found is None else "no mesh"
+            hint = nearest_prim(stage, prim) if found is None else None
+            message = f"{path.name} holds {what} {excerpt(prim)}"
+            raise OptionError(Fault("SIM051", message, hint=hint))
+        mesh, time = UsdGeom.Mesh(found), Usd.TimeCode.EarliestTime()
+        points = np.array(mesh.GetPointsAttr().Get(time) or (), np.float64)
+        counts = np.array(mesh.GetFaceVertexCountsAttr().Get(time) or (), np.int64)
+        indices = np.array(mesh.GetFaceVertexIndicesAttr().Get(time) or (), np.int64)
+        world = np.array(mesh.ComputeLocalToWorldTransform(time), np.float64)
+    points = points.reshape(-1, 3)
+    _check(points, counts, indices, prim)
+    placed = points @ world[:3, :3] + world[3, :3]
+    placed *= UsdGeom.GetStageMetersPerUnit(stage)
+    turn = up_from_up(up, up_axis(stage))
+    if turn is not None:
+        placed = so3.rotate(np.array(turn), placed)
+    return StillMesh(np.asarray(placed, np.float64), counts, indices)
+
+
+def _check(points: FloatArray, counts: IntArray, indices: IntArray, prim: str) -> None:
+    message = ""
+    if not len(points) or not len(counts):
+        message = "has no points or no faces"
+    elif not np.isfinite(points).all():
+        message = "has a point that is not finite"
+    elif (counts < 3).any():
+        message = f"has a face of {counts.min()} corners"
+    elif counts.sum() != len(indices):
+        message = f"has {len(indices)} corners, and its faces {counts.sum()}"
+    elif indices.min() < 0 or indices.max() >= len(points):
+        message = f"has a corner that is none of its {len(points)} points"
+    if message:
+        raise OptionError(Fault("SIM051", f"{prim} {message}"))

@@ -1,0 +1,459 @@
+"""Ropes, strands, cloth and volumes of scenes: read, baked, joined, torn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Sdf, Usd, UsdGeom
+
+import animtool
+from animtool import BakeOptions, bake
+from animtool.cli.summary import bake_json, bake_text
+from animtool.edit.frame_range import FrameRange
+from animtool.errors import Severity, ToleranceError
+from animtool.scene.file import load_scene
+from animtool.scene.simulation import open_systems
+
+HEAD = "scene: animtool/1\nfps: 24\nrange: [1, 12]\nsystems:\n"
+ROPE = """\
+- rope:
+    name: lead
+    from: [0, 2, 0]
+    to: [1, 2, 0]
+    count: 11
+    mass: 0.1
+    radius: 0.01
+    springs: {structural: {stiffness: 1000, ratio: 0.1}, bend: {stiffness: 5}}
+    pins: [{particles: [start]}]
+"""
+CLOTH = """\
+- cloth:
+    name: flag
+    corner: [0, 1, 0]
+    across: [1, 0, 0]
+    up: [0, 0.6, 0]
+    resolution: [11, 7]
+    mass: 0.1
+    springs:
+      structural: {stiffness: 300, ratio: 0.05}
+      diagonals: {stiffness: 100, ways: one}
+      bend: {stiffness: 1}
+    pins: [{particles: [left]}]
+    wind: {velocity: [4, 0, 1]}
+"""
+VOLUME = """\
+- volume:
+    name: jelly
+    corner: [3, 0.1, 0]
+    size: [0.4, 0.3, 0.4]
+    resolution: [4, 3, 4]
+    mass: 0.5
+    springs: {structural: {stiffness: 500, ratio: 0.1}, body_diagonals: {stiffness: 99}}
+    colliders: [{shape: {plane: {}}, friction: 0.5}]
+"""
+STRANDS = """\
+- strands:
+    points: hair.npz
+    mass: 0.05
+    springs: {structural: {stiffness: 100, ratio: 0.1}}
+    pins: [{particles: [roots]}]
+"""
+
+
+def written(folder: Path, systems: str, name: str = "shot.scene.yaml") -> Path:
+    path = folder / name
+    path.write_text(f"{HEAD}{systems}output: {{file: shot.usdc}}\n", "utf-8")
+    points = np.zeros((3, 6, 3))
+    points[..., 0] = np.arange(3)[:, None] * 0.1
+    points[..., 1] = 2 - np.arange(6) * 0.05
+    np.savez(folder / "hair.npz", points=points)
+    return path
+
+
+def baked(folder: Path, systems: str, name: str = "shot.usda") -> Usd.Stage:
+    bake(written(folder, systems), folder / name)
+    return Usd.Stage.Open(str(folder / name))
+
+
+def values(stage: Usd.Stage, path: str, name: str, code: float) -> np.ndarray:
+    return np.array(stage.GetPrimAtPath(path).GetAttribute(name).Get(code))
+
+
+def test_each_kind_is_written_as_its_prim(tmp_path: Path) -> None:
+    stage = baked(tmp_path, ROPE + CLOTH + VOLUME + STRANDS)
+    kinds = {prim.GetName(): prim.GetTypeName() for prim in stage.Traverse()}
+    assert kinds == {
+        "shot": "Xform",
+        "lead": "BasisCurves",
+        "flag": "Mesh",
+        "jelly": "Mesh",
+        "strands": "BasisCurves",
+    }
+    rope = UsdGeom.BasisCurves(stage.GetPrimAtPath("/shot/lead"))
+    assert list(rope.GetCurveVertexCountsAttr().Get()) == [11]
+    assert rope.GetWidthsAttr().Get()[0] == pytest.approx(0.02)
+    assert rope.GetTypeAttr().Get() == "linear"
+    hair = UsdGeom.BasisCurves(stage.GetPrimAtPath("/shot/strands"))
+    assert list(hair.GetCurveVertexCountsAttr().Get()) == [6, 6, 6]
+    flag = UsdGeom.Mesh(stage.GetPrimAtPath("/shot/flag"))
+    assert len(flag.GetFaceVertexCountsAttr().Get()) == 60
+    assert set(flag.GetFaceVertexCountsAttr().Get()) == {4}
+    assert flag.GetDoubleSidedAttr().Get()
+    jelly = UsdGeom.Mesh(stage.GetPrimAtPath("/shot/jelly"))
+    assert not jelly.GetDoubleSidedAttr().Get()
+    for prim in (rope, hair, flag, jelly):
+        assert prim.GetPointsAttr().GetTimeSamples() == list(range(1, 13))
+        for code in (1, 12):
+            extent = UsdGeom.Boundable.ComputeExtentFromPlugins(prim, code)
+            np.testing.assert_allclose(
+                prim.GetExtentAttr().Get(code), extent, atol=1e-6
+            )
+
+
+def test_what_is_written_has_no_findings(tmp_path: Path) -> None:
+    bake(written(tmp_path, ROPE + CLOTH + VOLUME + STRANDS), tmp_path / "o.usdc")
+    assert not animtool.validate(tmp_path / "o.usdc")
+
+
+def test_faces_point_away_from_the_inside(tmp_path: Path) -> None:
+    stage = baked(tmp_path, VOLUME)
+    points = values(stage, "/shot/jelly", "points", 1)
+    corners = values(stage, "/shot/jelly", "faceVertexIndices", 1).reshape(-1, 3)
+    a, b, c = (points[corners] - points.mean(axis=0)).swapaxes(0, 1)
+    volume = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6
+    assert volume == pytest.approx(0.4 * 0.3 * 0.4, rel=1e-3)
+
+
+def test_velocities_are_those_of_points(tmp_path: Path) -> None:
+    path = written(tmp_path, ROPE + CLOTH)
+    fine = BakeOptions(fps=480, frame_range=FrameRange(1, 40))  # type: ignore[arg-type]
+    bake(path, tmp_path / "o.usda", fine)
+    stage = Usd.Stage.Open(str(tmp_path / "o.usda"))
+    for prim in ("/shot/lead", "/shot/flag"):
+        before, after = (values(stage, prim, "points", code) for code in (29, 31))
+        speeds = values(stage, prim, "velocities", 30)
+        np.testing.assert_allclose((after - before) * 240, speeds, atol=0.05)
+
+
+def test_the_bytes_are_the_same_and_frames_do_not_matter(tmp_path: Path) -> None:
+    scene = written(tmp_path, ROPE + CLOTH)
+    for name in ("a.usdc", "b.usdc"):
+        bake(scene, tmp_path / name)
+    assert (tmp_path / "a.usdc").read_bytes() == (tmp_path / "b.usdc").read_bytes()
+    bake(scene, tmp_path / "whole.usda")
+    bake(scene, tmp_path / "part.usda", BakeOptions(frame_range=FrameRange(7, 9)))
+    double = BakeOptions(fps=48, frame_range=FrameRange(1, 24))  # type: ignore[arg-type]
+    bake(scene, tmp_path / "double.usda", double)
+    whole, part, fast = (
+        Sdf.Layer.FindOrOpen(str(tmp_path / f"{name}.usda"))
+        for name in ("whole", "part", "double")
+    )
+    for prim in ("lead", "flag"):
+        path = f"/shot/{prim}.points"
+        frame = whole.QueryTimeSample(path, 8)
+        assert frame == part.QueryTimeSample(path, 8)
+        assert frame == fast.QueryTimeSample(path, 15)
+
+
+def test_the_report_says_which_solver_and_why(tmp_path: Path) -> None:
+    report = bake(written(tmp_path, ROPE), tmp_path / "o.usdc")
+    (said,) = bake_json(report)["simulated"]  # type: ignore[misc]
+    assert (said["name"], said["kind"], said["particles"]) == ("lead", "rope", 11)
+    assert said["solver"] == "symplectic_euler"
+    assert "steps a second" in said["reason"]
+    assert 0 < said["stretch"] < 0.1
+    (note,) = report.notices
+    assert (note.code, note.severity) == ("SIM130", Severity.NOTE)
+    assert note.lines == (6,)
+    assert any("lead: 11 particles" in line for line in bake_text(report))
+
+
+def test_a_pin_moves_and_holds(tmp_path: Path) -> None:
+    moves = "moves: [[0, 0, 0, 0], [0.25, 1, 0, 0]]"
+    stage = baked(tmp_path, ROPE.replace("[start]}", f"[start], {moves}}}"))
+    for code in range(1, 13):
+        place = values(stage, "/shot/lead", "points", code)[0]
+        x = min((code - 1) / 24 / 0.25, 1.0)
+        np.testing.assert_allclose(place, [x, 2, 0], atol=1e-6)
+
+
+def test_what_is_drawn_stays_behind(tmp_path: Path) -> None:
+    drawn = ROPE.replace("[start]}", "[start], stiffness: 50, damping: 1}")
+    place = values(baked(tmp_path, drawn), "/shot/lead", "points", 12)[0]
+    assert 1.5 < place[1] < 2
+
+
+def test_settled_ropes_hang_still(tmp_path: Path) -> None:
+    text = ROPE.replace("[1, 2, 0]", "[0, 1, 0]") + "    settle: true\n"
+    stage = baked(tmp_path, text)
+    first, last = (values(stage, "/shot/lead", "points", code) for code in (1, 12))
+    assert first[-1, 1] < 1 - 1e-4
+    np.testing.assert_allclose(first, last, atol=1e-5)
+
+
+def test_springs_of_no_length_draw_together(tmp_path: Path) -> None:
+    text = (
+        ROPE.replace("ratio: 0.1}", "ratio: 1, rest: 0}") + "    gravity: [0, 0, 0]\n"
+    )
+    text = text.replace("bend: {stiffness: 5}", "").replace(", }", "}")
+    points = values(baked(tmp_path, text), "/shot/lead", "points", 12)
+    assert np.linalg.norm(points[-1] - points[0]) < 0.6
+
+
+def test_wind_takes_ropes_along(tmp_path: Path) -> None:
+    still = ROPE + "    gravity: [0, 0, 0]\n    drag: 2\n"
+    blown = still + "    wind: {velocity: [0, 0, 3]}\n"
+    gust = still + "    wind: {gusts: [[0, 0, 0, 3], [0.5, 0, 0, 3]]}\n"
+    ends = [
+        values(baked(tmp_path, text, f"{i}.usda"), "/shot/lead", "points", 12)[-1]
+        for i, text in enumerate((still, blown, gust))
+    ]
+    assert abs(ends[0][2]) < 1e-9
+    assert ends[1][2] > 0.3
+    np.testing.assert_allclose(ends[1], ends[2], atol=1e-3)
+
+
+def test_a_torn_rope_is_two_curves(tmp_path: Path) -> None:
+    text = ROPE.replace("ratio: 0.1}", "ratio: 0.1, tear: 0.02}")
+    text = text.replace("bend: {stiffness: 5}", "").replace(", }", "}")
+    text += "    tip_mass: 3\n"
+    scene = written(tmp_path, text)
+    report = bake(scene, tmp_path / "o.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "o.usda"))
+    counts = values(stage, "/shot/lead", "curveVertexCounts", 12)
+    points = values(stage, "/shot/lead", "points", 12)
+    assert list(values(stage, "/shot/lead", "curveVertexCounts", 1)) == [11]
+    assert len(counts) >= 1
+    assert counts.sum() == len(points) < 12
+    assert counts.min() >= 2
+    assert "torn" in report.notices[-1].message
+    assert not animtool.validate(tmp_path / "o.usda")
+
+
+def test_faces_at_torn_springs_go(tmp_path: Path) -> None:
+    text = CLOTH.replace("ratio: 0.05}", "ratio: 0.05, tear: 0.05}")
+    text = text.replace("ways: one}", "tear: 0.05}").replace(
+        "1}\n    pins", "1, tear: 0.05}\n    pins"
+    )
+    text = text.replace("velocity: [4, 0, 1]", "velocity: [40, 0, 10]")
+    stage = baked(tmp_path, text)
+    faces = [
+        len(values(stage, "/shot/flag", "faceVertexCounts", code)) for code in (1, 12)
+    ]
+    assert faces[0] == 60
+    assert faces[1] < 60
+    assert len(values(stage, "/shot/flag", "points", 12)) == 77
+    assert not animtool.validate(tmp_path / "shot.usda")
+
+
+def test_an_error_is_kept_over_the_whole_motion(tmp_path: Path) -> None:
+    found = []
+    for error in ("1.0e-2", "1.0e-3"):
+        text = ROPE + f"    error: {error}\n"
+        report = bake(written(tmp_path, text), tmp_path / f"{error}.usda")
+        (said,) = report.takes[0].simulated
+        assert said["error"] <= float(error)  # type: ignore[operator]
+        found.append(said["step"])
+    assert found[1] <= found[0]
+
+
+def test_what_blows_up_is_not_written(tmp_path: Path) -> None:
+    text = ROPE + "    solver: symplectic_euler\n    step: 0.05\n"
+    with pytest.raises(ToleranceError) as error:
+        bake(written(tmp_path, text), tmp_path / "o.usdc")
+    assert "SIM102" in {fault.code for fault in error.value.faults}
+    assert not (tmp_path / "o.usdc").exists()
+
+
+def test_it_begins_before_the_first_frame(tmp_path: Path) -> None:
+    late = values(baked(tmp_path, ROPE), "/shot/lead", "points", 7)
+    text = ROPE + "    preroll: 0.25\n"
+    early = values(baked(tmp_path, text, "b.usda"), "/shot/lead", "points", 1)
+    np.testing.assert_allclose(early, late, atol=1e-6)
+
+
+def test_it_runs_into_colliders(tmp_path: Path) -> None:
+    text = ROPE + "    colliders: [{shape: {plane: {offset: 1.8}}}]\n"
+    points = values(baked(tmp_path, text), "/shot/lead", "points", 12)
+    assert points[:, 1].min() > 1.8 + 0.01 - 1e-5
+
+
+# Pins to what moves
+
+
+def test_a_joint_carries(root: Path, tmp_path: Path) -> None:
+    clip = root / "samples/stride/stride.clip.yaml"
+    take = animtool.open_source(clip).collect()
+    name = take.rig.names[-1]
+    joint = f"joint: {{file: {str(clip)!r}, joint: {name}, offset: [0, 0, 0]}}"
+    text = ROPE.replace("[start]}", f"[start], {joint}}}")
+    path = written(tmp_path, text)
+    systems = load_scene(path, {"at": str(root)}).systems
+    (rope,) = open_systems(systems, 0.5)
+    from animtool.rig.kinematics import forward
+
+    world = forward(take.rig, *take.motion.dense())
+    for frame in (0, 5, 10):
+        t = frame / float(take.clock.fps)
+        place = rope.at(t).points[0]
+        np.testing.assert_allclose(
+            place, world.positions[frame, take.rig.index(name)], atol=1e-9
+        )
+    assert not [n for n in rope.notices if n.code == "SIM150"]
+
+
+def test_a_prim_carries_and_turns(tmp_path: Path) -> None:
+    stage = Usd.Stage.CreateNew(str(tmp_path / "props.usda"))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    stage.SetTimeCodesPerSecond(24)
+    stage.SetStartTimeCode(101)
+    stage.SetEndTimeCode(125)
+    hook = UsdGeom.Xform.Define(stage, "/Set/hook")
+    turn = hook.AddRotateYOp()
+    turn.Set(0.0, 101)
+    turn.Set(90.0, 125)
+    stage.Save()
+    prim = "prim: {file: props.usda, prim: /Set/hook}"
+    text = ROPE.replace("[start]}", f"[end], {prim}}}")
+    found = baked(tmp_path, text)
+    for code in (1, 7, 12):
+        angle = np.radians(90 * (code - 1) / 24)
+        place = values(found, "/shot/lead", "points", code)[-1]
+        np.testing.assert_allclose(place, [np.cos(angle), 2, -np.sin(angle)], atol=1e-4)
+
+
+def test_two_hands_hold_both_ends(tmp_path: Path) -> None:
+    stage = Usd.Stage.CreateNew(str(tmp_path / "props.usda"))
+    UsdGeom.SetStageMetersPerUnit(stage, 1)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    for name, place in (("a", (5, 1, 0)), ("b", (5, 1, 1))):
+        UsdGeom.Xform.Define(stage, f"/{name}").AddTranslateOp().Set(place)
+    stage.Save()
+    pins = "".join(
+        f"    - particles: [{end}]\n"
+        f"      prim: {{file: props.usda, prim: /{name}, offset: [0, 0, 0]}}\n"
+        for end, name in (("start", "a"), ("end", "b"))
+    )
+    text = ROPE.split("    pins:", maxsplit=1)[0] + "    pins:\n" + pins
+    report = bake(written(tmp_path, text), tmp_path / "o.usda")
+    points = values(Usd.Stage.Open(str(tmp_path / "o.usda")), "/shot/lead", "points", 1)
+    wanted = np.linspace([5, 1, 0], [5, 1, 1], 11)
+    np.testing.assert_allclose(points, wanted, atol=1e-5)
+    assert [notice.code for notice in report.notices] == ["SIM130"]
+
+
+def test_pins_that_stretch_are_said(tmp_path: Path) -> None:
+    moves = "moves: [[0, 0, 0.2, 0]]"
+    text = ROPE.replace("[start]}", f"[start], {moves}}}")
+    report = bake(written(tmp_path, text), tmp_path / "o.usda")
+    assert "SIM150" in [notice.code for notice in report.notices]
+
+
+# Meshes
+
+
+def table(folder: Path, points: list[list[float]], faces: list[list[int]]) -> str:
+    stage = Usd.Stage.CreateNew(str(folder / "table.usda"))
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    mesh = UsdGeom.Mesh.Define(stage, "/Set/top")
+    mesh.CreatePointsAttr([tuple(point) for point in points])
+    mesh.CreateFaceVertexCountsAttr([len(face) for face in faces])
+    mesh.CreateFaceVertexIndicesAttr([corner for face in faces for corner in face])
+    mesh.AddTranslateOp().Set((0, 0, 100))
+    stage.Save()
+    return (
+        CLOTH.replace("    corner: [0, 1, 0]\n", "")
+        .replace(
+            "    across: [1, 0, 0]\n    up: [0, 0.6, 0]\n    resolution: [11, 7]\n",
+            "    mesh: {file: table.usda, prim: /Set/top}\n",
+        )
+        .replace("[left]", "[0]")
+    )
+
+
+SQUARE = [[0.0, 0, 0], [100, 0, 0], [100, 100, 0], [0, 100, 0]]
+
+
+def test_cloth_of_a_mesh_stands_in_metres_and_y_up(tmp_path: Path) -> None:
+    stage = baked(tmp_path, table(tmp_path, SQUARE, [[0, 1, 2], [0, 2, 3]]))
+    points = values(stage, "/shot/flag", "points", 1)
+    np.testing.assert_allclose(
+        points, [[0, 1, 0], [1, 1, 0], [1, 1, -1], [0, 1, -1]], atol=1e-6
+    )
+    assert list(values(stage, "/shot/flag", "faceVertexCounts", 1)) == [3, 3]
+
+
+def test_mass_is_spread_over_the_area(tmp_path: Path) -> None:
+    points = [*SQUARE, [200.0, 0, 0]]
+    text = table(tmp_path, points, [[0, 1, 2, 3], [1, 4, 2]])
+    (system,) = load_scene(written(tmp_path, text)).systems
+    masses = system.setup.body.body.masses  # type: ignore[attr-defined]
+    assert masses.sum() == pytest.approx(0.1)
+    np.testing.assert_allclose(
+        masses * 15, [0.25, 0.25 + 1 / 6, 0.25 + 1 / 6, 0.25, 1 / 6]
+    )
+
+
+def test_odd_meshes_are_said(tmp_path: Path) -> None:
+    points = [*SQUARE, [0.0, 0, 0], [50, 50, 50]]
+    faces = [[0, 1, 2], [0, 2, 3], [4, 2, 5], [0, 2, 5], [4, 5, 5]]
+    text = table(tmp_path, points, faces)
+    report = bake(written(tmp_path, text), tmp_path / "o.usda")
+    said = [notice.message for notice in report.notices if notice.code == "SIM153"]
+    assert len(said) == 3
+    assert any("0, 4" in message for message in said)
+
+
+def test_tetrahedra_are_written_as_their_skin(tmp_path: Path) -> None:
+    points = [[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]]
+    cells = [[0, 1, 2, 3], [1, 2, 3, 4]]
+    np.savez(tmp_path / "jelly.npz", points=points, cells=cells)
+    text = VOLUME.replace("    corner: [3, 0.1, 0]\n", "").replace(
+        "    size: [0.4, 0.3, 0.4]\n    resolution: [4, 3, 4]\n",
+        "    tetrahedra: {points: jelly.npz, cells: jelly.npz}\n",
+    )
+    text = text.replace(", body_diagonals: {stiffness: 99}", "")
+    stage = baked(tmp_path, text)
+    assert len(values(stage, "/shot/jelly", "faceVertexCounts", 1)) == 6
+
+
+# Joined systems
+
+CORD = (
+    ROPE.replace("[0, 2, 0]", "[1, 1, 0]")
+    .replace("[1, 2, 0]", "[1, 0, 0]")
+    .replace(
+        "pins: [{particles: [start]}]",
+        "pins: [{particles: [start], to: {system: flag, particles: [bottom_right]}}]",
+    )
+)
+
+
+def test_joined_particles_are_one(tmp_path: Path) -> None:
+    for order in (CLOTH + CORD, CORD + CLOTH):
+        stage = baked(tmp_path, order, f"{order[2]}.usda")
+        for code in (1, 6, 12):
+            rope, flag = (
+                values(stage, f"/shot/{name}", "points", code)
+                for name in ("lead", "flag")
+            )
+            assert (rope[0] == flag[10]).all()
+
+
+def test_the_joined_move_each_other(tmp_path: Path) -> None:
+    alone = values(baked(tmp_path, CLOTH), "/shot/flag", "points", 12)[10]
+    heavy = CORD + "    tip_mass: 1\n"
+    pulled = values(
+        baked(tmp_path, CLOTH + heavy, "b.usda"), "/shot/flag", "points", 12
+    )
+    assert pulled[10, 1] < alone[1] - 0.01
+
+
+def test_what_is_joined_apart_is_said(tmp_path: Path) -> None:
+    text = CLOTH + CORD.replace("from: [1, 1, 0]", "from: [1, 0.9, 0]")
+    report = bake(written(tmp_path, text), tmp_path / "o.usda")
+    assert "SIM150" in [notice.code for notice in report.notices]
