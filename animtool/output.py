@@ -242,12 +242,16 @@ def replacing(path: Path) -> Iterator[Path]:
 def together() -> Iterator[None]:
     """Let the files that `replacing` makes in a block get their names at its end.
 
-    They get them in the order made, or none does where the block does not end well.
+    They get them in the order made, or none does where the block does not end well. A
+    block within another leaves them to that.
 
     Raises:
         FormatError: Inputs are recorded, and one changed since it was read (IO004).
         OutputError: One cannot be renamed.
     """
+    if _waiting.get() is not None:
+        yield
+        return
     waiting: list[_Whole] = []
     token = _waiting.set(waiting)
     try:

@@ -142,6 +142,15 @@ def test_files_get_their_names_together(tmp_path: Path) -> None:
     assert sorted(tmp_path.iterdir()) == [one, other]
 
 
+def test_what_is_together_within_waits_for_the_whole(tmp_path: Path) -> None:
+    one = tmp_path / "one.txt"
+    with together():
+        with together(), replacing(one) as temporary:
+            temporary.write_text("after", "utf-8")
+        assert not one.exists()
+    assert one.read_text("utf-8") == "after"
+
+
 @pytest.mark.parametrize("inside", [True, False])
 def test_none_gets_its_name_where_one_fails(tmp_path: Path, inside: bool) -> None:
     one = tmp_path / "one.txt"

@@ -190,8 +190,8 @@ Examples:
     "--chunk",
     type=click.IntRange(1),
     metavar="N",
-    help="With --deform, for long takes, a file for every N samples, joined as value "
-    "clips; memory holds two or three of them.",
+    help="Of --deform and of a scene's systems, for long takes, a file for every N "
+    "samples, joined as value clips; memory holds two or three of them.",
 )
 @click.option(
     "--table",

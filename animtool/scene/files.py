@@ -24,11 +24,14 @@ def bake_outputs(
     Raises:
         FormatError: The source is a scene, and malformed.
     """
+    simulated = False
     if len(given) == 1 and not _is_take(given[0]):
         from animtool.scene.reading import found_sources
 
-        options, _ = found_sources(given).options(options)
-    return output_files(output, options)
+        reading = found_sources(given)
+        options, _ = reading.options(options)
+        simulated = any(scene.systems for scene in reading.scenes.values())
+    return output_files(output, options, simulated=simulated)
 
 
 def _is_take(source: Source) -> bool:
@@ -41,10 +44,22 @@ def form_of(options: BakeOptions) -> Form:
     return Form(options.form or (Form.LAYER if options.rig_layer else Form.STAGE))
 
 
-def output_files(path: Path, options: BakeOptions) -> list[Path]:
-    """Return the files to write; of a cache in chunks, those that it may replace."""
-    if options.chunk is None:
-        return output_paths(path, form_of(options))
-    from animtool.usd.point_chunks import chunk_files, manifest_path
+def output_files(
+    path: Path, options: BakeOptions, *, simulated: bool = False
+) -> list[Path]:
+    """Return the files to write; of chunks, those that they may replace.
 
-    return [path, manifest_path(path), *chunk_files(path)]
+    Args:
+        path: The output.
+        options: Of the bake.
+        simulated: Whether systems are written.
+    """
+    files = output_paths(path, form_of(options))
+    if options.chunk is None:
+        return files
+    from animtool.usd.clip_files import point_files, system_files
+
+    sets = [point_files(path)] if options.deform else []
+    sets += [system_files(path)] if simulated else []
+    chunks = [file for one in sets for file in (one.manifest, *one.there())]
+    return [*files, *chunks]

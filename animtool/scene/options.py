@@ -60,7 +60,8 @@ class BakeOptions:
         velocities: Of points too, per second.
         normals: Of meshes that have them: None and True deform these too, False leaves
             meshes without.
-        chunk: Samples of point caches in each of several files; None is one file.
+        chunk: Samples of point caches, and of systems, in each of several files; None
+            is one file.
         strict: Take warnings for errors.
         overwrite: Replace outputs that exist.
 
@@ -196,8 +197,16 @@ def parse_rest(text: str) -> int | None:
     return int(match[1])
 
 
-def check_options(options: BakeOptions, *, to_stdout: bool) -> None:
-    """Raise `OptionError` where options exclude each other."""
+def check_options(
+    options: BakeOptions, *, to_stdout: bool, simulated: bool = False
+) -> None:
+    """Raise `OptionError` where options exclude each other.
+
+    Args:
+        options: Of the bake.
+        to_stdout: Whether the output is no file.
+        simulated: Whether systems are written.
+    """
     form = options.form or ("layer" if options.rig_layer else "stage")
     clashes = [
         (form == "layer" and options.rig_layer is None, "--as layer needs --rig-layer"),
@@ -243,32 +252,37 @@ def check_options(options: BakeOptions, *, to_stdout: bool) -> None:
             "--reduce-at goes with --reduce",
         ),
     ]
-    clashes += _deform_clashes(options, form, to_stdout=to_stdout)
+    clashes += _deform_clashes(options, form)
+    clashes += _chunk_clashes(options, to_stdout=to_stdout, simulated=simulated)
     faults = [Fault("CLI002", message) for wrong, message in clashes if wrong]
     if faults:
         raise OptionError(faults)
 
 
-def _deform_clashes(
-    options: BakeOptions, form: str, *, to_stdout: bool
+def _chunk_clashes(
+    options: BakeOptions, *, to_stdout: bool, simulated: bool
 ) -> list[tuple[bool, str]]:
+    """Return what chunks do not go with, and whether it is asked for."""
+    if options.chunk is None:
+        return []
+    if not (options.deform or simulated):
+        return [(True, "--chunk goes with --deform, or a scene that has systems")]
+    message = f"--chunk needs 1 sample a file or more, not {options.chunk}"
+    return [
+        (to_stdout, "--chunk writes several files, not stdout"),
+        (options.chunk < 1, message),
+    ]
+
+
+def _deform_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
     """Return what does not go with point caches, and whether it is asked for."""
     if not options.deform:
         return [
             (options.velocities, "--velocities goes with --deform"),
             (options.normals is False, "--no-normals goes with --deform"),
-            (options.chunk is not None, "--chunk goes with --deform"),
         ]
     joints = "--deform writes points, no joints"
     return [
-        (
-            options.chunk is not None and to_stdout,
-            "--chunk writes several files, not stdout",
-        ),
-        (
-            options.chunk is not None and options.chunk < 1,
-            f"--chunk needs 1 sample a file or more, not {options.chunk}",
-        ),
         (form == "split", f"{joints}: no --split"),
         (options.bones, f"{joints}: no --bones"),
         (options.sparse, f"{joints}: no --sparse"),

@@ -102,8 +102,9 @@ def plan_bake(
     path = None if output is None else Path(output)
     reading = found_sources(given)
     options, notices = reading.options(options or BakeOptions())
-    outputs = check_output(path, options, reading.inputs, reading.files[0])
     simulated = [scene for scene in reading.scenes.values() if scene.systems]
+    inputs, first = reading.inputs, reading.files[0]
+    outputs = check_output(path, options, inputs, first, simulated=bool(simulated))
     if simulated:
         if len(given) > 1:
             message = "what is simulated is no take of a library"
@@ -130,15 +131,20 @@ def _simulated(
         Form.STAGE,
         "it is simulated",
         None,
-        systems.job.fps,
-        systems.job.frames[0],
+        systems.job.metadata.fps,
+        systems.job.metadata.first,
         notices,
         systems=systems,
     )
 
 
 def check_output(
-    path: Path | None, options: BakeOptions, inputs: list[Path], source: Path
+    path: Path | None,
+    options: BakeOptions,
+    inputs: list[Path],
+    source: Path,
+    *,
+    simulated: bool = False,
 ) -> list[Path]:
     """Return the files of an output that can be, before anything is read.
 
@@ -147,18 +153,19 @@ def check_output(
         options: Of the bake.
         inputs: Files that are read, which none may replace.
         source: Of the bake, the first if there are several.
+        simulated: Whether systems are written.
 
     Raises:
         OptionError: An option makes no sense, or the output exists, or is a library
             that the take cannot be added to (SCN050, SCN051).
         OutputError: The output cannot be written.
     """
-    check_options(options, to_stdout=path is None)
+    check_options(options, to_stdout=path is None, simulated=simulated)
     if path is None:
         return []
     check_suffix(path)
     layer = [options.rig_layer] if options.rig_layer else []
-    outputs = output_files(path, options)
+    outputs = output_files(path, options, simulated=simulated)
     library = form_of(options) is Form.LIBRARY
     # A library is added to; what may be replaced is one of its takes.
     overwrite = options.overwrite or library

@@ -241,8 +241,8 @@ class OutputModel(FileModel):
     )
     chunk: Annotated[int, Ge(1)] | None = Field(
         default=None,
-        description="With `deform`: a file for every so many samples. Not given: one "
-        "file.",
+        description="Of `deform` and of systems: a file for every so many samples. Not "
+        "given: one file.",
         examples=[500],
     )
 

@@ -3,30 +3,29 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 from animtool.edit.frame_range import FrameRange
-from animtool.errors import Fault, OptionError, refuse_warnings
+from animtool.errors import Fault, OptionError
 from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
 from animtool.scene.options import BakeOptions
-from animtool.scene.report import BakeReport, MeshReport, TakeReport
+from animtool.scene.report import BakeReport, TakeReport
 from animtool.scene.scene import Scene
-from animtool.scene.simulation import open_systems
 from animtool.scene.sources import source_stem
 from animtool.scene.system_kinds import SYSTEM_KINDS
+from animtool.scene.system_run import SystemRun, write_systems
 from animtool.units import UpAxis
 from animtool.usd.animation import Rounding
 from animtool.usd.forms import Form
 from animtool.usd.jobs import UsdResult, WrittenTake
-from animtool.usd.layers import check_prim_path
+from animtool.usd.layers import StageMetadata, check_prim_path
 from animtool.usd.names import distinct_names, legal_name
 from animtool.usd.prim_writer import PrimWriter
-from animtool.usd.simulated import SimulatedJob, write_simulated
+from animtool.usd.simulated import SimulatedJob, simulated_layer
 
 __all__ = ["SystemPlan", "plan_systems", "run_system_bake"]
 
@@ -40,6 +39,7 @@ class SystemPlan:
     Attributes:
         scene: The file.
         systems: What is simulated.
+        output: The file to write; None is stdout.
         job: What is written.
         codes: Time codes to write, ascending.
         first: Time code at 0 s.
@@ -48,6 +48,7 @@ class SystemPlan:
 
     scene: Path
     systems: tuple[SceneSystem, ...]
+    output: Path | None
     job: SimulatedJob
     codes: tuple[Fraction, ...]
     first: Fraction
@@ -81,16 +82,19 @@ def plan_systems(scene: Scene, output: Path | None, options: BakeOptions) -> Sys
     model = options.prim_path or f"/{legal_name(source_stem(scene.path))}"
     unit = 1.0 if options.to_units is None else options.to_units.meters
     job = SimulatedJob(
-        output,
         model,
         distinct_names(names, names, names).names,
         tuple(_writer(system) for system in scene.systems),
-        fps,
-        (Fraction(frames.first), Fraction(frames.last)),
-        unit,
-        options.to_up or UpAxis.Y,
+        StageMetadata(
+            model.split("/")[1],
+            fps,
+            Fraction(frames.first),
+            Fraction(frames.last),
+            unit,
+            options.to_up or UpAxis.Y,
+        ),
     )
-    return SystemPlan(scene.path, scene.systems, job, codes, first, options)
+    return SystemPlan(scene.path, scene.systems, output, job, codes, first, options)
 
 
 def _writer(system: SceneSystem) -> type[PrimWriter]:
@@ -110,6 +114,7 @@ def _check(scene: Scene, options: BakeOptions) -> None:
         "a rig layer": options.rig_layer is not None,
         "as: split": options.form == Form.SPLIT,
         "as: layer": options.form == Form.LAYER,
+        "as: library": options.form == Form.LIBRARY,
         "bones": options.bones,
         "sparse": options.sparse,
         "keep_curves": options.keep_curves,
@@ -138,27 +143,31 @@ def run_system_bake(plan: SystemPlan) -> BakeReport:
         ToleranceError: A system blew up.
     """
     began = time.perf_counter()
-    job = plan.job
-    running = _Running(plan)
-    written, size = write_simulated(
+    job, options = plan.job, plan.options
+    last = float((plan.codes[-1] - plan.first) / job.metadata.fps)
+    run = SystemRun(plan.systems, last)
+    rows = run.rows(plan.codes, plan.first, job.metadata.fps)
+    layer = simulated_layer(job, plan.output)
+    sizes: list[int] = []
+    made = write_systems(
         job,
-        running.rows(),
-        lambda: refuse_warnings(running.notices, strict=plan.options.strict),
+        run,
+        rows,
+        layer,
+        plan.output,
+        options.chunk,
+        lambda save: sizes.append(save(layer, plan.output)),
+        strict=options.strict,
     )
     total = time.perf_counter() - began
-    meshes = [
-        MeshReport(system.name, found, spent, len(plan.codes), system.kind, True)
-        for system, found, spent in zip(
-            plan.systems, written, running.seconds, strict=True
-        )
-    ]
+    written = made.prims
     worst = max(written, key=lambda found: found.error)
-    first, last = job.frames
+    metadata = job.metadata
     take = WrittenTake(
         "",
         samples=len(plan.codes),
-        first=first,
-        last=last,
+        first=metadata.first,
+        last=metadata.last,
         sampled=list(worst.sampled),
         rounding=Rounding(worst.error, worst.error_code),
     )
@@ -166,67 +175,24 @@ def run_system_bake(plan: SystemPlan) -> BakeReport:
         plan.scene,
         take,
         len(plan.codes),
-        job.fps,
+        metadata.fps,
         plan.systems[written.index(worst)].name,
         source_bytes=plan.scene.stat().st_size,
-        meshes=meshes,
+        meshes=run.reports(written),
         meshes_of=plan.scene.name,
-        simulated=running.reports,
+        simulated=run.simulated,
     )
-    outputs = [] if job.output is None else [job.output]
-    spent = sum(running.seconds)
+    outputs = [*made.files, *([] if plan.output is None else [plan.output])]
+    spent = sum(run.seconds)
     return BakeReport(
         [report],
-        UsdResult(outputs, size, [take]),
+        UsdResult(outputs, sum(sizes + [p.stat().st_size for p in made.files]), [take]),
         f"{Form.STAGE} (it is simulated)",
-        job.fps,
+        metadata.fps,
         0,
-        job.meters_per_unit,
-        job.up.value,
+        metadata.meters_per_unit,
+        metadata.up.value,
         0.0,
-        running.notices,
+        run.notices,
         {"read": spent, "author": total - spent, "save": 0.0, "total": total},
     )
-
-
-class _Running:
-    """Systems under way.
-
-    Attributes:
-        seconds: How long each took [s].
-        notices: What is odd, each at the place of its system.
-    """
-
-    def __init__(self, plan: SystemPlan) -> None:
-        self._plan = plan
-        self.seconds = [0.0] * len(plan.systems)
-        last = float((plan.codes[-1] - plan.first) / plan.job.fps)
-        self._open = open_systems(plan.systems, last)
-
-    @property
-    def notices(self) -> list[Fault]:
-        """What is odd so far."""
-        return [
-            system.place.put(notice)
-            for system, opened in zip(self._plan.systems, self._open, strict=True)
-            for notice in opened.notices
-        ]
-
-    @property
-    def reports(self) -> list[dict[str, object]]:
-        """What became of each that has something to say."""
-        return [said for opened in self._open if (said := opened.report())]
-
-    def rows(self) -> Iterator[tuple[float, list[Any]]]:
-        """Yield every time code with what each system is then."""
-        plan = self._plan
-        for code in plan.codes:
-            t = float((code - plan.first) / plan.job.fps)
-            yield float(code), [self._row(i, t) for i in range(len(self._open))]
-
-    def _row(self, i: int, t: float) -> Any:
-        began = time.perf_counter()
-        with self._plan.systems[i].place.blamed():
-            row = self._open[i].at(t)
-        self.seconds[i] += time.perf_counter() - began
-        return row

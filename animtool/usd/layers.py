@@ -34,6 +34,7 @@ __all__ = [
     "relationship",
     "save_layer",
     "usd_errors",
+    "usd_reason",
 ]
 
 
@@ -134,10 +135,10 @@ def usd_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except Tf.ErrorException as error:
-        raise FormatError(Fault("USD001", _reason(error), str(path))) from error
+        raise FormatError(Fault("USD001", usd_reason(error), str(path))) from error
 
 
-def _reason(error: Tf.ErrorException) -> str:
+def usd_reason(error: Tf.ErrorException) -> str:
     """Return what USD says of an error, without its own sources' places."""
     texts = [str(getattr(item, "commentary", item)) for item in error.args]
     text = re.sub(r"(pxrInternal\w*|Sdf_\w+)::", "", " ".join(" ".join(texts).split()))
@@ -213,6 +214,6 @@ def export_layer(layer: Any, temporary: Path, path: Path) -> None:
     try:
         done = layer.Export(str(temporary))
     except Tf.ErrorException as error:
-        raise output_error(path, _reason(error)) from error
+        raise output_error(path, usd_reason(error)) from error
     if not done:
         raise output_error(path, "USD could not write it")

@@ -6,17 +6,17 @@ three are in memory, however long the take.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Sdf, Vt
+from pxr import Sdf
 
 from animtool._types import Float32Array
 from animtool.output import replacing
+from animtool.usd.clip_files import ClipFiles, point_files
 from animtool.usd.layers import author_metadata, export_layer, new_layer, prim
 from animtool.usd.point_cache import (
     CachedMesh,
@@ -27,30 +27,9 @@ from animtool.usd.point_cache import (
     cache_metadata,
     empty_attribute,
 )
+from animtool.usd.value_clips import author_clips
 
-__all__ = ["chunk_files", "manifest_path", "write_chunks"]
-
-CLIP_SET = "points"
-
-
-def manifest_path(output: Path) -> Path:
-    """Return the manifest of the attributes that chunks have.
-
-    >>> manifest_path(Path("shot.usdc")).name
-    'shot.manifest.usda'
-    """
-    return output.with_name(f"{output.stem}.manifest.usda")
-
-
-def chunk_files(output: Path) -> list[Path]:
-    """Return the chunks of an output that are there, in order."""
-    name = re.compile(rf"{re.escape(output.stem)}\.points\.\d{{4,}}\.usdc")
-    there = output.parent.iterdir() if output.parent.is_dir() else ()
-    return sorted(path for path in there if name.fullmatch(path.name))
-
-
-def _chunk_path(output: Path, number: int) -> Path:
-    return output.with_name(f"{output.stem}.points.{number + 1:04d}.usdc")
+__all__ = ["write_chunks"]
 
 
 def write_chunks(
@@ -77,45 +56,37 @@ def write_chunks(
     """
     output = job.output
     assert output is not None
+    clips = point_files(output)
     with ExitStack() as stack:
         # Left in the reverse order: the layer gets its name last.
         whole = stack.enter_context(replacing(output))
-        described = manifest_path(output)
-        manifest = stack.enter_context(replacing(described))
+        manifest = stack.enter_context(replacing(clips.manifest))
         layer = new_layer(output)
         with Sdf.ChangeBlock():
             specs = author_prims(layer, job)
-        chunks = _Chunks(job, size, stack)
+        chunks = _Chunks(job, clips, size, stack)
         for block in blocks:
             chunks.add(block)
         chunks.finish()
         with Sdf.ChangeBlock():
             _author_still(specs, job, chunks)
             author_metadata(layer, chunks.metadata())
-            _author_clips(layer, job, chunks, described)
+            author_clips(layer, job.paths.root, clips, chunks.starts, chunks.last)
         if job.target is not None:
             job.target.check(layer, points=False)
         check(layer)
-        export_layer(_manifest(job, chunks), manifest, described)
+        export_layer(_manifest(job, chunks), manifest, clips.manifest)
         export_layer(layer, whole, output)
-    _remove_others(output, chunks.paths)
-    files = [*chunks.paths, described, output]
+    clips.remove_others(chunks.paths)
+    files = [*chunks.paths, clips.manifest, output]
     return files, chunks.reports, layer
-
-
-def _remove_others(output: Path, kept: list[Path]) -> None:
-    for path in set(chunk_files(output)) - set(kept):
-        # What cannot be removed is in nobody's way.
-        with suppress(OSError):
-            path.unlink()
 
 
 class _Chunk:
     """A file in the making."""
 
-    def __init__(self, job: CacheJob, number: int) -> None:
-        assert job.output is not None
-        self.path = _chunk_path(job.output, number)
+    def __init__(self, job: CacheJob, path: Path) -> None:
+        self.path = path
         self.layer = new_layer(self.path)
         self.first, self.last = np.inf, -np.inf
         self.writers = [
@@ -141,8 +112,11 @@ class _Chunks:
         names: Attributes of each mesh.
     """
 
-    def __init__(self, job: CacheJob, size: int, stack: ExitStack) -> None:
-        self._job, self._size, self._stack = job, size, stack
+    def __init__(
+        self, job: CacheJob, clips: ClipFiles, size: int, stack: ExitStack
+    ) -> None:
+        self._job, self._clips = job, clips
+        self._size, self._stack = size, stack
         self._done = [0] * len(job.meshes)
         self._open: dict[int, _Chunk] = {}
         self._written = 0
@@ -163,7 +137,8 @@ class _Chunks:
             if at == 0 and number:
                 self._open[number - 1].add(block.select(slice(begin, begin + 1)))
             if number not in self._open:
-                self._open[number] = _Chunk(self._job, number)
+                path = self._clips.chunk(number)
+                self._open[number] = _Chunk(self._job, path)
             self._open[number].add(block.select(slice(begin, begin + count)))
             self._done[mesh] += count
             begin += count
@@ -231,22 +206,8 @@ def _author_still(specs: Any, job: CacheJob, chunks: _Chunks) -> None:
                 empty_attribute(specs[path], name).finish(still[name])
 
 
-def _author_clips(layer: Any, job: CacheJob, chunks: _Chunks, manifest: Path) -> None:
-    span = [(code, code) for code in (chunks.starts[0], chunks.last)]
-    clips = {
-        "assetPaths": Sdf.AssetPathArray(
-            [Sdf.AssetPath(f"./{path.name}") for path in chunks.paths]
-        ),
-        "primPath": job.paths.root,
-        "manifestAssetPath": Sdf.AssetPath(f"./{manifest.name}"),
-        "active": Vt.Vec2dArray([(code, i) for i, code in enumerate(chunks.starts)]),
-        "times": Vt.Vec2dArray(span),
-    }
-    layer.GetPrimAtPath(job.paths.root).SetInfo("clips", {CLIP_SET: clips})
-
-
 def _manifest(job: CacheJob, chunks: _Chunks) -> Any:
-    layer = new_layer(manifest_path(job.output or Path()))
+    layer = new_layer(Path("manifest.usda"))
     with Sdf.ChangeBlock():
         for path, names, still in zip(
             job.meshes, chunks.names, chunks.still, strict=True

@@ -24,6 +24,7 @@ class PrimWriter(ABC):
     def __init__(self, path: str, meters_per_unit: float) -> None:
         self.report = CachedMesh(path)
         self.unit = meters_per_unit
+        self._last: dict[str, Any] = {}
 
     @abstractmethod
     def begin(self, layer: Any, row: Any) -> None:
@@ -46,7 +47,13 @@ class PrimWriter(ABC):
 
     def put(self, layer: Any, code: float, name: str, value: Any) -> None:
         """Write the value of an attribute at a time code."""
+        self._last[name] = value
         layer.SetTimeSample(f"{self.report.path}.{name}", code, value)
+
+    def repeat(self, layer: Any, code: float) -> None:
+        """Write the last frame into another layer too, which is not counted."""
+        for name, value in self._last.items():
+            self.put(layer, code, name, value)
 
     def count(self, code: float, error: float, vertex: int, size: int) -> None:
         """Count a frame.

@@ -1,37 +1,41 @@
-"""A stage of what is simulated, written while it is made.
-
-A crate that is saved now and then has its samples on disk: memory stays the same
-however long a simulation is.
-"""
+"""What is simulated as prims of a layer, written while it is made."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from pxr import Sdf
 
 from animtool.output import replacing
-from animtool.units import UpAxis
+from animtool.usd.clip_files import ClipFiles
+from animtool.usd.growing import Growing, growing_crate
 from animtool.usd.layers import (
     StageMetadata,
+    attribute,
     author_metadata,
+    export_layer,
     new_layer,
     prim,
-    save_layer,
-    usd_errors,
 )
 from animtool.usd.point_cache import CachedMesh
 from animtool.usd.prim_writer import PrimWriter
+from animtool.usd.value_clips import author_clips
 
-__all__ = ["SimulatedJob", "write_simulated"]
+__all__ = [
+    "Rows",
+    "SimulatedJob",
+    "chunk_simulated",
+    "grow_simulated",
+    "simulated_layer",
+]
 
-# Samples in memory before they go to the disk [byte].
-HELD = 32_000_000
+# Of each frame its time code, and what each prim is then, as its writer takes it.
+Rows: TypeAlias = Iterable[tuple[float, Sequence[Any]]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,94 +43,141 @@ class SimulatedJob:
     """What to write.
 
     Attributes:
-        output: The file; None is usda for stdout.
         model: Path of the prim above all others.
         names: Of the other prims, legal and distinct.
         writers: Of each, what writes it.
-        fps: Time codes a second.
-        frames: First and last time code.
-        meters_per_unit: Unit of the layer [m].
-        up: Its up axis.
+        metadata: What the layer states.
     """
 
-    output: Path | None
     model: str
     names: Sequence[str]
     writers: Sequence[type[PrimWriter]]
-    fps: Fraction
-    frames: tuple[Fraction, Fraction]
-    meters_per_unit: float
-    up: UpAxis
+    metadata: StageMetadata
+
+    def made(self) -> list[PrimWriter]:
+        """Return the writers at their beginning."""
+        unit = self.metadata.meters_per_unit
+        return [
+            writer(f"{self.model}/{name}", unit)
+            for name, writer in zip(self.names, self.writers, strict=True)
+        ]
 
 
-def write_simulated(
-    job: SimulatedJob,
-    rows: Iterable[tuple[float, Sequence[Any]]],
-    check: Callable[[], None],
-) -> tuple[list[CachedMesh], int]:
-    """Write prims frame by frame, as a whole file or not at all.
+def simulated_layer(job: SimulatedJob, output: Path | None) -> Any:
+    """Return a layer with nothing but the prim above the others.
+
+    Args:
+        job: What is to be in it.
+        output: The file that it becomes; None is usda for stdout.
+    """
+    layer = new_layer(output or Path("stdout.usda"))
+    model = Sdf.Path(job.model)
+    for ancestor in model.GetPrefixes():
+        kind = "component" if ancestor == model else "group"
+        prim(layer, str(ancestor), "Xform").SetInfo("kind", kind)
+    author_metadata(layer, job.metadata)
+    return layer
+
+
+def grow_simulated(job: SimulatedJob, rows: Rows, growing: Growing) -> list[CachedMesh]:
+    """Put prims into a layer, frame by frame; return what was written of each.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    writers = job.made()
+    for i, (code, frame) in enumerate(rows):
+        if not i:
+            _begin(writers, growing.layer, frame)
+        growing.added(_add(writers, growing.layer, code, frame))
+    return [writer.report for writer in writers]
+
+
+def chunk_simulated(
+    job: SimulatedJob, rows: Rows, layer: Any, files: ClipFiles, size: int
+) -> tuple[list[Path], list[CachedMesh]]:
+    """Write samples of prims in files of some each, and let a layer join them.
+
+    Every file also has the first sample of the next, for what lies between them.
 
     Args:
         job: What to write.
         rows: Of each frame its time code, and what each prim is, as its writer takes
             it.
-        check: Called when all is authored; what it raises leaves nothing behind.
+        layer: In memory, with the prim above the others. It gets these, without
+            samples.
+        files: How the files are called.
+        size: Samples a file.
 
     Returns:
-        What was written of each prim, and the size of the file [byte].
+        The files, and what was written of each prim.
 
     Raises:
-        OutputError: It cannot be written.
+        OutputError: A file cannot be written.
     """
-    if job.output is None or job.output.suffix.lower() == ".usda":
-        layer = new_layer(job.output or Path("stdout.usda"))
-        found = _author(layer, job, rows, None)
-        check()
-        return found, save_layer(layer, job.output)
-    with replacing(job.output) as temporary:
-        with _crate(temporary, job.output) as layer:
-            found = _author(layer, job, rows, layer.Save)
-            check()
-            layer.Save()
-        return found, temporary.stat().st_size
+    writers = job.made()
+    starts: list[float] = []
+    code = 0.0
+    with ExitStack() as last:
+
+        def following() -> Growing:
+            last.close()
+            path = files.chunk(len(starts))
+            starts.append(code)
+            return last.enter_context(_chunk(job, writers, layer, path))
+
+        for i, (code, frame) in enumerate(rows):
+            if not i:
+                _begin(writers, layer, frame)
+                growing = following()
+            growing.added(_add(writers, growing.layer, code, frame))
+            if i and i % size == 0:
+                growing = following()
+                for writer in writers:
+                    writer.repeat(growing.layer, code)
+    author_clips(layer, job.model, files, starts, code)
+    with replacing(files.manifest) as temporary:
+        manifest = new_layer(files.manifest)
+        _declare(manifest, writers, layer)
+        author_metadata(manifest, job.metadata)
+        export_layer(manifest, temporary, files.manifest)
+    paths = [files.chunk(i) for i in range(len(starts))]
+    return [*paths, files.manifest], [writer.report for writer in writers]
+
+
+def _begin(writers: Sequence[PrimWriter], layer: Any, frame: Sequence[Any]) -> None:
+    for writer, row in zip(writers, frame, strict=True):
+        writer.begin(layer, row)
+
+
+def _add(
+    writers: Sequence[PrimWriter], layer: Any, code: float, frame: Sequence[Any]
+) -> int:
+    """Write a frame of all; return its size in memory [byte]."""
+    before = sum(writer.report.bytes for writer in writers)
+    for writer, row in zip(writers, frame, strict=True):
+        writer.add(layer, code, row)
+    return sum(writer.report.bytes for writer in writers) - before
 
 
 @contextmanager
-def _crate(temporary: Path, path: Path) -> Iterator[Any]:
-    """Give a layer whose file is a temporary one."""
-    with usd_errors(path):
-        yield Sdf.Layer.CreateNew(str(temporary), args={"format": "usdc"})
+def _chunk(
+    job: SimulatedJob, writers: Sequence[PrimWriter], layer: Any, path: Path
+) -> Iterator[Growing]:
+    """Give a file for samples, that is whole at the end of the block."""
+    with replacing(path) as temporary, growing_crate(temporary, path) as growing:
+        chunk = growing.layer
+        _declare(chunk, writers, layer)
+        yield growing
+        codes = chunk.ListAllTimeSamples()
+        span = Fraction(codes[0]), Fraction(codes[-1])
+        author_metadata(chunk, replace(job.metadata, first=span[0], last=span[1]))
 
 
-def _author(
-    layer: Any,
-    job: SimulatedJob,
-    rows: Iterable[tuple[float, Sequence[Any]]],
-    save: Callable[[], object] | None,
-) -> list[CachedMesh]:
-    model = Sdf.Path(job.model)
-    for ancestor in model.GetPrefixes():
-        kind = "component" if ancestor == model else "group"
-        prim(layer, str(ancestor), "Xform").SetInfo("kind", kind)
-    default = model.GetPrefixes()[0].name
-    author_metadata(
-        layer,
-        StageMetadata(default, job.fps, *job.frames, job.meters_per_unit, job.up),
-    )
-    writers = [
-        writer(f"{job.model}/{name}", job.meters_per_unit)
-        for name, writer in zip(job.names, job.writers, strict=True)
-    ]
-    held, begun = 0, False
-    for code, frame in rows:
-        before = sum(writer.report.bytes for writer in writers)
-        for writer, row in zip(writers, frame, strict=True):
-            if not begun:
-                writer.begin(layer, row)
-            writer.add(layer, code, row)
-        begun = True
-        held += sum(writer.report.bytes for writer in writers) - before
-        if save is not None and held > HELD:
-            save()
-            held = 0
-    return [writer.report for writer in writers]
+def _declare(layer: Any, writers: Sequence[PrimWriter], whole: Any) -> None:
+    """Make the attributes that have samples, as another layer has them."""
+    for report in (writer.report for writer in writers):
+        own = whole.GetPrimAtPath(report.path).attributes
+        spec = prim(layer, report.path, over=True)
+        for name in report.sampled:
+            attribute(spec, name, own[name].typeName)

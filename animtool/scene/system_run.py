@@ -1,0 +1,158 @@
+"""Systems under way, frame by frame, and how they come into a layer."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from animtool.errors import Fault, refuse_warnings
+from animtool.output import together
+from animtool.scene.entries import SceneSystem
+from animtool.scene.report import MeshReport
+from animtool.scene.simulation import open_systems
+from animtool.usd.clip_files import system_files
+from animtool.usd.growing import Growing, save_grown
+from animtool.usd.layers import save_layer
+from animtool.usd.point_cache import CachedMesh
+from animtool.usd.simulated import SimulatedJob, chunk_simulated, grow_simulated
+
+__all__ = ["Save", "SystemRun", "WrittenSystems", "write_systems"]
+
+# Writes a layer to a file, or as text to stdout; returns the bytes.
+Save: TypeAlias = Callable[[Any, Path | None], int]
+
+
+class SystemRun:
+    """Systems under way.
+
+    Attributes:
+        systems: What is simulated.
+        seconds: How long each took [s].
+    """
+
+    def __init__(self, systems: Sequence[SceneSystem], last: float) -> None:
+        """Begin.
+
+        Args:
+            systems: Those of a scene.
+            last: The last time that will be asked for [s].
+
+        Raises:
+            FormatError: Something makes no sense, at the place of its system.
+        """
+        self.systems = systems
+        self.seconds = [0.0] * len(systems)
+        self._open = open_systems(systems, last)
+
+    @property
+    def notices(self) -> list[Fault]:
+        """What is odd so far, each at the place of its system."""
+        return [
+            system.place.put(notice)
+            for system, opened in zip(self.systems, self._open, strict=True)
+            for notice in opened.notices
+        ]
+
+    @property
+    def simulated(self) -> list[dict[str, object]]:
+        """What became of each that has something to say, as plain values."""
+        return [said for opened in self._open if (said := opened.report())]
+
+    def rows(
+        self, codes: Sequence[Fraction], first: Fraction, fps: Fraction
+    ) -> Iterator[tuple[float, list[Any]]]:
+        """Yield every time code with what each system is then.
+
+        Args:
+            codes: Ascending.
+            first: That at 0 s.
+            fps: Time codes a second.
+
+        Raises:
+            ToleranceError: A system blew up.
+        """
+        for code in codes:
+            t = float((code - first) / fps)
+            yield float(code), [self._row(i, t) for i in range(len(self._open))]
+
+    def _row(self, i: int, t: float) -> Any:
+        began = time.perf_counter()
+        with self.systems[i].place.blamed():
+            row = self._open[i].at(t)
+        self.seconds[i] += time.perf_counter() - began
+        return row
+
+    def reports(self, written: Sequence[CachedMesh]) -> list[MeshReport]:
+        """Return what became of each."""
+        return [
+            MeshReport(system.name, found, spent, found.samples, system.kind, True)
+            for system, found, spent in zip(
+                self.systems, written, self.seconds, strict=True
+            )
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenSystems:
+    """What was written of systems.
+
+    Attributes:
+        files: Beside the layer.
+        prims: What was written of each.
+    """
+
+    files: list[Path]
+    prims: list[CachedMesh]
+
+
+def write_systems(
+    job: SimulatedJob,
+    run: SystemRun,
+    rows: Iterator[tuple[float, list[Any]]],
+    layer: Any,
+    output: Path | None,
+    chunk: int | None,
+    finish: Callable[[Save], object],
+    *,
+    strict: bool,
+) -> WrittenSystems:
+    """Write systems with the layer that they are of, or nothing.
+
+    Args:
+        job: What to write.
+        run: The systems.
+        rows: Theirs.
+        layer: In memory, with the prim above the systems.
+        output: The file that it becomes; None is stdout.
+        chunk: Samples in each of several files; None is the layer's own.
+        finish: Writes the layer with what it is given, and others that belong to it.
+        strict: Whether warnings are errors.
+
+    Raises:
+        OutputError: A file cannot be written.
+        StrictError: There were warnings, and ``strict`` is on.
+        ToleranceError: A system blew up.
+    """
+    if chunk is not None:
+        assert output is not None
+        files = system_files(output)
+        with together():
+            paths, prims = chunk_simulated(job, rows, layer, files, chunk)
+            refuse_warnings(run.notices, strict=strict)
+            finish(save_layer)
+        # Only now: a layer always has its own.
+        files.remove_others(paths)
+        return WrittenSystems(paths, prims)
+    prims = []
+
+    def grow(growing: Growing) -> None:
+        prims.extend(grow_simulated(job, rows, growing))
+        refuse_warnings(run.notices, strict=strict)
+
+    with together():
+        finish(lambda layer, path: save_grown(layer, path, grow))
+    return WrittenSystems([], prims)
