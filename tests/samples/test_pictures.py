@@ -114,3 +114,19 @@ def test_the_torch_is_drawn_at_the_seam(script: dict[str, Any]) -> None:
     from_branch = np.abs(np.hypot(away[:, 0], away[:, 1]) - 0.05)
     from_main = np.abs(np.hypot(away[:, 0], away[:, 2]) - 0.08)
     assert np.hypot(from_branch, from_main).min() < 1e-3
+
+
+def test_pictures_stand_beside_each_other_with_words(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    pytest.importorskip("matplotlib")
+    monkeypatch.setattr(sys, "path", [str(PICTURES), *sys.path])
+    labelled = run_path(str(PICTURES / "labelled.py"))
+    shades = [np.full((40, 60, 3), shade) for shade in (0.0, 0.5)]
+    figure = labelled["image_grid"]([shades, shades[::-1]], ["one", "two"], ["a", "b"])
+    assert [axis.get_title() for axis in figure.axes] == ["one", "two", "", ""]
+    assert [axis.get_ylabel() for axis in figure.axes] == ["a", "", "b", ""]
+    out = tmp_path / "grid.png"
+    labelled["save"](figure, out)
+    assert out.read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
+    assert out.stat().st_size < 20_000
