@@ -49,7 +49,7 @@ SpringNetwork::SpringNetwork(In<double, 1> masses, In<double, 1> slowing,
                        particle(ends.data()[2 * s + 1], count), n[0], n[1], n[2], n[3]});
     lines.numbers.push_back(static_cast<std::int32_t>(s));
   }
-  lines.line_up();
+  lines.line_up(count);
   for (std::size_t k = 0; k < faces.size(); ++k)
     triangles.push_back(particle(faces.data()[k], count));
   std::copy_n(field.data(), 3, gravity);
@@ -149,9 +149,7 @@ SpringRun::SpringRun(const SpringNetwork& network, const double* x0, const doubl
       torn(torn0, torn0 + network.lines.springs.size()),
       points(3 * network.anchors.size()),
       points_before(3 * network.anchors.size()),
-      speeds(3 * network.anchors.size()),
-      add_pulls_(add_pulls_in_quads()) {
-  if (!add_pulls_) add_pulls_ = add_pulls<PlainRows>;
+      speeds(3 * network.anchors.size()) {
   for (std::size_t n = 0; n < network.particles(); ++n) {
     std::copy_n(x0 + 3 * n, 3, x.data() + ROW * n);
     std::copy_n(v0 + 3 * n, 3, v.data() + ROW * n);
@@ -183,18 +181,17 @@ void SpringRun::leave_out_torn() {
     left.springs.push_back(network.lines.springs[s]);
     left.numbers.push_back(static_cast<std::int32_t>(s));
   }
-  left.line_up();
+  left.line_up(network.particles());
   own_ = std::move(left);
 }
 
-void SpringLines::line_up() {
+void SpringLines::line_up(std::size_t particles) {
+  pulls = SpringPulls(springs, particles);
   const std::size_t count = springs.size();
   for (const Spring& spring : springs) {
     ends.push_back(spring.i);
     ends.push_back(spring.j);
     rest.push_back(spring.rest);
-    stiffness.push_back(spring.stiffness);
-    damping.push_back(spring.damping);
     tear = tear || std::isfinite(spring.limit);
   }
   const auto apart = [&](std::size_t s) {
@@ -226,22 +223,19 @@ void SpringRun::look(double t, double h) {
     speeds[k] = (points[k] - points_before[k]) / h;
 }
 
-void SpringRun::accelerate(const double* at, const double* going, double* out) const {
-  std::fill_n(out, size, 0.0);
-  const SpringLines& now = lines();
-  const SpringColumns columns{now.ends.data(), now.rest.data(), now.stiffness.data(),
-                              now.damping.data()};
-  add_pulls_(columns, 0, now.springs.size(), at, going, out);
+void SpringRun::accelerate(const double* at, const double* going, double* out) {
+  lines().pulls.set(at, going, room_, out);
   network.add_anchor_forces(points.data(), speeds.data(), at, going, out);
   network.add_air_forces(wind, at, going, out);
+  const double fall[ROW] = {network.gravity[0], network.gravity[1], network.gravity[2], 0};
   for (std::size_t n = 0; n < network.particles(); ++n) {
-    const double inverse = network.inverse_masses[n];
-    for (std::size_t k = 0; k < 3; ++k) {
-      double& a = out[ROW * n + k];
-      a = inverse > 0
-              ? a * inverse + (network.gravity[k] - network.drags[n] * going[ROW * n + k])
-              : 0.0;
-    }
+    const double inverse = network.inverse_masses[n], drag = network.drags[n];
+    double* a = out + ROW * n;
+    const double* v = going + ROW * n;
+    if (inverse > 0)
+      for (std::size_t k = 0; k < ROW; ++k) a[k] = a[k] * inverse + (fall[k] - drag * v[k]);
+    else
+      std::fill_n(a, ROW, 0.0);
   }
 }
 

@@ -8,25 +8,22 @@
 #include <vector>
 
 #include "arrays.h"
+#include "springs_pulls.h"
 #include "springs_rows.h"
 
 namespace animtool {
-
-struct Spring {
-  std::int32_t i, j;
-  double rest, stiffness, damping, limit;  // limit: the length at which it tears
-};
 
 // Springs in the order in which they are gone through, and in columns.
 struct SpringLines {
   std::vector<Spring> springs;
   std::vector<std::int32_t> numbers;  // theirs in the network
   std::vector<std::int32_t> ends;
-  std::vector<double> rest, stiffness, damping;
+  std::vector<double> rest;
   std::vector<SpringRunLength> runs;  // those that share no end in fours
-  bool tear = false;                  // whether any can
+  SpringPulls pulls;
+  bool tear = false;  // whether any can
 
-  void line_up();
+  void line_up(std::size_t particles);
 };
 
 // Points over the times of knots, straight between two, held outside them.
@@ -105,14 +102,14 @@ class SpringRun {
   double wind[3] = {0, 0, 0};
 
   // Accelerations in rows at a state: held particles have none.
-  void accelerate(const double* x, const double* v, double* out) const;
+  void accelerate(const double* x, const double* v, double* out);
 
  private:
   void leave_out_torn();
 
   // Where some are torn, the others.
   std::optional<SpringLines> own_;
-  AddPulls add_pulls_;
+  PullRoom room_;
 };
 
 // The order in which springs are gone through: as by their particles, but with those that do

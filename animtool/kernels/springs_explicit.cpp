@@ -81,6 +81,30 @@ std::tuple<double, double> spring_energy(const SpringNetwork& network,
   return {energy, longest};
 }
 
+namespace {
+
+// Keep where particles are, of all or of those that are held.
+void keep(const SpringRun& run, bool all, std::vector<double>& before) {
+  if (all) {
+    before = run.x;
+    return;
+  }
+  for (const std::int32_t particle : run.network.held) {
+    const std::size_t at = ROW * static_cast<std::size_t>(particle);
+    std::copy_n(run.x.data() + at, ROW, before.data() + at);
+  }
+}
+
+void advance(double h, const double* rate, SpringRun& run) {
+  double *x = run.x.data(), *v = run.v.data();
+  for (std::size_t k = 0; k < run.size; ++k) {
+    v[k] += h * rate[k];
+    x[k] += h * v[k];
+  }
+}
+
+}  // namespace
+
 SpringsStepped step_springs(const SpringNetwork& network, In<double, 3> state,
                             In<std::uint8_t, 1> torn, double origin, std::int64_t first,
                             double cell, std::int64_t cells, int substeps,
@@ -98,11 +122,8 @@ SpringsStepped step_springs(const SpringNetwork& network, In<double, 3> state,
         const double t = grid.start(i) + j * h;
         run.look(t, h);
         run.accelerate(run.x.data(), run.v.data(), rate.data());
-        if (!network.held.empty() || contacts.any()) before = run.x;
-        for (std::size_t k = 0; k < run.size; ++k) {
-          run.v[k] += h * rate[k];
-          run.x[k] += h * run.v[k];
-        }
+        keep(run, contacts.any(), before);
+        advance(h, rate.data(), run);
         network.place_held(t + h, h, before.data(), run.x.data(), run.v.data());
         contacts.settle(network, j, h, before, run.x, &run.v);
       }

@@ -1,5 +1,6 @@
 // Springs four at a time for processors with registers of four doubles; the build says
 // where the compiler may use them, and the processor is asked before it runs.
+#include "springs_bands.h"
 #include "springs_rows.h"
 
 #if defined(__AVX2__) && defined(__GNUC__)
@@ -22,10 +23,10 @@ struct QuadRows {
   static Row add(Row a, Row b) { return _mm256_add_pd(a, b); }
   static Row subtract(Row a, Row b) { return _mm256_sub_pd(a, b); }
   static Row multiply(Row a, Row b) { return _mm256_mul_pd(a, b); }
-  static Row where_above(Row a, Row value) {
-    return _mm256_and_pd(_mm256_cmp_pd(a, _mm256_setzero_pd(), _CMP_GT_OQ), value);
+  static Row where_apart(Row a, Row value) {
+    return _mm256_and_pd(_mm256_cmp_pd(a, spread(ONE_PLACE), _CMP_GT_OQ), value);
   }
-  static Row inverse(Row a) { return where_above(a, _mm256_div_pd(_mm256_set1_pd(1), a)); }
+  static Row inverse(Row a) { return where_apart(a, _mm256_div_pd(_mm256_set1_pd(1), a)); }
   static Row root(Row a) { return _mm256_sqrt_pd(a); }
   static Row dots(const Row* a, const Row* b) {
     const Row low = _mm256_hadd_pd(_mm256_mul_pd(a[0], b[0]), _mm256_mul_pd(a[1], b[1]));
@@ -33,6 +34,14 @@ struct QuadRows {
     const Row crossed = _mm256_permute2f128_pd(low, high, 0x21);
     const Row kept = _mm256_blend_pd(low, high, 0xC);
     return _mm256_add_pd(kept, crossed);
+  }
+  static void turn(Row* rows) {
+    const Row a = _mm256_unpacklo_pd(rows[0], rows[1]), b = _mm256_unpackhi_pd(rows[0], rows[1]);
+    const Row c = _mm256_unpacklo_pd(rows[2], rows[3]), d = _mm256_unpackhi_pd(rows[2], rows[3]);
+    rows[0] = _mm256_permute2f128_pd(a, c, 0x20);
+    rows[1] = _mm256_permute2f128_pd(b, d, 0x20);
+    rows[2] = _mm256_permute2f128_pd(a, c, 0x31);
+    rows[3] = _mm256_permute2f128_pd(b, d, 0x31);
   }
 };
 
@@ -42,6 +51,10 @@ AddPulls add_pulls_in_quads() {
   return __builtin_cpu_supports("avx2") ? add_pulls<QuadRows> : nullptr;
 }
 
+SetBandPulls set_band_pulls_in_quads() {
+  return __builtin_cpu_supports("avx2") ? set_band_pulls<QuadRows> : nullptr;
+}
+
 ProjectAll project_all_in_quads() {
   return __builtin_cpu_supports("avx2") ? project_all<QuadRows> : nullptr;
 }
@@ -49,6 +62,8 @@ ProjectAll project_all_in_quads() {
 #else
 
 AddPulls add_pulls_in_quads() { return nullptr; }
+
+SetBandPulls set_band_pulls_in_quads() { return nullptr; }
 
 ProjectAll project_all_in_quads() { return nullptr; }
 

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <limits>
+#include <utility>
 
 namespace animtool {
 
@@ -11,6 +13,8 @@ namespace animtool {
 constexpr std::size_t ROW = 4;
 // Springs that are done at once.
 constexpr std::size_t WIDE = 4;
+// Up to this square of their distance two ends are at one place; one over more is finite.
+constexpr double ONE_PLACE = std::numeric_limits<double>::min();
 
 // What of springs the loops read, a column each; ends two by two.
 struct SpringColumns {
@@ -56,13 +60,13 @@ struct PlainRows {
   static Row multiply(const Row& a, const Row& b) {
     return each([&](std::size_t l) { return a.at[l] * b.at[l]; });
   }
-  // One over what is above 0, else 0.
+  // One over the square of a distance, 0 of ends at one place.
   static Row inverse(const Row& a) {
-    return each([&](std::size_t l) { return a.at[l] > 0 ? 1 / a.at[l] : 0.0; });
+    return each([&](std::size_t l) { return a.at[l] > ONE_PLACE ? 1 / a.at[l] : 0.0; });
   }
-  // A value where another is above 0, else 0.
-  static Row where_above(const Row& a, const Row& value) {
-    return each([&](std::size_t l) { return a.at[l] > 0 ? value.at[l] : 0.0; });
+  // A value of springs, by the square of their length: 0 of ends at one place.
+  static Row where_apart(const Row& a, const Row& value) {
+    return each([&](std::size_t l) { return a.at[l] > ONE_PLACE ? value.at[l] : 0.0; });
   }
   static Row root(const Row& a) {
     return each([&](std::size_t l) { return std::sqrt(a.at[l]); });
@@ -74,15 +78,37 @@ struct PlainRows {
       return p[0] * q[0] + p[1] * q[1] + (p[2] * q[2] + p[3] * q[3]);
     });
   }
+  // Four rows to their columns.
+  static void turn(Row* rows) {
+    for (std::size_t k = 0; k < WIDE; ++k)
+      for (std::size_t l = 0; l < k; ++l) std::swap(rows[k].at[l], rows[l].at[k]);
+  }
 };
 
-// Add the forces of springs from one to another to rows of particles.
+// Of four springs.
+template <class Row>
+struct FourSprings {
+  Row rest, stiffness, damping;
+};
+
+// Forces of springs over their lengths, from the squares of these and from how their ends
+// move apart times these. Ends at one place have no direction, and no force.
 template <class W>
-void add_pulls(const SpringColumns& springs, std::size_t begin, std::size_t end,
-               const double* x, const double* v, double* forces) {
+typename W::Row pull_of(const FourSprings<typename W::Row>& springs,
+                        const typename W::Row& square, const typename W::Row& closing) {
+  const auto inverse = W::inverse(square);
+  const auto length = W::multiply(springs.rest, W::multiply(W::root(square), inverse));
+  return W::add(W::multiply(springs.stiffness, W::subtract(W::spread(1), length)),
+                W::multiply(springs.damping, W::multiply(closing, inverse)));
+}
+
+// Add the forces of springs to rows of particles.
+template <class W>
+void add_pulls(const SpringColumns& springs, std::size_t count, const double* x,
+               const double* v, double* forces) {
   using Row = typename W::Row;
-  std::size_t s = begin;
-  for (; s + WIDE <= end; s += WIDE) {
+  std::size_t s = 0;
+  for (; s + WIDE <= count; s += WIDE) {
     const std::int32_t* ends = springs.ends + 2 * s;
     Row d[WIDE], e[WIDE];
     for (std::size_t l = 0; l < WIDE; ++l) {
@@ -91,14 +117,10 @@ void add_pulls(const SpringColumns& springs, std::size_t begin, std::size_t end,
       d[l] = W::subtract(W::load(x + j), W::load(x + i));
       e[l] = W::subtract(W::load(v + j), W::load(v + i));
     }
-    const Row square = W::dots(d, d), closing = W::dots(d, e);
-    // Ends at one place have no direction, and no force.
-    const Row inverse = W::inverse(square);
-    const Row length = W::multiply(W::load(springs.rest + s),
-                                   W::multiply(W::root(square), inverse));
     const Row pull =
-        W::add(W::multiply(W::load(springs.stiffness + s), W::subtract(W::spread(1), length)),
-               W::multiply(W::load(springs.damping + s), W::multiply(closing, inverse)));
+        pull_of<W>({W::load(springs.rest + s), W::load(springs.stiffness + s),
+                    W::load(springs.damping + s)},
+                   W::dots(d, d), W::dots(d, e));
     double pulls[WIDE];
     W::store(pull, pulls);
     for (std::size_t l = 0; l < WIDE; ++l) {
@@ -109,7 +131,7 @@ void add_pulls(const SpringColumns& springs, std::size_t begin, std::size_t end,
       W::store(W::subtract(W::load(g), force), g);
     }
   }
-  for (; s < end; ++s) {
+  for (; s < count; ++s) {
     const std::size_t i = ROW * static_cast<std::size_t>(springs.ends[2 * s]);
     const std::size_t j = ROW * static_cast<std::size_t>(springs.ends[2 * s + 1]);
     double d[3], e[3];
@@ -119,7 +141,7 @@ void add_pulls(const SpringColumns& springs, std::size_t begin, std::size_t end,
     }
     const double square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
     const double closing = d[0] * e[0] + d[1] * e[1] + d[2] * e[2];
-    const double inverse = square > 0 ? 1 / square : 0;
+    const double inverse = square > ONE_PLACE ? 1 / square : 0;
     const double length = springs.rest[s] * (std::sqrt(square) * inverse);
     const double pull =
         springs.stiffness[s] * (1 - length) + springs.damping[s] * (closing * inverse);
@@ -150,7 +172,7 @@ void project_four(const GiveColumns& springs, std::size_t s, double* x, const do
       W::spread(1), W::multiply(W::load(springs.rest + s), W::multiply(root, inverse)));
   // The pull over the length, with which the ends come together.
   const Row pull = W::add(
-      W::multiply(W::load(springs.length + s), W::where_above(square, beyond)),
+      W::multiply(W::load(springs.length + s), W::where_apart(square, beyond)),
       W::multiply(W::load(springs.change + s), W::multiply(went, inverse)));
   double pulls[WIDE];
   W::store(pull, pulls);
@@ -166,7 +188,8 @@ void project_four(const GiveColumns& springs, std::size_t s, double* x, const do
   }
 }
 
-inline void project_one(const GiveColumns& springs, std::size_t s, double* x,
+template <class W>
+void project_one(const GiveColumns& springs, std::size_t s, double* x,
                         const double* before, double* kept) {
   const std::size_t i = ROW * static_cast<std::size_t>(springs.ends[2 * s]);
   const std::size_t j = ROW * static_cast<std::size_t>(springs.ends[2 * s + 1]);
@@ -177,8 +200,8 @@ inline void project_one(const GiveColumns& springs, std::size_t s, double* x,
   }
   const double square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
   const double went = d[0] * e[0] + d[1] * e[1] + d[2] * e[2];
-  const double inverse = square > 0 ? 1 / square : 0, root = std::sqrt(square);
-  const double beyond = square > 0 ? 1 - springs.rest[s] * (root * inverse) : 0;
+  const double inverse = square > ONE_PLACE ? 1 / square : 0, root = std::sqrt(square);
+  const double beyond = square > ONE_PLACE ? 1 - springs.rest[s] * (root * inverse) : 0;
   const double pull = springs.length[s] * beyond + springs.change[s] * (went * inverse);
   if (kept) kept[s] = pull * root;
   for (std::size_t k = 0; k < 3; ++k) {
@@ -200,12 +223,12 @@ void project_all(const GiveColumns& springs, const SpringRunLength* runs, std::s
     for (std::size_t n = 0; n < runs[r].fours; ++n, s += WIDE)
       project_four<W>(springs, s, x, before, kept);
     for (std::size_t n = 0; n < runs[r].ones; ++n, ++s)
-      project_one(springs, s, x, before, kept);
+      project_one<W>(springs, s, x, before, kept);
   }
 }
 
-using AddPulls = void (*)(const SpringColumns&, std::size_t, std::size_t, const double*,
-                          const double*, double*);
+using AddPulls = void (*)(const SpringColumns&, std::size_t, const double*, const double*,
+                          double*);
 using ProjectAll = void (*)(const GiveColumns&, const SpringRunLength*, std::size_t, double*,
                             const double*, double*);
 

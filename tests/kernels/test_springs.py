@@ -94,3 +94,53 @@ def test_springs_are_projected_one_after_the_other(seed: int) -> None:
         None,
     )[0]
     np.testing.assert_allclose(found, projected(ends, count, seed), atol=1e-9)
+
+
+def banded_ends(seed: int) -> tuple[np.ndarray, int]:
+    """Return springs that mostly lie a few places on, some missing, some twice."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(2, 700))
+    parts = [random_ends(seed)[0] % count]
+    for offset in rng.integers(1, 40, int(rng.integers(0, 5))).tolist():
+        first = np.arange(int(rng.integers(0, 60)), count - offset)
+        first = first[rng.random(len(first)) < rng.uniform(0.3, 1.1)]
+        parts.append(np.stack([first, first + offset], axis=1))
+    ends = np.concatenate(parts)
+    swapped = rng.random(len(ends)) < 0.5
+    ends[swapped] = ends[swapped, ::-1]
+    return np.ascontiguousarray(ends[ends[:, 0] != ends[:, 1]]), count
+
+
+def pulled(
+    ends: np.ndarray, count: int, seed: int, torn: np.ndarray, state: np.ndarray
+) -> np.ndarray:
+    """Return accelerations in plain numpy."""
+    rng = np.random.default_rng(seed)
+    numbers = rng.uniform(0.5, 2, (len(ends), 4))[torn == 0]
+    weights = rng.uniform(0.5, 2, count)
+    i, j = ends[torn == 0].T
+    rest, k, c, _ = numbers.T
+    d, e = state[:, j] - state[:, i]
+    length = np.linalg.norm(d, axis=1)
+    over = np.divide(1, length, out=np.zeros(len(d)), where=length > 0)
+    pull = k * (1 - rest * over) + c * np.einsum("sk,sk->s", d, e) * over**2
+    forces = np.zeros((count, 3))
+    np.add.at(forces, i, pull[:, None] * d)
+    np.subtract.at(forces, j, pull[:, None] * d)
+    return forces * weights[:, None]
+
+
+@given(SEEDS)
+def test_forces_are_those_of_all_springs_that_are_whole(seed: int) -> None:
+    ends, count = banded_ends(seed)
+    made = network(ends, count, np.random.default_rng(seed))
+    rng = np.random.default_rng(seed + 1)
+    state = rng.normal(size=(2, count, 3))
+    alike = rng.integers(0, count, 10)
+    state[0, alike] = state[0, 0]
+    torn = (rng.random(len(ends)) < rng.choice([0, 0.1])).astype(np.uint8)
+    found = _kernels.spring_accelerations(made, 0.0, 1e-6, state, torn)
+    true = pulled(ends, count, seed, torn, state)
+    np.testing.assert_allclose(found, true, rtol=1e-9, atol=1e-9)
+    again = _kernels.spring_accelerations(made, 0.0, 1e-6, state, torn)
+    assert again.tobytes() == found.tobytes()

@@ -38,12 +38,14 @@ class Choice:
         cell: Of time [s].
         substeps: Steps in a cell.
         reason: Why, in words.
+        limit: The largest stable step of semi-implicit Euler [s].
     """
 
     solver: Solver
     cell: float
     substeps: int
     reason: str
+    limit: float
 
 
 def explicit_limit(system: SpringSystem, t: float, state: FloatArray) -> float:
@@ -78,10 +80,11 @@ def choose(
         springs = len(system.body.springs.rest)
         solver, reason = _cheapest(options, limit, rate, springs)
     if options.step is not None:
-        return Choice(solver, options.step, 1, reason)
+        return Choice(solver, options.step, 1, reason, limit)
     if solver is Solver.SYMPLECTIC_EULER:
-        return Choice(solver, CELL, max(1, math.ceil(CELL * rate)), reason)
-    return Choice(solver, CELL, FIRST[solver], reason)
+        steps = max(1, math.ceil(CELL * rate))
+        return Choice(solver, CELL, steps, reason, limit)
+    return Choice(solver, CELL, FIRST[solver], reason, limit)
 
 
 def _cheapest(

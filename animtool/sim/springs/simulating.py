@@ -74,7 +74,10 @@ def simulate_springs(
     moments = check_times(times, carried)
     grid = carried.memory if carried is not None else None
     if isinstance(grid, Grid):
-        choice = Choice(grid.solver, grid.cell, grid.substeps, "it was carried on")
+        limit = explicit_limit(system, grid.time, grid.state)
+        choice = Choice(
+            grid.solver, grid.cell, grid.substeps, "it was carried on", limit
+        )
         return _motion(system, options, moments, choice, _fresh(grid))
     t = float(moments[0])
     state = np.ascontiguousarray(system.state if carried is None else carried.state)
@@ -150,9 +153,7 @@ def _motion(
         energies.append(run.left.energy(t, state).total)
     reached = moments[: len(states)]
     step = run.grid.cell / run.most_substeps
-    stable = None
-    if run.status is Status.UNSTABLE:
-        stable = explicit_limit(system, run.grid.time, run.grid.state)
+    stable = choice.limit if run.status is Status.UNSTABLE else None
     stats = Stats(
         run.status, float(reached[-1]) if not run.sign else run.grid.time, run.sign,
         run.grid.steps, None, run.grid.evaluations, step,
@@ -266,7 +267,7 @@ def _notices(
 ) -> list[Fault]:
     found = start_notices(system.body) if begun.index == 0 else []
     found += system.colliders.notices() if begun.index == 0 else []
-    limit = explicit_limit(system, begun.time, begun.state)
+    limit = choice.limit
     h = choice.cell / choice.substeps
     if choice.solver is Solver.SYMPLECTIC_EULER and h > limit:
         message = f"{choice.solver} is not stable with steps of {h:.3g} s"

@@ -165,7 +165,7 @@ class SpringSystem(SecondOrder):
 
         from animtool.sim.springs.slopes import slopes
 
-        masses = np.where(self.fixed, 0.0, self.body.masses)
+        masses = self._free_masses
         by_x, _ = slopes(self, t, x, np.zeros_like(x))
         return diags_array(np.repeat(-masses, 3)) @ by_x
 
@@ -210,7 +210,7 @@ class SpringSystem(SecondOrder):
         their speed.
         """
         x, v = state
-        masses = np.where(self.fixed, 0.0, self.body.masses)
+        masses = self._free_masses
         kinetic = 0.5 * float(masses @ np.einsum("nk,nk->n", v, v))
         potential, _ = _kernels.spring_energy(self.network, np.ascontiguousarray(x))
         potential -= float(masses @ x @ self.gravity)
@@ -218,6 +218,12 @@ class SpringSystem(SecondOrder):
             gaps = x[self.drawn] - _position(self._target_path, t)
             potential += 0.5 * float(self.draws[:, 0] @ (gaps * gaps).sum(axis=1))
         return Energy(kinetic, potential, self._supply)
+
+    @cached_property
+    def _free_masses(self) -> FloatArray:
+        """Of particles ``(N,)`` [kg], 0 of those that are held."""
+        masses: FloatArray = np.where(self.fixed, 0.0, self.body.masses)
+        return masses
 
     @cached_property
     def _supply(self) -> float:
