@@ -45,8 +45,6 @@ struct Particle {
 constexpr int MOST_CONTACTS = 8;
 // Looks along a path before steps of a share of it are taken.
 constexpr int LOOKS = 64;
-// A particle that is deeper than this [m] at the start of a step is inside.
-constexpr double INSIDE = 1e-6;
 // Colliders that are looked at once where they are far off.
 constexpr std::size_t TOLD_APART = 64;
 // Rounds of moving out of all colliders.

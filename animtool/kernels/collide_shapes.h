@@ -4,12 +4,10 @@
 #include <algorithm>
 #include <cmath>
 
+#include "collide_limits.h"
 #include "collide_vectors.h"
 
 namespace animtool::collide {
-
-// Nearer than this is touching [m].
-constexpr double TOUCH = 1e-9;
 
 // How far a point is outside, negative inside, and the way out.
 struct Sample {

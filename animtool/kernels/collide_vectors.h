@@ -82,6 +82,7 @@ class Motion {
 
   bool moves() const { return moves_; }
   Vec travel() const { return travel_; }
+  Vec turn() const { return turn_; }
   double angle() const { return length(turn_); }
 
   // Where it is at a share of the step from 0 to 1.

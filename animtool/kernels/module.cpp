@@ -1,6 +1,7 @@
 // Python bindings of the kernels.
 #include "kernels.h"
 #include "springs_steps.h"
+#include "springs_strands.h"
 
 using namespace animtool;
 using namespace nanobind::literals;
@@ -218,7 +219,7 @@ the least. Joints that go farther than ``easy`` ``(L - 1,)`` cost a hundred time
   nb::class_<SpringNetwork>(m, "SpringNetwork",
                             R"(Particles, springs between them and what acts on them.
 
-It does not change. Inverse masses ``(N,)`` of particles that are held are 0; ``drags``
+Inverse masses ``(N,)`` of particles that are held are 0; ``drags``
 ``(N,)`` slow them, a second. Springs join
 ``ends`` ``(S, 2)``; their ``numbers`` ``(S, 4)`` are length at rest, stiffness, damping and
 the length at which they tear. ``field`` ``(5,)``: gravity, drag and lift of
@@ -231,7 +232,9 @@ wind ``(K or 1, 1, 3)``.)")
                     In<std::int64_t, 1>, In<double, 2>, In<double, 3>, In<double, 3>>(),
            "inverse_masses"_a, "drags"_a, "ends"_a, "numbers"_a, "triangles"_a, "field"_a, "knots"_a,
            "held"_a, "held_path"_a, "anchors"_a, "anchor_numbers"_a, "anchor_path"_a,
-           "winds"_a);
+           "winds"_a)
+      .def("lead", &SpringNetwork::lead, "held_path"_a, "anchor_path"_a,
+           "Put paths of held particles and anchors in the place of those over the knots.");
 
   m.def("spring_order", &spring_order, "ends"_a, "particles"_a,
         R"(The order ``(S,)`` in which springs ``(S, 2)`` are gone through.
@@ -259,7 +262,8 @@ none.)");
 Cell i of time begins at ``origin + (first + i) cell`` and is that many substeps.
 
 ``colliders``: those of `collide_particles`, their poses at both ends of each cell
-``(cells, C, 2, 7)``, and the distance that particles keep.
+``(cells, C, 2, 7)``, the distance that particles keep, how deep each may be in each ``(C, N)``,
+0 or less, None is not at all, and how much deeper counts as left inside.
 
 Returns ``(state, torn, unresolved)``: particles left inside colliders at the end of a cell,
 at most.)");
@@ -273,25 +277,31 @@ Cells are those of `step_springs`. One at whose end a spring is longer than at r
 than this ``stretch``, and not mostly by its own give, is crossed again in twice the steps,
 up to ``most``; after many that go well half as many are tried, down to ``least``.
 
-Returns ``(state, torn, substeps, calm, stretch, steps, unresolved)``: steps a cell and cells that went
-well, to go on with; the largest stretch that is not a spring's own; steps in all.)");
+Returns ``(state, torn, substeps, calm, stretch, steps, touched, unresolved)``: steps a cell
+and cells that went well, to go on with; the largest stretch that is not a spring's own; steps
+in all; particles that colliders moved in a step, at most.)");
 
-  nb::class_<SpringCapsules>(m, "SpringCapsules",
-                             R"(Capsules that particles of a network keep out of.
+  nb::class_<SpringStrands>(m, "SpringStrands",
+                            R"(Strands of P particles of one mass, each held at its root.
 
-Over the times of ``knots`` ``(K,)``: both ends of each, ``ends`` ``(K or 1, 2 C, 3)``; their
-``radii`` ``(C,)``; how deep each particle may be in each, ``depths`` ``(C, N)``, 0 or less;
-Coulomb's coefficient; the speed at which what is deeper comes out.)")
-      .def(nb::init<In<double, 1>, In<double, 3>, In<double, 1>, In<double, 2>, double,
-                    double>(),
-           "knots"_a, "ends"_a, "radii"_a, "depths"_a, "friction"_a, "depenetration"_a);
+Lengths at rest of springs along them, ``rests`` ``(S, P - 1)``, which hardly give, and from
+each particle to the next but one, ``folds`` ``(S, P - 2)``. ``field`` ``(4,)``: gravity, and
+what slows them, a second. ``numbers`` ``(4,)``, over the mass: stiffness along strands, of
+folds, and of the draw to where the animation has them; its damping.)")
+      .def(nb::init<In<double, 2>, In<double, 2>, In<double, 1>, In<double, 1>>(), "rests"_a,
+           "folds"_a, "field"_a, "numbers"_a);
 
-  m.def("follow_springs", &follow_springs, "network"_a, "capsules"_a, "state"_a, "start"_a,
-        "span"_a, "steps"_a, "tolerance"_a,
-        R"(Take steps of extended position based dynamics from a time on, out of capsules.
+  m.def("follow_strands", &follow_strands, "strands"_a, "targets"_a, "state"_a, "span"_a,
+        "substeps"_a, "colliders"_a.none(),
+        R"(Take strands over a frame, from a state ``(2, N, 3)``.
 
-Returns ``(state, touched, inside)``: most particles that capsules moved in one step, and
-those that are left deeper in one than they may be by more than ``tolerance``.)");
+The animation has their particles at ``targets`` ``(cells + 1, N, 3)`` as each even cell of the
+time begins and ends, straight between them; roots are there. Steps are those of
+`project_springs`, but for the springs along strands, which are solved together. ``colliders``
+are those of `step_springs`.
+
+Returns ``(state, touched, unresolved, stretch)``: particles in contact in a step, at most; left
+inside at the end; how much longer than at rest a spring along them is there, over that.)");
 
   m.def("solve_springs", &solve_springs, "network"_a, "state"_a, "before"_a.none(), "torn"_a,
         "origin"_a, "first"_a, "cell"_a, "cells"_a, "substeps"_a, "two_steps"_a,

@@ -66,6 +66,11 @@ SpringNetwork::SpringNetwork(In<double, 1> masses, In<double, 1> slowing,
   wind_track = track_of(winds, 1, knots.size());
 }
 
+void SpringNetwork::lead(In<double, 3> held_path, In<double, 3> anchor_path) {
+  held_track = track_of(held_path, held.size(), knots.size());
+  anchor_track = track_of(anchor_path, anchors.size(), knots.size());
+}
+
 Spot spot_of(const std::vector<double>& knots, double t) {
   if (knots.size() == 1 || t <= knots.front()) return {0, 0.0};
   if (t >= knots.back()) return {knots.size() - 1, 0.0};

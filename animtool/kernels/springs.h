@@ -51,6 +51,9 @@ class SpringNetwork {
 
   std::size_t particles() const { return inverse_masses.size(); }
 
+  // Other paths over the same knots.
+  void lead(In<double, 3> held_path, In<double, 3> anchor_path);
+
   Spot spot(double t) const { return spot_of(knots, t); }
   // Points of a track at a spot, into (P, 3).
   static void follow(const Track& track, const Spot& spot, double* out);

@@ -9,6 +9,9 @@ namespace animtool {
 namespace {
 
 using collide::Collider;
+using collide::Motion;
+using collide::Pose;
+using collide::Rod;
 using collide::Sample;
 using collide::Shape;
 using collide::Vec;
@@ -18,8 +21,31 @@ using collide::store;
 // Rounds of moving out of all colliders.
 constexpr int TRIES = 3;
 
-// A way longer than this may lead through a collider within a step.
-double thickness(const Collider& c) {
+// One particle by itself, for what is written for several.
+struct OneRow {
+  using Row = double;
+
+  static double spread(double value) { return value; }
+  static double add(double a, double b) { return a + b; }
+  static double subtract(double a, double b) { return a - b; }
+  static double multiply(double a, double b) { return a * b; }
+  static double divide(double a, double b) { return a / b; }
+  static double inverse(double a) { return a > 0 ? 1 / a : 0; }
+  static double root(double a) { return std::sqrt(a); }
+  static double least(double a, double b) { return a < b ? a : b; }
+  static double most(double a, double b) { return a > b ? a : b; }
+  static double below(double a, double b) { return a < b; }
+  static double chosen(double where, double a, double b) { return where != 0 ? a : b; }
+  static unsigned bits(double where) { return where != 0; }
+};
+
+using One = Wide<OneRow>;
+using OneVec = WideVec<OneRow>;
+
+OneVec one(Vec a) { return {a.x, a.y, a.z}; }
+Vec vec(const OneVec& a) { return {a.x.row, a.y.row, a.z.row}; }
+
+double thickness_of(const Collider& c) {
   if (c.container) return collide::FAR;
   switch (c.shape) {
     case Shape::PLANE: return collide::FAR;
@@ -31,50 +57,153 @@ double thickness(const Collider& c) {
   return 0;
 }
 
+Rod::Axis axis_between(Vec a, Vec b) {
+  Rod::Axis axis;
+  const Vec along = b - a;
+  const double squared = dot(along, along);
+  store(a, axis.from);
+  store(along, axis.along);
+  axis.inverse = squared > 0 ? 1 / squared : 0;
+  const Vec out =
+      squared > 0 ? collide::across(along * (1 / std::sqrt(squared))) : Vec{0, 1, 0};
+  store(out, axis.outward);
+  return axis;
+}
+
+Sample sampled(const StepCollider& c, const Rod::Axis& axis, const Pose& pose, Vec point,
+               double radius) {
+  if (!c.is_rod) return sample(c.collider, pose, point, radius, collide::FAR);
+  const auto found = collide::sample_rod<OneRow>(axis, c.rod.radius, one(point));
+  return {found.distance.row, vec(found.normal)};
+}
+
 }  // namespace
 
-SpringContacts::SpringContacts(const std::optional<SpringColliders>& colliders,
-                               std::size_t particles, std::int64_t cells) {
+Sample StepCollider::before(Vec point, double radius) const {
+  return sampled(*this, rod.begin, begin, point, radius);
+}
+
+Sample StepCollider::after(Vec point, double radius) const {
+  return sampled(*this, rod.end, end, point, radius);
+}
+
+double StepCollider::travel(Vec drift) const {
+  if (!is_rod) return length(collider.motion.travel() - drift);
+  // The axis goes no farther than its ends.
+  const Vec first = load(rod.end.from) - load(rod.begin.from) - drift;
+  const Vec last = first + (load(rod.end.along) - load(rod.begin.along));
+  return std::max(length(first), length(last));
+}
+
+double StepCollider::thickness() const { return thickness_of(collider); }
+
+bool StepCollider::sweep(double h, double radius, Vec from, Vec& to, double* v) const {
+  if (!(length(to - from) > thickness())) return false;
+  // What begins inside comes out at its own pace.
+  if (before(from, radius).distance < -collide::INSIDE) return false;
+  const Vec speed = (to - from) * (1 / h);
+  collide::Particle last{to, speed};
+  collide::Settling settling(&collider, 1, h, radius);
+  if (settling.settle({from, speed}, last).collider < 0) return false;
+  to = last.position;
+  if (v) store(last.velocity, v);
+  return true;
+}
+
+MovingColliders::MovingColliders(const std::optional<SpringColliders>& colliders,
+                                 std::size_t particles, std::int64_t cells)
+    : particles_(particles) {
   if (!colliders) return;
-  const auto& [arrays, poses, radius] = *colliders;
+  const auto& [arrays, poses, radius, depths, tolerance] = *colliders;
   colliders_ = read_colliders(arrays);
   if (poses.shape(0) != static_cast<std::size_t>(cells) ||
       poses.shape(1) != colliders_.size() || poses.shape(2) != 2 || poses.shape(3) != 7)
     throw std::invalid_argument("poses are (cells, C, 2, 7)");
+  if (depths && (depths->shape(0) != colliders_.size() || depths->shape(1) != particles))
+    throw std::invalid_argument("depths are (C, N)");
   poses_ = poses.data();
   radius_ = radius;
+  if (depths) depths_ = depths->data();
+  tolerance_ = tolerance;
+}
+
+bool MovingColliders::goes_on(std::int64_t cell) const {
+  const std::size_t row = 14 * colliders_.size();
+  const double* pose = poses(cell);
+  for (std::size_t c = 0; c < row; c += 14)
+    if (!std::equal(pose + c, pose + c + 7, pose + c + 7 - row)) return false;
+  return true;
+}
+
+void MovingColliders::steps(std::int64_t cell, int substeps, double h,
+                            std::vector<StepCollider>& out) const {
+  std::vector<Motion> whole;
+  for (std::size_t c = 0; c < colliders_.size(); ++c) {
+    const double* pose = poses(cell) + 14 * c;
+    whole.emplace_back(pose, pose + 7);
+  }
+  for (int step = 0; step < substeps; ++step)
+    for (std::size_t c = 0; c < colliders_.size(); ++c)
+      out.push_back(over(colliders_[c],
+                         whole[c].part(double(step) / substeps, double(step + 1) / substeps),
+                         h));
+}
+
+StepCollider MovingColliders::over(const Collider& c, const Motion& motion, double h) const {
+  StepCollider made{};
+  made.collider = c;
+  made.collider.motion = motion;
+  made.begin = motion.at(0);
+  made.end = motion.at(1);
+  made.is_rod = !c.container && (c.shape == Shape::CAPSULE || c.shape == Shape::SPHERE);
+  Rod& rod = made.rod;
+  store(motion.travel(), rod.travel);
+  store(motion.turn(), rod.turn);
+  store(made.end.origin, rod.origin);
+  rod.friction = c.friction;
+  rod.rise = c.depenetration * h;
+  if (!made.is_rod) return made;
+  const bool ball = c.shape == Shape::SPHERE;
+  const Vec a = load(c.size), b = ball ? a : load(c.size + 3);
+  const Vec a0 = made.begin.to_world(a), b0 = made.begin.to_world(b);
+  const Vec a1 = made.end.to_world(a), b1 = made.end.to_world(b);
+  rod.begin = axis_between(a0, b0);
+  rod.end = axis_between(a1, b1);
+  rod.radius = c.size[ball ? 3 : 6] + c.margin + radius_;
+  return made;
+}
+
+SpringContacts::SpringContacts(const std::optional<SpringColliders>& colliders,
+                               std::size_t particles, std::int64_t cells)
+    : colliders_(colliders, particles, cells) {
+  if (!any()) return;
   clear_.assign(particles, 0.0);
   arm_.assign(particles, 0.0);
 }
 
-void SpringContacts::begin_cell(std::int64_t cell, int substeps) {
+void SpringContacts::begin_cell(std::int64_t cell, int substeps, double h) {
   if (!any()) return;
   substeps_ = substeps;
-  whole_.clear();
-  const std::size_t row = 14 * colliders_.size();
-  const double* pose = poses_ + static_cast<std::size_t>(cell) * row;
-  for (std::size_t c = 0; c < colliders_.size(); ++c)
-    whole_.emplace_back(pose + 14 * c, pose + 14 * c + 7);
+  h_ = h;
+  cell_.clear();
+  colliders_.steps(cell, substeps, h, cell_);
   // Where a cell is crossed again, or a collider is put elsewhere, nothing is known.
-  bool goes_on = cell == last_ + 1;
-  for (std::size_t c = 0; c < row && goes_on && last_ >= 0; c += 14)
-    goes_on = std::equal(pose + c, pose + c + 7, pose + c + 7 - row);
-  if (!goes_on) std::fill(clear_.begin(), clear_.end(), 0.0);
+  const bool known = cell == last_ + 1 && (last_ < 0 || colliders_.goes_on(cell));
+  if (!known) std::fill(clear_.begin(), clear_.end(), 0.0);
   last_ = cell;
 }
 
-bool SpringContacts::settle(const SpringNetwork& network, int step, double h,
+bool SpringContacts::settle(const SpringNetwork& network, int step,
                             const std::vector<double>& before, std::vector<double>& x,
                             std::vector<double>* v) {
   if (!any()) return false;
+  now_ = cell_.data() + static_cast<std::size_t>(step) * colliders_.size();
   double travel = 0, angle = 0;
   for (std::size_t c = 0; c < colliders_.size(); ++c) {
-    colliders_[c].motion = whole_[c].part(double(step) / substeps_, double(step + 1) / substeps_);
-    travel = std::max(travel, length(colliders_[c].motion.travel()));
-    angle = std::max(angle, colliders_[c].motion.angle());
+    travel = std::max(travel, now_[c].travel({}));
+    angle = std::max(angle, now_[c].turn());
   }
-  bool moved = false;
-  std::int64_t inside = 0;
+  std::int64_t moved = 0, inside = 0;
   for (std::size_t n = 0; n < network.particles(); ++n) {
     if (network.inverse_masses[n] == 0) continue;
     double *at = x.data() + ROW * n, way = travel + angle * arm_[n];
@@ -82,86 +211,66 @@ bool SpringContacts::settle(const SpringNetwork& network, int step, double h,
     for (std::size_t k = 0; k < 3; ++k) way += std::abs(at[k] - from[k]);
     clear_[n] -= way;
     if (clear_[n] > 0) continue;
-    bool left_inside = false;
-    moved |= settle_one(1 / h, h, from, at, v ? v->data() + ROW * n : nullptr, left_inside);
-    inside += left_inside;
-    measure(n, at);
+    moved += settle_one(n, from, at, v ? v->data() + ROW * n : nullptr);
+    inside += measure(n, at);
   }
+  touched = std::max(touched, moved);
   if (step + 1 == substeps_) unresolved = std::max(unresolved, inside);
-  return moved;
+  return moved > 0;
 }
 
-void SpringContacts::measure(std::size_t n, const double* x) {
+bool SpringContacts::measure(std::size_t n, const double* x) {
   double clear = collide::FAR, arm = 0;
-  for (const Collider& c : colliders_) {
-    const collide::Pose pose = c.motion.at(1);
-    const double near = sample(c, pose, load(x), radius_, collide::FAR).distance;
-    clear = std::min(clear, near);
-    arm = std::max(arm, length(load(x) - pose.origin));
+  for (std::size_t c = 0; c < colliders_.size(); ++c) {
+    const double near = now_[c].after(load(x), colliders_.radius()).distance;
+    clear = std::min(clear, near - colliders_.depth(c, n));
+    arm = std::max(arm, length(load(x) - now_[c].end.origin));
   }
   clear_[n] = std::max(clear, 0.0);
   arm_[n] = arm + 2 * clear_[n];
+  return clear < -colliders_.tolerance();
 }
 
-bool SpringContacts::settle_one(double inverse_h, double h, const double* before, double* x,
-                                double* v, bool& left_inside) {
+bool SpringContacts::settle_one(std::size_t n, const double* before, double* x, double* v) {
   const Vec from = load(before);
   Vec to = load(x);
   bool moved = false;
-  for (const Collider& c : colliders_) {
-    if (!(length(to - from) > thickness(c))) continue;
-    const Vec speed = (to - from) * inverse_h;
-    collide::Particle end{to, speed};
-    if (collide::Settling(&c, 1, h, radius_).settle({from, speed}, end).collider < 0) continue;
-    to = end.position;
-    if (v) store(end.velocity, v);
-    moved = true;
-  }
+  for (std::size_t c = 0; c < colliders_.size(); ++c)
+    moved |= now_[c].sweep(h_, colliders_.radius(), from, to, v);
   for (int i = 0; i < TRIES; ++i) {
     bool pushed = false;
-    left_inside = false;
-    for (std::size_t c = 0; c < colliders_.size(); ++c)
-      pushed |= push(c, h, from, to, v, left_inside);
+    for (std::size_t c = 0; c < colliders_.size(); ++c) pushed |= push(c, n, from, to, v);
     moved |= pushed;
     if (!pushed) break;
   }
-  for (const Collider& c : colliders_)
-    left_inside |= sample(c, c.motion.at(1), to, radius_, collide::FAR).distance <
-                   -collide::INSIDE;
   if (moved) store(to, x);
   return moved;
 }
 
-bool SpringContacts::push(std::size_t index, double h, Vec from, Vec& to, double* v,
-                          bool& left_inside) {
-  const Collider& c = colliders_[index];
-  const collide::Pose end = c.motion.at(1);
-  const Sample found = sample(c, end, to, radius_, collide::FAR);
-  if (!(found.distance < -collide::TOUCH)) return false;
-  const double start = sample(c, c.motion.at(0), from, radius_, collide::FAR).distance;
-  // What began inside is moved out no faster than it may.
-  const double goal =
-      start < -collide::INSIDE ? std::min(start + c.depenetration * h, 0.0) : 0.0;
-  left_inside |= goal < 0;
-  const double out = goal - found.distance;
-  const Vec carried = c.motion.displacement(to, end);
+bool SpringContacts::push(std::size_t index, std::size_t n, Vec from, Vec& to, double* v) {
+  const StepCollider& c = now_[index];
+  const double depth = colliders_.depth(index, n);
+  const Sample found = c.after(to, colliders_.radius());
+  if (!(found.distance < depth - collide::TOUCH)) return false;
   if (v) {
-    const Vec surface = carried * (1 / h), speed = load(v) - surface;
+    const Motion& motion = c.collider.motion;
+    const Vec surface = motion.displacement(to, c.end) * (1 / h_), speed = load(v) - surface;
     const double into = dot(speed, found.normal);
     if (into < 0) {
+      const double restitution = c.collider.restitution;
+      const double held = c.collider.friction * -into * (1 + restitution);
       Vec along = speed - found.normal * into;
-      const double pressed = -into * (1 + c.restitution), most = length(along);
-      along = along * (most > c.friction * pressed ? 1 - c.friction * pressed / most : 0.0);
-      store(surface + along - found.normal * (c.restitution * into), v);
+      const double most = length(along);
+      along = along * (most > held ? 1 - held / most : 0.0);
+      store(surface + along - found.normal * (restitution * into), v);
     }
   }
-  if (!(out > 0)) return false;
-  to = to + found.normal * out;
-  const Vec way = to - from - carried;
-  const Vec along = way - found.normal * dot(way, found.normal);
-  const double most = length(along), held = c.friction * out;
-  if (most > 0) to = to - along * (most > held ? held / most : 1.0);
-  return true;
+  const double begun = c.before(from, colliders_.radius()).distance;
+  OneVec place = one(to);
+  const bool out = collide::push_out<OneRow>(c.rod, {found.distance, one(found.normal)}, begun,
+                                             depth, one(from), place);
+  to = vec(place);
+  return out;
 }
 
 }  // namespace animtool

@@ -1,49 +1,108 @@
 // Particles of springs against colliders, at the end of each short step.
 #pragma once
 
+#include <optional>
 #include <vector>
 
 #include "collide.h"
+#include "collide_wide.h"
 #include "kernels.h"
 #include "springs.h"
 
 namespace animtool {
 
-// Colliders, their poses at both ends of each cell (cells, C, 2, 7), and the distance that
-// particles keep.
-using SpringColliders = std::tuple<ColliderArrays, In<double, 4>, double>;
+// Colliders, their poses at both ends of each cell (cells, C, 2, 7), the distance that
+// particles keep, how deep each may be in each (C, N), 0 or less, None is not at all; and how
+// much deeper counts as left inside.
+using SpringColliders = std::tuple<ColliderArrays, In<double, 4>, double,
+                                   std::optional<In<double, 2>>, double>;
 
 std::vector<collide::Collider> read_colliders(const ColliderArrays& arrays);
+
+// A collider over one step.
+struct StepCollider {
+  collide::Collider collider;
+  collide::Pose begin, end;
+  // Of a capsule or a ball with particles outside, all of it; of others, how it moves.
+  collide::Rod rod;
+  bool is_rod;
+  // How far its surface goes at most, beside a drift; of what is no rod without its turn, by
+  // the arm from its origin.
+  double travel(collide::Vec drift) const;
+  double turn() const { return is_rod ? 0.0 : collider.motion.angle(); }
+
+  // Distances and ways out as the step begins and as it ends.
+  collide::Sample before(collide::Vec point, double radius) const;
+  collide::Sample after(collide::Vec point, double radius) const;
+  // A way longer than this may lead through within the step.
+  double thickness() const;
+  // Stops what goes so far that it may lead through: whether it did. With a velocity, that
+  // is stopped too.
+  bool sweep(double h, double radius, collide::Vec from, collide::Vec& to,
+             double* v) const;
+};
+
+// Colliders over cells of time.
+class MovingColliders {
+ public:
+  MovingColliders(const std::optional<SpringColliders>& colliders, std::size_t particles,
+                  std::int64_t cells);
+
+  std::size_t size() const { return colliders_.size(); }
+  double radius() const { return radius_; }
+  double tolerance() const { return tolerance_; }
+  // Depths (C, N), null where none may be inside.
+  const double* depths() const { return depths_; }
+  double depth(std::size_t c, std::size_t n) const {
+    return depths_ ? depths_[c * particles_ + n] : 0.0;
+  }
+
+  // Whether all begin a cell where they were at the end of the one before.
+  bool goes_on(std::int64_t cell) const;
+  // One step of the even ones of a cell, of length h each.
+  void steps(std::int64_t cell, int substeps, double h, std::vector<StepCollider>& out) const;
+
+ private:
+  StepCollider over(const collide::Collider& c, const collide::Motion& motion, double h) const;
+  const double* poses(std::int64_t cell) const {
+    return poses_ + static_cast<std::size_t>(cell) * 14 * colliders_.size();
+  }
+
+  std::vector<collide::Collider> colliders_;
+  std::size_t particles_;
+  const double* poses_ = nullptr;
+  const double* depths_ = nullptr;
+  double radius_ = 0, tolerance_ = 0;
+};
 
 class SpringContacts {
  public:
   SpringContacts(const std::optional<SpringColliders>& colliders, std::size_t particles,
                  std::int64_t cells);
 
-  bool any() const { return !colliders_.empty(); }
+  bool any() const { return colliders_.size() > 0; }
   // A cell of time begins; its steps are even.
-  void begin_cell(std::int64_t cell, int substeps);
+  void begin_cell(std::int64_t cell, int substeps, double h);
   // Moves particles out of what they are in at the end of a step of a cell, and takes what
   // friction does from their way; with velocities, from these too. Returns whether any was
   // moved.
-  bool settle(const SpringNetwork& network, int step, double h,
-              const std::vector<double>& before, std::vector<double>& x,
-              std::vector<double>* v);
-  // Particles that were left inside at the end of a cell, at most.
-  std::int64_t unresolved = 0;
+  bool settle(const SpringNetwork& network, int step, const std::vector<double>& before,
+              std::vector<double>& x, std::vector<double>* v);
+  // Particles that were moved in a step, and that were left inside at the end of a cell, at
+  // most.
+  std::int64_t touched = 0, unresolved = 0;
 
  private:
-  bool settle_one(double inverse_h, double h, const double* before, double* x, double* v,
-                  bool& left_inside);
-  bool push(std::size_t c, double h, collide::Vec before, collide::Vec& x, double* v,
-            bool& left_inside);
-  void measure(std::size_t n, const double* x);
+  bool settle_one(std::size_t n, const double* before, double* x, double* v);
+  bool push(std::size_t c, std::size_t n, collide::Vec before, collide::Vec& x, double* v);
+  // Looks how far off all colliders are; whether it is inside one.
+  bool measure(std::size_t n, const double* x);
 
-  std::vector<collide::Collider> colliders_;
-  std::vector<collide::Motion> whole_;
-  const double* poses_ = nullptr;
-  double radius_ = 0;
+  MovingColliders colliders_;
+  std::vector<StepCollider> cell_;  // (substeps, C)
+  const StepCollider* now_ = nullptr;
   int substeps_ = 1;
+  double h_ = 0;
   std::int64_t last_ = -1;
   // How far each particle is from all colliders at least, and what turns reach it by.
   std::vector<double> clear_, arm_;

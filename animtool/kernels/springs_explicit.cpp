@@ -117,7 +117,7 @@ SpringsStepped step_springs(const SpringNetwork& network, In<double, 3> state,
     const double h = cell / substeps;
     std::vector<double> rate(run.size), before(run.size);
     for (std::int64_t i = 0; i < cells; ++i) {
-      contacts.begin_cell(i, substeps);
+      contacts.begin_cell(i, substeps, h);
       for (int j = 0; j < substeps; ++j) {
         const double t = grid.start(i) + j * h;
         run.look(t, h);
@@ -125,7 +125,7 @@ SpringsStepped step_springs(const SpringNetwork& network, In<double, 3> state,
         keep(run, contacts.any(), before);
         advance(h, rate.data(), run);
         network.place_held(t + h, h, before.data(), run.x.data(), run.v.data());
-        contacts.settle(network, j, h, before, run.x, &run.v);
+        contacts.settle(network, j, before, run.x, &run.v);
       }
       run.tear();
     }

@@ -6,7 +6,6 @@
 #include <limits>
 #include <stdexcept>
 
-#include "springs_capsules.h"
 #include "springs_steps.h"
 
 namespace animtool {
@@ -44,11 +43,10 @@ class Projection {
 
   // One cell in a number of steps; returns the largest stretch of a spring that is not for
   // the most part what its own stiffness gives under what it bears.
-  double cross(std::int64_t index, double start, int substeps,
-               SpringCapsules* capsules = nullptr) {
+  double cross(std::int64_t index, double start, int substeps) {
     prepare(substeps);
-    contacts_.begin_cell(index, substeps);
     const double h = cell_ / substeps;
+    contacts_.begin_cell(index, substeps, h);
     for (int j = 0; j < substeps; ++j) {
       const double t = start + j * h;
       run_.look(t + h, h);
@@ -56,10 +54,7 @@ class Projection {
       run_.network.place_held(t + h, h, before_.data(), run_.x.data(), run_.v.data());
       project(j + 1 < substeps ? nullptr : pulls_.data());
       pull_anchors();
-      if (capsules != nullptr)
-        touched_ = std::max(touched_, capsules->keep_out(t, h, run_.network.inverse_masses,
-                                                         before_.data(), run_.x.data()));
-      contacts_.settle(run_.network, j, h, before_, run_.x, nullptr);
+      contacts_.settle(run_.network, j, before_, run_.x, nullptr);
       const double rate = 1 / h;
       for (std::size_t k = 0; k < run_.size; ++k) run_.v[k] = (run_.x[k] - before_[k]) * rate;
     }
@@ -67,9 +62,6 @@ class Projection {
   }
 
   void forget() { prepared_ = 0; }
-
-  // Most particles that capsules moved in one step.
-  std::int64_t touched() const { return touched_; }
 
  private:
   void prepare(int substeps) {
@@ -164,7 +156,6 @@ class Projection {
   SpringContacts& contacts_;
   double cell_;
   int prepared_ = 0;
-  std::int64_t touched_ = 0;
   std::vector<double> before_, forces_, pulls_, lengths_, changes_, weights_;
   std::vector<Give> anchor_gives_;
   ProjectAll project_all_;
@@ -209,30 +200,7 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
     }
   }
   return {ended_state(run), ended_torn(run), substeps, calm, worst, taken,
-          contacts.unresolved};
-}
-
-SpringsFollowed follow_springs(const SpringNetwork& network, SpringCapsules& capsules,
-                               In<double, 3> state, double start, double span, int steps,
-                               double tolerance) {
-  if (state.shape(0) != 2 || state.shape(1) != network.particles() || state.shape(2) != 3)
-    throw std::invalid_argument("a state is (2, N, 3)");
-  if (capsules.particles() != network.particles() && !capsules.empty())
-    throw std::invalid_argument("depths are of as many particles as there are");
-  const std::vector<std::uint8_t> torn(network.lines.springs.size());
-  SpringRun run(network, state.data(), state.data() + state.size() / 2, torn.data());
-  std::int64_t touched = 0, inside = 0;
-  {
-    nb::gil_scoped_release release;
-    SpringContacts none(std::nullopt, network.particles(), 1);
-    Projection projection(run, span, none);
-    projection.cross(0, start, steps, capsules.empty() ? nullptr : &capsules);
-    touched = projection.touched();
-    if (!capsules.empty())
-      inside = capsules.inside(start + span, tolerance, network.inverse_masses,
-                               run.x.data());
-  }
-  return {ended_state(run), touched, inside};
+          contacts.touched, contacts.unresolved};
 }
 
 }  // namespace animtool

@@ -1,6 +1,7 @@
 // Springs four at a time for processors with registers of four doubles; the build says
 // where the compiler may use them, and the processor is asked before it runs.
 #include "springs_bands.h"
+#include "springs_bundle.h"
 #include "springs_rows.h"
 
 #if defined(__AVX2__) && defined(__GNUC__)
@@ -28,6 +29,22 @@ struct QuadRows {
   }
   static Row inverse(Row a) { return where_apart(a, _mm256_div_pd(_mm256_set1_pd(1), a)); }
   static Row root(Row a) { return _mm256_sqrt_pd(a); }
+  static Row divide(Row a, Row b) { return _mm256_div_pd(a, b); }
+  static Row least(Row a, Row b) { return _mm256_min_pd(a, b); }
+  static Row most(Row a, Row b) { return _mm256_max_pd(a, b); }
+  static Row below(Row a, Row b) { return _mm256_cmp_pd(a, b, _CMP_LT_OQ); }
+  static Row chosen(Row where, Row a, Row b) { return _mm256_blendv_pd(b, a, where); }
+  static double largest(Row a) {
+    const __m128d two = _mm_max_pd(_mm256_castpd256_pd128(a), _mm256_extractf128_pd(a, 1));
+    return _mm_cvtsd_f64(_mm_max_sd(two, _mm_unpackhi_pd(two, two)));
+  }
+  static double smallest(Row a) {
+    const __m128d two = _mm_min_pd(_mm256_castpd256_pd128(a), _mm256_extractf128_pd(a, 1));
+    return _mm_cvtsd_f64(_mm_min_sd(two, _mm_unpackhi_pd(two, two)));
+  }
+  static unsigned bits(Row where) {
+    return static_cast<unsigned>(_mm256_movemask_pd(where));
+  }
   static Row dots(const Row* a, const Row* b) {
     const Row low = _mm256_hadd_pd(_mm256_mul_pd(a[0], b[0]), _mm256_mul_pd(a[1], b[1]));
     const Row high = _mm256_hadd_pd(_mm256_mul_pd(a[2], b[2]), _mm256_mul_pd(a[3], b[3]));
@@ -59,11 +76,16 @@ ProjectAll project_all_in_quads() {
   return __builtin_cpu_supports("avx2") ? project_all<QuadRows> : nullptr;
 }
 
+CrossBundle cross_bundle_in_quads() {
+  return __builtin_cpu_supports("avx2") ? cross_bundle<QuadRows> : nullptr;
+}
+
 #else
 
 AddPulls add_pulls_in_quads() { return nullptr; }
 
 SetBandPulls set_band_pulls_in_quads() { return nullptr; }
+CrossBundle cross_bundle_in_quads() { return nullptr; }
 
 ProjectAll project_all_in_quads() { return nullptr; }
 

@@ -71,6 +71,37 @@ struct PlainRows {
   static Row root(const Row& a) {
     return each([&](std::size_t l) { return std::sqrt(a.at[l]); });
   }
+  static Row divide(const Row& a, const Row& b) {
+    return each([&](std::size_t l) { return a.at[l] / b.at[l]; });
+  }
+  static Row least(const Row& a, const Row& b) {
+    return each([&](std::size_t l) { return a.at[l] < b.at[l] ? a.at[l] : b.at[l]; });
+  }
+  static Row most(const Row& a, const Row& b) {
+    return each([&](std::size_t l) { return a.at[l] > b.at[l] ? a.at[l] : b.at[l]; });
+  }
+  // What `chosen` and `bits` take: where one is below another.
+  static Row below(const Row& a, const Row& b) {
+    return each([&](std::size_t l) { return a.at[l] < b.at[l] ? 1.0 : 0.0; });
+  }
+  static Row chosen(const Row& where, const Row& a, const Row& b) {
+    return each([&](std::size_t l) { return where.at[l] != 0 ? a.at[l] : b.at[l]; });
+  }
+  static double largest(const Row& a) {
+    const double p = a.at[0] > a.at[2] ? a.at[0] : a.at[2];
+    const double q = a.at[1] > a.at[3] ? a.at[1] : a.at[3];
+    return p > q ? p : q;
+  }
+  static double smallest(const Row& a) {
+    const double p = a.at[0] < a.at[2] ? a.at[0] : a.at[2];
+    const double q = a.at[1] < a.at[3] ? a.at[1] : a.at[3];
+    return p < q ? p : q;
+  }
+  static unsigned bits(const Row& where) {
+    unsigned found = 0;
+    for (std::size_t l = 0; l < WIDE; ++l) found |= (where.at[l] != 0 ? 1u : 0u) << l;
+    return found;
+  }
   // The products of four pairs of particles' rows.
   static Row dots(const Row* a, const Row* b) {
     return each([&](std::size_t l) {

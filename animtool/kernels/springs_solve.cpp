@@ -259,8 +259,8 @@ class Crossing {
 
   // One cell in a number of steps; whether all were solved.
   bool cross(std::int64_t index, double start, double cell, int substeps) {
-    contacts_.begin_cell(index, substeps);
     const double h = cell / substeps;
+    contacts_.begin_cell(index, substeps, h);
     for (int j = 0; j < substeps; ++j) {
       const double t = start + (j + 1) * h;
       run_.look(t, h);
@@ -280,7 +280,7 @@ class Crossing {
       run_.network.place_held(t, h, now.x.data(), run_.x.data(), run_.v.data());
       before = now;
       // What two steps go on from is smooth.
-      const bool met = contacts_.settle(run_.network, j, h, now.x, run_.x, &run_.v);
+      const bool met = contacts_.settle(run_.network, j, now.x, run_.x, &run_.v);
       known = two_steps_ && !met;
       ++steps;
     }

@@ -7,7 +7,6 @@
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/tuple.h>
 
-#include "springs_capsules.h"
 #include "springs_contacts.h"
 
 namespace animtool {
@@ -27,18 +26,15 @@ struct Cells {
 // states (2, N, 3), torn, particles left inside colliders
 using SpringsStepped = std::tuple<Out<double, 3>, Out<std::uint8_t, 1>, std::int64_t>;
 // states, torn, steps a cell, cells that went well since, largest stretch, steps taken,
-// particles left inside colliders
+// particles in contact and left inside colliders
 using SpringsProjected = std::tuple<Out<double, 3>, Out<std::uint8_t, 1>, int, int, double,
-                                    std::int64_t, std::int64_t>;
+                                    std::int64_t, std::int64_t, std::int64_t>;
 // states, states before, whether these are known, torn, steps, corrections, cells not solved,
 // particles left inside colliders
 using SpringsSolved = std::tuple<Out<double, 3>, Out<double, 3>, bool, Out<std::uint8_t, 1>,
                                  std::int64_t, std::int64_t, std::int64_t, std::int64_t>;
 
 Out<std::int64_t, 1> spring_order(In<std::int64_t, 2> ends, std::size_t particles);
-
-// states, most particles in contact, those left inside
-using SpringsFollowed = std::tuple<Out<double, 3>, std::int64_t, std::int64_t>;
 
 Out<double, 2> spring_accelerations(const SpringNetwork& network, double t, double h,
                                     In<double, 3> state, In<std::uint8_t, 1> torn);
@@ -56,10 +52,6 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
                                  double cell, std::int64_t cells, int substeps, int calm,
                                  int least, int most, double stretch,
                                  const std::optional<SpringColliders>& colliders);
-
-SpringsFollowed follow_springs(const SpringNetwork& network, SpringCapsules& capsules,
-                               In<double, 3> state, double start, double span, int steps,
-                               double tolerance);
 
 SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
                             std::optional<In<double, 3>> before, In<std::uint8_t, 1> torn,

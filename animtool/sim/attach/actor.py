@@ -13,22 +13,22 @@ from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 from animtool.sim.attach.bodies import Body
-from animtool.sim.attach.capsules import Capsules, depth_at_bind
+from animtool.sim.attach.capsules import CapsuleContacts, Capsules, depth_at_bind
 from animtool.sim.attach.poses import Pose, Way, way
 from animtool.sim.attach.settings import Settings
 from animtool.sim.attach.stepping import (
     Motions,
+    SheetStepper,
     State,
     Stepper,
     Tally,
+    cells_of,
     steps_wanted,
 )
+from animtool.sim.attach.strands import StrandStepper
 from animtool.units import UpAxis
 
 __all__ = ["Actor", "Ways", "carried", "upwards"]
-
-# Times of a frame at which the animation is looked at; it goes straight between them.
-MOST_KNOTS = 8
 
 
 def upwards(rig: Rig) -> FloatArray:
@@ -94,17 +94,24 @@ class Actor:
         first = way(rig, pose, pose, 1)
         scale = _size(first.world, body.carrier)
         network = body.network if scale == 1 else body.network.scaled(scale)
-        self.steps = max(1, math.ceil(steps_wanted(network, settings) * span - 1e-9))
+        wanted = math.ceil(steps_wanted(network, settings) * span - 1e-9)
+        self._cells, self._substeps = cells_of(max(1, wanted))
+        self.steps = self._cells * self._substeps
         self.tally = Tally()
         self.jumps = 0
         self.seconds = 0.0
-        self._stepper = Stepper(network, settings, -upwards(rig), self.tally)
+        make = StrandStepper if network.strands else SheetStepper
+        self._stepper: Stepper = make(network, settings, -upwards(rig), self.tally)
         self._span = span
-        self._capsules = Capsules.of(rig) if settings.colliders else Capsules.none()
-        self._radii = self._capsules.sizes(first.world)
+        capsules = Capsules.of(rig) if settings.colliders else Capsules.none()
         bound = body.network.points
-        self._depths = scale * depth_at_bind(
-            self._capsules, rig, bound, settings.radius / scale
+        depths = scale * depth_at_bind(capsules, rig, bound, settings.radius / scale)
+        self._contacts = CapsuleContacts(
+            capsules,
+            capsules.sizes(first.world),
+            depths,
+            settings.radius,
+            settings.friction,
         )
         self.target = body.targets(first)[0]
         self.state = State(self.target, np.zeros_like(self.target))
@@ -117,11 +124,12 @@ class Actor:
     def cross(self, ways: Ways) -> None:
         """Go on by a frame."""
         began = time.perf_counter()
-        motion = ways.of(min(self.steps, MOST_KNOTS))
+        motion = ways.of(self._cells)
         targets = self.body.targets(motion)
-        placed = self._capsules.placed(motion.world)
-        motions = Motions(targets, placed, self._radii, self._depths)
-        self.state = self._stepper.cross(self.state, motions, self._span, self.steps)
+        motions = Motions(targets, self._contacts.over(motion.world))
+        self.state = self._stepper.cross(
+            self.state, motions, self._span, self._substeps
+        )
         self.target = targets[-1]
         self.seconds += time.perf_counter() - began
 

@@ -148,7 +148,7 @@ def _chain(rig: Rig, entry: Attachment) -> Body:
     end = bind.positions[0, joints[-1]] + bind.linear[0, joints[-1]] @ tip
     points = np.concatenate([bind.positions[0, joints], end[None]])
     ends = np.stack([np.arange(len(joints)), np.arange(1, len(joints) + 1)], axis=1)
-    network = Network.of(points, np.array([0]), ends)
+    network = Network.of(points, np.array([0]), ends, strands=1)
     parent = rig.joints[joints[0]].parent
     carrier = parent if parent >= 0 else joints[0]
     return ChainBody(entry.name, entry.kind, network, carrier, np.array(joints), tip)
@@ -179,6 +179,7 @@ def _strands(rig: Rig, entry: Attachment) -> Body:
         # Root to tip over all strands: the order in which springs are looked at.
         np.stack([index[:, :-1], index[:, 1:]], axis=-1).reshape(-1, 2),
         folds=np.stack([index[:, :-2], index[:, 2:]], axis=-1).reshape(-1, 2),
+        strands=count,
     )
     carrier = rig.index(strands.joint)
     return SurfaceBody(entry.name, entry.kind, network, carrier, mesh)

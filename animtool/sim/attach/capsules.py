@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
+from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms, bind_world
 from animtool.rig.skeleton import Rig
+from animtool.sim.colliders import Capsule, Collider, Colliders
 
-__all__ = ["Capsules", "depth", "depth_at_bind"]
+__all__ = ["CapsuleContacts", "Capsules", "depth", "depth_at_bind"]
+
+# A particle that begins inside a collider is moved out at this speed [m/s].
+DEPENETRATION = 1.0
+# What is deeper than this after every push [m] is left inside.
+UNRESOLVED = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,6 +63,18 @@ class Capsules:
         linear = world.linear[:, self.joints]
         turned = (linear[:, :, None] * self.ends[None, :, :, None, :]).sum(axis=-1)
         return np.asarray(turned + world.positions[:, self.joints, None])
+
+    def turned(self, world: WorldTransforms) -> tuple[FloatArray, FloatArray]:
+        """Return poses of the joints, and the ends as the first of them scales these.
+
+        Returns:
+            Origins and quaternions ``(K, C, 7)``; ends in those frames ``(C, 2, 3)``.
+        """
+        linear = world.linear[:, self.joints]
+        turns = so3.align_signs(so3.split_scale(linear)[0])
+        poses = np.concatenate([world.positions[:, self.joints], turns], axis=-1)
+        ends = (linear[0, :, None] * self.ends[:, :, None]).sum(axis=-1)
+        return poses, so3.rotate(so3.conjugate(turns[0])[:, None], ends)
 
     def sizes(self, world: WorldTransforms) -> FloatArray:
         """Return the radii in the world ``(C,)`` [m], as the first pose scales them."""
@@ -103,3 +123,43 @@ def depth_at_bind(
     for c, radius in enumerate((capsules.radii + margin).tolist()):
         found[c] = np.minimum(depth(points, placed[c], radius)[0], 0.0)
     return found
+
+
+class CapsuleContacts:
+    """Capsules as kernels meet them, frame by frame."""
+
+    def __init__(
+        self,
+        capsules: Capsules,
+        radii: FloatArray,
+        depths: FloatArray,
+        radius: float,
+        friction: float,
+    ) -> None:
+        """Make what does not change from frame to frame.
+
+        Args:
+            capsules: C of them.
+            radii: Theirs, in the size of the character ``(C,)`` [m].
+            depths: How deep particles may be in them ``(C, N)`` [m], at most 0.
+            radius: Distance kept from them [m].
+            friction: Coulomb's coefficient [1].
+        """
+        self._capsules = capsules
+        like = Collider(
+            Capsule(1.0, 0.0), friction=friction, depenetration=DEPENETRATION
+        )
+        kinds, sizes, *others = Colliders([like] * len(capsules)).arrays(0.0, 0.0)
+        sizes[:, 6] = radii
+        self._kinds, self._sizes, self._others = kinds, sizes, others
+        self._rest = radius, depths, UNRESOLVED
+
+    def over(self, world: WorldTransforms) -> tuple[Any, ...] | None:
+        """Return what kernels take for the cells between K poses; None without any."""
+        if not len(self._capsules):
+            return None
+        rows, ends = self._capsules.turned(world)
+        sizes = self._sizes.copy()
+        sizes[:, :6] = ends.reshape(-1, 6)
+        poses = np.stack([rows[:-1], rows[1:]], axis=2)
+        return (self._kinds, sizes, *self._others), poses, *self._rest

@@ -52,6 +52,8 @@ class Network:
         shears: Diagonals of faces, which give way sideways.
         folds: From one side of a fold to the other.
         triangles: Corners of the surface ``(T, 3)``.
+        strands: How many lines of equal length the particles stand in, each from the
+            end that is held on, one line behind the other; 0 where it is a surface.
     """
 
     points: FloatArray
@@ -60,6 +62,7 @@ class Network:
     shears: Links
     folds: Links
     triangles: IntArray
+    strands: int = 0
 
     @staticmethod
     def of(
@@ -70,6 +73,7 @@ class Network:
         shears: IntArray = NO_PAIRS,
         folds: IntArray = NO_PAIRS,
         triangles: IntArray = NO_TRIANGLES,
+        strands: int = 0,
     ) -> Network:
         """Return a network that is at rest at points ``(N, 3)`` [m]."""
         return Network(
@@ -79,6 +83,7 @@ class Network:
             Links.of(points, shears),
             Links.of(points, folds),
             triangles,
+            strands,
         )
 
     def scaled(self, scale: float) -> Network:

@@ -305,8 +305,10 @@ def _pointed(
     share: FloatArray,
 ) -> Motion:
     """Return a motion that says where points are."""
-    weight = share[:, None, None]
-    values = np.where(weight == 1, moved, targets + weight * (moved - targets))
-    values = np.where(weight == 0, targets, values)
+    values = moved
+    if (share != 1).any():
+        weight = share[:, None, None]
+        values = np.where(weight == 1, moved, targets + weight * (moved - targets))
+        values = np.where(weight == 0, targets, values)
     channel = Channel(values[0].copy(), np.arange(values.shape[1]), values)
     return replace(block, points={**block.points, name: channel})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -12,13 +13,26 @@ from animtool._types import FloatArray, IntArray
 from animtool.sim.attach.network import Network, reach
 from animtool.sim.attach.settings import Settings
 
-__all__ = ["Motions", "State", "Stepper", "Tally", "steps_wanted"]
+__all__ = [
+    "STIFF",
+    "Motions",
+    "SheetStepper",
+    "State",
+    "Stepper",
+    "Tally",
+    "cells_of",
+    "steps_wanted",
+]
 
 # Accelerations that steps are chosen for [m/s²]: twice that of gravity.
 DESIGN_ACCELERATION = 20.0
+# How fast springs of strands turn that steps are chosen for [rad/s].
+DESIGN_TURN = 30.0
 # Of cloth, springs across bear more of it than those of a line: as measured [1].
 ACROSS = 10.0
-FEWEST_STEPS = 240.0  # a second
+# Of cloth, and of strands [1/s].
+FEWEST_STEPS = 240.0
+FEWEST_STRAND_STEPS = 360.0
 MOST_STEPS = 20_000.0
 # Springs that do not give [rad/s].
 STIFF = 1e6
@@ -27,10 +41,8 @@ CLOTH_WEIGHT = 0.3
 LEAST_SHARE = 1e-3
 # Half the density of air [kg/m³].
 AIR = 0.6
-# A particle that begins inside a collider is moved out at this speed [m/s].
-DEPENETRATION = 1.0
-# Deeper than this after every push [m], a contact is not resolved.
-UNRESOLVED = 1e-3
+# Even parts of a frame, between which what is animated goes straight.
+FEWEST_CELLS, MOST_CELLS = 5, 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,15 +64,17 @@ class Motions:
 
     Attributes:
         targets: Particles as they are animated ``(K, N, 3)`` [m].
-        capsules: Ends of colliders ``(K, C, 2, 3)`` [m].
-        radii: Of these ``(C,)`` [m].
-        depths: How deep particles may be in them ``(C, N)`` [m], at most 0.
+        colliders: What kernels take of colliders, over the K - 1 cells between these
+            times; None where there are none.
     """
 
     targets: FloatArray
-    capsules: FloatArray
-    radii: FloatArray
-    depths: FloatArray
+    colliders: tuple[Any, ...] | None
+
+    @property
+    def cells(self) -> int:
+        """How many even cells of time the frame has."""
+        return len(self.targets) - 1
 
 
 @dataclass(slots=True)
@@ -77,39 +91,76 @@ class Tally:
     contacts: int = 0
     unresolved: int = 0
 
+    def add(self, stretch: float, contacts: int, unresolved: int) -> None:
+        """Note a frame."""
+        self.stretch = max(self.stretch, stretch)
+        self.contacts = max(self.contacts, contacts)
+        self.unresolved = max(self.unresolved, unresolved)
+
 
 def steps_wanted(network: Network, settings: Settings) -> float:
     """Return how many steps a second keep springs within their stretch [1/s].
 
-    In equilibrium the spring at the held end of a line of n carries all of them; a
-    step moves it by its share of what a step of acceleration a moves, so that its
-    stretch is n a h² over its length at rest.
+    Springs of strands are solved together: what is left is that a spring which turns
+    by an angle in a step becomes longer by half its square. Others are gone through
+    once a step. In equilibrium the one at the held end of a line of n carries all of
+    them; a step moves it by its share of what a step of acceleration a moves, so that
+    its stretch is n a h² over its length at rest.
     """
     if settings.rate is not None:
         return settings.rate
+    if network.strands:
+        wanted = DESIGN_TURN / math.sqrt(2 * settings.stretch)
+        return min(max(wanted, FEWEST_STRAND_STEPS), MOST_STEPS)
     lengths = network.stiff.rests[network.stiff.rests > 0]
     if not len(lengths):
         return FEWEST_STEPS
-    carried = reach(network) * DESIGN_ACCELERATION
-    if len(network.triangles):
-        carried *= ACROSS
+    carried = reach(network) * DESIGN_ACCELERATION * ACROSS
     wanted = math.sqrt(carried / (settings.stretch * float(np.median(lengths))))
     return min(max(wanted, FEWEST_STEPS), MOST_STEPS)
 
 
-class Stepper:
-    """Carries particles over frames.
+class Stepper(Protocol):
+    """Carries particles over frames."""
+
+    def cross(
+        self, state: State, motions: Motions, span: float, substeps: int
+    ) -> State:
+        """Return the state a frame later.
+
+        Args:
+            state: At its begin.
+            motions: What the animation does meanwhile.
+            span: Length of the frame [s].
+            substeps: In each cell.
+        """
+
+
+def cells_of(steps: int) -> tuple[int, int]:
+    """Return even cells of a frame, and steps in each, for as many steps or more.
+
+    >>> cells_of(3), cells_of(10), cells_of(46)
+    ((3, 1), (5, 2), (8, 6))
+    """
+    if steps <= MOST_CELLS:
+        return steps, 1
+    some = range(MOST_CELLS, FEWEST_CELLS - 1, -1)
+    every = [(cells, math.ceil(steps / cells)) for cells in some]
+    return min(every, key=math.prod)
+
+
+class SheetStepper:
+    """Carries any network: springs one after the other, each once a step.
 
     Attributes:
-        network: What they are joined by, in the size of the character.
-        settings: How they move.
+        network: What particles are joined by, in the size of the character.
         tally: What happened so far.
     """
 
     def __init__(
         self, network: Network, settings: Settings, down: FloatArray, tally: Tally
     ) -> None:
-        """Make the arrays that kernels take.
+        """Make what kernels take.
 
         Args:
             network: What particles are joined by.
@@ -117,78 +168,68 @@ class Stepper:
             down: Direction of gravity ``(3,)``.
             tally: Where to count.
         """
-        self.network, self.settings, self.tally = network, settings, tally
+        self.network, self.tally, self._settings = network, tally, settings
         masses = masses_of(network)
         self._inverse = 1.0 / masses
         self._inverse[network.held] = 0.0
-        self._free = network.free
         self._ends, self._numbers = _springs(network, settings, masses, self._inverse)
-        self._drawn = self._free if settings.frequency else self._free[:0]
-        weight = masses[self._drawn]
+        drawn = network.free if settings.frequency else network.free[:0]
+        self._drawn = drawn
+        weight = masses[drawn]
         pulls = [
             weight * settings.frequency**2,
             weight * (2 * settings.damping * settings.frequency),
         ]
         self._pulls = np.stack(pulls, axis=1)
         # Cloth feels the air by its triangles, other things by their speed alone.
-        wind, cloth = np.array(settings.wind), len(network.triangles) > 0
+        self._wind, cloth = np.array(settings.wind), len(network.triangles) > 0
         slowing = 0.0 if cloth else settings.drag
-        field = settings.gravity * down + slowing * wind
+        field = settings.gravity * down + slowing * self._wind
         pressures = (AIR * settings.drag, AIR * settings.drag / 2) if cloth else (0, 0)
         self._field = np.array([*field, *pressures], np.float64)
         self._drags = np.full(network.count, slowing)
-        self._wind = wind[None, None]
+        self._torn = np.zeros(len(self._ends), np.uint8)
+        self._ready: tuple[int, float, _kernels.SpringNetwork] | None = None
 
-    def cross(self, state: State, motions: Motions, span: float, steps: int) -> State:
-        """Return the state a frame later.
-
-        Args:
-            state: At its begin.
-            motions: What the animation does meanwhile.
-            span: Length of the frame [s].
-            steps: In it.
-        """
-        network, settings = self.network, self.settings
-        knots = np.linspace(0.0, span, len(motions.targets))
-        ready = _kernels.SpringNetwork(
-            self._inverse,
-            self._drags,
-            self._ends,
-            self._numbers,
-            network.triangles,
-            self._field,
-            knots,
-            network.held,
-            np.ascontiguousarray(motions.targets[:, network.held]),
-            self._drawn,
-            self._pulls,
-            np.ascontiguousarray(motions.targets[:, self._drawn]),
-            self._wind,
-        )
-        capsules = _kernels.SpringCapsules(
-            knots,
-            motions.capsules.reshape(len(knots), -1, 3),
-            motions.radii + settings.radius,
-            motions.depths,
-            settings.friction,
-            DEPENETRATION,
-        )
+    def cross(
+        self, state: State, motions: Motions, span: float, substeps: int
+    ) -> State:
+        """Return the state a frame later."""
+        cells = motions.cells
         both = np.stack([state.positions, state.velocities])
-        made, touched, inside = _kernels.follow_springs(
-            ready, capsules, both, 0.0, span, steps, UNRESOLVED
-        )
-        self._count(made[0], touched, inside)
+        made, _, _, _, _, _, touched, inside = _kernels.project_springs(
+            self._led(motions, span), both, self._torn, 0.0, 0, span / cells, cells,
+            substeps, 0, substeps, substeps, np.inf, motions.colliders,
+        )  # fmt: skip
+        self.tally.add(self._stretch(made[0]), touched, inside)
         return State(made[0], made[1])
 
-    def _count(self, x: FloatArray, touched: int, inside: int) -> None:
-        links, tally = self.network.stiff, self.tally
+    def _led(self, motions: Motions, span: float) -> _kernels.SpringNetwork:
+        """Return the network on its way through a frame."""
+        held, drawn = (
+            np.ascontiguousarray(motions.targets[:, rows])
+            for rows in (self.network.held, self._drawn)
+        )
+        if self._ready is not None and self._ready[:2] == (motions.cells, span):
+            network = self._ready[2]
+            network.lead(held, drawn)
+            return network
+        network = _kernels.SpringNetwork(
+            self._inverse, self._drags, self._ends, self._numbers,
+            self.network.triangles, self._field,
+            np.linspace(0.0, span, motions.cells + 1), self.network.held, held,
+            self._drawn, self._pulls, drawn, self._wind[None, None],
+        )  # fmt: skip
+        self._ready = motions.cells, span, network
+        return network
+
+    def _stretch(self, x: FloatArray) -> float:
+        links = self.network.stiff
         i, j = links.ends.T
         counted = (self._inverse[i] + self._inverse[j] > 0) & (links.rests > 0)
         lengths = np.linalg.norm(x[j[counted]] - x[i[counted]], axis=1)
         longer = lengths / links.rests[counted] - 1
-        tally.stretch = max(tally.stretch, float(longer.max(initial=0.0)))
-        tally.contacts = max(tally.contacts, touched)
-        tally.unresolved = max(tally.unresolved, inside)
+        return float(longer.max(initial=0.0))
 
 
 def masses_of(network: Network) -> FloatArray:

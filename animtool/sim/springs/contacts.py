@@ -13,6 +13,9 @@ from animtool.sim.springs.motion import Grid
 
 __all__ = ["cell_colliders", "fastest_collider"]
 
+# Particles that are deeper than this are left inside [m].
+INSIDE = 1e-6
+
 
 def cell_colliders(
     colliders: Colliders, radius: float, grid: Grid, cells: int
@@ -31,7 +34,8 @@ def cell_colliders(
     edges = np.asarray(grid.origin + steps * grid.cell, np.float64)
     poses = np.stack([_ends(collider, edges) for collider in colliders], axis=1)
     at = float(edges[0])
-    return colliders.arrays(at, at), np.ascontiguousarray(poses), radius
+    arrays = colliders.arrays(at, at)
+    return arrays, np.ascontiguousarray(poses), radius, None, INSIDE
 
 
 def _ends(collider: Collider, edges: FloatArray) -> FloatArray:

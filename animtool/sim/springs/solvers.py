@@ -51,7 +51,7 @@ def _projected(
 ) -> Grid:
     most = max(grid.least, int(grid.cell / SHORTEST))
     met = cell_colliders(system.colliders, system.radius, grid, cells)
-    state, torn, substeps, calm, stretch, steps, inside = _kernels.project_springs(
+    state, torn, substeps, calm, stretch, steps, _, inside = _kernels.project_springs(
         system.network, grid.state, grid.torn, grid.origin, grid.index, grid.cell,
         cells, grid.substeps, grid.calm, grid.least, most, options.stretch, met,
     )  # fmt: skip
