@@ -85,6 +85,7 @@ CrossBundle cross_bundle_in_quads() {
 AddPulls add_pulls_in_quads() { return nullptr; }
 
 SetBandPulls set_band_pulls_in_quads() { return nullptr; }
+
 CrossBundle cross_bundle_in_quads() { return nullptr; }
 
 ProjectAll project_all_in_quads() { return nullptr; }
