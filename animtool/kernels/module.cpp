@@ -265,8 +265,7 @@ Cell i of time begins at ``origin + (first + i) cell`` and is that many substeps
 ``(cells, C, 2, 7)``, the distance that particles keep, how deep each may be in each ``(C, N)``,
 0 or less, None is not at all, and how much deeper counts as left inside.
 
-Returns ``(state, torn, unresolved)``: particles left inside colliders at the end of a cell,
-at most.)");
+Returns ``(state, torn, unresolved)``: particles left inside colliders at the end.)");
 
   m.def("project_springs", &project_springs, "network"_a, "state"_a, "torn"_a, "origin"_a,
         "first"_a, "cell"_a, "cells"_a, "substeps"_a, "calm"_a, "least"_a, "most"_a,

@@ -175,7 +175,7 @@ StepCollider MovingColliders::over(const Collider& c, const Motion& motion, doub
 
 SpringContacts::SpringContacts(const std::optional<SpringColliders>& colliders,
                                std::size_t particles, std::int64_t cells)
-    : colliders_(colliders, particles, cells) {
+    : colliders_(colliders, particles, cells), cells_(cells) {
   if (!any()) return;
   clear_.assign(particles, 0.0);
   arm_.assign(particles, 0.0);
@@ -215,7 +215,7 @@ bool SpringContacts::settle(const SpringNetwork& network, int step,
     inside += measure(n, at);
   }
   touched = std::max(touched, moved);
-  if (step + 1 == substeps_) unresolved = std::max(unresolved, inside);
+  if (last_ + 1 == cells_ && step + 1 == substeps_) unresolved = inside;
   return moved > 0;
 }
 

@@ -88,8 +88,7 @@ class SpringContacts {
   // moved.
   bool settle(const SpringNetwork& network, int step, const std::vector<double>& before,
               std::vector<double>& x, std::vector<double>* v);
-  // Particles that were moved in a step, and that were left inside at the end of a cell, at
-  // most.
+  // Particles that were moved in a step, at most, and that were left inside at the end.
   std::int64_t touched = 0, unresolved = 0;
 
  private:
@@ -99,6 +98,7 @@ class SpringContacts {
   bool measure(std::size_t n, const double* x);
 
   MovingColliders colliders_;
+  std::int64_t cells_;
   std::vector<StepCollider> cell_;  // (substeps, C)
   const StepCollider* now_ = nullptr;
   int substeps_ = 1;
