@@ -232,16 +232,10 @@ void SpringRun::accelerate(const double* at, const double* going, double* out) {
   lines().pulls.set(at, going, room_, out);
   network.add_anchor_forces(points.data(), speeds.data(), at, going, out);
   network.add_air_forces(wind, at, going, out);
+  static const AccelerateRows quads = accelerate_rows_in_quads();
   const double fall[ROW] = {network.gravity[0], network.gravity[1], network.gravity[2], 0};
-  for (std::size_t n = 0; n < network.particles(); ++n) {
-    const double inverse = network.inverse_masses[n], drag = network.drags[n];
-    double* a = out + ROW * n;
-    const double* v = going + ROW * n;
-    if (inverse > 0)
-      for (std::size_t k = 0; k < ROW; ++k) a[k] = a[k] * inverse + (fall[k] - drag * v[k]);
-    else
-      std::fill_n(a, ROW, 0.0);
-  }
+  const ParticleColumns particles{network.inverse_masses.data(), network.drags.data()};
+  (quads ? quads : accelerate_rows<PlainRows>)(particles, network.particles(), fall, going, out);
 }
 
 namespace {

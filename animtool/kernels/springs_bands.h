@@ -34,6 +34,8 @@ constexpr std::size_t plane_height(std::size_t particles) {
 
 // Particles that are gone through with every band before the next are.
 constexpr std::size_t BAND_BLOCK = 64 * WIDE;
+// Offsets below this have a loop of their own for the other ends.
+constexpr std::size_t NEAR = 4 * WIDE;
 
 template <class W>
 void rows_to_planes(const double* rows, std::size_t count, std::size_t height, double* planes) {
@@ -69,6 +71,8 @@ void add_band(const BandNumbers& springs, const SpringBand& band, std::size_t be
   const double *rest = springs.rest + column, *stiffness = springs.stiffness + column,
                *damping = springs.damping + column;
   double *f = planes.f + begin, *g = f + band.offset;
+  // Reading at once what was just stored a few places further on would wait for it.
+  const bool near = band.offset < NEAR;
   double pulls[3][BAND_BLOCK];
   const std::size_t count = end - begin;
   for (std::size_t n = 0; n < count; n += WIDE) {
@@ -88,10 +92,13 @@ void add_band(const BandNumbers& springs, const SpringBand& band, std::size_t be
     for (std::size_t k = 0; k < 3; ++k) {
       const Row force = W::multiply(pull, d[k]);
       W::store(W::add(W::load(f + k * height + n), force), f + k * height + n);
-      W::store(force, pulls[k] + n);
+      if (near)
+        W::store(force, pulls[k] + n);
+      else
+        W::store(W::subtract(W::load(g + k * height + n), force), g + k * height + n);
     }
   }
-  // In a loop of its own: reading what was just stored a place further on would wait for it.
+  if (!near) return;
   for (std::size_t k = 0; k < 3; ++k)
     for (std::size_t n = 0; n < count; n += WIDE)
       W::store(W::subtract(W::load(g + k * height + n), W::load(pulls[k] + n)),

@@ -95,14 +95,6 @@ void keep(const SpringRun& run, bool all, std::vector<double>& before) {
   }
 }
 
-void advance(double h, const double* rate, SpringRun& run) {
-  double *x = run.x.data(), *v = run.v.data();
-  for (std::size_t k = 0; k < run.size; ++k) {
-    v[k] += h * rate[k];
-    x[k] += h * v[k];
-  }
-}
-
 }  // namespace
 
 SpringsStepped step_springs(const SpringNetwork& network, In<double, 3> state,
@@ -112,6 +104,8 @@ SpringsStepped step_springs(const SpringNetwork& network, In<double, 3> state,
   SpringRun run = begin_springs(network, state, torn);
   const Cells grid{origin, first, cell, cells};
   SpringContacts contacts(colliders, network.particles(), cells);
+  static const AdvanceRows quads = advance_rows_in_quads();
+  const AdvanceRows advance = quads ? quads : advance_rows<PlainRows>;
   {
     nb::gil_scoped_release release;
     const double h = cell / substeps;
@@ -123,7 +117,7 @@ SpringsStepped step_springs(const SpringNetwork& network, In<double, 3> state,
         run.look(t, h);
         run.accelerate(run.x.data(), run.v.data(), rate.data());
         keep(run, contacts.any(), before);
-        advance(h, rate.data(), run);
+        advance(network.particles(), h, rate.data(), run.x.data(), run.v.data());
         network.place_held(t + h, h, before.data(), run.x.data(), run.v.data());
         contacts.settle(network, j, before, run.x, &run.v);
       }

@@ -72,6 +72,14 @@ SetBandPulls set_band_pulls_in_quads() {
   return __builtin_cpu_supports("avx2") ? set_band_pulls<QuadRows> : nullptr;
 }
 
+AccelerateRows accelerate_rows_in_quads() {
+  return __builtin_cpu_supports("avx2") ? accelerate_rows<QuadRows> : nullptr;
+}
+
+AdvanceRows advance_rows_in_quads() {
+  return __builtin_cpu_supports("avx2") ? advance_rows<QuadRows> : nullptr;
+}
+
 ProjectAll project_all_in_quads() {
   return __builtin_cpu_supports("avx2") ? project_all<QuadRows> : nullptr;
 }
@@ -87,6 +95,10 @@ AddPulls add_pulls_in_quads() { return nullptr; }
 SetBandPulls set_band_pulls_in_quads() { return nullptr; }
 
 CrossBundle cross_bundle_in_quads() { return nullptr; }
+
+AccelerateRows accelerate_rows_in_quads() { return nullptr; }
+
+AdvanceRows advance_rows_in_quads() { return nullptr; }
 
 ProjectAll project_all_in_quads() { return nullptr; }
 

@@ -184,6 +184,37 @@ void add_pulls(const SpringColumns& springs, std::size_t count, const double* x,
   }
 }
 
+// Of particles, by number.
+struct ParticleColumns {
+  const double *inverse_masses, *drags;
+};
+
+// Turn rows of forces into accelerations: those of held particles are 0. What falls freely is
+// a row.
+template <class W>
+void accelerate_rows(const ParticleColumns& particles, std::size_t count, const double* fall,
+                     const double* v, double* rows) {
+  const auto falling = W::load(fall);
+  for (std::size_t n = 0; n < count; ++n, v += ROW, rows += ROW) {
+    const double inverse = particles.inverse_masses[n];
+    const auto slowed = W::multiply(W::spread(particles.drags[n]), W::load(v));
+    const auto pulled = W::multiply(W::load(rows), W::spread(inverse));
+    const auto whole = W::add(pulled, W::subtract(falling, slowed));
+    W::store(inverse > 0 ? whole : W::spread(0), rows);
+  }
+}
+
+// Go on for a time: velocities first, and places with the new ones.
+template <class W>
+void advance_rows(std::size_t count, double h, const double* rates, double* x, double* v) {
+  const auto time = W::spread(h);
+  for (std::size_t k = 0; k < ROW * count; k += ROW) {
+    const auto speed = W::add(W::load(v + k), W::multiply(time, W::load(rates + k)));
+    W::store(speed, v + k);
+    W::store(W::add(W::load(x + k), W::multiply(time, speed)), x + k);
+  }
+}
+
 // Move the ends of four springs that share none together, and keep the pulls.
 template <class W>
 void project_four(const GiveColumns& springs, std::size_t s, double* x, const double* before,
@@ -260,11 +291,16 @@ void project_all(const GiveColumns& springs, const SpringRunLength* runs, std::s
 
 using AddPulls = void (*)(const SpringColumns&, std::size_t, const double*, const double*,
                           double*);
+using AccelerateRows = void (*)(const ParticleColumns&, std::size_t, const double*,
+                                const double*, double*);
+using AdvanceRows = void (*)(std::size_t, double, const double*, double*, double*);
 using ProjectAll = void (*)(const GiveColumns&, const SpringRunLength*, std::size_t, double*,
                             const double*, double*);
 
 // Where the processor has registers of four doubles, loops that use them; else null.
 AddPulls add_pulls_in_quads();
+AccelerateRows accelerate_rows_in_quads();
+AdvanceRows advance_rows_in_quads();
 ProjectAll project_all_in_quads();
 
 }  // namespace animtool

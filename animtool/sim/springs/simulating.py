@@ -25,7 +25,7 @@ __all__ = ["simulate_springs"]
 # A time within this share of a cell is at its start.
 ON_GRID = 1e-9
 # Cells between two looks for signs of a blow-up.
-LOOK_EVERY = 60
+LOOK_EVERY = 120
 # Times that the step is halved to keep an error.
 MOST_HALVINGS = 8
 # Error of a step over that of a half one.
