@@ -9,8 +9,10 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,31 +22,42 @@ from figures import HERE, Row, Wanted, machine, run, table, verdicts, write_csv
 from animtool.sim.springs import Family, Pins, SpringSystem, sheet
 
 FRAMES = 24
-FILM = 24
 SECONDS, EARLY, LATE = "time [s]", "RMS at frame 6 [mm]", "RMS at frame 12 [mm]"
-RATIO = "time / animtool [x]"
-# Steps a second; the fewest are those that taichi is given.
+RATIO, EACH = "time / animtool [x]", "a spring and step [ns]"
+# Steps a second; the fewest explicit ones are those that taichi is given.
 OWN = {
     20: [
-        *[("symplectic_euler", rate) for rate in (1704, 1920, 2400, 4800, 9600)],
+        *[("symplectic_euler", rate) for rate in (1704, 2400, 3408, 6816, 9600)],
         *[("xpbd", rate) for rate in (480, 960, 1920, 3840)],
-        *[("bdf2", rate) for rate in (240, 480, 960, 1920)],
+        *[("bdf2", rate) for rate in (240, 960, 1920)],
         ("implicit_euler", 960),
     ],
     100: [
-        ("symplectic_euler", 14400),
+        *[("symplectic_euler", rate) for rate in (8640, 9600, 14400)],
         *[("xpbd", rate) for rate in (480, 960, 1920)],
     ],
 }
-FINE = {20: None, 100: 28800}
-# Newton's method, steps a second and iterations.
+# The truth of a sheet that the data has none of goes from these, as the error of
+# symplectic_euler goes with the step.
+FINE = (28800, 57600)
+# Its methods, their iterations, and steps a second.
 NEWTON = {
-    20: [("vbd", 480, 20), ("semi_implicit", 1920, 0)],
-    100: [("vbd", 240, 10)],
+    20: [
+        *[("vbd", 20, rate) for rate in (240, 480)],
+        *[("semi_implicit", 0, rate) for rate in (1920, 3840, 7680)],
+    ],
+    100: [("vbd", 10, 240)],
 }
-TAICHI = {20: 1704, 100: 14400}
-WANTED = {"taichi": 10.0, "newton": 20.0}
-WANTED_LARGE = {"newton": 4.0}
+TAICHI = {20: (1704, 3408, 6816), 100: (14400,)}
+MUJOCO = {20: (1704, 3408), 100: ()}
+WANTED = {20: {"taichi": 10.0, "newton": 20.0}, 100: {"newton": 4.0}}
+# Of an explicit step of animtool's, at most [ns].
+STEP = 1.5 * 7.5
+PEERS = {
+    "taichi": ["taichi"],
+    "newton": ["newton", "warp-lang"],
+    "mujoco": ["mujoco"],
+}
 
 
 @dataclass(frozen=True)
@@ -101,6 +114,7 @@ class Bench:
         self.given, self.made = folder / f"{size}.npz", folder / "made.npy"
         save(problem(size), self.given)
         self.true: np.ndarray | None = None
+        self.lost: list[str] = []
 
     def ask(self, python: str, peer: str, rate: int, *more: str) -> list[float]:
         """Run a peer, and return its seconds."""
@@ -122,40 +136,74 @@ class Bench:
         return Found(tool, rate, seconds, *off)
 
     def settle(self, true: np.ndarray | None) -> None:
-        """Take the truth, or finer steps for it."""
+        """Take the truth, or what ever finer steps tend to."""
         if true is None:
-            rate = FINE[self.size]
-            assert rate is not None
-            self.ask(sys.executable, "springs_animtool.py", rate, "symplectic_euler")
-            places = np.load(self.made)
-            true = places[[6, 12]]
+            made = []
+            for rate in FINE:
+                print(f"{self.size}: the truth, {rate}", file=sys.stderr)
+                peer = "springs_animtool.py"
+                self.ask(sys.executable, peer, rate, "symplectic_euler")
+                made.append(np.load(self.made)[[6, 12]])
+            true = 2 * made[1] - made[0]
         self.true = true
+
+    def plan(self) -> Iterator[tuple[str, str | None, str, int, list[str]]]:
+        """Return names, interpreters, scripts, steps a second and what else is told."""
+        asked, own = self.options, "springs_animtool.py"
+        for solver, rate in OWN[self.size]:
+            yield f"animtool {solver}", sys.executable, own, rate, [solver]
+        python = asked.taichi_python
+        for threads in sorted({1, os.cpu_count() or 1}):
+            for rate in TAICHI[self.size]:
+                name, told = f"taichi, {threads} threads", [str(threads)]
+                yield name, python, "springs_taichi.py", rate, told
+        python = asked.newton_python
+        for method, often, rate in NEWTON[self.size]:
+            name, told = f"newton {method}", [method, str(often)]
+            yield name, python, "springs_newton.py", rate, told
+        for rate in MUJOCO[self.size]:
+            name = "mujoco flex"
+            yield name, asked.mujoco_python, "springs_mujoco.py", rate, []
 
     def run(self) -> list[Found]:
         """Return what every tool made."""
-        asked, every = self.options, []
-        for solver, rate in OWN[self.size]:
-            print(f"{self.size}: {solver} {rate}", file=sys.stderr)
-            took = self.ask(sys.executable, "springs_animtool.py", rate, solver)
-            every.append(self.found(f"animtool {solver}", rate, took))
-        if asked.taichi_python:
-            for threads in ("1", str(os.cpu_count())):
-                rate = TAICHI[self.size]
-                print(f"{self.size}: taichi {rate}", file=sys.stderr)
-                took = self.ask(asked.taichi_python, "springs_taichi.py", rate, threads)
-                every.append(self.found(f"taichi, {threads} threads", rate, took))
-        if asked.newton_python:
-            for method, rate, iterations in NEWTON[self.size]:
-                print(f"{self.size}: newton {method} {rate}", file=sys.stderr)
-                more = (method, str(iterations))
-                took = self.ask(asked.newton_python, "springs_newton.py", rate, *more)
-                every.append(self.found(f"newton {method}", rate, took))
+        every = []
+        for name, python, peer, rate, told in self.plan():
+            if python is None:
+                continue
+            print(f"{self.size}: {name}, {rate}", file=sys.stderr)
+            try:
+                took = self.ask(python, peer, rate, *told)
+            except SystemExit as stopped:
+                if python == sys.executable:
+                    raise
+                print(stopped, file=sys.stderr)
+                self.lost.append(f"{name}, {rate}/s, did not run")
+                continue
+            every.append(self.found(name, rate, took))
         return every
 
 
+def ratio(found: Found, own: list[Found]) -> float | None:
+    """Return a peer's time over that of animtool's quickest that is as near, if any."""
+    near = [
+        min(one.seconds)
+        for one in own
+        if one.early <= found.early and one.late <= found.late
+    ]
+    return min(found.seconds) / min(near) if near else None
+
+
+def wanted(size: int, found: Found) -> Wanted | None:
+    """Return the least ratio that a peer is to have."""
+    bound = WANTED[size].get(found.tool.replace(",", " ").split()[0])
+    return None if bound is None else Wanted(at_least=True, bound=bound)
+
+
 def rows(size: int, every: list[Found]) -> list[Row]:
-    """Return figures: of each peer, against animtool's quickest that is as near."""
+    """Return figures of every tool."""
     section, made = f"sheet of {size} x {size}, one second", []
+    springs = len(problem(size).body.springs.rest)
     own = [found for found in every if found.tool.startswith("animtool")]
     for found in every:
         made += [
@@ -163,40 +211,46 @@ def rows(size: int, every: list[Found]) -> list[Row]:
             Row(section, found.name, EARLY, [found.early]),
             Row(section, found.name, LATE, [found.late]),
         ]
-        near = [
-            min(one.seconds)
-            for one in own
-            if one.early <= found.early and one.late <= found.late
-        ]
-        if found in own or not near:
-            continue
-        wanted = (WANTED if size == 20 else WANTED_LARGE).get(
-            found.tool.replace(",", " ").split()[0]
-        )
-        bound = None if wanted is None else Wanted(at_least=True, bound=wanted)
-        made.append(
-            Row(section, found.name, RATIO, [min(found.seconds) / min(near)], bound)
-        )
+        slower = None if found in own else ratio(found, own)
+        if slower is not None:
+            bound = wanted(size, found)
+            made.append(Row(section, found.name, RATIO, [slower], bound))
+        if found.tool == "animtool symplectic_euler":
+            each = 1e9 * min(found.seconds) / (springs * found.rate)
+            bound = Wanted(at_least=False, bound=STEP)
+            made.append(Row(section, found.name, EACH, [each], bound))
     return made
+
+
+def draw(python: str, source: Path) -> None:
+    """Draw the curves, where the interpreter has matplotlib."""
+    known = [python, "-c", "import matplotlib"]
+    if subprocess.run(known, capture_output=True, check=False).returncode:
+        print(f"no plot was drawn: {python} has no matplotlib", file=sys.stderr)
+        return
+    script = str(HERE / "peers" / "springs_plot.py")
+    plot = str(source.with_suffix(".svg"))
+    run([python, script, str(source), plot], report=False)
 
 
 def main() -> None:
     """Measure, print the tables, write the CSV."""
     about = __doc__.splitlines()[0] if __doc__ else None
     made = argparse.ArgumentParser(description=about)
-    made.add_argument("--taichi-python")
-    made.add_argument("--newton-python")
-    made.add_argument("--runs", type=int, default=5)
+    for name in PEERS:
+        made.add_argument(f"--{name}-python")
+    made.add_argument("--plot-python", default=sys.executable)
+    made.add_argument("--runs", type=int, default=3)
     made.add_argument("--sizes", type=int, nargs="*", default=[20, 100])
     made.add_argument("--csv", type=Path, default=HERE / "results" / "sim_springs.csv")
     options = made.parse_args()
+    pythons = {name: getattr(options, f"{name}_python") for name in PEERS}
     lines = machine(
         (sys.executable, ["animtool", "numpy"]),
-        (options.taichi_python, ["taichi"]),
-        (options.newton_python, ["newton", "warp-lang"]),
+        *((pythons[name], packages) for name, packages in PEERS.items()),
     )
-    for name in ("taichi", "newton"):
-        if getattr(options, f"{name}_python") is None:
+    for name, python in pythons.items():
+        if python is None:
             lines.append(f"{name} was not run: no interpreter was given")
     sections = []
     with tempfile.TemporaryDirectory() as folder:
@@ -205,10 +259,12 @@ def main() -> None:
             data = Path(os.environ["ANIMTOOL_DATA"])
             bench.settle(reference(data) if size == 20 else None)
             sections.append(rows(size, bench.run()))
+            lines += bench.lost
     print("\n".join(lines))
     for section in sections:
         print("\n".join(["", *table(section), "", *verdicts(section)]))
     write_csv(options.csv, lines, [row for section in sections for row in section])
+    draw(options.plot_python, options.csv)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,7 @@
 """Springs by a solver of animtool's."""
 
-import json
-import sys
-import time
-
 import numpy as np
+from springs_given import FILM, given, measure
 
 from animtool.sim.springs import (
     Body,
@@ -15,24 +12,17 @@ from animtool.sim.springs import (
     simulate_springs,
 )
 
-given = np.load(sys.argv[1])
-rate, frames, runs, output, solver = (
-    int(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4]), sys.argv[5], sys.argv[6],
+asked = given()
+body, (solver,) = asked.body, asked.more
+never = np.full(len(body["ends"]), np.inf)
+springs = Springs(body["ends"], body["rest"], body["stiffness"], body["damping"], never)
+faces = np.zeros((0, 3), np.int64)
+held = np.flatnonzero(body["inverse_masses"] == 0)
+system = SpringSystem(
+    Body(body["positions"], body["masses"], springs, faces),
+    pins=Pins(held), drag=float(body["drag"]),
 )  # fmt: skip
-never = np.full(len(given["ends"]), np.inf)
-springs = Springs(
-    given["ends"], given["rest"], given["stiffness"], given["damping"], never
-)
-body = Body(given["positions"], given["masses"], springs, np.zeros((0, 3), np.int64))
-held = np.flatnonzero(given["inverse_masses"] == 0)
-system = SpringSystem(body, pins=Pins(held), drag=float(given["drag"]))
-options = SpringOptions(solver, step=1 / rate, stretch=np.inf, longest=np.inf)
-times = np.arange(frames + 1) / 24
+options = SpringOptions(solver, step=1 / asked.rate, stretch=np.inf, longest=np.inf)
+times = np.arange(asked.frames + 1) / FILM
 simulate_springs(system, times[:2], options)
-seconds = []
-for _ in range(runs):
-    began = time.perf_counter()
-    motion = simulate_springs(system, times, options)
-    seconds.append(time.perf_counter() - began)
-np.save(output, motion.positions)
-print(json.dumps({"seconds": seconds, "status": str(motion.stats.status)}))
+measure(asked, lambda: simulate_springs(system, times, options).positions)

@@ -1,25 +1,17 @@
 """Semi-implicit Euler of springs in taichi, in double precision on processors."""
 
-import json
-import sys
-import time
-
 import numpy as np
 import taichi as ti
+from springs_given import given, measure
 
-given = np.load(sys.argv[1])
-rate, frames, runs, output = (
-    int(sys.argv[2]),
-    int(sys.argv[3]),
-    int(sys.argv[4]),
-    sys.argv[5],
-)
-ti.init(arch=ti.cpu, default_fp=ti.f64, cpu_max_num_threads=int(sys.argv[6]))
-N, S = len(given["positions"]), len(given["ends"])
+asked = given()
+body, (threads,) = asked.body, asked.more
+ti.init(arch=ti.cpu, default_fp=ti.f64, cpu_max_num_threads=int(threads))
+N, S = len(body["positions"]), len(body["ends"])
 x, v, f = (ti.Vector.field(3, ti.f64, N) for _ in range(3))
 w, ends = ti.field(ti.f64, N), ti.Vector.field(2, ti.i32, S)
 rest, stiff, damp = (ti.field(ti.f64, S) for _ in range(3))
-drag, h = float(given["drag"]), 1.0 / rate
+drag, h = float(body["drag"]), 1.0 / asked.rate
 
 
 @ti.kernel
@@ -39,28 +31,23 @@ def step():
         f[n] = 0.0
 
 
-def start() -> None:
-    x.from_numpy(given["positions"])
+def run(count: int) -> list[np.ndarray]:
+    """Return positions at frames."""
+    x.from_numpy(body["positions"])
     v.fill(0)
     f.fill(0)
-
-
-w.from_numpy(given["inverse_masses"])
-ends.from_numpy(given["ends"].astype(np.int32))
-rest.from_numpy(given["rest"])
-stiff.from_numpy(given["stiffness"])
-damp.from_numpy(given["damping"])
-start()
-step()
-seconds = []
-for _ in range(runs):
-    start()
     found = [x.to_numpy()]
-    began = time.perf_counter()
-    for _ in range(frames):
-        for _ in range(rate // 24):
+    for _ in range(count):
+        for _ in range(asked.steps):
             step()
         found.append(x.to_numpy())
-    seconds.append(time.perf_counter() - began)
-np.save(output, np.array(found))
-print(json.dumps({"seconds": seconds}))
+    return found
+
+
+w.from_numpy(body["inverse_masses"])
+ends.from_numpy(body["ends"].astype(np.int32))
+rest.from_numpy(body["rest"])
+stiff.from_numpy(body["stiffness"])
+damp.from_numpy(body["damping"])
+run(1)
+measure(asked, lambda: run(asked.frames))

@@ -1,0 +1,63 @@
+"""What every tool is given of springs, and how it is timed."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+FILM = 24
+# A tool that has taken this long is not run again [s].
+ENOUGH = 10.0
+
+
+@dataclass(frozen=True)
+class Given:
+    """A body of springs and what is asked for.
+
+    Attributes:
+        body: Arrays by name, as the benchmark saved them.
+        rate: Steps a second.
+        frames: Of film, after the first.
+        runs: At most.
+        output: Where places go.
+        more: What only this tool is told.
+    """
+
+    body: dict[str, Any]
+    rate: int
+    frames: int
+    runs: int
+    output: Path
+    more: list[str]
+
+    @property
+    def steps(self) -> int:
+        """Steps of a frame."""
+        return self.rate // FILM
+
+
+def given() -> Given:
+    """Read what this process was asked."""
+    body, rate, frames, runs, output, *more = sys.argv[1:]
+    with np.load(body) as arrays:
+        kept = dict(arrays)
+    return Given(kept, int(rate), int(frames), int(runs), Path(output), more)
+
+
+def measure(asked: Given, run: Callable[[], Any]) -> None:
+    """Time a run that returns places at every frame, save these, print seconds."""
+    seconds: list[float] = []
+    places = None
+    while len(seconds) < asked.runs and sum(seconds) < ENOUGH:
+        began = time.perf_counter()
+        places = run()
+        seconds.append(time.perf_counter() - began)
+    np.save(asked.output, np.asarray(places, np.float64))
+    print(json.dumps({"seconds": seconds}))
