@@ -41,17 +41,21 @@ class SpringBody:
 
 
 def mass_of(reader: EntryReader, at: Location, mass: float) -> float:
-    """Return a mass, and note where it is none."""
-    if not mass > 0:
-        message = f"its mass must be above 0, not {mass:g} kg"
-        reader.note(at, Fault("SIM040", message))
-    return mass
+    """Return a mass; what is none is noted, and 1 kg stands in for it."""
+    if mass > 0:
+        return mass
+    message = f"its mass must be above 0, not {mass:g} kg"
+    reader.document.add("SIM040", at, message)
+    return 1.0
 
 
 def families_of(
     reader: EntryReader, at: Location, model: Any
 ) -> dict[str, Family | None]:
-    """Return the families of springs of an entry by name, None of those left out."""
+    """Return the families of springs of an entry by name, None of those left out.
+
+    One of impossible numbers is noted, and one without force stands in for it.
+    """
     names = list(type(model).model_fields)
     found: dict[str, Family | None] = {}
     for name in names:
@@ -60,23 +64,25 @@ def families_of(
     if not any(found.values()):
         message = "it has no springs, and its particles fall apart"
         hint = f"give it some of {', '.join(names)}"
-        reader.note(at, Fault("SIM050", message, hint=hint))
+        reader.document.add("SIM050", at, message, hint)
     return found
 
 
 def _family(reader: EntryReader, at: Location, model: FamilyModel) -> Family:
-    for name in ("stiffness", "damping", "ratio", "rest"):
-        value = getattr(model, name)
-        if value < 0:
-            message = f"its {name} must be 0 or more, not {value:g}"
-            reader.note((*at, name), Fault("SIM042", message))
-    if model.tear is not None and not model.tear > 0:
-        message = f"its tear must be above 0, not {model.tear:g}"
-        reader.note((*at, "tear"), Fault("SIM042", message))
-    elif model.tear is not None and model.rest == 0:
-        message = "springs of no length tear at once"
-        reader.note((*at, "tear"), Fault("SIM042", message, hint="leave tear out"))
+    faults: dict[str, tuple[str, str | None]] = {
+        name: (f"its {name} must be 0 or more, not {getattr(model, name):g}", None)
+        for name in ("stiffness", "damping", "ratio", "rest")
+        if getattr(model, name) < 0
+    }
     tear = math.inf if model.tear is None else model.tear
+    if not tear > 0:
+        faults["tear"] = f"its tear must be above 0, not {tear:g}", None
+    elif model.rest == 0 and tear < math.inf:
+        faults["tear"] = "springs of no length tear at once", "leave tear out"
+    for name, (message, hint) in faults.items():
+        reader.document.add("SIM042", (*at, name), message, hint)
+    if faults:
+        return Family(0.0)
     return Family(model.stiffness, model.damping, model.ratio, tear, model.rest)
 
 
