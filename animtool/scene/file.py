@@ -127,8 +127,8 @@ class _SceneReader:
         self._check_simulated()
         found = (self._system(i, entry) for i, entry in enumerate(model.systems))
         systems = tuple(system for system in found if system is not None)
-        if len(systems) == len(model.systems):
-            check_links(self.document, systems)
+        given = [getattr(e, k) for e in model.systems for k in e.model_fields_set]
+        check_links(self.document, systems, [entry.name for entry in given])
         return systems
 
     def _system(self, i: int, entry: SystemModel) -> SceneSystem | None:

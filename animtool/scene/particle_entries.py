@@ -10,7 +10,7 @@ from typing import Any
 from animtool.documents.document import Document, Location
 from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.scene.particle_schema import EmitterModel, Named, ParticlesModel
-from animtool.scene.particle_system import ParticleSetup
+from animtool.scene.particle_system import ParticleSetup, SurfaceMet
 from animtool.scene.system_entries import EntryReader, poses_of
 from animtool.sim.colliders import Mesh
 from animtool.sim.options import IntegrateOptions
@@ -55,7 +55,14 @@ def read_particles(
     characters = reader.characters((*at, "characters"), model.characters)
     if particles is None:
         return None
-    return ParticleSetup(particles, model.preroll, characters)
+    surfaces = tuple(
+        SurfaceMet(entry.system, entry.restitution, entry.friction, (*at, "systems", i))
+        for i, entry in enumerate(model.systems)
+    )
+    for surface in surfaces:
+        for fault in surface.faults():
+            reader.note(surface.at, fault)
+    return ParticleSetup(particles, model.preroll, characters, surfaces)
 
 
 class _Reader(EntryReader):

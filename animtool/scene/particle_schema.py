@@ -14,6 +14,7 @@ __all__ = [
     "EmitterModel",
     "ParticlesModel",
     "SystemColliderModel",
+    "SystemSurfaceModel",
     "Vector",
     "VelocityModel",
 ]
@@ -164,6 +165,22 @@ class CharacterModel(FileModel):
     )
 
 
+class SystemSurfaceModel(FileModel):
+    """Cloth or a volume of the same scene that particles run into."""
+
+    system: Annotated[str, Field(min_length=1)] = Field(
+        description="Its name; it does not feel them.", examples=["flag"]
+    )
+    restitution: float = Field(
+        default=0.0,
+        description="Share of the speed into the surface that comes back, 0 to 1.",
+        examples=[0.4],
+    )
+    friction: float = Field(
+        default=0.0, description="Coulomb's coefficient.", examples=[0.3]
+    )
+
+
 class VelocityModel(FileModel):
     """A velocity field: expressions of x, y, z, t and age."""
 
@@ -201,6 +218,12 @@ class ParticlesModel(FileModel):
         default=[],
         description="Characters in motion that they run into; none is written.",
         examples=[[{"file": "walk.clip.yaml", "friction": 0.3}]],
+    )
+    systems: list[SystemSurfaceModel] = Field(
+        default=[],
+        description="Cloth and volumes of the scene that they run into, as thick as "
+        "their `radius`.",
+        examples=[[{"system": "flag", "friction": 0.3}]],
     )
     kill: list[SystemColliderModel] = Field(
         default=[],

@@ -5,19 +5,56 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Protocol, cast
 
 from animtool.documents.document import Location
 from animtool.errors import Fault, counted
 from animtool.scene.entries import SceneSystem
 from animtool.scene.simulation import Opening
+from animtool.sim.colliders import Collider, Plane, Sheet, SheetMotion
 from animtool.sim.particles.run import ParticleRun
 from animtool.usd.particle_points import PointsRow
 
 if TYPE_CHECKING:
+    from animtool.scene.spring_setup import SpringSetup
     from animtool.sim.particles.setup import Particles
 
 __all__ = ["ParticleSetup", "RunningParticles", "open_particles"]
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceMet:
+    """Cloth or a volume that particles run into.
+
+    Attributes:
+        system: Its name.
+        restitution: Share of the speed into the surface that comes back [1].
+        friction: Coulomb's coefficient [1].
+        at: Place of the entry.
+    """
+
+    system: str
+    restitution: float
+    friction: float
+    at: Location
+
+    def faults(self) -> list[Fault]:
+        """Return what of it makes no sense (SIM020)."""
+        like = Collider(Plane(), restitution=self.restitution, friction=self.friction)
+        return like.faults("")
+
+
+class Watchable(Protocol):
+    """A system whose surface can be met.
+
+    Attributes:
+        setup: What it is made of.
+    """
+
+    setup: SpringSetup
+
+    def watched(self, begin: float, step: float) -> SheetMotion:
+        """Return its surface from a time on, looked at in steps [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,11 +66,13 @@ class ParticleSetup:
         preroll: Time before 0 s that they begin in [s].
         characters: Files of characters that they run into, and what touching one
             does: restitution, friction and margin.
+        surfaces: Cloth and volumes of the scene that they run into.
     """
 
     particles: Particles
     preroll: float = 0.0
     characters: tuple[tuple[Path, tuple[float, float, float]], ...] = ()
+    surfaces: tuple[SurfaceMet, ...] = ()
 
     @property
     def joined(self) -> tuple[tuple[str, Location], ...]:
@@ -43,7 +82,7 @@ class ParticleSetup:
     @property
     def needs(self) -> tuple[tuple[str, Location], ...]:
         """Systems that they meet, and that do not feel them."""
-        return ()
+        return tuple((met.system, (*met.at, "system")) for met in self.surfaces)
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -58,6 +97,7 @@ class ParticleSetup:
         reads += [counted(len(given.forces), "force")] if given.forces else []
         reads += ["a velocity field"] if given.velocity else []
         reads += [counted(len(given.colliders), "collider")] if given.colliders else []
+        reads += [met.system for met in self.surfaces]
         return tuple(reads)
 
     @property
@@ -85,8 +125,24 @@ def open_particles(
         for collider in opening.characters.of(path).colliders(material)
     ]
     given = setup.particles
-    whole = replace(given, colliders=[*given.colliders, *moving])
+    sheets = [_sheet(met, opening, setup) for met in setup.surfaces]
+    whole = replace(given, colliders=[*given.colliders, *moving], sheets=sheets)
     return [RunningParticles(ParticleRun(whole, -setup.preroll))]
+
+
+def _sheet(met: SurfaceMet, opening: Opening, setup: ParticleSetup) -> Sheet:
+    other = cast(Watchable, opening.opened[met.system])
+    step = setup.particles.options.step
+    assert step is not None
+    shape = other.setup.body.shape
+    return Sheet(
+        other.watched(-setup.preroll, step),
+        other.setup.radius,
+        getattr(shape, "closed", False),
+        met.system,
+        met.restitution,
+        met.friction,
+    )
 
 
 class RunningParticles:

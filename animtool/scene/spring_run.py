@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from bisect import bisect_left
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -17,10 +19,49 @@ from animtool.sim.springs import (
 )
 from animtool.sim.trajectory import Carried, Status
 
-__all__ = ["SpringRun"]
+__all__ = ["Keeping", "Moment", "SpringRun"]
 
 # Times of a whole motion that are compared with those of one in half steps.
 COMPARED = 64
+# Times this near to each other are one [s].
+SAME = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moment:
+    """Particles at a time.
+
+    Attributes:
+        time: [s].
+        points: ``(N, 3)`` [m].
+        torn: Which springs are ``(S,)``.
+    """
+
+    time: float
+    points: FloatArray
+    torn: npt.NDArray[np.bool_]
+
+
+@dataclass(slots=True)
+class Keeping:
+    """Times that somebody looks back to.
+
+    Attributes:
+        begin: The first [s].
+        step: What lies between two [s].
+        since: None before is looked back to any more [s].
+    """
+
+    begin: float
+    step: float
+    since: float
+
+    def between(self, now: float, t: float) -> list[float]:
+        """Return those that lie between two times."""
+        first = math.floor((now - self.begin) / self.step) - 1
+        last = math.ceil((t - self.begin) / self.step) + 1
+        every = (self.begin + k * self.step for k in range(max(first, 0), last + 1))
+        return [at for at in every if now + SAME < at < t - SAME]
 
 
 class SpringRun:
@@ -65,6 +106,8 @@ class SpringRun:
         self._options = options
         self.step, self.steps, self.stretch, self.unresolved = np.inf, 0, 0.0, 0
         self._carried: Carried | None = None
+        self._keepings: list[Keeping] = []
+        self._kept: list[Moment] = []
         self._state, self.torn = system.state, np.zeros(0, np.bool_)
         motion = self._to(begin, begin)
         self.solver, self.reason = motion.solver, reason or motion.reason
@@ -98,8 +141,50 @@ class SpringRun:
             message = f"time {t:g} s is before that of the simulation"
             raise OptionError(Fault("SIM002", message, hint="begin again"))
         if t > now:
-            self._to(now, t)
+            self._on(now, t)
         return self._state, self.torn
+
+    def keep(self, begin: float, step: float) -> Keeping:
+        """Keep particles at times from now on, for `look`.
+
+        Args:
+            begin: The first time [s].
+            step: What lies between two [s].
+        """
+        self._keepings.append(Keeping(begin, step, -math.inf))
+        return self._keepings[-1]
+
+    def look(self, t: float) -> Moment:
+        """Return particles at a time, straight between those that are kept [s].
+
+        What is looked at does not change the motion.
+        """
+        assert self._carried is not None
+        if t > self._carried.time + SAME:
+            self.at(t)
+        times = [moment.time for moment in self._kept]
+        after = min(bisect_left(times, t - SAME), len(times) - 1)
+        found = self._kept[after]
+        if after == 0 or abs(found.time - t) <= SAME or found.time < t:
+            return found
+        before = self._kept[after - 1]
+        share = (t - before.time) / (found.time - before.time)
+        points = before.points + (found.points - before.points) * share
+        return Moment(t, points, before.torn)
+
+    def _on(self, now: float, t: float) -> None:
+        """Go on to a time, past all that are kept."""
+        stops = {at for keeping in self._keepings for at in keeping.between(now, t)}
+        for stop in (*sorted(stops), t):
+            self._to(now, stop)
+            now = stop
+        if not self._keepings:
+            self._kept = self._kept[-1:]
+            return
+        since = min(keeping.since for keeping in self._keepings)
+        first = bisect_left([moment.time for moment in self._kept], since - SAME)
+        # The one before lies on the way to a time between two.
+        self._kept = self._kept[max(first - 1, 0) :]
 
     def _to(self, now: float, t: float) -> SpringMotion:
         times = [now] if t == now else [now, t]
@@ -107,6 +192,7 @@ class SpringRun:
         self._check(motion)
         self._carried, self._state = motion.carried, motion.states[-1]
         self.torn = motion.torn
+        self._kept.append(Moment(t, self._state[0], self.torn))
         self.step = min(self.step, motion.step)
         self.steps += motion.stats.steps
         self.unresolved = max(self.unresolved, motion.unresolved)

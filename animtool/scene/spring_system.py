@@ -16,7 +16,9 @@ from animtool.scene.spring_joins import join_pairs
 from animtool.scene.spring_paths import Tie, Ties, brought, ties_of, wind_ties
 from animtool.scene.spring_run import SpringRun
 from animtool.scene.spring_setup import SpringSetup
+from animtool.scene.spring_shapes import Faces
 from animtool.scene.spring_sharing import shared
+from animtool.scene.watched import Watched
 from animtool.sim.colliders import Collider
 from animtool.sim.springs import Body, SpringSystem, Welded, find_rest, join, weld
 
@@ -196,6 +198,16 @@ class RunningSprings:
         return self.setup.body.shape.row(
             points, state[1, self.rows], torn[self.springs]
         )
+
+    def watched(self, begin: float, step: float) -> Watched:
+        """Return its surface, for what runs into it.
+
+        Args:
+            begin: The first time that it is looked at [s].
+            step: What lies between two such times [s].
+        """
+        shape = cast(Faces, self.setup.body.shape)
+        return Watched(self.run, shape, self.rows, self.springs, (begin, step))
 
     @property
     def notices(self) -> list[Fault]:

@@ -61,12 +61,14 @@ class SystemKind:
         writer: Writes its prim.
         joiner: Notes what keeps systems that are joined from being one; empty where
             particles cannot be joined.
+        surface: Whether it has faces, which others may run into.
     """
 
     reader: str
     opener: str
     writer: str
     joiner: str = ""
+    surface: bool = False
 
 
 def _springs(name: str, writer: str) -> SystemKind:
@@ -75,6 +77,7 @@ def _springs(name: str, writer: str) -> SystemKind:
         "animtool.scene.spring_system:open_springs",
         f"animtool.usd.simulated_points:{writer}",
         "animtool.scene.spring_joins:check_joins",
+        writer == "FacesWriter",
     )
 
 

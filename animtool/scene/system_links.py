@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from graphlib import CycleError, TopologicalSorter
+from graphlib import TopologicalSorter
 
 from animtool.documents.document import Document, Location
 from animtool.documents.names import nearest
@@ -49,27 +49,24 @@ def _groups(systems: Sequence[SceneSystem]) -> list[list[int]]:
     ]
 
 
-def check_links(document: Document, systems: Sequence[SceneSystem]) -> None:
-    """Note names of systems that there are none of, circles, and joints that cannot be.
+def check_links(
+    document: Document, systems: Sequence[SceneSystem], names: Sequence[str]
+) -> None:
+    """Note names of systems that there are none of, and joints that cannot be.
 
     Args:
         document: Where faults are noted.
-        systems: Those of the scene.
+        systems: Those of the scene that could be read.
+        names: Of all, those of the others among them.
     """
-    known = {system.name for system in systems}
-    sound = True
+    sound = len(systems) == len(names)
     for system in systems:
         setup = system.setup
-        for name, at in (*setup.joined, *setup.needs):
-            sound &= _check_name(document, at, name, system, systems)
-    if not sound or not known:
-        return
-    try:
-        groups = in_order(systems)
-    except CycleError as error:
-        _note_circle(document, systems, error.args[1])
-        return
-    for group in groups:
+        for name, at in setup.joined:
+            sound &= _check_name(document, at, name, system, systems, names, "joiner")
+        for name, at in setup.needs:
+            sound &= _check_name(document, at, name, system, systems, names, "surface")
+    for group in in_order(systems) if sound else ():
         place = SYSTEM_KINDS[systems[group[0]].kind].joiner
         if len(group) > 1 and place:
             check = load_object(place)
@@ -82,39 +79,25 @@ def _check_name(
     name: str,
     system: SceneSystem,
     systems: Sequence[SceneSystem],
+    names: Sequence[str],
+    having: str,
 ) -> bool:
     """Note a name that is none of another system that can serve."""
     named = [other for other in systems if other.name == name]
     message, hint = "", None
-    if not named:
-        names = sorted({other.name for other in systems} - {system.name})
+    if name not in names:
+        others = sorted({*names} - {system.name})
         message = f"no system is named {name!r}"
-        hint = nearest(name, names) or f"there are {listed(names)}"
-        hint = hint if names else "each has a name of its own"
-    elif len(named) > 1:
-        message = f"{len(named)} systems are named {name!r}"
+        hint = nearest(name, others) or f"there are {listed(others)}"
+        hint = hint if others else "there is no other"
+    elif list(names).count(name) > 1:
+        message = f"{list(names).count(name)} systems are named {name!r}"
         hint = "give each a name of its own"
-    elif named[0] is system:
+    elif name == system.name:
         message = f"{name!r} is the system itself"
-    elif not SYSTEM_KINDS[named[0].kind].joiner:
-        kinds = [kind for kind, about in SYSTEM_KINDS.items() if about.joiner]
-        message = f"{name!r} is of kind {named[0].kind}, which comes and goes"
-        hint = f"name one of kind {', '.join(kinds)}"
+    elif named and not getattr(SYSTEM_KINDS[named[0].kind], having):
+        kinds = [kind for kind, it in SYSTEM_KINDS.items() if getattr(it, having)]
+        message = f"{name!r} is of kind {named[0].kind}, not {' or '.join(kinds)}"
     if message:
         document.add("SCN063", at, message, hint)
     return not message
-
-
-def _note_circle(
-    document: Document, systems: Sequence[SceneSystem], circle: Sequence[int]
-) -> None:
-    groups = _groups(systems)
-    members = {i for k in circle for i in groups[k]}
-    names = [systems[groups[k][0]].name for k in circle]
-    for i in sorted(members):
-        for name, at in systems[i].setup.needs:
-            if any(systems[k].name == name for k in members):
-                message = f"systems wait for each other: {' for '.join(names)}"
-                hint = "what is run into is there first: leave one of them out"
-                document.add("SCN064", at, message, hint)
-                return

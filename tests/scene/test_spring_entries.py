@@ -207,6 +207,28 @@ CASES = {
         "[{particles: [0], moves: [[0, 0, 0, 0]], to: {system: flag, particles: [0]}}]",
         ["SIM052"],
     ),
+    "rain on a rope": (
+        "- strands:",
+        "- particles: {emitters: [{rate: 1}], systems: [{system: lead}]}\n- strands:",
+        ["SCN063"],
+    ),
+    "rain on nothing": (
+        "- strands:",
+        "- particles: {emitters: [{rate: 1}], systems: [{system: flg}]}\n- strands:",
+        ["SCN063"],
+    ),
+    "rain that leaps": (
+        "- strands:",
+        "- particles: {emitters: [{rate: 1}], systems: [{system: flag, friction: -1}]}"
+        "\n- strands:",
+        ["SIM020"],
+    ),
+    "joined to what comes and goes": (
+        PIN,
+        "[{particles: [0], to: {system: rain, particles: [0]}}]\n"
+        "- particles: {name: rain, emitters: [{rate: 1}]}",
+        ["SCN063"],
+    ),
     "joined, with another solver": (
         PIN,
         "[{particles: [0], to: {system: flag, particles: [0]}}]\n    solver: xpbd",
@@ -264,5 +286,6 @@ def test_a_joint_and_a_vertex_are_those_of_the_rig(root: Path, folder: Path) -> 
 def test_every_fault_is_said_at_once(folder: Path) -> None:
     text = SCENE.replace("mass: 0.1", "mass: 0").replace("mass: 0.2", "mass: -2")
     text = text.replace("[left]", "[lefft]").replace("size: [0.4,", "size: [0,")
-    found = [fault.code for fault in faults(folder, text)]
-    assert sorted(found) == ["SIM040", "SIM040", "SIM050", "SIM052"]
+    joined = "[{particles: [0], to: {system: jely, particles: [0]}}]"
+    found = [fault.code for fault in faults(folder, text.replace(PIN, joined))]
+    assert sorted(found) == ["SCN063", "SIM040", "SIM040", "SIM050", "SIM052"]

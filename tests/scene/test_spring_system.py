@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -457,3 +459,82 @@ def test_what_is_joined_apart_is_said(tmp_path: Path) -> None:
     text = CLOTH + CORD.replace("from: [1, 1, 0]", "from: [1, 0.9, 0]")
     report = bake(written(tmp_path, text), tmp_path / "o.usda")
     assert "SIM150" in [notice.code for notice in report.notices]
+
+
+# Particles that run into cloth
+
+RAIN = """\
+- particles:
+    name: rain
+    step: 0.01
+    emitters:
+    - place: {box: {size: [0.6, 0.01, 0.3]}}
+      at: [0.5, 1.5, -0.3]
+      rate: 200
+      radius: 0.01
+    forces: [{gravity: }]
+    systems: [{system: flag, friction: 0.5}]
+"""
+AWNING = CLOTH.replace("up: [0, 0.6, 0]", "up: [0, 0, -0.6]").replace(
+    "[{particles: [left]}]", "[{particles: [left, right]}]"
+).replace("velocity: [4, 0, 1]", "velocity: [0, 0, 0]")  # fmt: skip
+
+
+@pytest.mark.parametrize("order", ["awning first", "rain first"])
+def test_particles_stay_on_cloth(tmp_path: Path, order: str) -> None:
+    text = AWNING + RAIN if order == "awning first" else RAIN + AWNING
+    scene = written(tmp_path, text)
+    bake(scene, tmp_path / "o.usda", BakeOptions(frame_range=FrameRange(1, 24)))
+    stage = Usd.Stage.Open(str(tmp_path / "o.usda"))
+    cloth = values(stage, "/shot/flag", "points", 24)
+    drops = values(stage, "/shot/rain", "points", 24)
+    ages = values(stage, "/shot/rain", "primvars:age", 24)
+    old = drops[ages > 0.5]
+    assert len(old) > 20
+    for drop in old:
+        near = cloth[np.linalg.norm((cloth - drop)[:, [0, 2]], axis=1).argmin()]
+        assert drop[1] > near[1] - 0.02
+
+
+def test_the_order_of_systems_changes_nothing(tmp_path: Path) -> None:
+    one = baked(tmp_path, AWNING + RAIN, "a.usda")
+    two = baked(tmp_path, RAIN + AWNING, "b.usda")
+    alone = baked(tmp_path, AWNING, "c.usda")
+    for code in (6, 12):
+        for prim in ("flag", "rain"):
+            path = f"/shot/{prim}"
+            assert (values(one, path, "points", code) == values(
+                two, path, "points", code)).all()  # fmt: skip
+        assert (values(one, "/shot/flag", "points", code) == values(
+            alone, "/shot/flag", "points", code)).all()  # fmt: skip
+
+
+def test_two_kinds_of_rain_meet_one_cloth(tmp_path: Path) -> None:
+    other = RAIN.replace("name: rain", "name: hail").replace("0.01\n", "0.007\n", 1)
+    both = baked(tmp_path, RAIN + other + AWNING, "a.usda")
+    alone = baked(tmp_path, AWNING + other, "b.usda")
+    np.testing.assert_allclose(
+        values(both, "/shot/hail", "points", 12),
+        values(alone, "/shot/hail", "points", 12),
+        atol=1e-7,
+    )
+
+
+@pytest.mark.parametrize(
+    ("systems", "left_out"),
+    [(ROPE, "particles"), (RAIN.split("    systems:", maxsplit=1)[0], "springs")],
+)
+def test_only_what_a_scene_has_is_loaded(
+    tmp_path: Path, systems: str, left_out: str
+) -> None:
+    scene = written(tmp_path, systems)
+    code = (
+        "from animtool.cli.main import run\n"
+        f"run(['bake', {str(scene)!r}, '-o', {str(tmp_path / 'o.usdc')!r}])\n"
+        "import sys; print(sorted(m for m in sys.modules if 'animtool.sim.' in m))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True
+    )
+    assert (tmp_path / "o.usdc").exists()
+    assert f"animtool.sim.{left_out}" not in done.stdout.splitlines()[-1]

@@ -11,6 +11,7 @@ from animtool.sim.colliders.colliding import (
 from animtool.sim.colliders.on_joints import joint_poses, rig_colliders
 from animtool.sim.colliders.poses import Poses
 from animtool.sim.colliders.shapes import Box, Capsule, Mesh, Plane, Shape, Sphere
+from animtool.sim.colliders.sheets import Sheet, SheetMotion
 
 __all__ = [
     "Box",
@@ -23,6 +24,8 @@ __all__ = [
     "Plane",
     "Poses",
     "Shape",
+    "Sheet",
+    "SheetMotion",
     "Sphere",
     "Touch",
     "collide",

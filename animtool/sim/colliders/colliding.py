@@ -13,7 +13,9 @@ from animtool import _kernels
 from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_floats
 from animtool.errors import Fault, OptionError, Severity
 from animtool.sim.colliders.collider import Collider
+from animtool.sim.colliders.meeting import meet_sheet
 from animtool.sim.colliders.shapes import Box, Capsule, Mesh, Plane, Sphere
+from animtool.sim.colliders.sheets import Sheet
 
 __all__ = ["Collided", "Colliders", "Contacts", "Samples", "Touch", "collide"]
 
@@ -50,7 +52,8 @@ class Contacts:
     """What particles met in a step, the last of it.
 
     Attributes:
-        colliders: Index of the collider ``(N,)``, -1 where there was none.
+        colliders: Index of the collider ``(N,)``, those of sheets behind the others, -1
+            where there was none.
         touches: How, as of `Touch` ``(N,)``.
         normals: The way out of it ``(N, 3)``.
     """
@@ -98,17 +101,25 @@ class Samples:
 class Colliders(Sequence[Collider]):
     """Colliders made ready to be asked many times.
 
+    Attributes:
+        sheets: Surfaces that change their shape, which are no members.
+
     Raises:
         OptionError: Something of them makes no sense (SIM020).
     """
 
-    def __init__(self, colliders: Sequence[Collider]) -> None:
+    def __init__(
+        self, colliders: Sequence[Collider], sheets: Sequence[Sheet] = ()
+    ) -> None:
         self._colliders = tuple(colliders)
+        self.sheets = tuple(sheets)
         faults = [
             fault
             for i, collider in enumerate(self._colliders)
             for fault in collider.faults(collider.name or f"colliders[{i}]")
         ]
+        for i, sheet in enumerate(self.sheets):
+            faults += sheet.faults(sheet.name or f"sheets[{i}]")
         if faults:
             raise OptionError(faults)
         self._meshes, roots = _meshes([c.shape for c in self._colliders])
@@ -128,6 +139,11 @@ class Colliders(Sequence[Collider]):
     def __len__(self) -> int:
         """Return how many there are."""
         return len(self._colliders)
+
+    @property
+    def meet(self) -> bool:
+        """Whether there is anything to run into."""
+        return bool(self._colliders or self.sheets)
 
     def __getitem__(self, index: Any) -> Any:
         """Return one, or some."""
@@ -209,11 +225,52 @@ def collide(
     start = as_floats(before, (2, len(places), 3), "before")
     sizes = np.ascontiguousarray(np.broadcast_to(radii, len(places)), np.float64)
     late = np.zeros(len(places)) if begins is None else np.subtract(begins, t0)
+    held = _met(ready, start, after, (t0, t1), sizes, late)
     state, touches, normals = _kernels.collide_particles(
         ready.arrays(t0, t1), start, after, sizes, late, t1 - t0
     )
+    for rows, touched, ways in held:
+        only = touches[rows, 0] < 0
+        touches[rows[only]], normals[rows[only]] = touched[only], ways[only]
     found, touched = touches.T.copy()
     return Collided(state[0], state[1], Contacts(found, touched, normals))
+
+
+def _met(
+    ready: Colliders,
+    start: FloatArray,
+    after: FloatArray,
+    span: tuple[float, float],
+    sizes: FloatArray,
+    late: FloatArray,
+) -> list[tuple[IntArray, IntArray, FloatArray]]:
+    """Bring the end of a step to where sheets let it be; return who touched them.
+
+    What is rigid comes after them: particles between both are held by that.
+    """
+    step, found = span[1] - span[0], []
+
+    def settle(
+        collider: Collider,
+        begin: FloatArray,
+        end: FloatArray,
+        radii: FloatArray,
+        begins: FloatArray,
+    ) -> Any:
+        arrays = Colliders([collider]).arrays(*span)
+        return _kernels.collide_particles(arrays, begin, end, radii, begins, step)
+
+    for i, sheet in enumerate(ready.sheets if step > 0 else ()):
+        met = meet_sheet(sheet, start, after, span, sizes, late, settle)
+        if met is None:
+            continue
+        near, (state, touches, normals) = met
+        hit = touches[:, 0] >= 0
+        rows = near[hit]
+        after[:, rows] = state[:, hit]
+        touches[hit, 0] = len(ready) + i
+        found.append((rows, touches[hit], normals[hit]))
+    return found
 
 
 def _meshes(shapes: Sequence[object]) -> tuple[tuple[Any, ...], list[int]]:

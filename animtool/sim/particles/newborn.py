@@ -37,7 +37,7 @@ def brought_to(
         t1: Its end [s].
     """
     done = _moved(setup, cloud, born, t1 - cloud.births)
-    if not len(colliders):
+    if not colliders.meet:
         return done
     found = collide(
         done[0], done[1], born, colliders, t0, t1, cloud.radii, cloud.births

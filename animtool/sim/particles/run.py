@@ -92,7 +92,7 @@ class ParticleRun:
     ) -> None:
         setup.check()
         self.setup, self.begin = setup, begin
-        self.colliders = Colliders(setup.colliders)
+        self.colliders = Colliders(setup.colliders, setup.sheets)
         self.notices: list[Fault] = self.colliders.notices()
         self._kills = [Colliders([kill.region]) for kill in setup.kills]
         assert setup.options.step is not None

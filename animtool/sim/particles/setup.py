@@ -12,6 +12,7 @@ from animtool._types import BoolArray, FloatArray
 from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.colliding import Colliders
+from animtool.sim.colliders.sheets import Sheet
 from animtool.sim.options import IntegrateOptions, check_options
 from animtool.sim.particles.emitter import Emitter
 from animtool.sim.particles.forces import FORCES
@@ -55,6 +56,7 @@ class Particles:
             whatever times are asked for.
         most: Particles at once; who would be born beyond is not.
         name: For messages.
+        sheets: Surfaces that change their shape, which they run into too.
     """
 
     emitters: Sequence[Emitter]
@@ -67,6 +69,7 @@ class Particles:
     )
     most: int = 1_000_000
     name: str = "particles"
+    sheets: Sequence[Sheet] = ()
 
     def check(self) -> None:
         """Raise where something makes no sense.
@@ -119,6 +122,8 @@ class Particles:
         ):
             for i, collider in enumerate(given):
                 found += collider.faults(collider.name or f"{what}[{i}]")
+        for i, sheet in enumerate(self.sheets):
+            found += sheet.faults(sheet.name or f"sheets[{i}]")
         return found
 
 

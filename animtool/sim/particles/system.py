@@ -22,7 +22,7 @@ class _Living:
         self, setup: Particles, colliders: Colliders, cloud: Cloud, state: FloatArray
     ) -> None:
         self.setup, self.cloud = setup, cloud
-        self.settles = len(colliders) > 0
+        self.settles = colliders.meet
         self.contacts: Contacts | None = None
         self._colliders = colliders
         self._state = state

@@ -61,7 +61,6 @@ RULES = (
     Rule("SCN061", "a simulation without an end"),
     Rule("SCN062", "what is for characters, of a scene that is simulated"),
     Rule("SCN063", "a system that there is none of"),
-    Rule("SCN064", "systems that wait for each other"),
     Rule("SCN065", "a system of no kind, or of several"),
     Rule(
         "SCN101",
