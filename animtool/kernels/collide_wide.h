@@ -42,14 +42,18 @@ WideSample<W> sample_rod(const Rod::Axis& axis, double radius, const WideVec<W>&
 }
 
 // Where particles are that are too deep at the end of a step: on the surface, but for those
-// that began too deep, and friction takes from their way along it. Returns which are moved.
+// that began too deep, and friction takes from their way along it. Being moved out slowly is
+// no speed: of those that began too deep, where they stood still goes along. Returns which are
+// moved.
 template <class W>
 unsigned push_out(const Rod& rod, const WideSample<W>& found, const Wide<W>& begun,
-                  const Wide<W>& depth, const WideVec<W>& from, WideVec<W>& to) {
+                  const Wide<W>& depth, const WideVec<W>& from, WideVec<W>& to,
+                  WideVec<W>& still) {
   using N = Wide<W>;
   using V = WideVec<W>;
   const N slow = least(begun + rod.rise, depth);
-  const N goal = chosen(below(begun, depth - INSIDE), slow, depth);
+  const auto deep = below(begun, depth - INSIDE);
+  const N goal = chosen(deep, slow, depth);
   const N out = goal - found.distance;
   const N pushed = below(N(TOUCH), out);
   const V carried =
@@ -60,6 +64,9 @@ unsigned push_out(const Rod& rod, const WideSample<W>& found, const Wide<W>& beg
   // What friction holds does not slip at all.
   const N share = chosen(below(held, most), held * inverse(most), N(1.0));
   to = chosen(pushed, place - slip * share, to);
+  const N gained = dot(to - still - carried, found.normal);
+  const V beside = chosen(below(N(0.0), gained), still + found.normal * gained, still);
+  still = chosen(pushed, chosen(deep, beside, still), still);
   return bits(pushed);
 }
 

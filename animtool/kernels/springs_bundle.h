@@ -240,7 +240,7 @@ class BundleCrossing {
   unsigned settle(std::size_t step, std::size_t p, double went) {
     double &way = b_.way[p], *dues = b_.dues + p * plan_.colliders;
     const V from = at(b_.before, p);
-    V to = at(b_.x, p);
+    V to = at(b_.x, p), still = from;
     unsigned moved = sweep(step, p, went, from, to);
     for (int round = 0; round < ROUNDS_OUT; ++round) {
       unsigned pushed = 0;
@@ -250,7 +250,7 @@ class BundleCrossing {
         if (dues[c] > way) continue;
         ++looked;
         only = c;
-        pushed |= push(step, p, c, from, to);
+        pushed |= push(step, p, c, from, to, still);
       }
       // What is pushed may come near what was far.
       if (way >= far_) look_at_all();
@@ -264,6 +264,7 @@ class BundleCrossing {
     }
     b_.due[p] = due;
     to.store(b_.x + WIDE_VECTOR * p);
+    still.store(b_.before + WIDE_VECTOR * p);
     return moved;
   }
 
@@ -273,7 +274,8 @@ class BundleCrossing {
     return false;
   }
 
-  unsigned push(std::size_t step, std::size_t p, std::size_t c, const V& from, V& to) {
+  unsigned push(std::size_t step, std::size_t p, std::size_t c, const V& from, V& to,
+                V& still) {
     const std::size_t row = step * plan_.colliders + c;
     const collide::Rod& rod = plan_.rods[row];
     double &way = b_.way[p], &due = b_.dues[p * plan_.colliders + c];
@@ -285,7 +287,7 @@ class BundleCrossing {
     if (!(near < -collide::TOUCH)) return 0;
     const N begun = sample(row, c, false, from).distance;
     V place = to;
-    const unsigned pushed = collide::push_out(rod, found, begun, depth, from, place);
+    const unsigned pushed = collide::push_out(rod, found, begun, depth, from, place, still);
     if (!pushed) return 0;
     way += largest(length(place - to));
     due = way;

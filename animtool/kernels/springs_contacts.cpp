@@ -18,6 +18,8 @@ using collide::Vec;
 using collide::load;
 using collide::store;
 
+// Steps of weight whose speed into a surface is taken for resting on it.
+constexpr double RESTING = 2;
 // Rounds of moving out of all colliders.
 constexpr int TRIES = 3;
 
@@ -194,7 +196,7 @@ void SpringContacts::begin_cell(std::int64_t cell, int substeps, double h) {
 }
 
 bool SpringContacts::settle(const SpringNetwork& network, int step,
-                            const std::vector<double>& before, std::vector<double>& x,
+                            std::vector<double>& before, std::vector<double>& x,
                             std::vector<double>* v) {
   if (!any()) return false;
   now_ = cell_.data() + static_cast<std::size_t>(step) * colliders_.size();
@@ -203,11 +205,12 @@ bool SpringContacts::settle(const SpringNetwork& network, int step,
     travel = std::max(travel, now_[c].travel({}));
     angle = std::max(angle, now_[c].turn());
   }
+  least_blow_ = RESTING * h_ * std::sqrt(dot3(network.gravity, network.gravity));
   std::int64_t moved = 0, inside = 0;
   for (std::size_t n = 0; n < network.particles(); ++n) {
     if (network.inverse_masses[n] == 0) continue;
     double *at = x.data() + ROW * n, way = travel + angle * arm_[n];
-    const double* from = before.data() + ROW * n;
+    double* from = before.data() + ROW * n;
     for (std::size_t k = 0; k < 3; ++k) way += std::abs(at[k] - from[k]);
     clear_[n] -= way;
     if (clear_[n] > 0) continue;
@@ -231,23 +234,27 @@ bool SpringContacts::measure(std::size_t n, const double* x) {
   return clear < -colliders_.tolerance();
 }
 
-bool SpringContacts::settle_one(std::size_t n, const double* before, double* x, double* v) {
+bool SpringContacts::settle_one(std::size_t n, double* before, double* x, double* v) {
   const Vec from = load(before);
-  Vec to = load(x);
+  Vec to = load(x), still = from;
   bool moved = false;
   for (std::size_t c = 0; c < colliders_.size(); ++c)
     moved |= now_[c].sweep(h_, colliders_.radius(), from, to, v);
   for (int i = 0; i < TRIES; ++i) {
     bool pushed = false;
-    for (std::size_t c = 0; c < colliders_.size(); ++c) pushed |= push(c, n, from, to, v);
+    for (std::size_t c = 0; c < colliders_.size(); ++c) pushed |= push(c, n, from, to, still, v);
     moved |= pushed;
     if (!pushed) break;
   }
-  if (moved) store(to, x);
+  if (moved) {
+    store(to, x);
+    store(still, before);
+  }
   return moved;
 }
 
-bool SpringContacts::push(std::size_t index, std::size_t n, Vec from, Vec& to, double* v) {
+bool SpringContacts::push(std::size_t index, std::size_t n, Vec from, Vec& to,
+                          Vec& still, double* v) {
   const StepCollider& c = now_[index];
   const double depth = colliders_.depth(index, n);
   const Sample found = c.after(to, colliders_.radius());
@@ -262,14 +269,17 @@ bool SpringContacts::push(std::size_t index, std::size_t n, Vec from, Vec& to, d
       Vec along = speed - found.normal * into;
       const double most = length(along);
       along = along * (most > held ? 1 - held / most : 0.0);
-      store(surface + along - found.normal * (restitution * into), v);
+      // What a step of its weight brings is no blow: it rests.
+      const double back = -into > least_blow_ ? restitution * into : 0.0;
+      store(surface + along - found.normal * back, v);
     }
   }
   const double begun = c.before(from, colliders_.radius()).distance;
-  OneVec place = one(to);
+  OneVec place = one(to), stood = one(still);
   const bool out = collide::push_out<OneRow>(c.rod, {found.distance, one(found.normal)}, begun,
-                                             depth, one(from), place);
+                                             depth, one(from), place, stood);
   to = vec(place);
+  still = vec(stood);
   return out;
 }
 

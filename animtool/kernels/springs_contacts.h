@@ -84,16 +84,17 @@ class SpringContacts {
   // A cell of time begins; its steps are even.
   void begin_cell(std::int64_t cell, int substeps, double h);
   // Moves particles out of what they are in at the end of a step of a cell, and takes what
-  // friction does from their way; with velocities, from these too. Returns whether any was
-  // moved.
-  bool settle(const SpringNetwork& network, int step, const std::vector<double>& before,
+  // friction does from their way; with velocities, from these too. What began too deep is
+  // given no speed by that: where it was goes with it. Returns whether any was moved.
+  bool settle(const SpringNetwork& network, int step, std::vector<double>& before,
               std::vector<double>& x, std::vector<double>* v);
   // Particles that were moved in a step, at most, and that were left inside at the end.
   std::int64_t touched = 0, unresolved = 0;
 
  private:
-  bool settle_one(std::size_t n, const double* before, double* x, double* v);
-  bool push(std::size_t c, std::size_t n, collide::Vec before, collide::Vec& x, double* v);
+  bool settle_one(std::size_t n, double* before, double* x, double* v);
+  bool push(std::size_t c, std::size_t n, collide::Vec before, collide::Vec& x,
+            collide::Vec& still, double* v);
   // Looks how far off all colliders are; whether it is inside one.
   bool measure(std::size_t n, const double* x);
 
@@ -102,7 +103,7 @@ class SpringContacts {
   std::vector<StepCollider> cell_;  // (substeps, C)
   const StepCollider* now_ = nullptr;
   int substeps_ = 1;
-  double h_ = 0;
+  double h_ = 0, least_blow_ = 0;
   std::int64_t last_ = -1;
   // How far each particle is from all colliders at least, and what turns reach it by.
   std::vector<double> clear_, arm_;

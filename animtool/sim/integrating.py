@@ -70,7 +70,8 @@ def integrate(
     begin = carried or Carried(float(moments[0]), system.state)
     with np.errstate(all="ignore"):
         check_start(equations, begin.time, begin.state)
-        notices = step_notices(equations, integrator, options, moments, begin.state)
+        notices = [] if carried else system.notices()
+        notices += step_notices(equations, integrator, options, moments, begin.state)
         run = _begun(equations, integrator, options, moments, begin)
         states, status = _states(run, moments)
         stats = _stats(run, status, states, moments)

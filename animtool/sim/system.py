@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 from animtool._types import BoolArray, FloatArray
+from animtool.errors import Fault
 
 __all__ = ["Energy", "FirstOrder", "Matrix", "Native", "SecondOrder", "System"]
 
@@ -100,6 +101,10 @@ class System(Protocol):
         It does what the method of that name does, and `settle` too.
         """
         return None
+
+    def notices(self) -> list[Fault]:
+        """Return what is odd about its start, and about what is to come."""
+        return []
 
     def suspect(self, t: float, state: FloatArray) -> str:
         """Return what makes a state hard to go on from, for a message; may be empty."""

@@ -1,8 +1,7 @@
-"""Every integrator on every motion with a reference answer, and the hard cases."""
+"""Every integrator on every motion with a reference answer."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,14 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from adapters.sim import Problem, kepler_system, read_problems
+from adapters.sim import Problem, read_problems
 from support.data import data_files
 
-from animtool._types import FloatArray
-from animtool.errors import OptionError
 from animtool.sim import (
     INTEGRATORS,
-    ForceSystem,
     IntegrateOptions,
     Integrator,
     Status,
@@ -184,92 +180,3 @@ def test_euler_spirals_out_as_it_must(path: Path) -> None:
         ]
         grown = (1 + (omega * h) ** 2) ** (count / 2)
         assert radii[1] / radii[0] == pytest.approx(grown, rel=1e-10)
-
-
-def falling() -> ForceSystem:
-    """Return a damped spring in a field that swings with time."""
-    return ForceSystem(
-        lambda t, x, v: -40 * x - 0.8 * v + np.sin(3 * t), [[1.0]], [[0.0]]
-    )
-
-
-def options_for(name: str) -> IntegrateOptions:
-    if find_integrator(name).control is Control.FIXED:
-        return IntegrateOptions(name, step=1 / 480)
-    return IntegrateOptions(name, tolerance=1e-10)
-
-
-def _dt_zero(name: str) -> None:
-    times = np.array([0, 1, 1, 1, 2, 3, 3]) / 24
-    found = integrate(falling(), times, options_for(name))
-    assert found.states[1].tobytes() == found.states[2].tobytes()
-    assert found.states[1].tobytes() == found.states[3].tobytes()
-    assert found.states[5].tobytes() == found.states[6].tobytes()
-    once = integrate(falling(), np.unique(times), options_for(name))
-    assert once.states.tobytes() == found.states[[0, 1, 4, 5]].tobytes()
-
-
-def _dt_negative(name: str) -> None:
-    with pytest.raises(OptionError) as error:
-        integrate(falling(), [0, 1 / 24, 0], options_for(name))
-    assert error.value.code == "SIM002"
-
-
-def _dt_spike(name: str) -> None:
-    every = np.arange(49) / 24
-    spike = np.concatenate([every[:13], every[24:]])
-    whole = integrate(falling(), every, options_for(name)).states
-    found = integrate(falling(), spike, options_for(name)).states
-    kept: FloatArray = np.concatenate([whole[:13], whole[24:]])
-    if find_integrator(name).control is Control.FIXED:
-        assert found.tobytes() == kept.tobytes()
-    np.testing.assert_allclose(found, kept, rtol=0, atol=1e-7)
-
-
-def _close_encounter(name: str) -> None:
-    # From rest it meets the mass at the origin after this time.
-    head_on = kepler_system(1.0, [1.0, 0.0], [0.0, 0.0])
-    meeting = np.pi / 2**1.5
-    options = IntegrateOptions(name, tolerance=1e-8, floor=1e-7, growth=np.inf)
-    found = integrate(head_on, [0, 1, 2], options)
-    assert found.stats.status is Status.STEP_TOO_SMALL
-    assert found.stats.time == pytest.approx(meeting, abs=1e-3)
-    assert found.notices[-1].code == "SIM103"
-    assert "particle 0" in found.notices[-1].message
-    assert f"{found.stats.time:.6g} s" in found.notices[-1].message
-    assert found.times.tolist() == [0, 1]
-
-
-CASES = {
-    "dt_zero": _dt_zero,
-    "dt_negative": _dt_negative,
-    "dt_spike": _dt_spike,
-    "close_encounter": _close_encounter,
-}
-
-
-# Methods of a fixed step cannot say that theirs is too long.
-ADAPTIVE = {"close_encounter"}
-
-
-def hard_cases() -> list[object]:
-    """Return a parameter a hard case of integrators, and integrator that it is of."""
-    found: list[object] = []
-    for param in data_files("sim", "hard_cases*.json"):
-        (path,) = param.values
-        if path is None:
-            return [pytest.param(None, None, marks=param.marks, id=param.id)]
-        listed = json.loads(path.read_text("utf-8"))["instances"]
-        found += [
-            pytest.param(case, name, id=f"{case}-{name}")
-            for case in (entry["id"] for entry in listed if entry["id"] in CASES)
-            for name in INTEGRATORS
-            if case not in ADAPTIVE
-            or find_integrator(name).control is not Control.FIXED
-        ]
-    return found
-
-
-@pytest.mark.parametrize(("case", "name"), hard_cases())
-def test_hard_cases_of_integrators(case: str, name: str) -> None:
-    CASES[case](name)

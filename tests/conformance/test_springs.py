@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,19 +11,13 @@ from adapters.springs import Case, read_springs
 from support.data import data_files
 
 from animtool._types import FloatArray
-from animtool.errors import OptionError
 from animtool.sim import IntegrateOptions, Status, integrate
 from animtool.sim.springs import (
-    Body,
-    Family,
-    Pins,
     Solver,
     SpringMotion,
     SpringOptions,
-    SpringSystem,
     find_rest,
     simulate_springs,
-    springs_between,
 )
 
 ROPES, SHEETS = data_files("sim", "rope_stiff*"), data_files("sim", "cloth_static*")
@@ -210,63 +203,3 @@ def test_an_error_that_is_asked_for_is_kept(path: Path) -> None:
         times = np.array(listed[: last + 1]) / case.fps
         motion = simulate_springs(case.system, times, options)
         assert np.abs(motion.positions - true).max() <= 2e-3
-
-
-def lines(count: int = 3, rest: float | None = None, mass: float = 0.1) -> Body:
-    """Return a rope whose particles are at one point, of springs of a length."""
-    places = np.ones((count, 3))
-    family = Family(100.0, 0.1)
-    ends = np.stack([np.arange(count - 1), np.arange(1, count)], axis=1)
-    masses = np.full(count, mass)
-    springs = springs_between(ends, family, places, np.ones(count), rest)
-    return Body(places, masses, springs, np.zeros((0, 3), np.int64))
-
-
-def _coincident(solver: Solver) -> None:
-    for system in (SpringSystem(lines(2, 0.5)), SpringSystem(lines(9, 0.5))):
-        motions = [
-            simulate_springs(system, [0, 0.5], SpringOptions(solver)) for _ in range(2)
-        ]
-        assert np.isfinite(motions[0].states).all()
-        assert motions[0].states.tobytes() == motions[1].states.tobytes()
-        assert "SIM140" in [notice.code for notice in motions[0].notices]
-
-
-def _no_length(solver: Solver) -> None:
-    system = SpringSystem(lines(3, 0.0), gravity=(0, 0, 0))
-    motion = simulate_springs(system, [0, 0.5], SpringOptions(solver))
-    assert motion.states[0].tobytes() == motion.states[1].tobytes()
-    assert not motion.notices
-
-
-def _no_mass(solver: Solver) -> None:  # noqa: ARG001 - before any solver
-    for mass in (0.0, -1.0, np.nan):
-        with pytest.raises(OptionError) as error:
-            SpringSystem(lines(3, 0.5, mass))
-        assert {fault.code for fault in error.value.faults} == {"SIM040"}
-        assert "particle 0" in error.value.faults[0].message
-
-
-def _held_ends(solver: Solver) -> None:
-    places = np.arange(9.0).reshape(3, 3) / 10
-    system = SpringSystem(lines(3, 0.5), pins=Pins([0, 1], places[:2]))
-    motion = simulate_springs(system, [0, 0.5], SpringOptions(solver))
-    assert np.isfinite(motion.states).all()
-    np.testing.assert_array_equal(motion.positions[1, :2], places[:2])
-
-
-HARD = {
-    "coincident_particles": _coincident,
-    "all_coincident": _coincident,
-    "zero_rest_length": _no_length,
-    "zero_mass_unpinned": _no_mass,
-    "both_ends_pinned": _held_ends,
-}
-
-
-@pytest.mark.parametrize("solver", Solver)
-@pytest.mark.parametrize("path", data_files("sim", "hard_cases*.json"))
-def test_hard_cases_of_springs(path: Path, solver: Solver) -> None:
-    listed = json.loads(path.read_text("utf-8"))["instances"]
-    for case in (entry["id"] for entry in listed if entry["id"] in HARD):
-        HARD[case](solver)

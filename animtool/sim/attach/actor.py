@@ -14,6 +14,7 @@ from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 from animtool.sim.attach.bodies import Body
 from animtool.sim.attach.capsules import CapsuleContacts, Capsules, depth_at_bind
+from animtool.sim.attach.network import lost_links
 from animtool.sim.attach.poses import Pose, Way, way
 from animtool.sim.attach.settings import Settings
 from animtool.sim.attach.stepping import (
@@ -69,6 +70,7 @@ class Actor:
         target: Where the animation has it ``(N, 3)`` [m].
         tally: What happened.
         jumps: How often it was carried over a jump.
+        lost: Springs whose ends are at one place in the first pose, and ought not to.
         seconds: Time spent [s].
     """
 
@@ -114,6 +116,7 @@ class Actor:
             settings.friction,
         )
         self.target = body.targets(first)[0]
+        self.lost = lost_links(network, self.target)
         self.state = State(self.target, np.zeros_like(self.target))
 
     def rush(self, speed: FloatArray) -> None:

@@ -8,12 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
+from animtool.errors import counted
 
 __all__ = [
     "Links",
     "Network",
     "diagonals_of_faces",
     "folds_of_faces",
+    "lost_links",
+    "odd_surface",
     "reach",
     "sides_of_faces",
 ]
@@ -134,6 +137,44 @@ def reach(network: Network) -> int:
                 away[other] = away[at] + 1
                 waiting.append(other)
     return max(away.values(), default=0)
+
+
+def lost_links(network: Network, points: FloatArray) -> int:
+    """Return how many springs have both ends at one place of points ``(N, 3)``.
+
+    Those of no length at rest are to be so, but where all are.
+
+    >>> line = np.array([[0, 1], [1, 2]])
+    >>> network = Network.of(np.eye(3), np.array([0]), line)
+    >>> lost_links(network, np.array([[0.0, 0, 0], [0, 0, 0], [1, 0, 0]]))
+    1
+    """
+    i, j = network.stiff.ends.T
+    lost = (points[i] == points[j]).all(axis=1)
+    rests = network.stiff.rests
+    return int((lost & ((rests > 0) | ~rests.any())).sum())
+
+
+def odd_surface(network: Network) -> list[str]:
+    """Return what of the triangles is no surface, in words.
+
+    >>> fan = np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]])
+    >>> network = Network.of(np.eye(5, 3), np.array([0]), fan[:, :2], triangles=fan)
+    >>> odd_surface(network)
+    ['1 triangle without area', '1 edge of more than two triangles']
+    """
+    corners = network.triangles
+    if not len(corners):
+        return []
+    a, b, c = (network.points[corners[:, k]] for k in range(3))
+    flat = int((~np.cross(b - a, c - a).any(axis=1)).sum())
+    sides = np.sort(corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    often = np.unique(sides, axis=0, return_counts=True)[1]
+    shared = int((often > 2).sum())
+    said = [f"{counted(flat, 'triangle')} without area"] if flat else []
+    if shared:
+        said.append(f"{counted(shared, 'edge')} of more than two triangles")
+    return said
 
 
 def sides_of_faces(faces: list[list[int]]) -> IntArray:

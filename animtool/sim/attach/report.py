@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from animtool.errors import Fault, Severity, counted, listed
 from animtool.sim.attach.actor import Actor
+from animtool.sim.attach.network import odd_surface
 from animtool.sim.attach.simulation import Closing, Simulation
 
 __all__ = ["AttachReport", "notices_of", "reports_of"]
@@ -77,8 +78,8 @@ def notices_of(simulation: Simulation) -> list[Fault]:
     """Return what is worth saying of a simulation that is over."""
     reports = reports_of(simulation)
     said = [_note(report) for report in reports]
-    for report in reports:
-        said += _warnings(report)
+    for actor, report in zip(simulation.actors, reports, strict=True):
+        said += _of_start(actor) + _warnings(report)
     if simulation.closing is not None:
         names = listed([report.name for report in reports])
         said.append(_closed(names, simulation.closing))
@@ -95,6 +96,22 @@ def _note(report: AttachReport) -> Fault:
     if report.jumps:
         parts.append(f"carried over {counted(report.jumps, 'jump')}")
     return Fault("SIM130", ", ".join(parts), severity=Severity.NOTE)
+
+
+def _of_start(actor: Actor) -> list[Fault]:
+    """Return what is odd about what an attachment is made of, and where it begins."""
+    said, name, network = [], actor.body.name, actor.body.network
+    odd = odd_surface(network)
+    if odd:
+        message = f"{name}: {listed(odd)}; it is simulated all the same"
+        said.append(Fault("SIM106", message, severity=Severity.NOTE))
+    if actor.lost:
+        every = actor.lost == len(network.stiff.rests)
+        which = "every spring" if every else counted(actor.lost, "spring")
+        message = f"{name}: the ends of {which} are at one place in the first pose"
+        hint = "with no direction they pull nothing until something parts them"
+        said.append(Fault("SIM140", message, hint=hint, severity=Severity.WARNING))
+    return said
 
 
 def _warnings(report: AttachReport) -> list[Fault]:

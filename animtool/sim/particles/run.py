@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, Severity, ToleranceError
-from animtool.sim.colliders.colliding import Colliders, Contacts
+from animtool.sim.colliders.colliding import Colliders, Contacts, Touch
 from animtool.sim.integrating import integrate
 from animtool.sim.particles.cloud import Cloud
 from animtool.sim.particles.newborn import brought_to
@@ -97,7 +97,7 @@ class ParticleRun:
         self._kills = [Colliders([kill.region]) for kill in setup.kills]
         assert setup.options.step is not None
         self._step = setup.options.step
-        self._warned = False
+        self._warned = self._held = False
         self.contacts: Contacts | None = None
         if state is None:
             state = ParticleState(0, Cloud.none(), _NONE)
@@ -154,6 +154,7 @@ class ParticleRun:
             self._warned = True
             self.notices += done.notices
         self.contacts = system.contacts
+        self._say_held(state.cloud, until)
         end = done.states[-1]
         if isinstance(system, CloudFlow):
             end = np.stack([end, system.rate(until, end)])
@@ -214,6 +215,33 @@ class ParticleRun:
         cloud, state = cloud.select(order), state[:, order]
         ids = first + np.arange(len(cloud), dtype=np.int64)
         return replace(cloud, ids=ids), state
+
+    def _say_held(self, cloud: Cloud, t: float) -> None:
+        """Say once that particles stay inside colliders."""
+        if self._held or self.contacts is None:
+            return
+        (held,) = np.nonzero(self.contacts.touches == Touch.UNRESOLVED)
+        if not len(held):
+            return
+        self._held = True
+        who = f"particle {int(cloud.ids[held[0]])}"
+        which = int(self.contacts.colliders[held[0]])
+        what = self.setup.colliders[which].name or f"colliders[{which}]"
+        message = (
+            f"{who} is inside {what!r} at {t:g} s, and cannot be moved out at once"
+        )
+        hint = (
+            "particles begin inside, or colliders close in on them from several sides"
+        )
+        self.notices.append(
+            Fault(
+                "SIM123",
+                message,
+                where=self.setup.name,
+                hint=hint,
+                severity=Severity.WARNING,
+            )
+        )
 
     def _say_full(self, t: float) -> None:
         message = f"there is room for {self.setup.most} particles, from {t:g} s on for"

@@ -9,7 +9,7 @@ from animtool.errors import Fault, OptionError, Severity
 from animtool.sim.springs.body import Body, Springs
 from animtool.sim.springs.paths import Pins, Targets
 
-__all__ = ["check_body", "check_path", "start_notices"]
+__all__ = ["check_body", "check_limit", "check_path", "start_notices"]
 
 # Of many that are wrong in the same way, those that are named.
 MOST_NAMED = 5
@@ -47,6 +47,17 @@ def check_body(body: Body, pins: Pins, targets: Targets | None) -> None:
     ]
     if faults:
         raise OptionError(faults)
+
+
+def check_limit(speed: float) -> None:
+    """Raise where no speed of pins and targets would be below a limit.
+
+    Raises:
+        OptionError: It is not above 0 (SIM004).
+    """
+    if not speed > 0:
+        message = f"speed_limit must be above 0, not {speed:g}"
+        raise OptionError(Fault("SIM004", message, where="speed_limit"))
 
 
 def check_path(

@@ -11,7 +11,6 @@ from animtool._types import ArrayLike, BoolArray, FloatArray
 from animtool.errors import Fault, OptionError, Severity, counted
 from animtool.sim.checks import check_times
 from animtool.sim.options import IntegrateOptions
-from animtool.sim.springs.checks import start_notices
 from animtool.sim.springs.choosing import Choice, choose, explicit_limit
 from animtool.sim.springs.motion import Grid, SpringMotion
 from animtool.sim.springs.options import Solver, SpringOptions, check_options
@@ -212,8 +211,18 @@ class _Run:
         self.kept = self.grid
         if on_grid:
             return self.grid.state
-        ahead = ADVANCE[self.grid.solver](self._system, self._options, self.grid, 1)
-        return _between(self.grid, ahead, t)
+        begun = self._entered()
+        ahead = ADVANCE[begun.solver](self._system, self._options, begun, 1)
+        return _between(begun, ahead, t)
+
+    def _entered(self) -> Grid:
+        """Return where the next cell begins: pins that jump in it are there at once."""
+        grid, jumps = self.grid, self._system.jumps
+        here = jumps.stage_of(grid)
+        last = jumps.stage_of(replace(grid, index=grid.index - 1))
+        if here == last:
+            return grid
+        return replace(grid, state=jumps.carried(grid.state, last, here), before=None)
 
     @property
     def torn(self) -> BoolArray:
@@ -231,10 +240,10 @@ class _Run:
             self._watch.look_at(self.left)
 
     def _advance(self, cells: int) -> None:
+        begun = self._entered()
+        cells = int(min(cells, self._system.jumps.cells(begun)))
         with np.errstate(all="ignore"):
-            self.grid = ADVANCE[self.grid.solver](
-                self._system, self._options, self.grid, cells
-            )
+            self.grid = ADVANCE[begun.solver](self._system, self._options, begun, cells)
             self.most_substeps = max(self.most_substeps, self.grid.substeps)
             self._leave_out_torn()
             self.sign = self._watch.sign(self.grid.time, self.grid.state)
@@ -265,8 +274,7 @@ def _notices(
     run: _Run,
     stats: Stats,
 ) -> list[Fault]:
-    found = start_notices(system.body) if begun.index == 0 else []
-    found += system.colliders.notices() if begun.index == 0 else []
+    found = system.notices() if begun.index == 0 else []
     limit = choice.limit
     h = choice.cell / choice.substeps
     if choice.solver is Solver.SYMPLECTIC_EULER and h > limit:

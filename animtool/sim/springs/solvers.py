@@ -23,6 +23,11 @@ SHORTEST = 1 / 61440
 SOLVED = 1e-6
 
 
+def _network(system: SpringSystem, grid: Grid) -> _kernels.SpringNetwork:
+    """Return what is stepped in the cell that comes next."""
+    return system.network(system.jumps.stage_of(grid))
+
+
 def _explicit(
     system: SpringSystem,
     options: SpringOptions,  # noqa: ARG001
@@ -31,8 +36,8 @@ def _explicit(
 ) -> Grid:
     met = cell_colliders(system.colliders, system.radius, grid, cells)
     state, torn, inside = _kernels.step_springs(
-        system.network, grid.state, grid.torn, grid.origin, grid.index, grid.cell,
-        cells, grid.substeps, met,
+        _network(system, grid), grid.state, grid.torn, grid.origin, grid.index,
+        grid.cell, cells, grid.substeps, met,
     )  # fmt: skip
     steps = cells * grid.substeps
     return replace(
@@ -52,8 +57,9 @@ def _projected(
     most = max(grid.least, int(grid.cell / SHORTEST))
     met = cell_colliders(system.colliders, system.radius, grid, cells)
     state, torn, substeps, calm, stretch, steps, _, inside = _kernels.project_springs(
-        system.network, grid.state, grid.torn, grid.origin, grid.index, grid.cell,
-        cells, grid.substeps, grid.calm, grid.least, most, options.stretch, met,
+        _network(system, grid), grid.state, grid.torn, grid.origin, grid.index,
+        grid.cell, cells, grid.substeps, grid.calm, grid.least, most, options.stretch,
+        met,
     )  # fmt: skip
     return replace(
         grid,
@@ -79,8 +85,9 @@ def _implicit(
     size = float(rest.mean()) if rest.any() else 1.0
     met = cell_colliders(system.colliders, system.radius, grid, cells)
     found = _kernels.solve_springs(
-        system.network, grid.state, grid.before, grid.torn, grid.origin, grid.index,
-        grid.cell, cells, grid.substeps, grid.solver is Solver.BDF2, SOLVED * size, met,
+        _network(system, grid), grid.state, grid.before, grid.torn, grid.origin,
+        grid.index, grid.cell, cells, grid.substeps, grid.solver is Solver.BDF2,
+        SOLVED * size, met,
     )  # fmt: skip
     state, before, known, torn, steps, corrections, lost, inside = found
     return replace(

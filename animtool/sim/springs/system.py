@@ -6,16 +6,25 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import fields, replace
 from functools import cached_property
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from animtool import _kernels
 from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_floats
-from animtool.sim.colliders import Collider, Colliders, collide
+from animtool.errors import Fault
+from animtool.sim.colliders import Collider, Colliders, Contacts, collide
+from animtool.sim.colliders.collider import SPEED_LIMIT
 from animtool.sim.springs.body import Body, Springs
 from animtool.sim.springs.bounds import fastest
-from animtool.sim.springs.checks import check_body, check_path
+from animtool.sim.springs.checks import (
+    check_body,
+    check_limit,
+    check_path,
+    start_notices,
+)
 from animtool.sim.springs.contacts import fastest_collider
+from animtool.sim.springs.jumps import Jumps
 from animtool.sim.springs.paths import Air, Pins, Targets, over_knots
 from animtool.sim.system import Energy, Matrix, Native, SecondOrder
 
@@ -23,6 +32,16 @@ __all__ = ["SpringSystem"]
 
 # Of the speed of targets, where no step says over which time to take it [s].
 MOMENT = 1e-6
+# Times ``(K,)`` [s], and positions ``(K, P, 3)`` [m].
+Path: TypeAlias = tuple[FloatArray, FloatArray]
+
+
+class _Stage(NamedTuple):
+    """What holds particles between two jumps."""
+
+    pins: Path
+    targets: Path
+    network: _kernels.SpringNetwork
 
 
 class SpringSystem(SecondOrder):
@@ -31,6 +50,10 @@ class SpringSystem(SecondOrder):
     A spring from a to b pulls with k (|d| - rest) + c (ḋ·d)/|d| along d = b - a; its
     ends at one place it pulls nothing. Torn springs come of `simulate_springs` only:
     other methods go on with all.
+
+    Attributes:
+        contacts: What particles met in the last step that `integrate` settled; None
+            where there was none.
 
     Args:
         body: Particles, springs and triangles.
@@ -43,9 +66,12 @@ class SpringSystem(SecondOrder):
         velocities: At the start ``(N, 3)`` [m/s]; None is at rest.
         colliders: What particles may run into.
         radius: Distance that particles keep from colliders [m].
+        speed_limit: Pins and targets that go faster were put elsewhere: what they hold
+            is taken along as a whole, and gets no velocity of it [m/s].
 
     Raises:
-        OptionError: What makes no sense (SIM040 to SIM044), of colliders SIM020.
+        OptionError: What makes no sense (SIM004, SIM040 to SIM044), of colliders
+            SIM020.
 
     >>> from animtool.sim.springs.lines import rope
     >>> from animtool.sim.springs.body import Family
@@ -71,9 +97,11 @@ class SpringSystem(SecondOrder):
         velocities: ArrayLike | None = None,
         colliders: Sequence[Collider] = (),
         radius: float = 0.0,
+        speed_limit: float = SPEED_LIMIT,
     ) -> None:
         held = Pins(()) if pins is None else pins
         check_body(body, held, targets)
+        check_limit(speed_limit)
         count = len(body.positions)
         self.body = body
         self.gravity = as_floats(gravity, (3,), "gravity")
@@ -82,14 +110,19 @@ class SpringSystem(SecondOrder):
         self.pressures, self._wind_path = _blowing(air)
         self.pinned: IntArray = np.asarray(held.particles, np.int64).reshape(-1)
         self.fixed: BoolArray = np.isin(np.arange(count), self.pinned)
-        self._pin_path = _pin_path(body, held, self.pinned)
-        self.drawn, self.draws, self._target_path = _drawn(targets)
+        pin_path = _pin_path(body, held, self.pinned)
+        self.drawn, self.draws, target_path = _drawn(targets)
+        holders = np.append(self.pinned, self.drawn)
+        self._ways = (pin_path, target_path)
+        self.jumps = Jumps(body, holders, self._ways, speed_limit)
+        self._staged: tuple[int, _Stage] | None = None
+        self.contacts: Contacts | None = None
         self.colliders = (
             colliders if isinstance(colliders, Colliders) else Colliders(colliders)
         )
-        self.radius = float(radius)
-        self._pins_move = len(self._pin_path[0]) > 1
-        self.settles = self._pins_move or len(self.colliders) > 0
+        self.radius, self.speed_limit = float(radius), float(speed_limit)
+        self._pins_move = len(pin_path[0]) > 1
+        self.settles = self._pins_move or len(self.colliders) > 0 or len(self.jumps) > 0
         speeds = np.zeros((count, 3)) if velocities is None else velocities
         self._state = np.stack(
             [body.positions, as_floats(speeds, (count, 3), "velocities")]
@@ -97,11 +130,19 @@ class SpringSystem(SecondOrder):
         self._state[1, self.pinned] = 0.0
         self._whole = np.zeros(len(body.springs.rest), np.uint8)
 
-    @cached_property
-    def network(self) -> _kernels.SpringNetwork:
-        """What kernels step."""
+    def network(self, stage: int) -> _kernels.SpringNetwork:
+        """Return what kernels step, after some of the jumps of pins and targets."""
+        return self._stage(stage).network
+
+    def _stage(self, number: int) -> _Stage:
+        if self._staged is None or self._staged[0] != number:
+            pins, targets = self.jumps.paths(number) if len(self.jumps) else self._ways
+            self._staged = number, _Stage(pins, targets, self._network(pins, targets))
+        return self._staged[1]
+
+    def _network(self, pins: Path, targets: Path) -> _kernels.SpringNetwork:
         springs, order = self.body.springs, self.order
-        knots, paths = over_knots([self._pin_path, self._target_path, self._wind_path])
+        knots, paths = over_knots([pins, targets, self._wind_path])
         return _kernels.SpringNetwork(
             self.inverse_masses,
             self.drags,
@@ -144,8 +185,9 @@ class SpringSystem(SecondOrder):
 
     def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
         """Return accelerations ``(N, 3)`` [m/s²], 0 of particles that are held."""
+        network = self.network(self.jumps.stage(t))
         return _kernels.spring_accelerations(
-            self.network, t, MOMENT, np.array((x, v)), self._whole
+            network, t, MOMENT, np.array((x, v)), self._whole
         )
 
     def jacobians(
@@ -175,7 +217,7 @@ class SpringSystem(SecondOrder):
             return self
         calm = copy(self)
         calm.pressures = (0.0, 0.0)
-        calm.__dict__.pop("network", None)
+        calm._staged = None
         return calm
 
     def without_springs(self, gone: BoolArray) -> SpringSystem:
@@ -187,8 +229,8 @@ class SpringSystem(SecondOrder):
         left = copy(self)
         left.body = replace(self.body, springs=Springs(**kept))
         left._whole = np.zeros(len(left.body.springs.rest), np.uint8)
-        for name in ("network", "order"):
-            left.__dict__.pop(name, None)
+        left._staged = None
+        left.__dict__.pop("order", None)
         return left
 
     def starting_at(self, positions: ArrayLike) -> SpringSystem:
@@ -212,10 +254,11 @@ class SpringSystem(SecondOrder):
         x, v = state
         masses = self._free_masses
         kinetic = 0.5 * float(masses @ np.einsum("nk,nk->n", v, v))
-        potential, _ = _kernels.spring_energy(self.network, np.ascontiguousarray(x))
+        stage = self._stage(self.jumps.stage(t))
+        potential, _ = _kernels.spring_energy(stage.network, np.ascontiguousarray(x))
         potential -= float(masses @ x @ self.gravity)
         if len(self.drawn):
-            gaps = x[self.drawn] - _position(self._target_path, t)
+            gaps = x[self.drawn] - _position(stage.targets, t)
             potential += 0.5 * float(self.draws[:, 0] @ (gaps * gaps).sum(axis=1))
         return Energy(kinetic, potential, self._supply)
 
@@ -229,9 +272,11 @@ class SpringSystem(SecondOrder):
     def _supply(self) -> float:
         mass = float(self.body.masses[~self.fixed].sum())
         wind = float(np.linalg.norm(self._wind_path[1], axis=2).max(initial=0.0))
-        speeds = [_speed(path) for path in (self._pin_path, self._target_path)]
+        speeds = [_speed(path) for path in self._ways]
+        # What is put elsewhere brings no speed.
+        speeds = [min(speed, self.speed_limit) for speed in speeds]
         speeds.append(fastest_collider(self.colliders))
-        travel = [_travel(path) for path in (self._pin_path, self._target_path)]
+        travel = [_travel(path) for path in self._ways]
         pull = float(np.linalg.norm(self.gravity))
         return mass * (wind**2 + max(speeds) ** 2 + pull * max(travel))
 
@@ -244,10 +289,11 @@ class SpringSystem(SecondOrder):
         lengths: FloatArray = np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1)
         return lengths
 
-    def stretch(self, t: float, state: FloatArray) -> float | None:  # noqa: ARG002
+    def stretch(self, t: float, state: FloatArray) -> float | None:
         """Return the largest length of a spring over its length at rest [1]."""
         places = np.ascontiguousarray(state[0])
-        longest = _kernels.spring_energy(self.network, places)[1]
+        network = self.network(self.jumps.stage(t))
+        longest = _kernels.spring_energy(network, places)[1]
         return longest if (self.body.springs.rest > 0).any() else None
 
     def frequencies(self, t: float, state: FloatArray) -> FloatArray | None:  # noqa: ARG002
@@ -266,20 +312,25 @@ class SpringSystem(SecondOrder):
                 after[0], after[1], before, self.colliders, t - h, t, self.radius
             )
             moved = np.stack([met.points, met.velocities])
+            self.contacts = met.contacts
         moved[:, self.pinned] = after[:, self.pinned]
-        if self._pins_move:
-            moved[0, self.pinned] = _position(self._pin_path, t)
-            moved[1, self.pinned] = (moved[0, self.pinned] - before[0, self.pinned]) / h
+        if not self._pins_move and not len(self.jumps):
+            return moved
+        begin, end = self.jumps.stage(t - h), self.jumps.stage(t)
+        moved = self.jumps.carried(moved, begin, end)
+        was = self.jumps.carried(before, begin, end)[0, self.pinned]
+        moved[0, self.pinned] = _position(self._stage(end).pins, t)
+        moved[1, self.pinned] = (moved[0, self.pinned] - was) / h
         return moved
 
     def native(self, method: str) -> Native | None:
         """Return what takes many steps at once, of symplectic_euler."""
-        if method != "symplectic_euler" or len(self.colliders):
+        if method != "symplectic_euler" or len(self.colliders) or len(self.jumps):
             return None
 
         def steps(t: float, state: FloatArray, h: float, count: int) -> FloatArray:
             return _kernels.step_springs(
-                self.network,
+                self.network(0),
                 np.ascontiguousarray(state),
                 self._whole,
                 t,
@@ -292,6 +343,11 @@ class SpringSystem(SecondOrder):
 
         return steps
 
+    def notices(self) -> list[Fault]:
+        """Return warnings of the start, and of what is put elsewhere at once."""
+        found = start_notices(self.body) + self.colliders.notices()
+        return found + self.jumps.notices()
+
     def suspect(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
         """Return which spring is stretched most."""
         springs = self.body.springs
@@ -302,9 +358,7 @@ class SpringSystem(SecondOrder):
         return f"the spring of particles {first} and {second} is stretched most"
 
 
-def _pin_path(
-    body: Body, pins: Pins, pinned: IntArray
-) -> tuple[FloatArray, FloatArray]:
+def _pin_path(body: Body, pins: Pins, pinned: IntArray) -> Path:
     places = body.positions[pinned] if pins.positions is None else pins.positions
     return check_path("pins", places, pins.times, len(pinned))
 

@@ -1,0 +1,1 @@
+"""The cases that simulations break on, of each thing that simulates."""

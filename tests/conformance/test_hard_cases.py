@@ -1,0 +1,56 @@
+"""The cases that simulations break on, in everything that simulates."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from adapters.hard.attached import ATTACHED
+from adapters.hard.integrators import INTEGRATING
+from adapters.hard.particles import PARTICLES
+from adapters.hard.scenes import SCENES
+from adapters.hard.springs import BY_INTEGRATORS, BY_SOLVERS
+from adapters.hard.subsystem import Subsystem
+from support.data import data_files
+
+SUBSYSTEMS = [INTEGRATING, BY_SOLVERS, BY_INTEGRATORS, PARTICLES, ATTACHED, SCENES]
+# Of bodies that turn and pull each other: nothing here simulates these.
+OPEN = {"degenerate_inertia", "close_encounter"}
+
+
+def listed(path: Path) -> list[str]:
+    return [entry["id"] for entry in json.loads(path.read_text("utf-8"))["instances"]]
+
+
+def hard_cases() -> list[Any]:
+    """Return a parameter a case, thing that simulates and way that it does."""
+    found: list[Any] = []
+    for param in data_files("sim", "hard_cases*.json"):
+        (path,) = param.values
+        if path is None:
+            return [pytest.param(None, None, None, marks=param.marks, id=param.id)]
+        found += [
+            pytest.param(system, case, way, id=f"{system.name}-{case}-{way}")
+            for case in listed(path)
+            for system in SUBSYSTEMS
+            if case in system.cases
+            for way in system.ways_of(case)
+        ]
+    return found
+
+
+@pytest.mark.parametrize(("system", "case", "way"), hard_cases())
+def test_hard_cases(system: Subsystem, case: str, way: str) -> None:
+    system.cases[case](way)
+
+
+@pytest.mark.parametrize("path", data_files("sim", "hard_cases*.json"))
+def test_no_case_is_left_out(path: Path) -> None:
+    cases = set(listed(path))
+    for system in SUBSYSTEMS:
+        assert not system.cases.keys() & system.apart.keys(), system.name
+        known = system.cases.keys() | system.apart.keys() | OPEN
+        assert cases <= known, f"{system.name}: {cases - known}"
+        assert known <= cases | OPEN, f"{system.name}: {known - cases}"
