@@ -15,6 +15,7 @@ GREY = (0.6, 0.6, 0.6)
 SIDES = 32
 _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
 _FACES = [0, 1, 3, 2, 4, 6, 7, 5, 0, 4, 5, 1, 2, 3, 7, 6, 0, 2, 6, 4, 1, 5, 7, 3]
+_SQUARE = ((-1, -1), (-1, 1), (1, 1), (1, -1))
 # The columns of a frame whose Z is that axis.
 _TURNED = {"X": [1, 2, 0], "Y": [2, 0, 1], "Z": [0, 1, 2]}
 
@@ -71,6 +72,14 @@ def rod(
     world[:3, 0], world[:3, 1] = aside, np.cross(along, aside) / length
     world[:3, 2], world[:3, 3] = along, (start + end) / 2
     return cylinder(world, colour, taper)
+
+
+def floor(centre: ArrayLike, half: float, colour: ArrayLike = GREY) -> Surface:
+    """Return a square of the ground, y = 0, about a point."""
+    x, _, z = np.asarray(centre, np.float64)
+    corners = [(x + a * half, 0.0, z + b * half) for a, b in _SQUARE]
+    triangles = np.array([[0, 1, 2], [0, 2, 3]])
+    return Surface(np.array(corners), triangles, np.tile(colour, (4, 1)))
 
 
 def stage_surfaces(path: Path, code: float) -> list[Surface]:
