@@ -47,7 +47,7 @@ LAYERS = [
     {"edit", "sim"},
     {"scene"},
     {"batch"},
-    {"report", "validation"},
+    {"preview", "report", "validation"},
     {"cli"},
 ]
 # Passes of one kind know nothing of those of another.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +29,7 @@ from animtool.cli.options import (
 from animtool.cli.outputs import existing_options, goes_to_stdout, skipped
 
 if TYPE_CHECKING:
+    from animtool.preview.work_precision import Panel
     from animtool.scene.report import BakeReport
     from animtool.scene.scene import Scene
 
@@ -59,7 +60,8 @@ Examples:
   animtool bake walk.bvh -o walk.usda --fps 24 --range 1001-1048 --start 1001
   animtool bake wave.clip.yaml -o wave.usda --keep-curves --reduce 0.5mm
   animtool bake wave.clip.yaml -o cache.usdc --deform --velocities
-  animtool bake wave.clip.yaml --table"""
+  animtool bake wave.clip.yaml --table
+  animtool bake embers.scene.yaml --table --plot embers.png"""
 )
 @click.argument(
     "sources",
@@ -197,7 +199,15 @@ Examples:
     "--table",
     is_flag=True,
     help="Write nothing; measure time and size against error, over sample rates and "
-    "tolerances.",
+    "tolerances; of what a scene simulates, time against error over integrators and "
+    "steps, with its own setting and the best ones marked.",
+)
+@click.option(
+    "--plot",
+    type=OUTPUT,
+    metavar="FILE",
+    help="With --table, draw it too: error against time (.png, .svg, .pdf; needs the "
+    "extra preview).",
 )
 @click.option(
     "--plan",
@@ -243,7 +253,7 @@ def bake(
         _plan(console, opened, path, _options(given), as_json=as_json)
         return
     if given["table"]:
-        _table(console, opened, output, _options(given), as_json=as_json)
+        _table(console, opened, output, given, as_json=as_json)
         return
     if scene is not None:
         _check_library(scene, given)
@@ -310,6 +320,8 @@ def _check_usage(given: dict[str, Any]) -> None:
         raise click.UsageError("--split is a stage in three files, not --as layer.")
     if given["plan"] and given["table"]:
         raise click.UsageError("--plan and --table write nothing: give one.")
+    if given["plot"] is not None and not given["table"]:
+        raise click.UsageError("--plot draws what --table measures: give both.")
     if given["stats"] and (given["plan"] or given["table"]):
         raise click.UsageError("--stats measures a bake: no --plan or --table.")
 
@@ -428,28 +440,89 @@ def _table(
     console: Console,
     sources: Sequence[Path | Scene],
     output: Path | None,
-    options: Any,
+    given: dict[str, Any],
     *,
     as_json: bool,
 ) -> None:
-    """Measure time and size against error, and print it."""
+    """Measure time against error, print it, and draw it where that is asked for."""
     if output is not None:
         raise click.UsageError("--table writes no file: no -o.")
     if len(sources) > 1:
         raise click.UsageError("--table measures one SOURCE.")
-    if options.deform:
-        raise click.UsageError("--table measures joints, not --deform.")
-    source = sources[0]
-    name = source.name if isinstance(source, Path) else source.path.name
+    plot = given["plot"]
+    if plot is not None:
+        _check_plot(plot, sources[0], overwrite=given["overwrite"])
+    scene = _only_scene(sources)
+    if scene is not None:
+        from animtool.scene.simulation_table import simulates
+
+        if simulates(scene):
+            panels = _simulation_table(console, scene, given, as_json=as_json)
+            _draw(console, panels, plot)
+            return
+    _draw(console, _bake_table(console, sources[0], given, as_json=as_json), plot)
+
+
+def _check_plot(plot: Path, source: Path | Scene, *, overwrite: bool) -> None:
+    from animtool.output import check_outputs
+    from animtool.preview.work_precision import check_drawable
+
+    inputs = [source] if isinstance(source, Path) else source.inputs
+    check_outputs([plot], inputs, overwrite=overwrite)
+    check_drawable(plot)
+
+
+def _draw(
+    console: Console, panels: Callable[[], list[Panel]], plot: Path | None
+) -> None:
+    if plot is None:
+        return
+    from animtool.preview.work_precision import draw_panels
+
+    draw_panels(panels(), plot)
+    console.say(f"{plot}: drawn")
+
+
+def _simulation_table(
+    console: Console, scene: Scene, given: dict[str, Any], *, as_json: bool
+) -> Callable[[], list[Panel]]:
+    """Measure what a scene simulates, print it, and return what draws it."""
+    from animtool.cli.simulation_summary import (
+        simulation_table_json,
+        simulation_table_text,
+    )
+    from animtool.preview.tables import simulation_panels
+    from animtool.scene.simulation_table import simulation_table
+
+    with console.progress(f"measure {scene.path.name}") as progress:
+        table = simulation_table(scene, _options(given), progress=progress)
+    console.faults(table.notices)
+    if as_json:
+        console.result_json(simulation_table_json(table))
+    else:
+        console.result("\n".join(simulation_table_text(table)))
+    return lambda: simulation_panels(table)
+
+
+def _bake_table(
+    console: Console, source: Path | Scene, given: dict[str, Any], *, as_json: bool
+) -> Callable[[], list[Panel]]:
+    """Measure rates and tolerances, print it, and return what draws it."""
     from animtool.cli.summary import table_json, table_text
+    from animtool.preview.tables import bake_panels
     from animtool.scene.table import bake_table
 
+    options = _options(given)
+    if options.deform:
+        raise click.UsageError("--table measures joints, not --deform.")
+    name = source.name if isinstance(source, Path) else source.path.name
     with console.progress(f"measure {name}") as progress:
         table = bake_table(source, options, progress=progress)
     if as_json:
         console.result_json(table_json(table))
-        return
-    console.result("\n".join(table_text(table)))
+    else:
+        console.result("\n".join(table_text(table)))
+    return lambda: bake_panels(table)
 
 
 def _output_beside(source: Path | Scene) -> Path:

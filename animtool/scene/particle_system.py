@@ -7,19 +7,21 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, cast
 
+from animtool._types import FloatArray
 from animtool.documents.document import Location
 from animtool.errors import Fault, counted
 from animtool.scene.entries import SceneSystem
 from animtool.scene.simulation import Opening
 from animtool.sim.colliders import Collider, Plane, Sheet, SheetMotion
 from animtool.sim.particles.run import ParticleRun
+from animtool.sim.particles.trial import ParticleTrial
 from animtool.usd.particle_points import PointsRow
 
 if TYPE_CHECKING:
     from animtool.scene.spring_setup import SpringSetup
     from animtool.sim.particles.setup import Particles
 
-__all__ = ["ParticleSetup", "RunningParticles", "open_particles"]
+__all__ = ["ParticleSetup", "RunningParticles", "open_particles", "particle_trial"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +119,27 @@ def open_particles(
         OptionError: A character has no colliders (SIM020), or something makes no
             sense.
     """
+    setup, whole = _whole(members, opening)
+    return [RunningParticles(ParticleRun(whole, -setup.preroll))]
+
+
+def particle_trial(
+    members: Sequence[SceneSystem], opening: Opening, times: FloatArray
+) -> ParticleTrial:
+    """Return particles that can be simulated in several ways.
+
+    Raises:
+        FormatError: The file of a character is malformed.
+        OptionError: As `open_particles`.
+    """
+    setup, whole = _whole(members, opening)
+    return ParticleTrial(whole, -setup.preroll, times)
+
+
+def _whole(
+    members: Sequence[SceneSystem], opening: Opening
+) -> tuple[ParticleSetup, Particles]:
+    """Return particles with the characters that they run into."""
     (member,) = members
     setup = cast(ParticleSetup, member.setup)
     moving = [
@@ -127,7 +150,7 @@ def open_particles(
     given = setup.particles
     sheets = [_sheet(met, opening, setup) for met in setup.surfaces]
     whole = replace(given, colliders=[*given.colliders, *moving], sheets=sheets)
-    return [RunningParticles(ParticleRun(whole, -setup.preroll))]
+    return setup, whole
 
 
 def _sheet(met: SurfaceMet, opening: Opening, setup: ParticleSetup) -> Sheet:

@@ -19,7 +19,7 @@ from animtool.scene.sources import (
 )
 from animtool.take import Channel, Motion, TakeStream
 
-__all__ = ["Reading", "Source", "found_sources", "shared", "source_file"]
+__all__ = ["Reading", "Source", "found_sources", "share_of", "shared", "source_file"]
 
 Source: TypeAlias = "Path | str | Scene"
 
@@ -78,7 +78,7 @@ class Reading:
                     streams.append(self.scenes[path].open())
                     continue
                 own = fitting_options(options.source, path, self.files)
-                shown = _share(progress, i, len(self.files))
+                shown = share_of(progress, i, len(self.files))
                 streams.append(opener(path, own, progress=shown))
             except AnimtoolError as error:
                 errors.append(error)
@@ -120,7 +120,7 @@ def _unused(scenes: dict[Path, Scene]) -> list[Fault]:
     ]
 
 
-def _share(progress: Progress, i: int, count: int) -> Progress:
+def share_of(progress: Progress, i: int, count: int) -> Progress:
     """Return what shows the progress of one of several as that of all."""
     if progress is None or count == 1:
         return progress

@@ -128,6 +128,14 @@ class Scene:
             context.notices.clear()
             yield take, stream
 
+    def passed(self, stream: TakeStream, entry: ScenePass) -> TakeStream:
+        """Return what a pass makes of a take, begun as early as its passes are.
+
+        Raises:
+            FormatError: It cannot be applied to the take; the blocks may raise it too.
+        """
+        return self._passed(stream, entry, self._context())
+
     def _context(self) -> PassContext:
         return PassContext(self._take, self.path.resolve().parent)
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, cast
 
+from animtool._types import FloatArray
 from animtool.errors import Fault
 from animtool.plugins import load_object
 from animtool.scene.character_motion import CharacterMotions
@@ -13,7 +14,17 @@ from animtool.scene.entries import SceneSystem
 from animtool.scene.system_kinds import SYSTEM_KINDS
 from animtool.scene.system_links import in_order
 
-__all__ = ["Opener", "Opening", "Simulation", "open_systems"]
+if TYPE_CHECKING:
+    from animtool.sim.trials.trial import Trial
+
+__all__ = [
+    "Opener",
+    "Opening",
+    "Simulation",
+    "TrialMaker",
+    "open_systems",
+    "system_trials",
+]
 
 
 class Simulation(Protocol):
@@ -52,6 +63,10 @@ class Opening:
 Opener: TypeAlias = Callable[[Sequence[SceneSystem], Opening], Sequence[Simulation]]
 
 
+# Likewise, and times to look at ``(F,)`` [s], to what can be simulated in several ways.
+TrialMaker: TypeAlias = Callable[[Sequence[SceneSystem], Opening, FloatArray], "Trial"]
+
+
 def open_systems(systems: Sequence[SceneSystem], last: float = 0.0) -> list[Simulation]:
     """Return systems at their beginnings, in their order; the first frame is at 0 s.
 
@@ -74,3 +89,25 @@ def open_systems(systems: Sequence[SceneSystem], last: float = 0.0) -> list[Simu
         named = zip(members, made, strict=True)
         opening.opened |= {member.name: one for member, one in named}
     return [found[i] for i in range(len(systems))]
+
+
+def system_trials(
+    systems: Sequence[SceneSystem], times: FloatArray
+) -> list[tuple[SceneSystem, Trial]]:
+    """Return what can be simulated in several ways, with the first system of each.
+
+    Args:
+        systems: Those of a scene.
+        times: When to look, ascending ``(F,)`` [s].
+
+    Raises:
+        FormatError: Something makes no sense, at the place of its system.
+    """
+    opening = Opening(float(times[-1]))
+    found = []
+    for group in in_order(systems):
+        members = [systems[i] for i in group]
+        maker = cast(TrialMaker, load_object(SYSTEM_KINDS[members[0].kind].trial))
+        with members[0].place.blamed():
+            found.append((members[0], maker(members, opening, times)))
+    return found

@@ -69,6 +69,7 @@ class SpringRun:
 
     Attributes:
         system: What is simulated.
+        options: How, with the steps that keep an error where one is asked for.
         solver: What takes it through time.
         reason: Why this one, in words.
         step: The shortest step so far [s].
@@ -103,7 +104,7 @@ class SpringRun:
         reason = ""
         if options.error is not None:
             options, reason = self._fine_enough(options, begin, last)
-        self._options = options
+        self.options = options
         self.step, self.steps, self.stretch, self.unresolved = np.inf, 0, 0.0, 0
         self._carried: Carried | None = None
         self._keepings: list[Keeping] = []
@@ -188,7 +189,7 @@ class SpringRun:
 
     def _to(self, now: float, t: float) -> SpringMotion:
         times = [now] if t == now else [now, t]
-        motion = simulate_springs(self.system, times, self._options, self._carried)
+        motion = simulate_springs(self.system, times, self.options, self._carried)
         self._check(motion)
         self._carried, self._state = motion.carried, motion.states[-1]
         self.torn = motion.torn

@@ -21,8 +21,9 @@ from animtool.scene.spring_sharing import shared
 from animtool.scene.watched import Watched
 from animtool.sim.colliders import Collider
 from animtool.sim.springs import Body, SpringSystem, Welded, find_rest, join, weld
+from animtool.sim.springs.trial import SpringTrial
 
-__all__ = ["RunningSprings", "open_springs"]
+__all__ = ["RunningSprings", "open_springs", "spring_trial"]
 
 # Particles that are put together, or held, this far from where they are built are
 # said to be apart [m].
@@ -52,6 +53,29 @@ def open_springs(
         notices = (*setup.body.notices, *(whole.notices if first else ()))
         running.append(RunningSprings(member, setup, run, rows, own, notices, first))
     return running
+
+
+def spring_trial(
+    members: Sequence[SceneSystem], opening: Opening, times: FloatArray
+) -> SpringTrial:
+    """Return systems that are joined, or one alone, to be simulated in several ways.
+
+    Raises:
+        FormatError: The file of a character is malformed.
+        OptionError: Something makes no sense.
+        ToleranceError: An error is to be kept, and it blew up at once.
+    """
+    names = [member.name for member in members]
+    setups = [cast(SpringSetup, member.setup) for member in members]
+    whole = _Whole(names, setups, opening)
+    kinds = dict.fromkeys(member.kind for member in members)
+    options = whole.shared.options
+    if options.error is not None:
+        run = SpringRun(whole.system, options, whole.begin, opening.last)
+        options = run.options
+    return SpringTrial(
+        " + ".join(names), " + ".join(kinds), whole.system, options, whole.begin, times
+    )
 
 
 class _Whole:

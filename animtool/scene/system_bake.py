@@ -54,6 +54,10 @@ class SystemPlan:
     first: Fraction
     options: BakeOptions
 
+    def seconds(self, code: Fraction) -> float:
+        """Return when a time code is, on the clock of the systems [s]."""
+        return float((code - self.first) / self.job.metadata.fps)
+
 
 def plan_systems(scene: Scene, output: Path | None, options: BakeOptions) -> SystemPlan:
     """Return what is to become of the systems of a scene.
@@ -144,8 +148,7 @@ def run_system_bake(plan: SystemPlan) -> BakeReport:
     """
     began = time.perf_counter()
     job, options = plan.job, plan.options
-    last = float((plan.codes[-1] - plan.first) / job.metadata.fps)
-    run = SystemRun(plan.systems, last)
+    run = SystemRun(plan.systems, plan.seconds(plan.codes[-1]))
     rows = run.rows(plan.codes, plan.first, job.metadata.fps)
     layer = simulated_layer(job, plan.output)
     sizes: list[int] = []

@@ -59,6 +59,8 @@ class SystemKind:
             none.
         opener: Returns systems that are simulated as one at their beginnings.
         writer: Writes its prim.
+        trial: Returns systems that are simulated as one as what can be simulated in
+            several ways.
         joiner: Notes what keeps systems that are joined from being one; empty where
             particles cannot be joined.
         surface: Whether it has faces, which others may run into.
@@ -67,6 +69,7 @@ class SystemKind:
     reader: str
     opener: str
     writer: str
+    trial: str
     joiner: str = ""
     surface: bool = False
 
@@ -76,6 +79,7 @@ def _springs(name: str, writer: str) -> SystemKind:
         f"animtool.scene.spring_entries:read_{name}",
         "animtool.scene.spring_system:open_springs",
         f"animtool.usd.simulated_points:{writer}",
+        "animtool.scene.spring_system:spring_trial",
         "animtool.scene.spring_joins:check_joins",
         writer == "FacesWriter",
     )
@@ -87,6 +91,7 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
         "animtool.scene.particle_entries:read_particles",
         "animtool.scene.particle_system:open_particles",
         "animtool.usd.particle_points:PointsWriter",
+        "animtool.scene.particle_system:particle_trial",
     ),
     "rope": _springs("rope", "CurvesWriter"),
     "strands": _springs("strands", "CurvesWriter"),

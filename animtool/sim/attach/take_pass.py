@@ -16,7 +16,7 @@ from animtool.sim.attach.settings import SimulateOptions, option_checks
 from animtool.sim.attach.simulation import Simulation
 from animtool.take import Motion, TakeStream
 
-__all__ = ["PASS", "simulate"]
+__all__ = ["PASS", "moves", "simulate"]
 
 
 def simulate(
@@ -46,7 +46,7 @@ def simulate(
             file of states does not (SIM035).
     """
     _check(options)
-    if not options.what or _without_weight(options):
+    if not moves(options):
         return stream
     bodies = bodies_of(stream.rig, options.what)
     start = Fraction(1) if stream.start is None else stream.start
@@ -87,11 +87,12 @@ def _resumed(
     return read_states(folder / options.resume, sizes)
 
 
-def _without_weight(options: SimulateOptions) -> bool:
+def moves(options: SimulateOptions) -> bool:
+    """Return whether there is anything to move, and any of it shown."""
     weight = options.weight
     keys = [(0.0, weight)] if isinstance(weight, (int, float)) else weight
     # Between keys of no weight there is none either.
-    return not any(value for _, value in keys)
+    return bool(options.what) and any(value for _, value in keys)
 
 
 def _check(options: SimulateOptions) -> None:

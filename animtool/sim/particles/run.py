@@ -15,7 +15,7 @@ from animtool.sim.particles.cloud import Cloud
 from animtool.sim.particles.newborn import brought_to
 from animtool.sim.particles.setup import Particles
 from animtool.sim.particles.system import CloudFlow, cloud_system
-from animtool.sim.trajectory import Carried, Status
+from animtool.sim.trajectory import Carried, Stats, Status
 
 __all__ = ["ParticleFrame", "ParticleRun", "ParticleState"]
 
@@ -76,6 +76,8 @@ class ParticleRun:
         contacts: What particles met in the last step that was taken; None where there
             was none. Those who were born in it are not among them.
         notices: What is odd so far.
+        taken: Steps that the method took so far, of looks between two steps too.
+        stop: What the step that it blew up in came to; None where it did not.
 
     Args:
         setup: What there is.
@@ -99,6 +101,8 @@ class ParticleRun:
         self._step = setup.options.step
         self._warned = self._held = False
         self.contacts: Contacts | None = None
+        self.taken = 0
+        self.stop: Stats | None = None
         if state is None:
             state = ParticleState(0, Cloud.none(), _NONE)
             state = self._with_first(state)
@@ -146,7 +150,9 @@ class ParticleRun:
         system = cloud_system(self.setup, self.colliders, state.cloud, state.state)
         options = self.setup.options
         done = integrate(system, [now, until], options, state.carried)
+        self.taken += done.stats.steps
         if done.stats.status is not Status.OK:
+            self.stop = done.stats
             raise ToleranceError(
                 [replace(fault, severity=Severity.ERROR) for fault in done.notices]
             )

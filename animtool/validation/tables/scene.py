@@ -62,6 +62,9 @@ RULES = (
     Rule("SCN062", "what is for characters, of a scene that is simulated"),
     Rule("SCN063", "a system that there is none of"),
     Rule("SCN065", "a system of no kind, or of several"),
+    Rule("SCN070", "pictures without matplotlib"),
+    Rule("SCN071", "a table of a scene that simulates nothing"),
+    Rule("SCN072", "a picture of a kind that there is none of"),
     Rule(
         "SCN101",
         "a loop whose ends differ by more than a fifth of what it moves",

@@ -35,6 +35,8 @@ RULES = (
     Rule("SIM052", "particles to hold that there are none of"),
     Rule("SIM053", "something to pin to that is not there"),
     Rule("SIM054", "systems that are joined, and contradict each other"),
+    Rule("SIM055", "a motion that no step brings near", Severity.WARNING),
+    Rule("SIM056", "a table without a motion to compare with", Severity.WARNING),
     Rule("SIM101", "a step too long to be stable", Severity.WARNING),
     Rule("SIM102", "a motion that blew up", Severity.WARNING),
     Rule("SIM103", "a step that had to be shorter than it may", Severity.WARNING),

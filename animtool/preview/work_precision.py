@@ -1,0 +1,184 @@
+"""Work against precision: what settings cost, and how far they are off."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from animtool.errors import Fault, OptionError
+from animtool.output import output_error, replacing
+
+__all__ = ["SUFFIXES", "Curve", "Panel", "Point", "check_drawable", "draw_panels"]
+
+SUFFIXES = (".png", ".svg", ".pdf")
+# Of a panel [inch], and dots an inch.
+WIDTH, HEIGHT, DPI = 7.0, 4.6, 130
+MARKERS = "osD^vP<>Xphd*H8"
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """A setting.
+
+    Attributes:
+        seconds: Wall time [s].
+        error: [m]
+        chosen: Whether it is the one in use.
+        best: Whether none as exact is faster.
+    """
+
+    seconds: float
+    error: float
+    chosen: bool = False
+    best: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """The settings of a method, in their order.
+
+    Attributes:
+        name: For the legend.
+        points: Those that work.
+    """
+
+    name: str
+    points: tuple[Point, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """What is drawn into one frame.
+
+    Attributes:
+        title: Above it.
+        error: What errors are, for the axis.
+        curves: A line each.
+        floor: How far what errors are measured from may be off itself [m]; 0 draws
+            nothing.
+        remark: Below the title; may be empty.
+    """
+
+    title: str
+    error: str
+    curves: tuple[Curve, ...]
+    floor: float = 0.0
+    remark: str = ""
+
+
+def check_drawable(path: Path) -> None:
+    """Raise where no picture could be drawn into a file.
+
+    Raises:
+        OptionError: matplotlib is not installed (SCN070), or the suffix is of no
+            picture (SCN072).
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        message = f"{path.suffix or 'a name without a suffix'} is no kind of picture"
+        hint = f"name it {', '.join(SUFFIXES)}"
+        raise OptionError(Fault("SCN072", message, str(path), (), hint))
+    _figures()
+
+
+def draw_panels(panels: Sequence[Panel], path: Path) -> None:
+    """Draw panels below each other, on logarithmic axes.
+
+    Args:
+        panels: At least one.
+        path: The file; its suffix says the format.
+
+    Raises:
+        OptionError: As `check_drawable`.
+        OutputError: It cannot be written.
+    """
+    check_drawable(path)
+    matplotlib, figures = _figures()
+    figure = figures.Figure(
+        figsize=(WIDTH, HEIGHT * len(panels)), dpi=DPI, layout="constrained"
+    )
+    frames = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
+    for frame, panel in zip(frames, panels, strict=True):
+        _draw(frame, panel)
+    kind = path.suffix.lower().removeprefix(".")
+    # The same picture is the same bytes.
+    dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}
+    try:
+        with (
+            matplotlib.rc_context({"svg.hashsalt": "animtool"}),
+            replacing(path) as new,
+        ):
+            figure.savefig(new, format=kind, metadata=dates[kind])
+    except OSError as error:
+        raise output_error(path, error) from error
+
+
+def _figures() -> tuple[Any, Any]:
+    try:
+        import matplotlib as mpl
+        from matplotlib import figure
+    except ModuleNotFoundError as error:
+        message = "pictures need the package matplotlib"
+        hint = "pip install 'animtool[preview]'"
+        raise OptionError(Fault("SCN070", message, hint=hint)) from error
+    return mpl, figure
+
+
+def _draw(frame: Any, panel: Panel) -> None:
+    for i, curve in enumerate(panel.curves):
+        _draw_curve(frame, curve, i)
+    _ring(frame, [p for curve in panel.curves for p in curve.points if p.chosen])
+    if panel.floor > 0:
+        frame.axhline(panel.floor, color="grey", linestyle=":", label="the reference")
+    frame.set_xscale("log")
+    frame.set_yscale("log")
+    frame.set_xlabel("seconds")
+    frame.set_ylabel(panel.error)
+    frame.set_title("\n".join(filter(None, [panel.title, panel.remark])), fontsize=10)
+    frame.grid(visible=True, which="both", alpha=0.2)
+    if frame.get_legend_handles_labels()[0]:
+        frame.legend(
+            fontsize=7,
+            labelspacing=0.9,
+            loc="center left",
+            bbox_to_anchor=(1.01, 0.5),
+        )
+
+
+def _ring(frame: Any, chosen: Sequence[Point]) -> None:
+    """Draw rings around what is in use."""
+    if not chosen:
+        return
+    frame.plot(
+        [p.seconds for p in chosen],
+        [p.error for p in chosen],
+        marker="o",
+        markersize=14,
+        color="black",
+        fillstyle="none",
+        linestyle="none",
+        label="the file's own",
+    )
+
+
+def _draw_curve(frame: Any, curve: Curve, i: int) -> None:
+    shown = [p for p in curve.points if p.error > 0 and math.isfinite(p.error)]
+    if not shown:
+        return
+    x, y = [p.seconds for p in shown], [p.error for p in shown]
+    marker = MARKERS[i % len(MARKERS)]
+    (line,) = frame.plot(
+        x, y, marker=marker, markersize=4, linewidth=1, label=curve.name
+    )
+    best = [p for p in shown if p.best]
+    frame.plot(
+        [p.seconds for p in best],
+        [p.error for p in best],
+        linestyle="none",
+        marker=marker,
+        markersize=7,
+        color=line.get_color(),
+        markeredgecolor="black",
+    )

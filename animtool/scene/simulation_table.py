@@ -1,0 +1,97 @@
+"""Time against error of what a scene simulates, over methods and steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from animtool.errors import Fault, OptionError
+from animtool.scene.entries import Place
+from animtool.scene.options import BakeOptions
+from animtool.scene.plan import plan_bake
+from animtool.scene.reading import share_of
+from animtool.scene.scene import Scene
+from animtool.scene.simulation import system_trials
+from animtool.scene.sources import Progress
+from animtool.sim.trials.measuring import TrialTable, measure
+from animtool.sim.trials.trial import Trial
+
+__all__ = ["SimulationTable", "simulates", "simulation_table"]
+
+# Frames that are compared, evenly over the range.
+MOST_INSTANTS = 100
+
+
+@dataclass(frozen=True, slots=True)
+class SimulationTable:
+    """What a scene simulates, one table each.
+
+    Attributes:
+        source: The scene.
+        tables: In its order.
+    """
+
+    source: Path
+    tables: list[TrialTable]
+
+    @property
+    def notices(self) -> list[Fault]:
+        """What is odd about them."""
+        return [notice for table in self.tables for notice in table.notices]
+
+
+def simulates(scene: Scene) -> bool:
+    """Return whether there is anything to simulate in a scene."""
+    return bool(scene.systems) or any(
+        entry.pass_.name == "simulate" for entry in scene.passes
+    )
+
+
+def simulation_table(
+    scene: Scene, options: BakeOptions | None = None, *, progress: Progress = None
+) -> SimulationTable:
+    """Simulate what a scene does in several ways, and measure each.
+
+    Args:
+        scene: It has systems, or passes that simulate.
+        options: Of the bake: of systems, which frames.
+        progress: Called with the share done, 0 to 1.
+
+    Raises:
+        FormatError: A source is malformed, or a pass cannot be applied to it.
+        OptionError: An option makes no sense, or nothing is simulated (SCN071).
+    """
+    trials = _trials(scene, options or BakeOptions())
+    if not trials:
+        message = "simulates nothing that could be measured"
+        hint = "it has no systems, and no simulate pass with what to move"
+        raise OptionError(Fault("SCN071", message, str(scene.path), (), hint))
+    tables = []
+    for i, (place, trial) in enumerate(trials):
+        shown = share_of(progress, i, len(trials))
+        with place.blamed():
+            table = measure(trial, progress=shown)
+        notices = [place.put(notice) for notice in table.notices]
+        tables.append(replace(table, notices=notices))
+    return SimulationTable(scene.path, tables)
+
+
+def _trials(scene: Scene, options: BakeOptions) -> list[tuple[Place, Trial]]:
+    found: list[tuple[Place, Trial]] = []
+    if scene.sources:
+        from animtool.scene.attach_trial import attach_trials
+
+        found += attach_trials(scene, MOST_INSTANTS)
+    if scene.systems:
+        plan = plan_bake(scene, None, options).systems
+        assert plan is not None
+        codes = plan.codes
+        picked = np.linspace(0, len(codes) - 1, min(len(codes), MOST_INSTANTS))
+        times = np.array([plan.seconds(codes[int(i)]) for i in picked])
+        found += [
+            (system.place, trial)
+            for system, trial in system_trials(plan.systems, times)
+        ]
+    return found

@@ -1,0 +1,288 @@
+"""Every setting of a simulation against a finer one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+
+from animtool.errors import Fault, OptionError, Severity
+from animtool.sim.system import Energy
+from animtool.sim.trajectory import Status
+from animtool.sim.trials.distances import (
+    Distances,
+    distances,
+    extent_of,
+    order_seen,
+)
+from animtool.sim.trials.marks import Cost, best_of, recommended_of
+from animtool.sim.trials.trial import Outcome, Setting, Trial
+
+__all__ = ["Reference", "TrialRow", "TrialTable", "measure"]
+
+# A motion that halving the steps does not bring nearer by a power of this is sensitive.
+LEAST_ORDER = 0.5
+# Beside the size of a motion, distances that rounding makes, and those that nobody
+# sees: such make no motion sensitive.
+ROUNDING, UNSEEN = 1e-13, 1e-6
+# Beside it, an error that is no error any more: the motion has blown up.
+FAR = 10.0
+# Share of points that only one of two motions has, from which on likewise.
+MOST_APART = 0.5
+# Where the chosen setting blows up, an error that will do, likewise.
+ENOUGH = 0.01
+# As long as they take less together, short runs are taken again, so often at most, and
+# the shortest counts [s].
+SHORT, REPEATS = 0.3, 3
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """The motion that others are compared with.
+
+    Attributes:
+        setting: Of it.
+        error: How far it may well be off itself, from the two finest.
+        order: Power of the step that its error goes with, from the three finest; None
+            where they do not differ.
+        sensitive: Whether halving the steps hardly brings it nearer: then nothing is
+            near, and errors say little.
+    """
+
+    setting: Setting
+    error: Distances
+    order: float | None
+    sensitive: bool
+
+
+@dataclass(frozen=True, slots=True)
+class TrialRow:
+    """A setting, and what it comes to.
+
+    Attributes:
+        setting: What is tried.
+        seconds: Wall time of the simulation [s]; 0 where the method is not for it.
+        steps: That were taken.
+        status: How it ended; None where the method is not for it.
+        reason: Why it stopped, or is not for it; empty where it did what it should.
+        stable_step: As in `Outcome`.
+        error: Distances from the reference; None where it did not get to the end, or
+            there is no reference.
+        energy_drift: Most that the energy differed from that of the start, in the
+            largest that there was [1]; None where it may come and go.
+        stretch: As in `Outcome`.
+        chosen: Whether the file has it so.
+        best: Whether no other that is as exact is faster.
+        recommended: Whether to take it in place of the chosen one.
+    """
+
+    setting: Setting
+    seconds: float = 0.0
+    steps: int = 0
+    status: Status | None = None
+    reason: str = ""
+    stable_step: float | None = None
+    error: Distances | None = None
+    energy_drift: float | None = None
+    stretch: float | None = None
+    chosen: bool = False
+    best: bool = False
+    recommended: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class TrialTable:
+    """The settings of one simulation.
+
+    Attributes:
+        name: What it is called.
+        kind: What it is.
+        span: How long it was simulated [s].
+        instants: At how many times points were compared.
+        points: How many there were, at most.
+        extent: Diagonal of the box that they stayed in [m].
+        reference: What they were compared with; None where every fine one stopped.
+        rows: In the order tried.
+        notices: What is odd about it.
+    """
+
+    name: str
+    kind: str
+    span: float
+    instants: int
+    points: int
+    extent: float
+    reference: Reference | None
+    rows: list[TrialRow]
+    notices: list[Fault] = field(default_factory=list)
+
+
+def measure(
+    trial: Trial, *, progress: Callable[[float], None] | None = None
+) -> TrialTable:
+    """Simulate something in several ways, and measure each.
+
+    Args:
+        trial: What, and which ways there are.
+        progress: Called with the share done, 0 to 1.
+
+    Raises:
+        OptionError: Something makes no sense, whatever the setting.
+    """
+    settings = list(dict.fromkeys([*trial.settings(), trial.chosen]))
+    whole = len({*settings, *trial.references()[0]})
+    runs = _Runs(trial, whole, progress)
+    reference, truth = _reference(trial, runs)
+    rows = [_row(runs, setting, truth) for setting in settings]
+    rows = [replace(row, chosen=row.setting == trial.chosen) for row in rows]
+    extent = 0.0 if truth is None else extent_of(truth.shots)
+    if reference is not None and not reference.sensitive:
+        rows = _marked(rows, reference, extent)
+    return TrialTable(
+        trial.name,
+        trial.kind,
+        trial.span,
+        0 if truth is None else len(truth.shots),
+        0 if truth is None else max(len(shot.points) for shot in truth.shots),
+        extent,
+        reference,
+        rows,
+        _notices(trial, reference),
+    )
+
+
+class _Runs:
+    """Runs each setting once."""
+
+    def __init__(
+        self, trial: Trial, whole: int, progress: Callable[[float], None] | None
+    ) -> None:
+        self._trial, self._whole, self._progress = trial, whole, progress
+        self._done: dict[Setting, Outcome] = {}
+
+    def of(self, setting: Setting) -> Outcome:
+        """Return what a setting comes to."""
+        if setting not in self._done:
+            self._done[setting] = self._run(setting)
+            if self._progress is not None:
+                self._progress(min(1.0, len(self._done) / self._whole))
+        return self._done[setting]
+
+    def _run(self, setting: Setting) -> Outcome:
+        with np.errstate(all="ignore"):
+            done = self._trial.run(setting)
+            spent = [done.seconds]
+            while len(spent) < REPEATS and sum(spent) < SHORT:
+                spent.append(self._trial.run(setting).seconds)
+        return replace(done, seconds=min(spent))
+
+
+def _reference(trial: Trial, runs: _Runs) -> tuple[Reference | None, Outcome | None]:
+    for settings in trial.references():
+        outcomes = []
+        for setting in settings:
+            outcomes.append(runs.of(setting))
+            if outcomes[-1].status is not Status.OK:
+                break
+        else:
+            return _judged(settings[-1], outcomes), outcomes[-1]
+    return None, None
+
+
+def _judged(setting: Setting, outcomes: list[Outcome]) -> Reference:
+    """Return how near the finest of motions is, each in half the steps of the last."""
+    gaps = [distances(fine.shots, rough.shots) for rough, fine in pairwise(outcomes)]
+    last, extent = gaps[-1], extent_of(outcomes[-1].shots)
+    tells = last.rms > ROUNDING * extent
+    order = order_seen(gaps[-2].rms, last.rms) if tells else None
+    sensitive = order is not None and order < LEAST_ORDER and last.rms > UNSEEN * extent
+    share = 1.0 if order is None else max(2**order - 1, 1.0)
+    return Reference(setting, last.scaled(1 / share), order, sensitive)
+
+
+def _row(runs: _Runs, setting: Setting, truth: Outcome | None) -> TrialRow:
+    try:
+        done = runs.of(setting)
+    except OptionError as refusal:
+        return TrialRow(setting, reason=refusal.faults[0].message)
+    row = TrialRow(
+        setting,
+        done.seconds,
+        done.steps,
+        done.status,
+        done.reason,
+        None if done.status is Status.OK else done.stable_step,
+        stretch=done.stretch,
+    )
+    if done.status is not Status.OK:
+        return row
+    row = replace(row, energy_drift=_drift(done.energies))
+    if truth is None:
+        return row
+    error = distances(truth.shots, done.shots)
+    sign = _sign(error, extent_of(truth.shots))
+    if not sign:
+        return replace(row, error=error)
+    return replace(
+        row,
+        status=Status.UNSTABLE,
+        reason=sign,
+        stable_step=done.stable_step,
+        energy_drift=None,
+    )
+
+
+def _sign(error: Distances, extent: float) -> str:
+    """Return why a motion that went on to the end is none, empty where it is one."""
+    if error.apart > MOST_APART:
+        return f"it has other points, by {error.apart:.0%}"
+    if not error.largest <= FAR * extent:
+        return f"it is off by {error.largest:.3g} m"
+    return ""
+
+
+def _drift(energies: Sequence[Energy] | None) -> float | None:
+    """Return the most that energy differs from the first, in the largest there is."""
+    if not energies:
+        return None
+    totals = np.array([energy.total for energy in energies])
+    kinetic = max(energy.kinetic for energy in energies)
+    most = max(kinetic, abs(float(totals[0])))
+    return float(np.abs(totals - totals[0]).max()) / most if most > 0 else None
+
+
+def _notices(trial: Trial, reference: Reference | None) -> list[Fault]:
+    if reference is None:
+        message = f"{trial.name}: there is no motion to compare with: each blew up"
+        hint = "shorten the step, or choose an implicit method: it is then refined"
+        return [Fault("SIM056", message, hint=hint, severity=Severity.WARNING)]
+    if not reference.sensitive:
+        return []
+    off = reference.error.rms
+    message = (
+        f"{trial.name}: half the steps lead elsewhere, by {1000 * off:.3g} mm (rms): "
+        "the motion is sensitive, and errors are not small with any setting"
+    )
+    hint = "judge settings by how they look; a shorter range may still tell them apart"
+    return [Fault("SIM055", message, hint=hint, severity=Severity.WARNING)]
+
+
+def _marked(
+    rows: list[TrialRow], reference: Reference, extent: float
+) -> list[TrialRow]:
+    """Return rows with the best marked, and the one to take."""
+    # What is nearer to the reference than that is to the truth is as good.
+    least = max(reference.error.rms, ROUNDING * extent)
+    costs = [
+        None if row.error is None else Cost(row.seconds, max(row.error.rms, least))
+        for row in rows
+    ]
+    best = best_of(costs)
+    chosen = next(i for i, row in enumerate(rows) if row.chosen)
+    better = recommended_of(costs, chosen, ENOUGH * extent)
+    return [
+        replace(row, best=i in best, recommended=i == better)
+        for i, row in enumerate(rows)
+    ]

@@ -1,0 +1,259 @@
+"""``bake --table`` of what a scene simulates."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from support.cli import animtool
+
+from animtool.errors import OptionError
+from animtool.scene.file import load_scene
+from animtool.scene.simulation_table import simulates, simulation_table
+from animtool.sim.integrators import INTEGRATORS
+
+SCENE = """\
+scene: animtool/1
+range: [1, 4]
+systems:
+- particles:
+    name: comets
+    step: 0.02
+    emitters:
+    - {at: [1, 0, 0], bursts: [[0, 2]], spread: 9, direction: [0, 0, 1], speed: 1}
+    forces:
+    - central: {strength: 1}
+- particles:
+    name: drops
+    method: euler
+    step: 0.02
+    preroll: 0.1
+    emitters:
+    - {at: [0, 0.2, 0], rate: 60, lifetime: 0.1}
+    forces: [gravity: ]
+    colliders: [{shape: {plane: }, restitution: 0.5}]
+output: {file: comets.usdc}
+"""
+RIG = """rig: animtool/1
+name: beast
+units: {length: cm, angle: deg}
+joints:
+- {name: body, type: free}
+- {name: tail_1, parent: body, type: ball, translate: [0, 0, -10]}
+- {name: tail_2, parent: tail_1, type: ball, translate: [0, 0, -20],
+   tips: [[0, 0, -20]]}
+attach: [{name: tail, kind: spring_chain, joints: [tail_1, tail_2]}]
+"""
+CLIP = """clip: animtool/1
+rig: beast.rig.yaml
+fps: 24
+range: [1, 7]
+channels:
+- target: joint/body.translation
+  keys: [{t: 1, v: [0, 100, 0]}, {t: 4, v: [20, 100, 0]}, {t: 7, v: [0, 100, 0]}]
+"""
+SWING = """scene: animtool/1
+source: {file: swing.clip.yaml}
+passes:
+- simulate: {what: [tail], settle: 0.1, save: states.npz, save_at: [3]}
+- trim: {last: 5}
+output: {file: out.usdc}
+"""
+KEYS = {
+    "method",
+    "options",
+    "status",
+    "reason",
+    "stable_step",
+    "seconds",
+    "simulated_per_second",
+    "steps",
+    "error",
+    "energy_drift",
+    "stretch",
+    "chosen",
+    "best",
+    "recommended",
+}
+
+
+@pytest.fixture(autouse=True)
+def _once(monkeypatch: pytest.MonkeyPatch) -> None:
+    # How long anything takes is of no interest here.
+    monkeypatch.setattr("animtool.sim.trials.measuring.REPEATS", 1)
+
+
+@pytest.fixture
+def comets(tmp_path: Path) -> Path:
+    path = tmp_path / "comets.scene.yaml"
+    path.write_text(SCENE, "utf-8")
+    return path
+
+
+@pytest.fixture
+def swing(tmp_path: Path) -> Path:
+    (tmp_path / "beast.rig.yaml").write_text(RIG, "utf-8")
+    (tmp_path / "swing.clip.yaml").write_text(CLIP, "utf-8")
+    path = tmp_path / "swing.scene.yaml"
+    path.write_text(SWING, "utf-8")
+    return path
+
+
+def test_a_table_as_json(comets: Path) -> None:
+    before = sorted(comets.parent.iterdir())
+    done = animtool("bake", comets, "--table", "--format", "json")
+    assert done.code == 0, done.stderr
+    assert sorted(comets.parent.iterdir()) == before
+    table = json.loads(done.stdout)
+    assert table["simulation_table"] == "animtool/1"
+    assert table["source"] == str(comets)
+    first, second = table["simulated"]
+    assert (first["name"], first["kind"], first["instants"]) == (
+        "comets", "particles", 4,
+    )  # fmt: skip
+    assert first["span"] == pytest.approx(3 / 24)
+    assert second["span"] == pytest.approx(3 / 24 + 0.1)
+    assert first["points"] == 2
+    assert first["reference"]["method"] == "rk4"
+    assert first["reference"]["error"]["largest"] < 1e-9
+    assert not first["reference"]["sensitive"]
+    assert {row["method"] for row in first["rows"]} == set(INTEGRATORS)
+    for part, method in ((first, "midpoint"), (second, "euler")):
+        (chosen,) = [row for row in part["rows"] if row["chosen"]]
+        assert (chosen["method"], chosen["options"]) == (method, {"step": 0.02})
+        for row in part["rows"]:
+            assert set(row) == KEYS
+            if row["status"] == "ok":
+                assert row["seconds"] > 0
+                assert set(row["error"]) == {"largest", "rms", "median", "apart"}
+            else:
+                assert row["reason"]
+                assert row["error"] is None
+    errors = [row["error"]["rms"] for row in first["rows"] if row["method"] == "euler"]
+    assert errors == sorted(errors, reverse=True)
+    assert errors[0] / errors[-1] > 4
+    assert all(row["energy_drift"] is None for row in second["rows"])
+    left = {row["method"] for row in second["rows"] if row["status"] == "left out"}
+    assert left == {"dop853", "lsoda", "radau"}
+
+
+def test_a_table_in_words(comets: Path) -> None:
+    done = animtool("bake", comets, "--table", "--range", "1-3")
+    assert done.code == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert lines[0].startswith("comets: particles, 0.08333 s simulated")
+    heads = next(line for line in lines if "method" in line).split("  ")
+    names = [head.strip() for head in heads if head.strip()]
+    assert names[:5] == ["method", "setting", "seconds", "sim s/s", "steps"]
+    assert names[5:] == ["largest mm", "rms mm", "median mm", "energy %"]
+    (chosen,) = [line for line in lines if line.lstrip().startswith(">")][:-2]
+    assert chosen.split()[1:4] == ["midpoint", "step", "0.02"]
+    assert any("left out: dop853, lsoda, radau: cannot stop" in line for line in lines)
+    assert lines[-1].startswith("> the file's own")
+
+
+def test_a_table_of_what_a_rig_attaches(swing: Path) -> None:
+    before = sorted(swing.parent.iterdir())
+    done = animtool("bake", swing, "--table", "--format", "json")
+    assert done.code == 0, done.stderr
+    assert sorted(swing.parent.iterdir()) == before
+    (part,) = json.loads(done.stdout)["simulated"]
+    assert (part["name"], part["kind"]) == ("tail", "spring_chain")
+    assert (part["instants"], part["span"]) == (7, 6 / 24)
+    rates = [row["options"]["rate"] for row in part["rows"]]
+    assert rates == sorted(rates)
+    (chosen,) = [row for row in part["rows"] if row["chosen"]]
+    assert chosen["options"]["rate"] == rates[3]
+    # As many steps as the pass itself takes.
+    baked = animtool("bake", swing, "--format", "json")
+    (report,) = json.loads(baked.stdout)["simulated"]
+    assert chosen["steps"] == 7 * report["steps"]
+    assert chosen["stretch"] == report["stretch"]
+    errors = [row["error"]["rms"] for row in part["rows"]]
+    assert errors == sorted(errors, reverse=True)
+    assert 0.5 < part["reference"]["order"] < 2.5
+
+
+def test_the_table_is_drawn(comets: Path) -> None:
+    pytest.importorskip("matplotlib", reason="no matplotlib (extra: preview)")
+    picture = comets.with_name("comets.png")
+    words = ("bake", comets, "--range", "1-3", "--table", "--plot", picture)
+    done = animtool(*words)
+    assert done.code == 0, done.stderr
+    assert f"{picture}: drawn" in done.stderr
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+    assert picture.stat().st_size > 10_000
+    again = animtool(*words)
+    assert again.code == 2
+    assert "OUT001" in again.stderr
+
+
+def test_a_table_of_samples_is_drawn_too(root: Path, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib", reason="no matplotlib (extra: preview)")
+    clip = root / "samples/press/press.clip.yaml"
+    picture = tmp_path / "press.svg"
+    done = animtool("bake", clip, "--table", "--plot", picture)
+    assert done.code == 0, done.stderr
+    assert picture.stat().st_size > 4000
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("--plot", "a.png"), 2, "give both"),
+        (("--table", "-o", "a.usda"), 2, "--table writes no file"),
+        (("--table", "--plot", "a.txt"), 2, "SCN072"),
+        (("--table", "--plot", "none/a.png"), 3, "OUT002"),
+        (("--table", "--plot", "comets.scene.yaml", "--overwrite"), 2, "OUT003"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(
+    comets: Path, words: tuple[str, ...], code: int, said: str
+) -> None:
+    done = animtool("bake", "comets.scene.yaml", *words, cwd=comets.parent)
+    assert done.code == code
+    assert said in done.stderr
+
+
+def test_without_matplotlib_nothing_is_measured(
+    comets: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    picture = comets.with_name("a.png")
+    done = animtool("bake", comets, "--table", "--plot", picture)
+    assert (done.code, done.stdout) == (2, "")
+    assert "SCN070" in done.stderr
+    assert "animtool[preview]" in done.stderr
+
+
+def test_a_sensitive_motion_is_called_so(comets: Path) -> None:
+    # What is near goes apart a thousandfold within two of the finest steps.
+    text = SCENE[: SCENE.index("- particles:\n    name: drops")]
+    field = "{x: '9 * sin(300 * y)', y: '9 * sin(300 * x + 5 * t)'}"
+    text = text.replace("[[0, 2]]", "[[0, 40]], place: {box: {size: [1, 1, 1]}}")
+    text = text[: text.index("    forces")] + f"    velocity: {field}\n"
+    comets.write_text(text + "output: {file: o.usdc}\n", "utf-8")
+    done = animtool("bake", comets, "--table")
+    assert done.code == 0, done.stderr
+    assert "comets.scene.yaml:5:5: warning: SIM055 " in done.stderr
+    assert "the motion is sensitive" in done.stdout
+    assert " *" not in done.stdout.replace(" * none", "")
+
+
+def test_a_scene_without_simulation_has_another_table(swing: Path) -> None:
+    scene = load_scene(swing)
+    assert simulates(scene)
+    assert not simulates(scene.until("0"))
+    done = animtool("bake", swing, "--until", "0", "--table", "--format", "json")
+    assert json.loads(done.stdout)["table"] == "animtool/1"
+
+
+def test_a_pass_that_moves_nothing_is_no_table(swing: Path) -> None:
+    swing.write_text(
+        SWING.replace("what: [tail], ", "what: [tail], weight: 0, "), "utf-8"
+    )
+    with pytest.raises(OptionError) as error:
+        simulation_table(load_scene(swing))
+    assert error.value.code == "SCN071"

@@ -1,0 +1,77 @@
+"""How far simulations are apart."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from animtool.sim.trials.distances import distances, extent_of, order_seen
+from animtool.sim.trials.trial import Shot
+
+POINTS = arrays(np.float64, (5, 3), elements=st.floats(-100, 100, width=32))
+
+
+@given(POINTS)
+def test_nothing_is_away_from_itself(points: np.ndarray) -> None:
+    found = distances([Shot(points)], [Shot(points.copy())])
+    assert (found.largest, found.rms, found.median, found.apart) == (0, 0, 0, 0)
+
+
+@given(POINTS, POINTS)
+def test_distances_are_the_same_both_ways(a: np.ndarray, b: np.ndarray) -> None:
+    there, back = distances([Shot(a)], [Shot(b)]), distances([Shot(b)], [Shot(a)])
+    assert there == back
+    assert there.rms <= there.largest * (1 + 1e-12)
+    assert there.median <= there.largest
+
+
+@given(POINTS, st.integers(0, 4), st.integers(0, 4))
+def test_points_are_told_by_their_ids(points: np.ndarray, i: int, j: int) -> None:
+    ids = np.arange(5) * 7
+    one, other = np.delete(np.arange(5), i), np.delete(np.arange(5), j)
+    found = distances([Shot(points[one], ids[one])], [Shot(points[other], ids[other])])
+    assert found.largest == 0
+    assert found.apart == (0 if i == j else pytest.approx(2 / 5))
+
+
+def test_all_times_count() -> None:
+    still = Shot(np.zeros((2, 3)))
+    moved = [Shot(np.array([[0, 0, 3.0], [0, 0, 0]])), still]
+    found = distances([still, still], moved)
+    assert found.largest == 3
+    assert found.rms == pytest.approx(1.5)
+    assert found.median == 0
+
+
+def test_nobody_in_common_is_all_apart() -> None:
+    a = Shot(np.zeros((1, 3)), np.array([1]))
+    b = Shot(np.ones((1, 3)), np.array([2]))
+    assert distances([a], [b]).apart == 1
+    none = Shot(np.zeros((0, 3)), np.zeros(0, np.int64))
+    assert distances([none], [none]).apart == 0
+
+
+def test_what_is_no_number_has_no_distance() -> None:
+    here, lost = Shot(np.zeros((1, 3))), Shot(np.full((1, 3), np.nan))
+    assert math.isnan(distances([here], [lost]).largest)
+
+
+def test_extents_are_of_all_times() -> None:
+    shots = [Shot(np.zeros((1, 3))), Shot(np.array([[3.0, 4.0, 0.0]]))]
+    assert extent_of(shots) == 5
+    assert extent_of([]) == 0
+
+
+@given(st.floats(0.5, 6), st.floats(1e-9, 1e3))
+def test_the_order_is_the_power_of_the_step(order: float, fine: float) -> None:
+    assert order_seen(fine * 2**order, fine) == pytest.approx(order)
+
+
+@pytest.mark.parametrize("gaps", [(0, 0), (1, 0), (0, 1), (math.nan, 1), (1e308, 0.1)])
+def test_without_a_difference_there_is_no_order(gaps: tuple[float, float]) -> None:
+    assert order_seen(*gaps) is None

@@ -1,0 +1,53 @@
+"""Which settings are worth having."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from animtool.sim.trials.marks import Cost, best_of, recommended_of
+
+COST = st.builds(Cost, st.integers(1, 6).map(float), st.integers(1, 6).map(float))
+COSTS = st.lists(st.none() | COST, min_size=1, max_size=8)
+
+
+@given(COSTS)
+def test_the_best_are_those_that_none_beats(costs: list[Cost | None]) -> None:
+    best = best_of(costs)
+    for i, cost in enumerate(costs):
+        if cost is None:
+            assert i not in best
+            continue
+        beaten = any(
+            other.seconds <= cost.seconds
+            and other.error <= cost.error
+            and (other.seconds, other.error) != (cost.seconds, cost.error)
+            for other in costs
+            if other
+        )
+        assert i not in best if beaten else (cost in [costs[k] for k in best])
+
+
+@given(COSTS, st.data())
+def test_what_is_recommended_is_as_exact_and_faster(
+    costs: list[Cost | None], data: st.DataObject
+) -> None:
+    chosen = data.draw(st.integers(0, len(costs) - 1))
+    found = recommended_of(costs, chosen, 2.0)
+    now = costs[chosen]
+    if found is None:
+        assert now is not None or not any(costs)
+        return
+    better = costs[found]
+    assert better is not None
+    if now is not None:
+        assert better.error <= now.error * 1.05
+        assert better.seconds < now.seconds
+
+
+def test_in_place_of_what_does_not_work_the_fastest_that_will_do() -> None:
+    costs = [None, Cost(1, 0.5), Cost(2, 0.1), Cost(3, 0.01)]
+    assert recommended_of(costs, 0, 0.2) == 2
+    # Where none will do, the most exact.
+    assert recommended_of(costs, 0, 1e-6) == 3
+    assert recommended_of([None], 0, 1.0) is None

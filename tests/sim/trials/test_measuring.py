@@ -1,0 +1,159 @@
+"""Tables of settings, of things whose errors are known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from animtool.errors import Fault, OptionError
+from animtool.sim.system import Energy
+from animtool.sim.trajectory import Status
+from animtool.sim.trials.measuring import measure
+from animtool.sim.trials.trial import FINER, Outcome, Setting, Shot, ladder
+
+
+def setting(method: str, step: float) -> Setting:
+    return Setting(method, (("step", step),))
+
+
+class Known:
+    """A point that goes 1 m, and is off by a function of method and step."""
+
+    name, kind, span = "known", "points", 1.0
+
+    def __init__(self, off: Callable[[str, float], float]) -> None:
+        self.off = off
+        self.chosen = setting("second", 0.1)
+        self.ran: list[Setting] = []
+
+    def settings(self) -> list[Setting]:
+        return [setting(name, h) for name in ("first", "second") for h in ladder(0.1)]
+
+    def references(self) -> list[list[Setting]]:
+        return [
+            [setting("fourth", share * h) for h in ladder(0.1, FINER)]
+            for share in (1.0, 0.125)
+        ]
+
+    def run(self, given: Setting) -> Outcome:
+        self.ran.append(given)
+        step = dict(given.options)["step"]
+        off = self.off(given.method, step)
+        points = [np.array([[x, off * x, 0.0]]) for x in (0.0, 0.5, 1.0)]
+        count = round(1 / step)
+        energies = [Energy(1.0 + off * k, 0.0) for k in range(3)]
+        return Outcome(
+            1e-6 * count, count, [Shot(p) for p in points], energies=energies
+        )
+
+
+ORDERS = {"first": 1, "second": 2, "fourth": 4}
+
+
+def converging(method: str, step: float) -> float:
+    return step ** ORDERS[method]
+
+
+def test_errors_are_those_that_settings_make() -> None:
+    table = measure(Known(converging))
+    assert (table.name, table.kind, table.span) == ("known", "points", 1.0)
+    assert (table.instants, table.points) == (3, 1)
+    assert table.reference is not None
+    assert table.reference.setting == setting("fourth", 0.0125)
+    assert table.reference.order == pytest.approx(4, abs=0.01)
+    assert not table.reference.sensitive
+    # Its own error is what is left of it.
+    assert table.reference.error.largest == pytest.approx(0.0125**4, rel=0.1)
+    for row in table.rows:
+        method, step = row.setting.method, dict(row.setting.options)["step"]
+        assert row.error is not None
+        off = converging(method, step)
+        assert row.error.largest == pytest.approx(off, rel=0.01)
+        assert row.energy_drift == pytest.approx(2 * off / (1 + 2 * off))
+    assert [row.setting for row in table.rows if row.chosen] == [setting("second", 0.1)]
+    # In as many steps, the second order has less error.
+    assert {row.setting.method for row in table.rows if row.best} == {"second"}
+    assert not table.notices
+
+
+def test_every_setting_is_run_often_enough_and_shows_progress() -> None:
+    trial, shares = Known(converging), []
+    measure(trial, progress=shares.append)
+    assert shares == sorted(shares)
+    assert shares[-1] == 1
+    assert len({*trial.ran}) == len(shares) == 11
+
+
+def test_a_chosen_setting_that_is_not_on_the_ladder_is_a_row() -> None:
+    trial = Known(converging)
+    trial.chosen = setting("second", 0.03)
+    rows = measure(trial).rows
+    assert [row.setting for row in rows if row.chosen] == [trial.chosen]
+
+
+def test_what_does_not_converge_is_called_sensitive() -> None:
+    table = measure(Known(lambda _, step: float(np.sin(1e5 * step))))
+    assert table.reference is not None
+    assert table.reference.sensitive
+    assert [notice.code for notice in table.notices] == ["SIM055"]
+    assert not any(row.best or row.recommended for row in table.rows)
+    assert any(row.chosen for row in table.rows)
+
+
+def test_what_does_not_move_is_not_sensitive() -> None:
+    table = measure(Known(lambda *_: 0.0))
+    assert table.reference is not None
+    assert (table.reference.order, table.reference.sensitive) == (None, False)
+
+
+def test_what_is_nowhere_near_has_blown_up() -> None:
+    def off(method: str, step: float) -> float:
+        return 1e6 if method == "second" and step > 0.05 else converging(method, step)
+
+    table = measure(Known(off))
+    lost = [row for row in table.rows if row.status is Status.UNSTABLE]
+    assert [dict(row.setting.options)["step"] for row in lost] == [0.4, 0.2, 0.1]
+    assert all(row.error is None and row.reason for row in lost)
+    # The chosen one is among them: what will do is recommended.
+    (better,) = [row for row in table.rows if row.recommended]
+    assert better.error is not None
+    assert better.error.rms < 0.01
+
+
+class Unfit(Known):
+    """Methods that are not for it, or that blow up."""
+
+    def run(self, given: Setting) -> Outcome:
+        step = dict(given.options)["step"]
+        if given.method == "first":
+            raise OptionError(Fault("SIM006", "it is not for such things"))
+        if given.method == "fourth" and step > self.limit:
+            return Outcome(0.1, 3, [], Status.UNSTABLE, "too far", self.limit)
+        return super().run(given)
+
+    limit = 0.01
+
+
+def test_what_a_method_is_not_for_is_left_out() -> None:
+    rows = measure(Unfit(converging)).rows
+    left = [row for row in rows if row.setting.method == "first"]
+    assert all(row.status is None and "not for" in row.reason for row in left)
+
+
+def test_the_reference_is_refined_until_it_is_stable() -> None:
+    table = measure(Unfit(converging))
+    assert table.reference is not None
+    (_, step), *_ = table.reference.setting.options
+    assert step == pytest.approx(0.0125 / 8)
+
+
+def test_without_a_reference_there_are_no_errors() -> None:
+    trial = Unfit(converging)
+    trial.limit = 0.0
+    table = measure(trial)
+    assert table.reference is None
+    assert [notice.code for notice in table.notices] == ["SIM056"]
+    assert all(row.error is None for row in table.rows)
+    assert not any(row.best or row.recommended for row in table.rows)
