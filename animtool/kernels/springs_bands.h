@@ -35,7 +35,7 @@ constexpr std::size_t plane_height(std::size_t particles) {
 // Particles that are gone through with every band before the next are.
 constexpr std::size_t BAND_BLOCK = 64 * WIDE;
 // Offsets below this have a loop of their own for the other ends.
-constexpr std::size_t NEAR = 4 * WIDE;
+constexpr std::size_t SHORT_OFFSET = 4 * WIDE;
 
 template <class W>
 void rows_to_planes(const double* rows, std::size_t count, std::size_t height, double* planes) {
@@ -72,7 +72,7 @@ void add_band(const BandNumbers& springs, const SpringBand& band, std::size_t be
                *damping = springs.damping + column;
   double *f = planes.f + begin, *g = f + band.offset;
   // Reading at once what was just stored a few places further on would wait for it.
-  const bool near = band.offset < NEAR;
+  const bool near = band.offset < SHORT_OFFSET;
   double pulls[3][BAND_BLOCK];
   const std::size_t count = end - begin;
   for (std::size_t n = 0; n < count; n += WIDE) {

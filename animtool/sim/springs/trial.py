@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
+import numpy as np
+
 from animtool._types import FloatArray
 from animtool.sim.springs.choosing import choose
 from animtool.sim.springs.motion import SpringMotion
