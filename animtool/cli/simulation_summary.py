@@ -84,7 +84,7 @@ def _cells(row: TrialRow, span: float) -> list[str]:
         _marks(row),
         row.setting.method,
         ", ".join(f"{name} {value:.6g}" for name, value in row.setting.options),
-        f"{row.seconds:.3f}",
+        f"{row.seconds:.3g}",
         f"{span / row.seconds:.3g}" if row.seconds else "",
         str(row.steps),
         *sizes,

@@ -176,6 +176,63 @@ def test_a_table_of_what_a_rig_attaches(swing: Path) -> None:
     assert 0.5 < part["reference"]["order"] < 2.5
 
 
+ROPES = """\
+scene: animtool/1
+range: [1, 4]
+systems:
+- rope:
+    name: lead
+    from: [0, 2, 0]
+    to: [1, 2, 0]
+    count: 6
+    mass: 0.1
+    springs: {structural: {stiffness: 100}}
+    pins: [{particles: [start]}]
+- rope:
+    name: tow
+    from: [1, 2, 0]
+    to: [2, 2, 0]
+    count: 6
+    mass: 0.1
+    springs: {structural: {stiffness: 100}}
+    pins: [{particles: [start], to: {system: lead, particles: [end]}}]
+- cloth:
+    name: flag
+    corner: [0, 1, 0]
+    across: [1, 0, 0]
+    up: [0, 0.6, 0]
+    resolution: [5, 4]
+    mass: 0.1
+    springs: {structural: {stiffness: 300, ratio: 0.05}}
+    pins: [{particles: [left]}]
+    error: 1e-3
+output: {file: ropes.usdc}
+"""
+
+
+def test_a_table_of_ropes_and_cloth(tmp_path: Path) -> None:
+    path = tmp_path / "ropes.scene.yaml"
+    path.write_text(ROPES, "utf-8")
+    done = animtool("bake", path, "--table", "--format", "json")
+    assert done.code == 0, done.stderr
+    joined, flag = json.loads(done.stdout)["simulated"]
+    assert (joined["name"], joined["kind"], joined["points"]) == (
+        "lead + tow", "rope", 11,
+    )  # fmt: skip
+    assert (flag["name"], flag["kind"], flag["points"]) == ("flag", "cloth", 20)
+    for part in (joined, flag):
+        solvers = {row["method"] for row in part["rows"]}
+        assert solvers == {"symplectic_euler", "xpbd", "bdf2", "implicit_euler"}
+        assert len([row for row in part["rows"] if row["chosen"]]) == 1
+        assert part["reference"]["method"] == "bdf2"
+    (chosen,) = [row for row in joined["rows"] if row["chosen"]]
+    assert chosen["energy_drift"] is not None
+    assert chosen["stretch"] > 0
+    # The step is what the error that the file asks for came to.
+    (chosen,) = [row for row in flag["rows"] if row["chosen"]]
+    assert chosen["error"]["largest"] < 2e-3
+
+
 def test_the_table_is_drawn(comets: Path) -> None:
     pytest.importorskip("matplotlib", reason="no matplotlib (extra: preview)")
     picture = comets.with_name("comets.png")

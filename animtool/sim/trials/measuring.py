@@ -72,7 +72,7 @@ class TrialRow:
             there is no reference.
         energy_drift: Most that the energy differed from that of the start, in the
             largest that there was [1]; None where it may come and go.
-        stretch: As in `Outcome`.
+        stretch: As in `Outcome`; None too where it did not get to the end.
         chosen: Whether the file has it so.
         best: Whether no other that is as exact is faster.
         recommended: Whether to take it in place of the chosen one.
@@ -214,11 +214,10 @@ def _row(runs: _Runs, setting: Setting, truth: Outcome | None) -> TrialRow:
         done.status,
         done.reason,
         None if done.status is Status.OK else done.stable_step,
-        stretch=done.stretch,
     )
     if done.status is not Status.OK:
         return row
-    row = replace(row, energy_drift=_drift(done.energies))
+    row = replace(row, energy_drift=_drift(done.energies), stretch=done.stretch)
     if truth is None:
         return row
     error = distances(truth.shots, done.shots)
@@ -231,6 +230,7 @@ def _row(runs: _Runs, setting: Setting, truth: Outcome | None) -> TrialRow:
         reason=sign,
         stable_step=done.stable_step,
         energy_drift=None,
+        stretch=None,
     )
 
 
