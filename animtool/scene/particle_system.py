@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, cast
@@ -19,6 +19,7 @@ from animtool.usd.particle_points import PointsRow
 
 if TYPE_CHECKING:
     from animtool.scene.spring_setup import SpringSetup
+    from animtool.sim.options import IntegrateOptions
     from animtool.sim.particles.setup import Particles
 
 __all__ = ["ParticleSetup", "RunningParticles", "open_particles", "particle_trial"]
@@ -124,7 +125,7 @@ def open_particles(
 
 
 def particle_trial(
-    members: Sequence[SceneSystem], opening: Opening, times: FloatArray
+    members: Sequence[SceneSystem], anew: Callable[[], Opening], times: FloatArray
 ) -> ParticleTrial:
     """Return particles that can be simulated in several ways.
 
@@ -132,31 +133,49 @@ def particle_trial(
         FormatError: The file of a character is malformed.
         OptionError: As `open_particles`.
     """
-    setup, whole = _whole(members, opening)
-    return ParticleTrial(whole, -setup.preroll, times)
+    (member,) = members
+    setup = cast(ParticleSetup, member.setup)
+    opened = anew()
+
+    def made(options: IntegrateOptions | None) -> Particles:
+        # Cloth that they run into begins again with them.
+        return _whole(members, anew() if setup.surfaces else opened, options)[1]
+
+    return ParticleTrial(made, -setup.preroll, times)
 
 
 def _whole(
-    members: Sequence[SceneSystem], opening: Opening
+    members: Sequence[SceneSystem],
+    opening: Opening,
+    options: IntegrateOptions | None = None,
 ) -> tuple[ParticleSetup, Particles]:
-    """Return particles with the characters that they run into."""
+    """Return particles with the characters and surfaces that they run into.
+
+    Args:
+        members: One system.
+        opening: What it may ask for.
+        options: How they are simulated; None is as the file says.
+    """
     (member,) = members
     setup = cast(ParticleSetup, member.setup)
+    given = setup.particles
+    options = options or given.options
     moving = [
         collider
         for path, material in setup.characters
         for collider in opening.characters.of(path).colliders(material)
     ]
-    given = setup.particles
-    sheets = [_sheet(met, opening, setup) for met in setup.surfaces]
-    whole = replace(given, colliders=[*given.colliders, *moving], sheets=sheets)
-    return setup, whole
+    assert options.step is not None
+    sheets = [_sheet(met, opening, setup, options.step) for met in setup.surfaces]
+    return setup, replace(
+        given, colliders=[*given.colliders, *moving], sheets=sheets, options=options
+    )
 
 
-def _sheet(met: SurfaceMet, opening: Opening, setup: ParticleSetup) -> Sheet:
+def _sheet(
+    met: SurfaceMet, opening: Opening, setup: ParticleSetup, step: float
+) -> Sheet:
     other = cast(Watchable, opening.opened[met.system])
-    step = setup.particles.options.step
-    assert step is not None
     shape = other.setup.body.shape
     return Sheet(
         other.watched(-setup.preroll, step),

@@ -12,7 +12,7 @@ from animtool.plugins import load_object
 from animtool.scene.character_motion import CharacterMotions
 from animtool.scene.entries import SceneSystem
 from animtool.scene.system_kinds import SYSTEM_KINDS
-from animtool.scene.system_links import in_order
+from animtool.scene.system_links import in_order, needed
 
 if TYPE_CHECKING:
     from animtool.sim.trials.trial import Trial
@@ -63,8 +63,11 @@ class Opening:
 Opener: TypeAlias = Callable[[Sequence[SceneSystem], Opening], Sequence[Simulation]]
 
 
-# Likewise, and times to look at ``(F,)`` [s], to what can be simulated in several ways.
-TrialMaker: TypeAlias = Callable[[Sequence[SceneSystem], Opening, FloatArray], "Trial"]
+# From systems that are simulated as one, what opens those that they need, each time
+# anew, and times to look at ``(F,)`` [s], to what can be simulated in several ways.
+TrialMaker: TypeAlias = Callable[
+    [Sequence[SceneSystem], Callable[[], Opening], FloatArray], "Trial"
+]
 
 
 def open_systems(systems: Sequence[SceneSystem], last: float = 0.0) -> list[Simulation]:
@@ -78,7 +81,11 @@ def open_systems(systems: Sequence[SceneSystem], last: float = 0.0) -> list[Simu
         FormatError: Something makes no sense, at the place of its system.
         ToleranceError: A system blew up at once.
     """
-    opening = Opening(last)
+    return _opened(systems, Opening(last))
+
+
+def _opened(systems: Sequence[SceneSystem], opening: Opening) -> list[Simulation]:
+    """Return systems at their beginnings, of which the opening takes note."""
     found: dict[int, Simulation] = {}
     for group in in_order(systems):
         members = [systems[i] for i in group]
@@ -103,11 +110,18 @@ def system_trials(
     Raises:
         FormatError: Something makes no sense, at the place of its system.
     """
-    opening = Opening(float(times[-1]))
+    last, characters = float(times[-1]), CharacterMotions()
     found = []
     for group in in_order(systems):
         members = [systems[i] for i in group]
+        others = [systems[i] for i in needed(systems, group)]
+
+        def anew(others: Sequence[SceneSystem] = others) -> Opening:
+            opening = Opening(last, characters)
+            _opened(others, opening)
+            return opening
+
         maker = cast(TrialMaker, load_object(SYSTEM_KINDS[members[0].kind].trial))
         with members[0].place.blamed():
-            found.append((members[0], maker(members, opening, times)))
+            found.append((members[0], maker(members, anew, times)))
     return found

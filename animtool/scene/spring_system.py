@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
@@ -56,7 +56,7 @@ def open_springs(
 
 
 def spring_trial(
-    members: Sequence[SceneSystem], opening: Opening, times: FloatArray
+    members: Sequence[SceneSystem], anew: Callable[[], Opening], times: FloatArray
 ) -> SpringTrial:
     """Return systems that are joined, or one alone, to be simulated in several ways.
 
@@ -67,6 +67,7 @@ def spring_trial(
     """
     names = [member.name for member in members]
     setups = [cast(SpringSetup, member.setup) for member in members]
+    opening = anew()
     whole = _Whole(names, setups, opening)
     kinds = dict.fromkeys(member.kind for member in members)
     options = whole.shared.options

@@ -12,7 +12,7 @@ from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
 from animtool.scene.system_kinds import SYSTEM_KINDS
 
-__all__ = ["check_links", "in_order"]
+__all__ = ["check_links", "in_order", "needed"]
 
 
 def in_order(systems: Sequence[SceneSystem]) -> list[list[int]]:
@@ -33,6 +33,21 @@ def in_order(systems: Sequence[SceneSystem]) -> list[list[int]]:
         }
         sorter.add(k, *sorted(needs))
     return [groups[k] for k in sorter.static_order()]
+
+
+def needed(systems: Sequence[SceneSystem], group: Sequence[int]) -> list[int]:
+    """Return which systems must be there before some that are simulated as one.
+
+    Those that they need, and what these need, each with what it is joined to.
+    """
+    groups = in_order(systems)
+    wanted = {name for i in group for name, _ in systems[i].setup.needs}
+    found: list[int] = []
+    for other in reversed(groups[: groups.index(list(group))]):
+        if any(systems[i].name in wanted for i in other):
+            found += other
+            wanted |= {name for i in other for name, _ in systems[i].setup.needs}
+    return sorted(found)
 
 
 def _groups(systems: Sequence[SceneSystem]) -> list[list[int]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -50,17 +50,25 @@ class ParticleTrial:
         chosen: The way of the file.
 
     Args:
-        setup: What there is.
+        made: Returns what there is, simulated as options say, each time at its
+            beginning; None is as the file says.
         begin: Time of the first step [s].
         times: When to look, ascending ``(F,)`` [s].
     """
 
     kind = "particles"
 
-    def __init__(self, setup: Particles, begin: float, times: FloatArray) -> None:
+    def __init__(
+        self,
+        made: Callable[[IntegrateOptions | None], Particles],
+        begin: float,
+        times: FloatArray,
+    ) -> None:
+        setup = made(None)
         self.name = setup.name
         self.span = float(times[-1]) - begin
-        self._setup, self._begin, self._times = setup, begin, times
+        self._setup, self._made = setup, made
+        self._begin, self._times = begin, times
         assert setup.options.step is not None
         self._step = setup.options.step
         self.chosen = self._setting(setup.options)
@@ -110,7 +118,7 @@ class ParticleTrial:
             OptionError: The method is not for them (SIM006), or for so many (SIM024).
         """
         self._check_size(setting)
-        setup = replace(self._setup, options=self._options(setting))
+        setup = self._made(self._options(setting))
         solver = find_integrator(setting.method).solver
         if solver:
             # What it takes to import is no part of the simulation.
@@ -176,7 +184,7 @@ class ParticleTrial:
     def _energy(self, run: ParticleRun, frame: ParticleFrame) -> Energy | None:
         cloud = run.state.cloud
         # Contacts and damping take energy, and births bring some.
-        if self._setup.velocity is not None or len(run.colliders):
+        if self._setup.velocity is not None or run.colliders.meet:
             return None
         damped = any(f.damping(frame.velocities, cloud) for f in self._setup.forces)
         if damped or not np.array_equal(cloud.ids, frame.ids):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -44,7 +45,10 @@ def orbits(count: int = 2, mass: float = 1.0, **given: Any) -> Particles:
 
 
 def trial(setup: Particles, seconds: float = 0.5, frames: int = 6) -> ParticleTrial:
-    return ParticleTrial(setup, 0.0, np.linspace(0, seconds, frames))
+    def made(options: IntegrateOptions | None) -> Particles:
+        return replace(setup, options=options or setup.options)
+
+    return ParticleTrial(made, 0.0, np.linspace(0, seconds, frames))
 
 
 def rows_of(rows: list[TrialRow], method: str) -> list[TrialRow]:
