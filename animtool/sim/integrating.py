@@ -7,25 +7,18 @@ from dataclasses import replace
 import numpy as np
 
 from animtool._types import ArrayLike, FloatArray
-from animtool.sim import adaptive, external, fixed
+from animtool.sim.advancing import advance, carried_on, stats_of
 from animtool.sim.checks import check_fit, check_start, check_times
 from animtool.sim.equations import Equations
-from animtool.sim.integrators.integrator import Control, Integrator
-from animtool.sim.modes import allowed_step, modes_at
+from animtool.sim.integrators.integrator import Integrator
 from animtool.sim.notices import ending, step_notices
 from animtool.sim.options import IntegrateOptions, check_options, finer
 from animtool.sim.run import Run
 from animtool.sim.system import FirstOrder, SecondOrder
-from animtool.sim.trajectory import Carried, Stats, Status, Trajectory
+from animtool.sim.trajectory import Carried, Status, Trajectory
 from animtool.sim.watch import Watch
 
 __all__ = ["integrate"]
-
-_ADVANCE = {
-    Control.FIXED: fixed.advance,
-    Control.ADAPTIVE: adaptive.advance,
-    Control.SCIPY: external.advance,
-}
 
 
 def integrate(
@@ -74,7 +67,8 @@ def integrate(
         notices += step_notices(equations, integrator, options, moments, begin.state)
         run = _begun(equations, integrator, options, moments, begin)
         states, status = _states(run, moments)
-        stats = _stats(run, status, states, moments)
+        ends = sorted({0, len(states) - 1})
+        stats = stats_of(run, status, [(float(moments[i]), states[i]) for i in ends])
         energies = _energies(system, moments, states)
     if status is not Status.OK:
         notices.append(ending(integrator, options, stats))
@@ -89,7 +83,7 @@ def integrate(
         energies,
         stats,
         tuple(notices),
-        _carried(run, status, states, moments),
+        carried_on(run, status, float(moments[len(states) - 1]), states[-1]),
         equations.second is not None,
     )
 
@@ -120,44 +114,11 @@ def _states(run: Run, moments: FloatArray) -> tuple[list[FloatArray], Status]:
     """Return the states at the times that were reached, and how that ended."""
     states, status = [run.state], Status.OK
     for target in moments[1:].tolist():
-        if target > run.time:
-            status = _ADVANCE[run.integrator.control](run, target)
-            status = run.look() if status is Status.OK else status
+        status = advance(run, target)
         if status is not Status.OK:
             break
         states.append(run.state)
     return states, status
-
-
-def _stats(
-    run: Run, status: Status, states: list[FloatArray], moments: FloatArray
-) -> Stats:
-    integrator, evaluations = run.integrator, run.equations.evaluations
-    stable = None
-    if status is Status.UNSTABLE and integrator.limit is not None:
-        ends = {0, len(states) - 1}
-        stable = _stable_step(run, [(float(moments[i]), states[i]) for i in ends])
-    return Stats(
-        status,
-        run.time,
-        run.reason,
-        run.steps,
-        None if integrator.control is Control.SCIPY else run.rejected,
-        evaluations,
-        run.smallest if run.steps else 0.0,
-        run.largest,
-        run.local_error if integrator.error_order else None,
-        stable_step=stable,
-    )
-
-
-def _stable_step(run: Run, places: list[tuple[float, FloatArray]]) -> float | None:
-    """Return the largest step that is stable at each of some states."""
-    modes = (modes_at(run.equations, t, state) for t, state in places)
-    steps = [
-        allowed_step(run.integrator, found) for found in modes if found is not None
-    ]
-    return min((step for step in steps if step is not None), default=None)
 
 
 def _energies(
@@ -176,16 +137,3 @@ def _difference(refined: Trajectory, states: list[FloatArray]) -> float | None:
     if refined.stats.status is not Status.OK:
         return None
     return float(np.abs(refined.states - np.array(states)).max(initial=0.0))
-
-
-def _carried(
-    run: Run, status: Status, states: list[FloatArray], moments: FloatArray
-) -> Carried:
-    """Return where a motion can be gone on from.
-
-    scipy's solvers are bound to the end that they were begun with, and begin anew.
-    """
-    time = float(moments[len(states) - 1])
-    if status is not Status.OK or run.integrator.control is Control.SCIPY:
-        return Carried(time, states[-1])
-    return Carried(time, states[-1], run.memory, run.trial)

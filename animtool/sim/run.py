@@ -12,7 +12,7 @@ from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Integrator, Step
 from animtool.sim.options import IntegrateOptions
 from animtool.sim.trajectory import Status
-from animtool.sim.watch import Watch
+from animtool.sim.watch import Signs
 
 __all__ = ["Run"]
 
@@ -46,7 +46,7 @@ class Run:
     integrator: Integrator
     equations: Equations
     options: IntegrateOptions
-    watch: Watch
+    watch: Signs
     end: float
     time: float
     state: FloatArray

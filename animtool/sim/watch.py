@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 
 from animtool._types import FloatArray
 from animtool.sim.options import IntegrateOptions
 from animtool.sim.system import Energy, System
 
-__all__ = ["Watch"]
+__all__ = ["Signs", "Watch"]
+
+
+class Signs(Protocol):
+    """What looks for signs of a blow-up."""
+
+    def sign(self, t: float, state: FloatArray) -> str:
+        """Return why a state is beyond bounds, empty where it is not."""
+        ...
 
 
 class Watch:

@@ -55,6 +55,14 @@ class Collider:
         """Between which of its times it is put elsewhere ``(T - 1,)``."""
         return self.poses.jumps(self.shape.anchors(), self.speed_limit)
 
+    @property
+    def speed(self) -> float:
+        """How fast it goes at most, jumps apart [m/s]."""
+        places = self.poses.carried(self.shape.anchors())
+        ways = np.linalg.norm(np.diff(places, axis=0), axis=2).max(axis=1, initial=0.0)
+        speeds = ways / np.diff(self.poses.moments)
+        return float(speeds[~self.jumps].max(initial=0.0))
+
     def pose(self, t: float) -> FloatArray:
         """Return its pose ``(7,)`` at a time [s]; on a jump, the one before."""
         moments = self.poses.moments

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -135,6 +136,12 @@ class Colliders(Sequence[Collider]):
             sizes = collider.shape.sizes()
             row[: len(sizes)] = sizes
         self._materials = np.array([c.material for c in self._colliders]).reshape(-1, 4)
+        self._poses = np.array(
+            [np.stack([c.poses.rows[0]] * 2) for c in self._colliders]
+        ).reshape(-1, 2, 7)
+        self._moving = [
+            i for i, c in enumerate(self._colliders) if len(c.poses.moments) > 1
+        ]
 
     def __len__(self) -> int:
         """Return how many there are."""
@@ -151,7 +158,9 @@ class Colliders(Sequence[Collider]):
 
     def arrays(self, t0: float, t1: float) -> tuple[Any, ...]:
         """Return what kernels take for a step between two times [s]."""
-        poses = np.array([c.ends(t0, t1) for c in self._colliders]).reshape(-1, 2, 7)
+        poses = self._poses.copy()
+        for i in self._moving:
+            poses[i] = self._colliders[i].ends(t0, t1)
         return self._kinds, self._sizes, self._materials, poses, *self._meshes
 
     def sample(self, points: ArrayLike, t0: float, t1: float | None = None) -> Samples:
@@ -164,6 +173,11 @@ class Colliders(Sequence[Collider]):
         return Samples(
             *_kernels.sample_colliders(self.arrays(t0, end), places, 0.0, end - t0)
         )
+
+    @cached_property
+    def fastest(self) -> float:
+        """Speed of the fastest [m/s]; where one is put elsewhere it has none."""
+        return max((collider.speed for collider in self._colliders), default=0.0)
 
     def notices(self) -> list[Fault]:
         """Return a warning for each time that one is put elsewhere (SIM120)."""

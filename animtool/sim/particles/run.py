@@ -8,14 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.errors import Fault, Severity, ToleranceError
+from animtool.errors import Fault, OptionError, Severity
 from animtool.sim.colliders.colliding import Colliders, Contacts, Touch
-from animtool.sim.integrating import integrate
 from animtool.sim.particles.cloud import Cloud
+from animtool.sim.particles.moving import Mover
 from animtool.sim.particles.newborn import brought_to
 from animtool.sim.particles.setup import Particles
-from animtool.sim.particles.system import CloudFlow, cloud_system
-from animtool.sim.trajectory import Carried, Stats, Status
+from animtool.sim.trajectory import Carried, Stats
 
 __all__ = ["ParticleFrame", "ParticleRun", "ParticleState"]
 
@@ -76,8 +75,6 @@ class ParticleRun:
         contacts: What particles met in the last step that was taken; None where there
             was none. Those who were born in it are not among them.
         notices: What is odd so far.
-        taken: Steps that the method took so far, of looks between two steps too.
-        stop: What the step that it blew up in came to; None where it did not.
 
     Args:
         setup: What there is.
@@ -99,14 +96,23 @@ class ParticleRun:
         self._kills = [Colliders([kill.region]) for kill in setup.kills]
         assert setup.options.step is not None
         self._step = setup.options.step
-        self._warned = self._held = False
+        self._held = False
+        self._mover = Mover(setup, self.colliders)
         self.contacts: Contacts | None = None
-        self.taken = 0
-        self.stop: Stats | None = None
         if state is None:
             state = ParticleState(0, Cloud.none(), _NONE)
             state = self._with_first(state)
         self.state = state
+
+    @property
+    def taken(self) -> int:
+        """Steps that the method took so far, of looks between two steps too."""
+        return self._mover.taken
+
+    @property
+    def stop(self) -> Stats | None:
+        """What the step that it blew up in came to; None where it did not."""
+        return self._mover.stop
 
     def at(self, t: float) -> ParticleFrame:
         """Return the particles at a time, not before the last one asked for.
@@ -117,8 +123,6 @@ class ParticleRun:
         """
         whole = self._steps_to(t)
         if whole < self.state.steps:
-            from animtool.errors import OptionError
-
             message = f"time {t:g} s is before that of the simulation"
             raise OptionError(Fault("SIM002", message, hint="begin again"))
         while self.state.steps < whole:
@@ -147,24 +151,12 @@ class ParticleRun:
         return state if state.cloud is same else replace(state, carried=None)
 
     def _moved(self, state: ParticleState, now: float, until: float) -> ParticleState:
-        system = cloud_system(self.setup, self.colliders, state.cloud, state.state)
-        options = self.setup.options
-        done = integrate(system, [now, until], options, state.carried)
-        self.taken += done.stats.steps
-        if done.stats.status is not Status.OK:
-            self.stop = done.stats
-            raise ToleranceError(
-                [replace(fault, severity=Severity.ERROR) for fault in done.notices]
-            )
-        if done.notices and not self._warned:
-            self._warned = True
-            self.notices += done.notices
-        self.contacts = system.contacts
+        said = len(self._mover.notices)
+        moved = self._mover.moved(state.cloud, state.state, state.carried, now, until)
+        self.notices += self._mover.notices[said:]
+        self.contacts = moved.contacts
         self._say_held(state.cloud, until)
-        end = done.states[-1]
-        if isinstance(system, CloudFlow):
-            end = np.stack([end, system.rate(until, end)])
-        return replace(state, state=end, carried=done.carried)
+        return replace(state, state=moved.state, carried=moved.carried)
 
     def _with_first(self, state: ParticleState) -> ParticleState:
         """Return a state with those who are born at the very beginning."""
@@ -231,8 +223,11 @@ class ParticleRun:
             return
         self._held = True
         who = f"particle {int(cloud.ids[held[0]])}"
-        which = int(self.contacts.colliders[held[0]])
-        what = self.setup.colliders[which].name or f"colliders[{which}]"
+        which, solid = int(self.contacts.colliders[held[0]]), self.setup.colliders
+        what = [
+            *(one.name or f"colliders[{i}]" for i, one in enumerate(solid)),
+            *(one.name or f"sheets[{i}]" for i, one in enumerate(self.setup.sheets)),
+        ][which]
         message = (
             f"{who} is inside {what!r} at {t:g} s, and cannot be moved out at once"
         )

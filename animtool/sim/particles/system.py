@@ -12,7 +12,7 @@ from animtool.sim.particles.cloud import Cloud
 from animtool.sim.particles.setup import Particles
 from animtool.sim.system import Energy, FirstOrder, SecondOrder
 
-__all__ = ["CloudFlow", "CloudForces", "cloud_system"]
+__all__ = ["CloudFlow", "CloudForces", "cloud_system", "energies"]
 
 
 class _Living:
@@ -53,16 +53,11 @@ class CloudForces(_Living, SecondOrder):
 
     def energy(self, t: float, state: FloatArray) -> Energy | None:  # noqa: ARG002
         """Return kinetic and potential energy, None where a force has none."""
-        x, v = state
-        kinetic = float(0.5 * self.cloud.masses @ (v * v).sum(axis=1))
-        potential = 0.0
-        for force in self.setup.forces:
-            found = force.potential(x, self.cloud)
-            if found is None:
-                return None
-            potential += float(found.sum())
-        # Moving colliders bring energy in, and no more at once than is there.
-        supply = kinetic if self.settles else 0.0
+        found, known = energies(self.setup, self.cloud, state)
+        if not known:
+            return None
+        kinetic, potential = found.sum(axis=1).tolist()
+        supply = float(self.cloud.masses.sum()) * self._colliders.fastest**2
         return Energy(kinetic, potential, supply)
 
     def frequencies(self, t: float, state: FloatArray) -> FloatArray | None:  # noqa: ARG002
@@ -113,6 +108,21 @@ def cloud_system(
     if setup.velocity is not None:
         return CloudFlow(setup, colliders, cloud, state[0])
     return CloudForces(setup, colliders, cloud, state)
+
+
+def energies(
+    setup: Particles, cloud: Cloud, state: FloatArray
+) -> tuple[FloatArray, bool]:
+    """Return kinetic and potential energies ``(2, N)`` [J], and whether that is all.
+
+    What forces without a potential do is left out.
+    """
+    x, v = state
+    kinetic = 0.5 * cloud.masses * (v * v).sum(axis=1)
+    potentials = [force.potential(x, cloud) for force in setup.forces]
+    known = [found for found in potentials if found is not None]
+    potential = np.sum(known, axis=0) if known else np.zeros(len(cloud))
+    return np.stack([kinetic, potential]), len(known) == len(potentials)
 
 
 def accelerations(

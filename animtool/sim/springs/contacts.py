@@ -11,7 +11,7 @@ from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders
 from animtool.sim.springs.motion import Grid
 
-__all__ = ["cell_colliders", "fastest_collider"]
+__all__ = ["cell_colliders"]
 
 # Particles that are deeper than this are left inside [m].
 INSIDE = 1e-6
@@ -56,14 +56,3 @@ def _ends(collider: Collider, edges: FloatArray) -> FloatArray:
     jumped = crossed[1:] > crossed[:-1]
     ends[jumped, 0] = ends[jumped, 1]
     return ends
-
-
-def fastest_collider(colliders: Colliders) -> float:
-    """Return the speed of the fastest [m/s]; where one is put elsewhere it has none."""
-    fastest = 0.0
-    for collider in colliders:
-        places = collider.poses.carried(collider.shape.anchors())
-        ways = np.linalg.norm(np.diff(places, axis=0), axis=2).max(axis=1, initial=0.0)
-        speeds = ways / np.diff(collider.poses.moments)
-        fastest = max(fastest, float(speeds[~collider.jumps].max(initial=0.0)))
-    return fastest

@@ -23,7 +23,6 @@ from animtool.sim.springs.checks import (
     check_path,
     start_notices,
 )
-from animtool.sim.springs.contacts import fastest_collider
 from animtool.sim.springs.jumps import Jumps
 from animtool.sim.springs.paths import Air, Pins, Targets, over_knots
 from animtool.sim.system import Energy, Matrix, Native, SecondOrder
@@ -275,7 +274,7 @@ class SpringSystem(SecondOrder):
         speeds = [_speed(path) for path in self._ways]
         # What is put elsewhere brings no speed.
         speeds = [min(speed, self.speed_limit) for speed in speeds]
-        speeds.append(fastest_collider(self.colliders))
+        speeds.append(self.colliders.fastest)
         travel = [_travel(path) for path in self._ways]
         pull = float(np.linalg.norm(self.gravity))
         return mass * (wind**2 + max(speeds) ** 2 + pull * max(travel))

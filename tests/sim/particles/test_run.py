@@ -310,11 +310,9 @@ def test_everything_wrong_is_said_at_once() -> None:
 def test_accelerations_have_no_place_in_a_velocity_field() -> None:
     assert find_integrator("velocity_verlet").form is Form.ACCELERATIONS
     options = IntegrateOptions("velocity_verlet", step=0.01)
-    run = ParticleRun(
-        Particles([Emitter(rate=9)], velocity=VelocityField("1"), options=options)
-    )
+    setup = Particles([Emitter(rate=9)], velocity=VelocityField("1"), options=options)
     with pytest.raises(OptionError) as error:
-        run.at(1.0)
+        ParticleRun(setup)
     assert error.value.code == "SIM006"
 
 

@@ -1,0 +1,79 @@
+"""Signs that the motion of particles that come and go has blown up."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.sim.colliders.colliding import Colliders
+from animtool.sim.particles.cloud import Cloud
+from animtool.sim.particles.setup import Particles
+from animtool.sim.particles.system import energies
+
+__all__ = ["CloudWatch"]
+
+
+class CloudWatch:
+    """Looks at particles for numbers and energy beyond bounds.
+
+    The energy of each counts from where it was first seen, so that neither births nor
+    removals are taken for gains, and a slow blow-up adds up over many steps. Moving
+    colliders may bring in what particles have at their speed. Where a force has no
+    potential, energy tells only what is known to be in steps too long.
+
+    Args:
+        setup: Whose particles they are.
+        colliders: What they run into.
+    """
+
+    def __init__(self, setup: Particles, colliders: Colliders) -> None:
+        self._setup, self._colliders = setup, colliders
+        self._cloud = Cloud.none()
+        self._ids: IntArray = np.zeros(0, np.int64)
+        # Kinetic and potential energy of each, where it was first seen.
+        self._first: FloatArray = np.zeros((2, 0))
+        self.too_long = False
+
+    def look_at(self, cloud: Cloud, state: FloatArray) -> None:
+        """Look at particles in a state ``(2, N, 3)`` from now on."""
+        if cloud is self._cloud or self._setup.velocity is not None:
+            return
+        places = np.searchsorted(self._ids, cloud.ids)
+        places = np.minimum(places, max(len(self._ids) - 1, 0))
+        known = np.zeros(len(cloud), bool)
+        if len(self._ids):
+            known = self._ids[places] == cloud.ids
+        first = np.empty((2, len(cloud)))
+        first[:, known] = self._first[:, places[known]]
+        new = ~known
+        first[:, new] = energies(self._setup, cloud.select(new), state[:, new])[0]
+        self._cloud, self._ids, self._first = cloud, cloud.ids, first
+
+    def begin_anew(self, which: BoolArray, state: FloatArray) -> None:
+        """Count the energy of some from a state on: what was moved out of colliders."""
+        if self._setup.velocity is None and which.any():
+            some = self._cloud.select(which)
+            self._first[:, which] = energies(self._setup, some, state[:, which])[0]
+
+    def sign(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
+        """Return why a state is beyond bounds, empty where it is not."""
+        if not np.isfinite(state).all():
+            return "its state is not finite"
+        if self._setup.velocity is not None:
+            return ""
+        now_energies, known = energies(self._setup, self._cloud, state)
+        if not (known or self.too_long):
+            return ""
+        kinetic, potential = self._first.sum(axis=1).tolist()
+        now_kinetic, now_potential = now_energies.sum(axis=1).tolist()
+        now, first = now_kinetic + now_potential, kinetic + potential
+        usual = max(
+            abs(first),
+            kinetic,
+            abs(potential),
+            potential - now_potential,
+            float(self._cloud.masses.sum()) * self._colliders.fastest**2,
+        )
+        if usual > 0 and not now - first <= self._setup.options.growth * usual:
+            return f"its energy is {now:.3g} J, and was {first:.3g} J"
+        return ""
