@@ -11,7 +11,7 @@ from animtool.sim.modes import allowed_step
 from animtool.sim.springs.options import Solver, SpringOptions
 from animtool.sim.springs.system import SpringSystem
 
-__all__ = ["Choice", "choose", "explicit_limit"]
+__all__ = ["SAFE", "Choice", "choose", "explicit_limit"]
 
 # Cells of time where nothing else is said [s]: whole numbers of them are frames of 24,
 # 30, 48, 60 and 120 a second.

@@ -9,7 +9,7 @@ from animtool._types import FloatArray, IntArray
 from animtool.sim.springs.loaded import LoadedBody
 from animtool.sim.system import Matrix
 
-__all__ = ["slopes"]
+__all__ = ["place_slopes", "slopes"]
 
 # Differences of the forces of air: a share of lengths, or of speeds.
 NUDGE = 1e-5
@@ -33,23 +33,25 @@ class _Blocks:
         self._by_x.append(by_x)
         self._by_v.append(by_v)
 
-    def matrices(self, inverse_masses: FloatArray) -> tuple[Matrix, Matrix]:
-        """Return derivatives of accelerations by positions and by velocities."""
+    def by_places(self, inverse_masses: FloatArray) -> Matrix:
+        """Return the derivatives of accelerations by positions."""
+        return self._matrix(self._by_x, inverse_masses)
+
+    def by_speeds(self, inverse_masses: FloatArray) -> Matrix:
+        """Return the derivatives of accelerations by velocities."""
+        return self._matrix(self._by_v, inverse_masses)
+
+    def _matrix(self, blocks: list[FloatArray], inverse_masses: FloatArray) -> Matrix:
+        from scipy.sparse import coo_array
+
         size = 3 * len(inverse_masses)
         rows, columns = np.concatenate(self._rows), np.concatenate(self._columns)
         i = np.broadcast_to(3 * rows[:, None, None] + np.arange(3)[:, None],
                             (len(rows), 3, 3))  # fmt: skip
         j = np.broadcast_to(3 * columns[:, None, None] + np.arange(3), i.shape)
-        weights = inverse_masses[rows][:, None, None]
-
-        def matrix(blocks: list[FloatArray]) -> Matrix:
-            from scipy.sparse import coo_array
-
-            values = weights * np.concatenate(blocks)
-            places = (i.ravel(), j.ravel())
-            return coo_array((values.ravel(), places), shape=(size, size)).tocsc()
-
-        return matrix(self._by_x), matrix(self._by_v)
+        values = inverse_masses[rows][:, None, None] * np.concatenate(blocks)
+        places = (i.ravel(), j.ravel())
+        return coo_array((values.ravel(), places), shape=(size, size)).tocsc()
 
 
 def slopes(
@@ -59,6 +61,17 @@ def slopes(
 
     Those of springs, targets and drag are exact, those of the air differences.
     """
+    blocks, weights = _blocks(system, t, x, v), system.inverse_masses
+    return blocks.by_places(weights), blocks.by_speeds(weights)
+
+
+def place_slopes(system: LoadedBody, t: float, x: FloatArray) -> Matrix:
+    """Return derivatives of accelerations by positions, of particles at rest."""
+    blocks = _blocks(system, t, x, np.zeros_like(x))
+    return blocks.by_places(system.inverse_masses)
+
+
+def _blocks(system: LoadedBody, t: float, x: FloatArray, v: FloatArray) -> _Blocks:
     blocks, eye, every = _Blocks(), np.eye(3), np.arange(len(x))
     _add_springs(blocks, system, x, v)
     stiffness, damping = system.draws.T[:, :, None, None]
@@ -67,7 +80,7 @@ def slopes(
     blocks.add(every, every, np.zeros((len(x), 3, 3)), -slowed[:, None, None] * eye)
     if any(system.pressures):
         _add_air(blocks, system, t, x, v)
-    return blocks.matrices(system.inverse_masses)
+    return blocks
 
 
 def _add_springs(

@@ -204,20 +204,28 @@ class SpringSystem(SecondOrder):
         """
         from scipy.sparse import diags_array
 
-        from animtool.sim.springs.slopes import slopes
+        from animtool.sim.springs.slopes import place_slopes
 
-        masses = self._free_masses
-        by_x, _ = slopes(self, t, x, np.zeros_like(x))
-        return diags_array(np.repeat(-masses, 3)) @ by_x
+        masses = np.repeat(-self._free_masses, 3)
+        return diags_array(masses) @ place_slopes(self, t, x)
 
-    def without_air(self) -> SpringSystem:
-        """Return the same springs without the air."""
-        if not any(self.pressures):
-            return self
-        calm = copy(self)
-        calm.pressures = (0.0, 0.0)
-        calm._staged = None
-        return calm
+    def halted(self, t: float, body: Body, drag: float = 0.0) -> SpringSystem:
+        """Return springs with pins and targets as they are at a time, without air.
+
+        Args:
+            t: The time [s].
+            body: Where particles are, and their springs.
+            drag: What slows all motion, over mass and speed [1/s].
+        """
+        stage = self._stage(self.jumps.stage(t))
+        aims = _position(stage.targets, t)
+        return SpringSystem(
+            body,
+            pins=Pins(self.pinned, _position(stage.pins, t)),
+            targets=Targets(self.drawn, aims, self.draws[:, 0], self.draws[:, 1]),
+            gravity=self.gravity,
+            drag=drag,
+        )
 
     def without_springs(self, gone: BoolArray) -> SpringSystem:
         """Return the same particles without some of their springs ``(S,)``."""
