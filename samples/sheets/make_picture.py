@@ -30,7 +30,7 @@ FAMILIES = {
 }
 ROWS = ("hung by two corners", "draped")
 FRAME, APART = 96, 1.6
-PARTICLES, FINER, CHECK = 25, 3, 3
+PARTICLES, FINER, CHECK = 25, 2, 3
 RED, CREAM = (0.72, 0.16, 0.13), (0.93, 0.88, 0.78)
 WOOD, STONE = (0.45, 0.33, 0.22), (0.74, 0.75, 0.76)
 HUNG = Camera((0.0, 1.36, 0.0), 1.6, turn=20, lift=8)
