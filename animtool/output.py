@@ -6,9 +6,9 @@ import contextlib
 import errno
 import os
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
@@ -19,9 +19,11 @@ from animtool.inputs import check_inputs, recorded_inputs
 
 __all__ = [
     "check_outputs",
+    "once_named",
     "output_error",
     "remove_leftovers",
     "replacing",
+    "size_of",
     "sparing_inputs",
     "temporary_prefix",
     "together",
@@ -166,10 +168,6 @@ def _host() -> str:
     return sha256(platform.node().encode()).hexdigest()[:8]
 
 
-# Files that are whole, and wait for their names.
-_waiting: ContextVar[list[_Whole] | None] = ContextVar("_waiting", default=None)
-
-
 @dataclass(frozen=True, slots=True)
 class _Whole:
     """A file that is written.
@@ -203,6 +201,22 @@ class _Whole:
             self.temporary.unlink(missing_ok=True)
 
 
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """Files that get their names together.
+
+    Attributes:
+        files: Those that are whole, and wait for their names.
+        after: What is to be done when they have them.
+    """
+
+    files: list[_Whole] = field(default_factory=list)
+    after: list[Callable[[], object]] = field(default_factory=list)
+
+
+_waiting: ContextVar[_Block | None] = ContextVar("_waiting", default=None)
+
+
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Give a temporary path in the same folder that becomes ``path`` at the end.
@@ -231,11 +245,24 @@ def replacing(path: Path) -> Iterator[Path]:
         if waiting is None:
             whole.rename()
         else:
-            waiting.append(whole)
+            waiting.files.append(whole)
         done = True
     finally:
         if waiting is None or not done:
             whole.remove()
+
+
+def size_of(path: Path) -> int:
+    """Return the size of a file that was written, if it has its name yet or not [byte].
+
+    Raises:
+        OSError: There is no such file.
+    """
+    waiting = _waiting.get()
+    for whole in [] if waiting is None else reversed(waiting.files):
+        if whole.path == path:
+            return whole.temporary.stat().st_size
+    return path.stat().st_size
 
 
 @contextlib.contextmanager
@@ -252,17 +279,31 @@ def together() -> Iterator[None]:
     if _waiting.get() is not None:
         yield
         return
-    waiting: list[_Whole] = []
+    waiting = _Block()
     token = _waiting.set(waiting)
     try:
         yield
         check_inputs()
-        for whole in waiting:
+        for whole in waiting.files:
             whole.rename()
     finally:
         _waiting.reset(token)
-        for whole in waiting:
+        for whole in waiting.files:
             whole.remove()
+    for action in waiting.after:
+        action()
+
+
+def once_named(action: Callable[[], object]) -> None:
+    """Do something when the files that are made have their names.
+
+    That is now, or inside of `together` at the end of that, if it ends well.
+    """
+    waiting = _waiting.get()
+    if waiting is None:
+        action()
+    else:
+        waiting.after.append(action)
 
 
 def _flush(path: Path) -> None:

@@ -11,8 +11,10 @@ from animtool.errors import AnimtoolError, OptionError, OutputError
 from animtool.inputs import note_input
 from animtool.output import (
     check_outputs,
+    once_named,
     remove_leftovers,
     replacing,
+    size_of,
     sparing_inputs,
     temporary_prefix,
     together,
@@ -140,6 +142,43 @@ def test_files_get_their_names_together(tmp_path: Path) -> None:
         assert not other.exists()
     assert [path.read_text("utf-8") for path in (one, other)] == ["after", "after"]
     assert sorted(tmp_path.iterdir()) == [one, other]
+
+
+def test_sizes_are_known_before_names(tmp_path: Path) -> None:
+    one = tmp_path / "one.txt"
+    one.write_text("before all", "utf-8")
+    with together():
+        with replacing(one) as temporary:
+            temporary.write_text("after", "utf-8")
+        assert size_of(one) == 5
+    assert size_of(one) == 5
+    with pytest.raises(FileNotFoundError):
+        size_of(tmp_path / "other.txt")
+
+
+@pytest.mark.parametrize("sound", [True, False])
+def test_some_things_are_done_once_files_have_names(
+    tmp_path: Path, sound: bool
+) -> None:
+    one, found = tmp_path / "one.txt", []
+
+    def write() -> None:
+        with together():
+            with replacing(one) as temporary:
+                temporary.write_text("after", "utf-8")
+            once_named(lambda: found.append(one.exists()))
+            assert found == []
+            if not sound:
+                raise KeyboardInterrupt
+
+    if sound:
+        write()
+    else:
+        with pytest.raises(KeyboardInterrupt):
+            write()
+    assert found == [True] * sound
+    once_named(lambda: found.append(False))
+    assert found[-1] is False
 
 
 def test_what_is_together_within_waits_for_the_whole(tmp_path: Path) -> None:

@@ -14,25 +14,32 @@ __all__ = ["mesh_json", "mesh_text"]
 
 
 def mesh_text(take: TakeReport, meters_per_unit: float) -> list[str]:
-    """Return a line on whose meshes they are, and one on each.
+    """Return a line on whose meshes or systems they are, and one on each.
 
     Args:
         take: What became of it.
         meters_per_unit: Unit of the output [m].
     """
-    if all(mesh.simulated for mesh in take.meshes):
-        return [
-            f"  {counted(len(take.meshes), 'system')} of {take.meshes_of}, simulated",
-            *(_line(mesh, meters_per_unit) for mesh in take.meshes),
-        ]
-    strands = sum(mesh.kind == "strands" for mesh in take.meshes)
-    shown = counted(len(take.meshes) - strands, "mesh", "meshes")
+    lines = []
+    for simulated, title in ((False, _deformed(take)), (True, _simulated(take))):
+        meshes = [mesh for mesh in take.meshes if mesh.simulated is simulated]
+        if meshes:
+            lines += [title, *(_line(mesh, meters_per_unit) for mesh in meshes)]
+    return lines
+
+
+def _deformed(take: TakeReport) -> str:
+    kinds = [mesh.kind for mesh in take.meshes if not mesh.simulated]
+    strands = kinds.count("strands")
+    shown = counted(len(kinds) - strands, "mesh", "meshes")
     if strands:
         shown += f" and {counted(strands, 'set', 'sets')} of strands"
-    return [
-        f"  {shown} of {take.meshes_of}, deformed",
-        *(_line(mesh, meters_per_unit) for mesh in take.meshes),
-    ]
+    return f"  {shown} of {take.meshes_of}, deformed"
+
+
+def _simulated(take: TakeReport) -> str:
+    count = sum(mesh.simulated for mesh in take.meshes)
+    return f"  {counted(count, 'system')} of {take.source.name}, simulated"
 
 
 def _line(mesh: MeshReport, meters_per_unit: float) -> str:
@@ -66,7 +73,7 @@ def mesh_json(take: TakeReport) -> list[dict[str, object]]:
             "mesh": mesh.name,
             "kind": mesh.kind,
             "prim": mesh.written.path,
-            "of": take.meshes_of,
+            "of": take.source.name if mesh.simulated else take.meshes_of,
             "vertices": mesh.written.vertices,
             "samples": mesh.written.samples,
             "animated": mesh.written.sampled,

@@ -48,7 +48,7 @@ def bake_text(report: BakeReport) -> list[str]:
     assumed = "; the source taken to be in cm (--units)" if unstated else ""
     takes = report.takes
     one = takes[0] if len(takes) == 1 else None
-    if one is not None and one.meshes:
+    if one is not None and one.meshes and not one.written.animation:
         return [
             f"{files}: {report.form}",
             f"  {_frames_text(report, one)}",
@@ -66,6 +66,7 @@ def bake_text(report: BakeReport) -> list[str]:
     lines += [
         f"  {counted(result.joints, 'joint')}, {moving} animated",
         *_beside_text(report),
+        *(mesh_text(one, report.meters_per_unit) if one and one.meshes else []),
         f"  {report.up} up, lengths in {unit}{assumed}",
         f"  {result.bytes / 1e6:.3g} MB written in {total:.2f} s, "
         f"{report.source_bytes / 1e6 / total:.3g} MB/s of source",

@@ -15,6 +15,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.errors import Fault, Severity, refuse_warnings
 from animtool.maths.curves import Curves
+from animtool.output import size_of
 from animtool.prefetch import prefetch
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
@@ -35,6 +36,8 @@ from animtool.usd.paths import RigPaths
 
 if TYPE_CHECKING:
     from animtool.edit.thin import Thinned
+    from animtool.scene.character_watch import CharacterWatch
+    from animtool.scene.systems_beside import WrittenBeside
 
 __all__ = ["bake", "run_bake"]
 
@@ -89,7 +92,8 @@ def run_bake(plan: BakePlan) -> BakeReport:
 
         return run_point_bake(plan, plan.character)
     began = time.perf_counter()
-    runs = [_TakeRun(take) for take in plan.takes]
+    watch = None if plan.beside is None else plan.beside.watch
+    runs = [_TakeRun(take, watch) for take in plan.takes]
     rest = runs[0].open()
     job = _job(plan, rest)
     with closing(_usd_takes(runs, job)) as takes:
@@ -105,12 +109,18 @@ def run_bake(plan: BakePlan) -> BakeReport:
     notices = [notice for take in plan.takes for notice in take.stream.notices]
     notices += plan.notices + job.names.notices + result.notices
     refuse_warnings(notices, strict=plan.options.strict)
-    write_usd(job, authored, result)
+    systems = plan.finish(
+        authored.animation, lambda save: write_usd(job, authored, result, save)
+    )
+    if systems is not None:
+        notices += systems.notices
+        result.outputs[:0] = systems.files
+        result.bytes += sum(map(size_of, systems.files))
     seconds["total"] = time.perf_counter() - began
     seconds["save"] = seconds["total"] - seconds["author"]
     return BakeReport(
         [
-            run.report(job, written)
+            run.report(job, written, systems)
             for run, written in zip(runs, result.takes, strict=True)
         ],
         result,
@@ -184,8 +194,9 @@ class _TakeRun:
         thinned: Which samples were left out, where that was asked for.
     """
 
-    def __init__(self, plan: TakePlan) -> None:
+    def __init__(self, plan: TakePlan, watch: CharacterWatch | None = None) -> None:
         self.plan = plan
+        self._watch = watch
         self.frames = 0
         self.seconds = 0.0
         self.thinned: Thinned | None = None
@@ -197,7 +208,11 @@ class _TakeRun:
         """Return the rig at rest, with the source's frames at the output's times."""
         stream = self.plan.stream
         counted = replace(stream, blocks=self._counted(stream.blocks))
-        self._opened = timed_blocks(self.plan, counted)
+        if self._watch is None:
+            self._opened = timed_blocks(self.plan, counted)
+        else:
+            timed, frames, rig = timed_blocks(self.plan, self._watch.read(counted))
+            self._opened = self._watch.written(timed), frames, rig
         return self._opened[2]
 
     def prepare(self, rig: Rig) -> tuple[UsdTake, TimedBlocks]:
@@ -244,8 +259,10 @@ class _TakeRun:
         )
         return take, timed
 
-    def report(self, job: UsdJob, written: WrittenTake) -> TakeReport:
-        """Return what became of the take."""
+    def report(
+        self, job: UsdJob, written: WrittenTake, systems: WrittenBeside | None
+    ) -> TakeReport:
+        """Return what became of the take, and of what is simulated beside it."""
         plan, stream, thinned = self.plan, self.plan.stream, self.thinned
         return TakeReport(
             plan.source,
@@ -258,7 +275,8 @@ class _TakeRun:
             stream.details,
             thinned,
             "" if thinned is None else job.rig.names[thinned.joint],
-            simulated=stream.simulated,
+            meshes=[] if systems is None else systems.reports,
+            simulated=stream.simulated + ([] if systems is None else systems.simulated),
         )
 
     def time(self, blocks: Iterator[WrittenBlock]) -> Iterator[WrittenBlock]:

@@ -1,4 +1,4 @@
-"""Characters in motion that systems meet: they are read, and not written."""
+"""Characters in motion that systems meet, y up."""
 
 from __future__ import annotations
 
@@ -9,18 +9,20 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError
+from animtool.reorient import reorient
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 from animtool.scene.sources import is_scene, open_source
 from animtool.sim.colliders import Collider, Sphere, rig_colliders
-from animtool.take import Motion, TakeStream
+from animtool.take import Motion, Take, TakeStream
+from animtool.units import UpAxis
 
-__all__ = ["CharacterMotion", "CharacterMotions", "open_take"]
+__all__ = ["CharacterMotion", "CharacterMotions", "motion_of", "open_take"]
 
 
 @dataclass(frozen=True, slots=True)
 class CharacterMotion:
-    """A character over its F frames.
+    """A character over its F frames, y up; before the first and behind the last held.
 
     Attributes:
         path: Its file.
@@ -58,7 +60,7 @@ class CharacterMotion:
 
 @dataclass
 class CharacterMotions:
-    """Characters by their files, each read once."""
+    """Characters by their files, each read once; the scene's own by its file."""
 
     found: dict[Path, CharacterMotion] = field(default_factory=dict)
 
@@ -74,7 +76,18 @@ class CharacterMotions:
 
 
 def _read(path: Path) -> CharacterMotion:
-    take = open_take(path).collect()
+    return motion_of(path, open_take(path).collect())
+
+
+def motion_of(path: Path, take: Take) -> CharacterMotion:
+    """Return a take as systems see it, the first frame at 0 s.
+
+    Args:
+        path: What the character is called by.
+        take: Of any up axis.
+    """
+    if take.rig.up is not UpAxis.Y:
+        take = reorient(TakeStream.of(take), UpAxis.Y).collect()
     world = forward(take.rig, *take.motion.dense())
     clock = take.clock
     times = np.arange(clock.count, dtype=np.float64) * float(clock.step / clock.fps)

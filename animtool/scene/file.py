@@ -113,18 +113,15 @@ class _SceneReader:
         )
 
     def _systems(self) -> tuple[SceneSystem, ...]:
-        """Return what is simulated, which has no source beside it."""
+        """Return what is simulated, alone or beside a source."""
         model = self.model
         if model.source is None and not model.systems:
             hint = "it names the clip, BVH or USD file; what is simulated has systems"
             self.document.add("DOC021", (), "key 'source' is missing", hint)
         if not model.systems:
             return ()
-        if model.source is not None:
-            message = "systems are for scenes without a source"
-            hint = "bake them apart, and bring both into one stage as layers"
-            self.document.add("SCN060", ("systems",), message, hint)
-        self._check_simulated()
+        if model.source is None:
+            self._check_simulated()
         found = (self._system(i, entry) for i, entry in enumerate(model.systems))
         systems = tuple(system for system in found if system is not None)
         given = [getattr(e, k) for e in model.systems for k in e.model_fields_set]

@@ -21,6 +21,7 @@ from animtool.scene.plan import (
     check_output,
     plan_output,
     start_of,
+    with_systems,
 )
 from animtool.scene.reading import shared
 from animtool.scene.report import BakeReport
@@ -44,7 +45,12 @@ def is_several(scene: Scene) -> bool:
 
 def scene_files(scene: Scene, options: BakeOptions) -> list[Path]:
     """Return every file that the outputs of a scene are."""
-    return [path for output in scene.outputs for path in _files(output, options)]
+    simulated = bool(scene.systems)
+    return [
+        path
+        for output in scene.outputs
+        for path in _files(output, options, simulated=simulated)
+    ]
 
 
 def bake_scene(scene: Scene, options: BakeOptions | None = None) -> list[OutputReport]:
@@ -92,10 +98,11 @@ def _path(output: SceneOutput) -> Path:
     return output.path
 
 
-def _files(output: SceneOutput, options: BakeOptions) -> list[Path]:
+def _files(output: SceneOutput, options: BakeOptions, *, simulated: bool) -> list[Path]:
     path = _path(output)
     if _kind(output) is OutputKind.USD:
-        return output_files(path, merged(options, output.bake))
+        bake = merged(options, output.bake)
+        return output_files(path, bake, simulated=simulated)
     return convert_outputs(path)
 
 
@@ -105,7 +112,7 @@ def _check(scene: Scene, options: BakeOptions) -> None:
     errors: list[AnimtoolError] = []
     owners: dict[str, SceneOutput] = {}
     for output in scene.outputs:
-        for path in _files(output, options):
+        for path in _files(output, options, simulated=bool(scene.systems)):
             # Of names that differ in capitals, some systems make one file.
             first = owners.setdefault(str(path.resolve()).casefold(), output)
             if first is not output:
@@ -125,9 +132,11 @@ def _check(scene: Scene, options: BakeOptions) -> None:
 def _check_one(scene: Scene, output: SceneOutput, options: BakeOptions) -> None:
     own = merged(options, output.bake)
     if _kind(output) is OutputKind.USD:
-        check_output(_path(output), own, scene.inputs, scene.path)
+        path, simulated = _path(output), bool(scene.systems)
+        check_output(path, own, scene.inputs, scene.path, simulated=simulated)
         return
-    check_outputs(_files(output, options), scene.inputs, overwrite=own.overwrite)
+    files = convert_outputs(_path(output))
+    check_outputs(files, scene.inputs, overwrite=own.overwrite)
 
 
 def _planned(
@@ -136,8 +145,13 @@ def _planned(
     options = merged(given, output.bake)
     if _kind(output) is OutputKind.USD:
         with scene.blamed_things():
-            return plan_output([scene.path], [stream], _path(output), options, [])
+            plan = plan_output([scene.path], [stream], _path(output), options, [])
+        return with_systems(plan, scene)
     notices = []
+    if scene.systems:
+        names = listed([system.name for system in scene.systems], MOST_NAMED)
+        message = f"a {_kind(output)} file has no place for what is simulated: {names}"
+        notices.append(output.place.fault("SCN112", message, None, Severity.NOTE))
     if stream.tracks:
         paths = listed([track.path for track in stream.tracks], MOST_NAMED)
         message = f"a {_kind(output)} file has no place for {paths}"

@@ -148,9 +148,16 @@ class SystemColliderModel(_PlacedModel):
 class CharacterModel(FileModel):
     """A character in motion that particles run into: the capsules of its rig."""
 
-    file: Annotated[str, Field(min_length=1)] = Field(
+    file: Annotated[str, Field(min_length=1)] | None = Field(
+        default=None,
         description="A clip or a scene; its first frame comes at 0 s.",
         examples=["walk.clip.yaml"],
+    )
+    source: bool = Field(
+        default=False,
+        description="In place of a file: the character of this scene, behind its "
+        "passes.",
+        examples=[True],
     )
     restitution: float = Field(
         default=0.0,

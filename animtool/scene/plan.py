@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from animtool.config import find_config
 from animtool.errors import Fault, OptionError, Severity, listed
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from animtool.scene.deform import Character
     from animtool.scene.scene import Scene
     from animtool.scene.system_bake import SystemPlan
+    from animtool.scene.system_run import Save
+    from animtool.scene.systems_beside import SystemsBeside, WrittenBeside
     from animtool.usd.target import JointMap, RigTarget
 
 __all__ = [
@@ -39,6 +41,7 @@ __all__ = [
     "rig_paths",
     "start_of",
     "take_name",
+    "with_systems",
 ]
 
 
@@ -58,6 +61,7 @@ class BakePlan:
         notices: What is odd so far.
         character: What it deforms, where point caches are asked for.
         systems: What is simulated, in place of takes.
+        beside: What is simulated beside the take.
     """
 
     takes: tuple[TakePlan, ...]
@@ -71,6 +75,29 @@ class BakePlan:
     notices: list[Fault]
     character: Character | None = None
     systems: SystemPlan | None = None
+    beside: SystemsBeside | None = None
+
+    def finish(
+        self, layer: Any, write: Callable[[Save], object]
+    ) -> WrittenBeside | None:
+        """Write a layer that has the take, and what is simulated beside it.
+
+        Args:
+            layer: In memory.
+            write: Writes it with what it is given, and others that belong to it.
+
+        Raises:
+            FormatError: A system makes no sense, or has no colliders to run into.
+            OutputError: A file cannot be written.
+            StrictError: There were warnings, and ``strict`` is on.
+            ToleranceError: A system blew up.
+        """
+        if self.beside is not None:
+            return self.beside.write(layer, self.output, write)
+        from animtool.usd.layers import save_layer
+
+        write(save_layer)
+        return None
 
 
 def plan_bake(
@@ -105,17 +132,18 @@ def plan_bake(
     simulated = [scene for scene in reading.scenes.values() if scene.systems]
     inputs, first = reading.inputs, reading.files[0]
     outputs = check_output(path, options, inputs, first, simulated=bool(simulated))
-    if simulated:
-        if len(given) > 1:
-            message = "what is simulated is no take of a library"
-            raise OptionError(Fault("SCN062", message, str(simulated[0].path)))
+    if simulated and len(given) > 1:
+        message = "what is simulated is no take of a library"
+        raise OptionError(Fault("SCN062", message, str(simulated[0].path)))
+    if simulated and not simulated[0].sources:
         return _simulated(simulated[0], path, options, notices)
     with sparing_inputs(outputs):
         streams = reading.open(options, progress, opener)
     with ExitStack() as blamed:
         for scene in reading.scenes.values():
             blamed.enter_context(scene.blamed_things())
-        return plan_output(reading.files, streams, path, options, notices)
+        plan = plan_output(reading.files, streams, path, options, notices)
+    return with_systems(plan, simulated[0]) if simulated else plan
 
 
 def _simulated(
@@ -136,6 +164,42 @@ def _simulated(
         notices,
         systems=systems,
     )
+
+
+def with_systems(plan: BakePlan, scene: Scene) -> BakePlan:
+    """Return the plan of a take with the systems of its scene.
+
+    Raises:
+        FormatError: A system has the place of something else (SCN068).
+        OptionError: The output is a library, which has no place for them (SCN067).
+    """
+    if not scene.systems:
+        return plan
+    if plan.form is Form.LIBRARY:
+        message = "a clip library has no place for what is simulated"
+        hint = "bake the systems in a scene of their own, or as: stage"
+        raise OptionError(Fault("SCN067", message, str(scene.path), (), hint))
+    from animtool.scene.systems_beside import plan_beside
+
+    stream, options, target = plan.takes[0].stream, plan.options, plan.target
+    paths = rig_paths([stream.rig.name], target, options, plan.output)
+    rig = stream.rig if target is None else target.skeleton.rig
+    meters = rig.meters_per_unit
+    if target is None and options.to_units is not None:
+        meters = options.to_units.meters
+    beside = plan_beside(
+        scene,
+        paths,
+        target,
+        fps=plan.fps,
+        start=plan.start,
+        meters_per_unit=meters,
+        up=rig.up,
+        chunk=options.chunk,
+        strict=options.strict,
+        tracks=stream.tracks,
+    )
+    return replace(plan, beside=beside)
 
 
 def check_output(

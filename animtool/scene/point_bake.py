@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError, refuse_warnings
+from animtool.output import size_of, together
 from animtool.prefetch import prefetch
 from animtool.rig.kinematics import rest_size
 from animtool.scene.deform import Character, PointStream
@@ -21,18 +24,22 @@ from animtool.take import Motion
 from animtool.usd.animation import Rounding
 from animtool.usd.beside import Beside, author_things, thing_places
 from animtool.usd.jobs import UsdResult, WrittenTake
-from animtool.usd.layers import save_layer
 from animtool.usd.names import legal_name
 from animtool.usd.paths import RigPaths
 from animtool.usd.point_cache import (
     CachedMesh,
     CacheJob,
+    PointBlock,
     author_cache,
     mesh_paths,
 )
 from animtool.usd.point_chunks import write_chunks
 from animtool.usd.point_space import PointSpace
 from animtool.usd.strands import WIDTH
+
+if TYPE_CHECKING:
+    from animtool.scene.system_run import Save
+    from animtool.scene.systems_beside import WrittenBeside
 
 __all__ = ["run_point_bake"]
 
@@ -70,7 +77,11 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
     take = plan.takes[0]
     stream, frames = take.stream, _Frames()
     counted = replace(stream, blocks=frames.of_source(stream.blocks))
+    if plan.beside is not None:
+        counted = plan.beside.watch.read(counted)
     timed, span, _ = timed_blocks(take, counted)
+    if plan.beside is not None:
+        timed = plan.beside.watch.written(timed)
     job, character, spaces = _job(plan, character, span)
     beside = Beside(stream.tracks)
     if stream.tracks:
@@ -95,31 +106,50 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
         refuse_warnings(stream.notices + plan.notices, strict=plan.options.strict)
 
     ahead = prefetch(points.blocks(frames.of_output(timed)))
-    try:
-        if plan.options.chunk is not None:
-            outputs, written, layer = write_chunks(
-                job, ahead, plan.options.chunk, check
-            )
-        else:
-            layer, written = author_cache(job, ahead)
-            check(layer)
-            outputs = [] if plan.output is None else [plan.output]
-    finally:
-        ahead.close()
-    seconds = {"read": sum(points.seconds), "author": time.perf_counter() - began}
-    if plan.options.chunk is None:
-        size = save_layer(layer, plan.output)
-    else:
-        size = sum(path.stat().st_size for path in outputs)
-    result = _result(job, layer, written, frames.samples, outputs, size)
+    with closing(ahead):
+        made = _write(plan, job, ahead, check)
+    authored = made.authored - began
+    seconds = {"read": sum(points.seconds), "author": authored}
+    result = _result(job, made, frames.samples)
     result.takes[0].things = things
     seconds["total"] = time.perf_counter() - began
     seconds["save"] = seconds["total"] - seconds["author"]
+    report = _take_report(plan, character, result.takes[0], made.meshes, points, frames)
+    notices = stream.notices + plan.notices
+    if made.systems is not None:
+        report.meshes += made.systems.reports
+        report.simulated = report.simulated + made.systems.simulated
+        notices += made.systems.notices
+    return BakeReport(
+        [report],
+        result,
+        f"point caches as a {plan.form} ({plan.reason})",
+        plan.fps,
+        len(stream.rig.joints),
+        job.meters_per_unit,
+        job.up.value,
+        rest_size(character.rig),
+        notices,
+        seconds,
+    )
+
+
+def _take_report(
+    plan: BakePlan,
+    character: Character,
+    take_written: WrittenTake,
+    written: Sequence[CachedMesh],
+    points: PointStream,
+    frames: _Frames,
+) -> TakeReport:
+    """Return what became of the take and of each of its meshes."""
+    take = plan.takes[0]
+    stream = take.stream
     surfaces = len(character.surfaces)
     kinds = ["mesh"] * surfaces + ["strands"] * (len(character.meshes) - surfaces)
-    report = TakeReport(
+    return TakeReport(
         take.source,
-        result.takes[0],
+        take_written,
         stream.count or frames.source,
         stream.fps / stream.step,
         "",
@@ -135,18 +165,64 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
         meshes_of=character.origin,
         simulated=stream.simulated,
     )
-    return BakeReport(
-        [report],
-        result,
-        f"point caches as a {plan.form} ({plan.reason})",
-        plan.fps,
-        len(stream.rig.joints),
-        job.meters_per_unit,
-        job.up.value,
-        rest_size(character.rig),
-        stream.notices + plan.notices,
-        seconds,
-    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Written:
+    """What was written.
+
+    Attributes:
+        layer: The one that has the rest, or joins it.
+        meshes: Of each mesh.
+        systems: Beside the take.
+        outputs: The files.
+        size: Of all [byte].
+        authored: When all but the systems and the layer was.
+    """
+
+    layer: Any
+    meshes: list[CachedMesh]
+    systems: WrittenBeside | None
+    outputs: list[Path]
+    size: int
+    authored: float
+
+
+def _write(
+    plan: BakePlan,
+    job: CacheJob,
+    blocks: Iterator[PointBlock],
+    check: Callable[[Any], None],
+) -> _Written:
+    """Write a cache, in one file or in several, and what is simulated beside it."""
+    systems: list[WrittenBeside | None] = []
+    sizes: list[int] = []
+    times: list[float] = []
+
+    def finish(layer: Any, *, whole: bool) -> None:
+        check(layer)
+        times.append(time.perf_counter())
+
+        def write(save: Save) -> None:
+            # One that joins chunks is written with them.
+            if whole:
+                sizes.append(save(layer, plan.output))
+
+        systems.append(plan.finish(layer, write))
+
+    with together():
+        if plan.options.chunk is None:
+            layer, meshes = author_cache(job, blocks)
+            finish(layer, whole=True)
+            outputs = [] if plan.output is None else [plan.output]
+        else:
+            outputs, meshes, layer = write_chunks(
+                job, blocks, plan.options.chunk, partial(finish, whole=False)
+            )
+    (beside,) = systems
+    outputs = ([] if beside is None else beside.files) + outputs
+    size = sum(map(size_of, outputs)) or sum(sizes)
+    return _Written(layer, meshes, beside, outputs, size, times[0])
 
 
 def _job(
@@ -211,17 +287,11 @@ def _layer_job(
     return job, character, [part.space for part in target.prims]
 
 
-def _result(
-    job: CacheJob,
-    layer: Any,
-    written: list[CachedMesh],
-    samples: int,
-    outputs: list[Path],
-    size: int,
-) -> UsdResult:
+def _result(job: CacheJob, made: _Written, samples: int) -> UsdResult:
+    layer = made.layer
     first, last = job.frames or (layer.startTimeCode, layer.endTimeCode)
-    worst = max(written, key=lambda mesh: mesh.error)
-    sampled = [name for mesh in written for name in mesh.sampled]
+    worst = max(made.meshes, key=lambda mesh: mesh.error)
+    sampled = [name for mesh in made.meshes for name in mesh.sampled]
     take = WrittenTake(
         "",
         samples=samples,
@@ -230,4 +300,4 @@ def _result(
         sampled=list(dict.fromkeys(sampled)),
         rounding=Rounding(worst.error, worst.error_code),
     )
-    return UsdResult(outputs, size, [take])
+    return UsdResult(made.outputs, made.size, [take])

@@ -44,7 +44,7 @@ class Scene:
         rig: Of clips, and of several sources the one that all move; None is that of
             the first.
         beside: What is carried beside the character.
-        systems: What is simulated, where there is no source.
+        systems: What is simulated, beside the source or in its place.
         first: Frame of the shot that the first frame of the sources is; None is what
             they say.
         preroll: How early passes with a state of their own begin; None is with the

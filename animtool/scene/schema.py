@@ -310,7 +310,8 @@ class SceneModel(FileModel):
     )
     systems: list[SystemModel] = Field(
         default=[],
-        description="What is simulated, without a source; `range` says for how long.",
+        description="What is simulated: beside the source, or without one for the "
+        "frames of `range`.",
         examples=[[{"particles": {"emitters": [{"rate": 100, "speed": 2}]}}]],
     )
     output: Annotated[

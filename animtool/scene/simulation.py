@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, cast
 from animtool._types import FloatArray
 from animtool.errors import Fault
 from animtool.plugins import load_object
-from animtool.scene.character_motion import CharacterMotions
+from animtool.scene.character_motion import CharacterMotion, CharacterMotions
 from animtool.scene.entries import SceneSystem
 from animtool.scene.system_kinds import SYSTEM_KINDS
 from animtool.scene.system_links import in_order, needed
@@ -70,18 +70,23 @@ TrialMaker: TypeAlias = Callable[
 ]
 
 
-def open_systems(systems: Sequence[SceneSystem], last: float = 0.0) -> list[Simulation]:
+def open_systems(
+    systems: Sequence[SceneSystem],
+    last: float = 0.0,
+    own: CharacterMotion | None = None,
+) -> list[Simulation]:
     """Return systems at their beginnings, in their order; the first frame is at 0 s.
 
     Args:
         systems: Those of a scene.
         last: The last time that will be asked for [s].
+        own: The scene's own character, where one asks for it.
 
     Raises:
         FormatError: Something makes no sense, at the place of its system.
         ToleranceError: A system blew up at once.
     """
-    return _opened(systems, Opening(last))
+    return _opened(systems, Opening(last, _characters(own)))
 
 
 def _opened(systems: Sequence[SceneSystem], opening: Opening) -> list[Simulation]:
@@ -98,19 +103,29 @@ def _opened(systems: Sequence[SceneSystem], opening: Opening) -> list[Simulation
     return [found[i] for i in range(len(systems))]
 
 
+def _characters(own: CharacterMotion | None) -> CharacterMotions:
+    characters = CharacterMotions()
+    if own is not None:
+        characters.found[own.path] = own
+    return characters
+
+
 def system_trials(
-    systems: Sequence[SceneSystem], times: FloatArray
+    systems: Sequence[SceneSystem],
+    times: FloatArray,
+    own: CharacterMotion | None = None,
 ) -> list[tuple[SceneSystem, Trial]]:
     """Return what can be simulated in several ways, with the first system of each.
 
     Args:
         systems: Those of a scene.
         times: When to look, ascending ``(F,)`` [s].
+        own: The scene's own character, where one asks for it.
 
     Raises:
         FormatError: Something makes no sense, at the place of its system.
     """
-    last, characters = float(times[-1]), CharacterMotions()
+    last, characters = float(times[-1]), _characters(own)
     found = []
     for group in in_order(systems):
         members = [systems[i] for i in group]

@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError
+from animtool.scene.character_motion import CharacterMotion, motion_of
 from animtool.scene.entries import Place
 from animtool.scene.options import BakeOptions
-from animtool.scene.plan import plan_bake
+from animtool.scene.plan import BakePlan, plan_bake
 from animtool.scene.reading import share_of
 from animtool.scene.scene import Scene
 from animtool.scene.simulation import system_trials
@@ -85,13 +87,36 @@ def _trials(scene: Scene, options: BakeOptions) -> list[tuple[Place, Trial]]:
 
         found += attach_trials(scene, MOST_INSTANTS)
     if scene.systems:
-        plan = plan_bake(scene, None, options).systems
-        assert plan is not None
-        codes = plan.codes
-        picked = np.linspace(0, len(codes) - 1, min(len(codes), MOST_INSTANTS))
-        times = np.array([plan.seconds(codes[int(i)]) for i in picked])
+        times, own = _times(scene, options)
+        picked = np.linspace(0, len(times) - 1, min(len(times), MOST_INSTANTS))
+        looked = times[picked.astype(np.int64)]
         found += [
             (system.place, trial)
-            for system, trial in system_trials(plan.systems, times)
+            for system, trial in system_trials(scene.systems, looked, own)
         ]
     return found
+
+
+def _times(
+    scene: Scene, options: BakeOptions
+) -> tuple[FloatArray, CharacterMotion | None]:
+    """Return when systems are looked at [s], and the character beside them."""
+    # Nothing is written: chunks would need a file.
+    first = scene.outputs[0]
+    plain = replace(first, bake=replace(first.bake, chunk=None))
+    plan = plan_bake(replace(scene, outputs=(plain,)), None, options)
+    if plan.systems is None:
+        own = motion_of(scene.path, plan.takes[0].stream.collect())
+        return _within(own.times, plan), own
+    seconds = map(plan.systems.seconds, plan.systems.codes)
+    return np.array(list(seconds)), None
+
+
+def _within(times: FloatArray, plan: BakePlan) -> FloatArray:
+    """Return those of a take's times [s] that are in the range of an output."""
+    wanted = plan.options.frame_range
+    if wanted is None:
+        return times
+    codes = float(plan.start) + times * float(plan.fps)
+    inside = (codes >= wanted.first) & (codes <= wanted.last)
+    return times[inside] if inside.any() else times

@@ -13,7 +13,13 @@ from animtool.passes import TakePart, sees_tracks
 from animtool.rates import rate_label
 from animtool.rig.skeleton import Rig
 from animtool.scene.convert import convert_outputs
-from animtool.scene.entries import OutputKind, ScenePass, SceneThing, kind_of
+from animtool.scene.entries import (
+    OutputKind,
+    ScenePass,
+    SceneSystem,
+    SceneThing,
+    kind_of,
+)
 from animtool.scene.files import form_of, output_files
 from animtool.scene.options import BakeOptions, merged
 from animtool.scene.reading import Source, found_sources
@@ -81,8 +87,8 @@ def bake_steps(
     last: _State | None = None
     for path in reading.files:
         scene = reading.scenes.get(path)
-        if scene is not None and scene.systems:
-            return _system_steps(scene, output, options)
+        if scene is not None and not scene.sources:
+            return _simulated_steps(scene, output, options)
         if scene is None:
             own = fitting_options(options.source, path, reading.files)
             last = _State.of(open_source(path, own))
@@ -94,6 +100,8 @@ def bake_steps(
     if len(reading.files) == 1 and reading.scenes:
         scene = reading.scenes[reading.files[0]]
         outputs = list(_scene_outputs(scene, output, options))
+        steps += [_system_step(scene, system) for system in scene.systems]
+        last = replace(last, systems=len(scene.systems))
     for path_, own_, where in outputs:
         steps.append(_output_step(path_, own_, where, last))
     return steps
@@ -110,6 +118,7 @@ class _State:
         dropped: The pass that took their curves away; empty where none did.
         facts: How many frames there are, and of what.
         tracks: What is beside the rig.
+        systems: How many systems are simulated beside it.
         still: What never moves.
     """
 
@@ -120,6 +129,7 @@ class _State:
     facts: tuple[str, ...]
     still: tuple[str, ...]
     tracks: tuple[Track, ...] = ()
+    systems: int = 0
 
     @staticmethod
     def of(stream: TakeStream) -> _State:
@@ -199,20 +209,26 @@ def _scene_steps(scene: Scene, steps: list[Step]) -> _State:
     return state
 
 
-def _system_steps(
+def _system_step(scene: Scene, system: SceneSystem) -> Step:
+    setup, where = system.setup, system.place.where
+    reads = setup.reads
+    reads += ("the character",) if scene.path in setup.files else ()
+    return Step(StepKind.SYSTEM, system.name, where, reads, (setup.makes,))
+
+
+def _simulated_steps(
     scene: Scene, output: Path | None, options: BakeOptions
 ) -> list[Step]:
-    """Return the steps of a scene that is simulated."""
-    steps = []
-    for system in scene.systems:
-        setup, where = system.setup, system.place.where
-        made = (setup.makes,)
-        steps.append(Step(StepKind.SYSTEM, system.name, where, setup.reads, made))
-    ((path, _, where),) = _scene_outputs(scene, output, options)
+    """Return the steps of a scene that has no source."""
+    steps = [_system_step(scene, system) for system in scene.systems]
+    ((path, own, where),) = _scene_outputs(scene, output, options)
+    files = ["stdout"]
+    if path is not None:
+        files = _named(output_files(path, own, simulated=True))
     name = "stdout" if path is None else str(path)
     prims = listed([system.name for system in scene.systems])
-    makes = f"{Form.STAGE} with {prims}, their points and velocities"
-    steps.append(Step(StepKind.OUTPUT, name, where, ("systems",), (makes, name)))
+    made = (f"{Form.STAGE} with {prims}, their points and velocities", *files)
+    steps.append(Step(StepKind.OUTPUT, name, where, ("systems",), made))
     return steps
 
 
@@ -295,7 +311,10 @@ def _output_step(
     if path is not None and kind_of(path) is not OutputKind.USD:
         return _converted_step(path, where, state)
     form = form_of(options)
-    files = ["stdout"] if path is None else _named(output_files(path, options))
+    files = ["stdout"]
+    if path is not None:
+        simulated = bool(state.systems)
+        files = _named(output_files(path, options, simulated=simulated))
     reads = ["take"]
     if options.rig_layer is not None:
         reads.insert(0, str(options.rig_layer))
@@ -304,6 +323,8 @@ def _output_step(
         makes += " as a take, beside others that there are,"
     if state.tracks:
         makes += f" and {counted(len(state.tracks), 'thing')} beside it"
+    if state.systems:
+        makes += f" and {counted(state.systems, 'system')}"
     return Step(
         StepKind.OUTPUT,
         "stdout" if path is None else str(path),
@@ -323,6 +344,8 @@ def _converted_step(path: Path, where: str, state: _State) -> Step:
         left_out.append(
             f"{counted(len(state.tracks), 'thing')} beside: {kind} no place"
         )
+    if state.systems:
+        left_out.append(f"{counted(state.systems, 'system')}: they are points")
     if not is_clip and TakePart.SHAPES in state.moving:
         left_out.append("shapes: a BVH has no place for them")
     if state.rig.meshes and not is_clip:

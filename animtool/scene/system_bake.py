@@ -6,25 +6,23 @@ import time
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import cast
 
 from animtool.edit.frame_range import FrameRange
 from animtool.errors import Fault, OptionError
-from animtool.plugins import load_object
+from animtool.output import size_of
 from animtool.scene.entries import SceneSystem
 from animtool.scene.options import BakeOptions
 from animtool.scene.report import BakeReport, TakeReport
 from animtool.scene.scene import Scene
 from animtool.scene.sources import source_stem
-from animtool.scene.system_kinds import SYSTEM_KINDS
+from animtool.scene.system_job import system_job
 from animtool.scene.system_run import SystemRun, write_systems
 from animtool.units import UpAxis
 from animtool.usd.animation import Rounding
 from animtool.usd.forms import Form
 from animtool.usd.jobs import UsdResult, WrittenTake
 from animtool.usd.layers import StageMetadata, check_prim_path
-from animtool.usd.names import distinct_names, legal_name
-from animtool.usd.prim_writer import PrimWriter
+from animtool.usd.names import legal_name
 from animtool.usd.simulated import SimulatedJob, simulated_layer
 
 __all__ = ["SystemPlan", "plan_systems", "run_system_bake"]
@@ -80,29 +78,15 @@ def plan_systems(scene: Scene, output: Path | None, options: BakeOptions) -> Sys
     # Where only a part is asked for, the simulation still begins with the whole.
     first = Fraction((own or frames).first) if options.start is None else options.start
     codes = _codes(frames, options.samples)
-    names = [system.name for system in scene.systems]
     if options.prim_path is not None:
         check_prim_path(options.prim_path)
     model = options.prim_path or f"/{legal_name(source_stem(scene.path))}"
     unit = 1.0 if options.to_units is None else options.to_units.meters
-    job = SimulatedJob(
-        model,
-        distinct_names(names, names, names).names,
-        tuple(_writer(system) for system in scene.systems),
-        StageMetadata(
-            model.split("/")[1],
-            fps,
-            Fraction(frames.first),
-            Fraction(frames.last),
-            unit,
-            options.to_up or UpAxis.Y,
-        ),
-    )
+    up = options.to_up or UpAxis.Y
+    span = Fraction(frames.first), Fraction(frames.last)
+    metadata = StageMetadata(model.split("/")[1], fps, *span, unit, up)
+    job = system_job(scene.systems, model, metadata, unit, up)
     return SystemPlan(scene.path, scene.systems, output, job, codes, first, options)
-
-
-def _writer(system: SceneSystem) -> type[PrimWriter]:
-    return cast(type[PrimWriter], load_object(SYSTEM_KINDS[system.kind].writer))
 
 
 def _codes(frames: FrameRange, offsets: tuple[Fraction, ...]) -> tuple[Fraction, ...]:
@@ -189,7 +173,7 @@ def run_system_bake(plan: SystemPlan) -> BakeReport:
     spent = sum(run.seconds)
     return BakeReport(
         [report],
-        UsdResult(outputs, sum(sizes + [p.stat().st_size for p in made.files]), [take]),
+        UsdResult(outputs, sum(sizes) + sum(map(size_of, made.files)), [take]),
         f"{Form.STAGE} (it is simulated)",
         metadata.fps,
         0,

@@ -90,10 +90,26 @@ class EntryReader:
         """Return files of characters, and what touching one does."""
         found = []
         for i, model in enumerate(models):
-            path = self.input((*at, i, "file"), model.file)
+            path = self._character((*at, i), model)
             if path is not None:
                 found.append((path, (model.restitution, model.friction, model.margin)))
         return tuple(found)
+
+    def _character(self, at: Location, model: CharacterModel) -> Path | None:
+        """Return the file of a character; the scene's own has that of the scene."""
+        if model.source is (model.file is not None):
+            message = "it is a file, or the character of this scene"
+            hint = "write file: walk.clip.yaml, or source: true"
+            self.note(at, Fault("SCN066", message, hint=hint))
+            return None
+        if model.file is not None:
+            return self.input((*at, "file"), model.file)
+        if not self.document.value.get("source"):
+            message = "the scene has no character: it has no source"
+            hint = "name a file, or give the scene a source"
+            self.note((*at, "source"), Fault("SCN066", message, hint=hint))
+            return None
+        return self.document.path
 
     def named(
         self,

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from animtool.errors import Fault, refuse_warnings
-from animtool.output import together
+from animtool.output import once_named, together
+from animtool.scene.character_motion import CharacterMotion
 from animtool.scene.entries import SceneSystem
 from animtool.scene.report import MeshReport
 from animtool.scene.simulation import open_systems
@@ -34,19 +35,25 @@ class SystemRun:
         seconds: How long each took [s].
     """
 
-    def __init__(self, systems: Sequence[SceneSystem], last: float) -> None:
+    def __init__(
+        self,
+        systems: Sequence[SceneSystem],
+        last: float,
+        own: CharacterMotion | None = None,
+    ) -> None:
         """Begin.
 
         Args:
             systems: Those of a scene.
             last: The last time that will be asked for [s].
+            own: The scene's own character, where one asks for it.
 
         Raises:
             FormatError: Something makes no sense, at the place of its system.
         """
         self.systems = systems
         self.seconds = [0.0] * len(systems)
-        self._open = open_systems(systems, last)
+        self._open = open_systems(systems, last, own)
 
     @property
     def notices(self) -> list[Fault]:
@@ -144,8 +151,8 @@ def write_systems(
             paths, prims = chunk_simulated(job, rows, layer, files, chunk)
             refuse_warnings(run.notices, strict=strict)
             finish(save_layer)
-        # Only now: a layer always has its own.
-        files.remove_others(paths)
+            # A layer always has its own.
+            once_named(lambda: files.remove_others(paths))
         return WrittenSystems(paths, prims)
     prims = []
 

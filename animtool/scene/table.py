@@ -190,7 +190,8 @@ def _baked(
     output = folder / f"{kind}.usdc"
     began = time.perf_counter()
     plan = plan_bake(source, output, replace(options, overwrite=True))
-    result = run_bake(plan).result
+    # What is simulated beside the take has no joints to measure.
+    result = run_bake(replace(plan, beside=None)).result
     seconds = time.perf_counter() - began
     codes = float(plan.start) + truth.seconds * float(plan.fps)
     found = played_world(output, codes)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -183,15 +183,26 @@ class Authored:
     visible: bool = False
 
 
-def write_usd(job: UsdJob, authored: Authored, result: UsdResult) -> None:
+def write_usd(
+    job: UsdJob,
+    authored: Authored,
+    result: UsdResult,
+    save: Callable[[Any, Path | None], int] = save_layer,
+) -> None:
     """Write the layers of a job, that which refers to the others last.
+
+    Args:
+        job: What to write.
+        authored: The layers.
+        result: Told of what is written.
+        save: Writes the layer of the animation.
 
     Raises:
         OutputError: One cannot be written.
     """
     if job.output is None:
         with _quietly(result):
-            result.bytes = save_layer(authored.animation, None)
+            result.bytes = save(authored.animation, None)
         return
     result.outputs = output_paths(job.output, job.form)
     layers = [authored.animation]
@@ -202,7 +213,8 @@ def write_usd(job: UsdJob, authored: Authored, result: UsdResult) -> None:
         layers = [authored.rig, authored.animation, root]
     with _quietly(result):
         for layer, path in zip(layers, result.outputs, strict=True):
-            result.bytes += save_layer(layer, path)
+            own = save if layer is authored.animation else save_layer
+            result.bytes += own(layer, path)
 
 
 def _quietly(result: UsdResult) -> AbstractContextManager[None]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-from pxr import Gf, Sdf, Vt
+from pxr import Gf, Sdf
 
 from animtool._types import BoolArray, FloatArray
 from animtool.errors import Fault, OptionError, Severity
@@ -16,10 +16,11 @@ from animtool.files import seen_from
 from animtool.take import Motion
 from animtool.transforms import Reference, Track, Transforms, turned_track
 from animtool.units import UpAxis, up_from_up
-from animtool.usd.layers import attribute, prim
+from animtool.usd.layers import prim
 from animtool.usd.library import TAKE_SET
 from animtool.usd.paths import RigPaths
 from animtool.usd.samples import Samples
+from animtool.usd.xform import author_order, quaternion
 
 if TYPE_CHECKING:
     from animtool.usd.target import RigTarget
@@ -285,12 +286,12 @@ def _author_track(
         matrices[:, :3, :3] *= factor
         rows = matrices.swapaxes(1, 2)
         author("xformOp:transform", types.Matrix4d, rows, _matrix)
-        _author_order(spec, "xformOp:transform")
+        author_order(spec, "xformOp:transform")
     elif track.placed:
         author("xformOp:translate", types.Double3, found.translations / unit, _vector)
-        author("xformOp:orient", types.Quatd, found.rotations, _quaternion)
+        author("xformOp:orient", types.Quatd, found.rotations, quaternion)
         author("xformOp:scale", types.Double3, found.scales * factor, _vector)
-        _author_order(spec, "xformOp:translate", "xformOp:orient", "xformOp:scale")
+        author_order(spec, "xformOp:translate", "xformOp:orient", "xformOp:scale")
     for one, values in zip(track.attributes, found.values, strict=True):
         own_type = types.Find(one.type_name)
         if one.width:
@@ -298,12 +299,6 @@ def _author_track(
             author(one.name, own_type, values / (unit if one.length else 1.0), make)
         else:
             author(one.name, own_type, values, _choice(one.choices))
-
-
-def _author_order(spec: Any, *names: str) -> None:
-    order = Vt.TokenArray(names)
-    types = Sdf.ValueTypeNames
-    attribute(spec, "xformOpOrder", types.TokenArray, order, uniform=True)
 
 
 def _choice(choices: Sequence[object]) -> Callable[[Any], object]:
@@ -324,8 +319,3 @@ def _vector(row: FloatArray) -> Any:
 
 def _matrix(row: FloatArray) -> Any:
     return Gf.Matrix4d(row.tolist())
-
-
-def _quaternion(row: FloatArray) -> Any:
-    x, y, z, w = row.tolist()
-    return Gf.Quatd(w, x, y, z)

@@ -15,7 +15,7 @@ import numpy as np
 from pxr import Sdf
 
 from animtool._types import Float32Array
-from animtool.output import replacing
+from animtool.output import once_named, replacing
 from animtool.usd.clip_files import ClipFiles, point_files
 from animtool.usd.layers import author_metadata, export_layer, new_layer, prim
 from animtool.usd.point_cache import (
@@ -77,7 +77,7 @@ def write_chunks(
         check(layer)
         export_layer(_manifest(job, chunks), manifest, clips.manifest)
         export_layer(layer, whole, output)
-    clips.remove_others(chunks.paths)
+    once_named(lambda: clips.remove_others(chunks.paths))
     files = [*chunks.paths, clips.manifest, output]
     return files, chunks.reports, layer
 

@@ -11,6 +11,7 @@ from typing import Any, TypeAlias
 
 from pxr import Sdf
 
+from animtool._types import FloatArray
 from animtool.output import replacing
 from animtool.usd.clip_files import ClipFiles
 from animtool.usd.growing import Growing, growing_crate
@@ -25,6 +26,7 @@ from animtool.usd.layers import (
 from animtool.usd.point_cache import CachedMesh
 from animtool.usd.prim_writer import PrimWriter
 from animtool.usd.value_clips import author_clips
+from animtool.usd.xform import author_order, quaternion
 
 __all__ = [
     "Rows",
@@ -47,19 +49,27 @@ class SimulatedJob:
         names: Of the other prims, legal and distinct.
         writers: Of each, what writes it.
         metadata: What the layer states.
+        meters_per_unit: Unit of what is below the model [m].
+        turn: From y up to the up axis there ``(4,)``; None is none.
     """
 
     model: str
     names: Sequence[str]
     writers: Sequence[type[PrimWriter]]
     metadata: StageMetadata
+    meters_per_unit: float
+    turn: FloatArray | None = None
+
+    @property
+    def paths(self) -> list[str]:
+        """Where the prims are."""
+        return [f"{self.model}/{name}" for name in self.names]
 
     def made(self) -> list[PrimWriter]:
         """Return the writers at their beginning."""
-        unit = self.metadata.meters_per_unit
         return [
-            writer(f"{self.model}/{name}", unit)
-            for name, writer in zip(self.names, self.writers, strict=True)
+            writer(path, self.meters_per_unit)
+            for path, writer in zip(self.paths, self.writers, strict=True)
         ]
 
 
@@ -88,7 +98,7 @@ def grow_simulated(job: SimulatedJob, rows: Rows, growing: Growing) -> list[Cach
     writers = job.made()
     for i, (code, frame) in enumerate(rows):
         if not i:
-            _begin(writers, growing.layer, frame)
+            _begin(job, writers, growing.layer, frame)
         growing.added(_add(writers, growing.layer, code, frame))
     return [writer.report for writer in writers]
 
@@ -128,7 +138,7 @@ def chunk_simulated(
 
         for i, (code, frame) in enumerate(rows):
             if not i:
-                _begin(writers, layer, frame)
+                _begin(job, writers, layer, frame)
                 growing = following()
             growing.added(_add(writers, growing.layer, code, frame))
             if i and i % size == 0:
@@ -145,9 +155,20 @@ def chunk_simulated(
     return [*paths, files.manifest], [writer.report for writer in writers]
 
 
-def _begin(writers: Sequence[PrimWriter], layer: Any, frame: Sequence[Any]) -> None:
+def _begin(
+    job: SimulatedJob,
+    writers: Sequence[PrimWriter],
+    layer: Any,
+    frame: Sequence[Any],
+) -> None:
+    """Write the prims, each turned as a whole where another axis is up."""
+    types = Sdf.ValueTypeNames
     for writer, row in zip(writers, frame, strict=True):
         writer.begin(layer, row)
+        if job.turn is not None:
+            spec, turn = layer.GetPrimAtPath(writer.report.path), quaternion(job.turn)
+            attribute(spec, "xformOp:orient", types.Quatd, turn)
+            author_order(spec, "xformOp:orient")
 
 
 def _add(

@@ -154,6 +154,22 @@ def test_a_table_in_words(comets: Path) -> None:
     assert lines[-1].startswith("> the file's own")
 
 
+def test_systems_beside_a_source_are_measured_too(swing: Path) -> None:
+    rig = swing.with_name("beast.rig.yaml")
+    colliders = "colliders: [{joint: body, capsule: {radius: 5, length: 9}}]\n"
+    rig.write_text(RIG + colliders, "utf-8")
+    systems = SCENE[SCENE.index("systems:") : SCENE.index("output:")]
+    systems = systems.replace("    step", "    characters: [{source: true}]\n    step")
+    text = SWING.replace("out.usdc}", "out.usdc, chunk: 2}")
+    swing.write_text(text.replace("output:", f"{systems}output:"), "utf-8")
+    options = ("--table", "--format", "json", "--range", "1-3")
+    done = animtool("bake", swing, *options)
+    assert done.code == 0, done.stderr
+    tail, comets, _ = json.loads(done.stdout)["simulated"]
+    assert (tail["name"], comets["name"]) == ("tail", "comets")
+    assert (comets["instants"], comets["span"]) == (3, pytest.approx(2 / 24))
+
+
 def test_a_table_of_what_a_rig_attaches(swing: Path) -> None:
     before = sorted(swing.parent.iterdir())
     done = animtool("bake", swing, "--table", "--format", "json")

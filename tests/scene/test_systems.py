@@ -285,10 +285,7 @@ def test_a_system_is_of_one_kind(tmp_path: Path) -> None:
     assert codes(tmp_path, nothing) == ["DOC022"]
 
 
-def test_a_source_beside_systems_is_refused(walk: Path, tmp_path: Path) -> None:
-    (tmp_path / walk.name).write_bytes(walk.read_bytes())
-    text = SCENE.replace("systems:", f"source: {{file: {walk.name}}}\nsystems:")
-    assert codes(tmp_path, text) == ["SCN060"]
+def test_a_scene_has_systems_or_a_source(tmp_path: Path) -> None:
     assert codes(tmp_path, "scene: animtool/1\n") == ["DOC021"]
 
 

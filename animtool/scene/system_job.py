@@ -1,0 +1,51 @@
+"""How systems are to be written: their prims, and what writes each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import cast
+
+import numpy as np
+
+from animtool.plugins import load_object
+from animtool.scene.entries import SceneSystem
+from animtool.scene.system_kinds import SYSTEM_KINDS
+from animtool.units import UpAxis, up_from_up
+from animtool.usd.layers import StageMetadata
+from animtool.usd.names import distinct_names
+from animtool.usd.prim_writer import PrimWriter
+from animtool.usd.simulated import SimulatedJob
+
+__all__ = ["system_job"]
+
+
+def system_job(
+    systems: Sequence[SceneSystem],
+    model: str,
+    metadata: StageMetadata,
+    meters_per_unit: float,
+    up: UpAxis,
+) -> SimulatedJob:
+    """Return what is to be written of systems.
+
+    Args:
+        systems: What is simulated, y up.
+        model: Path of the prim above theirs.
+        metadata: What the layer states.
+        meters_per_unit: Unit of what is below the model [m].
+        up: Its up axis.
+    """
+    names = [system.name for system in systems]
+    turn = up_from_up(up, UpAxis.Y)
+    return SimulatedJob(
+        model,
+        distinct_names(names, names, names).names,
+        tuple(_writer(system) for system in systems),
+        metadata,
+        meters_per_unit,
+        None if turn is None else np.array(turn),
+    )
+
+
+def _writer(system: SceneSystem) -> type[PrimWriter]:
+    return cast(type[PrimWriter], load_object(SYSTEM_KINDS[system.kind].writer))
