@@ -78,7 +78,8 @@ def _vertex(found: CharacterMotion, name: str, vertex: int) -> FloatArray:
     weights = found.motion.weights
     own = None if weights is None else mesh.weights(weights.dense()[..., 0])
     parts = deform_blocks(mesh.mesh, own, found.world, normals=False)
-    return np.concatenate([part.points[:, vertex] for part in parts])
+    # The next block stands where the last one did.
+    return np.concatenate([part.points[:, vertex].copy() for part in parts])
 
 
 @dataclass(frozen=True, slots=True)

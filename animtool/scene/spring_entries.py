@@ -79,6 +79,9 @@ def _read(
         if value < 0:
             message = f"its {name} must be 0 or more, not {value:g}"
             reader.note((*at, name), Fault("SIM050", message))
+    if not model.speed_limit > 0:
+        message = f"its speed_limit must be above 0, not {model.speed_limit:g}"
+        reader.note((*at, "speed_limit"), Fault("SIM050", message))
     if body is None:
         return None
     pins, joins = read_pins(reader, (*at, "pins"), model.pins, body)
@@ -89,6 +92,7 @@ def _read(
         np.array(model.gravity),
         model.drag,
         model.radius,
+        model.speed_limit,
         winds,
         tuple(colliders),
         characters,

@@ -23,6 +23,8 @@ __all__ = ["Keeping", "Moment", "SpringRun"]
 
 # Times of a whole motion that are compared with those of one in half steps.
 COMPARED = 64
+# Notices whose message says how much it is so far.
+_GROWING = {"SIM141", "SIM143"}
 # Times this near to each other are one [s].
 SAME = 1e-9
 
@@ -207,9 +209,11 @@ class SpringRun:
                 [replace(fault, severity=Severity.ERROR) for fault in motion.notices]
             )
         for fault in motion.notices:
+            # Of what has a number that changes, the first, or the worst.
+            key = fault.code if fault.code in _GROWING else str(fault)
             worse = fault.code == "SIM141" and motion.stretch >= self._worst
-            if fault.code not in self._said or worse:
-                self._said[fault.code] = fault
+            if key not in self._said or worse:
+                self._said[key] = fault
         self._worst = max(self._worst, motion.stretch)
 
     _worst = 0.0

@@ -303,6 +303,12 @@ class SpringsModel(FileModel):
         description="Characters in motion that it runs into; none is written.",
         examples=[[{"file": "walk.clip.yaml", "friction": 0.3}]],
     )
+    speed_limit: float = Field(
+        default=200.0,
+        description="Pins that go faster were put elsewhere, and take along what hangs "
+        "on them [m/s].",
+        examples=[500],
+    )
     solver: Literal["auto", "symplectic_euler", "xpbd", "bdf2", "implicit_euler"] = (
         Field(
             default="auto",

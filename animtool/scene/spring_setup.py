@@ -63,6 +63,7 @@ class SpringSetup:
         gravity: ``(3,)`` [m/s²].
         drag: What slows all motion, over mass and speed [1/s].
         radius: What is kept from colliders [m].
+        speed_limit: Pins that go faster were put elsewhere [m/s].
         wind: The air; None is still, and faces bear none.
         colliders: What they run into.
         characters: Files of characters that they run into.
@@ -79,6 +80,7 @@ class SpringSetup:
     gravity: FloatArray
     drag: float
     radius: float
+    speed_limit: float
     wind: Wind | None
     colliders: tuple[Collider, ...]
     characters: Characters

@@ -15,7 +15,7 @@ from animtool.sim.springs import SpringOptions
 __all__ = ["Shared", "conflicts", "shared"]
 
 _OPTIONS = ("solver", "step", "error", "stretch")
-_OWN = ("gravity", "radius", "preroll", "settle")
+_OWN = ("gravity", "radius", "speed_limit", "preroll", "settle")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,6 +26,7 @@ class Shared:
         options: Solver and steps.
         gravity: ``(3,)`` [m/s²].
         radius: What is kept from colliders [m].
+        speed_limit: Pins that go faster were put elsewhere [m/s].
         preroll: Time before 0 s that they begin in [s].
         settle: Whether they begin at rest.
         wind: The air that faces bear; None is none.
@@ -34,6 +35,7 @@ class Shared:
     options: SpringOptions
     gravity: FloatArray
     radius: float
+    speed_limit: float
     preroll: float
     settle: bool
     wind: Wind | None

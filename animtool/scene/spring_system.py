@@ -159,6 +159,7 @@ class _Whole:
             air=None if wind is None else wind.air,
             colliders=_colliders(setups, opening),
             radius=self.shared.radius,
+            speed_limit=self.shared.speed_limit,
         )
         return self._settled(system) if self.shared.settle else system
 

@@ -174,6 +174,7 @@ CASES = {
     "moves backwards": (
         PIN, "[{particles: [0], moves: [[1, 0, 0, 0], [0, 0, 0, 0]]}]", ["SIM044"]
     ),
+    "a limit of nothing": ("mass: 0.1", "mass: 0.1\n    speed_limit: 0", ["SIM050"]),
     "drawn by less than nothing": (
         PIN, "[{particles: [0], stiffness: -1}]", ["SIM042"]
     ),

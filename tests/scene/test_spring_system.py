@@ -15,8 +15,10 @@ from animtool import BakeOptions, bake
 from animtool.cli.summary import bake_json, bake_text
 from animtool.edit.frame_range import FrameRange
 from animtool.errors import Severity, ToleranceError
+from animtool.rig.kinematics import forward
 from animtool.scene.file import load_scene
 from animtool.scene.simulation import open_systems
+from animtool.sim.springs import Family, Pins, SpringSystem, rope, simulate_springs
 
 HEAD = "scene: animtool/1\nfps: 24\nrange: [1, 12]\nsystems:\n"
 ROPE = """\
@@ -172,6 +174,19 @@ def test_the_report_says_which_solver_and_why(tmp_path: Path) -> None:
     assert any("lead: 11 particles" in line for line in bake_text(report))
 
 
+def test_a_scene_is_what_python_simulates(tmp_path: Path) -> None:
+    stage = baked(tmp_path, ROPE)
+    line = rope(
+        [0, 2, 0], [1, 2, 0], 11, Family(1000, ratio=0.1), mass=0.1 / 11,
+        bend=Family(5),
+    )  # fmt: skip
+    system = SpringSystem(line, pins=Pins([0]), gravity=(0, -9.81, 0))
+    motion = simulate_springs(system, np.arange(12) / 24)
+    for code in (1, 5, 12):
+        found = values(stage, "/shot/lead", "points", code)
+        np.testing.assert_allclose(found, motion.positions[code - 1], atol=1e-6)
+
+
 def test_a_pin_moves_and_holds(tmp_path: Path) -> None:
     moves = "moves: [[0, 0, 0, 0], [0.25, 1, 0, 0]]"
     stage = baked(tmp_path, ROPE.replace("[start]}", f"[start], {moves}}}"))
@@ -293,17 +308,33 @@ def test_a_joint_carries(root: Path, tmp_path: Path) -> None:
     text = ROPE.replace("[start]}", f"[start], {joint}}}")
     path = written(tmp_path, text)
     systems = load_scene(path, {"at": str(root)}).systems
-    (rope,) = open_systems(systems, 0.5)
-    from animtool.rig.kinematics import forward
-
+    (lead,) = open_systems(systems, 0.5)
     world = forward(take.rig, *take.motion.dense())
     for frame in (0, 5, 10):
         t = frame / float(take.clock.fps)
-        place = rope.at(t).points[0]
+        place = lead.at(t).points[0]
         np.testing.assert_allclose(
             place, world.positions[frame, take.rig.index(name)], atol=1e-9
         )
-    assert not [n for n in rope.notices if n.code == "SIM150"]
+    assert not [n for n in lead.notices if n.code == "SIM150"]
+
+
+def test_a_vertex_of_a_character_carries(root: Path, tmp_path: Path) -> None:
+    clip = root / "samples/stride/stride.clip.yaml"
+    vertex = (
+        f"vertex: {{file: {str(clip)!r}, mesh: body, vertex: 7, offset: [0, 0, 0]}}"
+    )
+    text = ROPE.replace("[start]}", f"[start], {vertex}}}")
+    systems = load_scene(written(tmp_path, text), {"at": str(root)}).systems
+    (lead,) = open_systems(systems, 0.5)
+    deformed = tmp_path / "body.usda"
+    bake(clip, deformed, BakeOptions(deform=True))
+    stage = Usd.Stage.Open(str(deformed))
+    (body,) = [p for p in stage.Traverse() if p.GetName() == "body"]
+    fps = stage.GetTimeCodesPerSecond()
+    for frame in (0, 4, 9):
+        points = np.array(body.GetAttribute("points").Get(1 + frame))
+        np.testing.assert_allclose(lead.at(frame / fps).points[0], points[7], atol=1e-6)
 
 
 def test_a_prim_carries_and_turns(tmp_path: Path) -> None:
@@ -325,6 +356,30 @@ def test_a_prim_carries_and_turns(tmp_path: Path) -> None:
         angle = np.radians(90 * (code - 1) / 24)
         place = values(found, "/shot/lead", "points", code)[-1]
         np.testing.assert_allclose(place, [np.cos(angle), 2, -np.sin(angle)], atol=1e-4)
+
+
+def test_what_is_put_elsewhere_takes_all_along(tmp_path: Path) -> None:
+    still = baked(tmp_path, ROPE)
+    row = "[[0, 0, 0, 0], [0.2, 0, 0, 0], [0.25, 100, 5, 0], [1, 100, 5, 0]]"
+    text = ROPE.replace("[start]}", f"[start], moves: {row}}}")
+    report = bake(written(tmp_path, text), tmp_path / "o.usda")
+    assert "SIM122" in [notice.code for notice in report.notices]
+    moved = Usd.Stage.Open(str(tmp_path / "o.usda"))
+    for code in (6, 7, 8, 12):
+        way = [100, 5, 0] if code >= 7 else [0, 0, 0]
+        for name, shift in (("points", way), ("velocities", [0, 0, 0])):
+            found = values(moved, "/shot/lead", name, code)
+            wanted = values(still, "/shot/lead", name, code) + shift
+            np.testing.assert_allclose(found, wanted, atol=2e-3)
+
+
+def test_a_limit_that_is_raised_pulls(tmp_path: Path) -> None:
+    row = "[[0, 0, 0, 0], [0.2, 0, 0, 0], [0.25, 100, 5, 0]]"
+    text = ROPE.replace("[start]}", f"[start], moves: {row}}}")
+    text += "    speed_limit: 1.0e+9\n"
+    with pytest.raises(ToleranceError) as error:
+        bake(written(tmp_path, text), tmp_path / "o.usda")
+    assert "SIM102" in {fault.code for fault in error.value.faults}
 
 
 def test_two_hands_hold_both_ends(tmp_path: Path) -> None:
