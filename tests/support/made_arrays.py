@@ -18,13 +18,19 @@ PLACES = 1.5e-6
 def check_made(
     script: Path, kept: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Check that a script makes the arrays that are kept, twice the same bytes."""
+    """Check that a script makes the arrays that are kept, twice the same bytes.
+
+    What is kept is what it made before; where another processor rounds otherwise, it
+    makes them again.
+    """
     made = folder / kept.name
     monkeypatch.setattr(sys, "argv", [script.name, str(made)])
     # As if run by itself, which puts the script's own folder first.
     monkeypatch.setattr(sys, "path", [str(script.parent), *sys.path])
     run_path(str(script), run_name="__main__")
     first = made.read_bytes()
+    if first == kept.read_bytes():
+        return
     run_path(str(script), run_name="__main__")
     assert made.read_bytes() == first
     with np.load(made) as new, np.load(kept) as old:
