@@ -285,19 +285,20 @@ in all; particles that colliders moved in a step, at most.)");
 
 Lengths at rest of springs along them, ``rests`` ``(S, P - 1)``, which hardly give, and from
 each particle to the next but one, ``folds`` ``(S, P - 2)``. ``field`` ``(4,)``: gravity, and
-what slows them, a second. ``numbers`` ``(4,)``, over the mass: stiffness along strands, of
-folds, and of the draw to where the animation has them; its damping.)")
+what slows them, a second. ``numbers`` ``(5,)``, over the mass: stiffness along strands, of
+folds, and of the draw to where the animation has them; its damping; and the share by which
+springs along strands may be longer than at rest before a step corrects them once more.)")
       .def(nb::init<In<double, 2>, In<double, 2>, In<double, 1>, In<double, 1>>(), "rests"_a,
            "folds"_a, "field"_a, "numbers"_a);
 
   m.def("follow_strands", &follow_strands, "strands"_a, "targets"_a, "state"_a, "span"_a,
-        "substeps"_a, "colliders"_a.none(),
+        "substeps"_a, "colliders"_a.none(), "threads"_a = 1,
         R"(Take strands over a frame, from a state ``(2, N, 3)``.
 
 The animation has their particles at ``targets`` ``(cells + 1, N, 3)`` as each even cell of the
 time begins and ends, straight between them; roots are there. Steps are those of
 `project_springs`, but for the springs along strands, which are solved together. ``colliders``
-are those of `step_springs`.
+are those of `step_springs`. How many ``threads`` share the strands makes no difference.
 
 Returns ``(state, touched, unresolved, stretch)``: particles in contact in a step, at most; left
 inside at the end; how much longer than at rest a spring along them is there, over that.)");

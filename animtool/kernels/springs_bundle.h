@@ -31,6 +31,7 @@ struct StrandSteps {
   // What springs give way by: of folds, and of those at the root; of the draw to the
   // animation, by place and by change; of those along the strand, that softens them.
   double fold, root_fold, draw, draw_change, soft;
+  double longest;  // that springs along the strand may be, over their length at rest
   std::size_t colliders;
   const collide::Rod* rods;   // (steps, C)
   const unsigned char* is_rod;  // (C,)
@@ -69,6 +70,10 @@ using CrossBundle = void (*)(const StrandSteps&, StrandBundle&);
 // Where the processor has registers of four doubles, a loop that uses them; else null.
 CrossBundle cross_bundle_in_quads();
 
+// Corrections of lengths in a step, the first of all strands.
+constexpr int CORRECTIONS = 4;
+// Corrections of what colliders made too long, each with colliders behind it.
+constexpr int YIELDS = 5;
 // Rounds of moving out of all colliders.
 constexpr int ROUNDS_OUT = 3;
 // Colliders that are farther off than this at the begin of a frame [m] are hardly met in it.
@@ -94,8 +99,12 @@ class BundleCrossing {
         predict();
         fold();
         draw();
-        keep_lengths();
-        meet(cell * plan_.substeps + j);
+        N some = below(N(0.0), N(1.0));
+        for (int i = 0; i < CORRECTIONS && bits(some); ++i) {
+          correct<false>(some);
+          some = too_long();
+        }
+        keep_out(cell * plan_.substeps + j);
         for (std::size_t p = 0; p < plan_.points; ++p)
           ((at(b_.x, p) - at(b_.before, p)) * rate).store(b_.v + WIDE_VECTOR * p);
       }
@@ -146,9 +155,22 @@ class BundleCrossing {
     }
   }
 
-  // One correction of Newton's for all lengths along the strand: each spring's pull moves
-  // those before and behind it, so that the matrix has three diagonals.
-  void keep_lengths() {
+  // Which strands have a spring that is longer than it may be: those that turn far in a step.
+  N too_long() const {
+    N found = below(N(0.0), N(0.0));
+    for (std::size_t p = 1; p < plan_.points; ++p) {
+      const V d = at(b_.x, p) - at(b_.x, p - 1);
+      const N most = N::of(b_.rests + WIDE * (p - 1)) * plan_.longest;
+      found = either(found, below(most * most, dot(d, d)));
+    }
+    return found;
+  }
+
+  // One correction of Newton's for all lengths along some of the strands: each spring's pull
+  // moves those before and behind it, so that the matrix has three diagonals. Particles are
+  // known to be on their way, or it is noted how far they go.
+  template <bool Noted>
+  void correct(const N& some) {
     V before{0.0, 0.0, 0.0};
     N share(0.0), sum(0.0);
     for (std::size_t p = 1; p < plan_.points; ++p) {
@@ -174,55 +196,115 @@ class BundleCrossing {
       pull = (N::of(row + 2 * WIDE) + shared * pull) * N::of(row + WIDE);
       shared = N::of(row);
       const V back = at(b_.along, p) * pull;
-      (at(b_.x, p) - back + behind).store(b_.x + WIDE_VECTOR * p);
+      const V x = at(b_.x, p), move = chosen(some, behind - back, V{0.0, 0.0, 0.0});
+      (x + move).store(b_.x + WIDE_VECTOR * p);
+      if constexpr (Noted) b_.way[p] += largest(length(move));
       behind = back;
     }
   }
 
   static N length(const V& a) { return root(dot(a, a)); }
 
-  // How far the strands as a whole are from each collider as the frame begins.
-  void look_about() {
-    V low = at(b_.x, 0), high = low;
-    for (std::size_t p = 1; p < plan_.points; ++p) {
-      const V x = at(b_.x, p);
-      low = {least(low.x, x.x), least(low.y, x.y), least(low.z, x.z)};
-      high = {most(high.x, x.x), most(high.y, x.y), most(high.z, x.z)};
-    }
-    const V from{smallest(low.x), smallest(low.y), smallest(low.z)};
-    const V to{largest(high.x), largest(high.y), largest(high.z)};
-    const V half = (to - from) * 0.5, centre = from + half;
-    const N radius = root(dot(half, half));
-    near_ = 0;
-    far_ = NEVER;
-    for (std::size_t c = 0; c < plan_.colliders; ++c) {
-      double off = 0;
-      if (plan_.is_rod[c]) {
-        const collide::Rod& rod = plan_.rods[c];
-        off = smallest(collide::sample_rod(rod.begin, rod.radius, centre).distance - radius);
-        off = (off > 0 ? off : 0) - plan_.ahead[c];
+  // The part of the strands, of four from root to tip, that a point is in.
+  std::size_t part(std::size_t p) const { return p * WIDE / plan_.points; }
+
+  // A ball about each part of all the strands together: its centre and its radius. Returns
+  // which parts there are: strands of few points do not have all.
+  unsigned surround(V& centre, N& radius) const {
+    unsigned parts = 0;
+    double low[3][WIDE], high[3][WIDE];
+    for (std::size_t k = 0; k < 3; ++k)
+      for (std::size_t g = 0; g < WIDE; ++g) low[k][g] = NEVER, high[k][g] = -NEVER;
+    for (std::size_t p = 0; p < plan_.points; ++p) {
+      const std::size_t g = part(p);
+      parts |= 1u << g;
+      for (std::size_t k = 0; k < 3; ++k) {
+        const N row = N::of(b_.x + WIDE_VECTOR * p + WIDE * k);
+        const double least = smallest(row), most = largest(row);
+        low[k][g] = least < low[k][g] ? least : low[k][g];
+        high[k][g] = most > high[k][g] ? most : high[k][g];
       }
-      if (off < NEAR)
-        b_.near[near_++] = c;
-      else
-        far_ = off < far_ ? off : far_;
-      for (std::size_t p = 0; p < plan_.points; ++p) b_.dues[p * plan_.colliders + c] = off;
     }
-    for (std::size_t p = 0; p < plan_.points; ++p) b_.way[p] = b_.due[p] = 0;
+    const V from = V::of(low[0]), half = (V::of(high[0]) - from) * 0.5;
+    centre = from + half;
+    radius = length(half);
+    return parts;
   }
 
-  void meet(std::size_t step) {
+  // How far the parts of the strands are from each collider as the frame begins.
+  void look_about() {
+    near_ = 0;
+    far_ = NEVER;
+    if (plan_.colliders == 0) return;
+    V centre;
+    N radius;
+    const unsigned parts = surround(centre, radius);
+    for (std::size_t c = 0; c < plan_.colliders; ++c) {
+      double off[WIDE] = {0, 0, 0, 0};
+      if (plan_.is_rod[c]) {
+        const collide::Rod& rod = plan_.rods[c];
+        const N away = sample_rod(rod.begin, rod.radius, centre).distance - radius;
+        (most(away, N(0.0)) - plan_.ahead[c]).store(off);
+      }
+      double nearest = NEVER;
+      for (std::size_t g = 0; g < WIDE; ++g)
+        if ((parts >> g & 1) && off[g] < nearest) nearest = off[g];
+      if (nearest >= NEAR) {
+        far_ = nearest < far_ ? nearest : far_;
+        continue;
+      }
+      b_.near[near_++] = c;
+      for (std::size_t p = 0; p < plan_.points; ++p)
+        b_.dues[p * plan_.colliders + c] = off[part(p)];
+    }
+    for (std::size_t p = 0; p < plan_.points; ++p) {
+      b_.way[p] = 0;
+      b_.due[p] = next_due(p);
+    }
+  }
+
+  // The way at which a particle may meet the next collider.
+  double next_due(std::size_t p) const {
+    const double* dues = b_.dues + p * plan_.colliders;
+    double next = far_;
+    for (std::size_t k = 0; k < near_; ++k) {
+      const double one = dues[b_.near[k]];
+      next = one < next ? one : next;
+    }
+    return next;
+  }
+
+  // Colliders have the last word of each step; strands that they drew out give way first.
+  void keep_out(std::size_t step) {
     if (plan_.colliders == 0) return;
     const V drift = V::spread(plan_.drifts + 3 * step);
+    for (std::size_t p = 1; p < plan_.points; ++p)
+      b_.way[p] += largest(length(at(b_.x, p) - at(b_.before, p) - drift));
     unsigned touched = 0;
+    unsigned moved = meet(step, touched);
+    b_.touched[step] += touched;
+    for (int i = 0; i < YIELDS && moved; ++i) {
+      const double lanes[WIDE] = {double(moved & 1), double(moved >> 1 & 1),
+                                  double(moved >> 2 & 1), double(moved >> 3 & 1)};
+      const N some = below(N(0.0), chosen(too_long(), N::of(lanes), N(0.0)));
+      if (!bits(some)) break;
+      correct<true>(some);
+      moved &= meet(step, touched);
+    }
+  }
+
+  // Brings all particles out of colliders; returns in which strands there were any.
+  unsigned meet(std::size_t step, unsigned& touched) {
+    unsigned lanes = 0;
     for (std::size_t p = 1; p < plan_.points; ++p) {
-      const V went = at(b_.x, p) - at(b_.before, p);
-      b_.way[p] += largest(length(went - drift));
       if (b_.way[p] < b_.due[p]) continue;
       if (b_.way[p] >= far_) look_at_all();
-      touched += count(settle(step, p, largest(length(went))));
+      const double went = largest(length(at(b_.x, p) - at(b_.before, p)));
+      const unsigned moved = settle(step, p, went);
+      touched += count(moved);
+      lanes |= moved;
     }
-    b_.touched[step] += touched;
+    return lanes;
   }
 
   void look_at_all() {
@@ -257,12 +339,7 @@ class BundleCrossing {
       moved |= pushed;
       if (!pushed || (looked == 1 && !any_due(dues, way, only))) break;
     }
-    double due = far_;
-    for (std::size_t k = 0; k < near_; ++k) {
-      const double one = dues[b_.near[k]];
-      due = one < due ? one : due;
-    }
-    b_.due[p] = due;
+    b_.due[p] = next_due(p);
     to.store(b_.x + WIDE_VECTOR * p);
     still.store(b_.before + WIDE_VECTOR * p);
     return moved;
@@ -280,11 +357,12 @@ class BundleCrossing {
     const collide::Rod& rod = plan_.rods[row];
     double &way = b_.way[p], &due = b_.dues[p * plan_.colliders + c];
     const auto found = sample(row, c, true, to);
-    const N depth = depths(p, c);
-    const double near = smallest(found.distance - depth);
     const double ahead = plan_.ahead[row + plan_.colliders];
-    due = plan_.is_rod[c] && near > ahead ? way + (near - ahead) : way;
-    if (!(near < -collide::TOUCH)) return 0;
+    const double nearest = smallest(found.distance);
+    due = plan_.is_rod[c] && nearest > ahead ? way + (nearest - ahead) : way;
+    if (!(nearest < -collide::TOUCH)) return 0;
+    const N depth = depths(p, c);
+    if (!(smallest(found.distance - depth) < -collide::TOUCH)) return 0;
     const N begun = sample(row, c, false, from).distance;
     V place = to;
     const unsigned pushed = collide::push_out(rod, found, begun, depth, from, place, still);

@@ -38,6 +38,7 @@ struct OneRow {
   static double most(double a, double b) { return a > b ? a : b; }
   static double below(double a, double b) { return a < b; }
   static double chosen(double where, double a, double b) { return where != 0 ? a : b; }
+  static double either(double a, double b) { return a != 0 || b != 0; }
   static unsigned bits(double where) { return where != 0; }
 };
 

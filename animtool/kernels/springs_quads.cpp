@@ -34,6 +34,7 @@ struct QuadRows {
   static Row most(Row a, Row b) { return _mm256_max_pd(a, b); }
   static Row below(Row a, Row b) { return _mm256_cmp_pd(a, b, _CMP_LT_OQ); }
   static Row chosen(Row where, Row a, Row b) { return _mm256_blendv_pd(b, a, where); }
+  static Row either(Row a, Row b) { return _mm256_or_pd(a, b); }
   static double largest(Row a) {
     const __m128d two = _mm_max_pd(_mm256_castpd256_pd128(a), _mm256_extractf128_pd(a, 1));
     return _mm_cvtsd_f64(_mm_max_sd(two, _mm_unpackhi_pd(two, two)));

@@ -87,6 +87,9 @@ struct PlainRows {
   static Row chosen(const Row& where, const Row& a, const Row& b) {
     return each([&](std::size_t l) { return where.at[l] != 0 ? a.at[l] : b.at[l]; });
   }
+  static Row either(const Row& a, const Row& b) {
+    return each([&](std::size_t l) { return a.at[l] != 0 || b.at[l] != 0 ? 1.0 : 0.0; });
+  }
   static double largest(const Row& a) {
     const double p = a.at[0] > a.at[2] ? a.at[0] : a.at[2];
     const double q = a.at[1] > a.at[3] ? a.at[1] : a.at[3];

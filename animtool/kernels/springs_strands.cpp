@@ -4,6 +4,8 @@
 
 #include <algorithm>
 #include <stdexcept>
+#include <system_error>
+#include <thread>
 
 namespace animtool {
 
@@ -133,9 +135,7 @@ class Bundles {
     stretch = std::max(stretch, bundle.stretch);
   }
 
-  std::int64_t touched() const {
-    return touched_.empty() ? 0 : *std::max_element(touched_.begin(), touched_.end());
-  }
+  std::int64_t touched(std::size_t step) const { return touched_[step]; }
   std::int64_t inside = 0;
   double stretch = 0;
 
@@ -198,6 +198,28 @@ class Bundles {
   CrossBundle cross_;
 };
 
+// Bundles that are worth a thread of their own.
+constexpr std::size_t FEWEST_BUNDLES = 16;
+
+// All bundles, each by one of some threads: which, makes no difference to any.
+void cross_all(std::vector<Bundles>& workers, std::size_t bundles) {
+  const auto work = [&](std::size_t w) {
+    const std::size_t end = (w + 1) * bundles / workers.size();
+    for (std::size_t b = w * bundles / workers.size(); b < end; ++b) workers[w].cross(b);
+  };
+  std::vector<std::thread> others;
+  others.reserve(workers.size());
+  for (std::size_t w = 1; w < workers.size(); ++w) {
+    try {
+      others.emplace_back(work, w);
+    } catch (const std::system_error&) {
+      work(w);
+    }
+  }
+  work(0);
+  for (std::thread& one : others) one.join();
+}
+
 // How far springs of a stiffness over the mass give way in a step, of what they are longer.
 double give(double stiffness, double damping, double weight, double h) {
   return stiffness * h * h / ((stiffness * h * h + damping * h) * weight + 1);
@@ -212,12 +234,13 @@ SpringStrands::SpringStrands(In<double, 2> rests, In<double, 2> folds, In<double
   if (folds.shape(0) != strands_ || folds.shape(1) != points_ - std::min<std::size_t>(points_, 2))
     throw std::invalid_argument("rests are (S, P - 1), folds (S, P - 2)");
   if (field.shape(0) != 4) throw std::invalid_argument("the field is (4,)");
-  if (numbers.shape(0) != 4) throw std::invalid_argument("numbers are (4,)");
+  if (numbers.shape(0) != 5) throw std::invalid_argument("numbers are (5,)");
   std::copy_n(field.data(), 4, field_);
   stiffness_ = numbers.data()[0];
   fold_ = numbers.data()[1];
   draw_ = numbers.data()[2];
   draw_damping_ = numbers.data()[3];
+  stretch_ = numbers.data()[4];
   rests_ = side_by_side(rests, strands_, springs());
   folds_ = side_by_side(folds, strands_, points_);
 }
@@ -237,17 +260,20 @@ StrandSteps SpringStrands::plan(std::size_t cells, std::size_t substeps, double 
   made.draw_change =
       draw_damping_ * h / ((draw_ * h * h + draw_damping_ * h) + 1);
   made.soft = 1 / (stiffness_ * h * h);
+  made.longest = 1 + stretch_;
   return made;
 }
 
 StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targets,
                                In<double, 3> state, double span, int substeps,
-                               const std::optional<SpringColliders>& colliders) {
+                               const std::optional<SpringColliders>& colliders,
+                               std::size_t threads) {
   const std::size_t count = strands.strands() * strands.points();
   if (state.shape(0) != 2 || state.shape(1) != count || state.shape(2) != 3)
     throw std::invalid_argument("a state is (2, N, 3)");
   if (targets.shape(0) < 2 || targets.shape(1) != count || targets.shape(2) != 3)
     throw std::invalid_argument("targets are (cells + 1, N, 3)");
+  if (threads < 1) throw std::invalid_argument("there is at least one thread");
   if (substeps < 1) throw std::invalid_argument("a cell has at least one step");
   const std::size_t cells = targets.shape(0) - 1;
   const MovingColliders moving(colliders, count, static_cast<std::int64_t>(cells));
@@ -259,11 +285,22 @@ StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targe
     StrandSteps plan = strands.plan(cells, static_cast<std::size_t>(substeps), span);
     const FrameColliders frame(moving, cells, substeps, plan.h, targets.data(), count);
     frame.put_into(plan);
-    Bundles bundles(strands, plan, moving, targets.data(), state.data(), out.get());
-    for (std::size_t b = 0; b < bundles_of(strands.strands()); ++b) bundles.cross(b);
-    touched = bundles.touched();
-    inside = bundles.inside;
-    stretch = bundles.stretch;
+    const std::size_t bundles = bundles_of(strands.strands());
+    const std::size_t most = std::max<std::size_t>(1, bundles / FEWEST_BUNDLES);
+    std::vector<Bundles> workers;
+    workers.reserve(std::min(threads, most));
+    while (workers.size() < std::min(threads, most))
+      workers.emplace_back(strands, plan, moving, targets.data(), state.data(), out.get());
+    cross_all(workers, bundles);
+    for (std::size_t step = 0; step < cells * static_cast<std::size_t>(substeps); ++step) {
+      std::int64_t together = 0;
+      for (const Bundles& one : workers) together += one.touched(step);
+      touched = std::max(touched, together);
+    }
+    for (const Bundles& one : workers) {
+      inside += one.inside;
+      stretch = std::max(stretch, one.stretch);
+    }
   }
   const std::size_t shape[3] = {2, count, 3};
   return {out.release(shape), touched, inside, stretch};

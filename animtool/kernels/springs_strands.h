@@ -34,12 +34,13 @@ class SpringStrands {
   std::size_t springs() const { return points_ - 1; }
 
   std::size_t strands_, points_;
-  double field_[4], stiffness_, fold_, draw_, draw_damping_;
+  double field_[4], stiffness_, fold_, draw_, draw_damping_, stretch_;
   std::vector<double> rests_, folds_;  // by bundle, four side by side
 };
 
 StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targets,
                                In<double, 3> state, double span, int substeps,
-                               const std::optional<SpringColliders>& colliders);
+                               const std::optional<SpringColliders>& colliders,
+                               std::size_t threads);
 
 }  // namespace animtool

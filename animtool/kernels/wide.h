@@ -35,6 +35,7 @@ struct Wide {
   friend Wide chosen(const Wide& where, const Wide& a, const Wide& b) {
     return W::chosen(where.row, a.row, b.row);
   }
+  friend Wide either(const Wide& a, const Wide& b) { return W::either(a.row, b.row); }
   friend unsigned bits(const Wide& where) { return W::bits(where.row); }
   friend double largest(const Wide& a) { return W::largest(a.row); }
   friend double smallest(const Wide& a) { return W::smallest(a.row); }

@@ -34,7 +34,7 @@ def made(
 ) -> Any:
     rests = np.linalg.norm(np.diff(places, axis=1), axis=-1)
     folds = np.linalg.norm(places[:, 2:] - places[:, :-2], axis=-1)
-    numbers = np.array([1e12, fold, draw, 0.6 * np.sqrt(draw)])
+    numbers = np.array([1e12, fold, draw, 0.6 * np.sqrt(draw), 0.01])
     return _kernels.SpringStrands(rests, folds, np.array([*FALL, drag]), numbers)
 
 
@@ -83,6 +83,21 @@ def test_each_strand_is_as_if_it_were_alone(seed: int, count: int, points: int) 
     for k in range(count):
         one, *_ = run(places[k : k + 1], colliders=met(colliders, 4))
         assert_array_equal(one[:, 0], whole[:, k])
+
+
+def test_threads_make_no_difference() -> None:
+    places = strands(150, 6)
+    flat = np.stack([places.reshape(-1, 3), np.zeros((900, 3))])
+    colliders = met([Collider(Sphere(0.05), friction=0.3)], 4)
+    one, *counts = _kernels.follow_strands(
+        made(places), carried(places, 4), flat, SPAN, 3, colliders, 1
+    )
+    for threads in (2, 3, 64):
+        other, *same = _kernels.follow_strands(
+            made(places), carried(places, 4), flat, SPAN, 3, colliders, threads
+        )
+        assert one.tobytes() == other.tobytes()
+        assert counts == same
 
 
 @settings(deadline=None)
@@ -213,5 +228,5 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
             )  # fmt: skip
     with pytest.raises(ValueError, match="rests"):
         _kernels.SpringStrands(
-            np.ones((2, 3)), np.ones((2, 3)), np.zeros(4), np.zeros(4)
+            np.ones((2, 3)), np.ones((2, 3)), np.zeros(4), np.zeros(5)
         )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 
 from animtool import _kernels
@@ -10,7 +12,18 @@ from animtool.sim.attach.network import Links, Network
 from animtool.sim.attach.settings import Settings
 from animtool.sim.attach.stepping import STIFF, Motions, State, Tally
 
-__all__ = ["StrandStepper"]
+__all__ = ["StrandStepper", "threads_allowed"]
+
+
+def threads_allowed() -> int:
+    """Return how many threads loops may have: ``OMP_NUM_THREADS``, else processors.
+
+    Processes of a batch have that set to 1, as many run as there are processors.
+    """
+    given = os.environ.get("OMP_NUM_THREADS", "")
+    if given.isdecimal() and int(given) > 0:
+        return int(given)
+    return os.cpu_count() or 1
 
 
 class StrandStepper:
@@ -35,12 +48,12 @@ class StrandStepper:
         length = network.count // network.strands
         field = settings.gravity * down + settings.drag * np.array(settings.wind)
         draw = settings.frequency
-        slowing = 2 * settings.damping * draw
+        pulls = [STIFF**2, settings.bend**2, draw**2, 2 * settings.damping * draw]
         self._strands = _kernels.SpringStrands(
             _rests(network.stiff, network.strands, length - 1),
             _rests(network.folds, network.strands, max(length - 2, 0)),
             np.append(field, settings.drag),
-            np.array([STIFF**2, settings.bend**2, draw**2, slowing]),
+            np.array([*pulls, settings.stretch]),
         )
 
     def cross(
@@ -49,8 +62,9 @@ class StrandStepper:
         """Return the state a frame later."""
         both = np.stack([state.positions, state.velocities])
         made, touched, inside, stretch = _kernels.follow_strands(
-            self._strands, motions.targets, both, span, substeps, motions.colliders
-        )
+            self._strands, motions.targets, both, span, substeps, motions.colliders,
+            threads_allowed(),
+        )  # fmt: skip
         self.tally.add(stretch, touched, inside)
         return State(made[0], made[1])
 
