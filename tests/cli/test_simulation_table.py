@@ -249,6 +249,46 @@ def test_a_table_of_ropes_and_cloth(tmp_path: Path) -> None:
     assert chosen["error"]["largest"] < 2e-3
 
 
+BED = """\
+scene: animtool/1
+range: [1, 3]
+systems:
+- particles:
+    name: drops
+    step: 0.02
+    emitters: [{at: [0.5, 0.03, 0.5], bursts: [[0, 3]], spread: 20, speed: 0.2}]
+    forces: [gravity: ]
+    systems: [{system: bed, restitution: 0.2}]
+- cloth:
+    name: bed
+    corner: [0, 0, 0]
+    across: [1, 0, 0]
+    up: [0, 0, 1]
+    resolution: [4, 4]
+    mass: 0.1
+    radius: 0.01
+    springs: {structural: {stiffness: 300, ratio: 0.05}}
+    pins: [{particles: [left, right]}]
+output: {file: bed.usdc}
+"""
+
+
+def test_cloth_begins_again_with_what_runs_into_it(tmp_path: Path) -> None:
+    path = tmp_path / "bed.scene.yaml"
+    path.write_text(BED, "utf-8")
+    done = animtool("bake", path, "--table", "--format", "json")
+    assert done.code == 0, done.stderr
+    bed, drops = json.loads(done.stdout)["simulated"]
+    assert (bed["name"], drops["name"]) == ("bed", "drops")
+    for row in drops["rows"]:
+        if row["status"] == "ok":
+            assert row["error"]["apart"] == 0
+            assert row["error"]["largest"] < 0.05
+        assert row["energy_drift"] is None
+    (chosen,) = [row for row in drops["rows"] if row["chosen"]]
+    assert chosen["status"] == "ok"
+
+
 def test_the_table_is_drawn(comets: Path) -> None:
     pytest.importorskip("matplotlib", reason="no matplotlib (extra: preview)")
     picture = comets.with_name("comets.png")
