@@ -95,13 +95,13 @@ def draw_panels(panels: Sequence[Panel], path: Path) -> None:
         OutputError: It cannot be written.
     """
     check_drawable(path)
-    matplotlib, figures = _figures()
+    matplotlib, figures, ticker = _figures()
     figure = figures.Figure(
         figsize=(WIDTH, HEIGHT * len(panels)), dpi=DPI, layout="constrained"
     )
     frames = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
     for frame, panel in zip(frames, panels, strict=True):
-        _draw(frame, panel)
+        _draw(frame, panel, ticker)
     kind = path.suffix.lower().removeprefix(".")
     # The same picture is the same bytes.
     dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}
@@ -115,18 +115,19 @@ def draw_panels(panels: Sequence[Panel], path: Path) -> None:
         raise output_error(path, error) from error
 
 
-def _figures() -> tuple[Any, Any]:
+def _figures() -> tuple[Any, Any, Any]:
+    """Return what of matplotlib draws: itself, its figures and its ticks."""
     try:
         import matplotlib as mpl
-        from matplotlib import figure
+        from matplotlib import figure, ticker
     except ModuleNotFoundError as error:
         message = "pictures need the package matplotlib"
         hint = "pip install 'animtool[preview]'"
         raise OptionError(Fault("SCN070", message, hint=hint)) from error
-    return mpl, figure
+    return mpl, figure, ticker
 
 
-def _draw(frame: Any, panel: Panel) -> None:
+def _draw(frame: Any, panel: Panel, ticker: Any) -> None:
     for i, curve in enumerate(panel.curves):
         _draw_curve(frame, curve, i)
     _ring(frame, [p for curve in panel.curves for p in curve.points if p.chosen])
@@ -134,6 +135,10 @@ def _draw(frame: Any, panel: Panel) -> None:
         frame.axhline(panel.floor, color="grey", linestyle=":", label="the reference")
     frame.set_xscale("log")
     frame.set_yscale("log")
+    # Times are mostly within two decades: numbers between their ends are needed.
+    frame.xaxis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
+    frame.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
+    frame.xaxis.set_minor_formatter(ticker.NullFormatter())
     frame.set_xlabel("seconds")
     frame.set_ylabel(panel.error)
     frame.set_title("\n".join(filter(None, [panel.title, panel.remark])), fontsize=10)
