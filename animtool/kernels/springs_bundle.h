@@ -46,6 +46,7 @@ struct StrandSteps {
 // Four strands of P particles; vectors are (P, 3, 4).
 struct StrandBundle {
   double *x, *before, *v;
+  double* still;  // where those that are moved out slowly would have stood still from
   const double* goals;  // (cells + 1, P, 3, 4)
   const double *rests, *folds;
   // How deep particles may be: of each strand in the first collider, the next so much on.
@@ -106,7 +107,7 @@ class BundleCrossing {
         }
         keep_out(cell * plan_.substeps + j);
         for (std::size_t p = 0; p < plan_.points; ++p)
-          ((at(b_.x, p) - at(b_.before, p)) * rate).store(b_.v + WIDE_VECTOR * p);
+          ((at(b_.x, p) - at(b_.still, p)) * rate).store(b_.v + WIDE_VECTOR * p);
       }
     b_.inside = left_inside();
     b_.stretch = longest();
@@ -123,10 +124,12 @@ class BundleCrossing {
   void predict() {
     const V fall = V::spread(plan_.fall);
     at(b_.x, 0).store(b_.before);
+    at(b_.x, 0).store(b_.still);
     goal(0, is_).store(b_.x);
     for (std::size_t p = 1; p < plan_.points; ++p) {
       const V x = at(b_.x, p);
       x.store(b_.before + WIDE_VECTOR * p);
+      x.store(b_.still + WIDE_VECTOR * p);
       const V v = (at(b_.v, p) + fall) * plan_.slowed;
       (x + v * plan_.h).store(b_.x + WIDE_VECTOR * p);
     }
@@ -281,19 +284,27 @@ class BundleCrossing {
     for (std::size_t p = 1; p < plan_.points; ++p)
       b_.way[p] += largest(length(at(b_.x, p) - at(b_.before, p) - drift));
     unsigned touched = 0;
+    allow(ALL);
     unsigned moved = meet(step, touched);
     b_.touched[step] += touched;
     for (int i = 0; i < YIELDS && moved; ++i) {
-      const double lanes[WIDE] = {double(moved & 1), double(moved >> 1 & 1),
-                                  double(moved >> 2 & 1), double(moved >> 3 & 1)};
-      const N some = below(N(0.0), chosen(too_long(), N::of(lanes), N(0.0)));
-      if (!bits(some)) break;
-      correct<true>(some);
+      moved &= bits(too_long());
+      if (!moved) break;
+      allow(moved);
+      correct<true>(allowed_);
       moved &= meet(step, touched);
     }
   }
 
-  // Brings all particles out of colliders; returns in which strands there were any.
+  // Colliders move some of the strands.
+  void allow(unsigned some) {
+    double lanes[WIDE];
+    for (std::size_t l = 0; l < WIDE; ++l) lanes[l] = some >> l & 1;
+    allowed_ = below(N(0.0), N::of(lanes));
+    allowed_bits_ = some;
+  }
+
+  // Brings particles out of colliders; returns in which strands there were any.
   unsigned meet(std::size_t step, unsigned& touched) {
     unsigned lanes = 0;
     for (std::size_t p = 1; p < plan_.points; ++p) {
@@ -308,7 +319,14 @@ class BundleCrossing {
   }
 
   void look_at_all() {
-    for (near_ = 0; near_ < plan_.colliders; ++near_) b_.near[near_] = near_;
+    const std::size_t count = plan_.colliders;
+    for (std::size_t c = 0; c < count; ++c) {
+      bool known = false;
+      for (std::size_t k = 0; k < near_; ++k) known = known || b_.near[k] == c;
+      for (std::size_t p = 0; !known && p < plan_.points; ++p) b_.dues[p * count + c] = 0;
+    }
+    for (near_ = 0; near_ < count; ++near_) b_.near[near_] = near_;
+    for (std::size_t p = 0; p < plan_.points; ++p) b_.due[p] = 0;
     far_ = NEVER;
   }
 
@@ -322,7 +340,7 @@ class BundleCrossing {
   unsigned settle(std::size_t step, std::size_t p, double went) {
     double &way = b_.way[p], *dues = b_.dues + p * plan_.colliders;
     const V from = at(b_.before, p);
-    V to = at(b_.x, p), still = from;
+    V to = at(b_.x, p), still = at(b_.still, p);
     unsigned moved = sweep(step, p, went, from, to);
     for (int round = 0; round < ROUNDS_OUT; ++round) {
       unsigned pushed = 0;
@@ -341,7 +359,7 @@ class BundleCrossing {
     }
     b_.due[p] = next_due(p);
     to.store(b_.x + WIDE_VECTOR * p);
-    still.store(b_.before + WIDE_VECTOR * p);
+    still.store(b_.still + WIDE_VECTOR * p);
     return moved;
   }
 
@@ -364,9 +382,12 @@ class BundleCrossing {
     const N depth = depths(p, c);
     if (!(smallest(found.distance - depth) < -collide::TOUCH)) return 0;
     const N begun = sample(row, c, false, from).distance;
-    V place = to;
-    const unsigned pushed = collide::push_out(rod, found, begun, depth, from, place, still);
+    V place = to, stood = still;
+    const unsigned pushed =
+        allowed_bits_ & collide::push_out(rod, found, begun, depth, from, place, stood);
     if (!pushed) return 0;
+    place = chosen(allowed_, place, to);
+    still = chosen(allowed_, stood, still);
     way += largest(length(place - to));
     due = way;
     to = place;
@@ -410,6 +431,7 @@ class BundleCrossing {
         const double begin[3] = {begins[l], begins[WIDE + l], begins[2 * WIDE + l]};
         double end[3] = {ends[l], ends[WIDE + l], ends[2 * WIDE + l]};
         const std::size_t row = step * plan_.colliders + c;
+        if (!(allowed_bits_ >> l & 1)) continue;
         if (!plan_.others.sweep(plan_.others.all, row, begin, end)) continue;
         for (std::size_t k = 0; k < 3; ++k) ends[k * WIDE + l] = end[k];
         stopped |= 1u << l;
@@ -426,7 +448,8 @@ class BundleCrossing {
     const std::size_t steps = plan_.cells * plan_.substeps;
     for (std::size_t p = 1; p < plan_.points; ++p) {
       unsigned deep = 0;
-      for (std::size_t c = 0; c < plan_.colliders; ++c) {
+      for (std::size_t k = 0; k < near_; ++k) {
+        const std::size_t c = b_.near[k];
         if (b_.dues[p * plan_.colliders + c] > b_.way[p]) continue;
         const std::size_t row = (steps - 1) * plan_.colliders + c;
         const N off = sample(row, c, true, at(b_.x, p)).distance - depths(p, c);
@@ -449,6 +472,7 @@ class BundleCrossing {
   }
 
   static constexpr double NEVER = 1e300;
+  static constexpr unsigned ALL = 15;
 
   const StrandSteps& plan_;
   StrandBundle& b_;
@@ -459,6 +483,9 @@ class BundleCrossing {
   // How many colliders are near, and at which way any of the others may be met.
   std::size_t near_ = 0;
   double far_ = 0;
+  // Which strands colliders may move.
+  N allowed_{0.0};
+  unsigned allowed_bits_ = 0;
 };
 
 template <class W>

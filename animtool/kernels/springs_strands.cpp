@@ -117,7 +117,7 @@ class Bundles {
         targets_(targets),
         state_(state),
         out_(out),
-        rows_(5 * width()),
+        rows_(6 * width()),
         goals_((plan.cells + 1) * width()),
         meetings_(plan.points * (plan.colliders + 2)),
         near_(plan.colliders),
@@ -150,6 +150,7 @@ class Bundles {
     made.before = made.v + width();
     made.along = made.before + width();
     made.matrix = made.along + width();
+    made.still = made.matrix + width();
     made.rests = strands_.rests(index);
     made.folds = strands_.folds(index);
     made.way = meetings_.data();

@@ -1,0 +1,176 @@
+"""How fast hair on a walking character is simulated, and what bounds it.
+
+The biped of `rigs` walks with 1000 strands of 32 points in place of its ponytail, out
+of all of its capsules; see README.md beside this file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from figures import HERE, Row, Wanted, machine, table, verdicts, write_csv
+
+import animtool
+from animtool import _kernels
+from animtool.rig.file import load_rig
+from animtool.rig.parts import HeldArray
+from animtool.rig.skeleton import Rig
+from animtool.sim.attach.settings import SimulateOptions
+from animtool.sim.attach.stepping import cells_of
+from animtool.sim.attach.take_pass import simulate
+from animtool.take import Take, TakeStream
+
+ROOT = HERE.parents[1]
+STRANDS, POINTS = 1000, 32
+SECTION = f"{STRANDS} strands of {POINTS} points, {{}} capsules"
+# Of a strand in a step: lengths, folds, and draws to the animation.
+CONSTRAINTS = (POINTS - 1) + (POINTS - 2) + (POINTS - 1)
+# Roots and quotients of a length and a fold, which nothing else in a step hides.
+SLOW = {"sqrt": 2, "divide": 3}
+
+
+def hair(rig: Rig, seed: int = 1) -> np.ndarray:
+    """Return strands between those of the rig's ponytail ``(STRANDS, POINTS, 3)``."""
+    (entry,) = [one for one in rig.attach if one.kind == "strands"]
+    assert entry.points is not None
+    given = entry.points.load()
+    place = np.linspace(0, given.shape[1] - 1, POINTS)
+    low = np.minimum(place.astype(int), given.shape[1] - 2)
+    share = (place - low)[:, None]
+    finer = given[:, low] * (1 - share) + given[:, low + 1] * share
+    rng = np.random.default_rng(seed)
+    one, other = rng.integers(0, len(given), (2, STRANDS))
+    mixed = rng.random((STRANDS, 1, 1))
+    made = finer[one] * (1 - mixed) + finer[other] * mixed
+    # Strands that hang beside each other are worked on together.
+    return np.asarray(made[np.argsort(made[:, -1, 0], kind="stable")])
+
+
+def problem() -> Take:
+    """Return the walk with the hair."""
+    rig = load_rig(ROOT / "rigs/biped/biped.rig.yaml")
+    take = animtool.open_source(ROOT / "samples/stride/stride.clip.yaml").collect()
+    attach = tuple(
+        replace(one, points=HeldArray(hair(rig))) if one.kind == "strands" else one
+        for one in rig.attach
+    )
+    return replace(take, rig=replace(rig, attach=attach))
+
+
+class Spy:
+    """Measures a kernel while it is used."""
+
+    def __init__(self) -> None:
+        self.seconds, self.steps = 0.0, 0
+        self._kernel = _kernels.follow_strands
+
+    def __call__(self, *given: Any) -> Any:
+        """Do what the kernel does."""
+        began = time.process_time()
+        made = self._kernel(*given)
+        self.seconds += time.process_time() - began
+        self.steps += (len(given[1]) - 1) * given[4]
+        return made
+
+
+def once(take: Take, **options: Any) -> dict[str, float]:
+    """Return what one run took, over the seconds that were simulated."""
+    spy = Spy()
+    _kernels.follow_strands = spy
+    try:
+        walls, own = time.perf_counter(), time.process_time()
+        asked = SimulateOptions(what=("hair",), **options)
+        stream = simulate(TakeStream.of(take), asked)
+        for _ in stream.blocks:
+            pass
+        walls, own = time.perf_counter() - walls, time.process_time() - own
+    finally:
+        _kernels.follow_strands = spy._kernel
+    (report,) = stream.simulated
+    simulated = spy.steps / report["steps"] / 24
+    done = spy.steps * STRANDS
+    return {
+        "simulated / wall [x]": simulated / walls,
+        "simulated / processor [x]": simulated / own,
+        "steps a second": report["steps"] * 24,
+        "longest spring beyond rest [%]": 100 * report["stretch"],
+        "particles in contact": report["contacts"],
+        "constraints a second [million]": done * CONSTRAINTS / spy.seconds / 1e6,
+        "a particle and step [ns]": 1e9 * spy.seconds / (done * POINTS),
+    }
+
+
+def slowest() -> float:
+    """Return how long roots and quotients of a particle and step take at least [ns]."""
+    a, b, out = np.random.default_rng(0).random((3, 1024)) + 1
+    total = 0.0
+    for name, count in SLOW.items():
+        best, function = np.inf, getattr(np, name)
+        given = (a,) if name == "sqrt" else (a, b)
+        for _ in range(200):
+            began = time.perf_counter()
+            for _ in range(50):
+                function(*given, out=out)
+            best = min(best, (time.perf_counter() - began) / 50)
+        total += 1e9 * count * best / len(a)
+    return total
+
+
+def floor(section: str, bare: list[float], steps: int) -> list[Row]:
+    """Return what bounds the kernel, and how near to it it is without colliders.
+
+    Args:
+        section: Of the rows.
+        bare: Times of a particle and step without colliders [ns].
+        steps: In a frame.
+    """
+    # States are read and written once a frame, targets as each cell begins and ends.
+    cells, _ = cells_of(steps)
+    traffic = 3 * 8 * (4 + cells + 1) / (steps * CONSTRAINTS / POINTS)
+    least = slowest()
+    figures = {
+        "roots and quotients, a particle and step [ns]": [least],
+        "of the time without colliders [%]": [100 * least / value for value in bare],
+        "memory read and written a constraint [B]": [traffic],
+    }
+    return [Row(section, "floor", name, values) for name, values in figures.items()]
+
+
+def main() -> None:
+    """Measure, print the tables, write the CSV."""
+    about = __doc__.splitlines()[0] if __doc__ else None
+    made = argparse.ArgumentParser(description=about)
+    made.add_argument("--runs", type=int, default=5)
+    made.add_argument("--csv", type=Path, default=HERE / "results" / "sim_strands.csv")
+    asked = made.parse_args()
+    take = problem()
+    section = SECTION.format(len(take.rig.colliders))
+    rows, bare = [], []
+    for name, options in (
+        ("simulate", {}),
+        ("without colliders", {"colliders": False}),
+    ):
+        once(take, **options)
+        found = [once(take, **options) for _ in range(asked.runs)]
+        for measure in found[0]:
+            wanted = None
+            if name == "simulate" and measure == "simulated / wall [x]":
+                wanted = Wanted(at_least=True, bound=3.0)
+            rows.append(
+                Row(section, name, measure, [one[measure] for one in found], wanted)
+            )
+        bare = [one["a particle and step [ns]"] for one in found]
+    rows += floor(section, bare, round(found[0]["steps a second"] / 24))
+    lines = machine((sys.executable, ["animtool", "numpy"]))
+    print("\n".join([*lines, "", *table(rows), "", *verdicts(rows)]))
+    write_csv(asked.csv, lines, rows)
+
+
+if __name__ == "__main__":
+    main()
