@@ -13,7 +13,7 @@ from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 from animtool.sim.attach.bodies import Body
-from animtool.sim.attach.capsules import CapsuleContacts, Capsules, depth_at_bind
+from animtool.sim.attach.capsules import CapsuleContacts, depth_at_bind
 from animtool.sim.attach.network import lost_links
 from animtool.sim.attach.poses import Pose, Way, way
 from animtool.sim.attach.settings import Settings
@@ -27,6 +27,7 @@ from animtool.sim.attach.stepping import (
     steps_wanted,
 )
 from animtool.sim.attach.strands import StrandStepper
+from animtool.sim.colliders.on_joints import Capsules
 from animtool.units import UpAxis
 
 __all__ = ["Actor", "Ways", "carried", "upwards"]

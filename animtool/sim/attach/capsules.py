@@ -1,85 +1,23 @@
-"""The capsules of a rig, where its joints take them."""
+"""What is attached to a rig meets the capsules of this."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
-from animtool.maths import so3
+from animtool._types import FloatArray
 from animtool.rig.kinematics import WorldTransforms, bind_world
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Capsule, Collider, Colliders
+from animtool.sim.colliders.on_joints import Capsules
 
-__all__ = ["CapsuleContacts", "Capsules", "depth", "depth_at_bind"]
+__all__ = ["CapsuleContacts", "depth", "depth_at_bind"]
 
 # A particle that begins inside a collider is moved out at this speed [m/s].
 DEPENETRATION = 1.0
 # What is deeper than this after every push [m] is left inside.
 UNRESOLVED = 1e-3
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Capsules:
-    """C capsules that joints carry.
-
-    Attributes:
-        joints: What carries each ``(C,)``.
-        ends: Both ends of their axes, in the frames of the joints ``(C, 2, 3)`` [m].
-        radii: ``(C,)`` [m].
-    """
-
-    joints: IntArray
-    ends: FloatArray
-    radii: FloatArray
-
-    @staticmethod
-    def of(rig: Rig) -> Capsules:
-        """Return the capsules of a rig."""
-        ends = []
-        for collider in rig.colliders:
-            capsule = collider.capsule
-            half = np.array(capsule.axis) * (capsule.length / 2)
-            ends.append([np.array(capsule.offset) + side * half for side in (-1, 1)])
-        return Capsules(
-            np.array([rig.index(one.joint) for one in rig.colliders], np.int64),
-            np.array(ends, np.float64).reshape(-1, 2, 3),
-            np.array([one.capsule.radius for one in rig.colliders], np.float64),
-        )
-
-    @staticmethod
-    def none() -> Capsules:
-        """Return none."""
-        return Capsules(np.zeros(0, np.int64), np.zeros((0, 2, 3)), np.zeros(0))
-
-    def __len__(self) -> int:
-        """Return how many there are."""
-        return len(self.joints)
-
-    def placed(self, world: WorldTransforms) -> FloatArray:
-        """Return both ends in the world ``(K, C, 2, 3)`` [m]."""
-        linear = world.linear[:, self.joints]
-        turned = (linear[:, :, None] * self.ends[None, :, :, None, :]).sum(axis=-1)
-        return np.asarray(turned + world.positions[:, self.joints, None])
-
-    def turned(self, world: WorldTransforms) -> tuple[FloatArray, FloatArray]:
-        """Return poses of the joints, and the ends as the first of them scales these.
-
-        Returns:
-            Origins and quaternions ``(K, C, 7)``; ends in those frames ``(C, 2, 3)``.
-        """
-        linear = world.linear[:, self.joints]
-        turns = so3.align_signs(so3.split_scale(linear)[0])
-        poses = np.concatenate([world.positions[:, self.joints], turns], axis=-1)
-        ends = (linear[0, :, None] * self.ends[:, :, None]).sum(axis=-1)
-        return poses, so3.rotate(so3.conjugate(turns[0])[:, None], ends)
-
-    def sizes(self, world: WorldTransforms) -> FloatArray:
-        """Return the radii in the world ``(C,)`` [m], as the first pose scales them."""
-        volumes = np.abs(np.linalg.det(world.linear[0, self.joints]))
-        return np.asarray(self.radii * np.cbrt(volumes))
 
 
 def depth(

@@ -2,16 +2,80 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from animtool._types import ArrayLike
+import numpy as np
+
+from animtool._types import ArrayLike, FloatArray, IntArray
+from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.poses import Poses
 from animtool.sim.colliders.shapes import Capsule
 
-__all__ = ["joint_poses", "rig_colliders"]
+__all__ = ["Capsules", "joint_poses", "rig_colliders"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Capsules:
+    """C capsules that joints carry.
+
+    Attributes:
+        joints: What carries each ``(C,)``.
+        ends: Both ends of their axes, in the frames of the joints ``(C, 2, 3)`` [m].
+        radii: ``(C,)`` [m].
+    """
+
+    joints: IntArray
+    ends: FloatArray
+    radii: FloatArray
+
+    @staticmethod
+    def of(rig: Rig) -> Capsules:
+        """Return the capsules of a rig."""
+        ends = []
+        for collider in rig.colliders:
+            capsule = collider.capsule
+            half = np.array(capsule.axis) * (capsule.length / 2)
+            ends.append([np.array(capsule.offset) + side * half for side in (-1, 1)])
+        return Capsules(
+            np.array([rig.index(one.joint) for one in rig.colliders], np.int64),
+            np.array(ends, np.float64).reshape(-1, 2, 3),
+            np.array([one.capsule.radius for one in rig.colliders], np.float64),
+        )
+
+    @staticmethod
+    def none() -> Capsules:
+        """Return none."""
+        return Capsules(np.zeros(0, np.int64), np.zeros((0, 2, 3)), np.zeros(0))
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self.joints)
+
+    def placed(self, world: WorldTransforms) -> FloatArray:
+        """Return both ends in the world ``(K, C, 2, 3)`` [m]."""
+        linear = world.linear[:, self.joints]
+        turned = (linear[:, :, None] * self.ends[None, :, :, None, :]).sum(axis=-1)
+        return np.asarray(turned + world.positions[:, self.joints, None])
+
+    def turned(self, world: WorldTransforms) -> tuple[FloatArray, FloatArray]:
+        """Return poses of the joints, and the ends as the first of them scales these.
+
+        Returns:
+            Origins and quaternions ``(K, C, 7)``; ends in those frames ``(C, 2, 3)``.
+        """
+        linear = world.linear[:, self.joints]
+        turns = so3.align_signs(so3.split_scale(linear)[0])
+        poses = np.concatenate([world.positions[:, self.joints], turns], axis=-1)
+        ends = (linear[0, :, None] * self.ends[:, :, None]).sum(axis=-1)
+        return poses, so3.rotate(so3.conjugate(turns[0])[:, None], ends)
+
+    def sizes(self, world: WorldTransforms) -> FloatArray:
+        """Return the radii in the world ``(C,)`` [m], as the first pose scales them."""
+        volumes = np.abs(np.linalg.det(world.linear[0, self.joints]))
+        return np.asarray(self.radii * np.cbrt(volumes))
 
 
 def joint_poses(world: WorldTransforms, joint: int, times: ArrayLike) -> Poses:
@@ -33,7 +97,7 @@ def rig_colliders(
 ) -> list[Collider]:
     """Return the colliders of a rig in motion, named after their joints.
 
-    Scale of joints is left out.
+    They have the size that the first frame gives them.
 
     Args:
         rig: Its capsules.
@@ -41,12 +105,15 @@ def rig_colliders(
         times: Of the frames ``(F,)`` [s].
         like: What touching them does; the usual where None.
     """
-    indices = {joint.name: i for i, joint in enumerate(rig.joints)}
+    capsules = Capsules.of(rig)
+    rows, ends = capsules.turned(world)
     made = []
-    for entry in rig.colliders:
-        given = entry.capsule
-        shape = Capsule(given.radius, given.length, given.axis, given.offset)
-        poses = joint_poses(world, indices[entry.joint], times)
+    for c, radius in enumerate(capsules.sizes(world).tolist()):
+        entry, (a, b) = rig.colliders[c], ends[c]
+        length = float(np.linalg.norm(b - a))
+        axis = (b - a) / length if length else entry.capsule.axis
+        shape = Capsule(radius, length, tuple(axis), tuple((a + b) / 2))
+        poses = Poses(times, rows[:, c, :3], rows[:, c, 3:])
         one = Collider(shape) if like is None else like
         made.append(replace(one, shape=shape, poses=poses, name=entry.joint))
     return made
