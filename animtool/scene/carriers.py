@@ -9,8 +9,11 @@ from typing import TypeAlias
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.documents.names import nearest
+from animtool.errors import Fault, OptionError
 from animtool.maths import so3
 from animtool.rig.kinematics import bind_world
+from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import surfaces_of
 from animtool.scene.character_motion import CharacterMotion, CharacterMotions
 from animtool.sim.colliders import Poses, joint_poses
@@ -38,9 +41,22 @@ class OnJoint:
     file: Path
     joint: str
 
+    def fault(self, rig: Rig) -> Fault | None:
+        """Return what is wrong with it, at its key; None where it is there."""
+        if self.joint in rig.names:
+            return None
+        message = f"no joint of {rig.name!r} is {self.joint!r}"
+        hint = nearest(self.joint, list(rig.names))
+        return Fault("SIM053", message, hint=hint, where="joint")
+
     def poses(self, characters: CharacterMotions) -> Poses:
-        """Return where it is over time."""
+        """Return where it is over time.
+
+        Raises:
+            OptionError: It is not there (SIM053).
+        """
         found = characters.of(self.file)
+        _check(self.fault(found.rig))
         return joint_poses(found.world, found.rig.index(self.joint), found.times)
 
 
@@ -58,11 +74,34 @@ class OnVertex:
     mesh: str
     vertex: int
 
+    def fault(self, rig: Rig) -> Fault | None:
+        """Return what is wrong with it, at its key; None where it is there."""
+        meshes = {surface.name: surface for surface in surfaces_of(rig)}
+        if self.mesh not in meshes:
+            message = f"no mesh of {rig.name!r} is {self.mesh!r}"
+            hint = nearest(self.mesh, list(meshes))
+            return Fault("SIM053", message, hint=hint, where="mesh")
+        last = len(meshes[self.mesh].points) - 1
+        if self.vertex <= last:
+            return None
+        message = f"{self.mesh!r} has no vertex {self.vertex}: they are 0 to {last}"
+        return Fault("SIM053", message, where="vertex")
+
     def poses(self, characters: CharacterMotions) -> Poses:
-        """Return where it is over time; it never turns."""
+        """Return where it is over time; it never turns.
+
+        Raises:
+            OptionError: It is not there (SIM053).
+        """
         found = characters.of(self.file)
+        _check(self.fault(found.rig))
         places = _vertex(found, self.mesh, self.vertex)
         return Poses(found.times, places, np.tile(so3.IDENTITY, (len(places), 1)))
+
+
+def _check(fault: Fault | None) -> None:
+    if fault is not None:
+        raise OptionError(fault)
 
 
 def _vertex(found: CharacterMotion, name: str, vertex: int) -> FloatArray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,8 +13,6 @@ from animtool.documents.document import Location
 from animtool.documents.names import nearest
 from animtool.errors import AnimtoolError, Fault, listed
 from animtool.maths import so3
-from animtool.rig.skeleton import Rig
-from animtool.rig.surfaces import surfaces_of
 from animtool.scene.carriers import Carrier, OnJoint, OnPrim, OnVertex
 from animtool.scene.character_motion import CharacterMotions, open_take
 from animtool.scene.spring_bodies import SpringBody
@@ -223,48 +220,36 @@ def _pin(reader: EntryReader, at: Location, model: PinModel, found: IntArray) ->
 def _on_joint(
     reader: EntryReader, at: Location, model: CarryingJointModel
 ) -> Carrier | None:
-    found = _rig(reader, (*at, "file"), model.file)
-    if found is None:
-        return None
-    path, rig = found
-    if model.joint not in rig.names:
-        message = f"no joint of {rig.name!r} is {model.joint!r}"
-        hint = nearest(model.joint, list(rig.names))
-        reader.note((*at, "joint"), Fault("SIM053", message, hint=hint))
-    return OnJoint(path, model.joint)
+    path = reader.character(at, model)
+    return None if path is None else _there(reader, at, OnJoint(path, model.joint))
 
 
 def _on_vertex(
     reader: EntryReader, at: Location, model: CarryingVertexModel
 ) -> Carrier | None:
-    found = _rig(reader, (*at, "file"), model.file)
-    if found is None:
-        return None
-    path, rig = found
-    meshes = {surface.name: surface for surface in surfaces_of(rig)}
-    if model.mesh not in meshes:
-        message = f"no mesh of {rig.name!r} is {model.mesh!r}"
-        hint = nearest(model.mesh, list(meshes))
-        reader.note((*at, "mesh"), Fault("SIM053", message, hint=hint))
-    elif model.vertex >= len(meshes[model.mesh].points):
-        last = len(meshes[model.mesh].points) - 1
-        message = f"{model.mesh!r} has no vertex {model.vertex}: they are 0 to {last}"
-        reader.note((*at, "vertex"), Fault("SIM053", message))
-    return OnVertex(path, model.mesh, model.vertex)
-
-
-def _rig(reader: EntryReader, at: Location, name: str) -> tuple[Path, Rig] | None:
-    """Return the file of a character, and its rig."""
-    path = reader.input(at, name)
+    path = reader.character(at, model)
     if path is None:
         return None
+    return _there(reader, at, OnVertex(path, model.mesh, model.vertex))
+
+
+def _there(
+    reader: EntryReader, at: Location, carrier: OnJoint | OnVertex
+) -> Carrier | None:
+    """Return what carries, checked; that of the scene's own character is so later."""
+    if carrier.file == reader.document.path:
+        return carrier
     try:
-        return path, open_take(path).rig
+        rig = open_take(carrier.file).rig
     except AnimtoolError as error:
         # They are of that file, and are told with it.
         reader.document.faults.extend(error.faults)
         reader.sound = False
         return None
+    fault = carrier.fault(rig)
+    if fault is not None:
+        reader.note((*at, str(fault.where)), fault)
+    return carrier
 
 
 def _on_prim(

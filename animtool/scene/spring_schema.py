@@ -179,9 +179,16 @@ class _FramedModel(FileModel):
 class CarryingJointModel(_FramedModel):
     """A joint of a character in motion."""
 
-    file: Name = Field(
+    file: Name | None = Field(
+        default=None,
         description="A clip or a scene; its first frame comes at 0 s.",
         examples=["walk.clip.yaml"],
+    )
+    source: bool = Field(
+        default=False,
+        description="In place of a file: the character of this scene, behind its "
+        "passes.",
+        examples=[True],
     )
     joint: Name = Field(description="Name of the joint.", examples=["hand_r"])
 
@@ -189,9 +196,16 @@ class CarryingJointModel(_FramedModel):
 class CarryingVertexModel(_FramedModel):
     """A vertex of a mesh of a character in motion; its frame does not turn."""
 
-    file: Name = Field(
+    file: Name | None = Field(
+        default=None,
         description="A clip or a scene; its first frame comes at 0 s.",
         examples=["walk.clip.yaml"],
+    )
+    source: bool = Field(
+        default=False,
+        description="In place of a file: the character of this scene, behind its "
+        "passes.",
+        examples=[True],
     )
     mesh: Name = Field(description="Name of the rig's mesh.", examples=["body"])
     vertex: Annotated[int, Ge(0)] = Field(description="Its number.", examples=[120])

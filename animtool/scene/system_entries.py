@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -37,6 +37,18 @@ SHAPES: dict[str, type[Any]] = {
 Record = TypeVar("Record")
 # Files, and what touching the colliders in them does: restitution, friction, margin.
 Characters: TypeAlias = tuple[tuple[Path, tuple[float, float, float]], ...]
+
+
+class NamedCharacter(Protocol):
+    """What names a character.
+
+    Attributes:
+        file: A clip or a scene.
+        source: Whether it is that of the scene, in place of a file.
+    """
+
+    file: str | None
+    source: bool
 
 
 class EntryReader:
@@ -90,12 +102,12 @@ class EntryReader:
         """Return files of characters, and what touching one does."""
         found = []
         for i, model in enumerate(models):
-            path = self._character((*at, i), model)
+            path = self.character((*at, i), model)
             if path is not None:
                 found.append((path, (model.restitution, model.friction, model.margin)))
         return tuple(found)
 
-    def _character(self, at: Location, model: CharacterModel) -> Path | None:
+    def character(self, at: Location, model: NamedCharacter) -> Path | None:
         """Return the file of a character; the scene's own has that of the scene."""
         if model.source is (model.file is not None):
             message = "it is a file, or the character of this scene"

@@ -125,6 +125,59 @@ def test_nothing_is_inside_of_what_is_written(tmp_path: Path) -> None:
     assert far[:, outside].min() > 0.2 - 1e-3
 
 
+LEAD = """\
+systems:
+- rope:
+    name: lead
+    from: [0, 0.9, 0]
+    to: [0.5, 0.9, 0]
+    count: 6
+    mass: 0.1
+    springs: {structural: {stiffness: 1000, ratio: 0.1}}
+    pins: [{particles: [start], joint: {CARRIER, joint: hips, offset: [0, 0, 0]}}]
+"""
+
+
+def lead(folder: Path, carrier: str, *, source: bool) -> Path:
+    path = scene(folder, source=source, character=FILE)
+    text = path.read_text("utf-8")
+    systems = LEAD.replace("CARRIER", carrier)
+    path.write_text(text[: text.index("systems:")] + systems, "utf-8")
+    return path
+
+
+def test_a_joint_of_the_scenes_own_character_carries(tmp_path: Path) -> None:
+    metres = BakeOptions(to_units=LengthUnit("m"))
+    bake(lead(tmp_path, "file: pair.clip.yaml", source=False), tmp_path / "alone.usdc")
+    bake(lead(tmp_path, "source: true", source=True), tmp_path / "own.usdc", metres)
+    stages = [
+        Usd.Stage.Open(str(tmp_path / f"{name}.usdc")) for name in ("alone", "own")
+    ]
+    alone, own = (
+        world_points(stage, path, CODES)
+        for stage, path in zip(stages, ("/shot/lead", "/pair/lead"), strict=True)
+    )
+    np.testing.assert_array_equal(own, alone)
+    take = open_source(tmp_path / "pair.clip.yaml").collect()
+    hips = take.world().positions[:, take.rig.index("hips")]
+    np.testing.assert_allclose(own[:, 0], hips, atol=1e-6)
+
+
+def test_a_joint_that_the_scenes_own_character_lacks(tmp_path: Path) -> None:
+    path = lead(tmp_path, "source: true", source=True)
+    path.write_text(path.read_text("utf-8").replace("joint: hips", "joint: hip"))
+    with pytest.raises(FormatError) as error:
+        bake(path, tmp_path / "o.usdc")
+    (fault,) = error.value.faults
+    assert (fault.code, fault.where) == ("SIM053", "systems[0].rope")
+    assert not list(tmp_path.glob("o.*"))
+    missing = lead(tmp_path, "offset: [0, 0, 1]", source=True)
+    missing.write_text(missing.read_text("utf-8").replace(", offset: [0, 0, 0]}", "}"))
+    with pytest.raises(FormatError) as error:
+        load_scene(missing)
+    assert error.value.code == "SCN066"
+
+
 def test_it_is_below_the_character(tmp_path: Path) -> None:
     report = bake(scene(tmp_path), tmp_path / "o.usdc")
     stage = Usd.Stage.Open(str(tmp_path / "o.usdc"))
