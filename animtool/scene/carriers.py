@@ -137,6 +137,15 @@ class OnPrim:
 
     def poses(self, characters: CharacterMotions) -> Poses:  # noqa: ARG002
         """Return where it is over time."""
+        return self.over_time()
+
+    def over_time(self) -> Poses:
+        """Return where it is over time, the frame of 0 s among its times.
+
+        Raises:
+            FormatError: The file is no USD.
+            OptionError: It has no such prim, or none that is placed (SCN048, SCN049).
+        """
         from animtool.usd.things import Wanted, open_thing
 
         thing = open_thing(Wanted(self.file, self.prim, self.prim), UpAxis.Y)

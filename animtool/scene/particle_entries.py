@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from animtool.documents.document import Document, Location
 from animtool.errors import AnimtoolError, Fault, OptionError
-from animtool.scene.particle_schema import EmitterModel, Named, ParticlesModel
+from animtool.scene.moving_mesh import MovingMesh
+from animtool.scene.particle_schema import (
+    EmitterModel,
+    MovingMeshModel,
+    Named,
+    ParticlesModel,
+)
 from animtool.scene.particle_system import ParticleSetup, SurfaceMet
-from animtool.scene.system_entries import EntryReader, poses_of
+from animtool.scene.system_entries import PLACING, EntryReader
 from animtool.sim.colliders import Mesh
 from animtool.sim.options import IntegrateOptions
 from animtool.sim.particles import (
@@ -62,7 +69,10 @@ def read_particles(
     for surface in surfaces:
         for fault in surface.faults():
             reader.note(surface.at, fault)
-    return ParticleSetup(particles, model.preroll, characters, surfaces)
+    meshes = reader.meshes((*at, "meshes"), model.meshes)
+    return ParticleSetup(
+        particles, model.preroll, characters, surfaces, meshes, tuple(reader.files)
+    )
 
 
 class _Reader(EntryReader):
@@ -96,6 +106,26 @@ class _Reader(EntryReader):
             self._note_keys(at, model, error.faults)
         return setup
 
+    def meshes(
+        self, at: Location, models: Sequence[MovingMeshModel]
+    ) -> tuple[MovingMesh, ...]:
+        """Return the meshes of USD files that particles run into."""
+        found = []
+        for i, model in enumerate(models):
+            path = self.input((*at, i, "file"), model.file)
+            if path is None:
+                continue
+            self.files.append(path)
+            mesh = MovingMesh(path, **model.model_dump(exclude={"file"}))
+            try:
+                faults = list(mesh.sheet().faults(""))
+            except AnimtoolError as error:
+                faults = [replace(error.faults[0], code="SIM051")]
+            for fault in faults:
+                self.note((*at, i), fault)
+            found.append(mesh)
+        return tuple(found)
+
     def _note_keys(
         self, at: Location, model: ParticlesModel, faults: Sequence[Fault]
     ) -> None:
@@ -109,7 +139,10 @@ class _Reader(EntryReader):
         place = self.named((*at, "place"), model.place, PLACES, "place", "SIM021")
         if place is None:
             return None
-        given = model.model_dump(exclude={"at", "rotate", "moves", "place"})
+        poses = self.poses(at, model, "SIM021")
+        if poses is None:
+            return None
+        given = model.model_dump(exclude={*PLACING, "place"})
         given["bursts"] = [(when, int(count)) for when, count in model.bursts]
         given["spread"] = math.radians(model.spread)
         given["start"] = -math.inf if model.start is None else model.start
@@ -117,7 +150,7 @@ class _Reader(EntryReader):
         given["lifetime"] = math.inf if model.lifetime is None else model.lifetime
         if isinstance(place, Mesh):
             place = MeshSurface(place)
-        return Emitter(place=place, poses=poses_of(model), **given)
+        return Emitter(place=place, poses=poses, **given)
 
     def _force(self, at: Location, entry: Named) -> Force | None:
         ((name, given),) = entry.items()

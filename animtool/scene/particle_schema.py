@@ -12,6 +12,8 @@ from animtool.documents.check import FileModel
 __all__ = [
     "CharacterModel",
     "EmitterModel",
+    "FollowedPrimModel",
+    "MovingMeshModel",
     "ParticlesModel",
     "SystemColliderModel",
     "SystemSurfaceModel",
@@ -22,6 +24,22 @@ __all__ = [
 Vector = Annotated[list[float], Len(3, 3)]
 # One name of a table, and its options.
 Named = Annotated[dict[str, dict[str, Any] | None], Len(1, 1)]
+
+
+class FollowedPrimModel(FileModel):
+    """A prim of a USD file, as that moves and turns."""
+
+    file: Annotated[str, Field(min_length=1)] = Field(
+        description="The USD file.", examples=["props.usda"]
+    )
+    prim: Annotated[str, Field(min_length=1)] = Field(
+        description="Path of the prim.", examples=["/Set/hook"]
+    )
+    frame: float | None = Field(
+        default=None,
+        description="Time code of its file that comes at 0 s. Not given: the first.",
+        examples=[101],
+    )
 
 
 class _PlacedModel(FileModel):
@@ -40,6 +58,19 @@ class _PlacedModel(FileModel):
         description="Where it is over time, from `at`: rows of seconds from the first "
         "frame on and three coordinates [m]. Not given: it stays.",
         examples=[[[0, 0, 0, 0], [2, 4, 0, 0]]],
+    )
+    turns: list[Annotated[list[float], Len(5, 5)]] = Field(
+        default=[],
+        description="How it is turned over time, after `rotate`: rows of seconds from "
+        "the first frame on and a quaternion w, x, y, z; it turns the short way from "
+        "row to row. Not given: it does not turn.",
+        examples=[[[0, 1, 0, 0, 0], [1, 0.7071, 0, 0, 0.7071]]],
+    )
+    prim: FollowedPrimModel | None = Field(
+        default=None,
+        description="A prim that it goes and turns with, in place of `moves` and "
+        "`turns`; `at` and `rotate` are in the frame of the prim then.",
+        examples=[{"file": "props.usda", "prim": "/Set/mill"}],
     )
 
 
@@ -188,6 +219,27 @@ class SystemSurfaceModel(FileModel):
     )
 
 
+class MovingMeshModel(FollowedPrimModel):
+    """A mesh of a USD file that particles run into, as it moves and changes shape."""
+
+    radius: float = Field(
+        default=0.005, description="Half its thickness [m].", examples=[0.01]
+    )
+    closed: bool = Field(
+        default=False,
+        description="It is the skin of a body: met from outside alone.",
+        examples=[True],
+    )
+    restitution: float = Field(
+        default=0.0,
+        description="Share of the speed into the surface that comes back, 0 to 1.",
+        examples=[0.4],
+    )
+    friction: float = Field(
+        default=0.0, description="Coulomb's coefficient.", examples=[0.3]
+    )
+
+
 class VelocityModel(FileModel):
     """A velocity field: expressions of x, y, z, t and age."""
 
@@ -231,6 +283,11 @@ class ParticlesModel(FileModel):
         description="Cloth and volumes of the scene that they run into, as thick as "
         "their `radius`.",
         examples=[[{"system": "flag", "friction": 0.3}]],
+    )
+    meshes: list[MovingMeshModel] = Field(
+        default=[],
+        description="Meshes of USD files that they run into, whose points may move.",
+        examples=[[{"file": "beast.usdc", "prim": "/beast/body", "closed": True}]],
     )
     kill: list[SystemColliderModel] = Field(
         default=[],

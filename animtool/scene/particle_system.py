@@ -11,6 +11,7 @@ from animtool._types import FloatArray
 from animtool.documents.document import Location
 from animtool.errors import Fault, counted
 from animtool.scene.entries import SceneSystem
+from animtool.scene.moving_mesh import MovingMesh
 from animtool.scene.simulation import Opening
 from animtool.sim.colliders import Collider, Plane, Sheet, SheetMotion
 from animtool.sim.particles.run import ParticleRun
@@ -70,12 +71,16 @@ class ParticleSetup:
         characters: Files of characters that they run into, and what touching one
             does: restitution, friction and margin.
         surfaces: Cloth and volumes of the scene that they run into.
+        meshes: Meshes of USD files that they run into.
+        followed: USD files that colliders and emitters go with.
     """
 
     particles: Particles
     preroll: float = 0.0
     characters: tuple[tuple[Path, tuple[float, float, float]], ...] = ()
     surfaces: tuple[SurfaceMet, ...] = ()
+    meshes: tuple[MovingMesh, ...] = ()
+    followed: tuple[Path, ...] = ()
 
     @property
     def joined(self) -> tuple[tuple[str, Location], ...]:
@@ -90,7 +95,7 @@ class ParticleSetup:
     @property
     def files(self) -> tuple[Path, ...]:
         """What is read beside the scene."""
-        return tuple(path for path, _ in self.characters)
+        return (*(path for path, _ in self.characters), *self.followed)
 
     @property
     def reads(self) -> tuple[str, ...]:
@@ -101,6 +106,7 @@ class ParticleSetup:
         reads += ["a velocity field"] if given.velocity else []
         reads += [counted(len(given.colliders), "collider")] if given.colliders else []
         reads += [met.system for met in self.surfaces]
+        reads += [mesh.prim for mesh in self.meshes]
         return tuple(reads)
 
     @property
@@ -167,6 +173,7 @@ def _whole(
     ]
     assert options.step is not None
     sheets = [_sheet(met, opening, setup, options.step) for met in setup.surfaces]
+    sheets += [mesh.sheet() for mesh in setup.meshes]
     return setup, replace(
         given, colliders=[*given.colliders, *moving], sheets=sheets, options=options
     )

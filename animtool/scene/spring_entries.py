@@ -101,6 +101,7 @@ def _read(
         model.settle,
         frozenset(model.model_fields_set),
         at,
+        tuple(reader.files),
     )
 
 

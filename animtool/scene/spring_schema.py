@@ -10,6 +10,7 @@ from pydantic import Field
 from animtool.documents.check import FileModel
 from animtool.scene.particle_schema import (
     CharacterModel,
+    FollowedPrimModel,
     SystemColliderModel,
     Vector,
 )
@@ -211,16 +212,8 @@ class CarryingVertexModel(_FramedModel):
     vertex: Annotated[int, Ge(0)] = Field(description="Its number.", examples=[120])
 
 
-class CarryingPrimModel(_FramedModel):
+class CarryingPrimModel(FollowedPrimModel, _FramedModel):
     """A prim of a USD file, as that moves."""
-
-    file: Name = Field(description="The USD file.", examples=["props.usda"])
-    prim: Name = Field(description="Path of the prim.", examples=["/Set/hook"])
-    frame: float | None = Field(
-        default=None,
-        description="Time code of its file that comes at 0 s. Not given: the first.",
-        examples=[101],
-    )
 
 
 class JoinedModel(FileModel):

@@ -72,6 +72,7 @@ class SpringSetup:
         settle: Whether they begin at rest.
         given: Names of the keys that the entry has.
         at: Place of the entry.
+        followed: USD files that colliders go with.
     """
 
     body: SpringBody
@@ -89,6 +90,7 @@ class SpringSetup:
     settle: bool
     given: frozenset[str]
     at: Location
+    followed: tuple[Path, ...] = ()
 
     @property
     def joined(self) -> tuple[tuple[str, Location], ...]:
@@ -104,7 +106,7 @@ class SpringSetup:
     def files(self) -> tuple[Path, ...]:
         """What is read beside the scene."""
         carriers = [pin.carrier.file for pin in self.pins if pin.carrier is not None]
-        return (*(path for path, _ in self.characters), *carriers)
+        return (*(path for path, _ in self.characters), *carriers, *self.followed)
 
     @property
     def reads(self) -> tuple[str, ...]:

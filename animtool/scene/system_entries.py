@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias, TypeVar
 
@@ -16,7 +16,8 @@ from animtool.documents.check import wrong_values
 from animtool.documents.document import Document, Location
 from animtool.documents.names import nearest
 from animtool.documents.references import referred_input, split_reference
-from animtool.errors import Fault
+from animtool.errors import AnimtoolError, Fault
+from animtool.maths import so3
 from animtool.scene.particle_schema import (
     CharacterModel,
     EmitterModel,
@@ -25,7 +26,7 @@ from animtool.scene.particle_schema import (
 )
 from animtool.sim.colliders import Box, Capsule, Collider, Mesh, Plane, Poses, Sphere
 
-__all__ = ["Characters", "EntryReader", "poses_of"]
+__all__ = ["PLACING", "Characters", "EntryReader"]
 
 SHAPES: dict[str, type[Any]] = {
     "box": Box,
@@ -34,6 +35,8 @@ SHAPES: dict[str, type[Any]] = {
     "plane": Plane,
     "sphere": Sphere,
 }
+# Keys that say where an entry stands.
+PLACING = {"at", "rotate", "moves", "turns", "prim"}
 Record = TypeVar("Record")
 # Files, and what touching the colliders in them does: restitution, friction, margin.
 Characters: TypeAlias = tuple[tuple[Path, tuple[float, float, float]], ...]
@@ -58,11 +61,13 @@ class EntryReader:
         document: Where faults are noted.
         roots: Folders that files may be in.
         sound: Whether nothing was noted.
+        files: USD files that entries go with.
     """
 
     def __init__(self, document: Document, roots: Sequence[Path]) -> None:
         self.document, self.roots = document, tuple(roots)
         self.sound = True
+        self.files: list[Path] = []
 
     def note(self, at: Location, fault: Fault) -> None:
         """Note a fault at a place."""
@@ -95,8 +100,71 @@ class EntryReader:
         shape = self.named((*at, "shape"), model.shape, SHAPES, "shape", "SIM020")
         if shape is None:
             return None
-        given = model.model_dump(exclude={"at", "rotate", "moves", "shape"})
-        return Collider(shape, poses_of(model), **given)
+        poses = self.poses(at, model, "SIM020")
+        if poses is None:
+            return None
+        return Collider(shape, poses, **model.model_dump(exclude={*PLACING, "shape"}))
+
+    def poses(
+        self, at: Location, model: EmitterModel | SystemColliderModel, code: str
+    ) -> Poses | None:
+        """Return where an entry stands over time; None where what is noted leaves none.
+
+        Args:
+            at: Place of the entry.
+            model: What it says.
+            code: Of what makes no sense.
+        """
+        w, x, y, z = model.rotate
+        own = Poses.fixed(model.at, (x, y, z, w))
+        if own.faults():
+            return own
+        if model.prim is not None:
+            return self._followed(at, model, own, code)
+        sound = True
+        for key in ("moves", "turns"):
+            rows = np.array(getattr(model, key)).reshape(-1, 5 if key == "turns" else 4)
+            message = ""
+            if (np.diff(rows[:, 0]) <= 0).any():
+                message = "its times must ascend"
+            elif key == "turns" and not rows[:, 1:].any(axis=1).all():
+                message = "a quaternion must not be all 0"
+            if message:
+                sound = False
+                self.note((*at, key), Fault(code, message))
+        return _moved(model, own) if sound else None
+
+    def _followed(
+        self,
+        at: Location,
+        model: EmitterModel | SystemColliderModel,
+        own: Poses,
+        code: str,
+    ) -> Poses | None:
+        """Return the poses of what goes with a prim."""
+        from animtool.scene.carriers import OnPrim
+
+        assert model.prim is not None
+        for key in ("moves", "turns"):
+            if getattr(model, key):
+                message = f"{key} is not for what goes with a prim"
+                self.note((*at, key), Fault(code, message))
+        path = self.input((*at, "prim", "file"), model.prim.file)
+        if path is None:
+            return None
+        self.files.append(path)
+        try:
+            carrier = OnPrim(path, model.prim.prim, model.prim.frame).over_time()
+        except AnimtoolError as error:
+            self.note((*at, "prim", "prim"), replace(error.faults[0], code="SIM053"))
+            return None
+        place = own.rows[0]
+        turns = carrier.rows[:, 3:]
+        return Poses(
+            carrier.moments,
+            carrier.rows[:, :3] + so3.rotate(turns, place[:3]),
+            so3.multiply(turns, place[3:]),
+        )
 
     def characters(self, at: Location, models: Sequence[CharacterModel]) -> Characters:
         """Return files of characters, and what touching one does."""
@@ -201,11 +269,22 @@ class EntryReader:
         return path
 
 
-def poses_of(model: EmitterModel | SystemColliderModel) -> Poses:
-    """Return where an entry stands over time."""
-    w, x, y, z = model.rotate
-    if not model.moves:
-        return Poses.fixed(model.at, (x, y, z, w))
-    rows = np.array(model.moves)
-    turns = np.tile([x, y, z, w], (len(rows), 1))
-    return Poses(rows[:, 0], rows[:, 1:] + model.at, turns)
+def _moved(model: EmitterModel | SystemColliderModel, own: Poses) -> Poses:
+    """Return where an entry stands that moves and turns by itself."""
+    if not model.moves and not model.turns:
+        return own
+    ways = np.array(model.moves or [[0.0] * 4])
+    turns = np.array(model.turns or [[0.0, 1.0, 0.0, 0.0, 0.0]])
+    still = np.zeros((len(turns), 3))
+    gone = Poses(ways[:, 0], ways[:, 1:], np.tile(so3.IDENTITY, (len(ways), 1)))
+    turned = Poses(turns[:, 0], still, turns[:, [2, 3, 4, 1]])
+    # Each goes evenly between its own times, and so it does between those of both.
+    times = ways[:, 0] if not model.turns else turns[:, 0]
+    if model.moves and model.turns:
+        times = np.union1d(ways[:, 0], turns[:, 0])
+    place = own.rows[0]
+    return Poses(
+        times,
+        [gone.at(t)[:3] + place[:3] for t in times.tolist()],
+        [so3.multiply(turned.at(t)[3:], place[3:]) for t in times.tolist()],
+    )

@@ -1,9 +1,10 @@
-"""A mesh of a USD file as it stands, for what needs its points and faces alone."""
+"""A mesh of a USD file, for what needs its points and faces alone."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pxr import Usd, UsdGeom
@@ -16,7 +17,7 @@ from animtool.usd.layers import usd_errors
 from animtool.usd.prims import find_prim, nearest_prim
 from animtool.usd.rig_prims import open_stage, up_axis
 
-__all__ = ["StillMesh", "read_still_mesh"]
+__all__ = ["MeshSource", "StillMesh", "open_mesh", "read_still_mesh"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +47,70 @@ def read_still_mesh(path: Path, prim: str, up: UpAxis) -> StillMesh:
         FormatError: The file is no USD.
         OptionError: It has no such mesh, or the mesh makes no sense (SIM051).
     """
+    return open_mesh(path, prim, up).at(None)
+
+
+class MeshSource:
+    """A mesh of a stage that is open.
+
+    Attributes:
+        fps: Time codes a second.
+        span: First and last time code at which it is told to move, in shape or place;
+            None where it never does.
+
+    Args:
+        stage: The stage.
+        prim: Of the mesh.
+        up: Up axis of the world.
+    """
+
+    def __init__(self, stage: Any, prim: Any, up: UpAxis) -> None:
+        # A prim lives no longer than its stage.
+        self._stage, self._mesh = stage, UsdGeom.Mesh(prim)
+        self._unit = UsdGeom.GetStageMetersPerUnit(stage)
+        self._turn = up_from_up(up, up_axis(stage))
+        self.fps = float(stage.GetTimeCodesPerSecond())
+        times = set(self._mesh.GetPointsAttr().GetTimeSamples())
+        while prim and not prim.IsPseudoRoot():
+            if UsdGeom.Xformable(prim):
+                times |= set(UsdGeom.Xformable(prim).GetTimeSamples())
+            prim = prim.GetParent()
+        self.span: tuple[float, float] | None = None
+        if times:
+            self.span = float(min(times)), float(max(times))
+
+    def at(self, code: float | None) -> StillMesh:
+        """Return it at a time code; None is the earliest that there is.
+
+        Raises:
+            OptionError: It makes no sense (SIM051).
+        """
+        time = Usd.TimeCode.EarliestTime() if code is None else Usd.TimeCode(code)
+        mesh = self._mesh
+        points = np.array(mesh.GetPointsAttr().Get(time) or (), np.float64)
+        counts = np.array(mesh.GetFaceVertexCountsAttr().Get(time) or (), np.int64)
+        indices = np.array(mesh.GetFaceVertexIndicesAttr().Get(time) or (), np.int64)
+        world = np.array(mesh.ComputeLocalToWorldTransform(time), np.float64)
+        points = points.reshape(-1, 3)
+        _check(points, counts, indices, str(mesh.GetPath()))
+        placed = (points @ world[:3, :3] + world[3, :3]) * self._unit
+        if self._turn is not None:
+            placed = so3.rotate(np.array(self._turn), placed)
+        return StillMesh(np.asarray(placed, np.float64), counts, indices)
+
+
+def open_mesh(path: Path, prim: str, up: UpAxis) -> MeshSource:
+    """Return a mesh that can be looked at over time.
+
+    Args:
+        path: The USD file.
+        prim: Path of the prim.
+        up: Up axis of the world.
+
+    Raises:
+        FormatError: The file is no USD.
+        OptionError: It has no such mesh (SIM051).
+    """
     with usd_errors(path):
         stage = open_stage(path)
         found = find_prim(stage, prim)
@@ -54,19 +119,7 @@ def read_still_mesh(path: Path, prim: str, up: UpAxis) -> StillMesh:
             hint = nearest_prim(stage, prim) if found is None else None
             message = f"{path.name} holds {what} {excerpt(prim)}"
             raise OptionError(Fault("SIM051", message, hint=hint))
-        mesh, time = UsdGeom.Mesh(found), Usd.TimeCode.EarliestTime()
-        points = np.array(mesh.GetPointsAttr().Get(time) or (), np.float64)
-        counts = np.array(mesh.GetFaceVertexCountsAttr().Get(time) or (), np.int64)
-        indices = np.array(mesh.GetFaceVertexIndicesAttr().Get(time) or (), np.int64)
-        world = np.array(mesh.ComputeLocalToWorldTransform(time), np.float64)
-    points = points.reshape(-1, 3)
-    _check(points, counts, indices, prim)
-    placed = points @ world[:3, :3] + world[3, :3]
-    placed *= UsdGeom.GetStageMetersPerUnit(stage)
-    turn = up_from_up(up, up_axis(stage))
-    if turn is not None:
-        placed = so3.rotate(np.array(turn), placed)
-    return StillMesh(np.asarray(placed, np.float64), counts, indices)
+        return MeshSource(stage, found, up)
 
 
 def _check(points: FloatArray, counts: IntArray, indices: IntArray, prim: str) -> None:

@@ -43,7 +43,7 @@ class CloudWatch:
         known = np.zeros(len(cloud), bool)
         if len(self._ids):
             known = self._ids[places] == cloud.ids
-        first = np.empty((2, len(cloud)))
+        first = np.zeros((2, len(cloud)))
         first[:, known] = self._first[:, places[known]]
         new = ~known
         first[:, new] = energies(self._setup, cloud.select(new), state[:, new])[0]

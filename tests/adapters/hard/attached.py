@@ -20,7 +20,7 @@ from support.attached import (
 
 from animtool.rig.parts import Capsule, Collider, HeldArray, Shape
 from animtool.rig.skeleton import Joint, Pose, Rig
-from animtool.sim.attach.stepping import DEPENETRATION
+from animtool.sim.attach.capsules import DEPENETRATION
 from animtool.take import Channel, Take
 
 __all__ = ["ATTACHED"]
