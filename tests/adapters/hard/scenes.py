@@ -6,19 +6,39 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+import pytest
 from adapters.hard.subsystem import Subsystem
 from pxr import Usd, UsdGeom
 from support.cli import Done, animtool
 
 from animtool._types import FloatArray
 
-__all__ = ["SCENES"]
+__all__ = [
+    "CLOTH",
+    "GRAVITY",
+    "SCENES",
+    "Folder",
+    "cloth",
+    "particles",
+    "rope",
+    "sheet",
+]
 
 HEAD = "scene: animtool/1\nfps: {fps}\nrange: [1, {last}]\noutput: {{file: out.usdc}}\n"
 PARTICLES = HEAD + "systems:\n- particles:\n    name: dust\n    emitters: [{emitter}]\n"
 ONE = "{bursts: [[0, 1]]}"
 GRAVITY = "    forces: [{gravity: }]\n"
 FLOOR = "    colliders: [{shape: {plane: }, restitution: 0.5, friction: 0.5}]\n"
+ROPE = """- rope:
+    from: [0, 2, 0]
+    to: [0.9, 2, 0]
+    count: 10
+    mass: 0.1
+    tip_mass: {tip}
+    springs: {{structural: {{stiffness: {stiffness}, damping: 2}}}}
+    drag: 0.5
+    pins: [{{particles: [start]{moves}}}]
+"""
 RIG = """rig: animtool/1
 name: pole
 joints: [{name: post, type: free}]
@@ -85,7 +105,7 @@ class Folder:
         times = points.GetTimeSamples() or [Usd.TimeCode.Default()]
         speeds = based.GetVelocitiesAttr()
         return [np.array(points.Get(t)) for t in times], [
-            np.array(speeds.Get(t)) for t in times
+            np.array(speeds.Get(t) or ()) for t in times
         ]
 
 
@@ -114,6 +134,19 @@ def cloth(points: FloatArray, pins: list[int]) -> Folder:
     return folder
 
 
+def rope(
+    tip: float = 0.01, stiffness: float = 2000, moves: str = "", last: int = 25
+) -> Folder:
+    text = ROPE.format(tip=tip, stiffness=stiffness, moves=moves)
+    return Folder(HEAD.format(fps=24, last=last) + "systems:\n" + text)
+
+
+def stretch(points: list[FloatArray]) -> FloatArray:
+    """Return the most that springs of a rope are longer, of each sample."""
+    lengths = np.linalg.norm(np.diff(np.array(points), axis=1), axis=2)
+    return np.asarray(lengths.max(axis=1) / 0.1 - 1)
+
+
 def sheet() -> FloatArray:
     across, down = np.meshgrid(np.linspace(0, 0.3, SIDE), np.linspace(0, -0.3, SIDE))
     return np.stack([across, down, np.zeros_like(down)], axis=-1).reshape(-1, 3)
@@ -129,6 +162,11 @@ def _coincident(way: str) -> None:  # noqa: ARG001 - there is one
 
 
 def _all_coincident(way: str) -> None:  # noqa: ARG001 - there is one
+    with rope() as folder:
+        path = folder.path / "shot.scene.yaml"
+        text = path.read_text("utf-8").replace("to: [0.9, 2, 0]", "to: [0, 2, 0]")
+        path.write_text(text, "utf-8")
+        folder.refuses("SIM050", "rope.to")
     with cloth(np.zeros((SIDE**2, 3)), [0]) as folder:
         folder.warns("SIM140")
         assert all(np.isfinite(found).all() for found in folder.samples("flag")[0])
@@ -138,9 +176,18 @@ def _zero_mass(way: str) -> None:  # noqa: ARG001 - there is one
     for mass, code in (("0", "SIM021"), ("-1", "SIM021"), (".nan", "DOC022")):
         with particles(emitter=f"{{rate: 9, mass: {mass}}}") as folder:
             folder.refuses(code, "emitters[0]", "mass")
+    with rope(tip=0) as folder:
+        folder.refuses("SIM040", "tip_mass")
 
 
 def _held(way: str) -> None:  # noqa: ARG001 - there is one
+    with rope() as folder:
+        text = (folder.path / "shot.scene.yaml").read_text("utf-8")
+        both = text.replace("[start]", "[start, 1]")
+        (folder.path / "shot.scene.yaml").write_text(both, "utf-8")
+        assert folder.bake("--strict").code == 0
+        points = np.array(folder.samples("rope")[0])
+        np.testing.assert_allclose(points[:, 1], [[0.1, 2, 0]] * 25, atol=1e-6)
     with cloth(sheet(), list(range(SIDE**2))) as folder:
         assert folder.bake().code == 0
         # What never moves has one sample.
@@ -180,6 +227,19 @@ def _teleport(way: str) -> None:  # noqa: ARG001 - there is one
         points, speeds = folder.samples()
         assert not np.abs(points).max()
         assert not np.abs(speeds).max()
+    far = ", moves: [[0, 0, 0, 0], [0.5, 0, 0, 0], [0.54, 100, 0, 0]]"
+    with rope(moves=far, last=49) as folder:
+        folder.warns("SIM122")
+        points, _ = folder.samples("rope")
+        assert points[-1][0] == pytest.approx([100, 2, 0], abs=1e-5)
+        # At 100 m float32 rounds to 8 µm.
+        assert stretch(points).max() < 0.05
+
+
+def _stiff(way: str) -> None:  # noqa: ARG001 - there is one
+    with rope(tip=10, stiffness=1e6) as folder:
+        assert folder.bake("--strict").code == 0
+        assert stretch(folder.samples("rope")[0]).max() < 0.01
 
 
 def _rests(way: str) -> None:  # noqa: ARG001 - there is one
@@ -229,9 +289,10 @@ SCENES = Subsystem(
         "dt_negative": _dt_negative,
         "dt_spike": _dt_spike,
         "collider_teleport": _teleport,
+        "stiff_and_heavy": _stiff,
         "rest_contact": _rests,
         "deep_start_penetration": _deep,
         "pinched": _pinched,
     },
-    {"stiff_and_heavy": "no scene has springs between particles of its own"},
+    {},
 )
