@@ -262,6 +262,27 @@ class SpringNetwork:
         Put paths of held particles and anchors in the place of those over the knots.
         """
 
+class SpringLayers:
+    """
+    A surface of springs that keeps apart from itself.
+
+    Particles keep the ``thickness`` from triangles, or less: as far as they are from each other
+    at ``rest`` ``(N, 3)``; those that springs keep apart are left to them. With Coulomb's
+    coefficient of ``friction``; the ``speed`` with which what is nearer comes apart.
+    """
+
+    def __init__(self, network: SpringNetwork, rest: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], thickness: float, friction: float, speed: float) -> None: ...
+
+    def least(self, triangle: int, particle: int) -> float:
+        """Return the distance that a particle keeps, 0 of those left to springs."""
+
+def part_springs(network: SpringNetwork, layers: SpringLayers, before: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], after: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], h: float) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')]:
+    """
+    Take the step of h that a surface is kept apart in from itself.
+
+    From positions ``(N, 3)`` to the state ``(2, N, 3)`` returned, of one that knows nothing.
+    """
+
 def spring_order(ends: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], particles: int) -> Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')]:
     """
     The order ``(S,)`` in which springs ``(S, 2)`` are gone through.
@@ -299,7 +320,7 @@ def step_springs(network: SpringNetwork, state: Annotated[NDArray[numpy.float64]
     Returns ``(state, torn, unresolved)``: particles left inside colliders at the end.
     """
 
-def project_springs(network: SpringNetwork, state: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], torn: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], origin: float, first: int, cell: float, cells: int, substeps: int, calm: int, least: int, most: int, stretch: float, colliders: tuple[tuple[Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)]], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C', device='cpu', writable=False)], float, Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None, float] | None) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C')], int, int, float, int, int, int]:
+def project_springs(network: SpringNetwork, state: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], torn: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], origin: float, first: int, cell: float, cells: int, substeps: int, calm: int, least: int, most: int, stretch: float, colliders: tuple[tuple[Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)]], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C', device='cpu', writable=False)], float, Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None, float] | None, layers: SpringLayers | None, crossed: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C')], int, int, float, int, int, int, Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C')], int]:
     """
     Take steps of extended position based dynamics, each spring once a step, in order.
 
@@ -307,9 +328,13 @@ def project_springs(network: SpringNetwork, state: Annotated[NDArray[numpy.float
     than this ``stretch``, and not mostly by its own give, is crossed again in twice the steps,
     up to ``most``; after many that go well half as many are tried, down to ``least``.
 
-    Returns ``(state, torn, substeps, calm, stretch, steps, touched, unresolved)``: steps a cell
-    and cells that went well, to go on with; the largest stretch that is not a spring's own; steps
-    in all; particles that colliders moved in a step, at most.
+    ``layers`` keep the surface apart from itself; ``crossed`` ``(C, 3)`` are passages to go on
+    with: a particle, the triangle that it went through, and the side of this that it came from.
+
+    Returns ``(state, torn, substeps, calm, stretch, steps, touched, unresolved, crossed,
+    passed)``: steps a cell and cells that went well, to go on with; the largest stretch that is
+    not a spring's own; steps in all; particles that colliders moved in a step, at most; the
+    passages left, and the most particles at the end of a cell that had any.
     """
 
 class SpringStrands:

@@ -33,26 +33,45 @@ struct Nearest {
   int feature = 6;
 };
 
-// The point of a triangle nearest to another: Ericson (2005), Real-Time Collision Detection,
-// 5.1.5.
-inline Vec nearest_on_triangle(Vec p, Vec a, Vec b, Vec c, int& feature) {
+// The shares that the second and third corner have of the point of a triangle nearest to
+// another: Ericson (2005), Real-Time Collision Detection, 5.1.5.
+struct Shares {
+  double b, c;
+  int feature;  // as of `Nearest`
+};
+
+inline Shares shares_of_triangle(Vec p, Vec a, Vec b, Vec c) {
   const Vec ab = b - a, ac = c - a, ap = p - a;
   const double d1 = dot(ab, ap), d2 = dot(ac, ap);
-  if (d1 <= 0 && d2 <= 0) return feature = 0, a;
+  if (d1 <= 0 && d2 <= 0) return {0, 0, 0};
   const Vec bp = p - b;
   const double d3 = dot(ab, bp), d4 = dot(ac, bp);
-  if (d3 >= 0 && d4 <= d3) return feature = 1, b;
+  if (d3 >= 0 && d4 <= d3) return {1, 0, 1};
   const double vc = d1 * d4 - d3 * d2;
-  if (vc <= 0 && d1 >= 0 && d3 <= 0) return feature = 3, a + ab * (d1 / (d1 - d3));
+  if (vc <= 0 && d1 >= 0 && d3 <= 0) return {d1 / (d1 - d3), 0, 3};
   const Vec cp = p - c;
   const double d5 = dot(ab, cp), d6 = dot(ac, cp);
-  if (d6 >= 0 && d5 <= d6) return feature = 2, c;
+  if (d6 >= 0 && d5 <= d6) return {0, 1, 2};
   const double vb = d5 * d2 - d1 * d6;
-  if (vb <= 0 && d2 >= 0 && d6 <= 0) return feature = 5, a + ac * (d2 / (d2 - d6));
+  if (vb <= 0 && d2 >= 0 && d6 <= 0) return {0, d2 / (d2 - d6), 5};
   const double va = d3 * d6 - d5 * d4, e = d4 - d3, f = d5 - d6;
-  if (va <= 0 && e >= 0 && f >= 0) return feature = 4, b + (c - b) * (e / (e + f));
+  if (va <= 0 && e >= 0 && f >= 0) return {1 - e / (e + f), e / (e + f), 4};
   const double scale = 1 / (va + vb + vc);
-  return feature = 6, a + ab * (vb * scale) + ac * (vc * scale);
+  return {vb * scale, vc * scale, 6};
+}
+
+inline Vec nearest_on_triangle(Vec p, Vec a, Vec b, Vec c, int& feature) {
+  const Shares found = shares_of_triangle(p, a, b, c);
+  feature = found.feature;
+  switch (feature) {
+    case 0: return a;
+    case 1: return b;
+    case 2: return c;
+    case 3: return a + (b - a) * found.b;
+    case 4: return b + (c - b) * found.c;
+    case 5: return a + (c - a) * found.c;
+    default: return a + (b - a) * found.b + (c - a) * found.c;
+  }
 }
 
 inline double squared_to_box(Vec p, const double* box) {

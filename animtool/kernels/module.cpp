@@ -236,6 +236,22 @@ wind ``(K or 1, 1, 3)``.)")
       .def("lead", &SpringNetwork::lead, "held_path"_a, "anchor_path"_a,
            "Put paths of held particles and anchors in the place of those over the knots.");
 
+  nb::class_<SpringLayers>(m, "SpringLayers",
+                           R"(A surface of springs that keeps apart from itself.
+
+Particles keep the ``thickness`` from triangles, or less: as far as they are from each other
+at ``rest`` ``(N, 3)``; those that springs keep apart are left to them. With Coulomb's
+coefficient of ``friction``; the ``speed`` with which what is nearer comes apart.)")
+      .def(nb::init<const SpringNetwork&, In<double, 2>, double, double, double>(),
+           "network"_a, "rest"_a, "thickness"_a, "friction"_a, "speed"_a)
+      .def("least", &SpringLayers::least, "triangle"_a, "particle"_a,
+           R"(Return the distance that a particle keeps, 0 of those left to springs.)");
+
+  m.def("part_springs", &part_springs, "network"_a, "layers"_a, "before"_a, "after"_a, "h"_a,
+        R"(Take the step of h that a surface is kept apart in from itself.
+
+From positions ``(N, 3)`` to the state ``(2, N, 3)`` returned, of one that knows nothing.)");
+
   m.def("spring_order", &spring_order, "ends"_a, "particles"_a,
         R"(The order ``(S,)`` in which springs ``(S, 2)`` are gone through.
 
@@ -269,16 +285,20 @@ Returns ``(state, torn, unresolved)``: particles left inside colliders at the en
 
   m.def("project_springs", &project_springs, "network"_a, "state"_a, "torn"_a, "origin"_a,
         "first"_a, "cell"_a, "cells"_a, "substeps"_a, "calm"_a, "least"_a, "most"_a,
-        "stretch"_a, "colliders"_a.none(),
+        "stretch"_a, "colliders"_a.none(), "layers"_a.none(), "crossed"_a,
         R"(Take steps of extended position based dynamics, each spring once a step, in order.
 
 Cells are those of `step_springs`. One at whose end a spring is longer than at rest by more
 than this ``stretch``, and not mostly by its own give, is crossed again in twice the steps,
 up to ``most``; after many that go well half as many are tried, down to ``least``.
 
-Returns ``(state, torn, substeps, calm, stretch, steps, touched, unresolved)``: steps a cell
-and cells that went well, to go on with; the largest stretch that is not a spring's own; steps
-in all; particles that colliders moved in a step, at most.)");
+``layers`` keep the surface apart from itself; ``crossed`` ``(C, 3)`` are passages to go on
+with: a particle, the triangle that it went through, and the side of this that it came from.
+
+Returns ``(state, torn, substeps, calm, stretch, steps, touched, unresolved, crossed,
+passed)``: steps a cell and cells that went well, to go on with; the largest stretch that is
+not a spring's own; steps in all; particles that colliders moved in a step, at most; the
+passages left, and the most particles at the end of a cell that had any.)");
 
   nb::class_<SpringStrands>(m, "SpringStrands",
                             R"(Strands of P particles of one mass, each held at its root.

@@ -6,6 +6,7 @@
 #include <limits>
 #include <stdexcept>
 
+#include "springs_self.h"
 #include "springs_steps.h"
 
 namespace animtool {
@@ -32,9 +33,10 @@ Give give(double stiffness, double damping, double weight, double h) {
 
 class Projection {
  public:
-  Projection(SpringRun& run, double cell, SpringContacts& contacts)
+  Projection(SpringRun& run, double cell, SpringContacts& contacts, SelfContacts& self)
       : run_(run),
         contacts_(contacts),
+        self_(self),
         cell_(cell),
         before_(run.size),
         project_all_(project_all_in_quads()) {
@@ -47,6 +49,7 @@ class Projection {
     prepare(substeps);
     const double h = cell_ / substeps;
     contacts_.begin_cell(index, substeps, h);
+    self_.begin_cell(index);
     for (int j = 0; j < substeps; ++j) {
       const double t = start + j * h;
       run_.look(t + h, h);
@@ -54,7 +57,9 @@ class Projection {
       run_.network.place_held(t + h, h, before_.data(), run_.x.data(), run_.v.data());
       project(j + 1 < substeps ? nullptr : pulls_.data());
       pull_anchors();
+      self_.keep_apart(h, before_, run_.x);
       contacts_.settle(run_.network, j, before_, run_.x, nullptr);
+      self_.look(before_, run_.x);
       const double rate = 1 / h;
       for (std::size_t k = 0; k < run_.size; ++k) run_.v[k] = (run_.x[k] - before_[k]) * rate;
     }
@@ -154,6 +159,7 @@ class Projection {
 
   SpringRun& run_;
   SpringContacts& contacts_;
+  SelfContacts& self_;
   double cell_;
   int prepared_ = 0;
   std::vector<double> before_, forces_, pulls_, lengths_, changes_, weights_;
@@ -167,15 +173,17 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
                                  In<std::uint8_t, 1> torn, double origin, std::int64_t first,
                                  double cell, std::int64_t cells, int substeps, int calm,
                                  int least, int most, double stretch,
-                                 const std::optional<SpringColliders>& colliders) {
+                                 const std::optional<SpringColliders>& colliders,
+                                 const SpringLayers* layers, In<std::int64_t, 2> crossed) {
   SpringRun run = begin_springs(network, state, torn);
   const Cells grid{origin, first, cell, cells};
   SpringContacts contacts(colliders, network.particles(), cells);
+  SelfContacts self(layers, network, crossed);
   double worst = 0;
-  std::int64_t taken = 0;
+  std::int64_t taken = 0, passed = 0;
   {
     nb::gil_scoped_release release;
-    Projection projection(run, cell, contacts);
+    Projection projection(run, cell, contacts, self);
     std::vector<double> x, v;
     for (std::int64_t i = 0; i < cells; ++i) {
       x = run.x;
@@ -191,6 +199,7 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
         taken += substeps;
       }
       worst = std::max(worst, found);
+      passed = std::max(passed, self.particles_passed());
       calm = found <= CALM_SHARE * stretch ? calm + 1 : 0;
       if (calm >= CALM_CELLS && substeps > least) {
         substeps = std::max(substeps / 2, least);
@@ -200,7 +209,7 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
     }
   }
   return {ended_state(run), ended_torn(run), substeps, calm, worst, taken,
-          contacts.touched, contacts.unresolved};
+          contacts.touched, contacts.unresolved, self.ended(), passed};
 }
 
 }  // namespace animtool

@@ -8,6 +8,7 @@
 #include <nanobind/stl/tuple.h>
 
 #include "springs_contacts.h"
+#include "springs_self.h"
 
 namespace animtool {
 
@@ -26,9 +27,11 @@ struct Cells {
 // states (2, N, 3), torn, particles left inside colliders
 using SpringsStepped = std::tuple<Out<double, 3>, Out<std::uint8_t, 1>, std::int64_t>;
 // states, torn, steps a cell, cells that went well since, largest stretch, steps taken,
-// particles in contact and left inside colliders
+// particles in contact and left inside colliders, passages of the surface through itself
+// (C, 3), most particles that were through it
 using SpringsProjected = std::tuple<Out<double, 3>, Out<std::uint8_t, 1>, int, int, double,
-                                    std::int64_t, std::int64_t, std::int64_t>;
+                                    std::int64_t, std::int64_t, std::int64_t,
+                                    Out<std::int64_t, 2>, std::int64_t>;
 // states, states before, whether these are known, torn, steps, corrections, cells not solved,
 // particles left inside colliders
 using SpringsSolved = std::tuple<Out<double, 3>, Out<double, 3>, bool, Out<std::uint8_t, 1>,
@@ -51,7 +54,12 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
                                  In<std::uint8_t, 1> torn, double origin, std::int64_t first,
                                  double cell, std::int64_t cells, int substeps, int calm,
                                  int least, int most, double stretch,
-                                 const std::optional<SpringColliders>& colliders);
+                                 const std::optional<SpringColliders>& colliders,
+                                 const SpringLayers* layers, In<std::int64_t, 2> crossed);
+
+// One step of what keeps a surface apart from itself, from positions (N, 3) to a state (2, N, 3).
+Out<double, 3> part_springs(const SpringNetwork& network, const SpringLayers& layers,
+                            In<double, 2> before, In<double, 3> after, double h);
 
 SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
                             std::optional<In<double, 3>> before, In<std::uint8_t, 1> torn,

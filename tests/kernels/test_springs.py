@@ -92,6 +92,8 @@ def test_springs_are_projected_one_after_the_other(seed: int) -> None:
         1,
         np.inf,
         None,
+        None,
+        np.zeros((0, 3), np.int64),
     )[0]
     np.testing.assert_allclose(found, projected(ends, count, seed), atol=1e-9)
 

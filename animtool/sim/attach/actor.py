@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -123,7 +123,7 @@ class Actor:
     def rush(self, speed: FloatArray) -> None:
         """Add a velocity ``(3,)`` [m/s] to the whole."""
         state = self.state
-        self.state = State(state.positions, state.velocities + speed)
+        self.state = replace(state, velocities=state.velocities + speed)
 
     def cross(self, ways: Ways) -> None:
         """Go on by a frame."""
@@ -165,8 +165,10 @@ class Actor:
 
 def carried(state: State, shift: FloatArray, turn: FloatArray) -> State:
     """Return a state moved as a whole: turned about the origin, and shifted."""
-    return State(
-        so3.rotate(turn, state.positions) + shift, so3.rotate(turn, state.velocities)
+    return replace(
+        state,
+        positions=so3.rotate(turn, state.positions) + shift,
+        velocities=so3.rotate(turn, state.velocities),
     )
 
 

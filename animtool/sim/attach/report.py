@@ -23,13 +23,14 @@ class AttachReport:
         name: As the rig names it.
         kind: Of `AttachKind`.
         status: ``ok``, ``stretched`` beyond what was aimed at, or ``unresolved``:
-            something stays inside a collider.
+            something stays inside a collider, or went through the cloth.
         particles: How many there are.
         steps: Steps a frame.
         stretch: Most that a spring was longer than at rest [1].
         aimed: At which stretch [1].
         contacts: Most particles that touched colliders at once.
         unresolved: Most that were left inside.
+        passed: Most that had gone through the cloth.
         jumps: How often it was carried over a jump.
         seconds: Time spent [s].
     """
@@ -43,6 +44,7 @@ class AttachReport:
     aimed: float
     contacts: int
     unresolved: int
+    passed: int
     jumps: int
     seconds: float
 
@@ -57,7 +59,7 @@ def _report(actor: Actor) -> AttachReport:
     status = "ok"
     if tally.stretch > PARDON * aimed:
         status = "stretched"
-    if tally.unresolved:
+    if tally.unresolved or tally.passed:
         status = "unresolved"
     return AttachReport(
         actor.body.name,
@@ -69,6 +71,7 @@ def _report(actor: Actor) -> AttachReport:
         aimed,
         tally.contacts,
         tally.unresolved,
+        tally.passed,
         actor.jumps,
         actor.seconds,
     )
@@ -128,6 +131,11 @@ def _warnings(report: AttachReport) -> list[Fault]:
         message = f"{report.name}: {points} stay inside colliders"
         hint = "colliders that close in leave them no way out"
         said.append(Fault("SIM132", message, hint=hint, severity=Severity.WARNING))
+    if report.passed:
+        points = counted(report.passed, "particle")
+        message = f"{report.name}: {points} went through the cloth"
+        hint = "give it more thickness, or a higher rate"
+        said.append(Fault("SIM144", message, hint=hint, severity=Severity.WARNING))
     return said
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from animtool.errors import Fault, FormatError, OptionError
 from animtool.output import output_error, replacing
-from animtool.sim.attach.stepping import State
+from animtool.sim.attach.stepping import State, nowhere
 
 __all__ = ["Saved", "read_states", "write_states"]
 
@@ -49,6 +49,8 @@ def write_states(path: Path, saved: list[Saved]) -> None:
             both = np.stack([state.positions, state.velocities])
             arrays[f"{i}/{name}"] = both
             arrays[f"{i}/{name}/steps"] = np.array(float(one.steps[name]))
+            if len(state.passages):
+                arrays[f"{i}/{name}/passages"] = state.passages
     try:
         with replacing(path) as temporary, temporary.open("wb") as file:
             np.savez(file, **arrays)
@@ -86,7 +88,8 @@ def read_states(path: Path, sizes: Mapping[str, int]) -> Saved:
             message = f"it has no state of {name!r} with {size} particles"
             faults.append(Fault("SIM035", message, str(path)))
             continue
-        states[name] = State(found[0].copy(), found[1].copy())
+        passages = arrays.get(f"{latest}/{name}/passages", nowhere())
+        states[name] = State(found[0].copy(), found[1].copy(), passages)
         steps[name] = int(arrays[f"{latest}/{name}/steps"])
     if faults:
         raise OptionError(faults)

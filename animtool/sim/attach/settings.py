@@ -61,7 +61,9 @@ class SimulateOptions:
         wind: Velocity of the air ``[x, y, z]`` [m/s].
         colliders: Keep out of the rig's capsules.
         radius: Distance kept from them, such as ``5mm``.
-        friction: On them, Coulomb's coefficient [1].
+        friction: On them, and between layers, Coulomb's coefficient [1].
+        thickness: Distance that cloth keeps from itself, such as ``5mm``; None lets it
+            go through itself.
         settle: Time in the first pose before anything moves [s].
         preroll: Time of the way into the first frame, behind ``settle`` [s].
         lead: How that way goes.
@@ -93,6 +95,7 @@ class SimulateOptions:
     colliders: bool = True
     radius: str = "5mm"
     friction: float = 0.2
+    thickness: str | None = None
     settle: float = 1.0
     preroll: float = 0.0
     lead: Lead = Lead.HOLD
@@ -124,6 +127,7 @@ class Settings:
         wind: [m/s]
         radius: Distance kept from colliders [m].
         friction: [1]
+        thickness: Distance that cloth keeps from itself [m]; 0 does not ask.
         colliders: Keep out of the rig's capsules.
         rate: Least steps a second; None is by ``stretch``.
     """
@@ -138,6 +142,7 @@ class Settings:
     wind: tuple[float, float, float]
     radius: float
     friction: float
+    thickness: float
     colliders: bool
     rate: float | None
 
@@ -153,6 +158,9 @@ def settings_for(options: SimulateOptions, kind: str) -> Settings:
     stretch = options.stretch
     if stretch is None:
         stretch = _STRETCHES.get(known, STRETCH)
+    thickness = 0.0
+    if options.thickness is not None and known is AttachKind.CLOTH:
+        thickness = parse_length(options.thickness)
     return Settings(
         2 * math.pi * frequency,
         options.damping,
@@ -164,6 +172,7 @@ def settings_for(options: SimulateOptions, kind: str) -> Settings:
         options.wind,
         parse_length(options.radius),
         options.friction,
+        thickness,
         options.colliders,
         options.rate,
     )
@@ -196,6 +205,7 @@ def option_checks(options: SimulateOptions) -> OptionChecks:
         name: partial(_check_length, options, name)
         for name in ("radius", "loop_tolerance")
     }
+    checks["thickness"] = partial(_check_thickness, options)
     checks["what"] = partial(_check_what, options)
     checks["wind"] = partial(_check_finite, options.wind, "wind")
     checks["teleports"] = partial(_check_finite, options.teleports, "teleports")
@@ -245,6 +255,16 @@ def _check_length(options: SimulateOptions, name: str) -> None:
         parse_length(getattr(options, name))
     except ValueError as error:
         raise OptionError(Fault("SIM031", f"{name}: {error}")) from error
+
+
+def _check_thickness(options: SimulateOptions) -> None:
+    if options.thickness is None:
+        return
+    _check_length(options, "thickness")
+    if not parse_length(options.thickness) > 0:
+        message = f"thickness is {options.thickness!r}; it must be more than 0"
+        hint = "leave it out where cloth may go through itself"
+        raise OptionError(Fault("SIM031", message, hint=hint))
 
 
 def _check_save(options: SimulateOptions) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -12,6 +12,7 @@ from animtool import _kernels
 from animtool._types import FloatArray, IntArray
 from animtool.sim.attach.network import Network, reach
 from animtool.sim.attach.settings import Settings
+from animtool.sim.springs import SelfContact
 
 __all__ = [
     "STIFF",
@@ -45,6 +46,11 @@ AIR = 0.6
 FEWEST_CELLS, MOST_CELLS = 5, 8
 
 
+def nowhere() -> IntArray:
+    """Return no passages of cloth through itself ``(0, 3)``."""
+    return np.zeros((0, 3), np.int64)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class State:
     """Where N particles are, and how fast.
@@ -52,10 +58,12 @@ class State:
     Attributes:
         positions: ``(N, 3)`` [m], world.
         velocities: ``(N, 3)`` [m/s].
+        passages: Where cloth went through itself ``(C, 3)``: particle, triangle, side.
     """
 
     positions: FloatArray
     velocities: FloatArray
+    passages: IntArray = field(default_factory=nowhere)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,17 +93,22 @@ class Tally:
         stretch: Most that a spring was longer than at rest, over that [1].
         contacts: Most particles that touched colliders at once.
         unresolved: Most that were left inside one.
+        passed: Most that had gone through the cloth.
     """
 
     stretch: float = 0.0
     contacts: int = 0
     unresolved: int = 0
+    passed: int = 0
 
-    def add(self, stretch: float, contacts: int, unresolved: int) -> None:
+    def add(
+        self, stretch: float, contacts: int, unresolved: int, passed: int = 0
+    ) -> None:
         """Note a frame."""
         self.stretch = max(self.stretch, stretch)
         self.contacts = max(self.contacts, contacts)
         self.unresolved = max(self.unresolved, unresolved)
+        self.passed = max(self.passed, passed)
 
 
 def steps_wanted(network: Network, settings: Settings) -> float:
@@ -190,6 +203,7 @@ class SheetStepper:
         self._drags = np.full(network.count, slowing)
         self._torn = np.zeros(len(self._ends), np.uint8)
         self._ready: tuple[int, float, _kernels.SpringNetwork] | None = None
+        self._layers: _kernels.SpringLayers | None = None
 
     def cross(
         self, state: State, motions: Motions, span: float, substeps: int
@@ -197,12 +211,28 @@ class SheetStepper:
         """Return the state a frame later."""
         cells = motions.cells
         both = np.stack([state.positions, state.velocities])
-        made, _, _, _, _, _, touched, inside = _kernels.project_springs(
-            self._led(motions, span), both, self._torn, 0.0, 0, span / cells, cells,
-            substeps, 0, substeps, substeps, np.inf, motions.colliders,
+        network = self._led(motions, span)
+        if self._settings.thickness and self._layers is None:
+            self._layers = self._layered(network)
+        found = _kernels.project_springs(
+            network, both, self._torn, 0.0, 0, span / cells, cells,
+            substeps, 0, substeps, substeps, np.inf, motions.colliders, self._layers,
+            state.passages,
         )  # fmt: skip
-        self.tally.add(self._stretch(made[0]), touched, inside)
-        return State(made[0], made[1])
+        made, _, _, _, _, _, touched, inside, passages, passed = found
+        self.tally.add(self._stretch(made[0]), touched, inside, passed)
+        return State(made[0], made[1], passages)
+
+    def _layered(self, network: _kernels.SpringNetwork) -> _kernels.SpringLayers:
+        """Return how cloth keeps apart from itself, as kernels take it."""
+        contact = SelfContact(self._settings.thickness, self._settings.friction)
+        return _kernels.SpringLayers(
+            network,
+            self.network.points,
+            contact.thickness,
+            contact.friction,
+            contact.speed,
+        )
 
     def _led(self, motions: Motions, span: float) -> _kernels.SpringNetwork:
         """Return the network on its way through a frame."""

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from animtool.sim.springs.paths import Targets as Targets
     from animtool.sim.springs.resting import Rest as Rest
     from animtool.sim.springs.resting import find_rest as find_rest
+    from animtool.sim.springs.self_contact import SelfContact as SelfContact
     from animtool.sim.springs.sheets import sheet as sheet
     from animtool.sim.springs.simulating import simulate_springs as simulate_springs
     from animtool.sim.springs.surfaces import surface as surface
@@ -35,6 +36,7 @@ _PUBLIC = {
     "Body": "body",
     "Family": "body",
     "Pins": "paths",
+    "SelfContact": "self_contact",
     "Solver": "options",
     "SpringMotion": "motion",
     "SpringOptions": "options",

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
-from animtool._types import FloatArray
+from animtool._types import FloatArray, IntArray
 from animtool.sim.springs.options import Solver
 from animtool.sim.trajectory import Trajectory
 
@@ -35,6 +35,8 @@ class Grid:
         evaluations: Of all springs so far.
         lost: Whether a cell could not be crossed.
         unresolved: Particles left inside colliders, at most.
+        passages: Where the surface is through itself ``(C, 3)``, as kernels have it.
+        passed: Particles through the surface, at most.
     """
 
     solver: Solver
@@ -52,6 +54,8 @@ class Grid:
     evaluations: int = 0
     lost: bool = False
     unresolved: int = 0
+    passages: IntArray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
+    passed: int = 0
 
     @property
     def time(self) -> float:
@@ -72,6 +76,8 @@ class SpringMotion(Trajectory):
         torn: Which springs are, at the end ``(S,)``, in the order of the body's.
         unresolved: Particles that colliders held from several sides, or that were on
             their way out of one, at most at a time.
+        passed: Particles that had gone through the surface and were not yet brought
+            back, at most at a time.
     """
 
     solver: Solver
@@ -80,3 +86,4 @@ class SpringMotion(Trajectory):
     stretch: float
     torn: npt.NDArray[np.bool_]
     unresolved: int
+    passed: int = 0

@@ -59,7 +59,8 @@ def simulate_springs(
     Raises:
         OptionError: There is no such solver (SIM001); times descend, are not finite or
             none (SIM002); the start is not finite or of another shape (SIM003); an
-            option is out of its range (SIM004).
+            option is out of its range (SIM004); a solver that is asked for does not
+            keep a surface apart from itself (SIM046).
 
     >>> from animtool.sim.springs import Family, Pins, SpringSystem, rope
     >>> line = rope([0, 0, 0], [1, 0, 0], 8, Family(1e4), mass=0.01)
@@ -98,7 +99,7 @@ def simulate_springs(
 
 def _fresh(grid: Grid) -> Grid:
     """Return where a motion stands, with nothing counted."""
-    return replace(grid, stretch=0.0, steps=0, evaluations=0, unresolved=0)
+    return replace(grid, stretch=0.0, steps=0, evaluations=0, unresolved=0, passed=0)
 
 
 def _check_start(system: SpringSystem, state: FloatArray) -> None:
@@ -172,6 +173,7 @@ def _motion(
         stretch=run.grid.stretch,
         torn=run.torn,
         unresolved=run.grid.unresolved,
+        passed=run.grid.passed,
     )
 
 
@@ -302,6 +304,10 @@ def _notices(
         )
         hint = "they start inside, or colliders close in on them from several sides"
         found.append(_warning("SIM143", message, hint))
+    if run.grid.passed:
+        message = f"{counted(run.grid.passed, 'particle')} went through the surface"
+        hint = "take a shorter step, or a greater thickness"
+        found.append(_warning("SIM144", message, hint))
     return found
 
 

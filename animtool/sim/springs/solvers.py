@@ -56,11 +56,12 @@ def _projected(
 ) -> Grid:
     most = max(grid.least, int(grid.cell / SHORTEST))
     met = cell_colliders(system.colliders, system.radius, grid, cells)
-    state, torn, substeps, calm, stretch, steps, _, inside = _kernels.project_springs(
+    made = _kernels.project_springs(
         _network(system, grid), grid.state, grid.torn, grid.origin, grid.index,
         grid.cell, cells, grid.substeps, grid.calm, grid.least, most, options.stretch,
-        met,
+        met, system.layers, grid.passages,
     )  # fmt: skip
+    state, torn, substeps, calm, stretch, steps, _, inside, passages, passed = made
     return replace(
         grid,
         index=grid.index + cells,
@@ -69,6 +70,8 @@ def _projected(
         torn=torn,
         unresolved=max(grid.unresolved, inside),
         calm=calm,
+        passages=passages,
+        passed=max(grid.passed, passed),
         stretch=max(grid.stretch, stretch),
         steps=grid.steps + steps,
         evaluations=grid.evaluations + steps,

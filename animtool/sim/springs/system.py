@@ -25,6 +25,7 @@ from animtool.sim.springs.checks import (
 )
 from animtool.sim.springs.jumps import Jumps
 from animtool.sim.springs.paths import Air, Pins, Targets, over_knots
+from animtool.sim.springs.self_contact import SelfContact, check_self_contact
 from animtool.sim.system import Energy, Matrix, Native, SecondOrder
 
 __all__ = ["SpringSystem"]
@@ -67,9 +68,10 @@ class SpringSystem(SecondOrder):
         radius: Distance that particles keep from colliders [m].
         speed_limit: Pins and targets that go faster were put elsewhere: what they hold
             is taken along as a whole, and gets no velocity of it [m/s].
+        self_contact: How the triangles keep apart from themselves; None does not ask.
 
     Raises:
-        OptionError: What makes no sense (SIM004, SIM040 to SIM044), of colliders
+        OptionError: What makes no sense (SIM004, SIM040 to SIM045), of colliders
             SIM020.
 
     >>> from animtool.sim.springs.lines import rope
@@ -97,10 +99,13 @@ class SpringSystem(SecondOrder):
         colliders: Sequence[Collider] = (),
         radius: float = 0.0,
         speed_limit: float = SPEED_LIMIT,
+        self_contact: SelfContact | None = None,
     ) -> None:
         held = Pins(()) if pins is None else pins
         check_body(body, held, targets)
         check_limit(speed_limit)
+        if self_contact is not None:
+            check_self_contact(self_contact, body)
         count = len(body.positions)
         self.body = body
         self.gravity = as_floats(gravity, (3,), "gravity")
@@ -121,7 +126,9 @@ class SpringSystem(SecondOrder):
         )
         self.radius, self.speed_limit = float(radius), float(speed_limit)
         self._pins_move = len(pin_path[0]) > 1
-        self.settles = self._pins_move or len(self.colliders) > 0 or len(self.jumps) > 0
+        self.self_contact = self_contact
+        self._meets = len(self.colliders) > 0 or self_contact is not None
+        self.settles = self._pins_move or self._meets or len(self.jumps) > 0
         speeds = np.zeros((count, 3)) if velocities is None else velocities
         self._state = np.stack(
             [body.positions, as_floats(speeds, (count, 3), "velocities")]
@@ -158,6 +165,21 @@ class SpringSystem(SecondOrder):
             self.draws,
             paths[1],
             paths[2],
+        )
+
+    @cached_property
+    def layers(self) -> _kernels.SpringLayers | None:
+        """What of the surface kernels keep apart."""
+        contact = self.self_contact
+        if contact is None:
+            return None
+        rest = self.body.positions if contact.rest is None else contact.rest
+        return _kernels.SpringLayers(
+            self.network,
+            np.ascontiguousarray(rest, np.float64),
+            contact.thickness,
+            contact.friction,
+            contact.speed,
         )
 
     @cached_property
@@ -314,9 +336,13 @@ class SpringSystem(SecondOrder):
         if not self.settles:
             return after
         moved = after.copy()
+        if self.layers is not None:
+            moved = _kernels.part_springs(
+                self.network, self.layers, before[0], moved, h
+            )
         if len(self.colliders):
             met = collide(
-                after[0], after[1], before, self.colliders, t - h, t, self.radius
+                moved[0], moved[1], before, self.colliders, t - h, t, self.radius
             )
             moved = np.stack([met.points, met.velocities])
             self.contacts = met.contacts
@@ -332,7 +358,7 @@ class SpringSystem(SecondOrder):
 
     def native(self, method: str) -> Native | None:
         """Return what takes many steps at once, of symplectic_euler."""
-        if method != "symplectic_euler" or len(self.colliders) or len(self.jumps):
+        if method != "symplectic_euler" or self._meets or len(self.jumps):
             return None
 
         def steps(t: float, state: FloatArray, h: float, count: int) -> FloatArray:

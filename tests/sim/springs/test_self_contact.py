@@ -1,0 +1,455 @@
+"""Surfaces that keep apart from themselves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from support.surfaces import distances, pierced
+
+from animtool import _kernels
+from animtool._types import FloatArray, IntArray
+from animtool.errors import OptionError
+from animtool.sim import IntegrateOptions, Status, integrate
+from animtool.sim.colliders import Collider, Plane
+from animtool.sim.springs import (
+    Body,
+    Family,
+    Pins,
+    SelfContact,
+    Solver,
+    SpringMotion,
+    SpringOptions,
+    Springs,
+    SpringSystem,
+    join,
+    rope,
+    sheet,
+    simulate_springs,
+)
+
+XPBD = SpringOptions("xpbd")
+FLOOR = Collider(Plane((0.0, 0.0, 1.0)), friction=0.5)
+COUNT = 14
+EDGE = 1 / (COUNT - 1)
+# Of the thickness, what is kept in any fold.
+KEPT = 0.9
+
+
+def least_share(motion: SpringMotion, system: SpringSystem, flat: FloatArray) -> float:
+    """Return the least distance over the thickness, of what springs do not hold."""
+    contact, triangles = system.self_contact, system.body.triangles
+    assert contact is not None
+    held = distances(flat, flat[triangles]) < 1.5 * contact.thickness
+    found = [
+        np.where(held, np.inf, distances(x, x[triangles])).min()
+        for x in motion.positions[::4]
+    ]
+    return float(min(found) / contact.thickness)
+
+
+def cloth() -> Body:
+    return sheet(
+        COUNT, COUNT, mass=2e-3,
+        structural=Family(500.0, ratio=0.05), diagonals=Family(50.0, ratio=0.05),
+        bend=Family(0.2, ratio=0.05),
+    )  # fmt: skip
+
+
+def folded(flat: FloatArray, gap: float) -> FloatArray:
+    """Return a flat sheet folded over a roll of a diameter."""
+    radius, x = gap / 2, flat.copy()
+    straight = 0.5 - np.pi * radius / 2
+    angle = np.clip((flat[:, 0] - straight) / radius, 0, np.pi)
+    over = np.where(angle == np.pi, flat[:, 0] - straight - np.pi * radius, 0.0)
+    x[:, 0] = np.minimum(flat[:, 0], straight) + radius * np.sin(angle) - over
+    x[:, 2] = 0.05 + radius * (1 - np.cos(angle))
+    return x
+
+
+def dropped_fold(contact: SelfContact | None, gap: float = 3 * EDGE) -> SpringSystem:
+    body = cloth()
+    if contact is not None:
+        contact = replace(contact, rest=body.positions)
+    return SpringSystem(
+        replace(body, positions=folded(body.positions, gap)),
+        colliders=[FLOOR], drag=0.5, self_contact=contact,
+    )  # fmt: skip
+
+
+TIMES = np.arange(20) / 24
+
+
+@pytest.mark.parametrize("thickness", [0.2, 0.5, 1.0])
+def test_a_folded_sheet_lies_on_itself(thickness: float) -> None:
+    system = dropped_fold(SelfContact(thickness * EDGE))
+    motion = simulate_springs(system, TIMES, XPBD)
+    flat, triangles = cloth().positions, system.body.triangles
+    assert motion.stats.status is Status.OK
+    assert not motion.passed
+    assert least_share(motion, system, flat) > KEPT
+    assert [pierced(x, triangles) for x in motion.positions[::4]] == [0] * 5
+
+
+def test_without_contact_it_goes_through_itself() -> None:
+    system = dropped_fold(None)
+    motion = simulate_springs(system, TIMES, XPBD)
+    assert max(pierced(x, system.body.triangles) for x in motion.positions) > 10
+
+
+def test_a_curtain_that_is_drawn_keeps_its_folds_apart() -> None:
+    body = cloth()
+    top = np.arange(COUNT)
+    rail = np.stack([body.positions[top]] * 2)
+    rail[1, :, 0] *= 0.35
+    rail[1, :, 2] = 0.1 * (-1.0) ** top
+    body = replace(body, positions=body.positions * [1, -1, 1])
+    rail[..., 1] = 0
+    rail[..., 1] += body.positions[top, 1]
+    system = SpringSystem(
+        body, pins=Pins(top, rail, [0.0, 0.6]), gravity=(0, -9.81, 0), drag=1.0,
+        self_contact=SelfContact(0.5 * EDGE),
+    )  # fmt: skip
+    motion = simulate_springs(system, TIMES, XPBD)
+    assert not motion.passed
+    assert least_share(motion, system, body.positions) > KEPT
+    assert [pierced(x, body.triangles) for x in motion.positions[::4]] == [0] * 5
+
+
+def test_a_roll_that_is_pressed_stays_a_roll() -> None:
+    body = cloth()
+    flat = body.positions
+    # An Archimedean spiral, layers 1.5 thicknesses apart.
+    thickness = 0.4 * EDGE
+    pitch = 1.5 * thickness / (2 * np.pi)
+    angle = np.sqrt(2 * flat[:, 0] / pitch + (2 * np.pi) ** 2)
+    x = flat.copy()
+    x[:, 0], x[:, 2] = (
+        pitch * angle * np.cos(angle),
+        pitch * angle * np.sin(angle) + 0.3,
+    )
+    system = SpringSystem(
+        replace(body, positions=x), colliders=[FLOOR], drag=0.5,
+        self_contact=SelfContact(thickness, rest=flat),
+    )  # fmt: skip
+    motion = simulate_springs(system, TIMES, XPBD)
+    assert not motion.passed
+    assert [pierced(one, body.triangles) for one in motion.positions[::4]] == [0] * 5
+    assert least_share(replace(motion, states=motion.states[12:]), system, flat) > KEPT
+
+
+def test_the_same_bits_in_one_run_or_in_parts() -> None:
+    system = dropped_fold(SelfContact(0.5 * EDGE))
+    whole = simulate_springs(system, TIMES, XPBD)
+    again = simulate_springs(system, TIMES, XPBD)
+    assert whole.states.tobytes() == again.states.tobytes()
+    for cut in (5, 9, 10, 14):
+        first = simulate_springs(system, TIMES[: cut + 1], XPBD)
+        rest = simulate_springs(system, TIMES[cut:], XPBD, first.carried)
+        assert rest.states.tobytes() == whole.states[cut:].tobytes()
+
+
+def layers(apart: float = 0.02) -> Body:
+    """Return a loose sheet over a larger one."""
+    below = sheet(4, 4, mass=1e-3, structural=Family(100.0), diagonals=Family(20.0))
+    above = sheet(
+        4, 4, mass=1e-3, corner=(0.12, 0.13, apart), across=(0.5, 0, 0),
+        up=(0, 0.5, 0), structural=Family(100.0), diagonals=Family(20.0),
+    )  # fmt: skip
+    return join([below, above])
+
+
+def test_momentum_is_kept() -> None:
+    body = layers(apart=0.05)
+    speeds = np.zeros_like(body.positions)
+    speeds[16:] = [0.5, 0.2, -3.0]
+    system = SpringSystem(
+        body, gravity=(0, 0, 0), velocities=speeds,
+        self_contact=SelfContact(0.03, friction=0.6),
+    )  # fmt: skip
+    motion = simulate_springs(system, np.arange(13) / 24, XPBD)
+    moving = body.masses @ motion.velocities
+    np.testing.assert_allclose(moving, moving[:1].repeat(13, axis=0), atol=1e-15 * 16)
+    # They met.
+    assert np.abs(motion.velocities[-1, :16]).max() > 0.5
+    assert [pierced(x, body.triangles) for x in motion.positions] == [0] * 13
+
+
+def test_what_starts_too_near_comes_apart_slowly_and_without_speed() -> None:
+    thickness, speed = 0.02, 0.05
+    flat = layers(apart=1.0)
+    body = replace(flat, positions=layers(apart=0.2 * thickness).positions)
+    contact = SelfContact(thickness, speed=speed, rest=flat.positions)
+    system = SpringSystem(body, gravity=(0, 0, 0), self_contact=contact)
+    times = np.arange(25) / 48
+    motion = simulate_springs(system, times, XPBD)
+    moved = np.abs(motion.positions - body.positions).max(axis=(1, 2))
+    # Where several push one particle it gives way to each.
+    assert (moved <= 1.5 * speed * times + 1e-9).all()
+    above, below = motion.positions[-1, 16:], motion.positions[-1, :16]
+    apart = distances(above, below[body.triangles[:18]]).min(axis=1)
+    assert thickness * 0.99 < apart.min() < apart.max() < thickness * 1.5
+    assert np.abs(motion.velocities).max() < speed
+
+
+def test_layers_that_are_near_at_rest_stay_as_near() -> None:
+    body = layers(apart=0.004)
+    system = SpringSystem(body, gravity=(0, 0, 0), self_contact=SelfContact(0.02))
+    motion = simulate_springs(system, np.arange(13) / 24, XPBD)
+    np.testing.assert_allclose(motion.positions[-1], body.positions, atol=1e-8)
+
+
+def test_friction_slows_a_layer_on_another() -> None:
+    body = layers(apart=0.02)
+    speeds = np.zeros_like(body.positions)
+    speeds[16:, 0] = 1.0
+    for friction in (0.0, 0.3):
+        contact = SelfContact(0.02, friction=friction)
+        system = SpringSystem(
+            body, pins=Pins(np.arange(16)), velocities=speeds, self_contact=contact
+        )
+        motion = simulate_springs(system, [0, 0.1, 0.2], SpringOptions("xpbd", 1 / 960))
+        left = motion.velocities[:, 16:, 0].mean(axis=1)
+        wanted = [1 - friction * 9.81 * t for t in (0, 0.1, 0.2)]
+        np.testing.assert_allclose(left, wanted, atol=0.03)
+
+
+def test_what_is_pulled_through_is_counted() -> None:
+    floor = sheet(4, 4, mass=1e-3, structural=Family(100.0))
+    flake = sheet(2, 2, mass=1e-3, corner=(0.4, 0.4, 0.1), across=(0.2, 0, 0),
+                  up=(0, 0.2, 0), structural=Family(100.0))  # fmt: skip
+    body = join([floor, flake])
+    held = np.arange(20)
+    path = np.stack(
+        [body.positions, body.positions - [0, 0, 0.12] * (held >= 16)[:, None]]
+    )
+    system = SpringSystem(
+        body, pins=Pins(held, path, [0, 0.2]), self_contact=SelfContact(0.02)
+    )
+    motion = simulate_springs(system, [0, 0.25], XPBD)
+    assert motion.passed == 4
+    (notice,) = motion.notices
+    assert notice.code == "SIM144"
+    assert "4 particles" in notice.message
+
+
+def solid(points: FloatArray, triangles: object) -> Body:
+    corners = np.asarray(triangles, np.int64).reshape(-1, 3)
+    return Body(points, np.ones(len(points)), Springs.none(), corners)
+
+
+def test_what_went_through_is_brought_back() -> None:
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    inside = np.array([[0.3, 0.3, -0.005]])
+    body = solid(np.concatenate([corners, inside]), [[0, 1, 2]])
+    contact = SelfContact(0.02, speed=0.1, rest=body.positions * 100)
+    system = SpringSystem(
+        body, pins=Pins([0, 1, 2]), gravity=(0, 0, 0), self_contact=contact
+    )
+    start = simulate_springs(system, [0, 1 / 240], XPBD).carried
+    for side, end in ((1, 0.02), (-1, -0.02)):
+        passages = np.array([[3, 0, side]])
+        known = replace(start.memory, passages=passages, state=system.state, index=0)
+        motion = simulate_springs(
+            system, np.arange(13) / 24, XPBD, replace(start, time=0.0, memory=known)
+        )
+        height = motion.positions[:, 3, 2]
+        assert height[-1] == pytest.approx(end)
+        assert np.abs(np.diff(height)).max() < 0.1 / 24 * 1.01
+        assert np.abs(motion.velocities).max() < 1e-9
+
+
+class Reference:
+    """One pass over all pairs, one after the other, in plain numpy."""
+
+    def __init__(self, body: Body, weights: FloatArray, contact: SelfContact) -> None:
+        self.body, self.weights, self.contact = body, weights, contact
+        assert contact.rest is not None
+        rest = np.asarray(contact.rest)
+        apart = distances(rest, rest[body.triangles])
+        self.least = np.minimum(apart, contact.thickness)
+
+    def part(self, before: FloatArray, x: FloatArray, h: float) -> FloatArray:
+        shifted, way = before.copy(), x - before
+        # What is farther when the pass begins waits for the next.
+        travel = 2 * np.linalg.norm(way - way.mean(axis=0), axis=1).max()
+        reach = self.contact.thickness + travel + self.contact.speed * h
+        near = distances(x, x[self.body.triangles]) < reach
+        x = x.copy()
+        for t, corners in enumerate(self.body.triangles):
+            for n in range(len(x)):
+                if near[n, t] and n not in corners:
+                    self._pair(before, shifted, x, n, corners, self.least[n, t], h)
+        return x
+
+    def _pair(
+        self, before: FloatArray, shifted: FloatArray, x: FloatArray, n: int,
+        corners: IntArray, least: float, h: float,
+    ) -> None:  # fmt: skip
+        share = shares(x[n], x[corners])
+        off = x[n] - share @ x[corners]
+        apart = np.linalg.norm(off)
+        if not apart < least:
+            return
+        who, gain = np.array([n, *corners]), np.array([1.0, *-share])
+        w = self.weights[who] * gain
+        if not w.any():
+            return
+        first, begun = (
+            min(distances(one[[n]], one[corners][None])[0, 0], least)
+            for one in (before, shifted)
+        )
+        pressed = max(0.0, begun - apart)
+        goal = min(least, first + self.contact.speed * h)
+        back = max(0.0, goal - max(apart, begun))
+        out = off / apart
+        slid = gain @ (x[who] - shifted[who])
+        slid = slid - out * (slid @ out)
+        way, held = np.linalg.norm(slid), self.contact.friction * pressed
+        slid = slid * (held / way if way > held else 1.0)
+        x[who] += w[:, None] * (out * (pressed + back) - slid) / (w @ gain)
+        shifted[who] += w[:, None] * out * back / (w @ gain)
+
+
+def shares(p: FloatArray, corners: FloatArray) -> FloatArray:
+    """Return shares of corners in the point nearest to another."""
+    a, b, c = corners
+    face = np.linalg.lstsq(np.stack([b - a, c - a], 1), p - a, rcond=None)[0]
+    best = np.array([1 - face.sum(), *face])
+    if best.min() >= 0:
+        return best
+    found = []
+    for i, j in ((0, 1), (1, 2), (2, 0)):
+        way = corners[j] - corners[i]
+        at = np.clip((p - corners[i]) @ way / (way @ way), 0, 1)
+        share = np.zeros(3)
+        share[i], share[j] = 1 - at, at
+        found.append(share)
+    return min(found, key=lambda share: float(np.linalg.norm(p - share @ corners)))
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=60)
+def test_each_pair_is_moved_as_the_formula_says(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    count, h = int(rng.integers(6, 14)), 0.01
+    points = rng.uniform(0, 0.5, (count, 3))
+    triangles = np.stack([rng.choice(count, 3, replace=False) for _ in range(4)])
+    # Far apart at rest, no edges: only corners are left to springs.
+    body = solid(points, triangles)
+    contact = SelfContact(0.05, 0.3, 0.5, points * 1e3)
+    pins = np.flatnonzero(rng.random(count) < 0.2)
+    system = SpringSystem(body, pins=Pins(pins), self_contact=contact)
+    corner = (np.arange(count)[:, None, None] == triangles).any(axis=2)
+    # Nothing is to go through anything.
+    assume((corner | (distances(points, points[triangles]) > 5e-3)).all())
+    x = points + rng.uniform(-1, 1, (count, 3)) * 1e-3
+    assert system.layers is not None
+    state = np.stack([x, np.zeros_like(x)])
+    made = _kernels.part_springs(system.network, system.layers, points, state, h)
+    weights = system.inverse_masses
+    expected = Reference(body, weights, contact).part(points, x, h)
+    np.testing.assert_allclose(made[0], expected, atol=1e-12)
+
+
+@given(st.integers(0, 2**32 - 1), st.booleans())
+@settings(max_examples=100)
+def test_any_start_stays_finite_and_keeps_its_momentum(seed: int, flat: bool) -> None:
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(4, 40))
+    # On a lattice particles coincide and lie on edges and in faces.
+    points = rng.integers(0, 3, (count, 3)) * (0.01 * np.array([1, 1, not flat]))
+    triangles = rng.integers(0, count, (20, 3))
+    triangles = triangles[(np.diff(np.sort(triangles, axis=1)) > 0).all(axis=1)]
+    if not len(triangles):
+        return
+    masses = rng.uniform(0.1, 10, count)
+    body = replace(solid(points, triangles), masses=masses)
+    rest = rng.normal(size=(count, 3))
+    contact = SelfContact(0.02, friction=0.5, rest=rest)
+    system = SpringSystem(body, self_contact=contact)
+    x = points + rng.integers(-2, 3, (count, 3)) * 0.01
+    state = np.stack([x, rng.normal(size=(count, 3))])
+    assert system.layers is not None
+    made = _kernels.part_springs(system.network, system.layers, points, state, 0.01)
+    assert np.isfinite(made).all()
+    np.testing.assert_allclose(masses @ made[0], masses @ x, atol=1e-12)
+    np.testing.assert_allclose(masses @ made[1], masses @ state[1], atol=1e-9)
+
+
+def test_neighbours_are_left_to_springs_and_others_keep_their_distance() -> None:
+    flat = cloth()
+    body = join(
+        [flat, replace(flat, positions=np.add(flat.positions, [0, 0, 0.3 * EDGE]))]
+    )
+    thickness = 0.5 * EDGE
+    system = SpringSystem(body, self_contact=SelfContact(thickness))
+    found = system.layers
+    assert found is not None
+    x, triangles = body.positions, body.triangles
+    apart = distances(x, x[triangles])
+    same = (np.arange(len(x)) < len(x) // 2)[:, None] == (triangles[:, 0] < len(x) // 2)
+    expected = np.minimum(apart, thickness)
+    expected[same & (apart < 1.5 * thickness)] = 0
+    rng = np.random.default_rng(1)
+    for n in rng.choice(len(x), 10, replace=False).tolist():
+        made = [found.least(t, n) for t in range(len(triangles))]
+        np.testing.assert_allclose(made, expected[n], atol=1e-12)
+
+
+def test_integrators_keep_it_apart_too() -> None:
+    body = layers(apart=0.05)
+    system = SpringSystem(
+        body, pins=Pins(np.arange(16)), self_contact=SelfContact(0.03, friction=0.0)
+    )
+    options = IntegrateOptions("symplectic_euler", step=1e-3)
+    motion = integrate(system, [0.0, 0.2, 0.4], options)
+    assert motion.states[-1, 0, 16:, 2].min() > 0.03 * KEPT
+
+
+@pytest.mark.parametrize(
+    "solver", [one for one in Solver if one not in (Solver.AUTO, Solver.XPBD)]
+)
+def test_solvers_that_cannot_say_so(solver: Solver) -> None:
+    system = dropped_fold(SelfContact(0.5 * EDGE))
+    with pytest.raises(OptionError) as error:
+        simulate_springs(system, [0, 1], SpringOptions(solver))
+    assert [fault.code for fault in error.value.faults] == ["SIM046"]
+
+
+@pytest.mark.parametrize("error", [None, 0.1])
+def test_auto_takes_one_that_can(error: float | None) -> None:
+    system = SpringSystem(layers(), self_contact=SelfContact(0.01))
+    motion = simulate_springs(system, [0, 0.01], SpringOptions(error=error))
+    assert (motion.solver, motion.reason) == (
+        Solver.XPBD,
+        "it keeps surfaces apart from themselves",
+    )
+
+
+@pytest.mark.parametrize(
+    ("contact", "faults"),
+    [
+        (SelfContact(0.0), 1),
+        (SelfContact(np.nan), 1),
+        (SelfContact(0.01, friction=-0.1), 1),
+        (SelfContact(0.01, speed=np.inf), 1),
+        (SelfContact(0.01, rest=[[0, 0, 0]]), 1),
+        (SelfContact(0.01, rest=np.full((32, 3), np.nan)), 1),
+        (SelfContact(-1.0, -1.0, -1.0), 3),
+    ],
+)
+def test_contacts_that_make_no_sense(contact: SelfContact, faults: int) -> None:
+    with pytest.raises(OptionError) as error:
+        SpringSystem(layers(), self_contact=contact)
+    assert [fault.code for fault in error.value.faults] == ["SIM045"] * faults
+
+
+def test_a_rope_has_no_layers() -> None:
+    line = rope([0, 0, 0], [1, 0, 0], 3, Family(1.0), mass=1.0)
+    with pytest.raises(OptionError) as error:
+        SpringSystem(line, self_contact=SelfContact(0.01))
+    assert [fault.code for fault in error.value.faults] == ["SIM045"]
