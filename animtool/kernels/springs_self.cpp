@@ -150,6 +150,13 @@ struct Box {
     return p[0] >= low[0] && p[0] <= high[0] && p[1] >= low[1] && p[1] <= high[1] &&
            p[2] >= low[2] && p[2] <= high[2];
   }
+  // How far a point is outside.
+  double distance(const double* p) const {
+    double off[3];
+    for (std::size_t k = 0; k < 3; ++k)
+      off[k] = std::max({low[k] - p[k], 0.0, p[k] - high[k]});
+    return std::sqrt(dot3(off, off));
+  }
 };
 
 // Puts particles in cells that fit triangles with what is near them.
@@ -162,7 +169,7 @@ void fill_grid(ParticleGrid& grid, const SpringLayers& layers, const std::vector
   grid.build(x.data(), layers.particles(), cell / 2);
 }
 
-// Calls with each triangle and particle that are no farther apart, and how far.
+// Calls with each triangle and particle that may be no farther apart.
 template <class Function>
 void visit_pairs(const ParticleGrid& grid, const SpringLayers& layers,
                  const std::vector<double>& x, double reach, Function function) {
@@ -260,6 +267,7 @@ SpringLayers::SpringLayers(const SpringNetwork& network, In<double, 2> rest,
       speed(speed0),
       particles_(network.particles()),
       corners_(network.triangles),
+      neighbour_starts_{0},
       near_(network.triangles.size() / 3) {
   if (rest.shape(0) != particles_ || rest.shape(1) != 3)
     throw std::invalid_argument("what is at rest is (N, 3)");
@@ -280,8 +288,8 @@ void SpringLayers::note_neighbours(const SpringNetwork& network,
                                   length(triangle.a - triangle.c)});
     for (const std::int32_t n : ways.around(corners(t), DETOUR * near + side))
       if (has_corner(corners(t), n) || triangle.distance(row_of(rest, n)) < near)
-        near_[t].push_back({n, 0.0});
-    std::sort(near_[t].begin(), near_[t].end());
+        neighbours_.push_back(n);
+    neighbour_starts_.push_back(neighbours_.size());
   }
 }
 
@@ -293,10 +301,14 @@ void SpringLayers::note_near(const std::vector<double>& rest) {
                 const double apart = triangle.distance(p);
                 if (apart < least(t, n)) near_[t].push_back({n, apart});
               });
-  for (auto& near : near_) std::sort(near.begin(), near.end());
 }
 
 double SpringLayers::least(std::size_t triangle, std::int32_t particle) const {
+  int neighbour = 0;
+  const std::size_t last = neighbour_starts_[triangle + 1];
+  for (std::size_t i = neighbour_starts_[triangle]; i < last; ++i)
+    neighbour |= neighbours_[i] == particle;
+  if (neighbour) return 0;
   for (const auto& [n, apart] : near_[triangle])
     if (n == particle) return apart;
   return thickness;
@@ -344,14 +356,16 @@ bool SelfContacts::measure(double h, const std::vector<double>& before, const st
   way = way * (1.0 / static_cast<double>(count));
   off = off * (1.0 / static_cast<double>(count));
   double fastest = 0, farthest = 0;
+  ways_.resize(count);
   for (std::size_t n = 0; n < ROW * count; n += ROW) {
     const Vec own = load(&x[n]) - load(&before[n]) - way;
-    fastest = std::max(fastest, dot(own, own));
+    ways_[n / ROW] = length(own);
+    fastest = std::max(fastest, ways_[n / ROW]);
     if (!listed) continue;
     const Vec moved = load(&x[n]) - load(&listed_at_[n]) - off;
     farthest = std::max(farthest, dot(moved, moved));
   }
-  travel_ = 2 * std::sqrt(fastest);
+  travel_ = 2 * fastest;
   drift_ = 2 * std::sqrt(farthest);
   reach_ = layers_->thickness + std::min(travel_, FASTEST * layers_->thickness) +
            layers_->speed * h;
@@ -375,7 +389,8 @@ void SelfContacts::list(const std::vector<double>& x) {
               [&](std::size_t t, std::int32_t n, const Triangle& triangle, Vec p) {
                 const double least = layers_->least(t, n);
                 if (!(least > 0)) return;
-                const double apart = triangle.distance(p);
+                const double place[3] = {p.x, p.y, p.z};
+                const double apart = Box(triangle, 0).distance(place);
                 if (!(apart <= listed_)) return;
                 if (t != last) sort();
                 last = t;
@@ -386,34 +401,43 @@ void SelfContacts::list(const std::vector<double>& x) {
   sort();
 }
 
-void SelfContacts::find_hits(const std::vector<double>& before, const std::vector<double>& x) {
+void SelfContacts::find_hits(double h, const std::vector<double>& before, const std::vector<double>& x) {
   hits_.clear();
   flagged_.clear();
   const double look = reach_ + drift_;
   for (const Candidate& one : candidates_) {
     if (one.gap > look) continue;
     const Triangle triangle(layers_->corners(static_cast<std::size_t>(one.triangle)), x.data());
-    const Vec p = row_of(x, one.particle);
-    if (!Box(triangle, reach_).has(&x[ROW * static_cast<std::size_t>(one.particle)])) continue;
-    const double apart = triangle.distance(p);
-    if (!(apart < reach_)) continue;
-    const std::int32_t side = side_of(one.particle, one.triangle, apart, before, x);
-    hits_.push_back({one.particle, one.triangle, side, apart, one.least});
-    if (side) flagged_.push_back({one.particle, one.triangle, side});
+    const double* place = &x[ROW * static_cast<std::size_t>(one.particle)];
+    const double way = travel(one.particle, one.triangle);
+    const double reach = std::min(reach_, one.least + way + layers_->speed * h);
+    if (!Box(triangle, reach).has(place)) continue;
+    const double apart = triangle.distance(load(place));
+    if (!(apart < reach)) continue;
+    Hit hit{one.particle, one.triangle, 0, apart, way, one.least};
+    hit.side = side_of(hit, before, x);
+    hits_.push_back(hit);
+    if (hit.side) flagged_.push_back({one.particle, one.triangle, hit.side});
   }
   std::stable_sort(flagged_.begin(), flagged_.end(), [](const Passage& a, const Passage& b) {
     return a.particle < b.particle;
   });
 }
 
-std::int32_t SelfContacts::side_of(std::int32_t particle, std::int32_t triangle,
-                                   double distance, const std::vector<double>& before,
+double SelfContacts::travel(std::int32_t particle, std::int32_t triangle) const {
+  const std::int32_t* corners = layers_->corners(static_cast<std::size_t>(triangle));
+  const auto way = [&](std::int32_t n) { return ways_[static_cast<std::size_t>(n)]; };
+  return way(particle) + std::max({way(corners[0]), way(corners[1]), way(corners[2])});
+}
+
+std::int32_t SelfContacts::side_of(const Hit& hit, const std::vector<double>& before,
                                    const std::vector<double>& x) const {
+  const auto [particle, triangle] = std::pair(hit.particle, hit.triangle);
   const auto known = std::lower_bound(crossed_.begin(), crossed_.end(),
                                       Passage{particle, triangle, 0}, by_triangle);
   if (known != crossed_.end() && known->particle == particle && known->triangle == triangle)
     return known->side;
-  if (distance > travel_) return 0;
+  if (hit.apart > hit.travel) return 0;
   const std::int32_t* corners = layers_->corners(static_cast<std::size_t>(triangle));
   return crossed_from(row_of(before, particle), row_of(x, particle),
                       Triangle(corners, before.data()), Triangle(corners, x.data()));
@@ -440,12 +464,13 @@ void SelfContacts::keep_apart(double h, std::vector<double>& before, std::vector
   // Of what has blown up nothing is known any more.
   if (!measure(h, before, x)) return;
   if (reach_ + drift_ > listed_) list(x);
-  find_hits(before, x);
+  find_hits(h, before, x);
   if (hits_.empty()) return;
   shifted_ = before;
+  shifts_ = false;
   for (const Hit& hit : hits_)
     if (hit.side || flagged_.empty() || !came_round(hit)) part(hit, h, before, x);
-  before = shifted_;
+  if (shifts_) before = shifted_;
 }
 
 void SelfContacts::part(const Hit& hit, double h, const std::vector<double>& before,
@@ -481,8 +506,9 @@ void SelfContacts::part(const Hit& hit, double h, const std::vector<double>& bef
   }
   if (!(whole > 0)) return;
 
-  const double goal = std::min(hit.least, distance(before) + layers_->speed * h);
-  const double begun = std::min(hit.least, distance(shifted_));
+  const double first = distance(before);
+  const double goal = std::min(hit.least, first + layers_->speed * h);
+  const double begun = std::min(hit.least, shifts_ ? distance(shifted_) : first);
   const double pressed = std::max(0.0, begun - apart);
   const double back = std::max(0.0, goal - std::max(apart, begun));
   const Triangle was(corners, shifted_.data());
@@ -493,10 +519,11 @@ void SelfContacts::part(const Hit& hit, double h, const std::vector<double>& bef
   const double slid = length(along), held = layers_->friction * pressed;
   const double stop = slid > held ? held / slid : 1;
   const Vec back_by = out * (back / whole);
+  shifts_ = shifts_ || back > 0;
   const Vec by = out * (pressed / whole) - along * (stop / whole) + back_by;
   for (std::size_t k = 0; k < 4; ++k) {
     store(load(&x[who[k]]) + by * weights[k], &x[who[k]]);
-    store(load(&shifted_[who[k]]) + back_by * weights[k], &shifted_[who[k]]);
+    if (back > 0) store(load(&shifted_[who[k]]) + back_by * weights[k], &shifted_[who[k]]);
   }
 }
 
@@ -504,7 +531,7 @@ void SelfContacts::look(const std::vector<double>& before, const std::vector<dou
   if (!layers_) return;
   std::vector<Passage> found;
   for (const Hit& hit : hits_) {
-    if (!hit.side && hit.apart > 2 * travel_) continue;
+    if (!hit.side && hit.apart > 2 * hit.travel) continue;
     const std::int32_t* corners = layers_->corners(static_cast<std::size_t>(hit.triangle));
     const Triangle now(corners, x.data());
     const Vec p = row_of(x, hit.particle);

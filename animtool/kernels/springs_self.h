@@ -57,7 +57,10 @@ class SpringLayers {
 
   std::size_t particles_;
   std::vector<std::int32_t> corners_;
-  // Particles near each triangle at rest, ascending, and the distances kept.
+  // Of each triangle, particles that are left to springs, and those that are nearer at rest
+  // than the thickness, with their distance.
+  std::vector<std::size_t> neighbour_starts_;
+  std::vector<std::int32_t> neighbours_;
   std::vector<std::vector<std::pair<std::int32_t, double>>> near_;
 };
 
@@ -97,14 +100,16 @@ class SelfContacts {
   };
   struct Hit {
     std::int32_t particle, triangle, side;
-    double apart, least;
+    double apart, travel, least;
   };
 
   bool measure(double h, const std::vector<double>& before, const std::vector<double>& x);
   void list(const std::vector<double>& x);
-  void find_hits(const std::vector<double>& before, const std::vector<double>& x);
-  std::int32_t side_of(std::int32_t particle, std::int32_t triangle, double distance,
-                       const std::vector<double>& before, const std::vector<double>& x) const;
+  void find_hits(double h, const std::vector<double>& before, const std::vector<double>& x);
+  std::int32_t side_of(const Hit& hit, const std::vector<double>& before,
+                       const std::vector<double>& x) const;
+  // How much nearer to each other the two may have come in the step.
+  double travel(std::int32_t particle, std::int32_t triangle) const;
   bool came_round(const Hit& hit) const;
   void part(const Hit& hit, double h, const std::vector<double>& before,
             std::vector<double>& x);
@@ -118,11 +123,13 @@ class SelfContacts {
   std::vector<Candidate> candidates_;
   std::vector<double> listed_at_;  // rows
   double listed_ = -1;             // up to which distance
-  double travel_ = 0, drift_ = 0, reach_ = 0;
+  double travel_ = 0, drift_ = 0, reach_ = 0;  // of any pair, at most
+  std::vector<double> ways_;                   // of particles in the step, over that of all
 
   std::vector<Hit> hits_;
   std::vector<Passage> flagged_;  // by particle
   std::vector<double> shifted_;   // before, with what gives no speed
+  bool shifts_ = false;           // whether there is such
 };
 
 }  // namespace animtool

@@ -275,8 +275,9 @@ class Reference:
     def part(self, before: FloatArray, x: FloatArray, h: float) -> FloatArray:
         shifted, way = before.copy(), x - before
         # What is farther when the pass begins waits for the next.
-        travel = 2 * np.linalg.norm(way - way.mean(axis=0), axis=1).max()
-        reach = self.contact.thickness + travel + self.contact.speed * h
+        own = np.linalg.norm(way - way.mean(axis=0), axis=1)
+        travel = own[:, None] + own[self.body.triangles].max(axis=1)
+        reach = self.least + travel + self.contact.speed * h
         near = distances(x, x[self.body.triangles]) < reach
         x = x.copy()
         for t, corners in enumerate(self.body.triangles):
