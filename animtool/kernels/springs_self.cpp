@@ -146,9 +146,10 @@ struct Box {
   double widest() const {
     return std::max({high[0] - low[0], high[1] - low[1], high[2] - low[2]});
   }
-  bool has(const double* p) const {
-    return p[0] >= low[0] && p[0] <= high[0] && p[1] >= low[1] && p[1] <= high[1] &&
-           p[2] >= low[2] && p[2] <= high[2];
+  // Whether a point is inside, or no farther from it along any axis.
+  bool has(const double* p, double more = 0) const {
+    return p[0] >= low[0] - more && p[0] <= high[0] + more && p[1] >= low[1] - more &&
+           p[1] <= high[1] + more && p[2] >= low[2] - more && p[2] <= high[2] + more;
   }
   // How far a point is outside.
   double distance(const double* p) const {
@@ -405,16 +406,27 @@ void SelfContacts::find_hits(double h, const std::vector<double>& before, const 
   hits_.clear();
   flagged_.clear();
   const double look = reach_ + drift_;
+  // Candidates of a triangle stand together.
+  std::int32_t last = -1;
+  Triangle triangle{Vec{}, Vec{}, Vec{}};
+  Box box(triangle, 0);
+  double carried = 0;
   for (const Candidate& one : candidates_) {
     if (one.gap > look) continue;
-    const Triangle triangle(layers_->corners(static_cast<std::size_t>(one.triangle)), x.data());
+    if (one.triangle != last) {
+      last = one.triangle;
+      const std::int32_t* corners = layers_->corners(static_cast<std::size_t>(last));
+      triangle = Triangle(corners, x.data());
+      box = Box(triangle, 0);
+      carried = std::max({way(corners[0]), way(corners[1]), way(corners[2])});
+    }
     const double* place = &x[ROW * static_cast<std::size_t>(one.particle)];
-    const double way = travel(one.particle, one.triangle);
-    const double reach = std::min(reach_, one.least + way + layers_->speed * h);
-    if (!Box(triangle, reach).has(place)) continue;
+    const double travel = way(one.particle) + carried;
+    const double reach = std::min(reach_, one.least + travel + layers_->speed * h);
+    if (!box.has(place, reach)) continue;
     const double apart = triangle.distance(load(place));
     if (!(apart < reach)) continue;
-    Hit hit{one.particle, one.triangle, 0, apart, way, one.least};
+    Hit hit{one.particle, one.triangle, 0, apart, travel, one.least};
     hit.side = side_of(hit, before, x);
     hits_.push_back(hit);
     if (hit.side) flagged_.push_back({one.particle, one.triangle, hit.side});
@@ -422,12 +434,6 @@ void SelfContacts::find_hits(double h, const std::vector<double>& before, const 
   std::stable_sort(flagged_.begin(), flagged_.end(), [](const Passage& a, const Passage& b) {
     return a.particle < b.particle;
   });
-}
-
-double SelfContacts::travel(std::int32_t particle, std::int32_t triangle) const {
-  const std::int32_t* corners = layers_->corners(static_cast<std::size_t>(triangle));
-  const auto way = [&](std::int32_t n) { return ways_[static_cast<std::size_t>(n)]; };
-  return way(particle) + std::max({way(corners[0]), way(corners[1]), way(corners[2])});
 }
 
 std::int32_t SelfContacts::side_of(const Hit& hit, const std::vector<double>& before,
@@ -485,11 +491,9 @@ void SelfContacts::part(const Hit& hit, double h, const std::vector<double>& bef
   if (!(std::min(height, apart) < hit.least)) return;
 
   const bool through = height < 0;
-  const Vec normal = now.normal();
-  const Vec out = through
-                      ? normal * hit.side
-                      : direction(off, dot(normal, normal) > 0 ? normal : Vec{0, 0, 1});
-  if (through) apart = height;
+  Vec out = off * (1 / apart);
+  if (through || !(apart > 0)) out = direction(now.normal(), {0, 0, 1});
+  if (through) out = out * hit.side, apart = height;
   const auto distance = [&](const std::vector<double>& rows) {
     const Triangle was(corners, rows.data());
     const Vec from = row_of(rows, hit.particle);

@@ -108,8 +108,7 @@ class SelfContacts {
   void find_hits(double h, const std::vector<double>& before, const std::vector<double>& x);
   std::int32_t side_of(const Hit& hit, const std::vector<double>& before,
                        const std::vector<double>& x) const;
-  // How much nearer to each other the two may have come in the step.
-  double travel(std::int32_t particle, std::int32_t triangle) const;
+  double way(std::int32_t particle) const { return ways_[static_cast<std::size_t>(particle)]; }
   bool came_round(const Hit& hit) const;
   void part(const Hit& hit, double h, const std::vector<double>& before,
             std::vector<double>& x);
