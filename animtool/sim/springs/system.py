@@ -127,6 +127,9 @@ class SpringSystem(SecondOrder):
         self.radius, self.speed_limit = float(radius), float(speed_limit)
         self._pins_move = len(pin_path[0]) > 1
         self.self_contact = self_contact
+        given = None if self_contact is None else self_contact.rest
+        rest = body.positions if given is None else given
+        self._rest = np.ascontiguousarray(rest, np.float64)
         self._meets = len(self.colliders) > 0 or self_contact is not None
         self.settles = self._pins_move or self._meets or len(self.jumps) > 0
         speeds = np.zeros((count, 3)) if velocities is None else velocities
@@ -173,10 +176,9 @@ class SpringSystem(SecondOrder):
         contact = self.self_contact
         if contact is None:
             return None
-        rest = self.body.positions if contact.rest is None else contact.rest
         return _kernels.SpringLayers(
-            self.network,
-            np.ascontiguousarray(rest, np.float64),
+            self.network(0),
+            self._rest,
             contact.thickness,
             contact.friction,
             contact.speed,
@@ -337,9 +339,8 @@ class SpringSystem(SecondOrder):
             return after
         moved = after.copy()
         if self.layers is not None:
-            moved = _kernels.part_springs(
-                self.network, self.layers, before[0], moved, h
-            )
+            network = self.network(self.jumps.stage(t))
+            moved = _kernels.part_springs(network, self.layers, before[0], moved, h)
         if len(self.colliders):
             met = collide(
                 moved[0], moved[1], before, self.colliders, t - h, t, self.radius

@@ -350,7 +350,7 @@ def test_each_pair_is_moved_as_the_formula_says(seed: int) -> None:
     x = points + rng.uniform(-1, 1, (count, 3)) * 1e-3
     assert system.layers is not None
     state = np.stack([x, np.zeros_like(x)])
-    made = _kernels.part_springs(system.network, system.layers, points, state, h)
+    made = _kernels.part_springs(system.network(0), system.layers, points, state, h)
     weights = system.inverse_masses
     expected = Reference(body, weights, contact).part(points, x, h)
     np.testing.assert_allclose(made[0], expected, atol=1e-12)
@@ -375,7 +375,8 @@ def test_any_start_stays_finite_and_keeps_its_momentum(seed: int, flat: bool) ->
     x = points + rng.integers(-2, 3, (count, 3)) * 0.01
     state = np.stack([x, rng.normal(size=(count, 3))])
     assert system.layers is not None
-    made = _kernels.part_springs(system.network, system.layers, points, state, 0.01)
+    network = system.network(0)
+    made = _kernels.part_springs(network, system.layers, points, state, 0.01)
     assert np.isfinite(made).all()
     np.testing.assert_allclose(masses @ made[0], masses @ x, atol=1e-12)
     np.testing.assert_allclose(masses @ made[1], masses @ state[1], atol=1e-9)
