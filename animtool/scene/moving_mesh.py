@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, OptionError
+from animtool.maths.faces import triangulated
 from animtool.sim.colliders import Sheet
-from animtool.sim.springs.surfaces import triangulated
 from animtool.units import UpAxis
 
 if TYPE_CHECKING:

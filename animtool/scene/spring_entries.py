@@ -18,6 +18,7 @@ from animtool.scene.spring_schema import (
     ClothModel,
     FaceWindModel,
     RopeModel,
+    SelfContactModel,
     SpringsModel,
     StrandsModel,
     VolumeModel,
@@ -26,7 +27,7 @@ from animtool.scene.spring_schema import (
 from animtool.scene.spring_setup import SpringSetup, Wind
 from animtool.scene.system_entries import EntryReader
 from animtool.scene.volume_bodies import volume_body
-from animtool.sim.springs import SpringOptions
+from animtool.sim.springs import SelfContact, SpringOptions
 from animtool.sim.springs.options import check_options
 
 __all__ = ["read_cloth", "read_rope", "read_strands", "read_volume"]
@@ -73,6 +74,7 @@ def _read(
     characters = reader.characters((*at, "characters"), model.characters)
     wind = getattr(model, "wind", None)
     winds = None if wind is None else _wind(reader, (*at, "wind"), wind)
+    contact = _self_contact(getattr(model, "self_contact", None))
     options = _options(reader, at, model)
     for name in ("drag", "radius"):
         value = getattr(model, name)
@@ -94,6 +96,7 @@ def _read(
         model.radius,
         model.speed_limit,
         winds,
+        contact,
         tuple(colliders),
         characters,
         options,
@@ -103,6 +106,12 @@ def _read(
         at,
         tuple(reader.files),
     )
+
+
+def _self_contact(model: SelfContactModel | None) -> SelfContact | None:
+    if model is None:
+        return None
+    return SelfContact(model.thickness, model.friction, model.speed)
 
 
 def _options(reader: EntryReader, at: Location, model: SpringsModel) -> SpringOptions:

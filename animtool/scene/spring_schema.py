@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from annotated_types import Ge, Len
+from annotated_types import Ge, Gt, Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
@@ -29,6 +29,7 @@ __all__ = [
     "PinModel",
     "PrimMeshModel",
     "RopeModel",
+    "SelfContactModel",
     "SpringsModel",
     "StrandsModel",
     "TetrahedraModel",
@@ -410,6 +411,24 @@ class PrimMeshModel(FileModel):
     prim: Name = Field(description="Path of the prim.", examples=["/Set/cloth"])
 
 
+class SelfContactModel(FileModel):
+    """How a surface keeps apart from itself, in folds and layers."""
+
+    thickness: Annotated[float, Gt(0)] = Field(
+        description="Least distance of its particles from its faces [m], such as half "
+        "the length of an edge.",
+        examples=[0.01],
+    )
+    friction: Annotated[float, Ge(0)] = Field(
+        default=0.2, description="Coulomb's coefficient.", examples=[0.4]
+    )
+    speed: Annotated[float, Gt(0)] = Field(
+        default=0.2,
+        description="What is nearer at the start comes apart this fast [m/s].",
+        examples=[0.1],
+    )
+
+
 class ClothModel(SpringsModel):
     """A sheet of cloth, written as a mesh. Lengths are in metres."""
 
@@ -449,6 +468,11 @@ class ClothModel(SpringsModel):
         default=None,
         description="The air that its faces bear. Not given: none.",
         examples=[{"velocity": [5, 0, 1]}],
+    )
+    self_contact: SelfContactModel | None = Field(
+        default=None,
+        description="How it keeps apart from itself. Not given: it goes through.",
+        examples=[{"thickness": 0.01}],
     )
 
 
@@ -504,4 +528,9 @@ class VolumeModel(SpringsModel):
         default=None,
         description="The air that its faces bear. Not given: none.",
         examples=[{"velocity": [5, 0, 1]}],
+    )
+    self_contact: SelfContactModel | None = Field(
+        default=None,
+        description="How it keeps apart from itself. Not given: it goes through.",
+        examples=[{"thickness": 0.01}],
     )

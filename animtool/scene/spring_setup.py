@@ -14,7 +14,7 @@ from animtool.scene.spring_bodies import SpringBody
 from animtool.scene.spring_pins import Join, Pin
 from animtool.scene.system_entries import Characters
 from animtool.sim.colliders import Collider
-from animtool.sim.springs import Air, SpringOptions
+from animtool.sim.springs import Air, SelfContact, SpringOptions
 
 __all__ = ["SpringSetup", "Wind"]
 
@@ -65,6 +65,7 @@ class SpringSetup:
         radius: What is kept from colliders [m].
         speed_limit: Pins that go faster were put elsewhere [m/s].
         wind: The air; None is still, and faces bear none.
+        self_contact: How it keeps apart from itself; None goes through.
         colliders: What they run into.
         characters: Files of characters that they run into.
         options: Solver and steps.
@@ -83,6 +84,7 @@ class SpringSetup:
     radius: float
     speed_limit: float
     wind: Wind | None
+    self_contact: SelfContact | None
     colliders: tuple[Collider, ...]
     characters: Characters
     options: SpringOptions
@@ -114,6 +116,7 @@ class SpringSetup:
         reads = [counted(len(self.pins), "pin")] if self.pins else []
         reads += [f"{join.system}, joined" for join in self.joins]
         reads += ["the wind"] if self.wind is not None else []
+        reads += ["itself"] if self.self_contact is not None else []
         many = len(self.colliders)
         reads += [counted(many, "collider")] if many else []
         reads += [path.name for path, _ in self.characters]

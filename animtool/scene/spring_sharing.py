@@ -10,12 +10,12 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.scene.spring_setup import SpringSetup, Wind
-from animtool.sim.springs import SpringOptions
+from animtool.sim.springs import SelfContact, SpringOptions
 
 __all__ = ["Shared", "conflicts", "shared"]
 
 _OPTIONS = ("solver", "step", "error", "stretch")
-_OWN = ("gravity", "radius", "speed_limit", "preroll", "settle")
+_OWN = ("gravity", "radius", "speed_limit", "self_contact", "preroll", "settle")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,6 +27,7 @@ class Shared:
         gravity: ``(3,)`` [m/s²].
         radius: What is kept from colliders [m].
         speed_limit: Pins that go faster were put elsewhere [m/s].
+        self_contact: How they keep apart from themselves and each other.
         preroll: Time before 0 s that they begin in [s].
         settle: Whether they begin at rest.
         wind: The air that faces bear; None is none.
@@ -36,6 +37,7 @@ class Shared:
     gravity: FloatArray
     radius: float
     speed_limit: float
+    self_contact: SelfContact | None
     preroll: float
     settle: bool
     wind: Wind | None

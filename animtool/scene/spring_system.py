@@ -123,7 +123,8 @@ class _Whole:
                     held[tie.particles] = tie.start
             gap = float(np.linalg.norm(held - points, axis=1).max())
             self._say_apart("pins hold particles", gap)
-            faces = setup.wind is not None and setup.wind.faces is not None
+            windy = setup.wind is not None and setup.wind.faces is not None
+            faces = windy or setup.self_contact is not None
             none = np.zeros((0, 3), np.int64)
             triangles = body.triangles if faces else none
             bodies.append(replace(body, positions=held, triangles=triangles))
@@ -160,6 +161,7 @@ class _Whole:
             colliders=_colliders(setups, opening),
             radius=self.shared.radius,
             speed_limit=self.shared.speed_limit,
+            self_contact=self.shared.self_contact,
         )
         return self._settled(system) if self.shared.settle else system
 

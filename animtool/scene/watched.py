@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool._types import FloatArray, IntArray
+from animtool.maths.faces import triangulated
 from animtool.scene.spring_run import Keeping, SpringRun
 from animtool.scene.spring_shapes import Faces
-from animtool.sim.springs.surfaces import triangulated
 
 __all__ = ["Watched"]
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from animtool._types import FloatArray, IntArray
+from animtool._types import FloatArray
+from animtool.maths.faces import triangulated
 from animtool.rig.surfaces import Surface
 from animtool.skin.deform import Deformed, extents
 from animtool.take import Channel
@@ -70,7 +71,7 @@ def vertex_normals(surface: Surface, points: FloatArray) -> FloatArray:
         surface: Its faces.
         points: ``(F, V, 3)``.
     """
-    corners = _triangles(surface.counts, surface.indices)
+    corners = triangulated(surface.counts, surface.indices)
     a, b, c = (points[:, corners[:, k]] for k in range(3))
     areas = np.cross(b - a, c - a)
     sums = np.zeros_like(points)
@@ -79,14 +80,3 @@ def vertex_normals(surface: Surface, points: FloatArray) -> FloatArray:
         np.add.at(by_vertex, corners[:, k], np.moveaxis(areas, 1, 0))
     length = np.linalg.norm(sums, axis=-1, keepdims=True)
     return np.asarray(sums / np.where(length > 0, length, 1.0))
-
-
-def _triangles(counts: IntArray, indices: IntArray) -> IntArray:
-    """Return the triangles of faces cut into fans ``(T, 3)``."""
-    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
-    fans = [
-        [indices[start], indices[start + k], indices[start + k + 1]]
-        for start, count in zip(starts.tolist(), counts.tolist(), strict=True)
-        for k in range(1, count - 1)
-    ]
-    return np.array(fans, np.int64).reshape(-1, 3)

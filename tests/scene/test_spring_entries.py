@@ -174,6 +174,12 @@ CASES = {
     "moves backwards": (
         PIN, "[{particles: [0], moves: [[1, 0, 0, 0], [0, 0, 0, 0]]}]", ["SIM044"]
     ),
+    "no thickness": (
+        "- strands:",
+        "- cloth: {name: sail, mass: 1, springs: {structural: {stiffness: 9}}, "
+        "self_contact: {thickness: 0, friction: -1}}\n- strands:",
+        ["DOC022", "DOC022"],
+    ),
     "a limit of nothing": ("mass: 0.1", "mass: 0.1\n    speed_limit: 0", ["SIM050"]),
     "drawn by less than nothing": (
         PIN, "[{particles: [0], stiffness: -1}]", ["SIM042"]

@@ -14,7 +14,7 @@ import animtool
 from animtool import BakeOptions, bake
 from animtool.cli.summary import bake_json, bake_text
 from animtool.edit.frame_range import FrameRange
-from animtool.errors import Severity, ToleranceError
+from animtool.errors import FormatError, Severity, ToleranceError
 from animtool.rig.kinematics import forward
 from animtool.scene.file import load_scene
 from animtool.scene.simulation import open_systems
@@ -298,6 +298,57 @@ def test_it_runs_into_colliders(tmp_path: Path) -> None:
 
 
 # Pins to what moves
+
+
+FOLDED = """\
+- cloth:
+    name: sheet
+    corner: [0, 0.02, 0]
+    across: [1, 0, 0]
+    up: [0, 0, -0.5]
+    resolution: [17, 9]
+    mass: 0.2
+    radius: 0.02
+    drag: 1
+    springs: {structural: {stiffness: 300, ratio: 0.1}, bend: {stiffness: 1}}
+    pins:
+    - {particles: [left]}
+    - particles: [right]
+      moves: [[0, 0, 0, 0], [0.6, -0.4, 0.5, 0], [1.2, -0.95, 0.1, 0]]
+    colliders: [{shape: {plane: {}}, friction: 0.3}]
+"""
+CONTACT = "    self_contact: {thickness: 0.03}\n"
+
+
+def between_layers(stage: Usd.Stage) -> float:
+    """Return how much higher the upper layer lies on the floor than the lower one."""
+    points = stage.GetPrimAtPath("/shot/sheet").GetAttribute("points").Get(48)
+    grid = np.array(points).reshape(9, 17, 3)
+    return float(grid[:, 11:14, 1].mean() - grid[:, 3:6, 1].mean())
+
+
+@pytest.mark.parametrize("solver", ["", "    solver: xpbd\n"])
+def test_folds_keep_apart_where_they_are_to(tmp_path: Path, solver: str) -> None:
+    longer = HEAD.replace("12", "48")
+    path = written(tmp_path, FOLDED + CONTACT + solver)
+    path.write_text(path.read_text().replace(HEAD, longer), "utf-8")
+    report = bake(path, tmp_path / "apart.usda")
+    assert any("keeps surfaces apart" in fault.message for fault in report.notices) == (
+        not solver
+    )
+    found = between_layers(Usd.Stage.Open(str(tmp_path / "apart.usda")))
+    path.write_text(path.read_text().replace(CONTACT, ""), "utf-8")
+    bake(path, tmp_path / "through.usda")
+    without = between_layers(Usd.Stage.Open(str(tmp_path / "through.usda")))
+    assert found > 0.9 * 0.03
+    assert without < 0.5 * 0.03
+
+
+def test_a_solver_that_keeps_nothing_apart_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path, FOLDED + CONTACT + "    solver: bdf2\n")
+    with pytest.raises(FormatError, match="SIM046"):
+        bake(path, tmp_path / "shot.usda")
+    assert not (tmp_path / "shot.usda").exists()
 
 
 def test_a_joint_carries(root: Path, tmp_path: Path) -> None:

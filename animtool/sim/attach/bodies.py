@@ -10,6 +10,7 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, OptionError, listed
+from animtool.maths.faces import triangulated
 from animtool.rig.kinematics import bind_world
 from animtool.rig.parts import AttachKind, Attachment
 from animtool.rig.skeleton import Rig
@@ -202,18 +203,13 @@ def _cloth(rig: Rig, entry: Attachment) -> Body:
     if entry.pins is not None:
         pins = entry.pins.load().astype(np.int64)
     placed = surface.points @ surface.geom_bind[:3, :3].T + surface.geom_bind[:3, 3]
-    triangles = [
-        [face[0], face[k], face[k + 1]]
-        for face in faces
-        for k in range(1, len(face) - 1)
-    ]
     network = Network.of(
         placed,
         pins,
         ends,
         shears=diagonals_of_faces(faces),
         folds=folds_of_faces(faces),
-        triangles=np.array(triangles),
+        triangles=triangulated(surface.counts, surface.indices),
     )
     carrier = _carrier(rig, surface, network)
     return SurfaceBody(entry.name, entry.kind, network, carrier, mesh)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from animtool._types import ArrayLike, BoolArray, IntArray, as_floats
+from animtool.maths.faces import triangulated
 from animtool.sim.springs.body import Body, Family, built
 
-__all__ = ["surface", "triangulated"]
+__all__ = ["surface"]
 
 
 def surface(
@@ -48,21 +49,6 @@ def surface(
     hinges = _hinges(triangles, edges)
     families = [(edges, structural), (crossing, diagonals), (hinges, bend)]
     return built(places, mass, families, triangles)
-
-
-def triangulated(counts: IntArray, indices: IntArray) -> IntArray:
-    """Return the triangles ``(T, 3)`` of the fans of faces.
-
-    >>> triangulated(np.array([4]), np.array([5, 6, 7, 8])).tolist()
-    [[5, 6, 7], [5, 7, 8]]
-    """
-    firsts = np.cumsum(counts) - counts
-    fans = np.maximum(counts - 2, 0)
-    starts = np.repeat(firsts, fans)
-    turn = np.arange(fans.sum()) - np.repeat(np.cumsum(fans) - fans, fans)
-    return np.stack(
-        [indices[starts], indices[starts + turn + 1], indices[starts + turn + 2]], 1
-    )
 
 
 def _edges(counts: IntArray, indices: IntArray) -> IntArray:

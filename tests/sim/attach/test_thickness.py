@@ -10,9 +10,9 @@ from support.attached import moved, sheet_rig, simulated, strands_rig, take_of
 from support.surfaces import distances, pierced
 
 from animtool.errors import OptionError
+from animtool.maths.faces import triangulated
 from animtool.rig.skeleton import Rig
 from animtool.sim.attach.settings import SimulateOptions, settings_for
-from animtool.sim.springs.surfaces import triangulated
 from animtool.take import Take
 
 SIZE = 8

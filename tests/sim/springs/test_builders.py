@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from animtool.maths.faces import triangulated
 from animtool.sim.springs import (
     Body,
     Family,
@@ -21,7 +22,6 @@ from animtool.sim.springs import (
     surface,
     tetrahedra,
 )
-from animtool.sim.springs.surfaces import triangulated
 
 ONE = Family(1.0)
 FAMILIES = ("structural", "diagonal", "diagonals", "bend")
