@@ -65,15 +65,15 @@ def test_a_bake_asked_to_stop_cleans_up(
     script = (
         "import os, signal, sys\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        "from animtool.usd import author\n"
+        "from animtool.usd import layers\n"
         "from animtool.cli.main import run\n"
-        "save = author.save_layer\n"
+        "save = layers.save_layer\n"
         "def stop(layer, path):\n"
         "    open(path.with_name('.half.tmp'), 'w').close()\n"
         "    os.unlink(path.with_name('.half.tmp'))\n"
         f"    os.kill(os.getpid(), {int(number)})\n"
         "    return save(layer, path)\n"
-        "author.save_layer = stop\n"
+        "layers.save_layer = stop\n"
         f"sys.exit(run(['bake', {str(long_take)!r}, '-o', {str(output)!r}]))"
     )
     done = subprocess.run(

@@ -181,7 +181,8 @@ def test_memory_stays_the_same(chunk: str, tmp_path: Path) -> None:
     dust = dust[dust.index("- particles:") :]
     scene = tmp_path / "dust.scene.yaml"
     scene.write_text(head + dust, "utf-8")
-    command = [sys.executable, "-c", MEASURED, str(scene), str(tmp_path / "o.usdc")]
+    output = str(tmp_path / "o.usdc")
+    command = [sys.executable, "-P", "-c", MEASURED, str(scene), output]
     done = subprocess.run([*command, chunk], capture_output=True, text=True, check=True)
     peak, size = json.loads(done.stdout)
     assert size > 40_000_000

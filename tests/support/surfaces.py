@@ -1,50 +1,90 @@
-"""Distances and crossings of triangles, all pairs at once in numpy."""
+"""Rigs with meshes and shapes, made for tests."""
 
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
-from animtool._types import FloatArray, IntArray
+from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.parts import HeldArray, Inbetween, Mesh, Shape, Skin, Subdivision
+from animtool.rig.skeleton import Joint, JointType, Pose, Rig
 
-__all__ = ["distances", "pierced"]
-
-
-def distances(points: FloatArray, corners: FloatArray) -> FloatArray:
-    """Return how far points ``(N, 3)`` are from triangles ``(T, 3, 3)``."""
-    p, (a, b, c) = points[:, None], corners.transpose(1, 0, 2)
-
-    def along(first: FloatArray, second: FloatArray) -> FloatArray:
-        way = second - first
-        share = ((p - first) * way).sum(-1) / np.maximum((way * way).sum(-1), 1e-300)
-        near = first + np.clip(share, 0, 1)[..., None] * way
-        return np.asarray(np.linalg.norm(p - near, axis=-1))
-
-    sides = np.minimum(np.minimum(along(a, b), along(b, c)), along(c, a))
-    normals = np.cross(b - a, c - a)
-    area = np.maximum((normals * normals).sum(-1), 1e-300)
-    shares = [
-        (np.cross(second - first, p - first) * normals).sum(-1) / area
-        for first, second in ((a, b), (b, c), (c, a))
-    ]
-    height = np.abs(((p - a) * normals).sum(-1)) / np.sqrt(area)
-    over = np.all(np.array(shares) >= 0, axis=0)
-    return np.where(over, height, sides)
+Floats = npt.NDArray[np.float64]
+TURNED = (0.6, 0.0, 0.0, 0.8)
 
 
-def pierced(x: FloatArray, triangles: IntArray) -> int:
-    """Return how many edges go through triangles that they have no corner of."""
-    edges = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
-    edges = np.unique(np.sort(edges, axis=1), axis=0)
-    a, b, c = x[triangles].transpose(1, 0, 2)
-    p, q = x[edges[:, 0], None], x[edges[:, 1], None]
-    normals = np.cross(b - a, c - a)
-    first, last = (((end - a) * normals).sum(-1) for end in (p, q))
-    through = first * last < 0
-    share = np.where(through, first, 0.0) / np.where(through, first - last, 1.0)
-    hit = p + share[..., None] * (q - p)
-    inside = [
-        (np.cross(second - one, hit - one) * normals).sum(-1) > 0
-        for one, second in ((a, b), (b, c), (c, a))
-    ]
-    apart = (edges[:, :, None, None] != triangles[None, None]).all(axis=(1, 3))
-    return int((apart & through & np.all(inside, axis=0)).sum())
+def held(values: npt.ArrayLike) -> HeldArray:
+    """Return an array that float32 holds exactly."""
+    return HeldArray(np.asarray(values, np.float32).astype(np.float64))
+
+
+def grid(rows: int, columns: int) -> tuple[Floats, Floats]:
+    """Return points ``(V, 3)`` and faces of a strip, its last face a triangle."""
+    u, v = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
+    points = np.stack([u * 0.1, v * 0.05, 0 * u], axis=-1).reshape(-1, 3)
+    corner = (u * columns + v)[:-1, :-1].ravel()
+    faces = np.stack(
+        [corner, corner + columns, corner + columns + 1, corner + 1], axis=1
+    )
+    faces[-1, 3] = -1
+    return points, faces.astype(np.float64)
+
+
+def shaped_rig(seed: int = 0, method: str = "linear") -> Rig:
+    """Return three joints, two meshes with skins, four shapes; all kinds of parts."""
+    rng = np.random.default_rng(seed)
+    joints = (
+        Joint("root", -1, translation=(0.0, 1.0, 0.0)),
+        Joint(
+            "arm.l",
+            0,
+            JointType.BALL,
+            (0.25, 0.0, 0.0),
+            TURNED,
+            limits=BallLimit((0.5, 0.75), (-0.25, 0.5)),
+        ),
+        Joint("hand", 1, JointType.PIN, (0.5, 0, 0), limits=RangeLimit(0.0, 1.0)),
+    )
+    points, faces = grid(8, 5)
+    count = len(points)
+    shares = rng.random((count, 2)) + 0.1
+    shares[::3, 1] = 0
+    shares /= shares.sum(axis=1, keepdims=True)
+    normals = np.tile([0.0, 0.0, 1.0], (count, 1))
+    body = Mesh(
+        "body",
+        held(points),
+        HeldArray(faces),
+        held(normals),
+        (1, 0, 0, 0.5, 0, 0, -1, 0, 0, 1, 0, 0.25, 0, 0, 0, 1),
+        Skin(
+            method,
+            ("arm.l", "hand", "root"),
+            HeldArray(rng.integers(0, 3, (count, 2)).astype(np.float64)),
+            held(shares),
+        ),
+    )
+    cap = Mesh(
+        "Skel",
+        held(points * 0.5 + 1),
+        HeldArray(faces),
+        subdivision=Subdivision.BILINEAR,
+    )
+    lifted = rng.normal(0, 0.02, (count, 3))
+    some = np.arange(2, 12)
+    shapes = (
+        Shape("smile", "body", held(lifted), held(lifted * 0.1)),
+        Shape(
+            "jaw",
+            "body",
+            held(lifted[some]),
+            None,
+            (Inbetween(0.5, held(lifted[some][:, ::-1])),),
+            (),
+            HeldArray(some.astype(np.float64)),
+        ),
+        Shape("both", "body", held(lifted[::-1]), combine=("smile", "jaw")),
+        Shape("dent", "Skel", held(lifted)),
+    )
+    bind = {"root": Pose((0.0, 1.25, 0.0), (0.0, 0.0, 0.0, 1.0))}
+    return Rig("hero", joints, bind=bind, meshes=(body, cap), shapes=shapes)

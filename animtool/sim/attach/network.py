@@ -161,7 +161,7 @@ def odd_surface(network: Network) -> list[str]:
     >>> fan = np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]])
     >>> network = Network.of(np.eye(5, 3), np.array([0]), fan[:, :2], triangles=fan)
     >>> odd_surface(network)
-    ['1 triangle without area', '1 edge of more than two triangles']
+    ['1 edge of more than two triangles']
     """
     corners = network.triangles
     if not len(corners):

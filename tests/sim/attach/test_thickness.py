@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.attached import moved, sheet_rig, simulated, strands_rig, take_of
-from support.surfaces import distances, pierced
+from support.piercing import distances, pierced
 
 from animtool.errors import OptionError
 from animtool.maths.faces import triangulated

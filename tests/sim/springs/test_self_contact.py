@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from support.surfaces import distances, pierced
+from support.piercing import distances, pierced
 
 from animtool import _kernels
 from animtool._types import FloatArray, IntArray
