@@ -183,3 +183,16 @@ def test_points_that_are_not_written_are_named(walker: Path) -> None:
     assert "SIM134 points of cape, hair are simulated" in done.stderr
     done = animtool("bake", walker, "--plan", "--overwrite")
     assert "points that are simulated: not asked for (deform)" in done.stdout
+
+
+def test_workers_write_the_same_bytes(root: Path, beast: Path, tmp_path: Path) -> None:
+    scenes = [str(root / f"samples/{n}/{n}.scene.yaml") for n in ("rope", "embers")]
+    written = []
+    for jobs in ("1", "2"):
+        pattern = str(tmp_path / jobs / "{stem}.usdc")
+        done = animtool("batch", *scenes, str(beast), "-j", jobs, "-o", pattern)
+        assert done.code == 0, done.stderr
+        files = (tmp_path / jobs).glob("*.usdc")
+        written.append({path.name: path.read_bytes() for path in files})
+    assert sorted(written[0]) == ["embers.usdc", "rope.usdc", "swing.usdc"]
+    assert written[0] == written[1]
