@@ -140,7 +140,18 @@ class EmitterModel(_PlacedModel):
     )
 
 
-class SystemColliderModel(_PlacedModel):
+class _MaterialModel(FileModel):
+    restitution: float = Field(
+        default=0.0,
+        description="Share of the speed into the surface that comes back, 0 to 1.",
+        examples=[0.4],
+    )
+    friction: float = Field(
+        default=0.0, description="Coulomb's coefficient.", examples=[0.3]
+    )
+
+
+class SystemColliderModel(_PlacedModel, _MaterialModel):
     """What particles run into, or where they are removed."""
 
     name: str = Field(default="", description="For messages.", examples=["step_1"])
@@ -152,14 +163,6 @@ class SystemColliderModel(_PlacedModel):
         default=False,
         description="Particles are to stay inside; of `kill`, those outside go.",
         examples=[True],
-    )
-    restitution: float = Field(
-        default=0.0,
-        description="Share of the speed into the surface that comes back, 0 to 1.",
-        examples=[0.4],
-    )
-    friction: float = Field(
-        default=0.0, description="Coulomb's coefficient.", examples=[0.3]
     )
     margin: float = Field(
         default=0.0, description="Distance that they keep [m].", examples=[0.01]
@@ -176,7 +179,7 @@ class SystemColliderModel(_PlacedModel):
     )
 
 
-class CharacterModel(FileModel):
+class CharacterModel(_MaterialModel):
     """A character in motion that particles run into: the capsules of its rig."""
 
     file: Annotated[str, Field(min_length=1)] | None = Field(
@@ -190,36 +193,20 @@ class CharacterModel(FileModel):
         "passes.",
         examples=[True],
     )
-    restitution: float = Field(
-        default=0.0,
-        description="Share of the speed into the surface that comes back, 0 to 1.",
-        examples=[0.4],
-    )
-    friction: float = Field(
-        default=0.0, description="Coulomb's coefficient.", examples=[0.3]
-    )
     margin: float = Field(
         default=0.0, description="Distance that they keep [m].", examples=[0.01]
     )
 
 
-class SystemSurfaceModel(FileModel):
+class SystemSurfaceModel(_MaterialModel):
     """Cloth or a volume of the same scene that particles run into."""
 
     system: Annotated[str, Field(min_length=1)] = Field(
         description="Its name; it does not feel them.", examples=["flag"]
     )
-    restitution: float = Field(
-        default=0.0,
-        description="Share of the speed into the surface that comes back, 0 to 1.",
-        examples=[0.4],
-    )
-    friction: float = Field(
-        default=0.0, description="Coulomb's coefficient.", examples=[0.3]
-    )
 
 
-class MovingMeshModel(FollowedPrimModel):
+class MovingMeshModel(FollowedPrimModel, _MaterialModel):
     """A mesh of a USD file that particles run into, as it moves and changes shape."""
 
     radius: float = Field(
@@ -229,14 +216,6 @@ class MovingMeshModel(FollowedPrimModel):
         default=False,
         description="It is the skin of a body: met from outside alone.",
         examples=[True],
-    )
-    restitution: float = Field(
-        default=0.0,
-        description="Share of the speed into the surface that comes back, 0 to 1.",
-        examples=[0.4],
-    )
-    friction: float = Field(
-        default=0.0, description="Coulomb's coefficient.", examples=[0.3]
     )
 
 
