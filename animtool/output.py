@@ -158,7 +158,17 @@ def _lives(process: int) -> bool:
         return False
     except OSError:
         return True
-    return True
+    # One that ended stays in the table until its parent asks; some containers never do.
+    return _state(process) != "Z"
+
+
+def _state(process: int) -> str:
+    """Return the state of a process as Linux names it; empty where nothing says it."""
+    try:
+        said = Path(f"/proc/{process}/stat").read_text("utf-8", "replace")
+    except OSError:
+        return ""
+    return said.rpartition(")")[2].split()[0]
 
 
 @cache

@@ -124,6 +124,15 @@ def test_what_dead_processes_of_this_host_left_is_removed(tmp_path: Path) -> Non
     assert sorted(tmp_path.iterdir()) == sorted(kept)
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="the state is read from /proc")
+def test_what_a_process_left_that_nobody_asked_after_is_removed(tmp_path: Path) -> None:
+    with subprocess.Popen([sys.executable, "-c", ""]) as ended:
+        os.waitid(os.P_PID, ended.pid, os.WEXITED | os.WNOWAIT)
+        left = tmp_path / f"{temporary_prefix(ended.pid)}0123.usdc"
+        left.touch()
+        assert remove_leftovers([tmp_path]) == [left]
+
+
 def test_what_one_process_left_is_removed(tmp_path: Path) -> None:
     own = tmp_path / f"{temporary_prefix()}0123.usdc"
     own.touch()

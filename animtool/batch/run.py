@@ -158,7 +158,7 @@ class _Run:
                 due.append(item)
             if decision.refreshed is not None:
                 self.ledger.made(decision.refreshed)
-        self._tidy(due)
+        self._tidy()
         if not self.options.overwrite:
             known = self.ledger.history.made.known
             check_overwrites(
@@ -173,9 +173,10 @@ class _Run:
         name, _, argument = self.options.executor.partition("=")
         return find_executor(name), argument
 
-    def _tidy(self, due: Sequence[Item]) -> None:
-        """Remove what killed runs began to write."""
-        folders = dict.fromkeys(folder for item in due for folder in item.folders)
+    def _tidy(self) -> None:
+        """Remove what killed runs began to write, also for items that are whole."""
+        items = [decision.item for decision in self.decisions.values()]
+        folders = dict.fromkeys(folder for item in items for folder in item.folders)
         folders[self.batch.records] = None
         remove_leftovers(folder.resolve() for folder in folders)
 
@@ -199,7 +200,7 @@ class _Run:
         finally:
             close()
         # A process of a run that was killed may have lived a moment longer.
-        self._tidy(due)
+        self._tidy()
 
     def _begun(self, due: Sequence[Item]) -> Iterator[Item]:
         """Yield items, each when it is begun, unless too many have failed."""

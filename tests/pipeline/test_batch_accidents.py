@@ -15,6 +15,8 @@ import pytest
 from support.batch import take_files, trouble_files, trouble_plug_in, whole_outputs
 from support.cli import Done, animtool, animtool_process, killable
 
+from animtool.output import temporary_prefix
+
 GOOD = 8
 KILLS = 8
 
@@ -103,6 +105,17 @@ def test_a_run_killed_at_any_moment_goes_on(tmp_path: Path) -> None:
         last = killed(0, folder)
         assert last.code == 0, last.stderr
         assert whole_outputs(folder) == whole
+
+
+def test_a_run_with_nothing_to_make_removes_what_dead_ones_left(tmp_path: Path) -> None:
+    take_files(tmp_path / "takes", 1)
+    assert run(tmp_path).code == 0
+    with subprocess.Popen([sys.executable, "-c", ""]) as ended:
+        pass
+    left = tmp_path / "out" / f"{temporary_prefix(ended.pid)}0123.usdc"
+    left.touch()
+    assert run(tmp_path).code == 0
+    assert not left.exists()
 
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")

@@ -50,7 +50,7 @@ def animtool_process(
 # Forks for each line of its input: what a command imports is imported once. The fork
 # counts the calls of a command, and kills itself outright at one if told which.
 _KILLABLE = """
-import json, os, signal, sys
+import contextlib, ctypes, json, os, signal, sys
 import animtool.batch.warm
 from animtool.cli.main import run
 
@@ -72,12 +72,20 @@ def command(arguments, cwd, said):
     print(calls, flush=True)
     return code
 
+if sys.platform == "linux":
+    ctypes.CDLL(None).prctl(36, 1)  # PR_SET_CHILD_SUBREAPER
+
 for line in sys.stdin:
     last, *rest = json.loads(line)
     child = os.fork()
     if not child:
         os._exit(command(*rest))
-    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+    ended = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    # The processes that it began live a moment longer, and may write in it.
+    with contextlib.suppress(ChildProcessError):
+        while True:
+            os.wait()
+    print(ended, flush=True)
 """
 
 
