@@ -16,8 +16,8 @@ from animtool.scene.spring_bodies import (
     mass_of,
     some_of,
 )
-from animtool.scene.spring_schema import ClothModel
 from animtool.scene.spring_shapes import Faces
+from animtool.scene.springs.schema import ClothModel
 from animtool.scene.system_entries import EntryReader
 from animtool.sim.springs import Family, sheet, surface
 from animtool.units import UpAxis

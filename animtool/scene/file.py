@@ -39,7 +39,7 @@ from animtool.scene.schema import BesideModel, OutputModel, SceneModel, SourceMo
 from animtool.scene.sources import SourceOptions, is_usd, takes_option
 from animtool.scene.system_kinds import SYSTEM_KINDS, SystemReader
 from animtool.scene.system_links import check_links
-from animtool.scene.system_schema import SystemModel
+from animtool.scene.systems.schema import SystemModel
 from animtool.scene.tracks import TrackNames
 from animtool.units import LengthUnit, UpAxis, parse_length
 

@@ -8,8 +8,8 @@ from animtool._types import FloatArray
 from animtool.documents.document import Location
 from animtool.errors import Fault
 from animtool.scene.spring_bodies import MOST, SpringBody, families_of, mass_of
-from animtool.scene.spring_schema import RopeModel, StrandsModel
 from animtool.scene.spring_shapes import Curves
+from animtool.scene.springs.schema import RopeModel, StrandsModel
 from animtool.scene.system_entries import EntryReader
 from animtool.sim.springs import join, rope, strand
 

@@ -13,7 +13,7 @@ from pydantic import Discriminator, Field, Tag
 from animtool.documents.check import FileModel
 from animtool.documents.ignore import IgnoreModel
 from animtool.scene.output_fields import Bones, ReduceAt, RigLayer, Sparse
-from animtool.scene.system_schema import SystemModel
+from animtool.scene.systems.schema import SystemModel
 
 __all__ = ["BesideModel", "OutputModel", "SceneModel", "SourceModel"]
 

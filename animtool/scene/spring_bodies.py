@@ -10,8 +10,8 @@ from typing import Any
 from animtool._types import IntArray
 from animtool.documents.document import Location
 from animtool.errors import Fault
-from animtool.scene.spring_schema import FamilyModel
 from animtool.scene.spring_shapes import Shape
+from animtool.scene.springs.family_schema import FamilyModel
 from animtool.scene.system_entries import EntryReader
 from animtool.sim.springs import Body, Family
 

@@ -14,17 +14,16 @@ from animtool.scene.cloth_bodies import cloth_body
 from animtool.scene.line_bodies import rope_body, strands_body
 from animtool.scene.spring_bodies import SpringBody
 from animtool.scene.spring_pins import read_pins
-from animtool.scene.spring_schema import (
+from animtool.scene.spring_setup import SpringSetup, Wind
+from animtool.scene.springs.contact_schema import SelfContactModel
+from animtool.scene.springs.schema import (
     ClothModel,
-    FaceWindModel,
     RopeModel,
-    SelfContactModel,
     SpringsModel,
     StrandsModel,
     VolumeModel,
-    WindModel,
 )
-from animtool.scene.spring_setup import SpringSetup, Wind
+from animtool.scene.springs.wind_schema import FaceWindModel, WindModel
 from animtool.scene.system_entries import EntryReader
 from animtool.scene.volume_bodies import volume_body
 from animtool.sim.springs import SelfContact, SpringOptions

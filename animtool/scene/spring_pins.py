@@ -16,7 +16,7 @@ from animtool.maths import so3
 from animtool.scene.carriers import Carrier, OnJoint, OnPrim, OnVertex
 from animtool.scene.character_motion import CharacterMotions, open_take
 from animtool.scene.spring_bodies import SpringBody
-from animtool.scene.spring_schema import (
+from animtool.scene.springs.pin_schema import (
     CarryingJointModel,
     CarryingPrimModel,
     CarryingVertexModel,

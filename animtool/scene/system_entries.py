@@ -18,12 +18,9 @@ from animtool.documents.names import nearest
 from animtool.documents.references import referred_input, split_reference
 from animtool.errors import AnimtoolError, Fault
 from animtool.maths import so3
-from animtool.scene.particle_schema import (
-    CharacterModel,
-    EmitterModel,
-    Named,
-    SystemColliderModel,
-)
+from animtool.scene.particles.schema import EmitterModel
+from animtool.scene.systems.collider_schema import CharacterModel, SystemColliderModel
+from animtool.scene.systems.fields import Named
 from animtool.sim.colliders import Box, Capsule, Collider, Mesh, Plane, Poses, Sphere
 
 __all__ = ["PLACING", "Characters", "EntryReader"]

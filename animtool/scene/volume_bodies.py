@@ -16,8 +16,8 @@ from animtool.scene.spring_bodies import (
     mass_of,
     some_of,
 )
-from animtool.scene.spring_schema import VolumeModel
 from animtool.scene.spring_shapes import Faces
+from animtool.scene.springs.schema import VolumeModel
 from animtool.scene.system_entries import EntryReader
 from animtool.sim.springs import Body, Family, block, tetrahedra
 

@@ -7,8 +7,8 @@ from typing import Any
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.scene.particle_schema import ParticlesModel
-from animtool.scene.spring_schema import (
+from animtool.scene.particles.schema import ParticlesModel
+from animtool.scene.springs.schema import (
     ClothModel,
     RopeModel,
     StrandsModel,

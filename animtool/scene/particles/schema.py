@@ -1,80 +1,30 @@
-"""The keys of particles in a scene file, and of what they run into, as models."""
+"""The keys of particles in a scene file, as models."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
-from annotated_types import Ge, Gt, Le, Len
+from annotated_types import Gt, Le, Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
+from animtool.scene.systems.collider_schema import (
+    CharacterModel,
+    MovingMeshModel,
+    SystemColliderModel,
+    SystemSurfaceModel,
+)
+from animtool.scene.systems.fields import Named, Preroll, PrimName, Vector
+from animtool.scene.systems.placed_schema import PlacedModel
 
 __all__ = [
-    "CharacterModel",
     "EmitterModel",
-    "FollowedPrimModel",
-    "MovingMeshModel",
     "ParticlesModel",
-    "SystemColliderModel",
-    "SystemSurfaceModel",
-    "Vector",
     "VelocityModel",
 ]
 
-Vector = Annotated[list[float], Len(3, 3)]
-# One name of a table, and its options.
-Named = Annotated[dict[str, dict[str, Any] | None], Len(1, 1)]
 
-
-class FollowedPrimModel(FileModel):
-    """A prim of a USD file, as that moves and turns."""
-
-    file: Annotated[str, Field(min_length=1)] = Field(
-        description="The USD file.", examples=["props.usda"]
-    )
-    prim: Annotated[str, Field(min_length=1)] = Field(
-        description="Path of the prim.", examples=["/Set/hook"]
-    )
-    frame: float | None = Field(
-        default=None,
-        description="Time code of its file that comes at 0 s. Not given: the first.",
-        examples=[101],
-    )
-
-
-class _PlacedModel(FileModel):
-    at: Vector = Field(
-        default=[0.0, 0.0, 0.0],
-        description="Where it is [m].",
-        examples=[[0, 1.5, 0]],
-    )
-    rotate: Annotated[list[float], Len(4, 4)] = Field(
-        default=[1.0, 0.0, 0.0, 0.0],
-        description="How it is turned: a quaternion w, x, y, z.",
-        examples=[[0.7071, 0, 0.7071, 0]],
-    )
-    moves: list[Annotated[list[float], Len(4, 4)]] = Field(
-        default=[],
-        description="Where it is over time, from `at`: rows of seconds from the first "
-        "frame on and three coordinates [m]. Not given: it stays.",
-        examples=[[[0, 0, 0, 0], [2, 4, 0, 0]]],
-    )
-    turns: list[Annotated[list[float], Len(5, 5)]] = Field(
-        default=[],
-        description="How it is turned over time, after `rotate`: rows of seconds from "
-        "the first frame on and a quaternion w, x, y, z; it turns the short way from "
-        "row to row. Not given: it does not turn.",
-        examples=[[[0, 1, 0, 0, 0], [1, 0.7071, 0, 0, 0.7071]]],
-    )
-    prim: FollowedPrimModel | None = Field(
-        default=None,
-        description="A prim that it goes and turns with, in place of `moves` and "
-        "`turns`; `at` and `rotate` are in the frame of the prim then.",
-        examples=[{"file": "props.usda", "prim": "/Set/mill"}],
-    )
-
-
-class EmitterModel(_PlacedModel):
+class EmitterModel(PlacedModel):
     """What makes particles."""
 
     name: str = Field(default="", description="For messages.", examples=["embers"])
@@ -140,85 +90,6 @@ class EmitterModel(_PlacedModel):
     )
 
 
-class _MaterialModel(FileModel):
-    restitution: float = Field(
-        default=0.0,
-        description="Share of the speed into the surface that comes back, 0 to 1.",
-        examples=[0.4],
-    )
-    friction: float = Field(
-        default=0.0, description="Coulomb's coefficient.", examples=[0.3]
-    )
-
-
-class SystemColliderModel(_PlacedModel, _MaterialModel):
-    """What particles run into, or where they are removed."""
-
-    name: str = Field(default="", description="For messages.", examples=["step_1"])
-    shape: Named = Field(
-        description="`plane`, `sphere`, `capsule`, `box` or `mesh`.",
-        examples=[{"box": {"size": [2, 0.2, 1]}}],
-    )
-    container: bool = Field(
-        default=False,
-        description="Particles are to stay inside; of `kill`, those outside go.",
-        examples=[True],
-    )
-    margin: float = Field(
-        default=0.0, description="Distance that they keep [m].", examples=[0.01]
-    )
-    depenetration: float = Field(
-        default=1.0,
-        description="How fast those that begin inside are moved out [m/s].",
-        examples=[0.5],
-    )
-    speed_limit: float = Field(
-        default=200.0,
-        description="What moves faster was put elsewhere, and hits nothing [m/s].",
-        examples=[500],
-    )
-
-
-class CharacterModel(_MaterialModel):
-    """A character in motion that particles run into: the capsules of its rig."""
-
-    file: Annotated[str, Field(min_length=1)] | None = Field(
-        default=None,
-        description="A clip or a scene; its first frame comes at 0 s.",
-        examples=["walk.clip.yaml"],
-    )
-    source: bool = Field(
-        default=False,
-        description="In place of a file: the character of this scene, behind its "
-        "passes.",
-        examples=[True],
-    )
-    margin: float = Field(
-        default=0.0, description="Distance that they keep [m].", examples=[0.01]
-    )
-
-
-class SystemSurfaceModel(_MaterialModel):
-    """Cloth or a volume of the same scene that particles run into."""
-
-    system: Annotated[str, Field(min_length=1)] = Field(
-        description="Its name; it does not feel them.", examples=["flag"]
-    )
-
-
-class MovingMeshModel(FollowedPrimModel, _MaterialModel):
-    """A mesh of a USD file that particles run into, as it moves and changes shape."""
-
-    radius: float = Field(
-        default=0.005, description="Half its thickness [m].", examples=[0.01]
-    )
-    closed: bool = Field(
-        default=False,
-        description="It is the skin of a body: met from outside alone.",
-        examples=[True],
-    )
-
-
 class VelocityModel(FileModel):
     """A velocity field: expressions of x, y, z, t and age."""
 
@@ -230,9 +101,7 @@ class VelocityModel(FileModel):
 class ParticlesModel(FileModel):
     """Particles: born, moved, stopped and removed. Lengths are in metres."""
 
-    name: str = Field(
-        default="particles", description="Name of the prim.", examples=["embers"]
-    )
+    name: PrimName = Field(default="particles", examples=["embers"])
     emitters: Annotated[list[EmitterModel], Len(1)] = Field(
         description="What makes them.",
         examples=[[{"rate": 100, "speed": 2, "lifetime": 1}]],
@@ -286,11 +155,7 @@ class ParticlesModel(FileModel):
         description="Of integrators that choose their steps: most error of each.",
         examples=[1e-5],
     )
-    preroll: Annotated[float, Ge(0)] = Field(
-        default=0.0,
-        description="Seconds before the first frame that it begins in.",
-        examples=[2],
-    )
+    preroll: Preroll = 0.0
     most: Annotated[int, Gt(0), Le(10**8)] = Field(
         default=1_000_000, description="Particles at once.", examples=[5000]
     )

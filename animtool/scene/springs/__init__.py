@@ -1,0 +1,1 @@
+"""Ropes, strands, cloth and volumes of a scene."""

@@ -1,0 +1,116 @@
+"""The keys of families of springs, as models."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from animtool.documents.check import FileModel
+
+__all__ = [
+    "ClothSpringsModel",
+    "DiagonalsModel",
+    "FamilyModel",
+    "LineSpringsModel",
+    "VolumeSpringsModel",
+]
+
+
+class FamilyModel(FileModel):
+    """What springs of a family have in common."""
+
+    stiffness: float = Field(
+        description="Force over lengthening [N/m].", examples=[1e4]
+    )
+    damping: float = Field(
+        default=0.0,
+        description="Along the spring: force over speed [N s/m].",
+        examples=[0.5],
+    )
+    ratio: float = Field(
+        default=0.0,
+        description="More of it, as a share of what one spring on its ends is "
+        "critical with.",
+        examples=[0.1],
+    )
+    rest: float = Field(
+        default=1.0,
+        description="Length at rest over the distance of the ends as built; 0 draws "
+        "them together.",
+        examples=[0.9],
+    )
+    tear: float | None = Field(
+        default=None,
+        description="Lengthening over the length at rest beyond which a spring tears. "
+        "Not given: never.",
+        examples=[0.5],
+    )
+
+
+class DiagonalsModel(FamilyModel):
+    """Springs across the cells of cloth."""
+
+    ways: Literal["one", "both"] = Field(
+        default="both",
+        description="Along one diagonal of each cell, from its first corner, or along "
+        "both.",
+        examples=["one"],
+    )
+
+
+class LineSpringsModel(FileModel):
+    """The springs of ropes and strands; each family can be left out."""
+
+    structural: FamilyModel | None = Field(
+        default=None,
+        description="From each particle to the next.",
+        examples=[{"stiffness": 1e4, "ratio": 0.1}],
+    )
+    bend: FamilyModel | None = Field(
+        default=None,
+        description="From each to the next but one, against bending.",
+        examples=[{"stiffness": 50}],
+    )
+
+
+class ClothSpringsModel(FileModel):
+    """The springs of cloth; each family can be left out."""
+
+    structural: FamilyModel | None = Field(
+        default=None,
+        description="Between neighbours; of a mesh, along its edges.",
+        examples=[{"stiffness": 1000, "ratio": 0.05}],
+    )
+    diagonals: DiagonalsModel | None = Field(
+        default=None,
+        description="Across cells, against shearing; of a mesh, across faces of four "
+        "corners or more, always both.",
+        examples=[{"stiffness": 300, "ways": "one"}],
+    )
+    bend: FamilyModel | None = Field(
+        default=None,
+        description="From each to the next but one, or over the edges of a mesh, "
+        "against bending.",
+        examples=[{"stiffness": 10}],
+    )
+
+
+class VolumeSpringsModel(FileModel):
+    """The springs of volumes; each family can be left out."""
+
+    structural: FamilyModel | None = Field(
+        default=None,
+        description="Along the axes; of tetrahedra, along their edges.",
+        examples=[{"stiffness": 2000, "ratio": 0.05}],
+    )
+    face_diagonals: FamilyModel | None = Field(
+        default=None,
+        description="Across the sides of each cell.",
+        examples=[{"stiffness": 1000}],
+    )
+    body_diagonals: FamilyModel | None = Field(
+        default=None,
+        description="Through each cell.",
+        examples=[{"stiffness": 1000}],
+    )

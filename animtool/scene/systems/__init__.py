@@ -1,0 +1,1 @@
+"""What a scene simulates, of whichever kind: entries, order, run and bake."""

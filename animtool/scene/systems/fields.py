@@ -1,0 +1,61 @@
+"""Types of keys that several kinds of systems have."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from annotated_types import Ge, Len
+from pydantic import Field
+
+__all__ = [
+    "CharacterFile",
+    "Margin",
+    "Name",
+    "Named",
+    "OwnCharacter",
+    "Preroll",
+    "PrimName",
+    "PrimPath",
+    "Quaternion",
+    "TimedVector",
+    "UsdFile",
+    "Vector",
+]
+
+Name = Annotated[str, Field(min_length=1)]
+# One name of a table, and its options.
+Named = Annotated[dict[str, dict[str, Any] | None], Len(1, 1)]
+Vector = Annotated[list[float], Len(3, 3)]
+# w, x, y, z.
+Quaternion = Annotated[list[float], Len(4, 4)]
+# Seconds from the first frame on, and a vector.
+TimedVector = Annotated[list[float], Len(4, 4)]
+
+PrimName = Annotated[str, Field(description="Name of the prim.")]
+UsdFile = Annotated[Name, Field(description="The USD file.")]
+PrimPath = Annotated[Name, Field(description="Path of the prim.")]
+CharacterFile = Annotated[
+    Name | None,
+    Field(
+        description="A clip or a scene; its first frame comes at 0 s.",
+        examples=["walk.clip.yaml"],
+    ),
+]
+OwnCharacter = Annotated[
+    bool,
+    Field(
+        description="In place of a file: the character of this scene, behind its "
+        "passes.",
+        examples=[True],
+    ),
+]
+Margin = Annotated[
+    float, Field(description="Distance that they keep [m].", examples=[0.01])
+]
+Preroll = Annotated[
+    float,
+    Ge(0),
+    Field(
+        description="Seconds before the first frame that it begins in.", examples=[2]
+    ),
+]
