@@ -36,8 +36,8 @@ from animtool.usd.paths import RigPaths
 
 if TYPE_CHECKING:
     from animtool.edit.thin import Thinned
-    from animtool.scene.character_watch import CharacterWatch
-    from animtool.scene.systems_beside import WrittenBeside
+    from animtool.scene.systems.beside import WrittenBeside
+    from animtool.scene.systems.character_watch import CharacterWatch
 
 __all__ = ["bake", "run_bake"]
 
@@ -84,7 +84,7 @@ def run_bake(plan: BakePlan) -> BakeReport:
         StrictError: There were warnings, and ``strict`` is on.
     """
     if plan.systems is not None:
-        from animtool.scene.system_bake import run_system_bake
+        from animtool.scene.systems.bake import run_system_bake
 
         return run_system_bake(plan.systems)
     if plan.character is not None:

@@ -17,7 +17,7 @@ from animtool.scene.sources import SourceOptions
 from animtool.scene.tracks import TrackNames
 
 if TYPE_CHECKING:
-    from animtool.scene.system_kinds import SystemSetup
+    from animtool.scene.systems.kinds import SystemSetup
 
 __all__ = [
     "OutputKind",

@@ -37,8 +37,8 @@ from animtool.scene.preroll import Preroll
 from animtool.scene.scene import Scene
 from animtool.scene.schema import BesideModel, OutputModel, SceneModel, SourceModel
 from animtool.scene.sources import SourceOptions, is_usd, takes_option
-from animtool.scene.system_kinds import SYSTEM_KINDS, SystemReader
-from animtool.scene.system_links import check_links
+from animtool.scene.systems.kinds import SYSTEM_KINDS, SystemReader
+from animtool.scene.systems.links import check_links
 from animtool.scene.systems.schema import SystemModel
 from animtool.scene.tracks import TrackNames
 from animtool.units import LengthUnit, UpAxis, parse_length

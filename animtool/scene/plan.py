@@ -28,9 +28,9 @@ from animtool.usd.paths import RigPaths
 if TYPE_CHECKING:
     from animtool.scene.deform import Character
     from animtool.scene.scene import Scene
-    from animtool.scene.system_bake import SystemPlan
-    from animtool.scene.system_run import Save
-    from animtool.scene.systems_beside import SystemsBeside, WrittenBeside
+    from animtool.scene.systems.bake import SystemPlan
+    from animtool.scene.systems.beside import SystemsBeside, WrittenBeside
+    from animtool.scene.systems.run import Save
     from animtool.usd.target import JointMap, RigTarget
 
 __all__ = [
@@ -149,7 +149,7 @@ def plan_bake(
 def _simulated(
     scene: Scene, path: Path | None, options: BakeOptions, notices: list[Fault]
 ) -> BakePlan:
-    from animtool.scene.system_bake import plan_systems
+    from animtool.scene.systems.bake import plan_systems
 
     systems = plan_systems(scene, path, options)
     return BakePlan(
@@ -179,7 +179,7 @@ def with_systems(plan: BakePlan, scene: Scene) -> BakePlan:
         message = "a clip library has no place for what is simulated"
         hint = "bake the systems in a scene of their own, or as: stage"
         raise OptionError(Fault("SCN067", message, str(scene.path), (), hint))
-    from animtool.scene.systems_beside import plan_beside
+    from animtool.scene.systems.beside import plan_beside
 
     stream, options, target = plan.takes[0].stream, plan.options, plan.target
     paths = rig_paths([stream.rig.name], target, options, plan.output)

@@ -38,8 +38,8 @@ from animtool.usd.point_space import PointSpace
 from animtool.usd.strands import WIDTH
 
 if TYPE_CHECKING:
-    from animtool.scene.system_run import Save
-    from animtool.scene.systems_beside import WrittenBeside
+    from animtool.scene.systems.beside import WrittenBeside
+    from animtool.scene.systems.run import Save
 
 __all__ = ["run_point_bake"]
 

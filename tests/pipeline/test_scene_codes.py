@@ -188,7 +188,7 @@ ELSEWHERE = {
     *(f"SCN{n:03d}" for n in (*range(45, 53), *range(107, 114))),
     # Those of tests/scene/test_systems.py.
     *(f"SCN{n:03d}" for n in (60, 61, 62, 63, 65)),
-    # Those of tests/scene/test_systems_beside.py.
+    # Those of tests/scene/systems/test_beside.py.
     *("SCN066", "SCN067", "SCN068"),
     # Those of tests/cli/test_simulation_table.py.
     *(f"SCN{n:03d}" for n in range(70, 73)),

@@ -10,12 +10,12 @@ from typing import Any
 
 from animtool.documents.document import Document, Location
 from animtool.errors import AnimtoolError, Fault, OptionError
-from animtool.scene.moving_mesh import MovingMesh
-from animtool.scene.particle_system import ParticleSetup, SurfaceMet
 from animtool.scene.particles.schema import EmitterModel, ParticlesModel
-from animtool.scene.system_entries import PLACING, EntryReader
+from animtool.scene.particles.system import ParticleSetup, SurfaceMet
 from animtool.scene.systems.collider_schema import MovingMeshModel
+from animtool.scene.systems.entries import PLACING, EntryReader
 from animtool.scene.systems.fields import Named
+from animtool.scene.systems.moving_mesh import MovingMesh
 from animtool.sim.colliders import Mesh
 from animtool.sim.options import IntegrateOptions
 from animtool.sim.particles import (

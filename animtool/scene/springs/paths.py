@@ -9,8 +9,8 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.maths import so3
-from animtool.scene.spring_pins import Pin
-from animtool.scene.spring_setup import Wind
+from animtool.scene.springs.pins import Pin
+from animtool.scene.springs.setup import Wind
 from animtool.sim.colliders import Poses
 from animtool.sim.springs import Pins, Targets
 from animtool.sim.springs.paths import over_knots

@@ -76,11 +76,11 @@ class SystemKind:
 
 def _springs(name: str, writer: str) -> SystemKind:
     return SystemKind(
-        f"animtool.scene.spring_entries:read_{name}",
-        "animtool.scene.spring_system:open_springs",
+        f"animtool.scene.springs.entries:read_{name}",
+        "animtool.scene.springs.system:open_springs",
         f"animtool.usd.simulated_points:{writer}",
-        "animtool.scene.spring_system:spring_trial",
-        "animtool.scene.spring_joins:check_joins",
+        "animtool.scene.springs.system:spring_trial",
+        "animtool.scene.springs.joins:check_joins",
         writer == "FacesWriter",
     )
 
@@ -88,10 +88,10 @@ def _springs(name: str, writer: str) -> SystemKind:
 # The keys of each are a field of `SystemModel`.
 SYSTEM_KINDS: dict[str, SystemKind] = {
     "particles": SystemKind(
-        "animtool.scene.particle_entries:read_particles",
-        "animtool.scene.particle_system:open_particles",
+        "animtool.scene.particles.entries:read_particles",
+        "animtool.scene.particles.system:open_particles",
         "animtool.usd.particle_points:PointsWriter",
-        "animtool.scene.particle_system:particle_trial",
+        "animtool.scene.particles.system:particle_trial",
     ),
     "rope": _springs("rope", "CurvesWriter"),
     "strands": _springs("strands", "CurvesWriter"),

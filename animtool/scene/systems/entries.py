@@ -139,7 +139,7 @@ class EntryReader:
         code: str,
     ) -> Poses | None:
         """Return the poses of what goes with a prim."""
-        from animtool.scene.carriers import OnPrim
+        from animtool.scene.systems.carriers import OnPrim
 
         assert model.prim is not None
         for key in ("moves", "turns"):

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from animtool.errors import Fault, FormatError
-from animtool.scene.character_watch import CharacterWatch
 from animtool.scene.entries import SceneSystem
 from animtool.scene.report import MeshReport
 from animtool.scene.scene import Scene
-from animtool.scene.system_job import system_job
-from animtool.scene.system_run import Save, SystemRun, write_systems
+from animtool.scene.systems.character_watch import CharacterWatch
+from animtool.scene.systems.job import system_job
+from animtool.scene.systems.run import Save, SystemRun, write_systems
 from animtool.transforms import Track
 from animtool.units import UpAxis
 from animtool.usd.beside import thing_paths

@@ -10,9 +10,9 @@ from typing import Any
 from animtool._types import IntArray
 from animtool.documents.document import Location
 from animtool.errors import Fault
-from animtool.scene.spring_shapes import Shape
 from animtool.scene.springs.family_schema import FamilyModel
-from animtool.scene.system_entries import EntryReader
+from animtool.scene.springs.shapes import Shape
+from animtool.scene.systems.entries import EntryReader
 from animtool.sim.springs import Body, Family
 
 __all__ = ["MOST", "SpringBody", "families_of", "mass_of", "some_of"]

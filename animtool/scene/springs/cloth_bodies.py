@@ -9,16 +9,16 @@ import numpy as np
 from animtool._types import FloatArray, IntArray
 from animtool.documents.document import Location
 from animtool.errors import Fault, OptionError, Severity, counted
-from animtool.scene.spring_bodies import (
+from animtool.scene.springs.bodies import (
     MOST,
     SpringBody,
     families_of,
     mass_of,
     some_of,
 )
-from animtool.scene.spring_shapes import Faces
 from animtool.scene.springs.schema import ClothModel
-from animtool.scene.system_entries import EntryReader
+from animtool.scene.springs.shapes import Faces
+from animtool.scene.systems.entries import EntryReader
 from animtool.sim.springs import Family, sheet, surface
 from animtool.units import UpAxis
 

@@ -15,7 +15,7 @@ from animtool.maths import so3
 from animtool.rig.kinematics import bind_world
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import surfaces_of
-from animtool.scene.character_motion import CharacterMotion, CharacterMotions
+from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
 from animtool.sim.colliders import Poses, joint_poses
 from animtool.skin.character import character_meshes
 from animtool.skin.deform import deform_blocks

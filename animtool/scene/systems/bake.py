@@ -15,8 +15,8 @@ from animtool.scene.options import BakeOptions
 from animtool.scene.report import BakeReport, TakeReport
 from animtool.scene.scene import Scene
 from animtool.scene.sources import source_stem
-from animtool.scene.system_job import system_job
-from animtool.scene.system_run import SystemRun, write_systems
+from animtool.scene.systems.job import system_job
+from animtool.scene.systems.run import SystemRun, write_systems
 from animtool.units import UpAxis
 from animtool.usd.animation import Rounding
 from animtool.usd.forms import Form

@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
-from animtool.scene.system_kinds import SYSTEM_KINDS
+from animtool.scene.systems.kinds import SYSTEM_KINDS
 from animtool.units import UpAxis, up_from_up
 from animtool.usd.layers import StageMetadata
 from animtool.usd.names import distinct_names

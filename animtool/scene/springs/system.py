@@ -11,14 +11,14 @@ import numpy as np
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, Severity, counted
 from animtool.scene.entries import SceneSystem
-from animtool.scene.simulation import Opening
-from animtool.scene.spring_joins import join_pairs
-from animtool.scene.spring_paths import Tie, Ties, brought, ties_of, wind_ties
-from animtool.scene.spring_run import SpringRun
-from animtool.scene.spring_setup import SpringSetup
-from animtool.scene.spring_shapes import Faces
-from animtool.scene.spring_sharing import shared
-from animtool.scene.watched import Watched
+from animtool.scene.springs.joins import join_pairs
+from animtool.scene.springs.paths import Tie, Ties, brought, ties_of, wind_ties
+from animtool.scene.springs.run import SpringRun
+from animtool.scene.springs.setup import SpringSetup
+from animtool.scene.springs.shapes import Faces
+from animtool.scene.springs.sharing import shared
+from animtool.scene.springs.watched import Watched
+from animtool.scene.systems.simulation import Opening
 from animtool.sim.colliders import Collider
 from animtool.sim.springs import Body, SpringSystem, Welded, find_rest, join, weld
 from animtool.sim.springs.trial import SpringTrial

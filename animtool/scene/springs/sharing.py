@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.scene.spring_setup import SpringSetup, Wind
+from animtool.scene.springs.setup import SpringSetup, Wind
 from animtool.sim.springs import SelfContact, SpringOptions
 
 __all__ = ["Shared", "conflicts", "shared"]

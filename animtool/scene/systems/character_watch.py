@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.scene.character_motion import CharacterMotion, motion_of
+from animtool.scene.systems.character_motion import CharacterMotion, motion_of
 from animtool.take import Clock, Motion, Take, TakeStream, time_codes
 
 __all__ = ["CharacterWatch"]

@@ -11,15 +11,15 @@ from animtool._types import FloatArray
 from animtool.documents.document import Location
 from animtool.errors import Fault, counted
 from animtool.scene.entries import SceneSystem
-from animtool.scene.moving_mesh import MovingMesh
-from animtool.scene.simulation import Opening
+from animtool.scene.systems.moving_mesh import MovingMesh
+from animtool.scene.systems.simulation import Opening
 from animtool.sim.colliders import Collider, Plane, Sheet, SheetMotion
 from animtool.sim.particles.run import ParticleRun
 from animtool.sim.particles.trial import ParticleTrial
 from animtool.usd.particle_points import PointsRow
 
 if TYPE_CHECKING:
-    from animtool.scene.spring_setup import SpringSetup
+    from animtool.scene.springs.setup import SpringSetup
     from animtool.sim.options import IntegrateOptions
     from animtool.sim.particles.setup import Particles
 

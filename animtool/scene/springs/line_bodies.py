@@ -7,10 +7,10 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.documents.document import Location
 from animtool.errors import Fault
-from animtool.scene.spring_bodies import MOST, SpringBody, families_of, mass_of
-from animtool.scene.spring_shapes import Curves
+from animtool.scene.springs.bodies import MOST, SpringBody, families_of, mass_of
 from animtool.scene.springs.schema import RopeModel, StrandsModel
-from animtool.scene.system_entries import EntryReader
+from animtool.scene.springs.shapes import Curves
+from animtool.scene.systems.entries import EntryReader
 from animtool.sim.springs import join, rope, strand
 
 __all__ = ["rope_body", "strands_body"]

@@ -10,12 +10,11 @@ import numpy as np
 
 from animtool.documents.document import Document, Location
 from animtool.errors import Fault, OptionError
-from animtool.scene.cloth_bodies import cloth_body
-from animtool.scene.line_bodies import rope_body, strands_body
-from animtool.scene.spring_bodies import SpringBody
-from animtool.scene.spring_pins import read_pins
-from animtool.scene.spring_setup import SpringSetup, Wind
+from animtool.scene.springs.bodies import SpringBody
+from animtool.scene.springs.cloth_bodies import cloth_body
 from animtool.scene.springs.contact_schema import SelfContactModel
+from animtool.scene.springs.line_bodies import rope_body, strands_body
+from animtool.scene.springs.pins import read_pins
 from animtool.scene.springs.schema import (
     ClothModel,
     RopeModel,
@@ -23,9 +22,10 @@ from animtool.scene.springs.schema import (
     StrandsModel,
     VolumeModel,
 )
+from animtool.scene.springs.setup import SpringSetup, Wind
+from animtool.scene.springs.volume_bodies import volume_body
 from animtool.scene.springs.wind_schema import FaceWindModel, WindModel
-from animtool.scene.system_entries import EntryReader
-from animtool.scene.volume_bodies import volume_body
+from animtool.scene.systems.entries import EntryReader
 from animtool.sim.springs import SelfContact, SpringOptions
 from animtool.sim.springs.options import check_options
 

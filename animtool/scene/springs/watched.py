@@ -7,8 +7,8 @@ import numpy.typing as npt
 
 from animtool._types import FloatArray, IntArray
 from animtool.maths.faces import triangulated
-from animtool.scene.spring_run import Keeping, SpringRun
-from animtool.scene.spring_shapes import Faces
+from animtool.scene.springs.run import Keeping, SpringRun
+from animtool.scene.springs.shapes import Faces
 
 __all__ = ["Watched"]
 

@@ -16,8 +16,8 @@ from animtool.cli.summary import bake_json, bake_text
 from animtool.edit.frame_range import FrameRange
 from animtool.errors import AnimtoolError, FormatError, OptionError, ToleranceError
 from animtool.scene.file import load_scene
-from animtool.scene.simulation import open_systems
 from animtool.scene.steps import StepKind, bake_steps
+from animtool.scene.systems.simulation import open_systems
 
 SCENE = """\
 scene: animtool/1

@@ -17,7 +17,7 @@ from animtool.edit.frame_range import FrameRange
 from animtool.errors import FormatError, Severity, ToleranceError
 from animtool.rig.kinematics import forward
 from animtool.scene.file import load_scene
-from animtool.scene.simulation import open_systems
+from animtool.scene.systems.simulation import open_systems
 from animtool.sim.springs import Family, Pins, SpringSystem, rope, simulate_springs
 
 HEAD = "scene: animtool/1\nfps: 24\nrange: [1, 12]\nsystems:\n"

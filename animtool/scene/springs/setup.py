@@ -10,9 +10,9 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.documents.document import Location
 from animtool.errors import counted
-from animtool.scene.spring_bodies import SpringBody
-from animtool.scene.spring_pins import Join, Pin
-from animtool.scene.system_entries import Characters
+from animtool.scene.springs.bodies import SpringBody
+from animtool.scene.springs.pins import Join, Pin
+from animtool.scene.systems.entries import Characters
 from animtool.sim.colliders import Collider
 from animtool.sim.springs import Air, SelfContact, SpringOptions
 

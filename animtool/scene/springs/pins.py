@@ -13,16 +13,16 @@ from animtool.documents.document import Location
 from animtool.documents.names import nearest
 from animtool.errors import AnimtoolError, Fault, listed
 from animtool.maths import so3
-from animtool.scene.carriers import Carrier, OnJoint, OnPrim, OnVertex
-from animtool.scene.character_motion import CharacterMotions, open_take
-from animtool.scene.spring_bodies import SpringBody
+from animtool.scene.springs.bodies import SpringBody
 from animtool.scene.springs.pin_schema import (
     CarryingJointModel,
     CarryingPrimModel,
     CarryingVertexModel,
     PinModel,
 )
-from animtool.scene.system_entries import EntryReader
+from animtool.scene.systems.carriers import Carrier, OnJoint, OnPrim, OnVertex
+from animtool.scene.systems.character_motion import CharacterMotions, open_take
+from animtool.scene.systems.entries import EntryReader
 from animtool.sim.colliders import Poses
 from animtool.units import UpAxis
 

@@ -10,7 +10,7 @@ from animtool.documents.names import nearest
 from animtool.errors import listed
 from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
-from animtool.scene.system_kinds import SYSTEM_KINDS
+from animtool.scene.systems.kinds import SYSTEM_KINDS
 
 __all__ = ["check_links", "in_order", "needed"]
 

@@ -11,10 +11,10 @@ from typing import Any, TypeAlias
 
 from animtool.errors import Fault, refuse_warnings
 from animtool.output import once_named, together
-from animtool.scene.character_motion import CharacterMotion
 from animtool.scene.entries import SceneSystem
 from animtool.scene.report import MeshReport
-from animtool.scene.simulation import open_systems
+from animtool.scene.systems.character_motion import CharacterMotion
+from animtool.scene.systems.simulation import open_systems
 from animtool.usd.clip_files import system_files
 from animtool.usd.growing import Growing, save_grown
 from animtool.usd.layers import save_layer

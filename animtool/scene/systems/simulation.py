@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, cast
 from animtool._types import FloatArray
 from animtool.errors import Fault
 from animtool.plugins import load_object
-from animtool.scene.character_motion import CharacterMotion, CharacterMotions
 from animtool.scene.entries import SceneSystem
-from animtool.scene.system_kinds import SYSTEM_KINDS
-from animtool.scene.system_links import in_order, needed
+from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
+from animtool.scene.systems.kinds import SYSTEM_KINDS
+from animtool.scene.systems.links import in_order, needed
 
 if TYPE_CHECKING:
     from animtool.sim.trials.trial import Trial

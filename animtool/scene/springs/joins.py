@@ -11,10 +11,10 @@ from animtool._types import IntArray
 from animtool.documents.document import Document, Location
 from animtool.errors import Fault
 from animtool.scene.entries import SceneSystem
-from animtool.scene.spring_bodies import SpringBody
-from animtool.scene.spring_pins import Join, numbered
-from animtool.scene.spring_setup import SpringSetup
-from animtool.scene.spring_sharing import conflicts
+from animtool.scene.springs.bodies import SpringBody
+from animtool.scene.springs.pins import Join, numbered
+from animtool.scene.springs.setup import SpringSetup
+from animtool.scene.springs.sharing import conflicts
 
 __all__ = ["check_joins", "join_pairs"]
 
