@@ -1,4 +1,4 @@
-"""Polygons as triangles."""
+"""Polygons: their sides, and their triangles."""
 
 from __future__ import annotations
 
@@ -6,7 +6,23 @@ import numpy as np
 
 from animtool._types import IntArray
 
-__all__ = ["triangulated"]
+__all__ = ["sides", "triangulated"]
+
+
+def sides(counts: IntArray, indices: IntArray) -> IntArray:
+    """Return each corner of polygons with the next of the same ``(C, 2)``.
+
+    Args:
+        counts: Corners of each ``(M,)``.
+        indices: Corners, one polygon after the other ``(C,)``.
+
+    >>> sides(np.array([3]), np.array([5, 6, 7])).tolist()
+    [[5, 6], [6, 7], [7, 5]]
+    """
+    ends = np.cumsum(counts)
+    ahead = np.roll(indices, -1)
+    ahead[ends - 1] = indices[ends - counts]
+    return np.stack([indices, ahead], axis=1)
 
 
 def triangulated(counts: IntArray, indices: IntArray) -> IntArray:

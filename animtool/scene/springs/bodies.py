@@ -3,24 +3,39 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
-from animtool._types import IntArray
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.documents.check import FileModel
 from animtool.documents.document import Location
-from animtool.errors import Fault
+from animtool.errors import Fault, listed
 from animtool.scene.springs.family_schema import FamilyModel
 from animtool.scene.springs.shapes import Shape
 from animtool.scene.systems.entries import EntryReader
 from animtool.sim.springs import Body, Family
 
-__all__ = ["MOST", "SpringBody", "families_of", "mass_of", "some_of"]
+__all__ = [
+    "MOST",
+    "Families",
+    "SpringBody",
+    "check_grid",
+    "families_of",
+    "mass_of",
+    "refuse_keys",
+    "share_out",
+    "some_of",
+]
 
 # Of many that are odd in the same way, those that are named.
 MOST_NAMED = 5
 # Particles of a system, at most: their springs fit into memory.
 MOST = 10_000_000
+# By name; None are those left out.
+Families: TypeAlias = Mapping[str, Family | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,10 +64,8 @@ def mass_of(reader: EntryReader, at: Location, mass: float) -> float:
     return 1.0
 
 
-def families_of(
-    reader: EntryReader, at: Location, model: Any
-) -> dict[str, Family | None]:
-    """Return the families of springs of an entry by name, None of those left out.
+def families_of(reader: EntryReader, at: Location, model: Any) -> Families:
+    """Return the families of springs of an entry.
 
     One of impossible numbers is noted, and one without force stands in for it.
     """
@@ -84,6 +97,52 @@ def _family(reader: EntryReader, at: Location, model: FamilyModel) -> Family:
     if faults:
         return Family(0.0)
     return Family(model.stiffness, model.damping, model.ratio, tear, model.rest)
+
+
+def check_grid(
+    reader: EntryReader, at: Location, what: str, resolution: Sequence[int]
+) -> None:
+    """Note a grid of too few particles some way, or of too many."""
+    if min(resolution) < 2 or math.prod(resolution) > MOST:
+        *first, last = resolution
+        given = f"{listed(first)} and {last}"
+        message = f"{what} has 2 particles or more each way, not {given}"
+        reader.note((*at, "resolution"), Fault("SIM050", message))
+
+
+def refuse_keys(
+    reader: EntryReader, at: Location, model: FileModel, keys: set[str], why: str
+) -> None:
+    """Note keys that are given, and are for what an entry is not.
+
+    Args:
+        reader: Where they are noted.
+        at: Place of the entry.
+        model: What it says.
+        keys: Those that are for something else.
+        why: What they are for, and what this is.
+    """
+    for key in sorted(keys & model.model_fields_set):
+        reader.note((*at, key), Fault("SIM050", f"{key} {why}"))
+
+
+def share_out(
+    sizes: FloatArray, counts: IntArray, corners: IntArray, points: int
+) -> FloatArray:
+    """Return each point's share of cells that share themselves among their corners.
+
+    Args:
+        sizes: Areas or volumes of cells ``(M,)``.
+        counts: Corners of each ``(M,)``.
+        corners: Cell by cell.
+        points: How many points there are.
+
+    Returns:
+        ``(N,)`` [1]; they come to 1, or are all 0 where no cell has a size.
+    """
+    own = np.bincount(corners, np.repeat(sizes / counts, counts), points)
+    total = float(own.sum())
+    return np.asarray(own / (total if total > 0 else 1.0), np.float64)
 
 
 def some_of(numbers: IntArray) -> str:

@@ -2,45 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.documents.document import Location
 from animtool.errors import Fault, OptionError, Severity, counted
+from animtool.maths.faces import sides
 from animtool.scene.springs.bodies import (
-    MOST,
+    Families,
     SpringBody,
-    families_of,
-    mass_of,
+    check_grid,
+    refuse_keys,
+    share_out,
     some_of,
 )
 from animtool.scene.springs.schema import ClothModel
 from animtool.scene.springs.shapes import Faces
 from animtool.scene.systems.entries import EntryReader
-from animtool.sim.springs import Family, sheet, surface
+from animtool.sim.springs import sheet, surface
 from animtool.units import UpAxis
 
 __all__ = ["cloth_body"]
 
 
 def cloth_body(
-    reader: EntryReader, at: Location, model: ClothModel
+    reader: EntryReader,
+    at: Location,
+    model: ClothModel,
+    families: Families,
+    mass: float,
 ) -> SpringBody | None:
     """Return cloth; None where what is noted leaves none."""
-    families = families_of(reader, (*at, "springs"), model.springs)
-    mass = mass_of(reader, (*at, "mass"), model.mass)
     if model.mesh is not None:
-        given = {"corner", "across", "up", "resolution"} & model.model_fields_set
-        for key in sorted(given):
-            message = f"{key} is for a sheet, and this is of a mesh"
-            reader.note((*at, key), Fault("SIM050", message))
+        why = "is for a sheet, and this is of a mesh"
+        refuse_keys(reader, at, model, {"corner", "across", "up", "resolution"}, why)
         return _mesh_cloth(reader, at, model, families, mass)
     columns, rows = model.resolution
-    if min(columns, rows) < 2 or columns * rows > MOST:
-        message = f"cloth has 2 particles or more each way, not {columns} and {rows}"
-        reader.note((*at, "resolution"), Fault("SIM050", message))
+    check_grid(reader, at, "cloth", model.resolution)
     if not np.cross(model.across, model.up).any():
         message = "it has no area: across and up are nothing, or along each other"
         reader.note((*at, "across"), Fault("SIM050", message))
@@ -86,7 +84,7 @@ def _mesh_cloth(
     reader: EntryReader,
     at: Location,
     model: ClothModel,
-    families: Mapping[str, Family | None],
+    families: Families,
     mass: float,
 ) -> SpringBody | None:
     from animtool.usd.still_mesh import read_still_mesh
@@ -130,25 +128,19 @@ def _shares(
     """Return each point's share of the area ``(N,)``, and faces that have none."""
     starts = np.cumsum(counts) - counts
     middle = np.add.reduceat(points[indices], starts) / counts[:, None]
-    ahead = np.roll(indices, -1)
-    ahead[starts + counts - 1] = indices[starts]
+    ahead = sides(counts, indices)[:, 1]
     face = np.repeat(np.arange(len(counts)), counts)
-    sides = np.cross(points[indices] - middle[face], points[ahead] - middle[face])
-    areas = np.linalg.norm(np.add.reduceat(sides, starts), axis=1) / 2
+    spans = np.cross(points[indices] - middle[face], points[ahead] - middle[face])
+    areas = np.linalg.norm(np.add.reduceat(spans, starts), axis=1) / 2
     size = np.ptp(points, axis=0).max()
     areas[areas <= 1e-12 * size * size] = 0.0
-    own = np.bincount(indices, (areas / counts)[face], len(points))
-    total = own.sum()
-    return own / (total if total > 0 else 1.0), np.flatnonzero(areas == 0)
+    return share_out(areas, counts, indices, len(points)), np.flatnonzero(areas == 0)
 
 
 def _side_counts(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray]:
     """Return the sides of faces ``(E, 2)``, and how many faces each is of."""
-    starts = np.cumsum(counts) - counts
-    ahead = np.roll(indices, -1)
-    ahead[starts + counts - 1] = indices[starts]
-    sides = np.sort(np.stack([indices, ahead], axis=1), axis=1)
-    found, often = np.unique(sides, axis=0, return_counts=True)
+    pairs = np.sort(sides(counts, indices), axis=1)
+    found, often = np.unique(pairs, axis=0, return_counts=True)
     return found, often
 
 
@@ -156,7 +148,7 @@ def _odd_mesh(
     prim: str,
     points: FloatArray,
     flat: IntArray,
-    sides: tuple[IntArray, IntArray],
+    shared: tuple[IntArray, IntArray],
 ) -> tuple[Fault, ...]:
     """Return warnings of what cloth bears, and nobody means."""
     _, same, often = np.unique(points, axis=0, return_inverse=True, return_counts=True)
@@ -167,7 +159,7 @@ def _odd_mesh(
     if len(double):
         text = f"points at one place, which nothing holds together: {some_of(double)}"
         said.append((text, "merge them"))
-    many = sides[0][sides[1] > 2]
+    many = shared[0][shared[1] > 2]
     if len(many):
         text = f"{counted(len(many), 'side')} of more than two faces, such as "
         said.append((text + f"{many[0, 0]} to {many[0, 1]}", "it bends less there"))

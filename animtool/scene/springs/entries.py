@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool.documents.document import Document, Location
 from animtool.errors import Fault, OptionError
-from animtool.scene.springs.bodies import SpringBody
+from animtool.scene.springs.bodies import SpringBody, families_of, mass_of
 from animtool.scene.springs.cloth_bodies import cloth_body
 from animtool.scene.springs.contact_schema import SelfContactModel
 from animtool.scene.springs.line_bodies import rope_body, strands_body
@@ -29,46 +29,29 @@ from animtool.scene.systems.entries import EntryReader
 from animtool.sim.springs import SelfContact, SpringOptions
 from animtool.sim.springs.options import check_options
 
-__all__ = ["read_cloth", "read_rope", "read_strands", "read_volume"]
+__all__ = ["read_springs"]
+
+_BODIES: dict[type[SpringsModel], Callable[..., SpringBody | None]] = {
+    ClothModel: cloth_body,
+    RopeModel: rope_body,
+    StrandsModel: strands_body,
+    VolumeModel: volume_body,
+}
 
 
-def read_rope(
-    document: Document, at: Location, model: RopeModel, roots: Sequence[Path]
+def read_springs(
+    document: Document, at: Location, model: SpringsModel, roots: Sequence[Path]
 ) -> SpringSetup | None:
-    """Return the rope of an entry; None where what is noted leaves none."""
-    return _read(document, at, model, roots, rope_body)
+    """Return what an entry is made of; None where what is noted leaves nothing.
 
-
-def read_strands(
-    document: Document, at: Location, model: StrandsModel, roots: Sequence[Path]
-) -> SpringSetup | None:
-    """Return the strands of an entry; None where what is noted leaves none."""
-    return _read(document, at, model, roots, strands_body)
-
-
-def read_cloth(
-    document: Document, at: Location, model: ClothModel, roots: Sequence[Path]
-) -> SpringSetup | None:
-    """Return the cloth of an entry; None where what is noted leaves none."""
-    return _read(document, at, model, roots, cloth_body)
-
-
-def read_volume(
-    document: Document, at: Location, model: VolumeModel, roots: Sequence[Path]
-) -> SpringSetup | None:
-    """Return the volume of an entry; None where what is noted leaves none."""
-    return _read(document, at, model, roots, volume_body)
-
-
-def _read(
-    document: Document,
-    at: Location,
-    model: SpringsModel,
-    roots: Sequence[Path],
-    make: Callable[[EntryReader, Location, Any], SpringBody | None],
-) -> SpringSetup | None:
+    Args:
+        document: Where faults are noted.
+        at: Place of the entry.
+        model: What it says.
+        roots: Folders that files may be in.
+    """
     reader = EntryReader(document, roots)
-    body = make(reader, at, model)
+    body = _body(reader, at, model)
     colliders = reader.colliders((*at, "colliders"), model.colliders)
     characters = reader.characters((*at, "characters"), model.characters)
     wind = getattr(model, "wind", None)
@@ -105,6 +88,12 @@ def _read(
         at,
         tuple(reader.files),
     )
+
+
+def _body(reader: EntryReader, at: Location, model: Any) -> SpringBody | None:
+    families = families_of(reader, (*at, "springs"), model.springs)
+    mass = mass_of(reader, (*at, "mass"), model.mass)
+    return _BODIES[type(model)](reader, at, model, families, mass)
 
 
 def _self_contact(model: SelfContactModel | None) -> SelfContact | None:

@@ -7,7 +7,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.documents.document import Location
 from animtool.errors import Fault
-from animtool.scene.springs.bodies import MOST, SpringBody, families_of, mass_of
+from animtool.scene.springs.bodies import MOST, Families, SpringBody, mass_of
 from animtool.scene.springs.schema import RopeModel, StrandsModel
 from animtool.scene.springs.shapes import Curves
 from animtool.scene.systems.entries import EntryReader
@@ -16,10 +16,14 @@ from animtool.sim.springs import join, rope, strand
 __all__ = ["rope_body", "strands_body"]
 
 
-def rope_body(reader: EntryReader, at: Location, model: RopeModel) -> SpringBody | None:
+def rope_body(
+    reader: EntryReader,
+    at: Location,
+    model: RopeModel,
+    families: Families,
+    mass: float,
+) -> SpringBody | None:
     """Return a rope; None where what is noted leaves none."""
-    families = families_of(reader, (*at, "springs"), model.springs)
-    mass = mass_of(reader, (*at, "mass"), model.mass)
     if not 2 <= model.count <= MOST:
         message = f"a rope has 2 to {MOST} particles, not {model.count}"
         reader.note((*at, "count"), Fault("SIM050", message))
@@ -47,11 +51,13 @@ def rope_body(reader: EntryReader, at: Location, model: RopeModel) -> SpringBody
 
 
 def strands_body(
-    reader: EntryReader, at: Location, model: StrandsModel
+    reader: EntryReader,
+    at: Location,
+    model: StrandsModel,
+    families: Families,
+    mass: float,
 ) -> SpringBody | None:
     """Return strands; None where what is noted leaves none."""
-    families = families_of(reader, (*at, "springs"), model.springs)
-    mass = mass_of(reader, (*at, "mass"), model.mass)
     points = reader.array((*at, "points"), model.points, "points")
     if points is not None and not _are_strands(points):
         message = f"strands have the shape (strands, 2 or more, 3), not {points.shape}"

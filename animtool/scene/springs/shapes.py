@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool._types import FloatArray, IntArray
+from animtool.maths.faces import sides
 from animtool.sim.springs import Springs
 from animtool.usd.simulated_points import CurvesRow, FacesRow
 
@@ -110,10 +111,7 @@ class Faces:
     @cached_property
     def _sides(self) -> IntArray:
         """The spring along each side, face by face; -1 for none."""
-        ends = np.cumsum(self.counts)
-        ahead = np.roll(self.indices, -1)
-        ahead[ends - 1] = self.indices[ends - self.counts]
-        return _between(self.springs, np.stack([self.indices, ahead], axis=1))
+        return _between(self.springs, sides(self.counts, self.indices))
 
 
 Shape: TypeAlias = Curves | Faces

@@ -2,43 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.documents.document import Location
 from animtool.errors import Fault, listed
 from animtool.scene.springs.bodies import (
-    MOST,
+    Families,
     SpringBody,
-    families_of,
-    mass_of,
+    check_grid,
+    refuse_keys,
+    share_out,
     some_of,
 )
 from animtool.scene.springs.schema import VolumeModel
 from animtool.scene.springs.shapes import Faces
 from animtool.scene.systems.entries import EntryReader
-from animtool.sim.springs import Body, Family, block, tetrahedra
+from animtool.sim.springs import Body, block, tetrahedra
 
 __all__ = ["volume_body"]
 
 
 def volume_body(
-    reader: EntryReader, at: Location, model: VolumeModel
+    reader: EntryReader,
+    at: Location,
+    model: VolumeModel,
+    families: Families,
+    mass: float,
 ) -> SpringBody | None:
     """Return a volume; None where what is noted leaves none."""
-    families = families_of(reader, (*at, "springs"), model.springs)
-    mass = mass_of(reader, (*at, "mass"), model.mass)
     if model.tetrahedra is not None:
-        for key in sorted({"corner", "size", "resolution"} & model.model_fields_set):
-            message = f"{key} is for a block, and this is of tetrahedra"
-            reader.note((*at, key), Fault("SIM050", message))
+        why = "is for a block, and this is of tetrahedra"
+        refuse_keys(reader, at, model, {"corner", "size", "resolution"}, why)
         return _tetrahedra(reader, at, model, families, mass)
     x, y, z = model.resolution
-    if min(x, y, z) < 2 or x * y * z > MOST:
-        message = f"a volume has 2 particles or more each way, not {x}, {y} and {z}"
-        reader.note((*at, "resolution"), Fault("SIM050", message))
+    check_grid(reader, at, "a volume", model.resolution)
     if min(model.size) <= 0:
         message = f"its size must be above 0 each way, not {listed(model.size)}"
         reader.note((*at, "size"), Fault("SIM050", message))
@@ -63,7 +61,7 @@ def _tetrahedra(
     reader: EntryReader,
     at: Location,
     model: VolumeModel,
-    families: Mapping[str, Family | None],
+    families: Families,
     mass: float,
 ) -> SpringBody | None:
     assert model.tetrahedra is not None
@@ -110,9 +108,8 @@ def _volumes(points: FloatArray, cells: IntArray) -> FloatArray:
     volumes = np.abs(np.linalg.det(sides))
     size = np.ptp(points, axis=0).max()
     volumes[volumes <= 1e-12 * size**3] = 0.0
-    own = np.bincount(cells.ravel(), np.repeat(volumes / 4, 4), len(points))
-    total = float(own.sum())
-    return np.asarray(own / (total if total > 0 else 1.0), np.float64)
+    corners = np.full(len(cells), 4)
+    return share_out(volumes, corners, cells.ravel(), len(points))
 
 
 def _skin(body: Body) -> Faces:

@@ -74,9 +74,9 @@ class SystemKind:
     surface: bool = False
 
 
-def _springs(name: str, writer: str) -> SystemKind:
+def _springs(writer: str) -> SystemKind:
     return SystemKind(
-        f"animtool.scene.springs.entries:read_{name}",
+        "animtool.scene.springs.entries:read_springs",
         "animtool.scene.springs.system:open_springs",
         f"animtool.usd.simulated_points:{writer}",
         "animtool.scene.springs.system:spring_trial",
@@ -93,8 +93,8 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
         "animtool.usd.particle_points:PointsWriter",
         "animtool.scene.particles.system:particle_trial",
     ),
-    "rope": _springs("rope", "CurvesWriter"),
-    "strands": _springs("strands", "CurvesWriter"),
-    "cloth": _springs("cloth", "FacesWriter"),
-    "volume": _springs("volume", "FacesWriter"),
+    "rope": _springs("CurvesWriter"),
+    "strands": _springs("CurvesWriter"),
+    "cloth": _springs("FacesWriter"),
+    "volume": _springs("FacesWriter"),
 }
