@@ -11,6 +11,7 @@ from annotated_types import Ge, Gt, Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
+from animtool.documents.fields import Name
 from animtool.documents.ignore import IgnoreModel
 from animtool.scene.output_fields import Bones, FormName, ReduceAt, RigLayer, Sparse
 
@@ -120,7 +121,7 @@ class BatchModel(FileModel):
         description="What the file is, and the version of its format.",
         examples=["animtool/1"],
     )
-    inputs: Annotated[list[Annotated[str, Field(min_length=1)]], Len(1)] = Field(
+    inputs: Annotated[list[Name], Len(1)] = Field(
         description="Files, folders, and globs in which `**` is any folders.",
         examples=[["takes/**/*.bvh"]],
     )

@@ -11,6 +11,7 @@ from annotated_types import Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
+from animtool.documents.fields import Name, Pair, Vector
 from animtool.documents.ignore import IgnoreModel
 
 __all__ = ["ChannelModel", "ClipModel", "CurveModel", "JoinModel", "KeyModel"]
@@ -77,7 +78,7 @@ class KeyModel(FileModel):
         description="How it leaves the key: likewise, dt ≥ 0.",
         examples=["flat"],
     )
-    tcb: Annotated[list[float], Len(3, 3)] | None = Field(
+    tcb: Vector | None = Field(
         default=None,
         description="Tension, continuity and bias, for `interp: tcb`. Not given: 0 "
         "each.",
@@ -86,7 +87,7 @@ class KeyModel(FileModel):
 
 
 class _TargetModel(FileModel):
-    target: Annotated[str, Field(min_length=1)] = Field(
+    target: Name = Field(
         description="What moves: control/NAME, shape/NAME or joint/NAME.PART. Each "
         "once.",
         examples=["joint/elbow_l.angle"],
@@ -167,7 +168,7 @@ class ClipModel(FileModel):
         description="Frames a second: a number, or a fraction as text.",
         examples=["24000/1001"],
     )
-    range: Annotated[list[float], Len(2, 2)] | None = Field(
+    range: Pair | None = Field(
         default=None,
         description="First and last frame. Not given: of the first and last key.",
         examples=[[1.0, 48.0]],

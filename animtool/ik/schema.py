@@ -12,14 +12,11 @@ from pydantic import Field
 
 from animtool.clip.schema import CurveModel, JoinModel, KeyModel
 from animtool.documents.check import FileModel
+from animtool.documents.fields import Name, Pair, Quaternion, Vector
 from animtool.documents.ignore import IgnoreModel
 
 __all__ = ["AimModel", "GoalModel", "TargetsModel", "ValueModel", "WeightsModel"]
 
-Vector3 = Annotated[list[float], Len(3, 3)]
-Quaternion = Annotated[list[float], Len(4, 4)]
-Pair = Annotated[list[float], Len(2, 2)]
-Name = Annotated[str, Field(min_length=1)]
 Weight = Annotated[float, Field(ge=0)]
 
 
@@ -63,7 +60,7 @@ class ValueModel(JoinModel):
         "stands. Not given: the world.",
         examples=["/World/hero"],
     )
-    offset: Vector3 | None = Field(
+    offset: Vector | None = Field(
         default=None,
         description="Of a point that follows a `prim`: where it is in the prim's "
         "frame, in the file's length, whatever scale the prim has. Not given: its "
@@ -81,11 +78,11 @@ class ValueModel(JoinModel):
 class AimModel(FileModel):
     """An axis that points at something."""
 
-    axis: Vector3 = Field(
+    axis: Vector = Field(
         description="Direction in the joint's frame; of any length.",
         examples=[[0.0, 0.0, 1.0]],
     )
-    at: Vector3 | str | ValueModel = Field(
+    at: Vector | str | ValueModel = Field(
         description="The point, as a `position` has it.", examples=[[0.0, 1.5, 4.0]]
     )
 
@@ -124,12 +121,12 @@ class GoalModel(FileModel):
         "chain's; of a joint any above it.",
         examples=["shoulder_l"],
     )
-    offset: Vector3 = Field(
+    offset: Vector = Field(
         default=[0.0, 0.0, 0.0],
         description="The point that reaches, in the joint's frame.",
         examples=[[0.08, 0.0, 0.0]],
     )
-    position: Vector3 | str | ValueModel | None = Field(
+    position: Vector | str | ValueModel | None = Field(
         default=None,
         description="Where the point is to be: three numbers, an array (F, 3), keys "
         "or a prim.",
@@ -146,7 +143,7 @@ class GoalModel(FileModel):
         description="An axis of the joint that points at something.",
         examples=[{"axis": [0.0, 0.0, 1.0], "at": [0.0, 1.5, 4.0]}],
     )
-    pole: Vector3 | str | ValueModel | None = Field(
+    pole: Vector | str | ValueModel | None = Field(
         default=None,
         description="The point towards which the middle of the limb lies, as a "
         "`position`. Not given: with a start clip as it has it, else the chain's "
@@ -215,7 +212,7 @@ class TargetsModel(FileModel):
         "text. Not given: the start clip's; 24 without one.",
         examples=["24000/1001"],
     )
-    range: Annotated[list[float], Len(2, 2)] | None = Field(
+    range: Pair | None = Field(
         default=None,
         description="First and last frame; arrays have a row for each. Not given: of "
         "the start clip, or of the keys, spans and arrays, which begin at 1.",

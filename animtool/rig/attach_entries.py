@@ -9,8 +9,8 @@ from difflib import get_close_matches
 from animtool.documents.document import Document, Location
 from animtool.documents.names import nearest
 from animtool.rig.array_entries import ArrayReader
+from animtool.rig.attach_schema import AttachModel
 from animtool.rig.parts import AttachKind, Attachment
-from animtool.rig.schema import AttachModel
 
 __all__ = ["AttachmentReader"]
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from animtool.documents.document import Document
 from animtool.documents.names import nearest
 from animtool.rig.joint_entries import FileJoints, FileUnits, quaternion
+from animtool.rig.joint_schema import PoseModel
 from animtool.rig.mirror import ORIGIN, Transform, mirrored_pose, placed
-from animtool.rig.schema import PoseModel
 from animtool.rig.skeleton import Joint, Pose
 
 __all__ = ["bind_of"]

@@ -9,16 +9,16 @@ from dataclasses import dataclass, field, replace
 from animtool.documents.document import Document, Location
 from animtool.documents.names import nearest
 from animtool.maths import so3
-from animtool.rig.limits import BallLimit, RangeLimit
-from animtool.rig.mirror import ORIGIN, Transform, mirrored_joint, placed
-from animtool.rig.parts import Vector
-from animtool.rig.schema import (
+from animtool.rig.joint_schema import (
     BallJointModel,
     BallLimitsModel,
     JointModel,
     PinJointModel,
     PrismaticJointModel,
 )
+from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.mirror import ORIGIN, Transform, mirrored_joint, placed
+from animtool.rig.parts import Vector
 from animtool.rig.skeleton import Joint, JointType, Mimic, Pose
 
 __all__ = [

@@ -11,6 +11,7 @@ from animtool.documents.document import Document, Location
 from animtool.documents.names import nearest
 from animtool.rig.array_entries import ArrayReader
 from animtool.rig.attach_entries import AttachmentReader
+from animtool.rig.control_schema import ControlModel, DriveModel
 from animtool.rig.controls import (
     Control,
     ControlCycleError,
@@ -31,15 +32,10 @@ from animtool.rig.parts import (
     Skin,
     Subdivision,
 )
-from animtool.rig.schema import (
-    ControlModel,
-    DriveModel,
-    MeshModel,
-    RigModel,
-    SkinModel,
-)
+from animtool.rig.schema import RigModel
 from animtool.rig.shapes import ShapeCycleError, combination_order
 from animtool.rig.skeleton import Joint
+from animtool.rig.surface_schema import MeshModel, SkinModel
 from animtool.rig.targets import DRIVEN_PARTS, nearest_part, split_part
 
 __all__ = ["PartReader"]

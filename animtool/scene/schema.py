@@ -11,6 +11,7 @@ from annotated_types import Ge, Len
 from pydantic import Discriminator, Field, Tag
 
 from animtool.documents.check import FileModel
+from animtool.documents.fields import Name
 from animtool.documents.ignore import IgnoreModel
 from animtool.scene.output_fields import Bones, ReduceAt, RigLayer, Sparse
 from animtool.scene.systems.schema import SystemModel
@@ -35,9 +36,7 @@ class TracksModel(FileModel):
 class SourceModel(FileModel):
     """A clip, BVH or USD file, and what it leaves open."""
 
-    file: Annotated[str, Field(min_length=1)] = Field(
-        description="The clip, BVH or USD file.", examples=["walk.bvh"]
-    )
+    file: Name = Field(description="The clip, BVH or USD file.", examples=["walk.bvh"])
     units: Literal["m", "cm", "mm", "in"] | None = Field(
         default=None,
         description="Of a BVH: the unit of its lengths. Not given: cm.",
@@ -94,14 +93,12 @@ class SourceModel(FileModel):
 class BesideModel(FileModel):
     """A prop, a camera or attributes next to the character."""
 
-    file: Annotated[str, Field(min_length=1)] = Field(
+    file: Name = Field(
         alias="from",
         description="The USD file that it is read from.",
         examples=["set/props.usda"],
     )
-    prim: Annotated[str, Field(min_length=1)] = Field(
-        description="Path of its prim there.", examples=["/Set/box"]
-    )
+    prim: Name = Field(description="Path of its prim there.", examples=["/Set/box"])
     path: str | None = Field(
         default=None,
         description="Where it is written: below the character and in its space, or, "

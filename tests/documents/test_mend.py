@@ -21,7 +21,8 @@ from animtool.documents.mend import (
     replaced,
     stand_in,
 )
-from animtool.rig.schema import JointModel, RigModel
+from animtool.rig.joint_schema import JointModel
+from animtool.rig.schema import RigModel
 from animtool.scene.schema import SceneModel
 
 

@@ -8,13 +8,14 @@ from annotated_types import Gt, Le, Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
+from animtool.documents.fields import Pair, Vector
 from animtool.scene.systems.collider_schema import (
     CharacterModel,
     MovingMeshModel,
     SystemColliderModel,
     SystemSurfaceModel,
 )
-from animtool.scene.systems.fields import Named, Preroll, PrimName, Vector
+from animtool.scene.systems.fields import Named, Preroll, PrimName
 from animtool.scene.systems.placed_schema import PlacedModel
 
 __all__ = [
@@ -34,7 +35,7 @@ class EmitterModel(PlacedModel):
         examples=[{"disc": {"radius": 0.2}}],
     )
     rate: float = Field(default=0.0, description="Particles a second.", examples=[200])
-    bursts: list[Annotated[list[float], Len(2, 2)]] = Field(
+    bursts: list[Pair] = Field(
         default=[],
         description="Seconds from the first frame on, and how many at once.",
         examples=[[[0, 50], [1.5, 50]]],

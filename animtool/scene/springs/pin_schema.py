@@ -8,13 +8,8 @@ from annotated_types import Ge, Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.scene.systems.fields import (
-    CharacterFile,
-    Name,
-    OwnCharacter,
-    TimedVector,
-    Vector,
-)
+from animtool.documents.fields import Name, Vector
+from animtool.scene.systems.fields import CharacterFile, OwnCharacter, TimedVector
 from animtool.scene.systems.placed_schema import FollowedPrimModel
 
 __all__ = [

@@ -8,6 +8,7 @@ from annotated_types import Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
+from animtool.documents.fields import Name, Vector
 from animtool.scene.springs.contact_schema import SelfContactField
 from animtool.scene.springs.family_schema import (
     ClothSpringsModel,
@@ -17,14 +18,7 @@ from animtool.scene.springs.family_schema import (
 from animtool.scene.springs.pin_schema import PinModel
 from animtool.scene.springs.wind_schema import FaceWindField, WindModel
 from animtool.scene.systems.collider_schema import CharacterModel, SystemColliderModel
-from animtool.scene.systems.fields import (
-    Name,
-    Preroll,
-    PrimName,
-    PrimPath,
-    UsdFile,
-    Vector,
-)
+from animtool.scene.systems.fields import Preroll, PrimName, PrimPath, UsdFile
 
 __all__ = [
     "ClothModel",

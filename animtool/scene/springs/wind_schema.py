@@ -7,7 +7,8 @@ from typing import Annotated
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.scene.systems.fields import TimedVector, Vector
+from animtool.documents.fields import Vector
+from animtool.scene.systems.fields import TimedVector
 
 __all__ = [
     "FaceWindField",

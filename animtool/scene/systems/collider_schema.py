@@ -5,13 +5,8 @@ from __future__ import annotations
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.scene.systems.fields import (
-    CharacterFile,
-    Margin,
-    Name,
-    Named,
-    OwnCharacter,
-)
+from animtool.documents.fields import Name
+from animtool.scene.systems.fields import CharacterFile, Margin, Named, OwnCharacter
 from animtool.scene.systems.placed_schema import FollowedPrimModel, PlacedModel
 
 __all__ = [

@@ -7,27 +7,22 @@ from typing import Annotated, Any
 from annotated_types import Ge, Len
 from pydantic import Field
 
+from animtool.documents.fields import Name
+
 __all__ = [
     "CharacterFile",
     "Margin",
-    "Name",
     "Named",
     "OwnCharacter",
     "Preroll",
     "PrimName",
     "PrimPath",
-    "Quaternion",
     "TimedVector",
     "UsdFile",
-    "Vector",
 ]
 
-Name = Annotated[str, Field(min_length=1)]
 # One name of a table, and its options.
 Named = Annotated[dict[str, dict[str, Any] | None], Len(1, 1)]
-Vector = Annotated[list[float], Len(3, 3)]
-# w, x, y, z.
-Quaternion = Annotated[list[float], Len(4, 4)]
 # Seconds from the first frame on, and a vector.
 TimedVector = Annotated[list[float], Len(4, 4)]
 

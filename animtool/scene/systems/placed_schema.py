@@ -8,13 +8,8 @@ from annotated_types import Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.scene.systems.fields import (
-    PrimPath,
-    Quaternion,
-    TimedVector,
-    UsdFile,
-    Vector,
-)
+from animtool.documents.fields import Quaternion, Vector
+from animtool.scene.systems.fields import PrimPath, TimedVector, UsdFile
 
 __all__ = ["FollowedPrimModel", "PlacedModel"]
 
