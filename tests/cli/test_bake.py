@@ -13,7 +13,8 @@ from pxr import Sdf
 from support.bvh import HEADER, random_rows, small_bvh
 from support.cli import animtool, animtool_process
 
-from animtool.cli.bake import _options, bake
+from animtool.cli.bake import bake
+from animtool.cli.bake_options import bake_options_record
 from animtool.scene.options import BakeOptions
 
 
@@ -26,7 +27,7 @@ def take(tmp_path: Path) -> Path:
 
 def test_defaults_are_those_of_the_options() -> None:
     context = bake.make_context("bake", ["take.bvh"])
-    assert _options(context.params) == BakeOptions()
+    assert bake_options_record(context.params) == BakeOptions()
 
 
 def test_every_option_is_reachable() -> None:
