@@ -36,7 +36,7 @@ LAYERS = [
     {"documents"},
     {"rig"},
     {"transforms"},
-    {"take"},
+    {"clock", "motion", "take", "take_checks"},
     {"tracks_aside"},
     {"passes", "reorient", "choices", "keyed"},
     {"clip"},

@@ -1,3 +1,5 @@
+"""Takes, whole and in blocks."""
+
 from __future__ import annotations
 
 from dataclasses import replace
@@ -7,8 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from animtool._types import FloatArray
@@ -17,72 +17,7 @@ from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Channel, Clock, Motion, Take, TakeStream, time_codes
-
-
-@given(
-    st.fractions(-(10**6), 10**6, max_denominator=1001),
-    st.fractions(Fraction(1, 1001), 100, max_denominator=1001),
-    st.integers(0, 50),
-)
-def test_time_codes_are_rounded_once(
-    start: Fraction, step: Fraction, count: int
-) -> None:
-    found = time_codes(start, step, count).tolist()
-    assert found == [float(start + i * step) for i in range(count)]
-
-
-def test_time_codes_beyond_exact_integers() -> None:
-    start = Fraction(2**60 + 1, 3)
-    assert time_codes(start, Fraction(1, 7), 2).tolist() == [
-        float(start),
-        float(start + Fraction(1, 7)),
-    ]
-
-
-def test_clock() -> None:
-    clock = Clock(Fraction(24), Fraction(1001), Fraction(1, 5), 11)
-    assert clock.rate == 120
-    assert clock.duration == Fraction(1, 12)
-    assert clock.times[-1] == 1003.0
-
-
-def test_compact_keeps_the_values() -> None:
-    rng = np.random.default_rng(0)
-    values = rng.normal(size=(5, 4, 3))
-    values[:, [1, 3]] = values[:1, [1, 3]]
-    channel = Channel.from_dense(values)
-    assert channel.animated.tolist() == [0, 2]
-    assert channel.values.shape == (5, 2, 3)
-    assert_array_equal(channel.dense(), values)
-    assert_array_equal(channel.select(slice(1, 3)).dense(), values[1:3])
-
-
-@pytest.mark.parametrize("frames", [1, 3])
-def test_what_never_moves_has_no_values(frames: int) -> None:
-    channel = Channel.from_dense(np.ones((frames, 2, 3)))
-    assert channel.values.shape == (frames, 0, 3)
-    assert_array_equal(channel.dense(), np.ones((frames, 2, 3)))
-
-
-def test_concatenate_undoes_select() -> None:
-    values = np.random.default_rng(0).normal(size=(6, 2, 4))
-    channel = Channel.from_dense(values)
-    parts = [channel.select(slice(0, 2)), channel.select(slice(2, 6))]
-    assert_array_equal(Channel.concatenate(parts).dense(), values)
-
-
-def test_gather_and_put() -> None:
-    values = np.random.default_rng(0).normal(size=(5, 4, 3))
-    values[:, 1] = values[0, 1]
-    channel = Channel.from_dense(values)
-    joints = np.array([1, 3])
-    assert_array_equal(channel.gather(joints), values[:, joints])
-    found = channel.put(joints, -values[:, joints])
-    values[:, joints] *= -1
-    assert_array_equal(found.dense(), values)
-    assert found.animated.tolist() == [0, 1, 2, 3]
-
+from animtool.take import Channel, Clock, Motion, Take, TakeStream
 
 ARM = Rig("arm", (Joint("a", -1), Joint("b", 0, translation=(0.0, 2.0, 0.0))))
 
@@ -162,28 +97,6 @@ def test_what_is_long_has_a_short_repr(walk: Path) -> None:
         assert "\n" not in repr(thing)
         assert len(repr(thing)) < 120
     assert repr(take) == "<Take of 'walk': 64 frames from 1 to 64 at 30 fps, 21 joints>"
-
-
-@pytest.mark.parametrize(
-    ("fps", "step", "faults"),
-    [(29.97, 1, 1), (0, 1, 1), (24, -1, 1), (24.0, 0, 2)],
-)
-def test_a_clock_that_is_none(fps: Any, step: Any, faults: int) -> None:
-    with pytest.raises(AnimtoolError) as caught:
-        Clock(fps, Fraction(1), step, 5)
-    assert [fault.code for fault in caught.value.faults] == ["TAKE003"] * faults
-
-
-def test_whole_numbers_are_exact() -> None:
-    clock = Clock(30000, 1, 1001, 5)  # type: ignore[arg-type]
-    assert clock.rate == Fraction(30000, 1001)
-
-
-@pytest.mark.parametrize("shape", [(3,), (2, 3), (0, 2, 3)])
-def test_what_is_no_channel(shape: tuple[int, ...]) -> None:
-    with pytest.raises(AnimtoolError) as caught:
-        Channel.from_dense(np.zeros(shape))
-    assert caught.value.code == "TAKE001"
 
 
 def values_of(wrong: str) -> Motion:

@@ -1,0 +1,86 @@
+"""When the frames of a take are, exactly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from numbers import Rational
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.errors import Fault, OptionError
+
+__all__ = ["MOST_FRAMES", "Clock", "time_codes"]
+
+# Days of animation: rather a number that is mistyped.
+MOST_FRAMES = 10_000_000
+
+
+def time_codes(start: Fraction, step: Fraction, count: int) -> FloatArray:
+    """Return start + i·step for i < count ``(count,)``, each rounded once.
+
+    >>> time_codes(Fraction(1001), Fraction(1, 5), 3).tolist()
+    [1001.0, 1001.2, 1001.4]
+    """
+    common = start.denominator * step.denominator
+    first = start.numerator * step.denominator
+    each = step.numerator * start.denominator
+    # Integers this size are exact in float64, so one division rounds correctly.
+    if max(abs(first), abs(first + each * count), common) < 2**53:
+        return (first + each * np.arange(count, dtype=np.int64)) / float(common)
+    return np.array([float(start + i * step) for i in range(count)])
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """When the frames of a take are.
+
+    Attributes:
+        fps: Time codes a second.
+        start: Time code of the first frame.
+        step: Time codes from one frame to the next.
+        count: Number of frames.
+
+    Raises:
+        OptionError: One is a float, or fps or step are not positive (TAKE003).
+
+    >>> Clock(Fraction(30000, 1001), Fraction(1), Fraction(1), 5).rate
+    Fraction(30000, 1001)
+    """
+
+    fps: Fraction
+    start: Fraction
+    step: Fraction
+    count: int
+
+    def __post_init__(self) -> None:
+        """Check that times are exact; whole numbers become fractions."""
+        faults = []
+        for name in ("fps", "start", "step"):
+            value = getattr(self, name)
+            if not isinstance(value, Rational):
+                message = f"{name} is {value!r}, which is not exact"
+                faults.append(Fault("TAKE003", message, hint="write a Fraction"))
+                continue
+            object.__setattr__(self, name, Fraction(value))
+            if value <= 0 and name != "start":
+                message = f"{name} is {value}; it must be positive"
+                faults.append(Fault("TAKE003", message))
+        if faults:
+            raise OptionError(faults)
+
+    @property
+    def times(self) -> FloatArray:
+        """Time code of every frame ``(F,)``."""
+        return time_codes(self.start, self.step, self.count)
+
+    @property
+    def rate(self) -> Fraction:
+        """Frames a second."""
+        return self.fps / self.step
+
+    @property
+    def duration(self) -> Fraction:
+        """From the first frame to the last [s]."""
+        return self.step * max(0, self.count - 1) / self.fps

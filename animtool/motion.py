@@ -1,0 +1,193 @@
+"""What a rig does over frames; what does not move is stored once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault, OptionError
+
+__all__ = ["Channel", "Motion"]
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One kind of value for every joint; what does not move is stored once.
+
+    Attributes:
+        rest: The value of each joint while it does not move ``(J, K)``.
+        animated: Indices of the joints that move ``(A,)``, ascending.
+        values: Their values ``(F, A, K)``.
+    """
+
+    rest: FloatArray
+    animated: IntArray
+    values: FloatArray
+
+    def __repr__(self) -> str:
+        """Return how much there is of what.
+
+        >>> Channel.from_dense(np.zeros((5, 2, 3)))
+        <Channel: 5 frames, 0 of 2 move, 3 components>
+        """
+        frames, _, width = self.values.shape
+        moving = f"{len(self.animated)} of {len(self.rest)} move"
+        return f"<Channel: {frames} frames, {moving}, {width} components>"
+
+    def dense(self) -> FloatArray:
+        """Return the value of every joint in every frame ``(F, J, K)``.
+
+        >>> Channel.from_dense(np.ones((2, 1, 3))).dense().tolist()
+        [[[1.0, 1.0, 1.0]], [[1.0, 1.0, 1.0]]]
+        """
+        whole = np.repeat(self.rest[None], len(self.values), axis=0)
+        whole[:, self.animated] = self.values
+        return whole
+
+    def gather(self, joints: IntArray) -> FloatArray:
+        """Return the values of some joints, moving or not ``(F, len(joints), K)``."""
+        values = np.repeat(self.rest[joints][None], len(self.values), axis=0)
+        places = np.full(len(self.rest), -1)
+        places[self.animated] = np.arange(len(self.animated))
+        moving = places[joints] >= 0
+        if moving.any():
+            values[:, moving] = self.values[:, places[joints[moving]]]
+        return values
+
+    def put(self, joints: IntArray, values: FloatArray) -> Channel:
+        """Return the channel with other values of some joints, ascending."""
+        moves = np.zeros(len(self.rest), np.bool_)
+        moves[self.animated] = moves[joints] = True
+        animated = np.flatnonzero(moves)
+        whole = self.gather(animated)
+        whole[:, np.searchsorted(animated, joints)] = values
+        return Channel(self.rest, animated, whole)
+
+    def compact(self) -> Channel:
+        """Return the channel with the joints that never move made static."""
+        if not len(self.values):
+            return self
+        moves = (self.values != self.values[:1]).any(axis=(0, 2))
+        rest = self.rest.copy()
+        rest[self.animated[~moves]] = self.values[0, ~moves]
+        if moves.all():
+            return self
+        return Channel(rest, self.animated[moves], self.values[:, moves])
+
+    def select(self, frames: slice | IntArray) -> Channel:
+        """Return the channel at some of its frames."""
+        return replace(self, values=self.values[frames])
+
+    @staticmethod
+    def from_dense(values: FloatArray) -> Channel:
+        """Return the channel of values ``(F, J, K)``, static joints stored once.
+
+        Raises:
+            OptionError: They have another shape, or no frame (TAKE001).
+
+        >>> Channel.from_dense(np.arange(12.0).reshape(2, 2, 3)).animated.tolist()
+        [0, 1]
+        """
+        if values.ndim != 3 or not len(values):
+            message = f"values must have shape (F, J, K), not {values.shape}"
+            raise OptionError(Fault("TAKE001", message))
+        return Channel(values[0].copy(), np.arange(values.shape[1]), values).compact()
+
+    @staticmethod
+    def concatenate(channels: list[Channel]) -> Channel:
+        """Return one channel of blocks that share their rest and animated joints."""
+        first = channels[0]
+        return replace(first, values=np.concatenate([c.values for c in channels]))
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """What a rig does over frames: its joints, its shapes, its controls.
+
+    Attributes:
+        translations: Local, parent space, in place of rest [m], K = 3.
+        rotations: Unit quaternions (x, y, z, w), signs continuous along time, K = 4.
+        scales: [1], K = 3; None where nothing is scaled.
+        weights: Of the rig's shapes, in its order [1], K = 1; None where the take has
+            none.
+        controls: Values of the rig's controls, in its order, K = 1; None where the
+            take has none. Joints and shapes already hold what they drive.
+        track_times: Which time of its own each of the take's tracks shows, K = 1; None
+            where the take has no tracks.
+        points: Where points of meshes and strands are in the world that do not follow
+            joints any more, by their name [m], K = 3.
+    """
+
+    translations: Channel
+    rotations: Channel
+    scales: Channel | None = None
+    weights: Channel | None = None
+    controls: Channel | None = None
+    track_times: Channel | None = None
+    points: Mapping[str, Channel] = field(default_factory=dict)
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self.rotations.values)
+
+    def __repr__(self) -> str:
+        """Return how much there is of what."""
+        parts = [f"{self.frames} frames", f"{len(self.rotations.rest)} joints"]
+        for name in ("weights", "controls"):
+            channel: Channel | None = getattr(self, name)
+            if channel is not None:
+                parts.append(f"{len(channel.rest)} {name}")
+        return f"<Motion: {', '.join(parts)}>"
+
+    def dense(self) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+        """Return translations, rotations and scales of every joint in every frame."""
+        return (
+            self.translations.dense(),
+            self.rotations.dense(),
+            None if self.scales is None else self.scales.dense(),
+        )
+
+    def select(self, frames: slice | IntArray) -> Motion:
+        """Return the motion at some of its frames."""
+        return self.map(lambda channel: channel.select(frames))
+
+    def map(self, function: Callable[[Channel], Channel]) -> Motion:
+        """Return the motion with a function applied to each channel it has."""
+
+        def mapped(channel: Channel | None) -> Channel | None:
+            return None if channel is None else function(channel)
+
+        return Motion(
+            function(self.translations),
+            function(self.rotations),
+            mapped(self.scales),
+            mapped(self.weights),
+            mapped(self.controls),
+            mapped(self.track_times),
+            {name: function(one) for name, one in self.points.items()},
+        )
+
+    @staticmethod
+    def concatenate(blocks: list[Motion]) -> Motion:
+        """Return one motion of blocks that follow each other."""
+
+        def joined(name: str) -> Channel | None:
+            parts = [getattr(block, name) for block in blocks]
+            return None if parts[0] is None else Channel.concatenate(parts)
+
+        return Motion(
+            Channel.concatenate([block.translations for block in blocks]),
+            Channel.concatenate([block.rotations for block in blocks]),
+            joined("scales"),
+            joined("weights"),
+            joined("controls"),
+            joined("track_times"),
+            {
+                name: Channel.concatenate([block.points[name] for block in blocks])
+                for name in blocks[0].points
+            },
+        )
