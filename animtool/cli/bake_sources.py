@@ -61,10 +61,8 @@ def only_scene(opened: Sequence[Path | Scene]) -> Scene | None:
 
 def output_beside(source: Path | Scene) -> Path:
     """Return the file that a scene names, else the source's own name as usdc."""
-    from animtool.scene.sources import source_stem
+    from animtool.scene.files import file_beside
 
-    if not isinstance(source, Path):
-        if source.output is not None:
-            return source.output
-        source = source.path
-    return source.with_name(f"{source_stem(source)}.usdc")
+    if isinstance(source, Path):
+        return file_beside(source)
+    return source.output or file_beside(source.path)

@@ -5,14 +5,18 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from fractions import Fraction
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from animtool.errors import Fault
 from animtool.rig.kinematics import forward
-from animtool.scene.sources import SourceOptions, open_source
+from animtool.scene.sources import SourceOptions, is_usd, open_source
 from animtool.take import Take
 from animtool.units import unit_name
+
+if TYPE_CHECKING:
+    from animtool.usd.simulated_read import PointPrim
 
 __all__ = ["TakeDescription", "describe"]
 
@@ -43,6 +47,7 @@ class TakeDescription:
         up: Up axis of the file.
         takes: Names of the takes that a clip library has; empty for other files.
         take: The one described.
+        points: Prims beside it whose points have samples, of a USD file.
         notices: What is odd.
     """
 
@@ -65,6 +70,7 @@ class TakeDescription:
     up: str
     takes: list[str]
     take: str
+    points: list[PointPrim]
     notices: list[Fault]
 
     def as_dict(self) -> dict[str, object]:
@@ -78,6 +84,7 @@ class TakeDescription:
             end=float(self.end),
             duration=float(self.duration),
             bounds=[list(corner) for corner in self.bounds],
+            points=[prim.as_dict() for prim in self.points],
             notices=[notice.as_dict() for notice in self.notices],
         )
         return values
@@ -132,8 +139,18 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
         rig.up.value,
         takes if isinstance(takes, list) else [],
         str(stream.details.get("take", "")),
+        _points(Path(path)),
         stream.notices,
     )
+
+
+def _points(path: Path) -> list[PointPrim]:
+    """Return what a USD file shows of points that move."""
+    if not is_usd(path):
+        return []
+    from animtool.usd.simulated_read import moved_points
+
+    return moved_points(path)
 
 
 def _moving_shapes(take: Take) -> list[str]:

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from animtool.scene.options import BakeOptions
-from animtool.scene.sources import is_scene
+from animtool.scene.sources import is_scene, source_stem
 from animtool.usd.forms import Form, output_paths
 
 if TYPE_CHECKING:
     from animtool.scene.reading import Source
 
-__all__ = ["bake_outputs", "form_of", "output_files"]
+__all__ = ["bake_outputs", "file_beside", "form_of", "output_files"]
 
 
 def bake_outputs(
@@ -37,6 +37,15 @@ def bake_outputs(
 def _is_take(source: Source) -> bool:
     """Return whether a source is a file that says nothing of outputs."""
     return isinstance(source, Path | str) and not is_scene(Path(source))
+
+
+def file_beside(source: Path) -> Path:
+    """Return the file that a source is written to where none is named.
+
+    >>> file_beside(Path("takes/wave.scene.yaml")).name
+    'wave.usdc'
+    """
+    return source.with_name(f"{source_stem(source)}.usdc")
 
 
 def form_of(options: BakeOptions) -> Form:

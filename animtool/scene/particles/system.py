@@ -11,6 +11,7 @@ from animtool._types import FloatArray
 from animtool.documents.document import Location
 from animtool.errors import Fault, counted
 from animtool.scene.entries import SceneSystem
+from animtool.scene.systems.kinds import SystemFacts
 from animtool.scene.systems.moving_mesh import MovingMesh
 from animtool.scene.systems.simulation import Opening
 from animtool.sim.colliders import Collider, Plane, Sheet, SheetMotion
@@ -114,6 +115,18 @@ class ParticleSetup:
         """What becomes of them, in words."""
         options = self.particles.options
         return f"particles, by {options.method} in steps of {options.step:g} s"
+
+    @property
+    def facts(self) -> SystemFacts:
+        """What they are made of, in numbers."""
+        given = self.particles
+        counts = {
+            "emitters": len(given.emitters),
+            "forces": len(given.forces),
+            "most": given.most,
+        }
+        many = len(given.colliders) + len(self.meshes)
+        return SystemFacts(counts, given.options.method, given.options.step, many)
 
 
 def open_particles(

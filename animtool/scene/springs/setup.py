@@ -12,7 +12,9 @@ from animtool.documents.document import Location
 from animtool.errors import counted
 from animtool.scene.springs.bodies import SpringBody
 from animtool.scene.springs.pins import Join, Pin
+from animtool.scene.springs.shapes import Faces
 from animtool.scene.systems.entries import Characters
+from animtool.scene.systems.kinds import SystemFacts
 from animtool.sim.colliders import Collider
 from animtool.sim.springs import Air, SelfContact, SpringOptions
 
@@ -131,3 +133,18 @@ class SpringSetup:
         solver, step = self.options.solver, self.options.step
         how = f"by {solver}" if step is None else f"by {solver} in steps of {step:g} s"
         return f"{particles} with {springs}, {how}"
+
+    @property
+    def facts(self) -> SystemFacts:
+        """What they are made of, in numbers."""
+        body, shape = self.body.body, self.body.shape
+        drawn = "faces" if isinstance(shape, Faces) else "curves"
+        counts = {
+            "particles": len(body.positions),
+            "springs": len(body.springs.rest),
+            drawn: len(shape.counts),
+        }
+        options = self.options
+        return SystemFacts(
+            counts, str(options.solver), options.step, len(self.colliders)
+        )

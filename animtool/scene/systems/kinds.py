@@ -9,7 +9,24 @@ from typing import Any, Protocol, TypeAlias
 
 from animtool.documents.document import Document, Location
 
-__all__ = ["SYSTEM_KINDS", "SystemKind", "SystemReader", "SystemSetup"]
+__all__ = ["SYSTEM_KINDS", "SystemFacts", "SystemKind", "SystemReader", "SystemSetup"]
+
+
+@dataclass(frozen=True, slots=True)
+class SystemFacts:
+    """A system in numbers, before it is simulated.
+
+    Attributes:
+        counts: What it is made of, by kind.
+        method: Its solver, or its integrator.
+        step: The longest that it takes [s]; None leaves it to the method.
+        colliders: Of its own; those of characters are not counted.
+    """
+
+    counts: dict[str, int]
+    method: str
+    step: float | None
+    colliders: int
 
 
 class SystemSetup(Protocol):
@@ -21,6 +38,7 @@ class SystemSetup(Protocol):
         files: What is read beside the scene.
         reads: What acts on it, in words.
         makes: What becomes of it, in words.
+        facts: What it is made of, in numbers.
     """
 
     @property
@@ -42,6 +60,10 @@ class SystemSetup(Protocol):
     @property
     def makes(self) -> str:
         """What becomes of it, in words."""
+
+    @property
+    def facts(self) -> SystemFacts:
+        """What it is made of, in numbers."""
 
 
 # Where faults are noted, place and keys of the entry, and folders files may be in.

@@ -1,0 +1,222 @@
+"""What is in files, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from animtool.errors import counted, listed
+from animtool.rates import rate_label
+
+if TYPE_CHECKING:
+    from animtool.report.describe import TakeDescription
+    from animtool.report.describe_points import PointsDescription
+    from animtool.report.describe_rig import RigDescription
+    from animtool.report.describe_scene import (
+        OutputDescription,
+        SceneDescription,
+        SystemDescription,
+    )
+    from animtool.report.describe_targets import TargetsDescription
+    from animtool.usd.simulated_read import PointPrim
+
+__all__ = ["points_text", "rig_text", "scene_text", "take_text", "targets_text"]
+
+# Of a set with many prims, those that have a line each.
+MOST_PRIMS = 20
+_WORDS = {"": "over", "BasisCurves": "curves"}
+
+
+def targets_text(found: TargetsDescription) -> list[str]:
+    """Return the lines on a targets file."""
+    rate = f" at {found.fps}" if found.fps else ""
+    lines = [
+        f"{found.path}: targets, {counted(len(found.goals), 'goal')}",
+        f"  frames    {found.first:g} to {found.last:g}{rate}",
+    ]
+    for goal in found.goals:
+        spans = [f"{first:g} to {last:g}" for first, last in goal.held]
+        held = f", held {listed(spans)}" if spans else ""
+        lines.append(f"  goal      {goal.effector}: {', '.join(goal.asks)}{held}")
+    return lines
+
+
+def rig_text(found: RigDescription) -> list[str]:
+    """Return the lines on a rig."""
+    types = ", ".join(f"{count} {kind}" for kind, count in found.joints.items())
+    lines = [
+        f"{found.path}: rig {found.name!r}",
+        f"  joints    {sum(found.joints.values())}: {types}; {found.limited} limited",
+        f"  size      {found.size:.4g} {found.units} at rest, {found.up} up",
+    ]
+    for mesh in found.meshes:
+        skin = "follows no joint"
+        if mesh.method is not None:
+            skin = f"{mesh.method} skin on {counted(mesh.joints, 'joint')}, "
+            skin += f"{mesh.influences} a point at most"
+        lines.append(
+            f"  mesh      {mesh.name}: {counted(mesh.points, 'point')}, "
+            f"{counted(mesh.faces, 'face')}, {skin}, {counted(mesh.shapes, 'shape')}"
+        )
+    if found.shapes:
+        arkit = f", {found.arkit} of ARKit's 52" if found.arkit else ""
+        lines.append(f"  shapes    {found.shapes}, {found.combined} combined{arkit}")
+    others = {
+        "control": found.controls,
+        "chain": found.ik,
+        "attachment": found.attach,
+        "collider": found.colliders,
+    }
+    said = ", ".join(counted(count, name) for name, count in others.items() if count)
+    return [*lines, f"  and       {said or 'nothing else'}"]
+
+
+def take_text(found: TakeDescription) -> list[str]:
+    """Return the lines on a take."""
+    moving = ", ".join(f"{count} {kind}" for kind, count in found.animated.items())
+    channels = ""
+    if found.channels is not None:
+        channels = f", {counted(found.channels, 'channel')}"
+    roots = listed(found.roots, 4)
+    every = "" if found.step == 1 else f", one every {found.step} time codes"
+    notices = counted(len(found.notices), "notice")
+    moving += f" joints of {found.joints}"
+    shapes: list[str] = []
+    takes: list[str] = []
+    if found.shapes:
+        count = counted(len(found.moving_shapes), "shape")
+        moving += f", {count} of {found.shapes}"
+    if found.moving_shapes:
+        shapes = [f"  shapes    {listed(found.moving_shapes, 12)}"]
+    if found.takes:
+        names = listed(found.takes, 40)
+        takes = [f"  takes     {names}; this is {found.take!r}, --take reads another"]
+    return [
+        f"{found.path}: {found.format}",
+        *takes,
+        f"  joints    {found.joints} below {roots}{channels}",
+        f"  frames    {found.frames} at {rate_label(found.fps)}, "
+        f"{float(found.duration):.4g} s, time codes {float(found.start):g} to "
+        f"{float(found.end):g}{every}",
+        f"  animated  {moving}; the rest never move",
+        *shapes,
+        *_prim_lines(found.points),
+        f"  bounds    {_corners(found.bounds)} {found.units}, {found.up} up",
+        f"  odd       {notices if found.notices else 'nothing'}",
+    ]
+
+
+def points_text(found: PointsDescription) -> list[str]:
+    """Return the lines on a file of points."""
+    types = listed(
+        [f"{count} {name or 'over'}" for name, count in found.types.items()], 12
+    )
+    lines = [
+        f"{found.path}: {found.format} without a Skeleton",
+        f"  prims     {types}",
+        f"  frames    {found.frames} at {rate_label(found.fps)}, "
+        f"{float(found.duration):.4g} s, time codes {float(found.start):g} to "
+        f"{float(found.end):g}",
+        *_prim_lines(found.prims),
+        f"  space     {found.units}, {found.up} up",
+    ]
+    for chunk in found.chunks:
+        missing = f", not there: {listed(chunk.missing)}" if chunk.missing else ""
+        files = counted(len(chunk.files), "file")
+        lines.append(f"  chunks    {chunk.name} of {chunk.path}: {files}{missing}")
+    odd = counted(len(found.notices), "notice") if found.notices else "nothing"
+    return [*lines, f"  odd       {odd}"]
+
+
+def _prim_lines(prims: Sequence[PointPrim]) -> list[str]:
+    lines = [_prim_line(prim) for prim in prims[:MOST_PRIMS]]
+    left = len(prims) - MOST_PRIMS
+    return [*lines, f"  and       {left} more"] if left > 0 else lines
+
+
+def _prim_line(prim: PointPrim) -> str:
+    parts = [_range(*prim.points, "point")]
+    if prim.pieces:
+        parts.append(_range(*prim.piece_count, prim.pieces.removesuffix("s")))
+    moves = "never move"
+    if prim.samples:
+        span = f"time codes {prim.first:g} to {prim.last:g}"
+        moves = f"{counted(prim.samples, 'sample')}, {span}"
+    parts.append(moves)
+    beside = ("velocities", "widths", "ids", "normals")
+    has = [name for name in beside if getattr(prim, name)] + prim.primvars
+    if has:
+        parts.append(f"with {', '.join(has)}")
+    if prim.samples and not prim.fixed:
+        parts.append("not the same all along")
+    if prim.extent is not None:
+        parts.append(f"from {_corners(prim.extent)}")
+    kind = _WORDS.get(prim.type, prim.type.lower())
+    return f"  {kind:<9} {prim.path}: {', '.join(parts)}"
+
+
+def _range(least: int, most: int, noun: str) -> str:
+    return counted(most, noun) if least == most else f"{least} to {most} {noun}s"
+
+
+def _corners(bounds: tuple[list[float], list[float]]) -> str:
+    return " to ".join("(" + ", ".join(f"{x:.4g}" for x in c) + ")" for c in bounds)
+
+
+def scene_text(found: SceneDescription) -> list[str]:
+    """Return the lines on a scene."""
+    sources = listed(found.sources) or "none: it is simulated"
+    lines = [f"{found.path}: scene", f"  source    {sources}"]
+    if found.rig is not None:
+        lines.append(f"  rig       {found.rig}")
+    lines += [
+        f"  beside    {thing.prim} of {thing.file} at {thing.path}"
+        for thing in found.beside
+    ]
+    if found.passes:
+        names = listed([entry.name for entry in found.passes], 40)
+        lines.append(f"  passes    {names}")
+    lines += [_system_line(system) for system in found.systems]
+    frames = "those of the source"
+    if found.first is not None:
+        frames = f"{found.first} to {found.last}"
+    rate = f" at {found.rate} fps" if found.rate else ""
+    lines.append(f"  frames    {frames}{rate}")
+    if found.variables:
+        lines.append(f"  variables {listed(found.variables, 40)}")
+    return lines + [_output_line(output) for output in found.outputs]
+
+
+def _system_line(system: SystemDescription) -> str:
+    parts = [
+        f"at most {count} at once"
+        if name == "most"
+        else counted(count, name.removesuffix("s"))
+        for name, count in system.counts.items()
+    ]
+    step = "" if system.step is None else f" in steps of {system.step:g} s"
+    parts.append(f"by {system.method}{step}")
+    if system.colliders:
+        parts.append(counted(system.colliders, "collider"))
+    met = [*system.meets, *(["the character"] if system.character else [])]
+    for word, names in (
+        ("joined to", system.joined),
+        ("meets", met),
+        ("reads", system.files),
+    ):
+        if names:
+            parts.append(f"{word} {listed(names)}")
+    return f"  {system.kind:<9} {system.name}: {', '.join(parts)}"
+
+
+def _output_line(output: OutputDescription) -> str:
+    parts = [
+        f"{output.form} of points" if output.points else output.form or output.kind
+    ]
+    if output.systems:
+        parts.append(f"with {listed(output.systems, 12)}")
+    if output.chunk is not None:
+        parts.append(f"{counted(output.chunk, 'sample')} a file")
+    if output.there:
+        parts.append(f"{counted(len(output.there), 'file')} of it there already")
+    return f"  output    {output.file}: {', '.join(parts)}"

@@ -1,0 +1,92 @@
+"""What a USD file without a character shows: point caches, particles, curves."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from fractions import Fraction
+from pathlib import Path
+
+from animtool.errors import Fault
+from animtool.inputs import note_input
+from animtool.usd.simulated_read import ChunkSet, PointPrim, read_points
+
+__all__ = ["PointsDescription", "describe_points"]
+
+
+@dataclass(frozen=True, slots=True)
+class PointsDescription:
+    """A USD file of points in numbers.
+
+    Attributes:
+        path: The file.
+        format: USD.
+        frames: Most samples of any of its prims; 0 where nothing moves.
+        fps: Time codes a second, exact.
+        start: Time code of the first frame.
+        end: Time code of the last frame.
+        duration: From the first to the last [s].
+        types: How many prims there are, by type.
+        prims: What there is of each.
+        chunks: Files that hold its samples in turn.
+        units: Unit of the file.
+        up: Up axis of the file.
+        notices: What is odd.
+    """
+
+    path: str
+    format: str
+    frames: int
+    fps: Fraction
+    start: Fraction
+    end: Fraction
+    duration: Fraction
+    types: dict[str, int]
+    prims: list[PointPrim]
+    chunks: list[ChunkSet]
+    units: str
+    up: str
+    notices: list[Fault]
+
+    def as_dict(self) -> dict[str, object]:
+        """Return plain values for a JSON report; rates also as exact text."""
+        values = asdict(self)
+        values.update(
+            fps=float(self.fps),
+            rate=str(self.fps),
+            start=float(self.start),
+            end=float(self.end),
+            duration=float(self.duration),
+            prims=[prim.as_dict() for prim in self.prims],
+            notices=[notice.as_dict() for notice in self.notices],
+        )
+        return values
+
+
+def describe_points(path: Path) -> PointsDescription | None:
+    """Describe a USD file without a character; None of those that have one.
+
+    Raises:
+        FormatError: It cannot be read.
+    """
+    note_input(path)
+    found = read_points(path)
+    if found is None:
+        return None
+    types: dict[str, int] = {}
+    for prim in found.prims:
+        types[prim.type] = types.get(prim.type, 0) + 1
+    return PointsDescription(
+        str(path),
+        "USD",
+        max(prim.samples for prim in found.prims),
+        found.fps,
+        found.start,
+        found.end,
+        (found.end - found.start) / found.fps,
+        types,
+        found.prims,
+        found.chunks,
+        found.unit,
+        found.up,
+        found.notices,
+    )

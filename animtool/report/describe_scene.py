@@ -1,0 +1,215 @@
+"""What a scene asks for."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+from animtool.errors import Fault
+from animtool.scene.convert import convert_outputs
+from animtool.scene.entries import OutputKind, SceneOutput, SceneSystem, kind_of
+from animtool.scene.files import file_beside, form_of, output_files
+from animtool.scene.scene import Scene
+
+__all__ = [
+    "OutputDescription",
+    "PassDescription",
+    "SceneDescription",
+    "SystemDescription",
+    "ThingDescription",
+    "describe_scene",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class ThingDescription:
+    """A thing beside the character.
+
+    Attributes:
+        file: That it is read from.
+        prim: Its prim there.
+        path: Where it is written.
+    """
+
+    file: str
+    prim: str
+    path: str
+
+
+@dataclass(frozen=True, slots=True)
+class PassDescription:
+    """A pass.
+
+    Attributes:
+        name: As the table of passes has it.
+        line: Of the scene.
+    """
+
+    name: str
+    line: int
+
+
+@dataclass(frozen=True, slots=True)
+class SystemDescription:
+    """A system in numbers, before it is simulated.
+
+    Attributes:
+        name: Of its prim.
+        kind: What is simulated.
+        counts: What it is made of: of springs `particles`, `springs` and `curves` or
+            `faces`; of particles `emitters`, `forces` and the `most` at once.
+        method: Its solver, or its integrator; `auto` chooses when it is simulated.
+        step: The longest that it takes [s]; None leaves it to the method.
+        colliders: Of its own; those of characters are not counted.
+        joined: Systems that it is one with.
+        meets: Systems that it runs into.
+        files: What is read for it beside the scene.
+        character: Whether it runs into, or hangs on, the scene's own character.
+        line: Of the scene.
+    """
+
+    name: str
+    kind: str
+    counts: dict[str, int]
+    method: str
+    step: float | None
+    colliders: int
+    joined: list[str]
+    meets: list[str]
+    files: list[str]
+    character: bool
+    line: int
+
+
+@dataclass(frozen=True, slots=True)
+class OutputDescription:
+    """An output that a bake would write.
+
+    Attributes:
+        file: The file.
+        kind: What it holds: `usd`, `clip` or `bvh`.
+        form: Of USD: `stage`, `split`, `layer` or `library`; empty for others.
+        files: What would be written; of chunks, what joins them and those that are
+            there.
+        there: Those of them that are there already.
+        points: Whether meshes are written deformed.
+        chunk: Samples a file; None is one file.
+        systems: Names of what is simulated that go into it.
+        line: Of the scene.
+    """
+
+    file: str
+    kind: str
+    form: str
+    files: list[str]
+    there: list[str]
+    points: bool
+    chunk: int | None
+    systems: list[str]
+    line: int
+
+
+@dataclass(frozen=True, slots=True)
+class SceneDescription:
+    """A scene as its file says it; nothing that it names is read.
+
+    Attributes:
+        path: The file.
+        sources: What is read.
+        rig: The rig that it names; None is that of the source.
+        beside: What is carried beside the character.
+        passes: What is done to it.
+        systems: What is simulated.
+        outputs: What would be baked.
+        fps: Frames a second; None is that of the source or the rig layer.
+        rate: The same, exact, as text; empty where there is none.
+        first: First frame to write; None is that of the source.
+        last: Last frame to write; likewise.
+        variables: Names of variables that it uses or gives.
+    """
+
+    path: str
+    sources: list[str]
+    rig: str | None
+    beside: list[ThingDescription]
+    passes: list[PassDescription]
+    systems: list[SystemDescription]
+    outputs: list[OutputDescription]
+    fps: float | None
+    rate: str
+    first: int | None
+    last: int | None
+    variables: list[str]
+
+    @property
+    def notices(self) -> list[Fault]:
+        """Nothing: what is odd about a scene is for `animtool validate`."""
+        return []
+
+    def as_dict(self) -> dict[str, object]:
+        """Return plain values for a JSON report."""
+        return {**asdict(self), "notices": []}
+
+
+def describe_scene(scene: Scene) -> SceneDescription:
+    """Describe a scene.
+
+    Args:
+        scene: It, loaded.
+    """
+    bake = scene.bake
+    frames, rate = bake.frame_range, bake.fps
+    return SceneDescription(
+        str(scene.path),
+        [str(source.path) for source in scene.sources],
+        None if scene.rig is None else str(scene.rig),
+        [
+            ThingDescription(str(thing.file), thing.prim, thing.path)
+            for thing in scene.beside
+        ],
+        [PassDescription(entry.pass_.name, entry.place.line) for entry in scene.passes],
+        [_system(scene, system) for system in scene.systems],
+        [_output(scene, output) for output in scene.outputs],
+        None if rate is None else float(rate),
+        "" if rate is None else str(rate),
+        None if frames is None else frames.first,
+        None if frames is None else frames.last,
+        sorted(scene.variables),
+    )
+
+
+def _system(scene: Scene, system: SceneSystem) -> SystemDescription:
+    setup = system.setup
+    facts = setup.facts
+    return SystemDescription(
+        system.name,
+        system.kind,
+        facts.counts,
+        facts.method,
+        facts.step,
+        facts.colliders,
+        list(dict.fromkeys(name for name, _ in setup.joined)),
+        list(dict.fromkeys(name for name, _ in setup.needs)),
+        [str(path) for path in dict.fromkeys(setup.files) if path != scene.path],
+        scene.path in setup.files,
+        system.place.line,
+    )
+
+
+def _output(scene: Scene, output: SceneOutput) -> OutputDescription:
+    path, bake = output.path or file_beside(scene.path), output.bake
+    kind = kind_of(path)
+    usd = kind is OutputKind.USD
+    files = convert_outputs(path)
+    if usd:
+        files = output_files(path, bake, simulated=bool(scene.systems))
+    return OutputDescription(
+        str(path),
+        str(kind),
+        str(form_of(bake)) if usd else "",
+        [str(path) for path in files],
+        [str(path) for path in files if path.exists()],
+        bake.deform,
+        bake.chunk,
+        [system.name for system in scene.systems] if usd else [],
+        output.place.line,
+    )

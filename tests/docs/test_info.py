@@ -1,0 +1,63 @@
+"""The keys of what ``info`` prints as JSON are in the guide."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from animtool.report.describe import TakeDescription
+from animtool.report.describe_points import PointsDescription
+from animtool.report.describe_rig import MeshDescription, RigDescription
+from animtool.report.describe_scene import (
+    OutputDescription,
+    PassDescription,
+    SceneDescription,
+    SystemDescription,
+    ThingDescription,
+)
+from animtool.report.describe_targets import GoalDescription, TargetsDescription
+from animtool.usd.simulated_read import ChunkSet, PointPrim
+
+TABLES = {
+    "A take:": TakeDescription,
+    "A USD file without a character:": PointsDescription,
+    "and each of `prims`, as of `points` of a take:": PointPrim,
+    "A scene:": SceneDescription,
+    "each of its `systems`:": SystemDescription,
+    "and each of its `outputs`:": OutputDescription,
+}
+# Of a rate that is given as a fraction, the report has it as text too.
+ALL = {"path", "notices"}
+
+
+@pytest.fixture(scope="module")
+def section(root: Path) -> str:
+    guide = (root / "animtool/docs/guide.md").read_text("utf-8")
+    return guide.split("### What `info` says")[1].split("\n## ")[0]
+
+
+@pytest.mark.parametrize("title", TABLES)
+def test_tables_have_the_keys_of_the_records(section: str, title: str) -> None:
+    table = section.split(f"\n{title}\n")[1].lstrip().split("\n\n")[0]
+    cells = [row.split("|")[1] for row in table.splitlines()[2:]]
+    listed = [key for cell in cells for key in re.findall(r"`(\w+)`", cell)]
+    names = {field.name for field in fields(TABLES[title])} | (
+        {"rate"} if "fps" in listed else set()
+    )
+    assert len(listed) == len(set(listed))
+    assert set(listed) | ALL == names | ALL
+
+
+@pytest.mark.parametrize(
+    "record",
+    [
+        RigDescription, MeshDescription, TargetsDescription, GoalDescription,
+        ThingDescription, PassDescription, ChunkSet,
+    ],
+)  # fmt: skip
+def test_keys_of_small_records_are_named(section: str, record: type) -> None:
+    named = set(re.findall(r"`(\w+)`", section))
+    assert {field.name for field in fields(record)} - ALL <= named
