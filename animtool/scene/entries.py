@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
@@ -40,12 +40,14 @@ class Place:
         line: 1-based.
         column: 1-based.
         where: Such as ``passes[1].trim``.
+        keys: Line and column of keys that are there below it.
     """
 
     path: Path
     line: int
     column: int
     where: str
+    keys: Mapping[str, tuple[int, int]] = field(default_factory=dict, hash=False)
 
     def fault(
         self,
@@ -58,15 +60,15 @@ class Place:
         return self.put(Fault(code, message, hint=hint, severity=severity))
 
     def put(self, fault: Fault) -> Fault:
-        """Return a fault that has no file as one that is here."""
+        """Return a fault that has no file as one that is here, or at a key of it."""
         if fault.path is not None:
             return fault
+        (line, column), where = (self.line, self.column), self.where
+        if fault.where is not None and fault.where in self.keys:
+            line, column = self.keys[fault.where]
+            where = f"{where}.{fault.where}"
         return replace(
-            fault,
-            path=str(self.path),
-            lines=(self.line,),
-            column=self.column,
-            where=self.where,
+            fault, path=str(self.path), lines=(line,), column=column, where=where
         )
 
     @contextmanager

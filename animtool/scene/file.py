@@ -12,7 +12,7 @@ from typing import Any, cast
 from pydantic import TypeAdapter, ValidationError
 
 from animtool.config import project_roots
-from animtool.documents.check import check_version, validated, wrong_values
+from animtool.documents.check import FileModel, check_version, validated, wrong_values
 from animtool.documents.document import Document, Location, read_document, spelled
 from animtool.documents.names import nearest
 from animtool.documents.references import referred, referred_input
@@ -138,7 +138,7 @@ class _SceneReader:
         setup = read(self.document, at, given, self.roots)
         if setup is None:
             return None
-        return SceneSystem(given.name, kind, setup, self._place(at))
+        return SceneSystem(given.name, kind, setup, self._place(at, given))
 
     def _kind(self, at: Location, entry: SystemModel) -> str | None:
         """Return the kind that an entry names."""
@@ -370,8 +370,11 @@ class _SceneReader:
             self._rate((*at, "timecode_fps"), model.timecode_fps),
         )
 
-    def _place(self, at: Location) -> Place:
-        return Place(self.document.path, *self.document.place(at), spelled(at))
+    def _place(self, at: Location, model: FileModel | None = None) -> Place:
+        """Return a place, with those of the keys that its model was given."""
+        names = () if model is None else sorted(model.model_fields_set)
+        keys = {name: self.document.place((*at, name)) for name in names}
+        return Place(self.document.path, *self.document.place(at), spelled(at), keys)
 
     def _file(self, at: Location, name: str) -> Path:
         found = referred(self.document, at, name, self.roots, "SCN004")

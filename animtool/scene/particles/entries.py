@@ -64,8 +64,8 @@ def read_particles(
         for i, entry in enumerate(model.systems)
     )
     for surface in surfaces:
-        for fault in surface.faults():
-            reader.note(surface.at, fault)
+        for option, why in surface.problems():
+            reader.note((*surface.at, option), Fault("SIM020", why))
     meshes = reader.meshes((*at, "meshes"), model.meshes)
     return ParticleSetup(
         particles, model.preroll, characters, surfaces, meshes, tuple(reader.files)
@@ -115,11 +115,10 @@ class _Reader(EntryReader):
             self.files.append(path)
             mesh = MovingMesh(path, **model.model_dump(exclude={"file"}))
             try:
-                faults = list(mesh.sheet().faults(""))
+                for option, why in mesh.sheet().problems():
+                    self.note((*at, i, option), Fault("SIM020", why))
             except AnimtoolError as error:
-                faults = [replace(error.faults[0], code="SIM051")]
-            for fault in faults:
-                self.note((*at, i), fault)
+                self.note((*at, i, "prim"), replace(error.faults[0], code="SIM051"))
             found.append(mesh)
         return tuple(found)
 

@@ -43,10 +43,10 @@ class SurfaceMet:
     friction: float
     at: Location
 
-    def faults(self) -> list[Fault]:
-        """Return what of it makes no sense (SIM020)."""
+    def problems(self) -> list[tuple[str, str]]:
+        """Return what of it makes no sense: an option, and why."""
         like = Collider(Plane(), restitution=self.restitution, friction=self.friction)
-        return like.faults("")
+        return like.problems()
 
 
 class Watchable(Protocol):

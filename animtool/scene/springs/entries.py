@@ -27,7 +27,7 @@ from animtool.scene.springs.volume_bodies import volume_body
 from animtool.scene.springs.wind_schema import FaceWindModel, WindModel
 from animtool.scene.systems.entries import EntryReader
 from animtool.sim.springs import SelfContact, SpringOptions
-from animtool.sim.springs.options import check_options
+from animtool.sim.springs.options import check_keeping_apart, check_options
 
 __all__ = ["read_springs"]
 
@@ -56,7 +56,7 @@ def read_springs(
     characters = reader.characters((*at, "characters"), model.characters)
     wind = getattr(model, "wind", None)
     winds = None if wind is None else _wind(reader, (*at, "wind"), wind)
-    contact = _self_contact(getattr(model, "self_contact", None))
+    contact = _self_contact(model)
     options = _options(reader, at, model)
     for name in ("drag", "radius"):
         value = getattr(model, name)
@@ -96,10 +96,11 @@ def _body(reader: EntryReader, at: Location, model: Any) -> SpringBody | None:
     return _BODIES[type(model)](reader, at, model, families, mass)
 
 
-def _self_contact(model: SelfContactModel | None) -> SelfContact | None:
-    if model is None:
+def _self_contact(model: SpringsModel) -> SelfContact | None:
+    given: SelfContactModel | None = getattr(model, "self_contact", None)
+    if given is None:
         return None
-    return SelfContact(model.thickness, model.friction, model.speed)
+    return SelfContact(given.thickness, given.friction, given.speed)
 
 
 def _options(reader: EntryReader, at: Location, model: SpringsModel) -> SpringOptions:
@@ -107,7 +108,9 @@ def _options(reader: EntryReader, at: Location, model: SpringsModel) -> SpringOp
         model.solver, model.step, stretch=model.stretch, error=model.error
     )
     try:
-        check_options(options)
+        solver = check_options(options)
+        if _self_contact(model) is not None:
+            check_keeping_apart(solver)
     except OptionError as error:
         for fault in error.faults:
             reader.note((*at, fault.where or ""), fault)

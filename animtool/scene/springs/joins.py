@@ -9,12 +9,14 @@ import numpy as np
 
 from animtool._types import IntArray
 from animtool.documents.document import Document, Location
-from animtool.errors import Fault
+from animtool.errors import Fault, OptionError
 from animtool.scene.entries import SceneSystem
 from animtool.scene.springs.bodies import SpringBody
 from animtool.scene.springs.pins import Join, numbered
 from animtool.scene.springs.setup import SpringSetup
 from animtool.scene.springs.sharing import conflicts
+from animtool.sim.springs import Solver
+from animtool.sim.springs.options import check_keeping_apart
 
 __all__ = ["check_joins", "join_pairs"]
 
@@ -39,6 +41,21 @@ def check_joins(document: Document, members: Sequence[SceneSystem]) -> None:
         message += "joined, and simulated as one"
         at = (*setups[i].at, key)
         document.add("SIM054", at, message, "state it once, or twice the same")
+    _check_solver(document, setups)
+
+
+def _check_solver(document: Document, setups: Sequence[SpringSetup]) -> None:
+    """Note a solver that does not keep apart what another system wants apart."""
+    if not any(setup.self_contact for setup in setups):
+        return
+    for setup in setups:
+        # One that wants it itself has been told.
+        if setup.self_contact is None and "solver" in setup.given:
+            try:
+                check_keeping_apart(Solver(setup.options.solver))
+            except OptionError as error:
+                fault, at = error.faults[0], (*setup.at, "solver")
+                document.add(fault.code, at, fault.message, fault.hint)
 
 
 def _faults(join: Join, other: SpringBody) -> list[tuple[Location, Fault]]:

@@ -171,17 +171,19 @@ class _Whole:
         if not rest.solved:
             message = f"no rest was found: forces of {rest.residual:.2g} N are left"
             hint = "let it settle in a preroll, with drag"
-            self._warn("SIM152", message, hint)
+            self._warn("SIM152", message, hint, "settle")
         return system.starting_at(rest.positions)
 
     def _say_apart(self, what: str, gap: float) -> None:
         if gap > APART:
             message = f"{what} {gap:.3g} m from where they are built: springs pull"
             hint = "place them so that they fit, or give pins an offset"
-            self._warn("SIM150", message, hint)
+            self._warn("SIM150", message, hint, "pins")
 
-    def _warn(self, code: str, message: str, hint: str) -> None:
-        self.notices.append(Fault(code, message, hint=hint, severity=Severity.WARNING))
+    def _warn(self, code: str, message: str, hint: str, key: str) -> None:
+        warning = Severity.WARNING
+        fault = Fault(code, message, where=key, hint=hint, severity=warning)
+        self.notices.append(fault)
 
 
 def _colliders(setups: Sequence[SpringSetup], opening: Opening) -> list[Collider]:

@@ -74,13 +74,15 @@ class EntryReader:
     def checked(
         self, at: Location, make: Callable[[Location, Any], Record | None], model: Any
     ) -> Record | None:
-        """Return what is made of an entry, its own faults noted at the entry."""
+        """Return what is made of an entry, its own faults noted at their keys."""
         made: Any = make(at, model)
         if made is None:
             self.sound = False
             return None
-        for fault in made.faults(""):
-            self.note(at, fault)
+        faults = zip(made.problems(), made.faults(""), strict=True)
+        for (option, _), fault in faults:
+            named = option in model.model_fields_set
+            self.note((*at, option) if named else at, fault)
         return made  # type: ignore[no-any-return]
 
     def colliders(

@@ -14,7 +14,7 @@ from animtool.output import once_named, together
 from animtool.scene.entries import SceneSystem
 from animtool.scene.report import MeshReport
 from animtool.scene.systems.character_motion import CharacterMotion
-from animtool.scene.systems.simulation import open_systems
+from animtool.scene.systems.simulation import blamed_systems, open_systems
 from animtool.usd.clip_files import system_files
 from animtool.usd.growing import Growing, save_grown
 from animtool.usd.layers import save_layer
@@ -88,7 +88,7 @@ class SystemRun:
 
     def _row(self, i: int, t: float) -> Any:
         began = time.perf_counter()
-        with self.systems[i].place.blamed():
+        with blamed_systems([self.systems[i]]):
             row = self._open[i].at(t)
         self.seconds[i] += time.perf_counter() - began
         return row

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, cast
 
 from animtool._types import FloatArray
-from animtool.errors import Fault
+from animtool.errors import Fault, FormatError, OptionError, ToleranceError
 from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
 from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
@@ -22,6 +23,7 @@ __all__ = [
     "Opening",
     "Simulation",
     "TrialMaker",
+    "blamed_systems",
     "open_systems",
     "system_trials",
 ]
@@ -70,6 +72,29 @@ TrialMaker: TypeAlias = Callable[
 ]
 
 
+@contextmanager
+def blamed_systems(members: Sequence[SceneSystem]) -> Iterator[None]:
+    """Give faults that have no file the place of systems that are simulated as one.
+
+    That is of the first that has the key that a fault names, else of the first.
+
+    Raises:
+        FormatError: What an `OptionError` said.
+        ToleranceError: What was said by one.
+    """
+
+    def put(fault: Fault) -> Fault:
+        having = (one for one in members if fault.where in one.place.keys)
+        return next(having, members[0]).place.put(fault)
+
+    try:
+        yield
+    except OptionError as error:
+        raise FormatError(list(map(put, error.faults))) from error
+    except ToleranceError as error:
+        raise ToleranceError(list(map(put, error.faults))) from error
+
+
 def open_systems(
     systems: Sequence[SceneSystem],
     last: float = 0.0,
@@ -95,7 +120,7 @@ def _opened(systems: Sequence[SceneSystem], opening: Opening) -> list[Simulation
     for group in in_order(systems):
         members = [systems[i] for i in group]
         opener = cast(Opener, load_object(SYSTEM_KINDS[members[0].kind].opener))
-        with members[0].place.blamed():
+        with blamed_systems(members):
             made = opener(members, opening)
         found |= dict(zip(group, made, strict=True))
         named = zip(members, made, strict=True)
@@ -137,6 +162,6 @@ def system_trials(
             return opening
 
         maker = cast(TrialMaker, load_object(SYSTEM_KINDS[members[0].kind].trial))
-        with members[0].place.blamed():
+        with blamed_systems(members):
             found.append((members[0], maker(members, anew, times)))
     return found

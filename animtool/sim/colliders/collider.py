@@ -82,22 +82,24 @@ class Collider:
         arrivals = self.poses.moments[1:][self.jumps]
         return bool(((arrivals > t0) & (arrivals <= t1)).any())
 
+    def problems(self) -> list[tuple[str, str]]:
+        """Return what of it makes no sense: an option, and why."""
+        found = [("shape", message) for message in self.shape.faults()]
+        found += [("poses", message) for message in self.poses.faults()]
+        if not 0 <= self.restitution <= 1:
+            message = f"its restitution must be 0 to 1, not {self.restitution:g}"
+            found.append(("restitution", message))
+        for name in ("friction", "margin"):
+            value = getattr(self, name)
+            if not 0 <= value < np.inf:
+                message = f"its {name} must be finite and 0 or more, not {value:g}"
+                found.append((name, message))
+        for name in ("depenetration", "speed_limit"):
+            value = getattr(self, name)
+            if not value > 0:
+                found.append((name, f"its {name} must be above 0, not {value:g}"))
+        return found
+
     def faults(self, where: str) -> list[Fault]:
         """Return what of it makes no sense (SIM020)."""
-        found = self.shape.faults() + self.poses.faults()
-        if not 0 <= self.restitution <= 1:
-            found.append(f"its restitution must be 0 to 1, not {self.restitution:g}")
-        found += [
-            f"its {name} must be finite and 0 or more, not {value:g}"
-            for name, value in (("friction", self.friction), ("margin", self.margin))
-            if not 0 <= value < np.inf
-        ]
-        found += [
-            f"its {name} must be above 0, not {value:g}"
-            for name, value in (
-                ("depenetration", self.depenetration),
-                ("speed_limit", self.speed_limit),
-            )
-            if not value > 0
-        ]
-        return [Fault("SIM020", message, where=where) for message in found]
+        return [Fault("SIM020", why, where=where) for _, why in self.problems()]

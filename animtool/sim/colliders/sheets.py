@@ -55,18 +55,21 @@ class Sheet:
     friction: float = 0.0
     depenetration: float = 1.0
 
-    def faults(self, where: str) -> list[Fault]:
-        """Return what of it makes no sense (SIM020)."""
+    def problems(self) -> list[tuple[str, str]]:
+        """Return what of it makes no sense: an option, and why."""
         if not 0 < self.radius < np.inf:
-            message = f"its radius must be above 0, not {self.radius:g}"
-            return [Fault("SIM020", message, where=where)]
+            return [("radius", f"its radius must be above 0, not {self.radius:g}")]
         like = Collider(
             Mesh(np.eye(3), [[0, 1, 2]]),
             restitution=self.restitution,
             friction=self.friction,
             depenetration=self.depenetration,
         )
-        return like.faults(where)
+        return like.problems()
+
+    def faults(self, where: str) -> list[Fault]:
+        """Return what of it makes no sense (SIM020)."""
+        return [Fault("SIM020", why, where=where) for _, why in self.problems()]
 
     def collider(self, points: FloatArray, triangles: IntArray) -> Collider:
         """Return it as it stands at a time, as a collider that rests.

@@ -166,34 +166,40 @@ class Emitter:
         own = (positions - earlier) * (self.inherit / _BRIEF)
         return positions, so3.rotate(now[:, 3:], velocities) + own
 
-    def faults(self, where: str) -> list[Fault]:
-        """Return what of it makes no sense (SIM021)."""
-        found = self.place.faults() + self.poses.faults()
+    def problems(self) -> list[tuple[str, str]]:
+        """Return what of it makes no sense: an option, and why."""
+        found = [("place", message) for message in self.place.faults()]
+        found += [("poses", message) for message in self.poses.faults()]
         for name in ("mass", "lifetime", "radius"):
             value = getattr(self, name)
             infinite = name == "lifetime" and value == math.inf
             if not (0 < value < math.inf or infinite):
-                found.append(f"its {name} must be above 0, not {value:g}")
+                found.append((name, f"its {name} must be above 0, not {value:g}"))
         for name in ("rate", "speed_spread", "lifetime_spread", "radius_spread"):
-            if not 0 <= getattr(self, name) < math.inf:
-                value = getattr(self, name)
-                found.append(f"its {name} must be 0 or more, not {value:g}")
+            value = getattr(self, name)
+            if not 0 <= value < math.inf:
+                found.append((name, f"its {name} must be 0 or more, not {value:g}"))
         for name in ("speed", "charge", "inherit"):
             if not math.isfinite(getattr(self, name)):
-                found.append(f"its {name} is not finite")
+                found.append((name, f"its {name} is not finite"))
         if not 0 <= self.spread <= math.pi:
-            found.append("its spread must be 0 to half a turn")
+            found.append(("spread", "its spread must be 0 to half a turn"))
         if self.radius_spread >= self.radius > 0:
-            found.append("its radius_spread must be below its radius")
+            message = "its radius_spread must be below its radius"
+            found.append(("radius_spread", message))
         if not self.start <= self.end:
-            found.append("its end is before its start")
+            found.append(("end", "its end is before its start"))
         if self.direction is not None and not (
             np.isfinite(self.direction).all() and any(self.direction)
         ):
-            found.append("its direction must be three finite numbers, not all 0")
-        found += [
-            f"burst {i} must be at a finite time, of 0 particles or more"
-            for i, (when, count) in enumerate(self.bursts)
-            if not math.isfinite(when) or count < 0
-        ]
-        return [Fault("SIM021", message, where=where) for message in found]
+            message = "its direction must be three finite numbers, not all 0"
+            found.append(("direction", message))
+        for i, (when, count) in enumerate(self.bursts):
+            if not math.isfinite(when) or count < 0:
+                message = f"burst {i} must be at a finite time, of 0 particles or more"
+                found.append(("bursts", message))
+        return found
+
+    def faults(self, where: str) -> list[Fault]:
+        """Return what of it makes no sense (SIM021)."""
+        return [Fault("SIM021", why, where=where) for _, why in self.problems()]

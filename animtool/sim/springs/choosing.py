@@ -6,10 +6,13 @@ import math
 from dataclasses import dataclass
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, OptionError
 from animtool.sim.integrators import find_integrator
 from animtool.sim.modes import allowed_step
-from animtool.sim.springs.options import Solver, SpringOptions
+from animtool.sim.springs.options import (
+    Solver,
+    SpringOptions,
+    check_keeping_apart,
+)
 from animtool.sim.springs.system import SpringSystem
 
 __all__ = ["SAFE", "Choice", "choose", "explicit_limit"]
@@ -82,7 +85,9 @@ def choose(
     rate = 0.0 if math.isinf(limit) else 1 / (SAFE * limit)
     solver, reason = wanted, "it was asked for"
     if system.self_contact is not None:
-        solver, reason = _keeping_apart(wanted, reason)
+        check_keeping_apart(wanted)
+        if wanted is Solver.AUTO:
+            solver, reason = Solver.XPBD, "it keeps surfaces apart from themselves"
     elif wanted is Solver.AUTO:
         springs = len(system.body.springs.rest)
         solver, reason = _cheapest(options, limit, rate, springs)
@@ -92,16 +97,6 @@ def choose(
         steps = max(1, math.ceil(CELL * rate))
         return Choice(solver, CELL, steps, reason, limit)
     return Choice(solver, CELL, FIRST[solver], reason, limit)
-
-
-def _keeping_apart(wanted: Solver, reason: str) -> tuple[Solver, str]:
-    if wanted is Solver.AUTO:
-        return Solver.XPBD, "it keeps surfaces apart from themselves"
-    if wanted is Solver.XPBD:
-        return wanted, reason
-    message = f"{wanted} does not keep a surface apart from itself"
-    hint = "take xpbd or auto"
-    raise OptionError(Fault("SIM046", message, where="solver", hint=hint))
 
 
 def _cheapest(

@@ -8,7 +8,7 @@ from enum import StrEnum
 
 from animtool.errors import Fault, OptionError
 
-__all__ = ["Solver", "SpringOptions", "check_options"]
+__all__ = ["Solver", "SpringOptions", "check_keeping_apart", "check_options"]
 
 
 class Solver(StrEnum):
@@ -85,3 +85,16 @@ def check_options(options: SpringOptions) -> Solver:
     if faults:
         raise OptionError(faults)
     return Solver(options.solver)
+
+
+def check_keeping_apart(wanted: Solver) -> None:
+    """Raise where a solver does not keep a surface apart from itself.
+
+    Raises:
+        OptionError: It does not (SIM046).
+    """
+    if wanted in {Solver.AUTO, Solver.XPBD}:
+        return
+    message = f"{wanted} does not keep a surface apart from itself"
+    hint = "take xpbd or auto"
+    raise OptionError(Fault("SIM046", message, where="solver", hint=hint))

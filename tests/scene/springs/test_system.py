@@ -17,6 +17,7 @@ from animtool.edit.frame_range import FrameRange
 from animtool.errors import FormatError, Severity, ToleranceError
 from animtool.rig.kinematics import forward
 from animtool.scene.file import load_scene
+from animtool.scene.systems.run import SystemRun
 from animtool.scene.systems.simulation import open_systems
 from animtool.sim.springs import Family, Pins, SpringSystem, rope, simulate_springs
 
@@ -346,9 +347,44 @@ def test_folds_keep_apart_where_they_are_to(tmp_path: Path, solver: str) -> None
 
 def test_a_solver_that_keeps_nothing_apart_is_refused(tmp_path: Path) -> None:
     path = written(tmp_path, FOLDED + CONTACT + "    solver: bdf2\n")
-    with pytest.raises(FormatError, match="SIM046"):
+    with pytest.raises(FormatError, match="SIM046") as error:
+        load_scene(path)
+    (fault,) = error.value.faults
+    (line,) = fault.lines
+    assert "solver: bdf2" in path.read_text("utf-8").splitlines()[line - 1]
+    assert str(fault.where).endswith(".solver")
+
+
+def test_a_solver_that_keeps_nothing_apart_is_that_of_joined_systems_too(
+    tmp_path: Path,
+) -> None:
+    joined = "[start], to: {system: sheet, particles: [0]}}"
+    cord = ROPE.replace("[start]}", joined) + "    solver: bdf2\n"
+    path = written(tmp_path, FOLDED + CONTACT + cord)
+    with pytest.raises(FormatError) as error:
+        load_scene(path)
+    (fault,) = [fault for fault in error.value.faults if fault.code == "SIM046"]
+    (line,) = fault.lines
+    assert "solver: bdf2" in path.read_text("utf-8").splitlines()[line - 1]
+
+
+def test_what_is_odd_at_a_key_has_its_line(tmp_path: Path) -> None:
+    moved = ROPE.replace("[start]}", "[start], moves: [[0, 0, 0.5, 0]]}")
+    path = written(tmp_path, moved)
+    systems = load_scene(path, {"at": str(tmp_path)}).systems
+    run = SystemRun(systems, 0.1)
+    (apart,) = [fault for fault in run.notices if fault.code == "SIM150"]
+    (line,) = apart.lines
+    assert "moves:" in "".join(path.read_text("utf-8").splitlines()[line - 2 : line])
+    assert str(apart.where).endswith(".pins")
+
+
+def test_a_blow_up_has_the_line_of_its_system(tmp_path: Path) -> None:
+    text = ROPE + "    solver: symplectic_euler\n    step: 0.04\n"
+    path = written(tmp_path, text)
+    with pytest.raises(ToleranceError) as error:
         bake(path, tmp_path / "shot.usda")
-    assert not (tmp_path / "shot.usda").exists()
+    assert {fault.path for fault in error.value.faults} == {str(path)}
 
 
 def test_a_joint_carries(root: Path, tmp_path: Path) -> None:

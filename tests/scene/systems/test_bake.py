@@ -320,3 +320,21 @@ def test_warnings_stop_where_none_are_wanted(tmp_path: Path) -> None:
     with pytest.raises(AnimtoolError):
         bake(scene, tmp_path / "p.usdc", BakeOptions(strict=True))
     assert not (tmp_path / "p.usdc").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "where"),
+    [
+        ("lifetime: 0.4", "lifetime: -1", "emitters[0].lifetime"),
+        ("speed: 3, spread", "speed: 3, end: -1, start: 1, spread", "emitters[0].end"),
+        ("friction: 0.3", "friction: -1", "colliders[0].friction"),
+        ("{sphere: {radius: 9}}", "{sphere: {radius: 0}}", "kill[0].shape"),
+    ],
+)
+def test_what_makes_no_sense_is_said_at_its_key(
+    tmp_path: Path, old: str, new: str, where: str
+) -> None:
+    with pytest.raises(FormatError) as error:
+        load_scene(written(tmp_path, SCENE.replace(old, new)))
+    (fault,) = error.value.faults
+    assert fault.where == f"systems[0].particles.{where}"
