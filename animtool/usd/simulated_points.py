@@ -48,7 +48,6 @@ class FacesRow:
         counts: Corners of each face ``(M,)``.
         indices: Corners, face by face.
         closed: Whether only its outside is to be seen.
-        tears: Whether faces may go.
     """
 
     points: FloatArray
@@ -56,7 +55,6 @@ class FacesRow:
     counts: IntArray
     indices: IntArray
     closed: bool = False
-    tears: bool = False
 
 
 Row = TypeVar("Row", CurvesRow, FacesRow)
@@ -82,9 +80,9 @@ class _MovedWriter(PrimWriter, Generic[Row]):
             attribute(spec, name, kind)
         self.report.sampled = ["points", "velocities", "extent"]
         for name, values in self.shape(row).items():
-            value = None if row.tears else Vt.IntArray.FromNumpy(values)
+            value = None if self.changes(row) else Vt.IntArray.FromNumpy(values)
             attribute(spec, name, _TYPES.IntArray, value)
-            self.report.sampled += [name] if row.tears else []
+            self.report.sampled += [name] if self.changes(row) else []
         self.describe(spec, row)
 
     def add(self, layer: Any, code: float, row: Row) -> None:
@@ -96,7 +94,7 @@ class _MovedWriter(PrimWriter, Generic[Row]):
         extent = _extent(points[0], self.margin(row))
         self.put(layer, code, "extent", Vt.Vec3fArray.FromNumpy(extent))
         size = 24 * len(row.points) + 24
-        for name, values in self.shape(row).items() if row.tears else ():
+        for name, values in self.shape(row).items() if self.changes(row) else ():
             self.put(layer, code, name, Vt.IntArray.FromNumpy(values))
             size += values.nbytes
         self.report.vertices = max(self.report.vertices, len(row.points))
@@ -105,6 +103,10 @@ class _MovedWriter(PrimWriter, Generic[Row]):
     @abstractmethod
     def shape(self, row: Row) -> dict[str, Any]:
         """Return attributes of whole numbers that say how points are joined."""
+
+    def changes(self, row: Row) -> bool:  # noqa: ARG002
+        """Return whether the shape may be another at another frame."""
+        return False
 
     @abstractmethod
     def describe(self, spec: Any, row: Row) -> None:
@@ -123,6 +125,10 @@ class CurvesWriter(_MovedWriter[CurvesRow]):
     def shape(self, row: CurvesRow) -> dict[str, Any]:
         """Return how many points each curve has."""
         return {"curveVertexCounts": row.counts.astype(np.int32)}
+
+    def changes(self, row: CurvesRow) -> bool:
+        """Return whether a curve may become two."""
+        return row.tears
 
     def describe(self, spec: Any, row: CurvesRow) -> None:
         """Write kind and width of the curves."""

@@ -1,4 +1,4 @@
-"""What is drawn of particles and springs: curves, or faces."""
+"""What is drawn of particles and springs: curves, faces, and faces that part."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from animtool._types import FloatArray, IntArray
 from animtool.maths.faces import sides
-from animtool.sim.springs import Springs
+from animtool.sim.springs import Parting, Springs, part_surface
 from animtool.usd.simulated_points import CurvesRow, FacesRow
 
 __all__ = ["Curves", "Faces", "Shape"]
@@ -72,8 +72,6 @@ class Curves:
 class Faces:
     """A surface of particles.
 
-    A face goes when a spring along one of its sides tears.
-
     Attributes:
         counts: Corners of each face ``(M,)``.
         indices: Corners, face by face.
@@ -88,30 +86,70 @@ class Faces:
 
     @property
     def tears(self) -> bool:
-        """Whether faces may go."""
-        return bool(np.isfinite(self.springs.limit).any())
+        """Whether it may part."""
+        sides = self._sides[self._sides >= 0]
+        return bool(np.isfinite(self.springs.limit[sides]).any())
 
-    def row(self, points: FloatArray, velocities: FloatArray, torn: Flags) -> FacesRow:
+    def row(self, points: FloatArray, velocities: FloatArray, torn: Flags) -> FacesRow:  # noqa: ARG002
         """Return what is drawn at a frame.
 
         Args:
             points: ``(N, 3)`` [m].
             velocities: ``(N, 3)`` [m/s].
+            torn: Which springs are ``(S,)``: what is to part has a shape of its own.
+        """
+        return FacesRow(points, velocities, self.counts, self.indices, self.closed)
+
+    def parted(self, torn: Flags, places: FloatArray) -> PartingFaces | Faces:
+        """Return the surface that parts where springs along its sides tear.
+
+        Args:
+            torn: Those that ever tear ``(S,)``.
+            places: Where particles are at rest ``(N, 3)`` [m].
+        """
+        if not (torn[self._sides] & (self._sides >= 0)).any():
+            return self
+        made = part_surface(
+            self.counts, self.indices, self._sides, self.springs, torn, places
+        )
+        return PartingFaces(made)
+
+    def whole(self, torn: Flags) -> tuple[IntArray, IntArray]:
+        """Return corners a face, and corners, of faces without a torn side.
+
+        Args:
             torn: Which springs are ``(S,)``.
         """
-        counts, indices = self.counts, self.indices
-        if torn.any():
-            open_sides = torn[self._sides] & (self._sides >= 0)
-            starts = np.cumsum(counts) - counts
-            kept = ~np.logical_or.reduceat(open_sides, starts)
-            indices = indices[np.repeat(kept, counts)]
-            counts = counts[kept]
-        return FacesRow(points, velocities, counts, indices, self.closed, self.tears)
+        open_sides = torn[self._sides] & (self._sides >= 0)
+        starts = np.cumsum(self.counts) - self.counts
+        kept = ~np.logical_or.reduceat(open_sides, starts)
+        return self.counts[kept], self.indices[np.repeat(kept, self.counts)]
 
     @cached_property
     def _sides(self) -> IntArray:
         """The spring along each side, face by face; -1 for none."""
         return _between(self.springs, sides(self.counts, self.indices))
+
+
+@dataclass(frozen=True)
+class PartingFaces:
+    """A surface of particles that parts.
+
+    Attributes:
+        parting: How.
+    """
+
+    parting: Parting
+
+    def row(self, points: FloatArray, velocities: FloatArray, torn: Flags) -> FacesRow:
+        """Return what is drawn at a frame; see `Faces.row`."""
+        made = self.parting
+        return FacesRow(
+            made.points(points, torn),
+            made.velocities(points, velocities, torn),
+            made.counts,
+            made.indices,
+        )
 
 
 Shape: TypeAlias = Curves | Faces

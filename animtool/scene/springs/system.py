@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
+import numpy.typing as npt
 
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, Severity, counted
@@ -15,7 +16,7 @@ from animtool.scene.springs.joins import join_pairs
 from animtool.scene.springs.paths import Tie, Ties, brought, ties_of, wind_ties
 from animtool.scene.springs.run import SpringRun
 from animtool.scene.springs.setup import SpringSetup
-from animtool.scene.springs.shapes import Faces
+from animtool.scene.springs.shapes import Faces, PartingFaces
 from animtool.scene.springs.sharing import shared
 from animtool.scene.springs.watched import Watched
 from animtool.scene.systems.simulation import Opening
@@ -220,14 +221,30 @@ class RunningSprings:
     springs: slice
     own: Sequence[Fault]
     first: bool
+    _parting: PartingFaces | Faces | None = None
+
+    @property
+    def tears(self) -> bool:
+        """Whether it is a surface that may part."""
+        shape = self.setup.body.shape
+        return isinstance(shape, Faces) and shape.tears
+
+    @property
+    def torn(self) -> npt.NDArray[np.bool_]:
+        """Which of its springs are torn so far ``(S,)``."""
+        return self.run.torn[self.springs]
+
+    def part(self, torn: npt.NDArray[np.bool_]) -> None:
+        """Draw it so that it can part where springs of it will tear ``(S,)``."""
+        body = self.setup.body
+        self._parting = cast(Faces, body.shape).parted(torn, body.body.positions)
 
     def at(self, t: float) -> Any:
         """Return what is drawn of it at a time [s], not before the last one."""
         state, torn = self.run.at(t)
         points: FloatArray = state[0, self.rows]
-        return self.setup.body.shape.row(
-            points, state[1, self.rows], torn[self.springs]
-        )
+        shape = self._parting or self.setup.body.shape
+        return shape.row(points, state[1, self.rows], torn[self.springs])
 
     def watched(self, begin: float, step: float) -> Watched:
         """Return its surface, for what runs into it.

@@ -47,9 +47,7 @@ class Watched:
         torn: npt.NDArray[np.bool_] = self._run.look(t).torn[self._springs]
         gone = int(torn.sum())
         if gone != self._gone:
-            nothing = np.zeros((len(self._rows), 3))
-            row = self._shape.row(nothing, nothing, torn)
-            self._gone, self._faces = gone, triangulated(row.counts, row.indices)
+            self._gone, self._faces = gone, triangulated(*self._shape.whole(torn))
         return self._faces
 
     def forget(self, t: float) -> None:

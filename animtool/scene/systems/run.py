@@ -14,7 +14,7 @@ from animtool.output import once_named, together
 from animtool.scene.entries import SceneSystem
 from animtool.scene.report import MeshReport
 from animtool.scene.systems.character_motion import CharacterMotion
-from animtool.scene.systems.simulation import blamed_systems, open_systems
+from animtool.scene.systems.simulation import Tearable, blamed_systems, open_systems
 from animtool.usd.clip_files import system_files
 from animtool.usd.growing import Growing, save_grown
 from animtool.usd.layers import save_layer
@@ -53,6 +53,7 @@ class SystemRun:
         """
         self.systems = systems
         self.seconds = [0.0] * len(systems)
+        self._own = own
         self._open = open_systems(systems, last, own)
 
     @property
@@ -82,9 +83,27 @@ class SystemRun:
         Raises:
             ToleranceError: A system blew up.
         """
-        for code in codes:
-            t = float((code - first) / fps)
+        times = [float((code - first) / fps) for code in codes]
+        self._foresee(times)
+        for code, t in zip(codes, times, strict=True):
             yield float(code), [self._row(i, t) for i in range(len(self._open))]
+
+    def _foresee(self, times: Sequence[float]) -> None:
+        """Let surfaces that may tear know where they will."""
+        tearing = {
+            i: opened
+            for i, opened in enumerate(self._open)
+            if isinstance(opened, Tearable) and opened.tears
+        }
+        if not tearing:
+            return
+        from animtool.scene.systems.foresight import foreseen
+
+        began = time.perf_counter()
+        torn = foreseen(self.systems, list(tearing), times, self._own)
+        for i, opened in tearing.items():
+            opened.part(torn[i])
+        self.seconds[min(tearing)] += time.perf_counter() - began
 
     def _row(self, i: int, t: float) -> Any:
         began = time.perf_counter()

@@ -5,9 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, cast
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Protocol,
+    TypeAlias,
+    cast,
+    runtime_checkable,
+)
 
-from animtool._types import FloatArray
+from animtool._types import BoolArray, FloatArray
 from animtool.errors import Fault, FormatError, OptionError, ToleranceError
 from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
@@ -22,6 +29,7 @@ __all__ = [
     "Opener",
     "Opening",
     "Simulation",
+    "Tearable",
     "TrialMaker",
     "blamed_systems",
     "open_systems",
@@ -44,6 +52,22 @@ class Simulation(Protocol):
 
     def report(self) -> dict[str, object]:
         """Return what became of it so far, as plain values; nothing to say is none."""
+
+
+@runtime_checkable
+class Tearable(Simulation, Protocol):
+    """A system under way whose surface may part."""
+
+    @property
+    def tears(self) -> bool:
+        """Whether it may, as it is made."""
+
+    @property
+    def torn(self) -> BoolArray:
+        """Which of its springs are torn so far ``(S,)``."""
+
+    def part(self, torn: BoolArray) -> None:
+        """Draw it so that it can part where springs of it will tear ``(S,)``."""
 
 
 @dataclass

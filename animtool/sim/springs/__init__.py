@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from animtool.sim.springs.motion import SpringMotion as SpringMotion
     from animtool.sim.springs.options import Solver as Solver
     from animtool.sim.springs.options import SpringOptions as SpringOptions
+    from animtool.sim.springs.parting import Parting as Parting
+    from animtool.sim.springs.parting import part_surface as part_surface
     from animtool.sim.springs.paths import Air as Air
     from animtool.sim.springs.paths import Pins as Pins
     from animtool.sim.springs.paths import Targets as Targets
@@ -35,6 +37,7 @@ _PUBLIC = {
     "Air": "paths",
     "Body": "body",
     "Family": "body",
+    "Parting": "parting",
     "Pins": "paths",
     "SelfContact": "self_contact",
     "Solver": "options",
@@ -48,6 +51,7 @@ _PUBLIC = {
     "block": "volumes",
     "find_rest": "resting",
     "join": "body",
+    "part_surface": "parting",
     "rope": "lines",
     "sheet": "sheets",
     "simulate_springs": "simulating",

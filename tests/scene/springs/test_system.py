@@ -250,20 +250,76 @@ def test_a_torn_rope_is_two_curves(tmp_path: Path) -> None:
     assert not animtool.validate(tmp_path / "o.usda")
 
 
-def test_faces_at_torn_springs_go(tmp_path: Path) -> None:
-    text = CLOTH.replace("ratio: 0.05}", "ratio: 0.05, tear: 0.05}")
-    text = text.replace("ways: one}", "tear: 0.05}").replace(
-        "1}\n    pins", "1, tear: 0.05}\n    pins"
+GALE = (
+    CLOTH.replace("ratio: 0.05}", "ratio: 0.05, tear: 0.05}")
+    .replace("ways: one}", "tear: 0.05}")
+    .replace("1}\n    pins", "1, tear: 0.05}\n    pins")
+    .replace("velocity: [4, 0, 1]", "velocity: [40, 0, 10]")
+)
+
+
+def torn_at(folder: Path, text: str, frames: int) -> np.ndarray:
+    """Return which springs of the first system are torn at the last frame."""
+    systems = load_scene(written(folder, text)).systems
+    run, *_ = opened = open_systems(systems, (frames - 1) / 24)
+    for frame in range(frames):
+        for system in opened:
+            system.at(frame / 24)
+    return run.torn  # type: ignore[attr-defined]
+
+
+def test_cloth_parts_where_springs_tear(tmp_path: Path) -> None:
+    stage = baked(tmp_path, GALE)
+    mesh = stage.GetPrimAtPath("/shot/flag")
+    counts, corners = (
+        mesh.GetAttribute(f"faceVertex{name}") for name in ("Counts", "Indices")
     )
-    text = text.replace("velocity: [4, 0, 1]", "velocity: [40, 0, 10]")
-    stage = baked(tmp_path, text)
-    faces = [
-        len(values(stage, "/shot/flag", "faceVertexCounts", code)) for code in (1, 12)
-    ]
-    assert faces[0] == 60
-    assert faces[1] < 60
-    assert len(values(stage, "/shot/flag", "points", 12)) == 77
+    assert not counts.GetNumTimeSamples()
+    assert not corners.GetNumTimeSamples()
+    sizes, indices = np.array(counts.Get()), np.array(corners.Get())
+    assert len(sizes) > 60
+    assert sizes.sum() == len(indices)
+    drawn = [values(stage, "/shot/flag", "points", code) for code in range(1, 13)]
+    assert {len(points) for points in drawn} == {indices.max() + 1}
+    # It hangs together at first, and not at last: halves of sides meet, then do not.
+    torn = torn_at(tmp_path, GALE, 12)
+    sides = (indices.max() + 1 - 77) // 2
+    assert 0 < sides <= torn.sum()
+    halves = [points[77 : 77 + 2 * 5].reshape(-1, 2, 3) for points in drawn]
+    assert np.array_equal(halves[0][:, 0], halves[0][:, 1])
+    assert (np.linalg.norm(np.diff(halves[-1], axis=1), axis=2) > 0.01).any()
     assert not animtool.validate(tmp_path / "shot.usda")
+
+
+def test_what_parts_is_of_the_same_bytes_each_time(tmp_path: Path) -> None:
+    first, second = (tmp_path / name for name in ("a", "b"))
+    for folder in (first, second):
+        folder.mkdir()
+        baked(folder, GALE, "shot.usdc")
+    assert (first / "shot.usdc").read_bytes() == (second / "shot.usdc").read_bytes()
+
+
+def test_what_does_not_tear_is_drawn_as_it_is(tmp_path: Path) -> None:
+    calm = GALE.replace("velocity: [40, 0, 10]", "velocity: [0, 0, 0]")
+    stage = baked(tmp_path, calm.replace("tear: 0.05", "tear: 0.5"))
+    assert len(values(stage, "/shot/flag", "points", 12)) == 77
+    assert len(values(stage, "/shot/flag", "faceVertexCounts", 1)) == 60
+
+
+def test_who_runs_into_it_does_not_change_where_it_tears(tmp_path: Path) -> None:
+    snow = """\
+- particles:
+    name: snow
+    emitters: [{rate: 50, speed: 1, place: {sphere: {radius: 1}}, at: [0.5, 1, 0]}]
+    systems: [{system: flag}]
+"""
+    alone = torn_at(tmp_path, GALE, 12)
+    assert alone.any()
+    assert np.array_equal(torn_at(tmp_path, GALE + snow, 12), alone)
+    radius = GALE.replace("mass: 0.1\n", "mass: 0.1\n    radius: 0.01\n")
+    stage = baked(tmp_path, radius + snow, "met.usda")
+    mesh = stage.GetPrimAtPath("/shot/flag")
+    assert not mesh.GetAttribute("faceVertexCounts").GetNumTimeSamples()
 
 
 def test_an_error_is_kept_over_the_whole_motion(tmp_path: Path) -> None:

@@ -1,0 +1,47 @@
+"""What of systems will tear, found by simulating them before they are written."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from animtool._types import BoolArray
+from animtool.scene.entries import SceneSystem
+from animtool.scene.systems.character_motion import CharacterMotion
+from animtool.scene.systems.links import in_order, needed
+from animtool.scene.systems.simulation import Tearable, blamed_systems, open_systems
+
+__all__ = ["foreseen"]
+
+
+def foreseen(
+    systems: Sequence[SceneSystem],
+    wanted: Sequence[int],
+    times: Sequence[float],
+    own: CharacterMotion | None = None,
+) -> Mapping[int, BoolArray]:
+    """Return which springs of some systems are torn in the end ``(S,)``.
+
+    A mesh that parts has all its points from the first frame on, so that it keeps its
+    topology: what will tear must be known before anything is written. Systems that
+    these do not need are left out, and do not change them.
+
+    Args:
+        systems: Those of a scene.
+        wanted: Numbers of those that may tear.
+        times: When they are to be drawn, ascending [s].
+        own: The scene's own character, where one asks for it.
+
+    Raises:
+        FormatError: Something makes no sense, at the place of its system.
+        ToleranceError: A system blew up.
+    """
+    groups = [group for group in in_order(systems) if not {*group}.isdisjoint(wanted)]
+    kept = {i for group in groups for i in (*group, *needed(systems, group))}
+    numbers = sorted(kept)
+    opened = open_systems([systems[i] for i in numbers], times[-1], own)
+    found = {i: one for i, one in zip(numbers, opened, strict=True) if i in wanted}
+    for t in times:
+        for i, one in found.items():
+            with blamed_systems([systems[i]]):
+                one.at(t)
+    return {i: one.torn for i, one in found.items() if isinstance(one, Tearable)}
