@@ -5,19 +5,16 @@
 #include <stdexcept>
 #include <vector>
 
-#include "collide_mesh.h"
+#include "collide_surface.h"
 #include "kernels.h"
 
 namespace animtool {
 
 namespace {
 
-using collide::Vec;
-using collide::cross;
-using collide::direction;
-using collide::dot;
-using collide::length;
-using collide::load;
+using collide::MeshSides;
+using collide::corner_normal;
+using collide::edge_normal;
 using collide::store;
 
 constexpr std::int32_t LEAF = 4;
@@ -111,51 +108,100 @@ std::vector<Edge> edges_of(const std::int32_t* corners, std::int32_t count) {
   return edges;
 }
 
-Vec face_of(const double* points, const std::int32_t* corner) {
-  const Vec a = load(points + 3 * corner[0]);
-  return direction(
-      cross(load(points + 3 * corner[1]) - a, load(points + 3 * corner[2]) - a), {});
+// Notes edges, and corners that are on the rim.
+void note_edges(const std::int32_t* corners, std::int32_t count, MeshSides& sides) {
+  const std::vector<Edge> edges = edges_of(corners, count);
+  sides.edges.resize(edges.size());
+  for (std::size_t i = 0, end; i < edges.size(); i = end) {
+    const Edge& first = edges[i];
+    const auto number = static_cast<std::int32_t>(sides.edge_starts.size());
+    sides.edge_starts.push_back(static_cast<std::int32_t>(i));
+    for (end = i; end < edges.size() && edges[end].low == first.low &&
+                  edges[end].high == first.high; ++end) {
+      sides.edges[3 * edges[end].triangle + edges[end].side] = number;
+      sides.edge_triangles.push_back(edges[end].triangle);
+    }
+    if (end - i == 1) sides.rim[first.low] = sides.rim[first.high] = true;
+  }
+  sides.edge_starts.push_back(static_cast<std::int32_t>(edges.size()));
 }
 
-// Normals of edges, and of corners by the angles of their faces; zero on the rim.
-void side_normals(const double* points, const std::int32_t* corners, std::int32_t count,
-                  std::size_t point_count, double* corner_normals, double* edge_normals) {
-  std::vector<bool> rim(point_count, false);
-  std::fill_n(corner_normals, 3 * point_count, 0.0);
-  const std::vector<Edge> edges = edges_of(corners, count);
-  for (std::size_t i = 0, end; i < edges.size(); i = end) {
-    Vec sum;
-    for (end = i; end < edges.size() && edges[end].low == edges[i].low &&
-                  edges[end].high == edges[i].high; ++end)
-      sum = sum + face_of(points, corners + 3 * edges[end].triangle);
-    if (end - i == 1) rim[edges[i].low] = rim[edges[i].high] = true, sum = {};
-    for (std::size_t k = i; k < end; ++k)
-      store(sum, edge_normals + 9 * edges[k].triangle + 3 * edges[k].side);
-  }
-  for (std::int32_t t = 0; t < count; ++t)
-    for (int side = 0; side < 3; ++side) {
-      const std::int32_t* corner = corners + 3 * t;
-      const Vec at = load(points + 3 * corner[side]);
-      const Vec a = direction(load(points + 3 * corner[(side + 1) % 3]) - at, {});
-      const Vec b = direction(load(points + 3 * corner[(side + 2) % 3]) - at, {});
-      double* normal = corner_normals + 3 * corner[side];
-      const double angle = std::atan2(length(cross(a, b)), dot(a, b));
-      store(load(normal) + face_of(points, corner) * angle, normal);
-    }
-  for (std::size_t p = 0; p < point_count; ++p)
-    if (rim[p]) store({}, corner_normals + 3 * p);
+void note_corners(const std::int32_t* corners, std::int32_t count, MeshSides& sides) {
+  std::vector<std::int32_t>& starts = sides.corner_starts;
+  for (std::int32_t k = 0; k < 3 * count; ++k) ++starts[corners[k] + 1];
+  std::partial_sum(starts.begin(), starts.end(), starts.begin());
+  std::vector<std::int32_t> next(starts.begin(), starts.end() - 1);
+  sides.corner_sides.resize(3 * count);
+  for (std::int32_t k = 0; k < 3 * count; ++k) sides.corner_sides[next[corners[k]]++] = k;
+}
+
+MeshSides sides_of(const std::int32_t* corners, std::int32_t count, std::size_t points) {
+  MeshSides sides;
+  sides.rim.assign(points, false);
+  sides.corner_starts.assign(points + 1, 0);
+  note_edges(corners, count, sides);
+  note_corners(corners, count, sides);
+  return sides;
+}
+
+void check_triangles(const In<double, 2>& points, const In<std::int32_t, 2>& triangles) {
+  if (points.shape(1) != 3 || triangles.shape(1) != 3 || triangles.shape(0) == 0)
+    throw std::invalid_argument("points are (P, 3), triangles are (T, 3), at least one");
+  for (std::size_t i = 0; i < 3 * triangles.shape(0); ++i)
+    if (triangles.data()[i] < 0 ||
+        triangles.data()[i] >= static_cast<std::int64_t>(points.shape(0)))
+      throw std::invalid_argument("corners of triangles are points");
 }
 
 }  // namespace
 
+MeshSurface::MeshSurface(In<double, 2> points, In<std::int32_t, 2> triangles)
+    : points_(points.shape(0)), triangles_(3 * triangles.shape(0)) {
+  check_triangles(points, triangles);
+  const auto count = static_cast<std::int32_t>(triangles.shape(0));
+  nb::gil_scoped_release release;
+  Tree made(points.data(), triangles.data(), count);
+  for (std::int32_t k = 0; k < count; ++k)
+    std::copy_n(triangles.data() + 3 * made.order()[k], 3, triangles_.data() + 3 * k);
+  nodes_ = std::move(made.nodes);
+  sides_ = sides_of(triangles_.data(), count, points_);
+}
+
+collide::Mesh MeshSurface::mesh(const double* points, const double* ways,
+                                const double* bounds) const {
+  collide::Mesh made{points, triangles_.data(), nullptr, nullptr, bounds, nodes_.data()};
+  made.ways = ways;
+  made.sides = &sides_;
+  return made;
+}
+
+void MeshSurface::fit(const double* begin, const double* end,
+                      std::vector<double>& bounds) const {
+  bounds.resize(3 * nodes_.size());
+  // Children come behind their parents.
+  for (std::size_t node = nodes_.size() / 2; node-- > 0;) {
+    double* box = bounds.data() + 6 * node;
+    const std::int32_t left = nodes_[2 * node], right = nodes_[2 * node + 1];
+    if (left >= 0) {
+      const double *a = bounds.data() + 6 * left, *b = bounds.data() + 6 * right;
+      for (int k = 0; k < 3; ++k) box[k] = std::min(a[k], b[k]);
+      for (int k = 3; k < 6; ++k) box[k] = std::max(a[k], b[k]);
+      continue;
+    }
+    for (int k = 0; k < 3; ++k) box[k] = HUGE_VAL, box[3 + k] = -HUGE_VAL;
+    for (std::int32_t c = 3 * (-1 - left); c < 3 * (-1 - left + right); ++c)
+      for (const double* places : {begin, end})
+        for (int k = 0; k < 3; ++k) {
+          const double at = places[3 * triangles_[c] + k];
+          box[k] = std::min(box[k], at);
+          box[3 + k] = std::max(box[3 + k], at);
+        }
+  }
+}
+
 MeshTree build_mesh_tree(In<double, 2> points, In<std::int32_t, 2> triangles) {
+  check_triangles(points, triangles);
   const std::size_t point_count = points.shape(0), count = triangles.shape(0);
-  if (points.shape(1) != 3 || triangles.shape(1) != 3 || count == 0)
-    throw std::invalid_argument("points are (P, 3), triangles are (T, 3), at least one");
-  for (std::size_t i = 0; i < 3 * count; ++i)
-    if (triangles.data()[i] < 0 ||
-        triangles.data()[i] >= static_cast<std::int64_t>(point_count))
-      throw std::invalid_argument("corners of triangles are points");
   Buffer<std::int32_t> sorted(3 * count);
   Buffer<double> corner_normals(3 * point_count), edge_normals(9 * count);
   const std::int32_t rows = static_cast<std::int32_t>(count);
@@ -164,8 +210,14 @@ MeshTree build_mesh_tree(In<double, 2> points, In<std::int32_t, 2> triangles) {
     Tree made(points.data(), triangles.data(), rows);
     for (std::int32_t k = 0; k < rows; ++k)
       std::copy_n(triangles.data() + 3 * made.order()[k], 3, sorted.get() + 3 * k);
-    side_normals(points.data(), sorted.get(), rows, point_count, corner_normals.get(),
-                 edge_normals.get());
+    const MeshSides sides = sides_of(sorted.get(), rows, point_count);
+    const collide::Mesh mesh{points.data(), sorted.get(), nullptr, nullptr, nullptr, nullptr};
+    for (std::size_t p = 0; p < point_count; ++p)
+      store(corner_normal(mesh, sides, static_cast<std::int32_t>(p)),
+            corner_normals.get() + 3 * p);
+    for (std::int32_t t = 0; t < rows; ++t)
+      for (int side = 0; side < 3; ++side)
+        store(edge_normal(mesh, sides, t, side), edge_normals.get() + 9 * t + 3 * side);
     return made;
   }();
   Buffer<double> bounds(tree.bounds.size());

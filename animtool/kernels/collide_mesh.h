@@ -6,10 +6,21 @@
 #include <algorithm>
 #include <cstdint>
 #include <limits>
+#include <vector>
 
 #include "collide_shapes.h"
 
 namespace animtool::collide {
+
+// Which triangles meet at the edges and the corners of a mesh.
+struct MeshSides {
+  std::vector<std::int32_t> edges;           // of each triangle (T, 3), numbered
+  std::vector<std::int32_t> edge_starts;     // where the triangles of each edge begin (E + 1,)
+  std::vector<std::int32_t> edge_triangles;  // (3 T,)
+  std::vector<std::int32_t> corner_starts;   // likewise of each corner (P + 1,)
+  std::vector<std::int32_t> corner_sides;    // 3 times a triangle, and which of its corners
+  std::vector<bool> rim;                     // whether a corner is on the rim (P,)
+};
 
 // Arrays that `build_mesh_tree` makes. A node is an inner one with two children, or a leaf
 // as -1 - first and a count of triangles. Edges and corners of no definite side, as on the
@@ -21,6 +32,16 @@ struct Mesh {
   const double* edge_normals;
   const double* bounds;
   const std::int32_t* nodes;
+  // Of one that changes shape: how far its points go, the share of that which they have
+  // gone, and what tells its normals as it is then.
+  const double* ways = nullptr;
+  double share = 0;
+  const MeshSides* sides = nullptr;
+
+  Vec point(std::int32_t p) const {
+    const Vec at = load(points + 3 * p);
+    return ways ? at + load(ways + 3 * p) * share : at;
+  }
 };
 
 constexpr int DEEPEST = 64;
@@ -81,28 +102,35 @@ inline double squared_to_box(Vec p, const double* box) {
   return x * x + y * y + z * z;
 }
 
-// The nearest point of the triangles under a node; none beyond the squared limit.
-inline Nearest nearest_on_mesh(const Mesh& mesh, std::int32_t root, Vec p, double limit) {
-  Nearest best;
-  best.squared = limit;
+inline Nearest nearest_of_triangle(const Mesh& mesh, std::int32_t triangle, Vec p) {
+  const std::int32_t* corner = mesh.triangles + 3 * triangle;
+  Nearest found;
+  found.triangle = triangle;
+  found.point = nearest_on_triangle(p, mesh.point(corner[0]), mesh.point(corner[1]),
+                                    mesh.point(corner[2]), found.feature);
+  found.squared = dot(p - found.point, p - found.point);
+  return found;
+}
+
+// Of two as near the first triangle, so that the order of looking makes no difference.
+inline bool nearer(const Nearest& one, const Nearest& best) {
+  if (one.squared != best.squared) return one.squared < best.squared;
+  return best.triangle < 0 || one.triangle < best.triangle;
+}
+
+// Calls with the triangles under a node whose boxes are within a squared distance, nearer
+// boxes first. A call returns how far to look from then on.
+template <class Call>
+void visit_triangles(const Mesh& mesh, std::int32_t root, Vec p, double limit, Call call) {
   std::int32_t stack[DEEPEST];
   int depth = 0;
   stack[depth++] = root;
   while (depth > 0) {
     const std::int32_t node = stack[--depth];
-    if (squared_to_box(p, mesh.bounds + 6 * node) > best.squared) continue;
+    if (squared_to_box(p, mesh.bounds + 6 * node) > limit) continue;
     const std::int32_t left = mesh.nodes[2 * node], right = mesh.nodes[2 * node + 1];
     if (left < 0) {
-      for (std::int32_t t = -1 - left; t < -1 - left + right; ++t) {
-        const std::int32_t* corner = mesh.triangles + 3 * t;
-        int feature = 6;
-        const Vec at = nearest_on_triangle(p, load(mesh.points + 3 * corner[0]),
-                                           load(mesh.points + 3 * corner[1]),
-                                           load(mesh.points + 3 * corner[2]), feature);
-        const double squared = dot(p - at, p - at);
-        if (squared < best.squared || (best.triangle < 0 && squared <= best.squared))
-          best = {squared, at, t, feature};
-      }
+      for (std::int32_t t = -1 - left; t < -1 - left + right; ++t) limit = call(t);
       continue;
     }
     const bool left_first = squared_to_box(p, mesh.bounds + 6 * left) <=
@@ -110,15 +138,75 @@ inline Nearest nearest_on_mesh(const Mesh& mesh, std::int32_t root, Vec p, doubl
     stack[depth++] = left_first ? right : left;
     stack[depth++] = left_first ? left : right;
   }
+}
+
+// The nearest point of the triangles under a node; none beyond the squared limit.
+inline Nearest nearest_on_mesh(const Mesh& mesh, std::int32_t root, Vec p, double limit) {
+  Nearest best;
+  best.squared = limit;
+  visit_triangles(mesh, root, p, limit, [&](std::int32_t t) {
+    const Nearest found = nearest_of_triangle(mesh, t, p);
+    if (nearer(found, best)) best = found;
+    return best.squared;
+  });
   return best;
 }
 
-inline Vec face_normal(const Mesh& mesh, std::int32_t triangle) {
+inline Vec face_normal(const Mesh& mesh, std::int32_t triangle, Vec fallback) {
   const std::int32_t* corner = mesh.triangles + 3 * triangle;
-  const Vec a = load(mesh.points + 3 * corner[0]);
-  return direction(cross(load(mesh.points + 3 * corner[1]) - a,
-                         load(mesh.points + 3 * corner[2]) - a),
-                   {0, 1, 0});
+  const Vec a = mesh.point(corner[0]);
+  return direction(cross(mesh.point(corner[1]) - a, mesh.point(corner[2]) - a), fallback);
+}
+
+// The normal of the edge of a side; zero on the rim.
+inline Vec edge_normal(const Mesh& mesh, const MeshSides& sides, std::int32_t triangle,
+                       int side) {
+  const std::int32_t edge = sides.edges[3 * triangle + side];
+  const std::int32_t begin = sides.edge_starts[edge], end = sides.edge_starts[edge + 1];
+  if (end - begin == 1) return {};
+  Vec sum;
+  for (std::int32_t k = begin; k < end; ++k)
+    sum = sum + face_normal(mesh, sides.edge_triangles[k], {});
+  return sum;
+}
+
+// The normal of a corner, by the angles of its faces; zero on the rim.
+inline Vec corner_normal(const Mesh& mesh, const MeshSides& sides, std::int32_t point) {
+  Vec sum;
+  if (sides.rim[point]) return sum;
+  const Vec at = mesh.point(point);
+  for (std::int32_t k = sides.corner_starts[point]; k < sides.corner_starts[point + 1]; ++k) {
+    const std::int32_t triangle = sides.corner_sides[k] / 3, side = sides.corner_sides[k] % 3;
+    const std::int32_t* corner = mesh.triangles + 3 * triangle;
+    const Vec a = direction(mesh.point(corner[(side + 1) % 3]) - at, {});
+    const Vec b = direction(mesh.point(corner[(side + 2) % 3]) - at, {});
+    const double angle = std::atan2(length(cross(a, b)), dot(a, b));
+    sum = sum + face_normal(mesh, triangle, {}) * angle;
+  }
+  return sum;
+}
+
+// What tells the side at the nearest point.
+inline Vec side_normal(const Mesh& mesh, const Nearest& near) {
+  const std::int32_t t = near.triangle;
+  if (near.feature < 3) {
+    const std::int32_t point = mesh.triangles[3 * t + near.feature];
+    return mesh.sides ? corner_normal(mesh, *mesh.sides, point)
+                      : load(mesh.corner_normals + 3 * point);
+  }
+  return mesh.sides ? edge_normal(mesh, *mesh.sides, t, near.feature - 3)
+                    : load(mesh.edge_normals + 9 * t + 3 * (near.feature - 3));
+}
+
+// Distance and normal at a point, of the nearest one.
+inline Sample sample_nearest(const Mesh& mesh, const Nearest& near, Vec p) {
+  const Vec face = face_normal(mesh, near.triangle, {0, 1, 0});
+  const Vec side = near.feature < 6 ? side_normal(mesh, near) : face;
+  const Vec off = p - near.point;
+  const double distance = std::sqrt(near.squared);
+  const double sign = dot(off, side) < 0 ? -1 : 1;
+  const Vec flat = direction(side, face);
+  return {sign * distance, distance > TOUCH ? off * (sign / distance) : flat};
 }
 
 // Distance and normal at a point; the reach and no normal where it is farther than that.
@@ -126,17 +214,7 @@ inline Sample sample_mesh(const Mesh& mesh, std::int32_t root, Vec p, double rea
   // Points behind a face are as far off as points before it.
   const Nearest near = nearest_on_mesh(mesh, root, p, reach * reach);
   if (near.triangle < 0) return {reach, {0, 1, 0}};
-  const Vec face = face_normal(mesh, near.triangle);
-  Vec side = face;
-  if (near.feature < 3)
-    side = load(mesh.corner_normals + 3 * mesh.triangles[3 * near.triangle + near.feature]);
-  else if (near.feature < 6)
-    side = load(mesh.edge_normals + 9 * near.triangle + 3 * (near.feature - 3));
-  const Vec off = p - near.point;
-  const double distance = std::sqrt(near.squared);
-  const double sign = dot(off, side) < 0 ? -1 : 1;
-  const Vec flat = direction(side, face);
-  return {sign * distance, distance > TOUCH ? off * (sign / distance) : flat};
+  return sample_nearest(mesh, near, p);
 }
 
 }  // namespace animtool::collide

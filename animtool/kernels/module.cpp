@@ -132,6 +132,12 @@ order of the tree, what tells inside from outside at corners ``(P, 3)`` and edge
 ``(T, 3, 3)``, zero on the rim of an open mesh, and the nodes: boxes ``(M, 6)``, and two
 children, or ``-1 - first`` and a count of triangles ``(M, 2)``.)");
 
+  nb::class_<MeshSurface>(m, "MeshSurface",
+                          R"(Triangles ``(T, 3)`` whose points move, from where they are ``(P, 3)``.
+
+Its tree is built once, and its boxes are fitted to where the points are.)")
+      .def(nb::init<In<double, 2>, In<std::int32_t, 2>>(), "points"_a, "triangles"_a);
+
   m.def("collide_particles", &collide_particles, "colliders"_a, "before"_a, "after"_a,
         "radii"_a, "begins"_a, "step"_a,
         R"(End a step of N particles where colliders let it end.
@@ -279,7 +285,9 @@ Cell i of time begins at ``origin + (first + i) cell`` and is that many substeps
 
 ``colliders``: those of `collide_particles`, their poses at both ends of each cell
 ``(cells, C, 2, 7)``, the distance that particles keep, how deep each may be in each ``(C, N)``,
-0 or less, None is not at all, and how much deeper counts as left inside.
+0 or less, None is not at all, how much deeper counts as left inside, and meshes whose points
+move: a `MeshSurface`, its points at both ends of each cell ``(cells + 1, P, 3)``, and
+restitution, friction, margin, depenetration speed and the speed of what is put elsewhere.
 
 Returns ``(state, torn, unresolved)``: particles left inside colliders at the end.)");
 

@@ -9,6 +9,7 @@ namespace animtool {
 namespace {
 
 using collide::Collider;
+using collide::Mesh;
 using collide::Motion;
 using collide::Pose;
 using collide::Rod;
@@ -22,6 +23,8 @@ using collide::store;
 constexpr double RESTING = 2;
 // Rounds of moving out of all colliders.
 constexpr int TRIES = 3;
+// Of the size of a mesh, how far what is near a particle serves at first.
+constexpr double FINE = 1e-3;
 
 // One particle by itself, for what is written for several.
 struct OneRow {
@@ -48,14 +51,15 @@ using OneVec = WideVec<OneRow>;
 OneVec one(Vec a) { return {a.x, a.y, a.z}; }
 Vec vec(const OneVec& a) { return {a.x.row, a.y.row, a.z.row}; }
 
-double thickness_of(const Collider& c) {
+double thickness_of(const Collider& c, double radius) {
   if (c.container) return collide::FAR;
   switch (c.shape) {
     case Shape::PLANE: return collide::FAR;
     case Shape::SPHERE: return c.size[3];
     case Shape::CAPSULE: return c.size[6];
     case Shape::BOX: return std::min({c.size[0], c.size[1], c.size[2]});
-    case Shape::MESH: return c.margin;
+    // Up to there a particle comes to no more than its surface.
+    case Shape::MESH: return c.margin + radius;
   }
   return 0;
 }
@@ -91,6 +95,7 @@ Sample StepCollider::after(Vec point, double radius) const {
 }
 
 double StepCollider::travel(Vec drift) const {
+  if (surface >= 0) return way + length(drift);
   if (!is_rod) return length(collider.motion.travel() - drift);
   // The axis goes no farther than its ends.
   const Vec first = load(rod.end.from) - load(rod.begin.from) - drift;
@@ -98,10 +103,12 @@ double StepCollider::travel(Vec drift) const {
   return std::max(length(first), length(last));
 }
 
-double StepCollider::thickness() const { return thickness_of(collider); }
+double StepCollider::thickness(double radius) const {
+  return thickness_of(collider, radius);
+}
 
 bool StepCollider::sweep(double h, double radius, Vec from, Vec& to, double* v) const {
-  if (!(length(to - from) > thickness())) return false;
+  if (!(length(to - from) > thickness(radius))) return false;
   // What begins inside comes out at its own pace.
   if (before(from, radius).distance < -collide::INSIDE) return false;
   const Vec speed = (to - from) * (1 / h);
@@ -117,7 +124,7 @@ MovingColliders::MovingColliders(const std::optional<SpringColliders>& colliders
                                  std::size_t particles, std::int64_t cells)
     : particles_(particles) {
   if (!colliders) return;
-  const auto& [arrays, poses, radius, depths, tolerance] = *colliders;
+  const auto& [arrays, poses, radius, depths, tolerance, surfaces] = *colliders;
   colliders_ = read_colliders(arrays);
   if (poses.shape(0) != static_cast<std::size_t>(cells) ||
       poses.shape(1) != colliders_.size() || poses.shape(2) != 2 || poses.shape(3) != 7)
@@ -178,31 +185,77 @@ StepCollider MovingColliders::over(const Collider& c, const Motion& motion, doub
 
 SpringContacts::SpringContacts(const std::optional<SpringColliders>& colliders,
                                std::size_t particles, std::int64_t cells)
-    : colliders_(colliders, particles, cells), cells_(cells) {
-  if (!any()) return;
+    : colliders_(colliders, particles, cells), count_(colliders_.size()), cells_(cells) {
+  if (!colliders) return;
+  for (const SpringSurface& one : std::get<5>(*colliders)) surfaces_.emplace_back(one, cells);
+  count_ += surfaces_.size();
+  make_patches(particles);
   clear_.assign(particles, 0.0);
   arm_.assign(particles, 0.0);
+}
+
+void SpringContacts::make_patches(std::size_t particles) {
+  for (std::size_t c = 0; c < count_; ++c) {
+    const bool rigid = c < colliders_.size();
+    const double kept = colliders_.radius() + (rigid ? colliders_[c].margin : 0);
+    const double* box = nullptr;
+    if (!rigid)
+      box = surfaces_[c - colliders_.size()].box();
+    else if (colliders_[c].shape == Shape::MESH)
+      box = colliders_[c].mesh.bounds + 6 * colliders_[c].root;
+    patched_.push_back(box ? static_cast<std::int32_t>(patches_.size()) : -1);
+    if (box)
+      patches_.emplace_back(particles, std::max(kept, FINE * length(load(box + 3) - load(box))));
+  }
 }
 
 void SpringContacts::begin_cell(std::int64_t cell, int substeps, double h) {
   if (!any()) return;
   substeps_ = substeps;
   h_ = h;
-  cell_.clear();
-  colliders_.steps(cell, substeps, h, cell_);
+  rigid_.clear();
+  colliders_.steps(cell, substeps, h, rigid_);
   // Where a cell is crossed again, or a collider is put elsewhere, nothing is known.
-  const bool known = cell == last_ + 1 && (last_ < 0 || colliders_.goes_on(cell));
+  bool known = cell == last_ + 1 && (last_ < 0 || colliders_.goes_on(cell));
+  enter_surfaces(cell, known);
+  add_surfaces();
   if (!known) std::fill(clear_.begin(), clear_.end(), 0.0);
   last_ = cell;
+}
+
+void SpringContacts::enter_surfaces(std::int64_t cell, bool& known) {
+  for (std::size_t s = 0; s < surfaces_.size(); ++s) {
+    if (surfaces_[s].enter(cell, h_ * substeps_)) continue;
+    known = false;
+    patches_[static_cast<std::size_t>(patched_[colliders_.size() + s])].forget();
+  }
+}
+
+void SpringContacts::add_surfaces() {
+  cell_.clear();
+  for (int step = 0; step < substeps_; ++step) {
+    const auto first = rigid_.begin() + step * static_cast<std::ptrdiff_t>(colliders_.size());
+    cell_.insert(cell_.end(), first, first + static_cast<std::ptrdiff_t>(colliders_.size()));
+    for (std::size_t s = 0; s < surfaces_.size(); ++s) {
+      StepCollider made{};
+      made.collider = surfaces_[s].collider(double(step + 1) / substeps_);
+      made.surface = static_cast<std::int32_t>(s);
+      made.begun = double(step) / substeps_;
+      made.way = surfaces_[s].travel() / substeps_;
+      made.rod.friction = made.collider.friction;
+      made.rod.rise = made.collider.depenetration * h_;
+      cell_.push_back(made);
+    }
+  }
 }
 
 bool SpringContacts::settle(const SpringNetwork& network, int step,
                             std::vector<double>& before, std::vector<double>& x,
                             std::vector<double>* v) {
   if (!any()) return false;
-  now_ = cell_.data() + static_cast<std::size_t>(step) * colliders_.size();
+  now_ = cell_.data() + static_cast<std::size_t>(step) * count_;
   double travel = 0, angle = 0;
-  for (std::size_t c = 0; c < colliders_.size(); ++c) {
+  for (std::size_t c = 0; c < count_; ++c) {
     travel = std::max(travel, now_[c].travel({}));
     angle = std::max(angle, now_[c].turn());
   }
@@ -225,8 +278,8 @@ bool SpringContacts::settle(const SpringNetwork& network, int step,
 
 bool SpringContacts::measure(std::size_t n, const double* x) {
   double clear = collide::FAR, arm = 0;
-  for (std::size_t c = 0; c < colliders_.size(); ++c) {
-    const double near = now_[c].after(load(x), colliders_.radius()).distance;
+  for (std::size_t c = 0; c < count_; ++c) {
+    const double near = look(c, n, true, load(x)).sample.distance;
     clear = std::min(clear, near - colliders_.depth(c, n));
     arm = std::max(arm, length(load(x) - now_[c].end.origin));
   }
@@ -235,15 +288,46 @@ bool SpringContacts::measure(std::size_t n, const double* x) {
   return clear < -colliders_.tolerance();
 }
 
+Mesh SpringContacts::mesh_at(const StepCollider& c, bool end) const {
+  Mesh mesh = c.collider.mesh;
+  if (!end) mesh.share = c.begun;
+  return mesh;
+}
+
+SpringContacts::Found SpringContacts::look(std::size_t index, std::size_t n, bool end,
+                                           Vec point) {
+  const StepCollider& c = now_[index];
+  const double radius = colliders_.radius();
+  if (!c.is_mesh()) return {end ? c.after(point, radius) : c.before(point, radius), -1};
+  const Mesh mesh = mesh_at(c, end);
+  const Pose& pose = end ? c.end : c.begin;
+  const double kept = radius + c.collider.margin, side = c.collider.container ? -1 : 1;
+  const MeshWay gone =
+      c.surface < 0 ? MeshWay{} : surfaces_[static_cast<std::size_t>(c.surface)].gone(mesh.share);
+  auto& patches = patches_[static_cast<std::size_t>(patched_[index])];
+  const Found found = patches.look(mesh, c.collider.root, n, pose.to_local(point), gone, kept,
+                                   !c.collider.container);
+  const Vec out = pose.rotated(found.sample.normal) * side;
+  return {{side * found.sample.distance - kept, out}, found.triangle};
+}
+
+Vec SpringContacts::carried(const StepCollider& c, const Found& found, bool end,
+                            Vec point) const {
+  if (c.surface < 0)
+    return c.collider.motion.displacement(point, end ? c.end : c.begin);
+  if (found.triangle < 0) return {};
+  const auto& surface = surfaces_[static_cast<std::size_t>(c.surface)];
+  return surface.way(mesh_at(c, end), found.triangle, point) * (1.0 / substeps_);
+}
+
 bool SpringContacts::settle_one(std::size_t n, double* before, double* x, double* v) {
   const Vec from = load(before);
   Vec to = load(x), still = from;
   bool moved = false;
-  for (std::size_t c = 0; c < colliders_.size(); ++c)
-    moved |= now_[c].sweep(h_, colliders_.radius(), from, to, v);
+  for (std::size_t c = 0; c < count_; ++c) moved |= sweep(c, n, from, to, v);
   for (int i = 0; i < TRIES; ++i) {
     bool pushed = false;
-    for (std::size_t c = 0; c < colliders_.size(); ++c) pushed |= push(c, n, from, to, still, v);
+    for (std::size_t c = 0; c < count_; ++c) pushed |= push(c, n, from, to, still, v);
     moved |= pushed;
     if (!pushed) break;
   }
@@ -254,15 +338,44 @@ bool SpringContacts::settle_one(std::size_t n, double* before, double* x, double
   return moved;
 }
 
+bool SpringContacts::sweep(std::size_t c, std::size_t n, Vec from, Vec& to, double* v) {
+  if (now_[c].is_mesh()) return sweep_mesh(c, n, from, to, v);
+  return now_[c].sweep(h_, colliders_.radius(), from, to, v);
+}
+
+bool SpringContacts::sweep_mesh(std::size_t index, std::size_t n, Vec from, Vec& to,
+                                double* v) {
+  const StepCollider& c = now_[index];
+  const double arm = length(from - c.begin.origin);
+  const double most = length(to - from) + c.travel({}) + c.turn() * arm;
+  const double radius = colliders_.radius();
+  if (!(most > c.thickness(radius))) return false;
+  const Found found = look(index, n, false, from);
+  // What begins inside comes out at its own pace.
+  if (found.sample.distance > most || found.sample.distance < -collide::INSIDE) return false;
+  const Vec gone = carried(c, found, false, from);
+  if (!(length(to - from - gone) > c.thickness(radius))) return false;
+  if (c.surface < 0) return c.sweep(h_, radius, from, to, v);
+  // It is seen from what of the surface is nearest: the rest of that stands as at the end.
+  const Vec start = from + gone, speed = (to - start) * (1 / h_);
+  collide::Particle last{to, speed};
+  collide::Settling settling(&c.collider, 1, h_, radius);
+  if (settling.settle({start, speed}, last).collider < 0) return false;
+  to = last.position;
+  if (v) store(last.velocity + gone * (1 / h_), v);
+  return true;
+}
+
 bool SpringContacts::push(std::size_t index, std::size_t n, Vec from, Vec& to,
                           Vec& still, double* v) {
   const StepCollider& c = now_[index];
   const double depth = colliders_.depth(index, n);
-  const Sample found = c.after(to, colliders_.radius());
+  const Found seen = look(index, n, true, to);
+  const Sample& found = seen.sample;
   if (!(found.distance < depth - collide::TOUCH)) return false;
+  const Vec way = carried(c, seen, true, to);
   if (v) {
-    const Motion& motion = c.collider.motion;
-    const Vec surface = motion.displacement(to, c.end) * (1 / h_), speed = load(v) - surface;
+    const Vec surface = way * (1 / h_), speed = load(v) - surface;
     const double into = dot(speed, found.normal);
     if (into < 0) {
       const double restitution = c.collider.restitution;
@@ -275,9 +388,11 @@ bool SpringContacts::push(std::size_t index, std::size_t n, Vec from, Vec& to,
       store(surface + along - found.normal * back, v);
     }
   }
-  const double begun = c.before(from, colliders_.radius()).distance;
+  const double begun = look(index, n, false, from).sample.distance;
+  Rod rod = c.rod;
+  if (c.surface >= 0) store(way, rod.travel);
   OneVec place = one(to), stood = one(still);
-  const bool out = collide::push_out<OneRow>(c.rod, {found.distance, one(found.normal)}, begun,
+  const bool out = collide::push_out<OneRow>(rod, {found.distance, one(found.normal)}, begun,
                                              depth, one(from), place, stood);
   to = vec(place);
   still = vec(stood);

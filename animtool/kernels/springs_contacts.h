@@ -8,14 +8,16 @@
 #include "collide_wide.h"
 #include "kernels.h"
 #include "springs.h"
+#include "springs_meshes.h"
 
 namespace animtool {
 
 // Colliders, their poses at both ends of each cell (cells, C, 2, 7), the distance that
-// particles keep, how deep each may be in each (C, N), 0 or less, None is not at all; and how
-// much deeper counts as left inside.
-using SpringColliders = std::tuple<ColliderArrays, In<double, 4>, double,
-                                   std::optional<In<double, 2>>, double>;
+// particles keep, how deep each may be in each (C, N), 0 or less, None is not at all; how
+// much deeper counts as left inside; and meshes whose points move.
+using SpringColliders =
+    std::tuple<ColliderArrays, In<double, 4>, double, std::optional<In<double, 2>>, double,
+               std::vector<SpringSurface>>;
 
 std::vector<collide::Collider> read_colliders(const ColliderArrays& arrays);
 
@@ -26,6 +28,12 @@ struct StepCollider {
   // Of a capsule or a ball with particles outside, all of it; of others, how it moves.
   collide::Rod rod;
   bool is_rod;
+  // Of a mesh whose points move, which one, the share of its cell that is gone as the step
+  // begins, and how far it goes.
+  std::int32_t surface = -1;
+  double begun = 0, way = 0;
+
+  bool is_mesh() const { return collider.shape == collide::Shape::MESH; }
   // How far its surface goes at most, beside a drift; of what is no rod without its turn, by
   // the arm from its origin.
   double travel(collide::Vec drift) const;
@@ -35,7 +43,7 @@ struct StepCollider {
   collide::Sample before(collide::Vec point, double radius) const;
   collide::Sample after(collide::Vec point, double radius) const;
   // A way longer than this may lead through within the step.
-  double thickness() const;
+  double thickness(double radius) const;
   // Stops what goes so far that it may lead through: whether it did. With a velocity, that
   // is stopped too.
   bool sweep(double h, double radius, collide::Vec from, collide::Vec& to,
@@ -49,12 +57,13 @@ class MovingColliders {
                   std::int64_t cells);
 
   std::size_t size() const { return colliders_.size(); }
+  const collide::Collider& operator[](std::size_t c) const { return colliders_[c]; }
   double radius() const { return radius_; }
   double tolerance() const { return tolerance_; }
   // Depths (C, N), null where none may be inside.
   const double* depths() const { return depths_; }
   double depth(std::size_t c, std::size_t n) const {
-    return depths_ ? depths_[c * particles_ + n] : 0.0;
+    return depths_ && c < size() ? depths_[c * particles_ + n] : 0.0;
   }
 
   // Whether all begin a cell where they were at the end of the one before.
@@ -80,7 +89,7 @@ class SpringContacts {
   SpringContacts(const std::optional<SpringColliders>& colliders, std::size_t particles,
                  std::int64_t cells);
 
-  bool any() const { return colliders_.size() > 0; }
+  bool any() const { return count_ > 0; }
   // A cell of time begins; its steps are even.
   void begin_cell(std::int64_t cell, int substeps, double h);
   // Moves particles out of what they are in at the end of a step of a cell, and takes what
@@ -92,15 +101,33 @@ class SpringContacts {
   std::int64_t touched = 0, unresolved = 0;
 
  private:
+  using Found = MeshPatches::Found;
+
+  void make_patches(std::size_t particles);
+  void enter_surfaces(std::int64_t cell, bool& known);
+  void add_surfaces();
   bool settle_one(std::size_t n, double* before, double* x, double* v);
   bool push(std::size_t c, std::size_t n, collide::Vec before, collide::Vec& x,
             collide::Vec& still, double* v);
+  bool sweep(std::size_t c, std::size_t n, collide::Vec from, collide::Vec& to, double* v);
+  bool sweep_mesh(std::size_t c, std::size_t n, collide::Vec from, collide::Vec& to, double* v);
+  // A collider as a particle sees it as the step begins or ends.
+  Found look(std::size_t c, std::size_t n, bool end, collide::Vec point);
+  collide::Mesh mesh_at(const StepCollider& c, bool end) const;
+  // How what is found there goes in the step.
+  collide::Vec carried(const StepCollider& c, const Found& found, bool end,
+                       collide::Vec point) const;
   // Looks how far off all colliders are; whether it is inside one.
   bool measure(std::size_t n, const double* x);
 
   MovingColliders colliders_;
+  std::vector<MovingSurface> surfaces_;
+  std::size_t count_;
   std::int64_t cells_;
-  std::vector<StepCollider> cell_;  // (substeps, C)
+  // Of each collider that is a mesh, by number; of others none.
+  std::vector<MeshPatches> patches_;
+  std::vector<std::int32_t> patched_;
+  std::vector<StepCollider> rigid_, cell_;  // (substeps, C), without and with surfaces
   const StepCollider* now_ = nullptr;
   int substeps_ = 1;
   double h_ = 0, least_blow_ = 0;

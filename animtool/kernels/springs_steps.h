@@ -4,8 +4,10 @@
 #include <optional>
 #include <tuple>
 
+#include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
 
 #include "springs_contacts.h"
 #include "springs_self.h"

@@ -50,7 +50,7 @@ class FrameColliders {
     }
     for (const StepCollider& one : rows_) rods_.push_back(one.rod);
     for (std::size_t c = 0; c < colliders.size(); ++c) {
-      thicknesses_.push_back(rows_[c].thickness());
+      thicknesses_.push_back(rows_[c].thickness(colliders.radius()));
       is_rod_.push_back(rows_[c].is_rod);
     }
     look_ahead();
@@ -276,6 +276,8 @@ StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targe
     throw std::invalid_argument("targets are (cells + 1, N, 3)");
   if (threads < 1) throw std::invalid_argument("there is at least one thread");
   if (substeps < 1) throw std::invalid_argument("a cell has at least one step");
+  if (colliders && !std::get<5>(*colliders).empty())
+    throw std::invalid_argument("strands meet no mesh whose points move");
   const std::size_t cells = targets.shape(0) - 1;
   const MovingColliders moving(colliders, count, static_cast<std::int64_t>(cells));
   Buffer<double> out(6 * count);

@@ -51,7 +51,7 @@ def met(
     arrays = Colliders(colliders).arrays(0.0, 0.0)
     pose = np.array([0.0, 0, 0, 0, 0, 0, 1])
     poses = np.tile(pose, (cells, len(colliders), 2, 1))
-    return arrays, poses, 0.0, depths, 1e-6
+    return arrays, poses, 0.0, depths, 1e-6, []
 
 
 def run(

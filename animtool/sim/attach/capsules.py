@@ -90,7 +90,7 @@ class CapsuleContacts:
         kinds, sizes, *others = Colliders([like] * len(capsules)).arrays(0.0, 0.0)
         sizes[:, 6] = radii
         self._kinds, self._sizes, self._others = kinds, sizes, others
-        self._rest = radius, depths, UNRESOLVED
+        self._rest = radius, depths, UNRESOLVED, ()
 
     def over(self, world: WorldTransforms) -> tuple[Any, ...] | None:
         """Return what kernels take for the cells between K poses; None without any."""

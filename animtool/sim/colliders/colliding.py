@@ -17,6 +17,7 @@ from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.meeting import meet_sheet
 from animtool.sim.colliders.shapes import Box, Capsule, Mesh, Plane, Sphere
 from animtool.sim.colliders.sheets import Sheet
+from animtool.sim.colliders.surfaces import Surfaces
 
 __all__ = ["Collided", "Colliders", "Contacts", "Samples", "Touch", "collide"]
 
@@ -104,6 +105,7 @@ class Colliders(Sequence[Collider]):
 
     Attributes:
         sheets: Surfaces that change their shape, which are no members.
+        surfaces: These, ready for many steps at once.
 
     Raises:
         OptionError: Something of them makes no sense (SIM020).
@@ -114,6 +116,7 @@ class Colliders(Sequence[Collider]):
     ) -> None:
         self._colliders = tuple(colliders)
         self.sheets = tuple(sheets)
+        self.surfaces = Surfaces(self.sheets)
         faults = [
             fault
             for i, collider in enumerate(self._colliders)
@@ -174,13 +177,26 @@ class Colliders(Sequence[Collider]):
             *_kernels.sample_colliders(self.arrays(t0, end), places, 0.0, end - t0)
         )
 
-    @cached_property
+    @property
     def fastest(self) -> float:
-        """Speed of the fastest [m/s]; where one is put elsewhere it has none."""
+        """Speed of the fastest [m/s]; where one is put elsewhere it has none.
+
+        Of surfaces so far.
+        """
+        return max(self._fastest, self.surfaces.fastest)
+
+    @cached_property
+    def _fastest(self) -> float:
         return max((collider.speed for collider in self._colliders), default=0.0)
 
     def notices(self) -> list[Fault]:
-        """Return a warning for each time that one is put elsewhere (SIM120)."""
+        """Return a warning for each time that one is put elsewhere (SIM120).
+
+        Of surfaces, so far.
+        """
+        return [*self._jumps(), *self.surfaces.notices()]
+
+    def _jumps(self) -> list[Fault]:
         return [
             _jump(collider, collider.name or f"colliders[{i}]", k)
             for i, collider in enumerate(self._colliders)

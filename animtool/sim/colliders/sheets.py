@@ -12,7 +12,7 @@ from animtool.errors import Fault
 from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.shapes import Mesh
 
-__all__ = ["Sheet", "SheetMotion", "hull"]
+__all__ = ["Sheet", "SheetMotion", "hull", "hull_faces", "hull_points"]
 
 
 class SheetMotion(Protocol):
@@ -104,6 +104,13 @@ def hull(points: FloatArray, triangles: IntArray, radius: float) -> Mesh:
     >>> len(made.points), len(made.triangles)
     (6, 8)
     """
+    return Mesh(
+        hull_points(points, triangles, radius), hull_faces(triangles, len(points))
+    )
+
+
+def hull_points(points: FloatArray, triangles: IntArray, radius: float) -> FloatArray:
+    """Return the points of a hull: of the front, then of the back ``(2 N, 3)`` [m]."""
     a, b, c = points[triangles].swapaxes(0, 1)
     across = np.cross(b - a, c - a)
     normals = np.zeros_like(points)
@@ -111,7 +118,11 @@ def hull(points: FloatArray, triangles: IntArray, radius: float) -> Mesh:
         np.add.at(normals, corner, across)
     sizes = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = normals / np.where(sizes > 0, sizes, 1.0) * radius
-    count = len(points)
+    return np.concatenate([points + normals, points - normals])
+
+
+def hull_faces(triangles: IntArray, count: int) -> IntArray:
+    """Return the triangles of a hull about a surface of so many points ``(M, 3)``."""
     sides = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
     size = [count, 1]
     alone = ~np.isin(sides @ size, sides[:, ::-1] @ size)
@@ -121,5 +132,4 @@ def hull(points: FloatArray, triangles: IntArray, radius: float) -> Mesh:
         np.stack([second, first + count, second + count], axis=1),
     ]
     back = triangles[:, ::-1] + count
-    faces = np.concatenate([triangles, back, *rim])
-    return Mesh(np.concatenate([points + normals, points - normals]), faces)
+    return np.concatenate([triangles, back, *rim])

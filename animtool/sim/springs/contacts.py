@@ -28,14 +28,17 @@ def cell_colliders(
         grid: Of which cells.
         cells: How many.
     """
-    if not len(colliders):
+    if not colliders.meet:
         return None
     steps = grid.index + np.arange(cells + 1)
     edges = np.asarray(grid.origin + steps * grid.cell, np.float64)
-    poses = np.stack([_ends(collider, edges) for collider in colliders], axis=1)
+    poses = np.zeros((cells, len(colliders), 2, 7))
+    for i, collider in enumerate(colliders):
+        poses[:, i] = _ends(collider, edges)
     at = float(edges[0])
     arrays = colliders.arrays(at, at)
-    return arrays, np.ascontiguousarray(poses), radius, None, INSIDE
+    surfaces = colliders.surfaces.over(grid.origin, edges)
+    return arrays, poses, radius, None, INSIDE, surfaces
 
 
 def _ends(collider: Collider, edges: FloatArray) -> FloatArray:

@@ -276,7 +276,8 @@ def _notices(
     run: _Run,
     stats: Stats,
 ) -> list[Fault]:
-    found = system.notices() if begun.index == 0 else []
+    begins = begun.index == 0
+    found = system.notices() if begins else system.colliders.surfaces.notices()
     limit = choice.limit
     h = choice.cell / choice.substeps
     if choice.solver is Solver.SYMPLECTIC_EULER and h > limit:

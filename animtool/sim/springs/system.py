@@ -130,7 +130,7 @@ class SpringSystem(SecondOrder):
         given = None if self_contact is None else self_contact.rest
         rest = body.positions if given is None else given
         self._rest = np.ascontiguousarray(rest, np.float64)
-        self._meets = len(self.colliders) > 0 or self_contact is not None
+        self._meets = self.colliders.meet or self_contact is not None
         self.settles = self._pins_move or self._meets or len(self.jumps) > 0
         speeds = np.zeros((count, 3)) if velocities is None else velocities
         self._state = np.stack(
@@ -299,17 +299,21 @@ class SpringSystem(SecondOrder):
         masses: FloatArray = np.where(self.fixed, 0.0, self.body.masses)
         return masses
 
-    @cached_property
+    @property
     def _supply(self) -> float:
+        mass, brought, speed = self._driven
+        return mass * (brought + max(speed, self.colliders.fastest) ** 2)
+
+    @cached_property
+    def _driven(self) -> tuple[float, float, float]:
+        """The mass that moves, what wind and ways bring it, and the speed of those."""
         mass = float(self.body.masses[~self.fixed].sum())
         wind = float(np.linalg.norm(self._wind_path[1], axis=2).max(initial=0.0))
-        speeds = [_speed(path) for path in self._ways]
         # What is put elsewhere brings no speed.
-        speeds = [min(speed, self.speed_limit) for speed in speeds]
-        speeds.append(self.colliders.fastest)
-        travel = [_travel(path) for path in self._ways]
+        speed = min(max(_speed(path) for path in self._ways), self.speed_limit)
+        travel = max(_travel(path) for path in self._ways)
         pull = float(np.linalg.norm(self.gravity))
-        return mass * (wind**2 + max(speeds) ** 2 + pull * max(travel))
+        return mass, wind**2 + pull * travel, speed
 
     def wind(self, t: float) -> FloatArray:
         """Return the velocity of the air at a time ``(1, 3)`` [m/s]."""
@@ -341,7 +345,7 @@ class SpringSystem(SecondOrder):
         if self.layers is not None:
             network = self.network(self.jumps.stage(t))
             moved = _kernels.part_springs(network, self.layers, before[0], moved, h)
-        if len(self.colliders):
+        if self.colliders.meet:
             met = collide(
                 moved[0], moved[1], before, self.colliders, t - h, t, self.radius
             )

@@ -124,7 +124,7 @@ class SpringTrial:
         if (
             any(values.any() for values in slowed)
             or motion.torn.any()
-            or len(system.colliders)
+            or system.colliders.meet
         ):
             return None
         found = [

@@ -1,0 +1,158 @@
+// Meshes as particles of springs meet them.
+#include "springs_meshes.h"
+
+#include <algorithm>
+#include <stdexcept>
+
+namespace animtool {
+
+using collide::Mesh;
+using collide::Nearest;
+using collide::Vec;
+using collide::load;
+
+MeshPatches::Found MeshPatches::look(const Mesh& mesh, std::int32_t root, std::size_t n,
+                                     Vec p, const MeshWay& gone, double kept, bool bound) {
+  Patch& patch = patches_[n];
+  const double went = length(p - patch.at - (gone.drift - patch.gone.drift)) +
+                      std::abs(gone.spread - patch.gone.spread);
+  if (!(went <= patch.slack)) {
+    patch.at = p;
+    patch.gone = gone;
+    return gather(patch, mesh, root, p, kept, bound);
+  }
+  if (patch.count == 0) return {{patch.distance - went, {0, 1, 0}}, -1};
+  Nearest best;
+  const Triangles& triangles = triangles_[static_cast<std::size_t>(patch.place)];
+  for (int k = 0; k < patch.count; ++k) {
+    const Nearest found = collide::nearest_of_triangle(mesh, triangles[k], p);
+    if (collide::nearer(found, best)) best = found;
+  }
+  return {collide::sample_nearest(mesh, best, p), best.triangle};
+}
+
+void MeshPatches::forget() {
+  for (Patch& patch : patches_) patch.slack = -1;
+}
+
+MeshPatches::Found MeshPatches::gather(Patch& patch, const Mesh& mesh, std::int32_t root,
+                                       Vec p, double kept, bool bound) {
+  patch.count = 0;
+  if (bound) {
+    patch.distance = std::sqrt(collide::squared_to_box(p, mesh.bounds + 6 * root));
+    patch.slack = (patch.distance - kept) / 2;
+    if (patch.slack > patch.fine) return {{patch.distance, {0, 1, 0}}, -1};
+  }
+  const Nearest near = collide::nearest_on_mesh(mesh, root, p, collide::FAR);
+  patch.slack = -1;
+  if (near.triangle < 0) return {{collide::FAR, {0, 1, 0}}, -1};
+  const collide::Sample found = collide::sample_nearest(mesh, near, p);
+  const double beyond = found.distance - kept;
+  patch.distance = std::sqrt(near.squared);
+  if (bound && beyond > 2 * patch.fine)
+    patch.slack = beyond / 2;
+  else
+    collect(patch, mesh, root, p);
+  return {found, near.triangle};
+}
+
+void MeshPatches::collect(Patch& patch, const Mesh& mesh, std::int32_t root, Vec p) {
+  if (patch.place < 0) {
+    patch.place = static_cast<std::int32_t>(triangles_.size());
+    triangles_.emplace_back();
+  }
+  Triangles& triangles = triangles_[static_cast<std::size_t>(patch.place)];
+  const double reach = patch.distance + 2 * patch.fine, squared = reach * reach;
+  int count = 0;
+  collide::visit_triangles(mesh, root, p, squared, [&](std::int32_t t) {
+    if (count > MOST) return -1.0;
+    if (!(collide::nearest_of_triangle(mesh, t, p).squared <= squared)) return squared;
+    if (count < MOST) triangles[count] = t;
+    return ++count > MOST ? -1.0 : squared;
+  });
+  if (count > MOST) {
+    patch.fine /= 2;
+    return;
+  }
+  patch.count = count;
+  patch.slack = patch.fine;
+  if (4 * count < MOST) patch.fine *= 1.5;
+}
+
+MovingSurface::MovingSurface(const SpringSurface& surface, std::int64_t cells)
+    : surface_(std::get<0>(surface)),
+      points_(std::get<1>(surface)),
+      numbers_(std::get<2>(surface)) {
+  if (points_.shape(0) != static_cast<std::size_t>(cells) + 1 ||
+      points_.shape(1) != surface_->points() || points_.shape(2) != 3)
+    throw std::invalid_argument("points of a surface are (cells + 1, P, 3)");
+  ways_.resize(3 * surface_->points());
+  surface_->fit(points_.data(), points_.data(), bounds_);
+}
+
+bool MovingSurface::enter(std::int64_t cell, double length) {
+  const std::size_t row = ways_.size();
+  const double* begin = points_.data() + static_cast<std::size_t>(cell) * row;
+  const double* end = begin + row;
+  const bool still = std::equal(begin, end, end);
+  const bool stayed = still && begin_ && travel_ == 0 && cell == last_ + 1;
+  // A cell may be crossed again.
+  if (cell == last_ + 1 && begin_) {
+    before_.drift = before_.drift + cell_.drift;
+    before_.spread += cell_.spread;
+  }
+  const bool known = !begin_ || cell == last_ || cell == last_ + 1;
+  last_ = cell;
+  begin_ = begin;
+  if (stayed) return true;
+  measure(begin, end);
+  const bool jumps = travel_ > numbers_[4] * length;
+  if (jumps) {
+    // What is put elsewhere is there from the beginning.
+    begin_ = end;
+    measure(end, end);
+  }
+  surface_->fit(begin_, end, bounds_);
+  return known && !jumps;
+}
+
+void MovingSurface::measure(const double* begin, const double* end) {
+  const std::size_t count = ways_.size() / 3;
+  Vec sum;
+  travel_ = 0;
+  for (std::size_t p = 0; p < 3 * count; p += 3) {
+    const Vec way = load(end + p) - load(begin + p);
+    store(way, ways_.data() + p);
+    sum = sum + way;
+    travel_ = std::max(travel_, length(way));
+  }
+  cell_.drift = sum * (1 / static_cast<double>(count));
+  cell_.spread = 0;
+  for (std::size_t p = 0; travel_ > 0 && p < 3 * count; p += 3)
+    cell_.spread = std::max(cell_.spread, length(load(ways_.data() + p) - cell_.drift));
+}
+
+collide::Collider MovingSurface::collider(double share) const {
+  collide::Collider made;
+  made.shape = collide::Shape::MESH;
+  made.mesh = surface_->mesh(begin_, ways_.data(), bounds_.data());
+  made.mesh.share = share;
+  made.restitution = numbers_[0], made.friction = numbers_[1];
+  made.margin = numbers_[2], made.depenetration = numbers_[3];
+  return made;
+}
+
+MeshWay MovingSurface::gone(double share) const {
+  return {before_.drift + cell_.drift * share, before_.spread + cell_.spread * share};
+}
+
+Vec MovingSurface::way(const Mesh& mesh, std::int32_t triangle, Vec p) const {
+  const std::int32_t* corner = mesh.triangles + 3 * triangle;
+  const collide::Shares at = collide::shares_of_triangle(
+      p, mesh.point(corner[0]), mesh.point(corner[1]), mesh.point(corner[2]));
+  const Vec a = load(&ways_[3 * corner[0]]), b = load(&ways_[3 * corner[1]]),
+            c = load(&ways_[3 * corner[2]]);
+  return a + (b - a) * at.b + (c - a) * at.c;
+}
+
+}  // namespace animtool

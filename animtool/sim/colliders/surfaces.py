@@ -1,0 +1,132 @@
+"""Surfaces that change their shape, made ready for steps over cells of time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from animtool import _kernels
+from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault, Severity
+from animtool.sim.colliders.collider import SPEED_LIMIT
+from animtool.sim.colliders.sheets import Sheet, hull_faces, hull_points
+
+__all__ = ["Surfaces"]
+
+
+class Surfaces:
+    """Sheets as kernels meet them that go through many steps at once.
+
+    Points at one place at the beginning are one; triangles stay as they are then.
+
+    Attributes:
+        fastest: Speed of the fastest so far [m/s]; where one is put elsewhere it has
+            none.
+
+    Args:
+        sheets: Surfaces whose motion may be asked for at any time.
+    """
+
+    def __init__(self, sheets: Sequence[Sheet]) -> None:
+        self._sheets = tuple(sheets)
+        self._origin: float | None = None
+        self._ready: list[_Ready] = []
+        self._jumps: dict[tuple[int, float], Fault] = {}
+        self.fastest = 0.0
+
+    def over(self, origin: float, edges: FloatArray) -> list[tuple[Any, ...]]:
+        """Return what kernels take of them for cells of time.
+
+        Args:
+            origin: When the motion begins, of which these cells are a part [s].
+            edges: Of the cells ``(cells + 1,)`` [s].
+        """
+        if self._origin != origin:
+            self._origin = origin
+            made = [_Ready(sheet, origin) for sheet in self._sheets]
+            self._ready = [one for one in made if len(one.faces)]
+        found = []
+        for i, one in enumerate(self._ready):
+            points = np.stack([one.points(t) for t in edges.tolist()])
+            self._look(i, one.sheet, points, edges)
+            found.append((one.kernel, points, one.numbers))
+        return found
+
+    def _look(
+        self, i: int, sheet: Sheet, points: FloatArray, edges: FloatArray
+    ) -> None:
+        """Note how fast one goes, and when it is put elsewhere."""
+        ways = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1)
+        speeds = ways / np.diff(edges)
+        jumps = speeds > SPEED_LIMIT
+        self.fastest = max(self.fastest, float(speeds[~jumps].max(initial=0.0)))
+        for when in edges[1:][jumps].tolist():
+            message = (
+                f"it goes faster than {SPEED_LIMIT:g} m/s until {when:g} s: "
+                "it hits nothing"
+            )
+            where = sheet.name or f"sheets[{i}]"
+            fault = Fault("SIM120", message, where=where, severity=Severity.WARNING)
+            self._jumps[i, when] = fault
+
+    def notices(self) -> list[Fault]:
+        """Return a warning for each time so far that one is put elsewhere (SIM120)."""
+        return list(self._jumps.values())
+
+
+class _Ready:
+    """A sheet with the tree that it had at the beginning.
+
+    Attributes:
+        sheet: What it is made of.
+        faces: Its triangles, of a hull where it is met from both sides ``(T, 3)``.
+        kernel: Their tree.
+        numbers: Restitution, friction, margin, depenetration and the speed limit.
+    """
+
+    def __init__(self, sheet: Sheet, origin: float) -> None:
+        self.sheet = sheet
+        points = sheet.motion.points(origin)
+        self._rows, self._triangles = _welded(points, sheet.motion.triangles(origin))
+        self._seen: tuple[FloatArray, FloatArray] | None = None
+        margin = sheet.radius if sheet.closed else 0.0
+        self.numbers = (
+            sheet.restitution, sheet.friction, margin, sheet.depenetration, SPEED_LIMIT,
+        )  # fmt: skip
+        self.faces = self._triangles
+        if not sheet.closed:
+            self.faces = hull_faces(self._triangles, len(self._rows))
+        if len(self.faces):
+            corners = np.ascontiguousarray(self.faces, np.int32)
+            self.kernel = _kernels.MeshSurface(self.points(origin), corners)
+
+    def points(self, t: float) -> FloatArray:
+        """Return its points at a time [s] [m]."""
+        points = self.sheet.motion.points(t)
+        if self._seen is None or self._seen[0] is not points:
+            made = np.ascontiguousarray(points[self._rows], np.float64)
+            if not self.sheet.closed:
+                made = hull_points(made, self._triangles, self.sheet.radius)
+            self._seen = points, made
+        return self._seen[1]
+
+
+def _welded(points: FloatArray, triangles: IntArray) -> tuple[IntArray, IntArray]:
+    """Return which points are used, and triangles of these, without doubles.
+
+    Points of a triangle that would lose its area by that stay: it may yet gain it.
+    """
+    _, first, same = np.unique(points, axis=0, return_index=True, return_inverse=True)
+    one = first[same.reshape(-1)]
+    loose = triangles[_pinched(one[triangles])]
+    one[loose] = loose
+    corners = one[triangles]
+    used, kept = np.unique(corners[~_pinched(corners)], return_inverse=True)
+    return used, kept.reshape(-1, 3)
+
+
+def _pinched(triangles: IntArray) -> Any:
+    """Return whether corners of triangles are one ``(T,)``."""
+    return (triangles == np.roll(triangles, 1, axis=1)).any(axis=1)
