@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +11,8 @@ from animtool.documents.document import Document, Location
 from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.scene.particles.schema import EmitterModel, ParticlesModel
 from animtool.scene.particles.system import ParticleSetup, SurfaceMet
-from animtool.scene.systems.collider_schema import MovingMeshModel
 from animtool.scene.systems.entries import PLACING, EntryReader
 from animtool.scene.systems.fields import Named
-from animtool.scene.systems.moving_mesh import MovingMesh
 from animtool.sim.colliders import Mesh
 from animtool.sim.options import IntegrateOptions
 from animtool.sim.particles import (
@@ -102,25 +99,6 @@ class _Reader(EntryReader):
         except OptionError as error:
             self._note_keys(at, model, error.faults)
         return setup
-
-    def meshes(
-        self, at: Location, models: Sequence[MovingMeshModel]
-    ) -> tuple[MovingMesh, ...]:
-        """Return the meshes of USD files that particles run into."""
-        found = []
-        for i, model in enumerate(models):
-            path = self.input((*at, i, "file"), model.file)
-            if path is None:
-                continue
-            self.files.append(path)
-            mesh = MovingMesh(path, **model.model_dump(exclude={"file"}))
-            try:
-                for option, why in mesh.sheet().problems():
-                    self.note((*at, i, option), Fault("SIM020", why))
-            except AnimtoolError as error:
-                self.note((*at, i, "prim"), replace(error.faults[0], code="SIM051"))
-            found.append(mesh)
-        return tuple(found)
 
     def _note_keys(
         self, at: Location, model: ParticlesModel, faults: Sequence[Fault]

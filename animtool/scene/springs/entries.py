@@ -54,6 +54,7 @@ def read_springs(
     body = _body(reader, at, model)
     colliders = reader.colliders((*at, "colliders"), model.colliders)
     characters = reader.characters((*at, "characters"), model.characters)
+    meshes = reader.meshes((*at, "meshes"), model.meshes)
     wind = getattr(model, "wind", None)
     winds = None if wind is None else _wind(reader, (*at, "wind"), wind)
     contact = _self_contact(model)
@@ -86,6 +87,7 @@ def read_springs(
         model.settle,
         frozenset(model.model_fields_set),
         at,
+        meshes,
         tuple(reader.files),
     )
 

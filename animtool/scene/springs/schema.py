@@ -17,7 +17,11 @@ from animtool.scene.springs.family_schema import (
 )
 from animtool.scene.springs.pin_schema import PinModel
 from animtool.scene.springs.wind_schema import FaceWindField, WindModel
-from animtool.scene.systems.collider_schema import CharacterModel, SystemColliderModel
+from animtool.scene.systems.collider_schema import (
+    CharacterModel,
+    MovingMeshModel,
+    SystemColliderModel,
+)
 from animtool.scene.systems.fields import Preroll, PrimName, PrimPath, UsdFile
 
 __all__ = [
@@ -65,6 +69,11 @@ class SpringsModel(FileModel):
         default=[],
         description="Characters in motion that it runs into; none is written.",
         examples=[[{"file": "walk.clip.yaml", "friction": 0.3}]],
+    )
+    meshes: list[MovingMeshModel] = Field(
+        default=[],
+        description="Meshes of USD files that it runs into, whose points may move.",
+        examples=[[{"file": "beast.usdc", "prim": "/beast/body", "closed": True}]],
     )
     speed_limit: float = Field(
         default=200.0,

@@ -15,6 +15,7 @@ from animtool.scene.springs.pins import Join, Pin
 from animtool.scene.springs.shapes import Faces
 from animtool.scene.systems.entries import Characters
 from animtool.scene.systems.kinds import SystemFacts
+from animtool.scene.systems.moving_mesh import MovingMesh
 from animtool.sim.colliders import Collider
 from animtool.sim.springs import Air, SelfContact, SpringOptions
 
@@ -75,7 +76,8 @@ class SpringSetup:
         settle: Whether they begin at rest.
         given: Names of the keys that the entry has.
         at: Place of the entry.
-        followed: USD files that colliders go with.
+        meshes: Meshes of USD files that they run into.
+        followed: USD files that colliders go with, and those of meshes.
     """
 
     body: SpringBody
@@ -94,6 +96,7 @@ class SpringSetup:
     settle: bool
     given: frozenset[str]
     at: Location
+    meshes: tuple[MovingMesh, ...] = ()
     followed: tuple[Path, ...] = ()
 
     @property
@@ -122,6 +125,7 @@ class SpringSetup:
         many = len(self.colliders)
         reads += [counted(many, "collider")] if many else []
         reads += [path.name for path, _ in self.characters]
+        reads += [mesh.prim for mesh in self.meshes]
         return tuple(reads)
 
     @property

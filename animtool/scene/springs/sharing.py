@@ -59,7 +59,7 @@ def conflicts(setups: Sequence[SpringSetup]) -> Iterator[tuple[int, str, int]]:
     Yields:
         The body, the key, and the body that states it before.
     """
-    meets = any(setup.colliders or setup.characters for setup in setups)
+    meets = any(setup.colliders or setup.characters or setup.meshes for setup in setups)
     for name in (*_OPTIONS, *_OWN, "wind"):
         if name == "radius" and not meets:
             continue

@@ -20,7 +20,7 @@ from animtool.scene.springs.shapes import Faces, PartingFaces
 from animtool.scene.springs.sharing import shared
 from animtool.scene.springs.watched import Watched
 from animtool.scene.systems.simulation import Opening
-from animtool.sim.colliders import Collider
+from animtool.sim.colliders import Collider, Colliders
 from animtool.sim.springs import Body, SpringSystem, Welded, find_rest, join, weld
 from animtool.sim.springs.trial import SpringTrial
 
@@ -187,8 +187,14 @@ class _Whole:
         self.notices.append(fault)
 
 
-def _colliders(setups: Sequence[SpringSetup], opening: Opening) -> list[Collider]:
-    """Return what any of them runs into, a character once."""
+def _colliders(setups: Sequence[SpringSetup], opening: Opening) -> Colliders:
+    """Return what any of them runs into, a character once.
+
+    Raises:
+        FormatError: The file of a character or a mesh is malformed.
+        OptionError: A character has no colliders (SIM020), or a mesh makes no sense
+            (SIM051).
+    """
     found: list[Collider] = []
     seen = set()
     for setup in setups:
@@ -197,7 +203,8 @@ def _colliders(setups: Sequence[SpringSetup], opening: Opening) -> list[Collider
             if path not in seen:
                 seen.add(path)
                 found += opening.characters.of(path).colliders(material)
-    return found
+    sheets = [mesh.sheet() for setup in setups for mesh in setup.meshes]
+    return Colliders(found, sheets)
 
 
 @dataclass

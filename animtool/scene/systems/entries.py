@@ -19,8 +19,13 @@ from animtool.documents.references import referred_input, split_reference
 from animtool.errors import AnimtoolError, Fault
 from animtool.maths import so3
 from animtool.scene.particles.schema import EmitterModel
-from animtool.scene.systems.collider_schema import CharacterModel, SystemColliderModel
+from animtool.scene.systems.collider_schema import (
+    CharacterModel,
+    MovingMeshModel,
+    SystemColliderModel,
+)
 from animtool.scene.systems.fields import Named
+from animtool.scene.systems.moving_mesh import MovingMesh
 from animtool.sim.colliders import Box, Capsule, Collider, Mesh, Plane, Poses, Sphere
 
 __all__ = ["PLACING", "Characters", "EntryReader"]
@@ -103,6 +108,25 @@ class EntryReader:
         if poses is None:
             return None
         return Collider(shape, poses, **model.model_dump(exclude={*PLACING, "shape"}))
+
+    def meshes(
+        self, at: Location, models: Sequence[MovingMeshModel]
+    ) -> tuple[MovingMesh, ...]:
+        """Return the meshes of USD files of entries, whose points may move."""
+        found = []
+        for i, model in enumerate(models):
+            path = self.input((*at, i, "file"), model.file)
+            if path is None:
+                continue
+            self.files.append(path)
+            mesh = MovingMesh(path, **model.model_dump(exclude={"file"}))
+            try:
+                for option, why in mesh.sheet().problems():
+                    self.note((*at, i, option), Fault("SIM020", why))
+            except AnimtoolError as error:
+                self.note((*at, i, "prim"), replace(error.faults[0], code="SIM051"))
+            found.append(mesh)
+        return tuple(found)
 
     def poses(
         self, at: Location, model: EmitterModel | SystemColliderModel, code: str
