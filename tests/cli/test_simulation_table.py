@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from support.beasts import write_beast
 from support.cli import animtool
 
 from animtool.errors import OptionError
@@ -35,24 +36,6 @@ systems:
     forces: [gravity: ]
     colliders: [{shape: {plane: }, restitution: 0.5}]
 output: {file: comets.usdc}
-"""
-RIG = """rig: animtool/1
-name: beast
-units: {length: cm, angle: deg}
-joints:
-- {name: body, type: free}
-- {name: tail_1, parent: body, type: ball, translate: [0, 0, -10]}
-- {name: tail_2, parent: tail_1, type: ball, translate: [0, 0, -20],
-   tips: [[0, 0, -20]]}
-attach: [{name: tail, kind: spring_chain, joints: [tail_1, tail_2]}]
-"""
-CLIP = """clip: animtool/1
-rig: beast.rig.yaml
-fps: 24
-range: [1, 7]
-channels:
-- target: joint/body.translation
-  keys: [{t: 1, v: [0, 100, 0]}, {t: 4, v: [20, 100, 0]}, {t: 7, v: [0, 100, 0]}]
 """
 SWING = """scene: animtool/1
 source: {file: swing.clip.yaml}
@@ -94,11 +77,7 @@ def comets(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def swing(tmp_path: Path) -> Path:
-    (tmp_path / "beast.rig.yaml").write_text(RIG, "utf-8")
-    (tmp_path / "swing.clip.yaml").write_text(CLIP, "utf-8")
-    path = tmp_path / "swing.scene.yaml"
-    path.write_text(SWING, "utf-8")
-    return path
+    return write_beast(tmp_path, SWING, bones=2, last=7, way=20)
 
 
 def test_a_table_as_json(comets: Path) -> None:
@@ -157,7 +136,7 @@ def test_a_table_in_words(comets: Path) -> None:
 def test_systems_beside_a_source_are_measured_too(swing: Path) -> None:
     rig = swing.with_name("beast.rig.yaml")
     colliders = "colliders: [{joint: body, capsule: {radius: 5, length: 9}}]\n"
-    rig.write_text(RIG + colliders, "utf-8")
+    rig.write_text(rig.read_text("utf-8") + colliders, "utf-8")
     systems = SCENE[SCENE.index("systems:") : SCENE.index("output:")]
     systems = systems.replace("    step", "    characters: [{source: true}]\n    step")
     text = SWING.replace("out.usdc}", "out.usdc, chunk: 2}")

@@ -9,29 +9,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from pxr import Usd, UsdGeom, UsdSkel
+from support.beasts import write_beast
 from support.cli import animtool
 
 from animtool.scene.file import load_scene
 
-RIG = """rig: animtool/1
-name: beast
-units: {length: cm, angle: deg}
-joints:
-- {name: body, type: free}
-- {name: tail_1, parent: body, type: ball, translate: [0, 0, -10]}
-- {name: tail_2, parent: tail_1, type: ball, translate: [0, 0, -20]}
-- {name: tail_3, parent: tail_2, type: ball, translate: [0, 0, -20],
-   tips: [[0, 0, -20]]}
-attach: [{name: tail, kind: spring_chain, joints: [tail_1, tail_2, tail_3]}]
-"""
-CLIP = """clip: animtool/1
-rig: beast.rig.yaml
-fps: 24
-range: [1, 25]
-channels:
-- target: joint/body.translation
-  keys: [{t: 1, v: [0, 100, 0]}, {t: 13, v: [60, 100, 0]}, {t: 25, v: [0, 100, 0]}]
-"""
 SCENE = """scene: animtool/1
 source: {file: swing.clip.yaml}
 passes:
@@ -50,11 +32,7 @@ output: {file: out.usdc, deform: true}
 
 @pytest.fixture
 def beast(tmp_path: Path) -> Path:
-    (tmp_path / "beast.rig.yaml").write_text(RIG, "utf-8")
-    (tmp_path / "swing.clip.yaml").write_text(CLIP, "utf-8")
-    path = tmp_path / "swing.scene.yaml"
-    path.write_text(SCENE, "utf-8")
-    return path
+    return write_beast(tmp_path, SCENE, bones=3, last=25, way=60)
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from support.cli import animtool
+from support.faults import document_faults, refused
 
 from animtool.documents.document import Document, read_document
 from animtool.errors import Fault, FormatError
@@ -91,7 +92,7 @@ def yard(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def load(folder: Path, text: str) -> Rig:
     path = folder / "crane.rig.yaml"
-    path.write_text(text)
+    path.write_bytes(text.encode("utf-8", "surrogateescape"))
     return load_rig(path)
 
 
@@ -161,19 +162,8 @@ def test_joints_in_any_order(yard: Path, order: list[int]) -> None:
 
 # Text to find, text to put there, code, line.
 FAULTS = [
-    ("name: crane", "name: &n crane", "DOC002", 2),
-    ("name: crane", "name: *n", "DOC002", 2),
-    ("name: crane", "name: !!str crane", "DOC003", 2),
-    ("up: Z", "up: Z\nup: Y", "DOC004", 5),
-    ("up: Z", "up: " + "[" * 60 + "]" * 60, "DOC005", 4),
-    ("up: Z", "up: Z\n--- ", "DOC007", 5),
-    ("up: Z", "1: Z", "DOC010", 4),
-    ("up: Z", "up: [Z", "DOC001", 5),
+    *document_faults("rig", "up: Z", 4),
     ("up: Z", "up: \tZ\n\tb: 1", "DOC001", 5),
-    ("rig: animtool/1", "clip: animtool/1", "DOC009", 1),
-    ("rig: animtool/1", "rig: 1", "DOC009", 1),
-    ("rig: animtool/1", "rig: animtool/2", "DOC012", 1),
-    ("up: Z", "upp: Z", "DOC020", 4),
     ("up: Z", "<<: {up: Z}", "DOC020", 4),
     ("length: cm", "lenght: cm", "DOC020", 3),
     ("base: {translate", "base: {translat", "DOC020", 12),
@@ -643,7 +633,7 @@ def base(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def sidecar(folder: Path, text: str) -> Rig:
     path = folder / "hero.rig.yaml"
-    path.write_text(text)
+    path.write_bytes(text.encode("utf-8", "surrogateescape"))
     return load_rig(path)
 
 
@@ -664,11 +654,9 @@ def test_a_sidecar_adds_to_a_base(yard: Path) -> None:
 def test_a_base_that_cannot_be_read_hides_no_other_fault(yard: Path) -> None:
     text = SIDECAR.replace("axis: [0, 0, 1], limits", "axis: [0, 0, 0], limits")
     text = text.replace("expr: grin}", "expr: grim}") + "ik: [{name: x, root: knee.l, "
-    with pytest.raises(FormatError) as caught:
-        sidecar(yard, text + "tip: foot}, {name: y, root: knee.l, tip: knee_r}]\n")
-    found = [(fault.code, fault.lines[0]) for fault in caught.value.faults]
     # The base may have a control that is called grim.
-    assert found == [("RIG023", 3), ("RIG005", 5)]
+    with refused(("RIG023", 3), ("RIG005", 5)):
+        sidecar(yard, text + "tip: foot}, {name: y, root: knee.l, tip: knee_r}]\n")
 
 
 @pytest.mark.usefixtures("base")
@@ -691,9 +679,8 @@ def test_a_shape_of_a_sidecar_combines_those_of_the_base(yard: Path) -> None:
 def test_a_fault_of_a_sidecar(
     yard: Path, old: str, new: str, code: str, line: int
 ) -> None:
-    with pytest.raises(FormatError) as caught:
+    with refused((code, line)):
         sidecar(yard, SIDECAR.replace(old, new, 1))
-    assert [(f.code, f.lines[0]) for f in caught.value.faults] == [(code, line)]
 
 
 def test_a_base_that_cannot_be_read(yard: Path) -> None:
@@ -801,9 +788,8 @@ def test_a_sidecar_keeps_what_it_does_not_replace(tmp_path: Path) -> None:
 def test_what_a_sidecar_does_to_the_controls_of_its_base(
     tmp_path: Path, old: str, new: str, code: str, line: int
 ) -> None:
-    with pytest.raises(FormatError) as caught:
+    with refused((code, line)):
         more(tmp_path, ADDS.replace(old, new, 1))
-    assert [(f.code, f.lines[0]) for f in caught.value.faults] == [(code, line)]
 
 
 def test_cloth_of_a_base_goes_with_its_mesh(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.cli import animtool
+from support.faults import refused
 
 from animtool import bake, open_source
 from animtool.edit.mirror import mirror
@@ -100,9 +101,8 @@ FAULTS = {
 def test_each_fault_has_its_line(shot: Path, code: str) -> None:
     old, new, line = FAULTS[code]
     shot.write_text(GOOD.replace(old, new, 1), "utf-8")
-    with pytest.raises(FormatError) as caught:
+    with refused((code, line)):
         load_scene(shot)
-    assert [(f.code, f.lines[0]) for f in caught.value.faults] == [(code, line)]
 
 
 @pytest.mark.parametrize(
@@ -195,10 +195,8 @@ def test_ten_mixed_faults_in_one_go(shot: Path) -> None:
 def test_a_source_that_is_missing_hides_nothing(shot: Path) -> None:
     text = GOOD.replace("source:", "#").replace("mirror:", "miror:")
     shot.write_text(text, "utf-8")
-    with pytest.raises(FormatError) as caught:
+    with refused(("DOC021", 1), ("SCN010", 4)):
         load_scene(shot)
-    said = [(f.code, f.lines[0]) for f in caught.value.faults]
-    assert said == [("DOC021", 1), ("SCN010", 4)]
 
 
 MANY = """scene: animtool/1
