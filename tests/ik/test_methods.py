@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.ik import arm, limb, mixed_rig, random_pose, reached_by
+from support.ik import arm, beyond_limits, limb, mixed_rig, random_pose, reached_by
 
-from animtool._types import FloatArray
 from animtool.errors import OptionError
 from animtool.ik import (
     Goal,
@@ -23,8 +22,7 @@ from animtool.ik import (
     solve,
 )
 from animtool.ik.methods import serving
-from animtool.rig.joints import coordinate_slices
-from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.limits import BallLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -64,18 +62,6 @@ def tree() -> Rig:
             for name, parent in parents.items()
         ),
     )
-
-
-def beyond_limits(problem: Problem, coordinates: FloatArray) -> float:
-    worst = 0.0
-    rig = problem.rig
-    for joint, place in zip(rig.joints, coordinate_slices(rig), strict=True):
-        own = coordinates[:, place]
-        if isinstance(joint.limits, RangeLimit):
-            worst = max(worst, float(np.abs(joint.limits.excess(own[:, 0])).max()))
-        elif isinstance(joint.limits, BallLimit):
-            worst = max(worst, float(joint.limits.excess(own).max()))
-    return worst
 
 
 @pytest.mark.parametrize("method", list(IkMethod))

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.ik import arm, every_goal, mixed_rig, random_pose, reached_by
+from support.ik import (
+    arm,
+    beyond_limits,
+    every_goal,
+    mixed_rig,
+    random_pose,
+    reached_by,
+)
 
 from animtool._types import FloatArray
 from animtool.errors import OptionError
@@ -23,24 +30,10 @@ from animtool.ik import (
     solve,
 )
 from animtool.ik.tangent import difference, moved
-from animtool.rig.joints import coordinate_slices
-from animtool.rig.limits import BallLimit, RangeLimit
 
 SEEDS = st.integers(0, 2**32 - 1)
 FEW = settings(max_examples=15, deadline=None)
 FPS = 30.0
-
-
-def beyond_limits(problem: Problem, coordinates: FloatArray) -> float:
-    worst = 0.0
-    rig = problem.rig
-    for joint, place in zip(rig.joints, coordinate_slices(rig), strict=True):
-        own = coordinates[:, place]
-        if isinstance(joint.limits, RangeLimit):
-            worst = max(worst, float(np.abs(joint.limits.excess(own[:, 0])).max()))
-        elif isinstance(joint.limits, BallLimit):
-            worst = max(worst, float(joint.limits.excess(own).max()))
-    return worst
 
 
 def wander(problem: Problem, seed: int, frames: int = 40) -> FloatArray:

@@ -9,33 +9,27 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.ik import arm, every_goal, mixed_rig, random_pose, reached_by
+from support.ik import (
+    arm,
+    beyond_limits,
+    every_goal,
+    mixed_rig,
+    random_pose,
+    reached_by,
+)
 
 from animtool.errors import OptionError
-from animtool.ik import Goal, IkOptions, IkStatus, Problem, Targets, build, solve
+from animtool.ik import Goal, IkOptions, IkStatus, Targets, build, solve
 from animtool.ik.solving import COUNTS
 from animtool.maths import so3
 from animtool.rig.file import load_rig
-from animtool.rig.joints import coordinate_slices, local_from_coordinates
+from animtool.rig.joints import local_from_coordinates
 from animtool.rig.kinematics import forward
-from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 
 ROOT = Path(__file__).parents[2]
 SEEDS = st.integers(0, 2**32 - 1)
 FEW = settings(max_examples=25)
-
-
-def beyond_limits(problem: Problem, coordinates: np.ndarray) -> float:
-    worst = 0.0
-    rig = problem.rig
-    for joint, place in zip(rig.joints, coordinate_slices(rig), strict=True):
-        own = coordinates[:, place]
-        if isinstance(joint.limits, RangeLimit):
-            worst = max(worst, float(np.abs(joint.limits.excess(own[:, 0])).max()))
-        elif isinstance(joint.limits, BallLimit):
-            worst = max(worst, float(joint.limits.excess(own).max()))
-    return worst
 
 
 @FEW

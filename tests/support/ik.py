@@ -7,7 +7,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.ik import Goal, Problem, Targets
 from animtool.maths import so3
-from animtool.rig.joints import local_from_coordinates
+from animtool.rig.joints import coordinate_slices, local_from_coordinates
 from animtool.rig.kinematics import forward
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
@@ -135,3 +135,16 @@ def every_goal() -> list[Goal]:
         Goal("other", (0.0, 0.2, 0.0), position=0.8, aim=0.9, aim_axis=axis),
         Goal("piston", (0.05, 0.0, 0.0), position=0.0, pole=0.6),
     ]
+
+
+def beyond_limits(problem: Problem, coordinates: FloatArray) -> float:
+    """Return how far coordinates ``(F, Q)`` are outside of limits at most [rad, m]."""
+    worst = 0.0
+    rig = problem.rig
+    for joint, place in zip(rig.joints, coordinate_slices(rig), strict=True):
+        own = coordinates[:, place]
+        if isinstance(joint.limits, RangeLimit):
+            worst = max(worst, float(np.abs(joint.limits.excess(own[:, 0])).max()))
+        elif isinstance(joint.limits, BallLimit):
+            worst = max(worst, float(joint.limits.excess(own).max()))
+    return worst
