@@ -1,4 +1,4 @@
-"""SMPTE time codes as exact frames, and back: drop-frame and parts of a frame too."""
+"""SMPTE time codes as exact frames: drop-frame and parts of a frame too."""
 
 from __future__ import annotations
 
@@ -10,13 +10,10 @@ __all__ = [
     "day_frames",
     "parse_timecode",
     "seconds_between",
-    "timecode_label",
 ]
 
 # Frames a second that are labelled, minutes but every tenth leaving so many out.
 _DROPPED = {Fraction(30000, 1001): 2, Fraction(60000, 1001): 4}
-# Digits of a part of a frame that is shown.
-SHOWN = 6
 _LABEL = re.compile(r"(\d\d):(\d\d):(\d\d)([:;])(\d\d+)(\.\d{1,18})?")
 
 
@@ -81,33 +78,6 @@ def parse_timecode(text: str, rate: Fraction) -> Fraction:
     whole = 60 * hours + minutes
     labels = count * (60 * whole + seconds) + frames
     return labels - left_out * (whole - whole // 10) + Fraction(found[6] or 0)
-
-
-def timecode_label(frames: Fraction, rate: Fraction, *, drop: bool = False) -> str:
-    """Return the label of frames from midnight, which come back at midnight.
-
-    Parts of a frame are rounded to a millionth; all else is exact.
-
-    Raises:
-        ValueError: The rate has no such labels.
-
-    >>> timecode_label(Fraction(1800), Fraction(30000, 1001), drop=True)
-    '00:01:00;02'
-    """
-    count, left_out = count_rate(rate), _dropped(rate) if drop else 0
-    parts = round(frames * 10**SHOWN) % (day_frames(rate, drop=drop) * 10**SHOWN)
-    whole, part = divmod(parts, 10**SHOWN)
-    if left_out:
-        # A minute that leaves labels out is shorter by these, ten minutes by nine such.
-        minute, ten = 60 * count - left_out, 600 * count - 9 * left_out
-        tens, rest = divmod(whole, ten)
-        within = max(0, rest - left_out) // minute
-        whole += left_out * (9 * tens + within)
-    seconds, frame = divmod(whole, count)
-    digits = len(str(count - 1))
-    shown = f"{frame:0{max(2, digits)}d}" + f".{part:0{SHOWN}d}".rstrip("0").rstrip(".")
-    hours, minutes = seconds // 3600, seconds // 60 % 60
-    return f"{hours:02d}:{minutes:02d}:{seconds % 60:02d}{':;'[drop]}{shown}"
 
 
 def seconds_between(

@@ -7,13 +7,13 @@ from fractions import Fraction
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.timecodes import timecode_label
 
 from animtool.timecode import (
     count_rate,
     day_frames,
     parse_timecode,
     seconds_between,
-    timecode_label,
 )
 
 NTSC, FAST = Fraction(30000, 1001), Fraction(60000, 1001)

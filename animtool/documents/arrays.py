@@ -22,7 +22,6 @@ from animtool.inputs import note_input
 __all__ = [
     "Archives",
     "ArrayHeader",
-    "array_header",
     "load_array",
 ]
 
@@ -109,12 +108,6 @@ class Archives:
         # The one asked for last stands last.
         self._open[path] = found
         return found
-
-
-def array_header(path: Path, key: str) -> ArrayHeader:
-    """Return the header of one array; see `Archives.header`."""
-    with Archives() as archives:
-        return archives.header(path, key)
 
 
 def load_array(path: Path, key: str) -> FloatArray:

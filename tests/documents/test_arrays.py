@@ -12,7 +12,7 @@ from numpy.testing import assert_array_equal
 from animtool.documents.arrays import (
     MOST_OPEN,
     Archives,
-    array_header,
+    ArrayHeader,
     load_array,
 )
 from animtool.documents.references import reference
@@ -35,6 +35,11 @@ def archive(folder: Path, header: str, name: str = "x.npy", data: bytes = b"") -
 
 def header(shape: str, descr: str = "<f8") -> str:
     return f"{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}"
+
+
+def array_header(path: Path, key: str) -> ArrayHeader:
+    with Archives() as archives:
+        return archives.header(path, key)
 
 
 def test_header_and_values(tmp_path: Path) -> None:
