@@ -308,6 +308,6 @@ def _moved(model: EmitterModel | SystemColliderModel, own: Poses) -> Poses:
     place = own.rows[0]
     return Poses(
         times,
-        [gone.at(t)[:3] + place[:3] for t in times.tolist()],
-        [so3.multiply(turned.at(t)[3:], place[3:]) for t in times.tolist()],
+        gone.over(times)[:, :3] + place[:3],
+        so3.multiply(turned.over(times)[:, 3:], place[3:]),
     )

@@ -52,15 +52,28 @@ class Poses:
 
     def at(self, t: float) -> FloatArray:
         """Return origin and quaternion ``(7,)`` at a time [s]."""
-        moments = self.moments
-        i = int(np.searchsorted(moments, t, side="right")) - 1
-        if i < 0 or i + 1 >= len(moments):
-            row: FloatArray = self.rows[max(i, 0)]
-            return row
-        before, after = self.rows[i : i + 2]
-        share = (t - moments[i]) / (moments[i + 1] - moments[i])
-        origin = before[:3] + (after[:3] - before[:3]) * share
-        return np.concatenate([origin, so3.slerp(before[3:], after[3:], share)])
+        row: FloatArray = self.over(np.array([t]))[0]
+        return row
+
+    def over(self, times: FloatArray) -> FloatArray:
+        """Return origins and quaternions ``(F, 7)`` at times ``(F,)`` [s].
+
+        >>> Poses([0, 1], np.eye(2, 3), [[0, 0, 0, 1]] * 2).over(np.array([0.5, 9]))
+        array([[0.5, 0.5, 0. , 0. , 0. , 0. , 1. ],
+               [0. , 1. , 0. , 0. , 0. , 0. , 1. ]])
+        """
+        moments, rows = self.moments, self.rows
+        last = np.searchsorted(moments, times, side="right") - 1
+        found: FloatArray = rows[np.maximum(last, 0)]
+        within = (last >= 0) & (last + 1 < len(moments))
+        i = last[within]
+        if len(i):
+            before, after = rows[i], rows[i + 1]
+            share = (times[within] - moments[i]) / (moments[i + 1] - moments[i])
+            way = (after[:, :3] - before[:, :3]) * share[:, None]
+            found[within, :3] = before[:, :3] + way
+            found[within, 3:] = so3.slerp(before[:, 3:], after[:, 3:], share)
+        return found
 
     def carried(self, points: FloatArray) -> FloatArray:
         """Return where A points of its frame are at the times ``(T, A, 3)`` [m]."""

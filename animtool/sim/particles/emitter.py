@@ -158,9 +158,7 @@ class Emitter:
                 so3.rotate(row[3:], points) + row[:3],
                 so3.rotate(row[3:], velocities),
             )
-        now = np.array([self.poses.at(t) for t in times.tolist()]).reshape(-1, 7)
-        before = np.array([self.poses.at(t - _BRIEF) for t in times.tolist()])
-        before = before.reshape(-1, 7)
+        now, before = self.poses.over(times), self.poses.over(times - _BRIEF)
         positions = so3.rotate(now[:, 3:], points) + now[:, :3]
         earlier = so3.rotate(before[:, 3:], points) + before[:, :3]
         own = (positions - earlier) * (self.inherit / _BRIEF)
