@@ -11,7 +11,14 @@ from animtool._types import ArrayLike, FloatArray, as_floats
 from animtool.maths import so3
 from animtool.rig.skeleton import Rig
 
-__all__ = ["WorldTransforms", "bind_world", "forward", "rest_size", "rest_world"]
+__all__ = [
+    "WorldTransforms",
+    "bind_matrices",
+    "bind_world",
+    "forward",
+    "rest_size",
+    "rest_world",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +116,21 @@ def bind_world(rig: Rig) -> WorldTransforms:
         translations[rig.index(name)] = pose.translation
         rotations[rig.index(name)] = pose.rotation
     return forward(rig, translations[None], rotations[None])
+
+
+def bind_matrices(rig: Rig) -> FloatArray:
+    """Return the bind pose as matrices of column vectors ``(J, 4, 4)``, world space.
+
+    >>> from animtool.rig.skeleton import Joint
+    >>> rig = Rig("post", (Joint("a", -1, translation=(0.0, 2.0, 0.0)),))
+    >>> bind_matrices(rig)[0, :3, 3].tolist()
+    [0.0, 2.0, 0.0]
+    """
+    world = bind_world(rig)
+    matrices = np.zeros((len(rig.joints), 4, 4))
+    matrices[:, :3, :3], matrices[:, :3, 3] = world.linear[0], world.positions[0]
+    matrices[:, 3, 3] = 1.0
+    return matrices
 
 
 def rest_size(rig: Rig) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError
 from animtool.maths import so3
-from animtool.rig.kinematics import WorldTransforms, bind_world, forward
+from animtool.rig.kinematics import WorldTransforms, bind_matrices, forward
 from animtool.rig.skeleton import Rig
 from animtool.rig.strands import Strands, strands_of
 from animtool.rig.surfaces import Surface, surfaces_of
@@ -93,7 +93,7 @@ def open_character(take: TakePlan, target: RigTarget | None) -> Character:
     rig = stream.rig
     shapes = tuple(shape.name for shape in rig.shapes)
     if rig.meshes or (target is None and not is_usd(source)):
-        surfaces, strands, bind = surfaces_of(rig), strands_of(rig), _bind(rig)
+        surfaces, strands, bind = surfaces_of(rig), strands_of(rig), bind_matrices(rig)
         origin, mapping = f"rig {rig.name!r} of the take", None
     else:
         from animtool.usd.characters import source_meshes, target_meshes
@@ -117,14 +117,6 @@ def open_character(take: TakePlan, target: RigTarget | None) -> Character:
     meshes = character_meshes(surfaces, rig.names, bind, shapes)
     meshes += character_strands(strands, rig.names, bind)
     return Character(rig, surfaces, strands, mapping, tuple(meshes), origin)
-
-
-def _bind(rig: Rig) -> FloatArray:
-    world = bind_world(rig)
-    bind = np.zeros((len(rig.joints), 4, 4))
-    bind[:, :3, :3], bind[:, :3, 3] = world.linear[0], world.positions[0]
-    bind[:, 3, 3] = 1.0
-    return bind
 
 
 def _turned(

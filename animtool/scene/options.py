@@ -208,7 +208,23 @@ def check_options(
         simulated: Whether systems are written.
     """
     form = options.form or ("layer" if options.rig_layer else "stage")
-    clashes = [
+    clashes = _layer_clashes(options, form)
+    if form == "library":
+        clashes += _library_clashes(options, to_stdout=to_stdout)
+    clashes.append(
+        (form == "split" and to_stdout, "--split writes three files, not stdout")
+    )
+    clashes += _sample_clashes(options)
+    clashes += _deform_clashes(options, form)
+    clashes += _chunk_clashes(options, to_stdout=to_stdout, simulated=simulated)
+    faults = [Fault("CLI002", message) for wrong, message in clashes if wrong]
+    if faults:
+        raise OptionError(faults)
+
+
+def _layer_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
+    """Return what animation over a rig layer does not go with, and whether it is so."""
+    return [
         (form == "layer" and options.rig_layer is None, "--as layer needs --rig-layer"),
         (
             form != "layer" and options.rig_layer is not None,
@@ -223,18 +239,29 @@ def check_options(
             form == "layer" and (options.to_units or options.to_up) is not None,
             "a layer adopts its rig layer's units and up axis: no --to-units, --to-up",
         ),
-        *(
-            (form == "library" and wrong, f"a take of a library goes without {flag}")
-            for wrong, flag in (
-                (to_stdout, "-o -"),
-                (options.deform, "--deform"),
-                (options.bones, "--bones"),
-                (options.rest_frame is not None, "--rest frame:N"),
-                (options.to_units is not None, "--to-units"),
-                (options.to_up is not None, "--to-up"),
-            )
-        ),
-        (form == "split" and to_stdout, "--split writes three files, not stdout"),
+    ]
+
+
+def _library_clashes(
+    options: BakeOptions, *, to_stdout: bool
+) -> list[tuple[bool, str]]:
+    """Return what a take of a library does not go with, and whether it is asked for."""
+    flags = [
+        (to_stdout, "-o -"),
+        (options.deform, "--deform"),
+        (options.bones, "--bones"),
+        (options.rest_frame is not None, "--rest frame:N"),
+        (options.to_units is not None, "--to-units"),
+        (options.to_up is not None, "--to-up"),
+    ]
+    return [
+        (asked, f"a take of a library goes without {flag}") for asked, flag in flags
+    ]
+
+
+def _sample_clashes(options: BakeOptions) -> list[tuple[bool, str]]:
+    """Return what of samples excludes each other, and whether it is asked for."""
+    return [
         (
             options.keep_samples and bool(options.samples),
             "--keep-samples and --samples exclude each other",
@@ -252,11 +279,6 @@ def check_options(
             "--reduce-at goes with --reduce",
         ),
     ]
-    clashes += _deform_clashes(options, form)
-    clashes += _chunk_clashes(options, to_stdout=to_stdout, simulated=simulated)
-    faults = [Fault("CLI002", message) for wrong, message in clashes if wrong]
-    if faults:
-        raise OptionError(faults)
 
 
 def _chunk_clashes(

@@ -21,6 +21,7 @@ from animtool.scene.frames import timed_blocks
 from animtool.scene.plan import BakePlan
 from animtool.scene.report import BakeReport, MeshReport, TakeReport
 from animtool.take import Motion
+from animtool.units import UpAxis
 from animtool.usd.animation import Rounding
 from animtool.usd.beside import Beside, author_things, thing_places
 from animtool.usd.jobs import UsdResult, WrittenTake
@@ -74,14 +75,8 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
         StrictError: There were warnings, and ``strict`` is on.
     """
     began = time.perf_counter()
-    take = plan.takes[0]
-    stream, frames = take.stream, _Frames()
-    counted = replace(stream, blocks=frames.of_source(stream.blocks))
-    if plan.beside is not None:
-        counted = plan.beside.watch.read(counted)
-    timed, span, _ = timed_blocks(take, counted)
-    if plan.beside is not None:
-        timed = plan.beside.watch.written(timed)
+    stream, frames = plan.takes[0].stream, _Frames()
+    timed, span = _timed(plan, frames)
     job, character, spaces = _job(plan, character, span)
     beside = Beside(stream.tracks)
     if stream.tracks:
@@ -97,12 +92,7 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
 
     def check(layer: Any) -> None:
         if stream.tracks:
-            places = thing_places(
-                job.paths, plan.target, None, job.meters_per_unit, character.rig.up
-            )
-            found, said = author_things(layer, beside, places, plan.output)
-            things.extend(found)
-            plan.notices.extend(said)
+            things.extend(_author_beside(layer, plan, job, beside, character.rig.up))
         refuse_warnings(stream.notices + plan.notices, strict=plan.options.strict)
 
     ahead = prefetch(points.blocks(frames.of_output(timed)))
@@ -132,6 +122,29 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
         notices,
         seconds,
     )
+
+
+def _timed(
+    plan: BakePlan, frames: _Frames
+) -> tuple[Iterator[tuple[FloatArray, Motion]], tuple[Fraction, Fraction] | None]:
+    """Return what is to be written with its time codes, and their span where known."""
+    take = plan.takes[0]
+    stream = replace(take.stream, blocks=frames.of_source(take.stream.blocks))
+    if plan.beside is None:
+        timed, span, _ = timed_blocks(take, stream)
+        return timed, span
+    timed, span, _ = timed_blocks(take, plan.beside.watch.read(stream))
+    return plan.beside.watch.written(timed), span
+
+
+def _author_beside(
+    layer: Any, plan: BakePlan, job: CacheJob, beside: Beside, up: UpAxis
+) -> list[str]:
+    """Write things beside the character to a layer; return their prims."""
+    places = thing_places(job.paths, plan.target, None, job.meters_per_unit, up)
+    things, notices = author_things(layer, beside, places, plan.output)
+    plan.notices.extend(notices)
+    return things
 
 
 def _take_report(

@@ -15,7 +15,7 @@ from support.usd import open_stage, validation_errors
 
 from animtool.maths import so3
 from animtool.rig.file import load_rig
-from animtool.rig.kinematics import WorldTransforms, bind_world, forward
+from animtool.rig.kinematics import WorldTransforms, bind_matrices, bind_world, forward
 from animtool.rig.parts import Mesh
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, surfaces_of
@@ -38,9 +38,7 @@ def skinning(stage: Any) -> dict[str, Any]:
 
 
 def prepared(rig: Rig, surface: Surface) -> DeformedMesh:
-    world = bind_world(rig)
-    bind = np.tile(np.eye(4), (len(rig.joints), 1, 1))
-    bind[:, :3, :3], bind[:, :3, 3] = world.linear[0], world.positions[0]
+    bind = bind_matrices(rig)
     shapes = prepare_shapes(
         [
             ShapeDeltas(

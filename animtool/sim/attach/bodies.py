@@ -11,7 +11,7 @@ import numpy as np
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, OptionError, listed
 from animtool.maths.faces import triangulated
-from animtool.rig.kinematics import bind_world
+from animtool.rig.kinematics import bind_matrices, bind_world
 from animtool.rig.parts import AttachKind, Attachment
 from animtool.rig.skeleton import Rig
 from animtool.rig.strands import strands_of
@@ -171,7 +171,7 @@ def _tip(rig: Rig, joints: list[int]) -> FloatArray:
 
 def _strands(rig: Rig, entry: Attachment) -> Body:
     (strands,) = [one for one in strands_of(rig) if one.name == entry.name]
-    (mesh,) = character_strands([strands], rig.names, _bind(rig))
+    (mesh,) = character_strands([strands], rig.names, bind_matrices(rig))
     count, length = strands.points.shape[:2]
     index = np.arange(count * length).reshape(count, length)
     network = Network.of(
@@ -189,7 +189,7 @@ def _strands(rig: Rig, entry: Attachment) -> Body:
 def _cloth(rig: Rig, entry: Attachment) -> Body:
     (surface,) = [one for one in surfaces_of(rig) if one.name == entry.mesh]
     shapes = [shape.name for shape in rig.shapes]
-    (mesh,) = character_meshes([surface], rig.names, _bind(rig), shapes)
+    (mesh,) = character_meshes([surface], rig.names, bind_matrices(rig), shapes)
     faces = _faces(surface)
     ends = sides_of_faces(faces)
     if not len(ends):
@@ -230,14 +230,6 @@ def _carrier(rig: Rig, surface: Surface, network: Network) -> int:
         skin.indices[rows].ravel(), skin.weights[rows].ravel(), len(skin.joints)
     )
     return rig.index(skin.joints[int(sums.argmax())])
-
-
-def _bind(rig: Rig) -> FloatArray:
-    world = bind_world(rig)
-    bind = np.zeros((len(rig.joints), 4, 4))
-    bind[:, :3, :3], bind[:, :3, 3] = world.linear[0], world.positions[0]
-    bind[:, 3, 3] = 1.0
-    return bind
 
 
 _MAKERS = {
