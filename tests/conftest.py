@@ -1,13 +1,17 @@
 from __future__ import annotations
 
 import os
-import shutil
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from support.printed import Printed, make_project
 
 ROOT = Path(__file__).parents[1]
+
+# As many processes as processors run tests: more threads would only wait.
+# It is read when numpy is imported, here and in the processes that tests start.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # How long an example takes is the machine's affair.
 settings.register_profile("animtool", deadline=None)
@@ -51,9 +55,13 @@ def walk() -> Path:
 
 
 @pytest.fixture
-def workplace(root: Path, tmp_path: Path) -> Path:
+def workplace(tmp_path: Path) -> Path:
     """Return a project with the samples and the rigs that they name."""
-    for name in ("samples", "rigs"):
-        shutil.copytree(root / name, tmp_path / name)
-    (tmp_path / "animtool.toml").touch()
+    make_project(tmp_path)
     return tmp_path
+
+
+@pytest.fixture(scope="session")
+def printed(tmp_path_factory: pytest.TempPathFactory) -> Printed:
+    """Return what runs the commands of the documents, each once."""
+    return Printed(tmp_path_factory)

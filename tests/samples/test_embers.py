@@ -8,16 +8,16 @@ from runpy import run_path
 import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
+from support.printed import Printed
 
-from animtool import bake
 from animtool.validation.run import validate
 
 FOLDER = Path(__file__).parents[2] / "samples/embers"
 
 
-def test_embers_bounce_down_the_stairs(tmp_path: Path) -> None:
-    output = tmp_path / "embers.usdc"
-    bake(FOLDER / "embers.scene.yaml", output)
+def test_embers_bounce_down_the_stairs(printed: Printed) -> None:
+    command = "animtool bake samples/embers/embers.scene.yaml -o embers.usdc"
+    output = printed(command) / "embers.usdc"
     stage = Usd.Stage.Open(str(output))
     points = UsdGeom.Points(stage.GetPrimAtPath("/embers/embers"))
     last = np.array(points.GetPointsAttr().Get(96))

@@ -8,8 +8,8 @@ from runpy import run_path
 import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
+from support.printed import Printed
 
-from animtool import bake
 from animtool.validation.run import validate
 
 FOLDER = Path(__file__).parents[2] / "samples/flag"
@@ -17,10 +17,9 @@ COLUMNS, ROWS, FRAMES = 46, 31, 72
 
 
 @pytest.fixture(scope="module")
-def baked(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    output = tmp_path_factory.mktemp("flag") / "flag.usdc"
-    bake(FOLDER / "flag.scene.yaml", output)
-    return output
+def baked(printed: Printed) -> Path:
+    command = "animtool bake samples/flag/flag.scene.yaml -o flag.usdc"
+    return printed(command) / "flag.usdc"
 
 
 @pytest.fixture(scope="module")

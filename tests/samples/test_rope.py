@@ -8,9 +8,9 @@ from runpy import run_path
 import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
+from support.printed import Printed
 from support.props import prop_matrices
 
-from animtool import bake
 from animtool.validation.run import validate
 
 FOLDER = Path(__file__).parents[2] / "samples/rope"
@@ -19,10 +19,9 @@ LENGTH, RAIL = 2.2, np.array([0.4, 2.0])
 
 
 @pytest.fixture(scope="module")
-def baked(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    output = tmp_path_factory.mktemp("rope") / "rope.usdc"
-    bake(FOLDER / "rope.scene.yaml", output)
-    return output
+def baked(printed: Printed) -> Path:
+    command = "animtool bake samples/rope/rope.scene.yaml -o rope.usdc"
+    return printed(command) / "rope.usdc"
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,8 @@ from runpy import run_path
 import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
+from support.printed import Printed
 
-from animtool import bake
 from animtool.validation.run import validate
 
 FOLDER = Path(__file__).parents[2] / "samples/sheets"
@@ -18,10 +18,9 @@ SIDE = 1 / 24
 
 
 @pytest.fixture(scope="module")
-def baked(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    output = tmp_path_factory.mktemp("sheets") / "sheets.usdc"
-    bake(FOLDER / "sheets.scene.yaml", output)
-    return output
+def baked(printed: Printed) -> Path:
+    command = "animtool bake samples/sheets/sheets.scene.yaml -o sheets.usdc"
+    return printed(command) / "sheets.usdc"
 
 
 def last(baked: Path, name: str) -> np.ndarray:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,7 @@ class Key:
     required: bool
 
 
+@cache
 def schema_of(kind: str) -> dict[str, Any]:
     """Return the JSON Schema of a kind of file."""
     module, _, name = MODELS[kind].partition(":")

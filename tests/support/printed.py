@@ -1,0 +1,70 @@
+"""Commands of the documents, run once however many tests and documents have them."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+from filelock import FileLock
+
+from support.cli import animtool
+
+ROOT = Path(__file__).parents[2]
+
+
+def make_project(folder: Path) -> None:
+    """Fill a folder with the samples and the rigs that they name."""
+    for name in ("samples", "rigs"):
+        shutil.copytree(ROOT / name, folder / name)
+    (folder / "animtool.toml").touch()
+
+
+def run_printed(command: str, folder: Path) -> None:
+    """Run a command as a document has it, which is to succeed."""
+    done = animtool(*shlex.split(command)[1:], cwd=folder)
+    assert done.code == 0, f"{command}\n{done.stderr}"
+
+
+class Printed:
+    """What commands make of a project that nothing else was run in.
+
+    The processes that tests run in share it.
+    """
+
+    def __init__(self, factory: pytest.TempPathFactory) -> None:
+        base = factory.getbasetemp()
+        among = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+        self._folder = among / "printed"
+        self._folder.mkdir(exist_ok=True)
+
+    def __call__(self, command: str) -> Path:
+        """Return a folder with the files that a command makes."""
+        name = hashlib.sha256(command.encode()).hexdigest()[:16]
+        made, project = self._folder / name, self._folder / f"{name}.project"
+        with FileLock(self._folder / f"{name}.lock"):
+            if not made.exists():
+                shutil.rmtree(project, ignore_errors=True)
+                make_project(project)
+                given = files_in(project)
+                run_printed(command, project)
+                for file in given:
+                    (project / file).unlink()
+                project.rename(made)
+        return made
+
+    def copy(self, command: str, folder: Path) -> None:
+        """Put the files that a command makes into another project."""
+        made = self(command)
+        for file in files_in(made):
+            (folder / file).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(made / file, folder / file)
+
+
+def files_in(folder: Path) -> list[Path]:
+    """Return the files in a folder and those below it, relative to it."""
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return sorted(path.relative_to(folder) for path in files)
