@@ -16,6 +16,8 @@ __all__ = ["Rest", "find_rest"]
 
 # Of the weight, or pull, of a particle, what is left of the forces on it.
 SOLVED = 1e-9
+# Of an energy, what the sum of those of some ten thousand springs is rounded by.
+ROUNDED = 1e-12
 MOST_STEPS = 400
 # How long particles sink, in turns of a pendulum as long as the body [rad]; the damping
 # of springs meanwhile, over critical; springs times steps at most: about a second.
@@ -124,7 +126,7 @@ class _Place:
         weights = self._masses * np.linalg.norm(system.gravity)
         pull = float(weights.max(initial=0.0))
         self.solved = self.residual <= SOLVED * pull
-        self.rounding = 1e-14 * max(abs(self.energy), 1e-300)
+        self.rounding = ROUNDED * max(abs(self.energy), 1e-300)
         stiffest = np.append(system.body.springs.stiffness, system.draws[:, 0])
         self.typical = float(stiffest.max(initial=1.0))
 
