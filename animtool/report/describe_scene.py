@@ -199,9 +199,10 @@ def _output(scene: Scene, output: SceneOutput) -> OutputDescription:
     path, bake = output.path or file_beside(scene.path), output.bake
     kind = kind_of(path)
     usd = kind is OutputKind.USD
+    written = [s for s in scene.writing(output).systems if s.written]
     files = convert_outputs(path)
     if usd:
-        files = output_files(path, bake, simulated=bool(scene.systems))
+        files = output_files(path, bake, simulated=bool(written))
     return OutputDescription(
         str(path),
         str(kind),
@@ -210,6 +211,6 @@ def _output(scene: Scene, output: SceneOutput) -> OutputDescription:
         [str(path) for path in files if path.exists()],
         bake.deform,
         bake.chunk,
-        [system.name for system in scene.systems] if usd else [],
+        [system.name for system in written] if usd else [],
         output.place.line,
     )

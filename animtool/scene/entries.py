@@ -156,12 +156,14 @@ class SceneSystem:
         kind: Of `SYSTEM_KINDS`.
         setup: What it is made of.
         place: Of the entry.
+        written: Whether it goes into the output; else another needs it.
     """
 
     name: str
     kind: str
     setup: SystemSetup
     place: Place
+    written: bool = True
 
 
 class OutputKind(StrEnum):
@@ -192,8 +194,10 @@ class SceneOutput:
         path: The file to write; None where it names none.
         bake: Options that it sets, those of the whole scene among them.
         place: Of the entry.
+        systems: Names of those that go into it; None is all.
     """
 
     path: Path | None
     bake: BakeOptions
     place: Place
+    systems: tuple[str, ...] | None = None

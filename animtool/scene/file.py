@@ -38,7 +38,7 @@ from animtool.scene.scene import Scene
 from animtool.scene.schema import BesideModel, OutputModel, SceneModel, SourceModel
 from animtool.scene.sources import SourceOptions, is_usd, takes_option
 from animtool.scene.systems.kinds import SYSTEM_KINDS, SystemReader
-from animtool.scene.systems.links import check_links
+from animtool.scene.systems.links import check_links, check_names
 from animtool.scene.systems.schema import SystemModel
 from animtool.scene.tracks import TrackNames
 from animtool.units import LengthUnit, UpAxis, parse_length
@@ -124,8 +124,7 @@ class _SceneReader:
             self._check_simulated()
         found = (self._system(i, entry) for i, entry in enumerate(model.systems))
         systems = tuple(system for system in found if system is not None)
-        given = [getattr(e, k) for e in model.systems for k in e.model_fields_set]
-        check_links(self.document, systems, [entry.name for entry in given])
+        check_links(self.document, systems, self._names())
         return systems
 
     def _system(self, i: int, entry: SystemModel) -> SceneSystem | None:
@@ -166,9 +165,6 @@ class _SceneReader:
             self.document.add("SCN061", (), message, hint)
         given = model.output
         entries = given if isinstance(given, list) else [given]
-        if len(entries) > 1:
-            message = "what is simulated is written to one file"
-            self.document.add("SCN060", ("output",), message)
         for i, entry in enumerate(entries):
             at: Location = ("output", i) if isinstance(given, list) else ("output",)
             if entry.file and kind_of(Path(entry.file)) is not OutputKind.USD:
@@ -284,7 +280,20 @@ class _SceneReader:
             normals=model.normals,
             chunk=model.chunk,
         )
-        return SceneOutput(path, bake, self._place(at))
+        systems = None if model.systems is None else tuple(model.systems)
+        if systems is not None:
+            check_names(self.document, (*at, "systems"), systems, self._names())
+        if not systems and systems is not None and self.model.source is None:
+            message = "nothing would be written: it takes no system"
+            hint = "leave systems out to write all"
+            self.document.add("SCN081", (*at, "systems"), message, hint)
+        return SceneOutput(path, bake, self._place(at), systems)
+
+    def _names(self) -> list[str]:
+        """Return the names of all systems, of those that are faulty too."""
+        entries = self.model.systems
+        given = [getattr(e, key) for e in entries for key in e.model_fields_set]
+        return [entry.name for entry in given]
 
     def _check_kind(self, at: Location, model: OutputModel, kind: OutputKind) -> None:
         """Refuse what only other kinds of files have."""

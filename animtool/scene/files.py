@@ -30,7 +30,8 @@ def bake_outputs(
 
         reading = found_sources(given)
         options, _ = reading.options(options)
-        simulated = any(scene.systems for scene in reading.scenes.values())
+        written = (scene.writing(scene.outputs[0]) for scene in reading.scenes.values())
+        simulated = any(scene.systems for scene in written)
     return output_files(output, options, simulated=simulated)
 
 

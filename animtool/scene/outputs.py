@@ -20,6 +20,7 @@ from animtool.scene.plan import (
     BakePlan,
     check_output,
     plan_output,
+    plan_simulated,
     start_of,
     with_systems,
 )
@@ -45,12 +46,7 @@ def is_several(scene: Scene) -> bool:
 
 def scene_files(scene: Scene, options: BakeOptions) -> list[Path]:
     """Return every file that the outputs of a scene are."""
-    simulated = bool(scene.systems)
-    return [
-        path
-        for output in scene.outputs
-        for path in _files(output, options, simulated=simulated)
-    ]
+    return [path for output in scene.outputs for path in _files(scene, output, options)]
 
 
 def bake_scene(scene: Scene, options: BakeOptions | None = None) -> list[OutputReport]:
@@ -72,12 +68,7 @@ def bake_scene(scene: Scene, options: BakeOptions | None = None) -> list[OutputR
     """
     given = options or BakeOptions()
     _check(scene, given)
-    with sparing_inputs(scene_files(scene, given)):
-        streams = shared(scene.open(), len(scene.outputs))
-    plans: list[BakePlan | TakePlan] = [
-        _planned(scene, output, stream, given)
-        for output, stream in zip(scene.outputs, streams, strict=True)
-    ]
+    plans = _plans(scene, given)
     with together():
         return [
             run_bake(plan)
@@ -85,6 +76,23 @@ def bake_scene(scene: Scene, options: BakeOptions | None = None) -> list[OutputR
             else _converted(plan, _path(output))
             for plan, output in zip(plans, scene.outputs, strict=True)
         ]
+
+
+def _plans(scene: Scene, given: BakeOptions) -> list[BakePlan | TakePlan]:
+    """Return what is to become of each output; the sources are opened."""
+    if not scene.sources:
+        return [
+            plan_simulated(
+                scene.writing(output), _path(output), merged(given, output.bake), []
+            )
+            for output in scene.outputs
+        ]
+    with sparing_inputs(scene_files(scene, given)):
+        streams = shared(scene.open(), len(scene.outputs))
+    return [
+        _planned(scene.writing(output), output, stream, given)
+        for output, stream in zip(scene.outputs, streams, strict=True)
+    ]
 
 
 def _kind(output: SceneOutput) -> OutputKind:
@@ -98,10 +106,11 @@ def _path(output: SceneOutput) -> Path:
     return output.path
 
 
-def _files(output: SceneOutput, options: BakeOptions, *, simulated: bool) -> list[Path]:
+def _files(scene: Scene, output: SceneOutput, options: BakeOptions) -> list[Path]:
     path = _path(output)
     if _kind(output) is OutputKind.USD:
         bake = merged(options, output.bake)
+        simulated = bool(scene.writing(output).systems)
         return output_files(path, bake, simulated=simulated)
     return convert_outputs(path)
 
@@ -112,7 +121,7 @@ def _check(scene: Scene, options: BakeOptions) -> None:
     errors: list[AnimtoolError] = []
     owners: dict[str, SceneOutput] = {}
     for output in scene.outputs:
-        for path in _files(output, options, simulated=bool(scene.systems)):
+        for path in _files(scene, output, options):
             # Of names that differ in capitals, some systems make one file.
             first = owners.setdefault(str(path.resolve()).casefold(), output)
             if first is not output:
@@ -132,7 +141,7 @@ def _check(scene: Scene, options: BakeOptions) -> None:
 def _check_one(scene: Scene, output: SceneOutput, options: BakeOptions) -> None:
     own = merged(options, output.bake)
     if _kind(output) is OutputKind.USD:
-        path, simulated = _path(output), bool(scene.systems)
+        path, simulated = _path(output), bool(scene.writing(output).systems)
         check_output(path, own, scene.inputs, scene.path, simulated=simulated)
         return
     files = convert_outputs(_path(output))

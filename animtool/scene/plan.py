@@ -38,6 +38,7 @@ __all__ = [
     "check_output",
     "plan_bake",
     "plan_output",
+    "plan_simulated",
     "rig_paths",
     "start_of",
     "take_name",
@@ -129,14 +130,15 @@ def plan_bake(
     path = None if output is None else Path(output)
     reading = found_sources(given)
     options, notices = reading.options(options or BakeOptions())
-    simulated = [scene for scene in reading.scenes.values() if scene.systems]
+    written = [scene.writing(scene.outputs[0]) for scene in reading.scenes.values()]
+    simulated = [scene for scene in written if scene.systems]
     inputs, first = reading.inputs, reading.files[0]
     outputs = check_output(path, options, inputs, first, simulated=bool(simulated))
     if simulated and len(given) > 1:
         message = "what is simulated is no take of a library"
         raise OptionError(Fault("SCN062", message, str(simulated[0].path)))
     if simulated and not simulated[0].sources:
-        return _simulated(simulated[0], path, options, notices)
+        return plan_simulated(simulated[0], path, options, notices)
     with sparing_inputs(outputs):
         streams = reading.open(options, progress, opener)
     with ExitStack() as blamed:
@@ -146,9 +148,20 @@ def plan_bake(
     return with_systems(plan, simulated[0]) if simulated else plan
 
 
-def _simulated(
+def plan_simulated(
     scene: Scene, path: Path | None, options: BakeOptions, notices: list[Fault]
 ) -> BakePlan:
+    """Return what is to become of a scene that has no source.
+
+    Args:
+        scene: Of the output.
+        path: The file to write; None is stdout.
+        options: Those of the scene among them.
+        notices: What is odd so far.
+
+    Raises:
+        OptionError: It says no range (SCN061), or an option is for characters (SCN062).
+    """
     from animtool.scene.systems.bake import plan_systems
 
     systems = plan_systems(scene, path, options)

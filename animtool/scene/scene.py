@@ -92,6 +92,21 @@ class Scene:
             named += [folder / path for path in given if isinstance(path, Path)]
         return named
 
+    def writing(self, output: SceneOutput) -> Scene:
+        """Return the scene of one output: the systems of it, and what these need."""
+        if output.systems is None or not self.systems:
+            return replace(self, outputs=(output,))
+        from animtool.scene.systems.links import simulated_with
+
+        chosen = [
+            i for i, system in enumerate(self.systems) if system.name in output.systems
+        ]
+        systems = tuple(
+            replace(self.systems[i], written=i in chosen)
+            for i in simulated_with(self.systems, chosen)
+        )
+        return replace(self, outputs=(output,), systems=systems)
+
     def open(self) -> TakeStream:
         """Return the source with every pass applied.
 

@@ -236,6 +236,12 @@ class OutputModel(FileModel):
         description="With `deform`: whether meshes keep normals. Not given: they do.",
         examples=[False],
     )
+    systems: list[str] | None = Field(
+        default=None,
+        description="Names of the systems that go into it; others are simulated where "
+        "these need them. Not given: all.",
+        examples=[["flag", "rope"]],
+    )
     chunk: Annotated[int, Ge(1)] | None = Field(
         default=None,
         description="Of `deform` and of systems: a file for every so many samples. Not "

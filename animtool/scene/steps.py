@@ -96,15 +96,34 @@ def bake_steps(
             continue
         last = _scene_steps(scene, steps)
     assert last is not None
-    outputs = [(output, options, "output" if output is None else "")]
+    outputs = [_Output(output, options, "output" if output is None else "")]
     if len(reading.files) == 1 and reading.scenes:
         scene = reading.scenes[reading.files[0]]
         outputs = list(_scene_outputs(scene, output, options))
-        steps += [_system_step(scene, system) for system in scene.systems]
-        last = replace(last, systems=len(scene.systems))
-    for path_, own_, where in outputs:
-        steps.append(_output_step(path_, own_, where, last))
+        steps += _system_steps(scene, outputs)
+    for entry in outputs:
+        state = replace(last, systems=len(entry.systems))
+        steps.append(_output_step(entry.path, entry.options, entry.where, state))
     return steps
+
+
+@dataclass(frozen=True, slots=True)
+class _Output:
+    """An output of a bake.
+
+    Attributes:
+        path: The file; None is stdout, or beside the source.
+        options: Of the bake.
+        where: Its entry in the scene; empty where there is none.
+        systems: Names of what is simulated that go into it.
+        simulated: Likewise, and of those that these need.
+    """
+
+    path: Path | None
+    options: BakeOptions
+    where: str
+    systems: tuple[str, ...] = ()
+    simulated: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,6 +228,14 @@ def _scene_steps(scene: Scene, steps: list[Step]) -> _State:
     return state
 
 
+def _system_steps(scene: Scene, outputs: Sequence[_Output]) -> list[Step]:
+    """Return the steps of systems that an output has, or that these need."""
+    wanted = {name for output in outputs for name in output.simulated}
+    return [
+        _system_step(scene, system) for system in scene.systems if system.name in wanted
+    ]
+
+
 def _system_step(scene: Scene, system: SceneSystem) -> Step:
     setup, where = system.setup, system.place.where
     reads = setup.reads
@@ -220,15 +247,16 @@ def _simulated_steps(
     scene: Scene, output: Path | None, options: BakeOptions
 ) -> list[Step]:
     """Return the steps of a scene that has no source."""
-    steps = [_system_step(scene, system) for system in scene.systems]
-    ((path, own, where),) = _scene_outputs(scene, output, options)
-    files = ["stdout"]
-    if path is not None:
-        files = _named(output_files(path, own, simulated=True))
-    name = "stdout" if path is None else str(path)
-    prims = listed([system.name for system in scene.systems])
-    made = (f"{Form.STAGE} with {prims}, their points and velocities", *files)
-    steps.append(Step(StepKind.OUTPUT, name, where, ("systems",), made))
+    outputs = list(_scene_outputs(scene, output, options))
+    steps = _system_steps(scene, outputs)
+    for entry in outputs:
+        files, path = ["stdout"], entry.path
+        if path is not None:
+            files = _named(output_files(path, entry.options, simulated=True))
+        name = "stdout" if path is None else str(path)
+        prims = listed(entry.systems)
+        made = (f"{Form.STAGE} with {prims}, their points and velocities", *files)
+        steps.append(Step(StepKind.OUTPUT, name, entry.where, ("systems",), made))
     return steps
 
 
@@ -296,13 +324,18 @@ def _ordered(parts: frozenset[TakePart]) -> list[str]:
 
 def _scene_outputs(
     scene: Scene, output: Path | None, options: BakeOptions
-) -> Iterator[tuple[Path | None, BakeOptions, str]]:
-    """Yield the outputs of a scene: file, options and place."""
-    if output is not None:
-        yield output, merged(options, scene.bake), scene.outputs[0].place.where
-        return
-    for entry in scene.outputs:
-        yield entry.path, merged(options, entry.bake), entry.place.where
+) -> Iterator[_Output]:
+    """Yield the outputs of a scene; a file that is named is the first of them."""
+    entries = scene.outputs if output is None else scene.outputs[:1]
+    for entry in entries:
+        systems = scene.writing(entry).systems
+        yield _Output(
+            output or entry.path,
+            merged(options, entry.bake),
+            entry.place.where,
+            tuple(system.name for system in systems if system.written),
+            tuple(system.name for system in systems),
+        )
 
 
 def _output_step(

@@ -177,6 +177,7 @@ SCENES = {
     "a variable of no name": ("SCN032", "fps: ${}"),
     "a range beside a shot": ("SCN041", "range: [1, 9]\nshot: {cut: [1, 9]}"),
     "a setting of USD": ("SCN039", "output: {file: a.bvh, bones: true}"),
+    "a system of an output": ("SCN080", "output: {file: a.usda, systems: [flag]}"),
     "a time code for one source": ("SCN038", "source: {file: walk.bvh, timecode: x}"),
 }
 # Of commands, and of scenes that several files make: their own tests raise these.
@@ -192,6 +193,8 @@ ELSEWHERE = {
     *("SCN066", "SCN067", "SCN068"),
     # Those of tests/cli/test_simulation_table.py.
     *(f"SCN{n:03d}" for n in range(70, 73)),
+    # That of tests/scene/systems/test_chosen.py.
+    "SCN081",
 }
 
 

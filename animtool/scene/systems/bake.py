@@ -163,7 +163,7 @@ def run_system_bake(plan: SystemPlan) -> BakeReport:
         take,
         len(plan.codes),
         metadata.fps,
-        plan.systems[written.index(worst)].name,
+        plan.systems[run.written[written.index(worst)]].name,
         source_bytes=plan.scene.stat().st_size,
         meshes=run.reports(written),
         meshes_of=plan.scene.name,

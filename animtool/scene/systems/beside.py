@@ -156,7 +156,8 @@ def _check_places(
     taken = {paths.root: "the character"}
     taken |= {path: "a thing beside it" for path in thing_paths(tracks, paths.model)}
     faults = []
-    for system, path in zip(scene.systems, job.paths, strict=True):
+    written = [system for system in scene.systems if system.written]
+    for system, path in zip(written, job.paths, strict=True):
         whose = [owner for place, owner in taken.items() if _meet(path, place)]
         if not whose and target is not None and _is_other(target, path):
             whose = ["the rig layer"]

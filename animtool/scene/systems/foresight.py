@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from animtool._types import BoolArray
 from animtool.scene.entries import SceneSystem
 from animtool.scene.systems.character_motion import CharacterMotion
-from animtool.scene.systems.links import in_order, needed
+from animtool.scene.systems.links import simulated_with
 from animtool.scene.systems.simulation import Tearable, blamed_systems, open_systems
 
 __all__ = ["foreseen"]
@@ -35,9 +35,7 @@ def foreseen(
         FormatError: Something makes no sense, at the place of its system.
         ToleranceError: A system blew up.
     """
-    groups = [group for group in in_order(systems) if not {*group}.isdisjoint(wanted)]
-    kept = {i for group in groups for i in (*group, *needed(systems, group))}
-    numbers = sorted(kept)
+    numbers = simulated_with(systems, wanted)
     opened = open_systems([systems[i] for i in numbers], times[-1], own)
     found = {i: one for i, one in zip(numbers, opened, strict=True) if i in wanted}
     for t in times:

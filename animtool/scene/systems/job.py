@@ -29,18 +29,19 @@ def system_job(
     """Return what is to be written of systems.
 
     Args:
-        systems: What is simulated, y up.
+        systems: What is simulated, y up; some only because others need it.
         model: Path of the prim above theirs.
         metadata: What the layer states.
         meters_per_unit: Unit of what is below the model [m].
         up: Its up axis.
     """
-    names = [system.name for system in systems]
+    written = [system for system in systems if system.written]
+    names = [system.name for system in written]
     turn = up_from_up(up, UpAxis.Y)
     return SimulatedJob(
         model,
         distinct_names(names, names, names).names,
-        tuple(_writer(system) for system in systems),
+        tuple(_writer(system) for system in written),
         metadata,
         meters_per_unit,
         None if turn is None else np.array(turn),

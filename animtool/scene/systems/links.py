@@ -12,7 +12,7 @@ from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
 from animtool.scene.systems.kinds import SYSTEM_KINDS
 
-__all__ = ["check_links", "in_order", "needed"]
+__all__ = ["check_links", "check_names", "in_order", "needed", "simulated_with"]
 
 
 def in_order(systems: Sequence[SceneSystem]) -> list[list[int]]:
@@ -48,6 +48,12 @@ def needed(systems: Sequence[SceneSystem], group: Sequence[int]) -> list[int]:
             found += other
             wanted |= {name for i in other for name, _ in systems[i].setup.needs}
     return sorted(found)
+
+
+def simulated_with(systems: Sequence[SceneSystem], wanted: Sequence[int]) -> list[int]:
+    """Return some systems, what they are joined to, and what these need."""
+    groups = [group for group in in_order(systems) if not {*group}.isdisjoint(wanted)]
+    return sorted({i for group in groups for i in (*group, *needed(systems, group))})
 
 
 def _groups(systems: Sequence[SceneSystem]) -> list[list[int]]:
@@ -86,6 +92,26 @@ def check_links(
         if len(group) > 1 and place:
             check = load_object(place)
             check(document, [systems[i] for i in group])  # type: ignore[operator]
+
+
+def check_names(
+    document: Document, at: Location, wanted: Sequence[str], names: Sequence[str]
+) -> None:
+    """Note names of systems for an output that there are none of.
+
+    Args:
+        document: Where faults are noted.
+        at: Place of the list of names.
+        wanted: The names.
+        names: Of all systems.
+    """
+    known = sorted({*names})
+    for i, name in enumerate(wanted):
+        if name not in names:
+            hint = nearest(name, known) or f"there are {listed(known)}"
+            hint = hint if known else "the scene has no systems"
+            message = f"no system is named {name!r}"
+            document.add("SCN080", (*at, i), message, hint)
 
 
 def _check_name(

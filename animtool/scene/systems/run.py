@@ -33,6 +33,7 @@ class SystemRun:
     Attributes:
         systems: What is simulated.
         seconds: How long each took [s].
+        written: Numbers of those that are written.
     """
 
     def __init__(
@@ -53,6 +54,7 @@ class SystemRun:
         """
         self.systems = systems
         self.seconds = [0.0] * len(systems)
+        self.written = [i for i, system in enumerate(systems) if system.written]
         self._own = own
         self._open = open_systems(systems, last, own)
 
@@ -73,7 +75,7 @@ class SystemRun:
     def rows(
         self, codes: Sequence[Fraction], first: Fraction, fps: Fraction
     ) -> Iterator[tuple[float, list[Any]]]:
-        """Yield every time code with what each system is then.
+        """Yield every time code with what each system that is written is then.
 
         Args:
             codes: Ascending.
@@ -86,14 +88,14 @@ class SystemRun:
         times = [float((code - first) / fps) for code in codes]
         self._foresee(times)
         for code, t in zip(codes, times, strict=True):
-            yield float(code), [self._row(i, t) for i in range(len(self._open))]
+            yield float(code), [self._row(i, t) for i in self.written]
 
     def _foresee(self, times: Sequence[float]) -> None:
         """Let surfaces that may tear know where they will."""
         tearing = {
             i: opened
-            for i, opened in enumerate(self._open)
-            if isinstance(opened, Tearable) and opened.tears
+            for i in self.written
+            if isinstance(opened := self._open[i], Tearable) and opened.tears
         }
         if not tearing:
             return
@@ -113,12 +115,17 @@ class SystemRun:
         return row
 
     def reports(self, written: Sequence[CachedMesh]) -> list[MeshReport]:
-        """Return what became of each."""
+        """Return what became of each that is written."""
         return [
-            MeshReport(system.name, found, spent, found.samples, system.kind, True)
-            for system, found, spent in zip(
-                self.systems, written, self.seconds, strict=True
+            MeshReport(
+                self.systems[i].name,
+                found,
+                self.seconds[i],
+                found.samples,
+                self.systems[i].kind,
+                True,
             )
+            for i, found in zip(self.written, written, strict=True)
         ]
 
 

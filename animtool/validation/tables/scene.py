@@ -68,6 +68,8 @@ RULES = (
     Rule("SCN070", "pictures without matplotlib"),
     Rule("SCN071", "a table of a scene that simulates nothing"),
     Rule("SCN072", "a picture of a kind that there is none of"),
+    Rule("SCN080", "an output with a system that there is none of"),
+    Rule("SCN081", "an output of a simulation without a system"),
     Rule(
         "SCN101",
         "a loop whose ends differ by more than a fifth of what it moves",
