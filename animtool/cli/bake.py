@@ -24,6 +24,7 @@ from animtool.cli.options import (
     strict_option,
 )
 from animtool.cli.outputs import existing_options, goes_to_stdout, skipped
+from animtool.cli.plots import plot_option, refuse_alone
 
 if TYPE_CHECKING:
     from animtool.scene.scene import Scene
@@ -71,13 +72,7 @@ Examples:
     "tolerances; of what a scene simulates, time against error over integrators and "
     "steps, with its own setting and the best ones marked.",
 )
-@click.option(
-    "--plot",
-    type=OUTPUT,
-    metavar="FILE",
-    help="With --table, draw it too: error against time (.png, .svg, .pdf; needs the "
-    "extra preview).",
-)
+@plot_option
 @click.option(
     "--plan",
     is_flag=True,
@@ -144,8 +139,7 @@ def _check_usage(given: dict[str, Any]) -> None:
         raise click.UsageError("--split is a stage in three files, not --as layer.")
     if given["plan"] and given["table"]:
         raise click.UsageError("--plan and --table write nothing: give one.")
-    if given["plot"] is not None and not given["table"]:
-        raise click.UsageError("--plot draws what --table measures: give both.")
+    refuse_alone(given)
     if given["stats"] and (given["plan"] or given["table"]):
         raise click.UsageError("--stats measures a bake: no --plan or --table.")
 

@@ -11,6 +11,7 @@ import click
 from animtool.cli.bake_options import bake_options_record
 from animtool.cli.bake_sources import only_scene
 from animtool.cli.console import Console
+from animtool.cli.plots import check_plot, draw
 
 if TYPE_CHECKING:
     from animtool.preview.work_precision import Panel
@@ -30,38 +31,18 @@ def measure_bake(
         raise click.UsageError("--table writes no file: no -o.")
     if len(sources) > 1:
         raise click.UsageError("--table measures one SOURCE.")
-    plot = given["plot"]
-    if plot is not None:
-        _check_plot(plot, sources[0], overwrite=given["overwrite"])
+    plot, source = given["plot"], sources[0]
+    inputs = [source] if isinstance(source, Path) else source.inputs
+    check_plot(plot, inputs, overwrite=given["overwrite"])
     scene = only_scene(sources)
     if scene is not None:
         from animtool.scene.simulation_table import simulates
 
         if simulates(scene):
             panels = _simulation_table(console, scene, given)
-            _draw(console, panels, plot)
+            draw(console, panels, plot)
             return
-    _draw(console, _bake_table(console, sources[0], given), plot)
-
-
-def _check_plot(plot: Path, source: Path | Scene, *, overwrite: bool) -> None:
-    from animtool.output import check_outputs
-    from animtool.preview.work_precision import check_drawable
-
-    inputs = [source] if isinstance(source, Path) else source.inputs
-    check_outputs([plot], inputs, overwrite=overwrite)
-    check_drawable(plot)
-
-
-def _draw(
-    console: Console, panels: Callable[[], list[Panel]], plot: Path | None
-) -> None:
-    if plot is None:
-        return
-    from animtool.preview.work_precision import draw_panels
-
-    draw_panels(panels(), plot)
-    console.say(f"{plot}: drawn")
+    draw(console, _bake_table(console, source, given), plot)
 
 
 def _simulation_table(

@@ -25,6 +25,7 @@ from animtool.cli.options import (
     take_option,
 )
 from animtool.cli.outputs import existing_options, goes_to_stdout, skipped
+from animtool.cli.plots import check_plot, draw, plot_option, refuse_alone
 
 __all__ = ["ik"]
 
@@ -87,7 +88,7 @@ Examples:
   animtool ik hero.usda --targets feet.targets.yaml --clip walk.usdc -o fix.usdc
       --rig-layer hero.usda
   animtool ik hero.rig.yaml --targets reach.targets.yaml --strict --tol 0.1mm
-  animtool ik hero.rig.yaml --targets reach.targets.yaml --table
+  animtool ik hero.rig.yaml --targets reach.targets.yaml --table --plot reach.png
   animtool ik hero.rig.yaml --match --clip walk.bvh -o walk.targets.yaml"""
 )
 @click.argument("rig", type=INPUT)
@@ -202,6 +203,7 @@ Examples:
     is_flag=True,
     help="Write nothing; measure time against error, over tolerances and methods.",
 )
+@plot_option
 @click.option(
     "--tol",
     type=LENGTH,
@@ -255,6 +257,8 @@ def ik(console: Console, /, **given: Any) -> None:
     how far it is off; without -o that is all. --match writes such a file from poses.
     """
     if given["match"]:
+        if given["plot"] is not None:
+            raise click.UsageError("--match measures nothing: no --plot.")
         from animtool.cli.ik_match import match_command
 
         match_command(console, given, _source(given))
@@ -290,6 +294,7 @@ def ik(console: Console, /, **given: Any) -> None:
 def _check(given: dict[str, Any]) -> None:
     if given["targets"] is None:
         raise click.UsageError("Give --targets, or --match to write some.")
+    refuse_alone(given)
     if given["chains"] is not None:
         raise click.UsageError("--chains is for --match.")
 
@@ -319,14 +324,19 @@ def _say(console: Console, report: Any, *, as_json: bool, faults: bool = True) -
 
 def _table(console: Console, given: dict[str, Any], *, as_json: bool) -> None:
     from animtool.cli.ik_summary import ik_table_json, ik_table_text
+    from animtool.preview.tables import ik_panels
     from animtool.scene.ik_table import ik_table
 
+    named = (given["rig"], given["targets"], given["start"])
+    inputs = [path for path in named if path is not None]
+    check_plot(given["plot"], inputs, overwrite=given["overwrite"])
     with console.progress(f"measure {given['targets'].name}") as progress:
         table = ik_table(_job(given, False), progress=progress)
     if as_json:
         console.result_json(ik_table_json(table))
-        return
-    console.result("\n".join(ik_table_text(table)))
+    else:
+        console.result("\n".join(ik_table_text(table)))
+    draw(console, lambda: ik_panels(table, given["targets"].name), given["plot"])
 
 
 def _outputs(given: dict[str, Any]) -> Sequence[Path]:

@@ -25,7 +25,7 @@ class Point:
 
     Attributes:
         seconds: Wall time [s].
-        error: [m]
+        error: As its panel has it.
         chosen: Whether it is the one in use.
         best: Whether none as exact is faster.
     """
@@ -60,6 +60,7 @@ class Panel:
         floor: How far what errors are measured from may be off itself [m]; 0 draws
             nothing.
         remark: Below the title; may be empty.
+        time: What times are, for the axis.
     """
 
     title: str
@@ -67,6 +68,7 @@ class Panel:
     curves: tuple[Curve, ...]
     floor: float = 0.0
     remark: str = ""
+    time: str = "seconds"
 
 
 def check_drawable(path: Path) -> None:
@@ -139,7 +141,7 @@ def _draw(frame: Any, panel: Panel, ticker: Any) -> None:
     frame.xaxis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
     frame.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
     frame.xaxis.set_minor_formatter(ticker.NullFormatter())
-    frame.set_xlabel("seconds")
+    frame.set_xlabel(panel.time)
     frame.set_ylabel(panel.error)
     frame.set_title("\n".join(filter(None, [panel.title, panel.remark])), fontsize=10)
     frame.grid(visible=True, which="both", alpha=0.2)

@@ -302,6 +302,11 @@ def test_joints_that_the_rig_lacks_are_a_fault_of_its_file(place: Path) -> None:
         (("-t", "reach.targets.yaml", "-o", "reach.targets.yaml"), 2),
         (("-t", "reach.targets.yaml", "--table", "-o", "x.usda"), 2),
         (("-t", "reach.targets.yaml", "--table", "--strict"), 2),
+        (("-t", "reach.targets.yaml", "--plot", "x.png"), 2),
+        (("-t", "reach.targets.yaml", "--table", "--plot", "x.txt"), 2),
+        (("-t", "reach.targets.yaml", "--table", "--plot", "reach.targets.yaml"), 2),
+        (("-t", "reach.targets.yaml", "--table", "--plot", "no/folder.png"), 3),
+        (("--match", "--clip", "x.bvh", "--plot", "x.png"), 2),
         (("-t", "none.targets.yaml"), 3),
         (("-t", "reach.targets.yaml", "--clip", "none.bvh"), 3),
         (("-t", "reach.targets.yaml", "-o", "no/folder.usda"), 3),
@@ -375,6 +380,16 @@ def test_the_table(place: Path) -> None:
     assert methods == [str(method) for method in IkMethod]
     text = run(place, "-t", "reach.targets.yaml", "--table")
     assert text.stdout.count("\n") == 1 + 2 * 2 + 7 + len(IkMethod)
+
+
+def test_the_table_is_drawn(place: Path) -> None:
+    pytest.importorskip("matplotlib", reason="no matplotlib (extra: preview)")
+    done = run(place, "-t", "reach.targets.yaml", "--table", "--plot", "reach.svg")
+    assert done.code == 0, done.stderr
+    assert "reach.svg: drawn" in done.stderr
+    assert (place / "reach.svg").stat().st_size > 4000
+    again = run(place, "-t", "reach.targets.yaml", "--table", "--plot", "reach.svg")
+    assert (again.code, "OUT001" in again.stderr) == (2, True)
 
 
 def test_the_same_seed_writes_the_same_bytes(place: Path) -> None:
