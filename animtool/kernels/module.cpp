@@ -286,8 +286,9 @@ Cell i of time begins at ``origin + (first + i) cell`` and is that many substeps
 ``colliders``: those of `collide_particles`, their poses at both ends of each cell
 ``(cells, C, 2, 7)``, the distance that particles keep, how deep each may be in each ``(C, N)``,
 0 or less, None is not at all, how much deeper counts as left inside, and meshes whose points
-move: a `MeshSurface`, its points at both ends of each cell ``(cells + 1, P, 3)``, and
-restitution, friction, margin, depenetration speed and the speed of what is put elsewhere.
+move: a `MeshSurface`, its points at knots of time ``(K, P, 3)``, restitution, friction, margin,
+depenetration speed and the speed of what is put elsewhere ``(5,)``, how many cells a knot
+lasts, and how many cells of the first are over.
 
 Returns ``(state, torn, unresolved)``: particles left inside colliders at the end.)");
 

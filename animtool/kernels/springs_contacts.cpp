@@ -238,10 +238,13 @@ void SpringContacts::add_surfaces() {
     cell_.insert(cell_.end(), first, first + static_cast<std::ptrdiff_t>(colliders_.size()));
     for (std::size_t s = 0; s < surfaces_.size(); ++s) {
       StepCollider made{};
-      made.collider = surfaces_[s].collider(double(step + 1) / substeps_);
+      const double begun = surfaces_[s].gone(double(step) / substeps_);
+      const double ended = surfaces_[s].gone(double(step + 1) / substeps_);
+      made.collider = surfaces_[s].collider(ended);
       made.surface = static_cast<std::int32_t>(s);
-      made.begun = double(step) / substeps_;
-      made.way = surfaces_[s].travel() / substeps_;
+      made.begun = begun;
+      made.lasts = ended - begun;
+      made.way = surfaces_[s].travel() * made.lasts;
       made.rod.friction = made.collider.friction;
       made.rod.rise = made.collider.depenetration * h_;
       cell_.push_back(made);
@@ -269,23 +272,25 @@ bool SpringContacts::settle(const SpringNetwork& network, int step,
     clear_[n] -= way;
     if (clear_[n] > 0) continue;
     moved += settle_one(n, from, at, v ? v->data() + ROW * n : nullptr);
-    inside += measure(n, at);
+    inside += nearest_ < -colliders_.tolerance();
   }
   touched = std::max(touched, moved);
   if (last_ + 1 == cells_ && step + 1 == substeps_) unresolved = inside;
   return moved > 0;
 }
 
-bool SpringContacts::measure(std::size_t n, const double* x) {
-  double clear = collide::FAR, arm = 0;
-  for (std::size_t c = 0; c < count_; ++c) {
-    const double near = look(c, n, true, load(x)).sample.distance;
-    clear = std::min(clear, near - colliders_.depth(c, n));
-    arm = std::max(arm, length(load(x) - now_[c].end.origin));
-  }
+double SpringContacts::clearance(std::size_t n, Vec x) {
+  double clear = collide::FAR;
+  for (std::size_t c = 0; c < count_; ++c)
+    clear = std::min(clear, look(c, n, true, x).sample.distance - colliders_.depth(c, n));
+  return clear;
+}
+
+void SpringContacts::note(std::size_t n, Vec x, double clear) {
+  double arm = 0;
+  for (std::size_t c = 0; c < count_; ++c) arm = std::max(arm, length(x - now_[c].end.origin));
   clear_[n] = std::max(clear, 0.0);
   arm_[n] = arm + 2 * clear_[n];
-  return clear < -colliders_.tolerance();
 }
 
 Mesh SpringContacts::mesh_at(const StepCollider& c, bool end) const {
@@ -303,7 +308,7 @@ SpringContacts::Found SpringContacts::look(std::size_t index, std::size_t n, boo
   const Pose& pose = end ? c.end : c.begin;
   const double kept = radius + c.collider.margin, side = c.collider.container ? -1 : 1;
   const MeshWay gone =
-      c.surface < 0 ? MeshWay{} : surfaces_[static_cast<std::size_t>(c.surface)].gone(mesh.share);
+      c.surface < 0 ? MeshWay{} : surfaces_[static_cast<std::size_t>(c.surface)].way_until(mesh.share);
   auto& patches = patches_[static_cast<std::size_t>(patched_[index])];
   const Found found = patches.look(mesh, c.collider.root, n, pose.to_local(point), gone, kept,
                                    !c.collider.container);
@@ -317,20 +322,22 @@ Vec SpringContacts::carried(const StepCollider& c, const Found& found, bool end,
     return c.collider.motion.displacement(point, end ? c.end : c.begin);
   if (found.triangle < 0) return {};
   const auto& surface = surfaces_[static_cast<std::size_t>(c.surface)];
-  return surface.way(mesh_at(c, end), found.triangle, point) * (1.0 / substeps_);
+  return surface.way(mesh_at(c, end), found.triangle, point) * c.lasts;
 }
 
 bool SpringContacts::settle_one(std::size_t n, double* before, double* x, double* v) {
   const Vec from = load(before);
   Vec to = load(x), still = from;
-  bool moved = false;
+  bool moved = false, pushed = true;
   for (std::size_t c = 0; c < count_; ++c) moved |= sweep(c, n, from, to, v);
-  for (int i = 0; i < TRIES; ++i) {
-    bool pushed = false;
+  for (int i = 0; i < TRIES && pushed; ++i) {
+    pushed = false;
+    nearest_ = collide::FAR;
     for (std::size_t c = 0; c < count_; ++c) pushed |= push(c, n, from, to, still, v);
     moved |= pushed;
-    if (!pushed) break;
   }
+  if (pushed) nearest_ = clearance(n, to);
+  note(n, to, nearest_);
   if (moved) {
     store(to, x);
     store(still, before);
@@ -372,6 +379,7 @@ bool SpringContacts::push(std::size_t index, std::size_t n, Vec from, Vec& to,
   const double depth = colliders_.depth(index, n);
   const Found seen = look(index, n, true, to);
   const Sample& found = seen.sample;
+  nearest_ = std::min(nearest_, found.distance - depth);
   if (!(found.distance < depth - collide::TOUCH)) return false;
   const Vec way = carried(c, seen, true, to);
   if (v) {

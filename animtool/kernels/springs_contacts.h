@@ -28,10 +28,10 @@ struct StepCollider {
   // Of a capsule or a ball with particles outside, all of it; of others, how it moves.
   collide::Rod rod;
   bool is_rod;
-  // Of a mesh whose points move, which one, the share of its cell that is gone as the step
-  // begins, and how far it goes.
+  // Of a mesh whose points move, which one, the share of its knot that is gone as the step
+  // begins, the share that the step is, and how far it goes.
   std::int32_t surface = -1;
-  double begun = 0, way = 0;
+  double begun = 0, lasts = 0, way = 0;
 
   bool is_mesh() const { return collider.shape == collide::Shape::MESH; }
   // How far its surface goes at most, beside a drift; of what is no rod without its turn, by
@@ -106,6 +106,7 @@ class SpringContacts {
   void make_patches(std::size_t particles);
   void enter_surfaces(std::int64_t cell, bool& known);
   void add_surfaces();
+  // Whether it is moved; looks how far off all colliders are then.
   bool settle_one(std::size_t n, double* before, double* x, double* v);
   bool push(std::size_t c, std::size_t n, collide::Vec before, collide::Vec& x,
             collide::Vec& still, double* v);
@@ -117,8 +118,9 @@ class SpringContacts {
   // How what is found there goes in the step.
   collide::Vec carried(const StepCollider& c, const Found& found, bool end,
                        collide::Vec point) const;
-  // Looks how far off all colliders are; whether it is inside one.
-  bool measure(std::size_t n, const double* x);
+  // How far off the nearest collider is, less than 0 inside.
+  double clearance(std::size_t n, collide::Vec x);
+  void note(std::size_t n, collide::Vec x, double clear);
 
   MovingColliders colliders_;
   std::vector<MovingSurface> surfaces_;
@@ -131,6 +133,8 @@ class SpringContacts {
   const StepCollider* now_ = nullptr;
   int substeps_ = 1;
   double h_ = 0, least_blow_ = 0;
+  // The nearest that a round of pushes met, beyond what may be inside.
+  double nearest_ = 0;
   std::int64_t last_ = -1;
   // How far each particle is from all colliders at least, and what turns reach it by.
   std::vector<double> clear_, arm_;

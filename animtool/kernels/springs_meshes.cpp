@@ -22,13 +22,21 @@ MeshPatches::Found MeshPatches::look(const Mesh& mesh, std::int32_t root, std::s
     return gather(patch, mesh, root, p, kept, bound);
   }
   if (patch.count == 0) return {{patch.distance - went, {0, 1, 0}}, -1};
-  Nearest best;
-  const Triangles& triangles = triangles_[static_cast<std::size_t>(patch.place)];
-  for (int k = 0; k < patch.count; ++k) {
-    const Nearest found = collide::nearest_of_triangle(mesh, triangles[k], p);
-    if (collide::nearer(found, best)) best = found;
-  }
+  const Nearest best = nearest(patch, mesh, p, went);
   return {collide::sample_nearest(mesh, best, p), best.triangle};
+}
+
+Nearest MeshPatches::nearest(const Patch& patch, const Mesh& mesh, Vec p, double went) const {
+  Nearest best;
+  const Candidates& candidates = candidates_[static_cast<std::size_t>(patch.place)];
+  double enough = collide::FAR;
+  for (int k = 0; k < patch.count && candidates[k].distance <= enough; ++k) {
+    const Nearest found = collide::nearest_of_triangle(mesh, candidates[k].triangle, p);
+    if (!collide::nearer(found, best)) continue;
+    best = found;
+    enough = std::sqrt(best.squared) + went + collide::TOUCH;
+  }
+  return best;
 }
 
 void MeshPatches::forget() {
@@ -58,22 +66,28 @@ MeshPatches::Found MeshPatches::gather(Patch& patch, const Mesh& mesh, std::int3
 
 void MeshPatches::collect(Patch& patch, const Mesh& mesh, std::int32_t root, Vec p) {
   if (patch.place < 0) {
-    patch.place = static_cast<std::int32_t>(triangles_.size());
-    triangles_.emplace_back();
+    patch.place = static_cast<std::int32_t>(candidates_.size());
+    candidates_.emplace_back();
   }
-  Triangles& triangles = triangles_[static_cast<std::size_t>(patch.place)];
+  Candidates& candidates = candidates_[static_cast<std::size_t>(patch.place)];
   const double reach = patch.distance + 2 * patch.fine, squared = reach * reach;
   int count = 0;
   collide::visit_triangles(mesh, root, p, squared, [&](std::int32_t t) {
     if (count > MOST) return -1.0;
-    if (!(collide::nearest_of_triangle(mesh, t, p).squared <= squared)) return squared;
-    if (count < MOST) triangles[count] = t;
+    const Nearest found = collide::nearest_of_triangle(mesh, t, p);
+    if (!(found.squared <= squared)) return squared;
+    if (count < MOST) candidates[count] = {std::sqrt(found.squared), t};
     return ++count > MOST ? -1.0 : squared;
   });
   if (count > MOST) {
     patch.fine /= 2;
     return;
   }
+  std::sort(candidates.begin(), candidates.begin() + count,
+            [](const Candidate& a, const Candidate& b) {
+              if (a.distance != b.distance) return a.distance < b.distance;
+              return a.triangle < b.triangle;
+            });
   patch.count = count;
   patch.slack = patch.fine;
   if (4 * count < MOST) patch.fine *= 1.5;
@@ -82,38 +96,44 @@ void MeshPatches::collect(Patch& patch, const Mesh& mesh, std::int32_t root, Vec
 MovingSurface::MovingSurface(const SpringSurface& surface, std::int64_t cells)
     : surface_(std::get<0>(surface)),
       points_(std::get<1>(surface)),
-      numbers_(std::get<2>(surface)) {
-  if (points_.shape(0) != static_cast<std::size_t>(cells) + 1 ||
+      numbers_(std::get<2>(surface)),
+      lasts_(std::get<3>(surface)),
+      first_(std::get<4>(surface)) {
+  if (lasts_ < 1 || first_ < 0 || first_ >= lasts_)
+    throw std::invalid_argument("knots of a surface last at least one cell");
+  const std::int64_t knots = (first_ + cells + lasts_ - 1) / lasts_ + 1;
+  if (points_.shape(0) != static_cast<std::size_t>(knots) ||
       points_.shape(1) != surface_->points() || points_.shape(2) != 3)
-    throw std::invalid_argument("points of a surface are (cells + 1, P, 3)");
+    throw std::invalid_argument("points of a surface are (knots, P, 3)");
   ways_.resize(3 * surface_->points());
   surface_->fit(points_.data(), points_.data(), bounds_);
 }
 
 bool MovingSurface::enter(std::int64_t cell, double length) {
-  const std::size_t row = ways_.size();
-  const double* begin = points_.data() + static_cast<std::size_t>(cell) * row;
-  const double* end = begin + row;
-  const bool still = std::equal(begin, end, end);
-  const bool stayed = still && begin_ && travel_ == 0 && cell == last_ + 1;
-  // A cell may be crossed again.
-  if (cell == last_ + 1 && begin_) {
-    before_.drift = before_.drift + cell_.drift;
-    before_.spread += cell_.spread;
+  const std::int64_t knot = (first_ + cell) / lasts_, over = (first_ + cell) % lasts_;
+  begun_ = static_cast<double>(over) / static_cast<double>(lasts_);
+  if (begin_ && knot == last_) return true;
+  const bool follows = begin_ && knot == last_ + 1, begins = !begin_;
+  if (follows) {
+    before_.drift = before_.drift + whole_.drift;
+    before_.spread += whole_.spread;
   }
-  const bool known = !begin_ || cell == last_ || cell == last_ + 1;
-  last_ = cell;
+  last_ = knot;
+  const std::size_t row = ways_.size();
+  const double* begin = points_.data() + static_cast<std::size_t>(knot) * row;
+  const double* end = begin + row;
+  const bool stays = follows && travel_ == 0 && std::equal(begin, end, end);
   begin_ = begin;
-  if (stayed) return true;
+  if (stays) return true;
   measure(begin, end);
-  const bool jumps = travel_ > numbers_[4] * length;
+  const bool jumps = travel_ > numbers_[4] * length * static_cast<double>(lasts_);
   if (jumps) {
     // What is put elsewhere is there from the beginning.
     begin_ = end;
     measure(end, end);
   }
   surface_->fit(begin_, end, bounds_);
-  return known && !jumps;
+  return (begins || follows) && !jumps;
 }
 
 void MovingSurface::measure(const double* begin, const double* end) {
@@ -126,10 +146,10 @@ void MovingSurface::measure(const double* begin, const double* end) {
     sum = sum + way;
     travel_ = std::max(travel_, length(way));
   }
-  cell_.drift = sum * (1 / static_cast<double>(count));
-  cell_.spread = 0;
+  whole_.drift = sum * (1 / static_cast<double>(count));
+  whole_.spread = 0;
   for (std::size_t p = 0; travel_ > 0 && p < 3 * count; p += 3)
-    cell_.spread = std::max(cell_.spread, length(load(ways_.data() + p) - cell_.drift));
+    whole_.spread = std::max(whole_.spread, length(load(ways_.data() + p) - whole_.drift));
 }
 
 collide::Collider MovingSurface::collider(double share) const {
@@ -142,8 +162,8 @@ collide::Collider MovingSurface::collider(double share) const {
   return made;
 }
 
-MeshWay MovingSurface::gone(double share) const {
-  return {before_.drift + cell_.drift * share, before_.spread + cell_.spread * share};
+MeshWay MovingSurface::way_until(double share) const {
+  return {before_.drift + whole_.drift * share, before_.spread + whole_.spread * share};
 }
 
 Vec MovingSurface::way(const Mesh& mesh, std::int32_t triangle, Vec p) const {

@@ -41,7 +41,12 @@ class MeshPatches {
 
  private:
   static constexpr int MOST = 24;
-  using Triangles = std::array<std::int32_t, MOST>;
+  struct Candidate {
+    double distance;
+    std::int32_t triangle;
+  };
+  // Nearest first.
+  using Candidates = std::array<Candidate, MOST>;
   struct Patch {
     collide::Vec at;
     MeshWay gone;
@@ -51,20 +56,22 @@ class MeshPatches {
     std::int32_t count = 0, place = -1;
   };
 
+  collide::Nearest nearest(const Patch& patch, const collide::Mesh& mesh, collide::Vec p,
+                           double went) const;
   Found gather(Patch& patch, const collide::Mesh& mesh, std::int32_t root, collide::Vec p,
                double kept, bool bound);
   void collect(Patch& patch, const collide::Mesh& mesh, std::int32_t root, collide::Vec p);
 
   std::vector<Patch> patches_;
   // Of those that were near.
-  std::vector<Triangles> triangles_;
+  std::vector<Candidates> candidates_;
 };
 
-// A mesh whose points move, its points at both ends of each cell (cells + 1, P, 3), and its
-// restitution, friction, margin, depenetration and the speed from which on it was put
-// elsewhere.
-using SpringSurface =
-    std::tuple<const MeshSurface*, In<double, 3>, std::array<double, 5>>;
+// A mesh whose points move: these at knots of time (K, P, 3), straight from one to the next;
+// its restitution, friction, margin, depenetration and the speed from which on it was put
+// elsewhere; how many cells of time each knot lasts, and how many of the first are over.
+using SpringSurface = std::tuple<const MeshSurface*, In<double, 3>, std::array<double, 5>,
+                                 std::int64_t, std::int64_t>;
 
 // Such a mesh over cells of time.
 class MovingSurface {
@@ -73,13 +80,14 @@ class MovingSurface {
 
   // Goes on to a cell of some length. Returns whether it goes on from where it was.
   bool enter(std::int64_t cell, double length);
-  // As what is met in a step of the cell, `share` of it gone.
+  // What share of its knot is gone when a share of the cell is.
+  double gone(double share) const { return begun_ + share / static_cast<double>(lasts_); }
+  // As what is met when a share of the knot is gone, and how it has gone until then.
   collide::Collider collider(double share) const;
-  // How it has gone until a share of the cell; the most that a point goes in the cell.
-  MeshWay gone(double share) const;
+  MeshWay way_until(double share) const;
+  // The most that a point goes in the whole knot, and how its nearest point goes.
   double travel() const { return travel_; }
   const double* box() const { return bounds_.data(); }
-  // How its nearest point goes in the whole cell.
   collide::Vec way(const collide::Mesh& mesh, std::int32_t triangle, collide::Vec p) const;
 
  private:
@@ -89,9 +97,10 @@ class MovingSurface {
   In<double, 3> points_;
   std::array<double, 5> numbers_;
   std::vector<double> ways_, bounds_;
+  std::int64_t lasts_, first_;
   const double* begin_ = nullptr;
-  MeshWay before_, cell_;  // until the cell, and in it
-  double travel_ = 0;
+  MeshWay before_, whole_;  // until the knot, and in it
+  double travel_ = 0, begun_ = 0;
   std::int64_t last_ = -1;
 };
 

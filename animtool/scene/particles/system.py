@@ -11,6 +11,7 @@ from animtool._types import FloatArray
 from animtool.documents.document import Location
 from animtool.errors import Fault, counted
 from animtool.scene.entries import SceneSystem
+from animtool.scene.systems.character_met import CharacterMet, characters_met
 from animtool.scene.systems.kinds import SystemFacts
 from animtool.scene.systems.moving_mesh import MovingMesh
 from animtool.scene.systems.simulation import Opening
@@ -69,8 +70,7 @@ class ParticleSetup:
     Attributes:
         particles: What makes, moves, stops and removes them.
         preroll: Time before 0 s that they begin in [s].
-        characters: Files of characters that they run into, and what touching one
-            does: restitution, friction and margin.
+        characters: Those that they run into.
         surfaces: Cloth and volumes of the scene that they run into.
         meshes: Meshes of USD files that they run into.
         followed: USD files that colliders and emitters go with.
@@ -78,7 +78,7 @@ class ParticleSetup:
 
     particles: Particles
     preroll: float = 0.0
-    characters: tuple[tuple[Path, tuple[float, float, float]], ...] = ()
+    characters: tuple[CharacterMet, ...] = ()
     surfaces: tuple[SurfaceMet, ...] = ()
     meshes: tuple[MovingMesh, ...] = ()
     followed: tuple[Path, ...] = ()
@@ -96,7 +96,7 @@ class ParticleSetup:
     @property
     def files(self) -> tuple[Path, ...]:
         """What is read beside the scene."""
-        return (*(path for path, _ in self.characters), *self.followed)
+        return (*(met.file for met in self.characters), *self.followed)
 
     @property
     def reads(self) -> tuple[str, ...]:
@@ -179,16 +179,12 @@ def _whole(
     setup = cast(ParticleSetup, member.setup)
     given = setup.particles
     options = options or given.options
-    moving = [
-        collider
-        for path, material in setup.characters
-        for collider in opening.characters.of(path).colliders(material)
-    ]
+    capsules, skins = characters_met(setup.characters, opening.characters)
     assert options.step is not None
     sheets = [_sheet(met, opening, setup, options.step) for met in setup.surfaces]
-    sheets += [mesh.sheet() for mesh in setup.meshes]
+    sheets += [*(mesh.sheet() for mesh in setup.meshes), *skins]
     return setup, replace(
-        given, colliders=[*given.colliders, *moving], sheets=sheets, options=options
+        given, colliders=[*given.colliders, *capsules], sheets=sheets, options=options
     )
 
 

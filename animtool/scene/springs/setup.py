@@ -13,7 +13,7 @@ from animtool.errors import counted
 from animtool.scene.springs.bodies import SpringBody
 from animtool.scene.springs.pins import Join, Pin
 from animtool.scene.springs.shapes import Faces
-from animtool.scene.systems.entries import Characters
+from animtool.scene.systems.character_met import CharacterMet
 from animtool.scene.systems.kinds import SystemFacts
 from animtool.scene.systems.moving_mesh import MovingMesh
 from animtool.sim.colliders import Collider
@@ -70,7 +70,7 @@ class SpringSetup:
         wind: The air; None is still, and faces bear none.
         self_contact: How it keeps apart from itself; None goes through.
         colliders: What they run into.
-        characters: Files of characters that they run into.
+        characters: Those that they run into.
         options: Solver and steps.
         preroll: Time before 0 s that they begin in [s].
         settle: Whether they begin at rest.
@@ -90,7 +90,7 @@ class SpringSetup:
     wind: Wind | None
     self_contact: SelfContact | None
     colliders: tuple[Collider, ...]
-    characters: Characters
+    characters: tuple[CharacterMet, ...]
     options: SpringOptions
     preroll: float
     settle: bool
@@ -113,7 +113,7 @@ class SpringSetup:
     def files(self) -> tuple[Path, ...]:
         """What is read beside the scene."""
         carriers = [pin.carrier.file for pin in self.pins if pin.carrier is not None]
-        return (*(path for path, _ in self.characters), *carriers, *self.followed)
+        return (*(met.file for met in self.characters), *carriers, *self.followed)
 
     @property
     def reads(self) -> tuple[str, ...]:
@@ -124,7 +124,7 @@ class SpringSetup:
         reads += ["itself"] if self.self_contact is not None else []
         many = len(self.colliders)
         reads += [counted(many, "collider")] if many else []
-        reads += [path.name for path, _ in self.characters]
+        reads += [met.file.name for met in self.characters]
         reads += [mesh.prim for mesh in self.meshes]
         return tuple(reads)
 

@@ -19,8 +19,9 @@ from animtool.scene.springs.setup import SpringSetup
 from animtool.scene.springs.shapes import Faces, PartingFaces
 from animtool.scene.springs.sharing import shared
 from animtool.scene.springs.watched import Watched
+from animtool.scene.systems.character_met import characters_met
 from animtool.scene.systems.simulation import Opening
-from animtool.sim.colliders import Collider, Colliders
+from animtool.sim.colliders import Colliders
 from animtool.sim.springs import Body, SpringSystem, Welded, find_rest, join, weld
 from animtool.sim.springs.trial import SpringTrial
 
@@ -192,19 +193,14 @@ def _colliders(setups: Sequence[SpringSetup], opening: Opening) -> Colliders:
 
     Raises:
         FormatError: The file of a character or a mesh is malformed.
-        OptionError: A character has no colliders (SIM020), or a mesh makes no sense
-            (SIM051).
+        OptionError: A character has no colliders (SIM020) or no such mesh (SIM053), or
+            a mesh makes no sense (SIM051).
     """
-    found: list[Collider] = []
-    seen = set()
-    for setup in setups:
-        found += setup.colliders
-        for path, material in setup.characters:
-            if path not in seen:
-                seen.add(path)
-                found += opening.characters.of(path).colliders(material)
+    met = [one for setup in setups for one in setup.characters]
+    capsules, skins = characters_met(met, opening.characters)
+    rigid = [collider for setup in setups for collider in setup.colliders]
     sheets = [mesh.sheet() for setup in setups for mesh in setup.meshes]
-    return Colliders(found, sheets)
+    return Colliders([*rigid, *capsules], [*sheets, *skins])
 
 
 @dataclass

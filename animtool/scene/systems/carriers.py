@@ -8,17 +8,14 @@ from typing import TypeAlias
 
 import numpy as np
 
-from animtool._types import FloatArray
 from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError
 from animtool.maths import so3
-from animtool.rig.kinematics import bind_world
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import surfaces_of
-from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
+from animtool.scene.systems.character_motion import CharacterMotions
+from animtool.scene.systems.character_skin import CharacterSkin, no_mesh
 from animtool.sim.colliders import Poses, joint_poses
-from animtool.skin.character import character_meshes
-from animtool.skin.deform import deform_blocks
 from animtool.units import UpAxis
 
 __all__ = ["Carrier", "OnJoint", "OnPrim", "OnVertex"]
@@ -76,12 +73,11 @@ class OnVertex:
 
     def fault(self, rig: Rig) -> Fault | None:
         """Return what is wrong with it, at its key; None where it is there."""
-        meshes = {surface.name: surface for surface in surfaces_of(rig)}
-        if self.mesh not in meshes:
-            message = f"no mesh of {rig.name!r} is {self.mesh!r}"
-            hint = nearest(self.mesh, list(meshes))
-            return Fault("SIM053", message, hint=hint, where="mesh")
-        last = len(meshes[self.mesh].points) - 1
+        fault = no_mesh(rig, self.mesh)
+        if fault is not None:
+            return fault
+        (mesh,) = [one for one in surfaces_of(rig) if one.name == self.mesh]
+        last = len(mesh.points) - 1
         if self.vertex <= last:
             return None
         message = f"{self.mesh!r} has no vertex {self.vertex}: they are 0 to {last}"
@@ -95,30 +91,18 @@ class OnVertex:
         """
         found = characters.of(self.file)
         _check(self.fault(found.rig))
-        places = _vertex(found, self.mesh, self.vertex)
+        # The next block stands where the last one did.
+        parts = [
+            block.points[:, self.vertex].copy()
+            for block in CharacterSkin(found, self.mesh).blocks()
+        ]
+        places = np.concatenate(parts)
         return Poses(found.times, places, np.tile(so3.IDENTITY, (len(places), 1)))
 
 
 def _check(fault: Fault | None) -> None:
     if fault is not None:
         raise OptionError(fault)
-
-
-def _vertex(found: CharacterMotion, name: str, vertex: int) -> FloatArray:
-    """Return where a vertex is over the frames ``(F, 3)`` [m]."""
-    rig = found.rig
-    (surface,) = [one for one in surfaces_of(rig) if one.name == name]
-    world = bind_world(rig)
-    bind = np.zeros((len(rig.joints), 4, 4))
-    bind[:, :3, :3], bind[:, :3, 3] = world.linear[0], world.positions[0]
-    bind[:, 3, 3] = 1.0
-    shapes = [shape.name for shape in rig.shapes]
-    (mesh,) = character_meshes([surface], rig.names, bind, shapes)
-    weights = found.motion.weights
-    own = None if weights is None else mesh.weights(weights.dense()[..., 0])
-    parts = deform_blocks(mesh.mesh, own, found.world, normals=False)
-    # The next block stands where the last one did.
-    return np.concatenate([part.points[:, vertex].copy() for part in parts])
 
 
 @dataclass(frozen=True, slots=True)

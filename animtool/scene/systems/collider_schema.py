@@ -55,11 +55,22 @@ class SystemColliderModel(PlacedModel, _MaterialModel):
 
 
 class CharacterModel(_MaterialModel):
-    """A character in motion that particles run into: the capsules of its rig."""
+    """A character in motion that particles run into: capsules of its rig, or a mesh."""
 
     file: CharacterFile = None
     source: OwnCharacter = False
     margin: Margin = 0.0
+    mesh: Name | None = Field(
+        default=None,
+        description="A mesh of its rig in motion, in place of the capsules; `margin` "
+        "is half its thickness.",
+        examples=["body"],
+    )
+    closed: bool = Field(
+        default=False,
+        description="The mesh is the skin of a body: met from outside alone.",
+        examples=[True],
+    )
 
 
 class SystemSurfaceModel(_MaterialModel):

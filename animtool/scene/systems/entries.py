@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,7 @@ from animtool.documents.references import referred_input, split_reference
 from animtool.errors import AnimtoolError, Fault
 from animtool.maths import so3
 from animtool.scene.particles.schema import EmitterModel
+from animtool.scene.systems.character_met import CharacterMet
 from animtool.scene.systems.collider_schema import (
     CharacterModel,
     MovingMeshModel,
@@ -28,7 +29,7 @@ from animtool.scene.systems.fields import Named
 from animtool.scene.systems.moving_mesh import MovingMesh
 from animtool.sim.colliders import Box, Capsule, Collider, Mesh, Plane, Poses, Sphere
 
-__all__ = ["PLACING", "Characters", "EntryReader"]
+__all__ = ["PLACING", "EntryReader"]
 
 SHAPES: dict[str, type[Any]] = {
     "box": Box,
@@ -40,8 +41,6 @@ SHAPES: dict[str, type[Any]] = {
 # Keys that say where an entry stands.
 PLACING = {"at", "rotate", "moves", "turns", "prim"}
 Record = TypeVar("Record")
-# Files, and what touching the colliders in them does: restitution, friction, margin.
-Characters: TypeAlias = tuple[tuple[Path, tuple[float, float, float]], ...]
 
 
 class NamedCharacter(Protocol):
@@ -189,13 +188,19 @@ class EntryReader:
             so3.multiply(turns, place[3:]),
         )
 
-    def characters(self, at: Location, models: Sequence[CharacterModel]) -> Characters:
-        """Return files of characters, and what touching one does."""
+    def characters(
+        self, at: Location, models: Sequence[CharacterModel]
+    ) -> tuple[CharacterMet, ...]:
+        """Return characters, and what touching one does."""
         found = []
         for i, model in enumerate(models):
             path = self.character((*at, i), model)
-            if path is not None:
-                found.append((path, (model.restitution, model.friction, model.margin)))
+            if path is None:
+                continue
+            given = model.model_dump(exclude={"file", "source"})
+            found.append(CharacterMet(path, **given))
+            for option, why in found[-1].problems():
+                self.note((*at, i, option), Fault("SIM020", why))
         return tuple(found)
 
     def character(self, at: Location, model: NamedCharacter) -> Path | None:

@@ -113,9 +113,9 @@ def hull_points(points: FloatArray, triangles: IntArray, radius: float) -> Float
     """Return the points of a hull: of the front, then of the back ``(2 N, 3)`` [m]."""
     a, b, c = points[triangles].swapaxes(0, 1)
     across = np.cross(b - a, c - a)
-    normals = np.zeros_like(points)
-    for corner in triangles.T:
-        np.add.at(normals, corner, across)
+    corners, weights = triangles.T.ravel(), np.tile(across, (3, 1)).T
+    sums = [np.bincount(corners, each, len(points)) for each in weights]
+    normals: FloatArray = np.stack(sums, axis=1)
     sizes = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = normals / np.where(sizes > 0, sizes, 1.0) * radius
     return np.concatenate([points + normals, points - normals])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,6 +15,11 @@ from animtool.sim.colliders.collider import SPEED_LIMIT
 from animtool.sim.colliders.sheets import Sheet, hull_faces, hull_points
 
 __all__ = ["Surfaces"]
+
+# Where points are is asked for no more often than this [s]: between, they go straight.
+KNOT = 1 / 240
+# Share of a cell that whole numbers of them may be off.
+ON_GRID = 1e-9
 
 
 class Surfaces:
@@ -36,33 +42,42 @@ class Surfaces:
         self._jumps: dict[tuple[int, float], Fault] = {}
         self.fastest = 0.0
 
-    def over(self, origin: float, edges: FloatArray) -> list[tuple[Any, ...]]:
-        """Return what kernels take of them for cells of time.
+    def over(
+        self, origin: float, cell: float, index: int, cells: int
+    ) -> list[tuple[Any, ...]]:
+        """Return what kernels take of them for some even cells of time.
 
         Args:
-            origin: When the motion begins, of which these cells are a part [s].
-            edges: Of the cells ``(cells + 1,)`` [s].
+            origin: Where the first of all cells begins [s].
+            cell: Length of each [s].
+            index: Of the first of these.
+            cells: How many.
         """
         if self._origin != origin:
             self._origin = origin
             made = [_Ready(sheet, origin) for sheet in self._sheets]
             self._ready = [one for one in made if len(one.faces)]
+        lasts = max(1, math.floor(KNOT / cell * (1 + ON_GRID)))
+        first, over = divmod(index, lasts)
+        last = -(-(index + cells) // lasts)
+        steps = np.arange(first, last + 1)
+        knots = np.asarray(origin + steps * (lasts * cell), np.float64)
         found = []
         for i, one in enumerate(self._ready):
-            points = np.stack([one.points(t) for t in edges.tolist()])
-            self._look(i, one.sheet, points, edges)
-            found.append((one.kernel, points, one.numbers))
+            points = np.stack([one.points(t) for t in knots.tolist()])
+            self._look(i, one.sheet, points, knots)
+            found.append((one.kernel, points, one.numbers, lasts, over))
         return found
 
     def _look(
-        self, i: int, sheet: Sheet, points: FloatArray, edges: FloatArray
+        self, i: int, sheet: Sheet, points: FloatArray, knots: FloatArray
     ) -> None:
         """Note how fast one goes, and when it is put elsewhere."""
         ways = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1)
-        speeds = ways / np.diff(edges)
+        speeds = ways / np.diff(knots)
         jumps = speeds > SPEED_LIMIT
         self.fastest = max(self.fastest, float(speeds[~jumps].max(initial=0.0)))
-        for when in edges[1:][jumps].tolist():
+        for when in knots[1:][jumps].tolist():
             message = (
                 f"it goes faster than {SPEED_LIMIT:g} m/s until {when:g} s: "
                 "it hits nothing"

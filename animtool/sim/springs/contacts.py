@@ -37,7 +37,7 @@ def cell_colliders(
         poses[:, i] = _ends(collider, edges)
     at = float(edges[0])
     arrays = colliders.arrays(at, at)
-    surfaces = colliders.surfaces.over(grid.origin, edges)
+    surfaces = colliders.surfaces.over(grid.origin, grid.cell, grid.index, cells)
     return arrays, poses, radius, None, INSIDE, surfaces
 
 
