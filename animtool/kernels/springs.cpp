@@ -128,21 +128,22 @@ void SpringNetwork::add_air_forces(const double* wind, const double* x, const do
   }
 }
 
-void SpringNetwork::place_held(double t, double h, const double* before, double* x,
-                               double* v) const {
+void SpringNetwork::place_held(double t, double h, const double* before, double* x, double* v,
+                               const Strides& strides) const {
   if (held.empty()) return;
   const Spot now = spot(t);
   const std::size_t width = 3 * held.size();
   const double* a = held_track.rows.data() + (held_track.still ? 0 : now.row * width);
   const bool between = !held_track.still && now.share != 0;
-  for (std::size_t p = 0; p < held.size(); ++p) {
-    const std::size_t at = ROW * static_cast<std::size_t>(held[p]);
+  for (std::size_t p = 0; p < held.size(); ++p)
     for (std::size_t k = 0; k < 3; ++k) {
-      const double here = a[3 * p + k];
-      x[at + k] = between ? here + (a[width + 3 * p + k] - here) * now.share : here;
-      v[at + k] = (x[at + k] - before[at + k]) / h;
+      const std::size_t at =
+          strides.particle * static_cast<std::size_t>(held[p]) + strides.number * k;
+      double here = a[3 * p + k];
+      if (between) here += (a[width + 3 * p + k] - here) * now.share;
+      v[at] = (here - before[at]) / h;
+      x[at] = here;
     }
-  }
 }
 
 SpringRun::SpringRun(const SpringNetwork& network, const double* x0, const double* v0,
@@ -226,6 +227,18 @@ void SpringRun::look(double t, double h) {
   SpringNetwork::follow(network.anchor_track, network.spot(t - h), points_before.data());
   for (std::size_t k = 0; k < points.size(); ++k)
     speeds[k] = (points[k] - points_before[k]) / h;
+}
+
+bool SpringRun::pulled_otherwise() const {
+  const bool windy = network.air_drag != 0 || network.air_lift != 0;
+  return lines().pulls.loose() || !network.anchors.empty() || windy;
+}
+
+void SpringRun::pull_otherwise(const double* at, const double* going, double* forces) const {
+  std::fill_n(forces, size, 0.0);
+  lines().pulls.add_loose(at, going, forces);
+  network.add_anchor_forces(points.data(), speeds.data(), at, going, forces);
+  network.add_air_forces(wind, at, going, forces);
 }
 
 void SpringRun::accelerate(const double* at, const double* going, double* out) {

@@ -41,6 +41,11 @@ struct Spot {
 
 Spot spot_of(const std::vector<double>& knots, double t);
 
+// From one particle to the next, and from one of its numbers to the next.
+struct Strides {
+  std::size_t particle, number;
+};
+
 class SpringNetwork {
  public:
   SpringNetwork(In<double, 1> inverse_masses, In<double, 1> drags, In<std::int64_t, 2> ends,
@@ -65,8 +70,13 @@ class SpringNetwork {
   void add_air_forces(const double* wind, const double* x, const double* v,
                       double* forces) const;
 
-  // Put held particles where their track is at a time, their velocity that of the way.
-  void place_held(double t, double h, const double* before, double* x, double* v) const;
+  // Put held particles where their track is at a time, their velocity that of the way from
+  // where they were before: that may be the same place in memory.
+  void place_held(double t, double h, const double* before, double* x, double* v) const {
+    place_held(t, h, before, x, v, {ROW, 1});
+  }
+  void place_held(double t, double h, const double* before, double* x, double* v,
+                  const Strides& strides) const;
 
   std::vector<double> inverse_masses, drags;
   SpringLines lines;
@@ -103,6 +113,10 @@ class SpringRun {
   void look(double t, double h);
   std::vector<double> points, points_before, speeds;
   double wind[3] = {0, 0, 0};
+
+  // Whether forces come of other things than bands of springs; rows of these [N].
+  bool pulled_otherwise() const;
+  void pull_otherwise(const double* x, const double* v, double* forces) const;
 
   // Accelerations in rows at a state: held particles have none.
   void accelerate(const double* x, const double* v, double* out);

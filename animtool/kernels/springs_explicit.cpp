@@ -83,17 +83,115 @@ std::tuple<double, double> spring_energy(const SpringNetwork& network,
 
 namespace {
 
-// Keep where particles are, of all or of those that are held.
-void keep(const SpringRun& run, bool all, std::vector<double>& before) {
-  if (all) {
-    before = run.x;
-    return;
+class Explicit {
+ public:
+  Explicit(SpringRun& run, SpringContacts& contacts)
+      : run_(run), contacts_(contacts), rate_(run.size), before_(run.size) {
+    const SpringNetwork& network = run.network;
+    const std::size_t height = plane_height(network.particles());
+    const auto column = [&](std::vector<double> numbers) {
+      numbers.resize(height);
+      return numbers;
+    };
+    inverse_masses_ = column(network.inverse_masses);
+    drags_ = column(network.drags);
+    strides_ = {1, height};
   }
-  for (const std::int32_t particle : run.network.held) {
-    const std::size_t at = ROW * static_cast<std::size_t>(particle);
-    std::copy_n(run.x.data() + at, ROW, before.data() + at);
+
+  // A cell from a time on, in steps of h.
+  void cross(double start, int substeps, double h) {
+    if (run_.lines().pulls.banded()) return cross_in_columns(start, substeps, h);
+    for (int j = 0; j < substeps; ++j) step_rows(start + j * h, h, j);
   }
-}
+
+  // Take out what is stretched beyond its limit.
+  void tear() {
+    if (!run_.lines().tear) return;
+    end();
+    run_.tear();
+  }
+
+  // Have rows as they are to be.
+  void end() {
+    if (in_columns_ && !in_rows_) write();
+    in_columns_ = false;
+  }
+
+ private:
+  void step_rows(double t, double h, int j) {
+    static const AdvanceRows quads = advance_rows_in_quads();
+    const SpringNetwork& network = run_.network;
+    run_.look(t, h);
+    run_.accelerate(run_.x.data(), run_.v.data(), rate_.data());
+    keep_rows();
+    (quads ? quads : advance_rows<PlainRows>)(network.particles(), h, rate_.data(),
+                                              run_.x.data(), run_.v.data());
+    network.place_held(t + h, h, before_.data(), run_.x.data(), run_.v.data());
+    contacts_.settle(network, j, before_, run_.x, &run_.v);
+  }
+
+  // Where particles are, of all or of those that are held.
+  void keep_rows() {
+    if (contacts_.any()) {
+      before_ = run_.x;
+      return;
+    }
+    for (const std::int32_t particle : run_.network.held) {
+      const std::size_t at = ROW * static_cast<std::size_t>(particle);
+      std::copy_n(run_.x.data() + at, ROW, before_.data() + at);
+    }
+  }
+
+  // Particles are in columns; in rows too where something else than bands asks for them.
+  void cross_in_columns(double start, int substeps, double h) {
+    const SpringNetwork& network = run_.network;
+    const SpringPulls& pulls = run_.lines().pulls;
+    const bool pulled = run_.pulled_otherwise(), met = contacts_.any();
+    in_rows_ = pulled || met;
+    if (!in_columns_) begin();
+    const PlaneSteps steps{inverse_masses_.data(), drags_.data(),
+                           {network.gravity[0], network.gravity[1], network.gravity[2]}, h};
+    for (int j = 0; j < substeps; ++j) {
+      const double t = start + j * h;
+      run_.look(t, h);
+      if (pulled) {
+        run_.pull_otherwise(run_.x.data(), run_.v.data(), rate_.data());
+        pulls.read(rate_.data(), room_.f);
+      }
+      pulls.step(steps, room_);
+      network.place_held(t + h, h, room_.x.data(), room_.x.data(), room_.v.data(), strides_);
+      if (met) before_ = run_.x;
+      if (in_rows_) write();
+      if (!met) continue;
+      contacts_.settle(network, j, before_, run_.x, &run_.v);
+      read();
+    }
+  }
+
+  void begin() {
+    run_.lines().pulls.make(room_);
+    read();
+    in_columns_ = true;
+  }
+
+  void read() {
+    run_.lines().pulls.read(run_.x.data(), room_.x);
+    run_.lines().pulls.read(run_.v.data(), room_.v);
+  }
+
+  void write() {
+    run_.lines().pulls.write(room_.x, run_.x.data());
+    run_.lines().pulls.write(room_.v, run_.v.data());
+  }
+
+  SpringRun& run_;
+  SpringContacts& contacts_;
+  std::vector<double> rate_, before_;
+  PullRoom room_;
+  std::vector<double> inverse_masses_, drags_;  // columns
+  Strides strides_;
+  bool in_columns_ = false, in_rows_ = false;
+};
 
 }  // namespace
 
@@ -104,25 +202,16 @@ SpringsStepped step_springs(const SpringNetwork& network, In<double, 3> state,
   SpringRun run = begin_springs(network, state, torn);
   const Cells grid{origin, first, cell, cells};
   SpringContacts contacts(colliders, network.particles(), cells);
-  static const AdvanceRows quads = advance_rows_in_quads();
-  const AdvanceRows advance = quads ? quads : advance_rows<PlainRows>;
   {
     nb::gil_scoped_release release;
     const double h = cell / substeps;
-    std::vector<double> rate(run.size), before(run.size);
+    Explicit steps(run, contacts);
     for (std::int64_t i = 0; i < cells; ++i) {
       contacts.begin_cell(i, substeps, h);
-      for (int j = 0; j < substeps; ++j) {
-        const double t = grid.start(i) + j * h;
-        run.look(t, h);
-        run.accelerate(run.x.data(), run.v.data(), rate.data());
-        keep(run, contacts.any(), before);
-        advance(network.particles(), h, rate.data(), run.x.data(), run.v.data());
-        network.place_held(t + h, h, before.data(), run.x.data(), run.v.data());
-        contacts.settle(network, j, before, run.x, &run.v);
-      }
-      run.tear();
+      steps.cross(grid.start(i), substeps, h);
+      steps.tear();
     }
+    steps.end();
   }
   return {ended_state(run), ended_torn(run), contacts.unresolved};
 }

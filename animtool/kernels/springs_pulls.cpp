@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <numeric>
+#include <utility>
 
 namespace animtool {
 
@@ -32,6 +33,11 @@ std::vector<std::size_t> by_offset(const std::vector<Spring>& springs) {
   return order;
 }
 
+const PlaneLoops& loops() {
+  static const PlaneLoops here = plane_loops_here();
+  return here;
+}
+
 }  // namespace
 
 void SpringPulls::Numbers::add(double length, double stiff, double damps) {
@@ -42,14 +48,12 @@ void SpringPulls::Numbers::add(double length, double stiff, double damps) {
 
 SpringPulls::SpringPulls(const std::vector<Spring>& springs, std::size_t particles)
     : particles_(particles) {
-  std::vector<bool> laid(springs.size());
-  std::vector<std::size_t> banded = lay_bands(springs);
+  std::vector<std::size_t> banded;
+  std::vector<Band> bands = lay_bands(springs, banded);
   // What bands cost besides is by particle.
-  if (2 * banded.size() < particles) {
-    bands_.clear();
-    banded_ = {};
-    banded.clear();
-  }
+  if (2 * banded.size() < particles) banded.clear();
+  if (!banded.empty()) lay_pieces(std::move(bands));
+  std::vector<bool> laid(springs.size());
   for (const std::size_t s : banded) laid[s] = true;
   for (std::size_t s = 0; s < springs.size(); ++s) {
     if (laid[s]) continue;
@@ -60,9 +64,10 @@ SpringPulls::SpringPulls(const std::vector<Spring>& springs, std::size_t particl
   }
 }
 
-std::vector<std::size_t> SpringPulls::lay_bands(const std::vector<Spring>& springs) {
+std::vector<SpringPulls::Band> SpringPulls::lay_bands(const std::vector<Spring>& springs,
+                                                      std::vector<std::size_t>& banded) const {
   const std::vector<std::size_t> order = by_offset(springs);
-  std::vector<std::size_t> banded;
+  std::vector<Band> bands;
   for (std::size_t k = 0; k < order.size();) {
     std::vector<std::size_t> chosen{order[k]};
     const Spring& first = springs[order[k]];
@@ -74,45 +79,107 @@ std::vector<std::size_t> SpringPulls::lay_bands(const std::vector<Spring>& sprin
     }
     const std::size_t places = low(springs[chosen.back()]) - low(first) + 1;
     if (chosen.size() < LEAST || 2 * chosen.size() < places) continue;
-    lay_band(springs, chosen.data(), chosen.size());
+    bands.push_back(band_of(springs, chosen));
     banded.insert(banded.end(), chosen.begin(), chosen.end());
   }
-  return banded;
+  return bands;
 }
 
-void SpringPulls::lay_band(const std::vector<Spring>& springs, const std::size_t* chosen,
-                           std::size_t count) {
-  const std::size_t first = low(springs[chosen[0]]) / WIDE * WIDE;
-  const std::size_t last = (low(springs[chosen[count - 1]]) / WIDE + 1) * WIDE;
-  bands_.push_back({offset(springs[chosen[0]]), first, last, banded_.rest.size()});
+SpringPulls::Band SpringPulls::band_of(const std::vector<Spring>& springs,
+                                       const std::vector<std::size_t>& chosen) {
+  const std::size_t first = low(springs[chosen.front()]) / WIDE * WIDE;
+  const std::size_t last = (low(springs[chosen.back()]) / WIDE + 1) * WIDE;
+  Band band{offset(springs[chosen.front()]), first, last, {}};
   for (std::size_t n = first, c = 0; n < last; ++n) {
-    if (c == count || low(springs[chosen[c]]) != n) {
-      banded_.add(0, 0, 0);
+    if (c == chosen.size() || low(springs[chosen[c]]) != n) {
+      band.numbers.add(0, 0, 0);
       continue;
     }
     const Spring& spring = springs[chosen[c++]];
-    banded_.add(spring.rest, spring.stiffness, spring.damping);
+    band.numbers.add(spring.rest, spring.stiffness, spring.damping);
   }
+  return band;
+}
+
+void SpringPulls::lay_pieces(std::vector<Band> bands) {
+  std::stable_sort(bands.begin(), bands.end(),
+                   [](const Band& a, const Band& b) { return a.first < b.first; });
+  const std::size_t whole = plane_height(particles_) - WIDE;
+  std::vector<const Band*> here;
+  for (std::size_t begin = 0, next = 0, end; begin < whole; begin = end) {
+    std::erase_if(here, [&](const Band* band) { return band->last <= begin; });
+    for (; next < bands.size() && bands[next].first == begin; ++next)
+      here.push_back(&bands[next]);
+    end = std::min(whole, begin + BAND_PIECE);
+    if (next < bands.size()) end = std::min(end, bands[next].first);
+    for (const Band* band : here) end = std::min(end, band->last);
+    lay_piece(begin, end, here);
+  }
+}
+
+void SpringPulls::lay_piece(std::size_t begin, std::size_t end, std::vector<const Band*> bands) {
+  std::sort(bands.begin(), bands.end(),
+            [](const Band* a, const Band* b) { return a->offset < b->offset; });
+  pieces_.push_back({begin, end, offsets_.size(), bands.size(), numbers_.size()});
+  most_offsets_ = std::max(most_offsets_, bands.size());
+  for (const Band* band : bands) offsets_.push_back(band->offset);
+  for (std::size_t n = begin; n < end; n += WIDE)
+    for (const Band* band : bands) {
+      const Numbers& own = band->numbers;
+      for (const std::vector<double>* column : {&own.rest, &own.stiffness, &own.damping})
+        for (std::size_t l = 0; l < WIDE; ++l)
+          numbers_.push_back((*column)[n - band->first + l]);
+    }
+}
+
+BandPieces SpringPulls::pieces() const {
+  return {pieces_.data(), pieces_.size(), offsets_.data(), numbers_.data()};
+}
+
+BandPlanes SpringPulls::planes(PullRoom& room) const {
+  return {plane_height(particles_), room.x.data(), room.v.data(), room.f.data(),
+          room.kept.data()};
+}
+
+void SpringPulls::make(PullRoom& room) const {
+  const std::size_t size = 3 * plane_height(particles_);
+  room.x.resize(size);
+  room.v.resize(size);
+  room.f.assign(size, 0.0);
+  room.kept.resize(3 * most_offsets_ * KEPT);
+}
+
+void SpringPulls::read(const double* rows, std::vector<double>& columns) const {
+  loops().read(rows, particles_, plane_height(particles_), columns.data());
+}
+
+void SpringPulls::write(const std::vector<double>& columns, double* rows) const {
+  loops().write(columns.data(), particles_, plane_height(particles_), rows);
 }
 
 void SpringPulls::set(const double* x, const double* v, PullRoom& room,
                       double* forces) const {
-  static const SetBandPulls quad_bands = set_band_pulls_in_quads();
-  static const AddPulls quads = add_pulls_in_quads();
-  if (bands_.empty()) {
+  if (!banded()) {
     std::fill_n(forces, ROW * particles_, 0.0);
   } else {
-    const std::size_t height = plane_height(particles_);
-    for (std::vector<double>* plane : {&room.x, &room.v, &room.f}) plane->resize(3 * height);
-    const BandNumbers numbers{bands_.data(), bands_.size(), banded_.rest.data(),
-                              banded_.stiffness.data(), banded_.damping.data()};
-    const BandPlanes planes{height, room.x.data(), room.v.data(), room.f.data()};
-    (quad_bands ? quad_bands : set_band_pulls<PlainRows>)(numbers, particles_, x, v, planes,
-                                                          forces);
+    make(room);
+    read(x, room.x);
+    read(v, room.v);
+    loops().pull(pieces(), planes(room));
+    write(room.f, forces);
   }
+  add_loose(x, v, forces);
+}
+
+void SpringPulls::add_loose(const double* x, const double* v, double* forces) const {
+  static const AddPulls quads = add_pulls_in_quads();
   const SpringColumns columns{loose_ends_.data(), loose_.rest.data(), loose_.stiffness.data(),
                               loose_.damping.data()};
   (quads ? quads : add_pulls<PlainRows>)(columns, loose_.rest.size(), x, v, forces);
+}
+
+void SpringPulls::step(const PlaneSteps& steps, PullRoom& room) const {
+  loops().step(pieces(), steps, planes(room));
 }
 
 }  // namespace animtool

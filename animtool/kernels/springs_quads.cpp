@@ -69,8 +69,8 @@ AddPulls add_pulls_in_quads() {
   return __builtin_cpu_supports("avx2") ? add_pulls<QuadRows> : nullptr;
 }
 
-SetBandPulls set_band_pulls_in_quads() {
-  return __builtin_cpu_supports("avx2") ? set_band_pulls<QuadRows> : nullptr;
+PlaneLoops plane_loops_here() {
+  return __builtin_cpu_supports("avx2") ? plane_loops<QuadRows>() : plane_loops<PlainRows>();
 }
 
 AccelerateRows accelerate_rows_in_quads() {
@@ -93,7 +93,7 @@ CrossBundle cross_bundle_in_quads() {
 
 AddPulls add_pulls_in_quads() { return nullptr; }
 
-SetBandPulls set_band_pulls_in_quads() { return nullptr; }
+PlaneLoops plane_loops_here() { return plane_loops<PlainRows>(); }
 
 CrossBundle cross_bundle_in_quads() { return nullptr; }
 
