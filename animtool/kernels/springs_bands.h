@@ -80,10 +80,10 @@ void planes_to_rows(const double* planes, std::size_t count, std::size_t height,
 template <class W>
 void pull_begins(const BandPieces& springs, const BandPiece& piece, const BandPlanes& planes) {
   using Row = typename W::Row;
-  const std::size_t height = planes.height;
+  const std::size_t height = planes.height, count = piece.count, end = piece.end;
   const std::size_t* offsets = springs.offsets + piece.first;
   const double* numbers = springs.numbers + piece.number;
-  for (std::size_t n = piece.begin; n < piece.end; n += WIDE) {
+  for (std::size_t n = piece.begin; n < end; n += WIDE) {
     const double *x = planes.x + n, *v = planes.v + n;
     double *f = planes.f + n, *kept = planes.kept + EDGE + (n - piece.begin);
     Row here[3], speed[3], sum[3];
@@ -92,7 +92,7 @@ void pull_begins(const BandPieces& springs, const BandPiece& piece, const BandPl
       speed[k] = W::load(v + k * height);
       sum[k] = W::load(f + k * height);
     }
-    for (std::size_t b = 0; b < piece.count; ++b, numbers += 3 * WIDE) {
+    for (std::size_t b = 0; b < count; ++b, numbers += 3 * WIDE) {
       const double *y = x + offsets[b], *w = v + offsets[b];
       Row d[3], e[3];
       for (std::size_t k = 0; k < 3; ++k) {

@@ -218,7 +218,8 @@ void advance_rows(std::size_t count, double h, const double* rates, double* x, d
   }
 }
 
-// Move the ends of four springs that share none together, and keep the pulls.
+// Move the ends of four springs that share none together, and keep by how much these are longer
+// than at rest right after.
 template <class W>
 void project_four(const GiveColumns& springs, std::size_t s, double* x, const double* before,
                   double* kept) {
@@ -241,8 +242,15 @@ void project_four(const GiveColumns& springs, std::size_t s, double* x, const do
       W::multiply(W::load(springs.change + s), W::multiply(went, inverse)));
   double pulls[WIDE];
   W::store(pull, pulls);
-  if (kept) W::store(W::multiply(pull, root), kept + s);
   const double* weights = springs.weights + 2 * s;
+  if (kept) {
+    double longer[WIDE], lengths[WIDE];
+    W::store(W::multiply(W::where_apart(square, beyond), root), longer);
+    W::store(root, lengths);
+    for (std::size_t l = 0; l < WIDE; ++l)
+      kept[s + l] =
+          longer[l] - pulls[l] * (weights[2 * l] + weights[2 * l + 1]) * lengths[l];
+  }
   for (std::size_t l = 0; l < WIDE; ++l) {
     double* p = x + ROW * static_cast<std::size_t>(ends[2 * l]);
     double* q = x + ROW * static_cast<std::size_t>(ends[2 * l + 1]);
@@ -268,7 +276,8 @@ void project_one(const GiveColumns& springs, std::size_t s, double* x,
   const double inverse = square > ONE_PLACE ? 1 / square : 0, root = std::sqrt(square);
   const double beyond = square > ONE_PLACE ? 1 - springs.rest[s] * (root * inverse) : 0;
   const double pull = springs.length[s] * beyond + springs.change[s] * (went * inverse);
-  if (kept) kept[s] = pull * root;
+  const double both = springs.weights[2 * s] + springs.weights[2 * s + 1];
+  if (kept) kept[s] = (beyond - pull * both) * root;
   for (std::size_t k = 0; k < 3; ++k) {
     x[i + k] += pull * springs.weights[2 * s] * d[k];
     x[j + k] -= pull * springs.weights[2 * s + 1] * d[k];

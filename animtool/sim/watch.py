@@ -24,6 +24,9 @@ class Signs(Protocol):
 class Watch:
     """Looks at states for numbers, energy and stretch beyond bounds.
 
+    Attributes:
+        energy: Of the state that was looked at last.
+
     Energy counts from the start, in the largest of: the energies there, what may be
     supplied, and the potential energy released since. A motion that starts without
     any is not judged by it.
@@ -33,12 +36,13 @@ class Watch:
         self._system = system
         self._options = options
         self._first: Energy | None = None
+        self.energy: Energy | None = None
         self._usual = 0.0
 
     def start(self, t: float, state: FloatArray) -> None:
         """Take a state for what is usual."""
         first = self._system.energy(t, state)
-        self._first = first
+        self._first = self.energy = first
         if first is not None:
             self._usual = max(
                 abs(first.total), first.kinetic, abs(first.potential), first.supply
@@ -56,6 +60,7 @@ class Watch:
 
     def _grown(self, t: float, state: FloatArray) -> str:
         first, now = self._first, self._system.energy(t, state)
+        self.energy = now
         if first is None or now is None:
             return ""
         released = first.potential - now.potential
@@ -67,6 +72,8 @@ class Watch:
         return ""
 
     def _stretched(self, t: float, state: FloatArray) -> str:
+        if np.isinf(self._options.stretch):
+            return ""
         ratio = self._system.stretch(t, state)
         if ratio is not None and not ratio <= self._options.stretch:
             return f"a spring is {ratio:.3g} times as long as at rest"

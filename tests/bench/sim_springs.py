@@ -24,10 +24,11 @@ from animtool.sim.springs import Family, Pins, SpringSystem, sheet
 FRAMES = 24
 SECONDS, EARLY, LATE = "time [s]", "RMS at frame 6 [mm]", "RMS at frame 12 [mm]"
 RATIO, EACH = "time / animtool [x]", "a spring and step [ns]"
-# Steps a second; the fewest explicit ones are those that taichi is given.
+# Steps a second. Explicit ones of the sheet of 20 are stable from 1479 on, by its
+# fastest motion at rest; the fewest here are 5 % more. Taichi is given 1704 or more.
 OWN = {
     20: [
-        *[("symplectic_euler", rate) for rate in (1704, 2400, 3408, 6816, 9600)],
+        *[("symplectic_euler", rate) for rate in (1560, 1704, 2400, 3408, 6816, 9600)],
         *[("xpbd", rate) for rate in (480, 960, 1920, 3840)],
         *[("bdf2", rate) for rate in (240, 960, 1920)],
         ("implicit_euler", 960),

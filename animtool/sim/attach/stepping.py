@@ -219,7 +219,7 @@ class SheetStepper:
             substeps, 0, substeps, substeps, np.inf, motions.colliders, self._layers,
             state.passages,
         )  # fmt: skip
-        made, _, _, _, _, _, touched, inside, passages, passed = found
+        made, _, _, _, _, _, touched, inside, passages, passed, _ = found
         self.tally.add(self._stretch(made[0]), touched, inside, passed)
         return State(made[0], made[1], passages)
 

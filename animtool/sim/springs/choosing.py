@@ -8,11 +8,16 @@ from dataclasses import dataclass
 from animtool._types import FloatArray
 from animtool.sim.integrators import find_integrator
 from animtool.sim.modes import allowed_step
+<<<<<<< HEAD
 from animtool.sim.springs.options import (
     Solver,
     SpringOptions,
     check_keeping_apart,
 )
+=======
+from animtool.sim.springs.costs import COSTS, projected_rate
+from animtool.sim.springs.options import Solver, SpringOptions
+>>>>>>> 3e0c1f7 (Auto compares steps times their cost; xpbd asks for no steps that are of no use)
 from animtool.sim.springs.system import SpringSystem
 
 __all__ = ["SAFE", "Choice", "choose", "explicit_limit"]
@@ -22,13 +27,11 @@ __all__ = ["SAFE", "Choice", "choose", "explicit_limit"]
 CELL = 1 / 240
 # Of the limit of explicit steps, what is taken.
 SAFE = 0.8
-# Explicit steps a second up to which nothing is cheaper for what it gives: xpbd takes
-# as long with half as many, and is far less accurate. With an error to keep, up to
-# which implicit steps are dearer.
-CHEAP, CHEAP_EXACT = 4_800, 19_200
-# Springs times steps a second of what is small enough to be done explicitly anyway: it
-# takes about a tenth of a second.
-SMALL = 10_000_000
+# Time for each second of motion that is short enough for explicit steps anyway [s].
+LITTLE = 0.03
+# What is less accurate is to take this share of the time at most: explicit steps of the
+# same time are ten times as near as those of xpbd on sheets.
+WORTH = 0.5
 # Steps in a cell to begin with.
 FIRST = {Solver.XPBD: 2, Solver.BDF2: 4, Solver.IMPLICIT_EULER: 2}
 
@@ -68,7 +71,7 @@ def choose(
     t: float,
     state: FloatArray,
 ) -> Choice:
-    """Return the solver that is wanted, or the cheapest that is stable and near enough.
+    """Return the solver that is wanted, or the one that is expected to take least time.
 
     Args:
         system: Of springs.
@@ -89,8 +92,11 @@ def choose(
         if wanted is Solver.AUTO:
             solver, reason = Solver.XPBD, "it keeps surfaces apart from themselves"
     elif wanted is Solver.AUTO:
-        springs = len(system.body.springs.rest)
-        solver, reason = _cheapest(options, limit, rate, springs)
+        solver, reason = (
+            _cheapest(system, options, rate)
+            if options.step is None
+            else _steady(options, options.step, limit)
+        )
     if options.step is not None:
         return Choice(solver, options.step, 1, reason, limit)
     if solver is Solver.SYMPLECTIC_EULER:
@@ -99,6 +105,7 @@ def choose(
     return Choice(solver, CELL, FIRST[solver], reason, limit)
 
 
+<<<<<<< HEAD
 def _cheapest(
     options: SpringOptions, limit: float, rate: float, springs: int
 ) -> tuple[Solver, str]:
@@ -110,7 +117,47 @@ def _cheapest(
         stable = rate <= most or rate * springs <= SMALL
         says = f"semi-implicit Euler needs {rate:.0f} steps a second"
     if stable:
+=======
+def _keeping_apart(wanted: Solver, reason: str) -> tuple[Solver, str]:
+    if wanted is Solver.AUTO:
+        return Solver.XPBD, "it keeps surfaces apart from themselves"
+    if wanted is Solver.XPBD:
+        return wanted, reason
+    message = f"{wanted} does not keep a surface apart from itself"
+    hint = "take xpbd or auto"
+    raise OptionError(Fault("SIM046", message, where="solver", hint=hint))
+
+
+def _steady(options: SpringOptions, step: float, limit: float) -> tuple[Solver, str]:
+    """Return what takes steps of one length."""
+    says = f"semi-implicit Euler is stable with steps up to {limit:.3g} s"
+    if step <= SAFE * limit:
+>>>>>>> 3e0c1f7 (Auto compares steps times their cost; xpbd asks for no steps that are of no use)
         return Solver.SYMPLECTIC_EULER, says
     if options.error is None:
-        return Solver.XPBD, f"{says}, and xpbd is stable with any"
-    return Solver.BDF2, f"{says}, and bdf2 is as accurate with fewer"
+        return Solver.XPBD, f"{says}, and xpbd with any"
+    return Solver.BDF2, f"{says}, and bdf2 with longer ones"
+
+
+def _cheapest(
+    system: SpringSystem, options: SpringOptions, rate: float
+) -> tuple[Solver, str]:
+    """Return what is expected to take least time: steps, times what each costs."""
+    says = f"semi-implicit Euler needs {rate:.0f} steps a second"
+    if options.error is None:
+        other, most = Solver.XPBD, WORTH
+        steps = projected_rate(system, options.stretch)
+    else:
+        other, most, steps = Solver.BDF2, 1.0, 0.0
+    steps = max(steps, FIRST[other] / CELL)
+    explicit, instead = rate * COSTS[Solver.SYMPLECTIC_EULER], steps * COSTS[other]
+    beside = f"about {steps:.0f} of {other}"
+    if explicit * len(system.body.springs.rest) <= LITTLE:
+        return Solver.SYMPLECTIC_EULER, f"{says}, which take little time"
+    if explicit <= instead:
+        return Solver.SYMPLECTIC_EULER, f"{says}, which take less time than {beside}"
+    if explicit * most <= instead:
+        longer = f"which take little longer than {beside}"
+        return Solver.SYMPLECTIC_EULER, f"{says}, {longer}, and are far nearer"
+    share = f"{beside} take {instead / explicit:.0%} of their time"
+    return other, f"{says}, and {share}"

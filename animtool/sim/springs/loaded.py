@@ -38,6 +38,10 @@ class LoadedBody(Protocol):
         """Stiffness [N/m] and damping [N s/m] of these targets ``(A, 2)``."""
 
     @property
+    def gravity(self) -> FloatArray:
+        """``(3,)`` [m/s²]."""
+
+    @property
     def pressures(self) -> tuple[float, float]:
         """Drag and lift of triangles, over area and the square of speed."""
 

@@ -15,7 +15,7 @@ class Solver(StrEnum):
     """What takes springs through time.
 
     Attributes:
-        AUTO: The cheapest of them that is stable and near enough.
+        AUTO: The one that is expected to take least time: steps, times their cost.
         SYMPLECTIC_EULER: Semi-implicit Euler, in steps that the stiffest spring allows.
         XPBD: Extended position based dynamics in small steps: stable with any, and
             less accurate.

@@ -59,9 +59,10 @@ def _projected(
     made = _kernels.project_springs(
         _network(system, grid), grid.state, grid.torn, grid.origin, grid.index,
         grid.cell, cells, grid.substeps, grid.calm, grid.least, most, options.stretch,
-        met, system.layers, grid.passages,
+        met, system.layers, grid.passages, grid.futile,
     )  # fmt: skip
-    state, torn, substeps, calm, stretch, steps, _, inside, passages, passed = made
+    state, torn, substeps, calm, stretch, steps, _, inside = made[:8]
+    passages, passed, futile = made[8:]
     return replace(
         grid,
         index=grid.index + cells,
@@ -70,6 +71,7 @@ def _projected(
         torn=torn,
         unresolved=max(grid.unresolved, inside),
         calm=calm,
+        futile=futile,
         passages=passages,
         passed=max(grid.passed, passed),
         stretch=max(grid.stretch, stretch),
