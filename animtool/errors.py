@@ -21,6 +21,7 @@ __all__ = [
     "counted",
     "excerpt",
     "listed",
+    "percent",
     "refuse_warnings",
 ]
 
@@ -176,6 +177,16 @@ def counted(count: int, noun: str, plural: str = "") -> str:
     ('1 joint', '3 joints', '2 meshes')
     """
     return f"{count} {noun}" if count == 1 else f"{count} {plural or noun + 's'}"
+
+
+def percent(share: float) -> str:
+    """Return a share in per cent, to two digits that count.
+
+    >>> percent(0.0123), percent(5.4973), percent(2e-12)
+    ('1.2%', '550%', '0%')
+    """
+    value = float(f"{100 * share:.2g}")
+    return f"{value:.12g}%" if value >= 1e-4 else "0%"
 
 
 def refuse_warnings(notices: Sequence[Fault], *, strict: bool) -> None:

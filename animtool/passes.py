@@ -109,6 +109,8 @@ class PassContext:
             something missed it [m].
         early: How many frames stand before the take's own and hold its first, for a
             pass that settles.
+        keeps: Whether a pass writes the files that its options name beside the take:
+            a bake does, what only looks at a take does not.
     """
 
     open: Callable[[Path], Take]
@@ -116,6 +118,7 @@ class PassContext:
     notices: list[Fault] = field(default_factory=list)
     errors: list[float] = field(default_factory=list)
     early: int = 0
+    keeps: bool = True
 
     def take(self, path: Path | None, option: str = "take") -> Take:
         """Return the take that an option names.

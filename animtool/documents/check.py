@@ -187,6 +187,13 @@ def _is_below(location: Location, other: Location) -> bool:
     return len(location) > len(other) and location[: len(other)] == other
 
 
+def _lacking(last: int | str, given: Any) -> str:
+    """Return what is missing: a key, or an item behind those that are there."""
+    if isinstance(last, str):
+        return f"key {last!r} is missing"
+    return f"{counted(len(given), 'item')} where {_are(last + 1)} wanted"
+
+
 def _words(fault: Any) -> str:
     """Return what is wrong, with the value."""
     given, context, kind = fault["input"], fault.get("ctx", {}), fault["type"]
@@ -194,9 +201,8 @@ def _words(fault: Any) -> str:
     if kind in {"too_short", "too_long"}:
         wanted = context.get("min_length", context.get("max_length"))
         return f"{counted(len(given), 'item')} where {_are(wanted)} wanted"
-    if kind == "missing" and isinstance(fault["loc"][-1], int):
-        wanted = fault["loc"][-1] + 1
-        return f"{counted(len(given), 'item')} where {_are(wanted)} wanted"
+    if kind == "missing":
+        return _lacking(fault["loc"][-1], given)
     if kind == "union_tag_not_found":
         return f"key {context['discriminator']} is missing"
     if kind in {"literal_error", "enum", "union_tag_invalid"}:

@@ -41,8 +41,7 @@ def attach_trials(scene: Scene, instants: int) -> list[tuple[Place, AttachTrial]
         OptionError: An option does not apply to the source.
     """
     measured = [i for i, entry in enumerate(scene.passes) if _simulates(entry)]
-    passes = scene.passes[: max(measured, default=-1) + 1]
-    scene = replace(scene, passes=tuple(map(_unsaved, passes)))
+    scene = replace(scene, passes=scene.passes[: max(measured, default=-1) + 1])
     found = []
     for entry, (take, _) in zip(scene.passes, scene.steps(), strict=False):
         if not _simulates(entry):
@@ -58,13 +57,6 @@ def attach_trials(scene: Scene, instants: int) -> list[tuple[Place, AttachTrial]
 
 def _simulates(entry: ScenePass) -> bool:
     return isinstance(entry.options, SimulateOptions) and moves(entry.options)
-
-
-def _unsaved(entry: ScenePass) -> ScenePass:
-    """Return a pass that writes no file."""
-    if not isinstance(entry.options, SimulateOptions):
-        return entry
-    return replace(entry, options=replace(entry.options, save="", save_at=()))
 
 
 class AttachTrial:

@@ -22,9 +22,10 @@ from animtool.rig.skeleton import Rig
 from animtool.scene.frames import moving_joints, timed_blocks
 from animtool.scene.options import BakeOptions
 from animtool.scene.plan import BakePlan, plan_bake, rig_paths
+from animtool.scene.progress import Progress
 from animtool.scene.reading import Source
 from animtool.scene.report import BakeReport, TakeReport
-from animtool.scene.sources import Opener, Progress, open_source, source_stem
+from animtool.scene.sources import Opener, open_source, source_stem
 from animtool.scene.take_plan import TakePlan
 from animtool.take import Motion
 from animtool.usd.animation import WrittenBlock, round_blocks
@@ -71,11 +72,15 @@ def bake(
         StrictError: There were warnings, and ``strict`` is on.
     """
     plan = plan_bake(source, output, options, progress=progress, opener=opener)
-    return run_bake(plan)
+    return run_bake(plan, progress=progress)
 
 
-def run_bake(plan: BakePlan) -> BakeReport:
+def run_bake(plan: BakePlan, *, progress: Progress = None) -> BakeReport:
     """Run a planned bake: read, author, write.
+
+    Args:
+        plan: Sources that are open tell their progress themselves.
+        progress: Called with the share of systems done, 0 to 1.
 
     Raises:
         FormatError: The rows of a source are malformed.
@@ -86,7 +91,7 @@ def run_bake(plan: BakePlan) -> BakeReport:
     if plan.systems is not None:
         from animtool.scene.systems.bake import run_system_bake
 
-        return run_system_bake(plan.systems)
+        return run_system_bake(plan.systems, progress=progress)
     if plan.character is not None:
         from animtool.scene.point_bake import run_point_bake
 

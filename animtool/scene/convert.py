@@ -12,9 +12,9 @@ from animtool.errors import Fault, OptionError, refuse_warnings
 from animtool.files import seen_from
 from animtool.output import check_outputs, output_error, replacing
 from animtool.rig.skeleton import JointType, Rig
+from animtool.scene.progress import Progress
 from animtool.scene.sources import (
     Opener,
-    Progress,
     SourceOptions,
     is_usd,
     open_source,

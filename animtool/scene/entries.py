@@ -10,7 +10,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from animtool.errors import Fault, FormatError, OptionError, Severity
+from animtool.errors import Fault, FormatError, OptionError, Severity, ToleranceError
 from animtool.passes import Pass
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import SourceOptions
@@ -77,9 +77,12 @@ class Place:
 
         Raises:
             FormatError: What an `OptionError` said.
+            ToleranceError: What one said.
         """
         try:
             yield
+        except ToleranceError as error:
+            raise ToleranceError([self.put(fault) for fault in error.faults]) from error
         except OptionError as error:
             raise FormatError([self.put(fault) for fault in error.faults]) from error
 

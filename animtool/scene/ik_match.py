@@ -23,7 +23,8 @@ from animtool.output import (
 from animtool.rig.store import StoredArrays
 from animtool.scene.convert_rig import open_rig, write_arrays
 from animtool.scene.ik import frame_index, naming
-from animtool.scene.sources import Progress, SourceOptions
+from animtool.scene.progress import Progress
+from animtool.scene.sources import SourceOptions
 from animtool.scene.start import open_start
 from animtool.take import Clock, Take
 

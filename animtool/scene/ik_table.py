@@ -12,7 +12,7 @@ from animtool.ik.on_take import solve_take
 from animtool.ik.result import IkStatus
 from animtool.ik.take_ik import TakeIk
 from animtool.scene.ik import IkJob, Opened, open_ik
-from animtool.scene.sources import Progress
+from animtool.scene.progress import Progress
 
 __all__ = ["TOLERANCES", "IkTable", "IkTableRow", "ik_table"]
 

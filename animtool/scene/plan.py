@@ -16,8 +16,9 @@ from animtool.rates import rate_label
 from animtool.reorient import reorient
 from animtool.scene.files import form_of, output_files
 from animtool.scene.options import BakeOptions, check_options
+from animtool.scene.progress import Progress
 from animtool.scene.reading import Source, found_sources
-from animtool.scene.sources import Opener, Progress, open_source, source_stem
+from animtool.scene.sources import Opener, open_source, source_stem
 from animtool.scene.take_plan import TakePlan
 from animtool.take import TakeStream
 from animtool.usd.forms import Form, check_suffix

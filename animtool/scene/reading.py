@@ -9,17 +9,17 @@ from typing import TypeAlias
 
 from animtool.errors import AnimtoolError, Fault, Severity
 from animtool.scene.options import BakeOptions, merged
+from animtool.scene.progress import Progress, share_of, told
 from animtool.scene.scene import Scene
 from animtool.scene.sources import (
     Opener,
-    Progress,
     fitting_options,
     is_scene,
     open_source,
 )
 from animtool.take import Channel, Motion, TakeStream
 
-__all__ = ["Reading", "Source", "found_sources", "share_of", "shared", "source_file"]
+__all__ = ["Reading", "Source", "found_sources", "shared", "source_file"]
 
 Source: TypeAlias = "Path | str | Scene"
 
@@ -74,11 +74,11 @@ class Reading:
         errors: list[AnimtoolError] = []
         for i, path in enumerate(self.files):
             try:
+                shown = share_of(progress, i, len(self.files))
                 if path in self.scenes:
-                    streams.append(self.scenes[path].open())
+                    streams.append(_shown(self.scenes[path].open(), shown))
                     continue
                 own = fitting_options(options.source, path, self.files)
-                shown = share_of(progress, i, len(self.files))
                 streams.append(opener(path, own, progress=shown))
             except AnimtoolError as error:
                 errors.append(error)
@@ -120,12 +120,10 @@ def _unused(scenes: dict[Path, Scene]) -> list[Fault]:
     ]
 
 
-def share_of(progress: Progress, i: int, count: int) -> Progress:
-    """Return what shows the progress of one of several as that of all."""
-    if progress is None or count == 1:
-        return progress
-    shown = progress
-    return lambda share: shown((i + share) / count)
+def _shown(stream: TakeStream, progress: Progress) -> TakeStream:
+    """Return a take that tells how much of it was made."""
+    blocks = told(stream.blocks, stream.count, progress, lambda block: block.frames)
+    return replace(stream, blocks=blocks)
 
 
 def shared(stream: TakeStream, count: int) -> list[TakeStream]:

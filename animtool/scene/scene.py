@@ -107,15 +107,18 @@ class Scene:
         )
         return replace(self, outputs=(output,), systems=systems)
 
-    def open(self) -> TakeStream:
+    def open(self, *, keeps: bool = True) -> TakeStream:
         """Return the source with every pass applied.
+
+        Args:
+            keeps: Whether passes write files of their own, as in a bake.
 
         Raises:
             FormatError: A source is malformed, or a pass cannot be applied to it,
                 with the pass's place; the blocks may raise it too.
             OptionError: An option does not apply to the source.
         """
-        stream, context = self._source(), self._context()
+        stream, context = self._source(), self._context(keeps=keeps)
         things = self._things(stream)
         stream = self._beside(stream, things, retimed=True)
         for entry in self.passes:
@@ -126,7 +129,8 @@ class Scene:
     def steps(self) -> Iterator[tuple[Take, TakeStream]]:
         """Yield the source and what it is after each pass, as takes and as streams.
 
-        Things beside the character that no pass retimes are not among them.
+        Things beside the character that no pass retimes are not among them. Passes
+        write no file.
 
         Raises:
             FormatError: As `open`, at the step that raises it.
@@ -136,7 +140,7 @@ class Scene:
         things = self._things(source)
         take, stream = _gathered(self._beside(source, things, retimed=True))
         yield take, stream
-        context = self._context()
+        context = self._context(keeps=False)
         for entry in self.passes:
             take, stream = _gathered(self._passed(stream, entry, context))
             stream.notices += context.notices
@@ -146,13 +150,15 @@ class Scene:
     def passed(self, stream: TakeStream, entry: ScenePass) -> TakeStream:
         """Return what a pass makes of a take, begun as early as its passes are.
 
+        It writes no file.
+
         Raises:
             FormatError: It cannot be applied to the take; the blocks may raise it too.
         """
-        return self._passed(stream, entry, self._context())
+        return self._passed(stream, entry, self._context(keeps=False))
 
-    def _context(self) -> PassContext:
-        return PassContext(self._take, self.path.resolve().parent)
+    def _context(self, *, keeps: bool) -> PassContext:
+        return PassContext(self._take, self.path.resolve().parent, keeps=keeps)
 
     def _source(self) -> TakeStream:
         """Return the source, counted by the meter."""

@@ -12,9 +12,8 @@ from animtool.errors import Fault, OptionError
 from animtool.scene.entries import Place
 from animtool.scene.options import BakeOptions
 from animtool.scene.plan import BakePlan, plan_bake
-from animtool.scene.reading import share_of
+from animtool.scene.progress import Progress, share_of
 from animtool.scene.scene import Scene
-from animtool.scene.sources import Progress
 from animtool.scene.systems.character_motion import CharacterMotion, motion_of
 from animtool.scene.systems.simulation import system_trials
 from animtool.sim.trials.measuring import TrialTable, measure

@@ -12,6 +12,7 @@ from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.inputs import note_input
 from animtool.rates import rate_option
 from animtool.readers import READERS, USD, find_reader
+from animtool.scene.progress import Progress
 from animtool.units import LengthUnit, UpAxis
 
 if TYPE_CHECKING:
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Opener",
-    "Progress",
     "SourceOptions",
     "fitting_options",
     "is_scene",
@@ -29,8 +29,6 @@ __all__ = [
     "takes_option",
 ]
 
-# Called with the share done, 0 to 1.
-Progress: TypeAlias = Callable[[float], None] | None
 # From a file, what it is, and by keyword whom to tell of the progress, to its motion.
 Opener: TypeAlias = Callable[..., "TakeStream"]
 

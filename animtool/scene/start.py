@@ -12,8 +12,8 @@ from animtool.errors import Fault, OptionError, Severity, listed
 from animtool.reorient import reorient
 from animtool.rig.skeleton import Rig
 from animtool.scene.onto_rig import map_names
+from animtool.scene.progress import Progress
 from animtool.scene.sources import (
-    Progress,
     SourceOptions,
     open_source,
     takes_option,

@@ -133,6 +133,15 @@ def test_a_table_in_words(comets: Path) -> None:
     assert lines[-1].startswith("> the file's own")
 
 
+def test_a_scene_that_is_only_looked_at_saves_no_states(swing: Path) -> None:
+    states = swing.with_name("states.npz")
+    for command in (["validate"], ["bake", "--plan"]):
+        assert animtool(*command, swing).code == 0
+        assert not states.exists()
+    assert animtool("bake", swing).code == 0
+    assert states.exists()
+
+
 def test_systems_beside_a_source_are_measured_too(swing: Path) -> None:
     rig = swing.with_name("beast.rig.yaml")
     colliders = "colliders: [{joint: body, capsule: {radius: 5, length: 9}}]\n"

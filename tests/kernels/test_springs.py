@@ -146,3 +146,45 @@ def test_forces_are_those_of_all_springs_that_are_whole(seed: int) -> None:
     np.testing.assert_allclose(found, true, rtol=1e-9, atol=1e-9)
     again = _kernels.spring_accelerations(made, 0.0, 1e-6, state, torn)
     assert again.tobytes() == found.tobytes()
+
+
+def led(ends: np.ndarray, count: int, rng: np.random.Generator) -> tuple[object, dict]:
+    """Return springs with pins and targets on their way, in gravity and drag."""
+    numbers = rng.uniform(0.5, 2, (len(ends), 4))
+    numbers[:, 3] = np.inf
+    held = np.flatnonzero(rng.random(count) < 0.1)
+    drawn = np.flatnonzero(rng.random(count) < rng.choice([0, 0.1]))
+    weights = rng.uniform(0.5, 2, count)
+    weights[held] = 0
+    ways = [rng.normal(size=(2, len(some), 3)) for some in (held, drawn)]
+    made = _kernels.SpringNetwork(
+        weights, rng.uniform(0, 1, count), ends, numbers, np.zeros((0, 3), np.int64),
+        np.array([0, 0, -9.81, 0, 0]), np.array([0.0, 1.0]), held, ways[0], drawn,
+        rng.uniform(0.5, 2, (len(drawn), 2)), ways[1], np.zeros((2, 1, 3)),
+    )  # fmt: skip
+    return made, {"held": held, "way": ways[0]}
+
+
+@given(SEEDS, st.sampled_from([(1, 3), (3, 1)]))
+def test_explicit_steps_are_those_of_accelerations(
+    seed: int, split: tuple[int, int]
+) -> None:
+    ends, count = banded_ends(seed)
+    made, pins = led(ends, count, np.random.default_rng(seed))
+    torn = np.zeros(len(ends), np.uint8)
+    state = np.random.default_rng(seed + 1).normal(size=(2, count, 3))
+    cells, substeps = split
+    h = 0.01 / substeps
+    found = _kernels.step_springs(
+        made, state, torn, 0.0, 0, 0.01, cells, substeps, None
+    )[0]
+    x, v = state.copy()
+    for step in range(cells * substeps):
+        t = step * h
+        rates = _kernels.spring_accelerations(made, t, h, np.stack([x, v]), torn)
+        v = v + h * rates
+        before, x = x, x + h * v
+        start, end = pins["way"]
+        x[pins["held"]] = start + (end - start) * (t + h)
+        v[pins["held"]] = (x - before)[pins["held"]] / h
+    np.testing.assert_allclose(found, np.stack([x, v]), rtol=1e-9, atol=1e-9)

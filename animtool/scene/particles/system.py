@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol, cast
 
 from animtool._types import FloatArray
 from animtool.documents.document import Location
-from animtool.errors import Fault, counted
+from animtool.errors import Fault, Severity, counted
 from animtool.scene.entries import SceneSystem
 from animtool.scene.systems.character_met import CharacterMet, characters_met
 from animtool.scene.systems.kinds import SystemFacts
@@ -212,11 +212,18 @@ class RunningParticles:
 
     def __init__(self, run: ParticleRun) -> None:
         self.run = run
+        self._looks = self._seen = 0
 
     @property
     def notices(self) -> list[Fault]:
         """What is odd so far."""
-        return self.run.notices
+        if self._seen or not self._looks:
+            return self.run.notices
+        message = "there is no particle at any frame"
+        hint = "give emitters a rate or bursts, and a start and a lifetime by which "
+        hint += "their particles are there in the range"
+        nobody = Fault("SIM188", message, hint=hint, severity=Severity.WARNING)
+        return [*self.run.notices, nobody]
 
     def report(self) -> dict[str, object]:
         """Return nothing: what is written says it all."""
@@ -225,6 +232,8 @@ class RunningParticles:
     def at(self, t: float) -> PointsRow:
         """Return the particles at a time [s], not before the last one asked for."""
         frame = self.run.at(t)
+        self._looks += 1
+        self._seen += len(frame.ids)
         return PointsRow(
             frame.ids, frame.points, frame.velocities, frame.radii, frame.ages
         )

@@ -79,6 +79,7 @@ class SpringRun:
         steps: Taken so far.
         stretch: Most that a whole spring was longer than at rest, over that, at the
             times asked for [1].
+        begun: The same at the beginning alone [1].
         error: Of positions, where it was asked for [m].
         unresolved: Most particles that were left inside colliders.
         torn: Which springs are ``(S,)``.
@@ -113,7 +114,9 @@ class SpringRun:
         self._keepings: list[Keeping] = []
         self._kept: list[Moment] = []
         self._state, self.torn = system.state, np.zeros(0, np.bool_)
+        self._begin = begin
         motion = self._to(begin, begin)
+        self.begun = self.stretch
         self.solver, self.reason = motion.solver, reason or motion.reason
 
     def _fine_enough(
@@ -135,12 +138,15 @@ class SpringRun:
     def at(self, t: float) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
         """Return the state at a time, and which springs are torn.
 
+        Before the beginning it is that of the beginning.
+
         Raises:
             OptionError: Time runs backwards (SIM002).
             ToleranceError: It blew up (SIM102), or could not go on.
         """
         assert self._carried is not None
         now = self._carried.time
+        t = max(t, self._begin)
         if t < now:
             message = f"time {t:g} s is before that of the simulation"
             raise OptionError(Fault("SIM002", message, hint="begin again"))

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, Severity, counted
+from animtool.errors import Fault, Severity, counted, percent
 from animtool.scene.entries import SceneSystem
 from animtool.scene.springs.joins import join_pairs
 from animtool.scene.springs.paths import Tie, Ties, brought, ties_of, wind_ties
@@ -30,6 +30,9 @@ __all__ = ["RunningSprings", "open_springs", "spring_trial"]
 # Particles that are put together, or held, this far from where they are built are
 # said to be apart [m].
 APART = 1e-4
+# Over how long they were at the beginning, springs that are as long as this are
+# hardly meant: no rope or cloth becomes twice as long [1].
+LONG = 2.0
 
 
 def open_springs(
@@ -264,14 +267,26 @@ class RunningSprings:
         """What is odd so far, and what it came to."""
         if not self.first:
             return list(self.own)
-        return [*self.own, *self.run.notices, self._note()]
+        return [*self.own, *self.run.notices, *self._warnings(), self._note()]
+
+    def _warnings(self) -> list[Fault]:
+        """Return a warning where springs that never tear became very long (SIM187)."""
+        run = self.run
+        tears = np.isfinite(run.system.body.springs.limit).any()
+        if tears or 1 + run.stretch <= LONG * (1 + run.begun):
+            return []
+        message = f"{self.member.name}: springs become {percent(run.stretch)} longer"
+        message += " than at rest"
+        hint = "raise the stiffness [N/m], which is that of each spring, or lower the "
+        hint += "mass [kg]"
+        return [Fault("SIM187", message, hint=hint, severity=Severity.WARNING)]
 
     def _note(self) -> Fault:
         run = self.run
         parts = [
             f"{run.solver} ({run.reason})",
             f"steps of {run.step:.3g} s and more",
-            f"springs up to {100 * run.stretch:.2g}% longer than at rest",
+            f"springs up to {percent(run.stretch)} longer than at rest",
         ]
         if run.error is not None:
             parts.append(f"error {run.error:.2g} m")

@@ -104,4 +104,4 @@ def open_take(path: Path) -> TakeStream:
         return open_source(path)
     from animtool.scene.file import load_scene
 
-    return load_scene(path).open()
+    return load_scene(path).open(keeps=False)

@@ -7,16 +7,17 @@ from typing import cast
 
 import numpy as np
 
+from animtool.errors import Fault, Severity, excerpt
 from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
 from animtool.scene.systems.kinds import SYSTEM_KINDS
 from animtool.units import UpAxis, up_from_up
 from animtool.usd.layers import StageMetadata
-from animtool.usd.names import distinct_names
+from animtool.usd.names import distinct_names, legal_name
 from animtool.usd.prim_writer import PrimWriter
 from animtool.usd.simulated import SimulatedJob
 
-__all__ = ["system_job"]
+__all__ = ["named_alike", "system_job"]
 
 
 def system_job(
@@ -35,17 +36,33 @@ def system_job(
         meters_per_unit: Unit of what is below the model [m].
         up: Its up axis.
     """
-    written = [system for system in systems if system.written]
-    names = [system.name for system in written]
     turn = up_from_up(up, UpAxis.Y)
+    written = [system for system in systems if system.written]
     return SimulatedJob(
         model,
-        distinct_names(names, names, names).names,
+        _prim_names(written),
         tuple(_writer(system) for system in written),
         metadata,
         meters_per_unit,
         None if turn is None else np.array(turn),
     )
+
+
+def named_alike(systems: Sequence[SceneSystem]) -> list[Fault]:
+    """Return a warning for every system whose prim another's name has (SCN090)."""
+    said = []
+    for system, prim in zip(systems, _prim_names(systems), strict=True):
+        if prim != legal_name(system.name):
+            message = f"another system is named {excerpt(system.name)} before it: its "
+            message += f"prim is {excerpt(prim)}"
+            hint = "give each its own name"
+            said.append(system.place.fault("SCN090", message, hint, Severity.WARNING))
+    return said
+
+
+def _prim_names(systems: Sequence[SceneSystem]) -> list[str]:
+    names = [system.name for system in systems]
+    return distinct_names(names, names, names).names
 
 
 def _writer(system: SceneSystem) -> type[PrimWriter]:

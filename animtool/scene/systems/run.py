@@ -14,6 +14,7 @@ from animtool.output import once_named, together
 from animtool.scene.entries import SceneSystem
 from animtool.scene.report import MeshReport
 from animtool.scene.systems.character_motion import CharacterMotion
+from animtool.scene.systems.job import named_alike
 from animtool.scene.systems.simulation import Tearable, blamed_systems, open_systems
 from animtool.usd.clip_files import system_files
 from animtool.usd.growing import Growing, save_grown
@@ -61,7 +62,7 @@ class SystemRun:
     @property
     def notices(self) -> list[Fault]:
         """What is odd so far, each at the place of its system."""
-        return [
+        return named_alike([self.systems[i] for i in self.written]) + [
             system.place.put(notice)
             for system, opened in zip(self.systems, self._open, strict=True)
             for notice in opened.notices

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from animtool.errors import Fault, Severity, counted, listed
+from animtool.errors import Fault, Severity, counted, listed, percent
 from animtool.sim.attach.actor import Actor
+from animtool.sim.attach.named_frames import of_named_frames
 from animtool.sim.attach.network import odd_surface
 from animtool.sim.attach.simulation import Closing, Simulation
 
@@ -86,13 +87,13 @@ def notices_of(simulation: Simulation) -> list[Fault]:
     if simulation.closing is not None:
         names = listed([report.name for report in reports])
         said.append(_closed(names, simulation.closing))
-    return said
+    return said + of_named_frames(simulation)
 
 
 def _note(report: AttachReport) -> Fault:
     parts = [
         f"{report.name}: {counted(report.steps, 'step')} a frame",
-        f"springs up to {100 * report.stretch:.2g}% longer",
+        f"springs up to {percent(report.stretch)} longer",
     ]
     if report.contacts:
         parts.append(f"up to {counted(report.contacts, 'particle')} in contact")
@@ -121,7 +122,7 @@ def _warnings(report: AttachReport) -> list[Fault]:
     said = []
     if report.stretch > PARDON * report.aimed:
         message = (
-            f"{report.name}: springs become {100 * report.stretch:.2g}% longer than at "
+            f"{report.name}: springs become {percent(report.stretch)} longer than at "
             f"rest, and {100 * report.aimed:g}% was aimed at"
         )
         hint = "give it a higher rate, or let it settle from a pose that it can hold"
@@ -145,5 +146,6 @@ def _closed(names: str, closing: Closing) -> Fault:
     if closing.residual <= closing.tolerance:
         return Fault("SIM130", message, severity=Severity.NOTE)
     message += f", and {1000 * closing.tolerance:g} mm was asked for"
-    hint = "what is left is brought in over the last quarter; raise loop_repeats"
+    hint = "what is left is brought in over the last quarter; raise loop_repeats, or "
+    hint += "the damping or drag of what swings on by chance"
     return Fault("SIM133", message, hint=hint, severity=Severity.WARNING)

@@ -65,6 +65,8 @@ class Simulation:
         options: How.
         actors: Of the bodies, once a frame was seen.
         saved: States at the frames that are asked for.
+        codes: Time codes that were gone through.
+        resumed: States that it goes on from; None where it begins anew.
         closing: Of a cycle, how it came round.
     """
 
@@ -94,9 +96,11 @@ class Simulation:
         self.rig, self.bodies, self.options = rig, bodies, options
         self.actors: list[Actor] = []
         self.saved: list[Saved] = []
+        self.codes: list[float] = []
+        self.resumed = resumed
         self.closing: Closing | None = None
         self._rate, self._start, self._step = rate, start, step
-        self._resumed, self._early = resumed, early
+        self._early = early
         self._before: Pose | None = None
         self._done = 0
         self._signs: dict[int, FloatArray] = {}
@@ -126,6 +130,7 @@ class Simulation:
                 row.moved.append(actor.state.positions)
                 row.targets.append(actor.target)
         self._done += block.frames
+        self.codes += codes.tolist()
         return self._moved(block, codes, rows)
 
     def _codes(self, first: int, count: int) -> FloatArray:
@@ -143,7 +148,7 @@ class Simulation:
             Actor(self.rig, body, settings_for(options, body.kind), 1 / rate, begin)
             for body in self.bodies
         ]
-        if self._resumed is not None:
+        if self.resumed is not None:
             return
         still = Ways(self.rig, begin, begin)
         for _ in range(math.ceil(options.settle * rate)):
@@ -166,7 +171,7 @@ class Simulation:
         """Go on to the next frame."""
         assert self._before is not None
         ways = Ways(self.rig, self._before, pose)
-        if self._resumed is not None and code <= self._resumed.frame:
+        if self.resumed is not None and code <= self.resumed.frame:
             for actor in self.actors:
                 actor.follow(ways)
             return
@@ -182,9 +187,9 @@ class Simulation:
 
     def _note(self, code: float) -> None:
         """Take the states of the frame that is resumed from; keep those asked for."""
-        if self._resumed is not None and code == self._resumed.frame:
+        if self.resumed is not None and code == self.resumed.frame:
             for actor in self.actors:
-                actor.state = self._resumed.states[actor.body.name]
+                actor.state = self.resumed.states[actor.body.name]
         if code in self.options.save_at:
             states = {actor.body.name: actor.state for actor in self.actors}
             steps = {actor.body.name: actor.steps for actor in self.actors}
@@ -229,6 +234,7 @@ class Simulation:
         """Go once through a cycle; return its frames but the last."""
         rows = [_Rows([], []) for _ in self.bodies]
         codes = self._codes(self._early, len(poses)).tolist()
+        self.codes = codes[:-1]
         for actor in self.actors:
             actor.place(poses[0])
         for i, (before, after) in enumerate(pairwise(poses)):
@@ -243,8 +249,8 @@ class Simulation:
         """Return a motion with what was moved in the place of what was animated."""
         options = self.options
         share = weights_at(options.weight, codes, options.interpolation)
-        if self._resumed is not None:
-            share = np.where(codes < self._resumed.frame, 0.0, share)
+        if self.resumed is not None:
+            share = np.where(codes < self.resumed.frame, 0.0, share)
         rotations = block.rotations.dense()
         for body, row in zip(self.bodies, rows, strict=True):
             moved, targets = np.stack(row.moved), np.stack(row.targets)

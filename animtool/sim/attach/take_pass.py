@@ -25,6 +25,7 @@ def simulate(
     folder: Path = Path(),
     *,
     early: int = 0,
+    keeps: bool = True,
 ) -> TakeStream:
     """Return a take whose rig's attachments move by themselves, block by block.
 
@@ -37,6 +38,7 @@ def simulate(
         options: What, and how.
         folder: Where relative paths start.
         early: Frames before the take's own that hold its first; no cycle has them.
+        keeps: Whether states that the options ask for are saved.
 
     Raises:
         FormatError: Arrays of the rig cannot be read any more or do not fit (RIG018,
@@ -63,16 +65,16 @@ def simulate(
     named = [body.mesh.name for body in bodies if isinstance(body, SurfaceBody)]
     return replace(
         stream,
-        blocks=_blocks(simulation, stream, folder),
+        blocks=_blocks(simulation, stream, folder if keeps else None),
         points=stream.points | set(named),
     )
 
 
 def _blocks(
-    simulation: Simulation, stream: TakeStream, folder: Path
+    simulation: Simulation, stream: TakeStream, folder: Path | None
 ) -> Iterator[Motion]:
     yield from simulation.blocks(stream.blocks)
-    if simulation.options.save:
+    if simulation.options.save and folder is not None:
         write_states(folder / simulation.options.save, simulation.saved)
     stream.notices.extend(notices_of(simulation))
     stream.simulated.extend(asdict(report) for report in reports_of(simulation))
@@ -111,7 +113,9 @@ def _check(options: SimulateOptions) -> None:
 def _run(
     stream: TakeStream, options: SimulateOptions, context: PassContext
 ) -> TakeStream:
-    return simulate(stream, options, context.folder, early=context.early)
+    return simulate(
+        stream, options, context.folder, early=context.early, keeps=context.keeps
+    )
 
 
 PASS = Pass(

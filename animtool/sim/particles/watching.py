@@ -19,7 +19,8 @@ class CloudWatch:
     The energy of each counts from where it was first seen, so that neither births nor
     removals are taken for gains, and a slow blow-up adds up over many steps. Moving
     colliders may bring in what particles have at their speed. Where a force has no
-    potential, energy tells only what is known to be in steps too long.
+    potential, energy tells only what is known to be in steps too long; what particles
+    give each other without one is not for it to judge.
 
     Args:
         setup: Whose particles they are.
@@ -62,7 +63,8 @@ class CloudWatch:
         if self._setup.velocity is not None:
             return ""
         now_energies, known = energies(self._setup, self._cloud, state)
-        if not (known or self.too_long):
+        pairs = any(force.pairs for force in self._setup.forces)
+        if not known and (pairs or not self.too_long):
             return ""
         kinetic, potential = self._first.sum(axis=1).tolist()
         now_kinetic, now_potential = now_energies.sum(axis=1).tolist()

@@ -8,16 +8,12 @@ from dataclasses import dataclass
 from animtool._types import FloatArray
 from animtool.sim.integrators import find_integrator
 from animtool.sim.modes import allowed_step
-<<<<<<< HEAD
+from animtool.sim.springs.costs import COSTS, projected_rate
 from animtool.sim.springs.options import (
     Solver,
     SpringOptions,
     check_keeping_apart,
 )
-=======
-from animtool.sim.springs.costs import COSTS, projected_rate
-from animtool.sim.springs.options import Solver, SpringOptions
->>>>>>> 3e0c1f7 (Auto compares steps times their cost; xpbd asks for no steps that are of no use)
 from animtool.sim.springs.system import SpringSystem
 
 __all__ = ["SAFE", "Choice", "choose", "explicit_limit"]
@@ -105,34 +101,10 @@ def choose(
     return Choice(solver, CELL, FIRST[solver], reason, limit)
 
 
-<<<<<<< HEAD
-def _cheapest(
-    options: SpringOptions, limit: float, rate: float, springs: int
-) -> tuple[Solver, str]:
-    most = CHEAP if options.error is None else CHEAP_EXACT
-    if options.step is not None:
-        stable = options.step <= SAFE * limit
-        says = f"semi-implicit Euler is stable with steps up to {limit:.3g} s"
-    else:
-        stable = rate <= most or rate * springs <= SMALL
-        says = f"semi-implicit Euler needs {rate:.0f} steps a second"
-    if stable:
-=======
-def _keeping_apart(wanted: Solver, reason: str) -> tuple[Solver, str]:
-    if wanted is Solver.AUTO:
-        return Solver.XPBD, "it keeps surfaces apart from themselves"
-    if wanted is Solver.XPBD:
-        return wanted, reason
-    message = f"{wanted} does not keep a surface apart from itself"
-    hint = "take xpbd or auto"
-    raise OptionError(Fault("SIM046", message, where="solver", hint=hint))
-
-
 def _steady(options: SpringOptions, step: float, limit: float) -> tuple[Solver, str]:
     """Return what takes steps of one length."""
     says = f"semi-implicit Euler is stable with steps up to {limit:.3g} s"
     if step <= SAFE * limit:
->>>>>>> 3e0c1f7 (Auto compares steps times their cost; xpbd asks for no steps that are of no use)
         return Solver.SYMPLECTIC_EULER, says
     if options.error is None:
         return Solver.XPBD, f"{says}, and xpbd with any"

@@ -112,6 +112,9 @@ def _compare(
         bounds = np.array(found, np.float64).reshape(1, 2, 3)
         if not np.isfinite(bounds).all():
             return
+        if (bounds[0, 0] > bounds[0, 1]).all():
+            # Of no points: USD computes the bounds of nothing, and none is wrong.
+            continue
         mine = extents[i : i + 1] if own is not None else extents
         gap = bounds_apart(mine, bounds, exact=own is not None or not moving)[0]
         if gap > 0:

@@ -70,6 +70,7 @@ RULES = (
     Rule("SCN072", "a picture of a kind that there is none of"),
     Rule("SCN080", "an output with a system that there is none of"),
     Rule("SCN081", "an output of a simulation without a system"),
+    Rule("SCN090", "a system whose name another has", Severity.WARNING),
     Rule(
         "SCN101",
         "a loop whose ends differ by more than a fifth of what it moves",

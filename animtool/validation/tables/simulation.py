@@ -64,4 +64,8 @@ RULES = (
     Rule("SIM153", "a mesh that is odd for cloth", Severity.WARNING),
     Rule("SIM160", "springs that more steps do not shorten", Severity.WARNING),
     Rule("SIM161", "springs that give by more than they may", Severity.NOTE),
+    Rule("SIM185", "frames that are named in vain", Severity.WARNING),
+    Rule("SIM186", "frames before the one that is gone on from", Severity.NOTE),
+    Rule("SIM187", "springs that became twice as long", Severity.WARNING),
+    Rule("SIM188", "particles that are never there", Severity.WARNING),
 )

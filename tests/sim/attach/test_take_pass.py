@@ -159,6 +159,35 @@ def test_going_on_from_a_saved_frame(rig_take: Take, tmp_path: Path) -> None:
     assert again.read_bytes() == path.read_bytes()
 
 
+def test_frames_that_are_named_in_vain_are_said(tmp_path: Path) -> None:
+    take, path = take_of(tail_rig(3), 24, 0.5), tmp_path / "states.npz"
+    _, codes = simulated(take, save=str(path), save_at=(3.0, 99.0))
+    assert codes == ["SIM130", "SIM185"]
+    _, codes = simulated(take, teleports=(2.5,))
+    assert codes == ["SIM130", "SIM185"]
+    _, codes = simulated(take, teleports=(3.0, 13.0))
+    assert codes == ["SIM130"]
+    _, codes = simulated(take_of(tail_rig(3), 24, 1 / 24), resume=path)
+    assert codes == ["SIM130", "SIM185"]
+
+
+def test_frames_before_the_one_that_is_gone_on_from_are_said(tmp_path: Path) -> None:
+    take, path = take_of(tail_rig(3), 24, 0.5), tmp_path / "states.npz"
+    for frame, expected in ((3.0, ["SIM130", "SIM186"]), (1.0, ["SIM130"])):
+        simulated(take, save=str(path), save_at=(frame,))
+        assert simulated(take, resume=path)[1] == expected
+
+
+def test_nothing_is_saved_where_a_take_is_only_looked_at(tmp_path: Path) -> None:
+    take = take_of(tail_rig(3), 24, 0.2)
+    options = SimulateOptions(what=("tail",), save="states.npz", save_at=(2.0,))
+    for keeps in (False, True):
+        context = PassContext(lambda _: take, tmp_path, keeps=keeps)
+        given = TakeStream.of(take)
+        apply_pass(given, find_pass("simulate"), options, context).collect()
+        assert (tmp_path / "states.npz").exists() is keeps
+
+
 def test_a_state_of_others_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "states.npz"
     simulated(take_of(tail_rig(3), 24, 0.2), save=str(path), save_at=(2.0,))

@@ -1,0 +1,139 @@
+"""Systems under way: what is said of them, and how far they are."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import pytest
+from pxr import Usd
+
+from animtool import BakeOptions, bake
+from animtool.edit.frame_range import FrameRange
+from animtool.errors import AnimtoolError, ToleranceError
+from animtool.scene.report import BakeReport
+from animtool.usd.checks import check_layer
+
+HEAD = "scene: animtool/1\nfps: 24\nrange: [1, 6]\nsystems:\n"
+ROPE = """\
+- rope:
+    from: [0, 2, 0]
+    to: [0, 1, 0]
+    count: 6
+    mass: 0.5
+    springs: {structural: {stiffness: 2000, ratio: 0.1}}
+    pins: [{particles: [start]}]
+"""
+DUST = """\
+- particles:
+    name: dust
+    emitters: [{rate: 100, speed: 2, lifetime: 1}]
+    forces: [{gravity: }]
+"""
+CHARGES = """\
+- particles:
+    name: ions
+    emitters: [{place: {disc: {radius: 0.2}}, bursts: [[0, 20]], charge: 1.0e-06}]
+    forces: [{charges: }, {electromagnetic: {magnetic: [0, 0, 2]}}]
+"""
+
+
+def written(folder: Path, systems: str) -> Path:
+    path = folder / "shot.scene.yaml"
+    path.write_text(HEAD + systems, "utf-8")
+    return path
+
+
+def baked(folder: Path, systems: str, options: BakeOptions | None = None) -> BakeReport:
+    return bake(written(folder, systems), folder / "shot.usdc", options)
+
+
+def said(report: BakeReport) -> list[str]:
+    return [notice.code for notice in report.notices if notice.code != "SIM130"]
+
+
+def test_a_name_that_another_has_is_said(tmp_path: Path) -> None:
+    report = baked(tmp_path, ROPE + ROPE)
+    assert said(report) == ["SCN090"]
+    (notice,) = (n for n in report.notices if n.code == "SCN090")
+    assert "'rope_2'" in notice.message
+    assert (notice.lines, notice.where) == ((13,), "systems[1].rope")
+    stage = Usd.Stage.Open(str(tmp_path / "shot.usdc"))
+    names = [prim.GetName() for prim in stage.GetPrimAtPath("/shot").GetChildren()]
+    assert names == ["rope", "rope_2"]
+
+
+def test_particles_that_are_never_there_are_said(tmp_path: Path) -> None:
+    for emitter in ("{speed: 2}", "{rate: 9, start: 5}"):
+        systems = DUST.replace("{rate: 100, speed: 2, lifetime: 1}", emitter)
+        assert said(baked(tmp_path, systems, BakeOptions(overwrite=True))) == ["SIM188"]
+    assert said(baked(tmp_path, DUST, BakeOptions(overwrite=True))) == []
+
+
+def test_frames_without_particles_have_an_extent_like_others(tmp_path: Path) -> None:
+    baked(tmp_path, DUST)
+    assert check_layer(tmp_path / "shot.usdc") == []
+
+
+def test_springs_twice_as_long_are_said(tmp_path: Path) -> None:
+    heavy = ROPE.replace("mass: 0.5", "mass: 500")
+    options = BakeOptions(frame_range=FrameRange(1, 24), overwrite=True)
+    assert said(baked(tmp_path, heavy, options)) == ["SIM187"]
+    tearing = heavy.replace("ratio: 0.1", "ratio: 0.1, tear: 9")
+    drawn = ROPE.replace("ratio: 0.1", "ratio: 0.1, rest: 0.2")
+    for systems in (ROPE, tearing, drawn):
+        assert said(baked(tmp_path, systems, options)) == []
+
+
+@pytest.mark.parametrize(
+    "systems",
+    [
+        ROPE.replace("mass: 0.5", "mass: 0.5\n    solver: symplectic_euler").replace(
+            "count: 6", "count: 6\n    step: 0.1"
+        ),
+        DUST.replace("{gravity: }", "{spring: {k: 1000}}").replace(
+            "name: dust", "name: dust\n    method: euler"
+        ),
+    ],
+    ids=["rope", "particles"],
+)
+def test_what_blows_up_is_named_with_its_place(tmp_path: Path, systems: str) -> None:
+    with pytest.raises(ToleranceError) as error:
+        baked(tmp_path, systems)
+    for fault in error.value.faults:
+        assert fault.path == str(tmp_path / "shot.scene.yaml")
+        assert fault.lines == (6,)
+        assert fault.where in ("systems[0].rope", "systems[0].particles")
+    assert not (tmp_path / "shot.usdc").exists()
+
+
+def test_charges_gain_speed_of_each_other(tmp_path: Path) -> None:
+    assert said(baked(tmp_path, CHARGES)) == ["SIM101"]
+
+
+def test_samples_before_the_beginning_are_the_beginning(tmp_path: Path) -> None:
+    offsets = (Fraction(-1, 4), Fraction(0), Fraction(1, 4))
+    for systems in (ROPE, DUST):
+        options = BakeOptions(samples=offsets, overwrite=True)
+        baked(tmp_path, systems, options)
+        stage = Usd.Stage.Open(str(tmp_path / "shot.usdc"))
+        (prim,) = stage.GetPrimAtPath("/shot").GetChildren()
+        points = prim.GetAttribute("points")
+        assert points.GetTimeSamples()[0] == 0.75
+        assert points.Get(0.75) == points.Get(1)
+
+
+def test_the_share_done_ascends_from_none_to_all(tmp_path: Path) -> None:
+    shares: list[float] = []
+    bake(written(tmp_path, ROPE), tmp_path / "shot.usdc", progress=shares.append)
+    assert shares[0] == 0
+    assert shares[-1] == 1
+    assert shares == sorted(shares)
+
+
+def test_what_an_entry_of_a_table_lacks_is_named(tmp_path: Path) -> None:
+    systems = DUST + "    colliders: [{shape: {sphere: {}}}]\n"
+    with pytest.raises(AnimtoolError) as error:
+        baked(tmp_path, systems)
+    (fault,) = error.value.faults
+    assert (fault.code, fault.message) == ("SCN002", "key 'radius' is missing")
