@@ -59,7 +59,8 @@ class SystemDescription:
             `faces`; of particles `emitters`, `forces` and the `most` at once.
         method: Its solver, or its integrator; `auto` chooses when it is simulated.
         step: The longest that it takes [s]; None leaves it to the method.
-        colliders: Of its own; those of characters are not counted.
+        colliders: Of its own, meshes of files among them; those of characters are not
+            counted.
         joined: Systems that it is one with.
         meets: Systems that it runs into.
         files: What is read for it beside the scene.

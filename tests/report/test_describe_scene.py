@@ -91,6 +91,20 @@ def test_sources_passes_and_outputs(tmp_path: Path) -> None:
     assert found["variables"] == ["who"]
 
 
+def test_meshes_of_files_are_colliders_too(tmp_path: Path) -> None:
+    (tmp_path / "set.usda").write_text(
+        "#usda 1.0\n"
+        'def Mesh "Rock" {\npoint3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]\n'
+        "int[] faceVertexCounts = [3]\nint[] faceVertexIndices = [0, 1, 2]\n}\n"
+    )
+    mesh = "    meshes: [{file: set.usda, prim: /Rock}]\n"
+    text = SYSTEMS.replace("    forces:", mesh + "    forces:")
+    flag, _, snow = described(
+        tmp_path, text.replace("    solver: xpbd\n", mesh + "    solver: xpbd\n")
+    )["systems"]
+    assert (flag["colliders"], snow["colliders"]) == (2, 1)
+
+
 def test_info_of_scenes(tmp_path: Path) -> None:
     path = tmp_path / "shot.scene.yaml"
     path.write_text(SYSTEMS.replace("name: snow", "name: '${what}'"), "utf-8")

@@ -148,7 +148,5 @@ class SpringSetup:
             "springs": len(body.springs.rest),
             drawn: len(shape.counts),
         }
-        options = self.options
-        return SystemFacts(
-            counts, str(options.solver), options.step, len(self.colliders)
-        )
+        options, many = self.options, len(self.colliders) + len(self.meshes)
+        return SystemFacts(counts, str(options.solver), options.step, many)

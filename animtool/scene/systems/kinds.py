@@ -20,7 +20,8 @@ class SystemFacts:
         counts: What it is made of, by kind.
         method: Its solver, or its integrator.
         step: The longest that it takes [s]; None leaves it to the method.
-        colliders: Of its own; those of characters are not counted.
+        colliders: Of its own, meshes of files among them; those of characters are not
+            counted.
     """
 
     counts: dict[str, int]
