@@ -1,4 +1,4 @@
-"""Polygons: their sides, and their triangles."""
+"""Polygons: their sides, their edges, and their triangles."""
 
 from __future__ import annotations
 
@@ -6,7 +6,14 @@ import numpy as np
 
 from animtool._types import IntArray
 
-__all__ = ["sides", "triangulated"]
+__all__ = [
+    "distinct_pairs",
+    "edge_counts",
+    "edges",
+    "of_one_edge",
+    "sides",
+    "triangulated",
+]
 
 
 def sides(counts: IntArray, indices: IntArray) -> IntArray:
@@ -23,6 +30,66 @@ def sides(counts: IntArray, indices: IntArray) -> IntArray:
     ahead = np.roll(indices, -1)
     ahead[ends - 1] = indices[ends - counts]
     return np.stack([indices, ahead], axis=1)
+
+
+def distinct_pairs(pairs: IntArray) -> IntArray:
+    """Return pairs ``(P, 2)`` each once, both ways alike, without those of one number.
+
+    They ascend, and so do the two of each.
+
+    >>> distinct_pairs(np.array([[2, 1], [1, 2], [0, 3], [4, 4]])).tolist()
+    [[0, 3], [1, 2]]
+    """
+    apart = np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1)
+    return np.unique(apart, axis=0)
+
+
+def edges(counts: IntArray, indices: IntArray) -> IntArray:
+    """Return the sides of polygons, each once, ascending ``(E, 2)``.
+
+    Args:
+        counts: Corners of each ``(M,)``.
+        indices: Corners, one polygon after the other ``(C,)``.
+
+    >>> edges(np.array([3, 3]), np.array([0, 1, 2, 0, 2, 3])).tolist()
+    [[0, 1], [0, 2], [0, 3], [1, 2], [2, 3]]
+    """
+    return distinct_pairs(sides(counts, indices))
+
+
+def edge_counts(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray]:
+    """Return the sides of polygons, each once ``(E, 2)``, and how many each is of.
+
+    Args:
+        counts: Corners of each ``(M,)``.
+        indices: Corners, one polygon after the other ``(C,)``.
+
+    >>> edge_counts(np.array([3, 3]), np.array([0, 1, 2, 0, 2, 3]))[1].tolist()
+    [1, 2, 1, 1, 1]
+    """
+    ends = np.sort(sides(counts, indices), axis=1)
+    found, often = np.unique(ends, axis=0, return_counts=True)
+    return found, often
+
+
+def of_one_edge(pairs: IntArray) -> tuple[IntArray, IntArray]:
+    """Return each two of some sides ``(C, 2)`` that have the same ends: their numbers.
+
+    >>> one, other = of_one_edge(np.array([[0, 1], [1, 2], [1, 0]]))
+    >>> one.tolist(), other.tolist()
+    ([0], [2])
+    """
+    ends = np.sort(pairs, axis=1)
+    order = np.lexsort((ends[:, 1], ends[:, 0]))
+    ends = ends[order]
+    found = [np.zeros((0, 2), np.int64)]
+    for apart in range(1, len(order)):
+        same = (ends[apart:] == ends[:-apart]).all(axis=1)
+        if not same.any():
+            break
+        found.append(np.stack([order[:-apart][same], order[apart:][same]], axis=1))
+    one, other = np.concatenate(found).T
+    return one, other
 
 
 def triangulated(counts: IntArray, indices: IntArray) -> IntArray:

@@ -7,7 +7,7 @@ import numpy as np
 from animtool._types import FloatArray, IntArray
 from animtool.documents.document import Location
 from animtool.errors import Fault, OptionError, Severity, counted
-from animtool.maths.faces import sides
+from animtool.maths.faces import edge_counts, sides
 from animtool.scene.springs.bodies import (
     Families,
     SpringBody,
@@ -115,7 +115,7 @@ def _mesh_cloth(
         diagonals=families["diagonals"],
         bend=families["bend"],
     )
-    often = _side_counts(mesh.counts, mesh.indices)
+    often = edge_counts(mesh.counts, mesh.indices)
     border = np.unique(often[0][often[1] == 1])
     shape = Faces(mesh.counts, mesh.indices, body.springs)
     notices = _odd_mesh(model.mesh.prim, mesh.points, flat, often)
@@ -135,13 +135,6 @@ def _shares(
     size = np.ptp(points, axis=0).max()
     areas[areas <= 1e-12 * size * size] = 0.0
     return share_out(areas, counts, indices, len(points)), np.flatnonzero(areas == 0)
-
-
-def _side_counts(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the sides of faces ``(E, 2)``, and how many faces each is of."""
-    pairs = np.sort(sides(counts, indices), axis=1)
-    found, often = np.unique(pairs, axis=0, return_counts=True)
-    return found, often
 
 
 def _odd_mesh(

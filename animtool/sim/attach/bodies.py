@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, OptionError, listed
-from animtool.maths.faces import triangulated
+from animtool.maths.faces import edges, triangulated
 from animtool.rig.kinematics import bind_matrices, bind_world
 from animtool.rig.parts import AttachKind, Attachment
 from animtool.rig.skeleton import Rig
@@ -20,7 +20,6 @@ from animtool.sim.attach.network import (
     Network,
     diagonals_of_faces,
     folds_of_faces,
-    sides_of_faces,
 )
 from animtool.sim.attach.poses import Way
 from animtool.skin.character import (
@@ -190,8 +189,8 @@ def _cloth(rig: Rig, entry: Attachment) -> Body:
     (surface,) = [one for one in surfaces_of(rig) if one.name == entry.mesh]
     shapes = [shape.name for shape in rig.shapes]
     (mesh,) = character_meshes([surface], rig.names, bind_matrices(rig), shapes)
-    faces = _faces(surface)
-    ends = sides_of_faces(faces)
+    faces = surface.counts, surface.indices
+    ends = edges(*faces)
     if not len(ends):
         message = f"the mesh of {entry.name!r} has no faces"
         raise OptionError(Fault("SIM033", message))
@@ -207,17 +206,12 @@ def _cloth(rig: Rig, entry: Attachment) -> Body:
         placed,
         pins,
         ends,
-        shears=diagonals_of_faces(faces),
-        folds=folds_of_faces(faces),
-        triangles=triangulated(surface.counts, surface.indices),
+        shears=diagonals_of_faces(*faces),
+        folds=folds_of_faces(*faces),
+        triangles=triangulated(*faces),
     )
     carrier = _carrier(rig, surface, network)
     return SurfaceBody(entry.name, entry.kind, network, carrier, mesh)
-
-
-def _faces(surface: Surface) -> list[list[int]]:
-    ends = np.cumsum(surface.counts)
-    return [part.tolist() for part in np.split(surface.indices, ends[:-1])]
 
 
 def _carrier(rig: Rig, surface: Surface, network: Network) -> int:

@@ -9,6 +9,7 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.errors import counted
+from animtool.maths.faces import distinct_pairs, edge_counts, of_one_edge, sides
 
 __all__ = [
     "Links",
@@ -18,7 +19,6 @@ __all__ = [
     "lost_links",
     "odd_surface",
     "reach",
-    "sides_of_faces",
 ]
 
 NO_PAIRS: IntArray = np.zeros((0, 2), np.int64)
@@ -168,8 +168,7 @@ def odd_surface(network: Network) -> list[str]:
         return []
     a, b, c = (network.points[corners[:, k]] for k in range(3))
     flat = int((~np.cross(b - a, c - a).any(axis=1)).sum())
-    sides = np.sort(corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    often = np.unique(sides, axis=0, return_counts=True)[1]
+    often = edge_counts(np.full(len(corners), 3), corners.ravel())[1]
     shared = int((often > 2).sum())
     said = [f"{counted(flat, 'triangle')} without area"] if flat else []
     if shared:
@@ -177,66 +176,41 @@ def odd_surface(network: Network) -> list[str]:
     return said
 
 
-def sides_of_faces(faces: list[list[int]]) -> IntArray:
-    """Return the sides of faces, each once, ascending ``(L, 2)``.
-
-    >>> sides_of_faces([[0, 1, 2], [0, 2, 3]]).tolist()
-    [[0, 1], [0, 2], [0, 3], [1, 2], [2, 3]]
-    """
-    return _pairs(
-        {
-            _ordered(i, face[(k + 1) % len(face)])
-            for face in faces
-            for k, i in enumerate(face)
-        }
-    )
-
-
-def diagonals_of_faces(faces: list[list[int]]) -> IntArray:
+def diagonals_of_faces(counts: IntArray, indices: IntArray) -> IntArray:
     """Return both diagonals of each quadrangle ``(L, 2)``.
 
-    >>> diagonals_of_faces([[0, 1, 2, 3]]).tolist()
+    Args:
+        counts: Corners of each face ``(M,)``.
+        indices: Corners, face by face ``(C,)``.
+
+    >>> diagonals_of_faces(np.array([4]), np.array([0, 1, 2, 3])).tolist()
     [[0, 2], [1, 3]]
     """
-    return _pairs(
-        {
-            _ordered(face[k], face[k + 2])
-            for face in faces
-            if len(face) == 4
-            for k in (0, 1)
-        }
-    )
+    corners = indices[np.repeat(counts == 4, counts)].reshape(-1, 4)
+    return distinct_pairs(corners[:, [[0, 2], [1, 3]]].reshape(-1, 2))
 
 
-def folds_of_faces(faces: list[list[int]]) -> IntArray:
+def folds_of_faces(counts: IntArray, indices: IntArray) -> IntArray:
     """Return the points on either side of each edge that faces share ``(L, 2)``.
 
     Of two triangles those are the corners that face the edge, of two quadrangles the
     next points on either side of each end. An edge of three faces bends between each
     two.
 
-    >>> folds_of_faces([[0, 1, 2], [1, 0, 3]]).tolist()
+    Args:
+        counts: Corners of each face ``(M,)``.
+        indices: Corners, face by face ``(C,)``.
+
+    >>> folds_of_faces(np.array([3, 3]), np.array([0, 1, 2, 1, 0, 3])).tolist()
     [[2, 3]]
     """
-    beyond: dict[tuple[int, int], list[dict[int, int]]] = {}
-    for face in faces:
-        size = len(face)
-        for k, i in enumerate(face):
-            j = face[(k + 1) % size]
-            beside = {i: face[k - 1], j: face[(k + 2) % size]}
-            beyond.setdefault(_ordered(i, j), []).append(beside)
-    found = set()
-    for edge, sides in beyond.items():
-        for k, one in enumerate(sides):
-            for other in sides[k + 1 :]:
-                found |= {_ordered(one[end], other[end]) for end in edge}
-    return _pairs({pair for pair in found if pair[0] != pair[1]})
-
-
-def _ordered(i: int, j: int) -> tuple[int, int]:
-    return (i, j) if i < j else (j, i)
-
-
-def _pairs(found: set[tuple[int, int]]) -> IntArray:
-    kept = sorted(pair for pair in found if pair[0] != pair[1])
-    return np.array(kept, np.int64).reshape(-1, 2)
+    starts, sizes = np.repeat([np.cumsum(counts) - counts, counts], counts, axis=1)
+    around = np.arange(len(indices)) - starts
+    own = sides(counts, indices)
+    # Beside the first end of a side, and beside the second.
+    beside = np.stack([indices[starts + (around + k) % sizes] for k in (-1, 2)], axis=1)
+    turned = own[:, 0] > own[:, 1]
+    beside[turned] = beside[turned, ::-1]
+    one, other = of_one_edge(own)
+    pairs = np.stack([beside[one], beside[other]], axis=-1)
+    return distinct_pairs(pairs.reshape(-1, 2))

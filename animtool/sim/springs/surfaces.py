@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from animtool._types import ArrayLike, BoolArray, IntArray, as_floats
-from animtool.maths.faces import triangulated
+from animtool.maths.faces import (
+    distinct_pairs,
+    edges,
+    of_one_edge,
+    triangulated,
+)
 from animtool.sim.springs.body import Body, Family, built
 
 __all__ = ["surface"]
@@ -43,16 +48,12 @@ def surface(
     places = as_floats(points, ("N", 3), "points")
     sizes, corners = np.asarray(counts, np.int64), np.asarray(indices, np.int64)
     triangles = triangulated(sizes, corners)
-    edges = _edges(sizes, corners)
+    along = edges(sizes, corners)
     crossing = _crossing(sizes, corners)
     # A fan's inner edges are no edges of the mesh, and are not bent over.
-    hinges = _hinges(triangles, edges)
-    families = [(edges, structural), (crossing, diagonals), (hinges, bend)]
+    hinges = _hinges(triangles, along)
+    families = [(along, structural), (crossing, diagonals), (hinges, bend)]
     return built(places, mass, families, triangles)
-
-
-def _edges(counts: IntArray, indices: IntArray) -> IntArray:
-    return _unique(_steps(counts, indices, np.ones_like(counts)))
 
 
 def _crossing(counts: IntArray, indices: IntArray) -> IntArray:
@@ -60,7 +61,7 @@ def _crossing(counts: IntArray, indices: IntArray) -> IntArray:
     for step in range(2, int(counts.max(initial=0)) // 2 + 1):
         wide = np.repeat(counts >= 2 * step, counts)
         found.append(_steps(counts, indices, np.full_like(counts, step))[wide])
-    return _unique(np.concatenate(found))
+    return distinct_pairs(np.concatenate(found))
 
 
 def _steps(counts: IntArray, indices: IntArray, steps: IntArray) -> IntArray:
@@ -71,28 +72,15 @@ def _steps(counts: IntArray, indices: IntArray, steps: IntArray) -> IntArray:
     return np.stack([indices, indices[ahead]], axis=1)
 
 
-def _hinges(triangles: IntArray, edges: IntArray) -> IntArray:
-    """Return the corners off each edge that triangles share ``(B, 2)``."""
-    sides = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
+def _hinges(triangles: IntArray, kept: IntArray) -> IntArray:
+    """Return the corners off each of some edges that triangles share ``(B, 2)``."""
+    own = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
     off = np.concatenate([triangles[:, (k + 2) % 3] for k in range(3)])
-    sides = np.sort(sides, axis=1)
-    order = np.lexsort((off, sides[:, 1], sides[:, 0]))
-    sides, off = sides[order], off[order]
-    found = [np.zeros((0, 2), np.int64)]
-    for apart in range(1, len(off)):
-        same = (sides[apart:] == sides[:-apart]).all(axis=1)
-        if not same.any():
-            break
-        pairs = np.stack([off[:-apart][same], off[apart:][same]], axis=1)
-        found.append(pairs[_among(sides[apart:][same], edges)])
-    return _unique(np.concatenate(found))
+    one, other = of_one_edge(own)
+    wanted = _among(np.sort(own[one], axis=1), kept)
+    return distinct_pairs(np.stack([off[one], off[other]], axis=1)[wanted])
 
 
-def _among(pairs: IntArray, edges: IntArray) -> BoolArray:
-    size = int(max(pairs.max(initial=0), edges.max(initial=0))) + 1
-    return np.isin(pairs @ [size, 1], edges @ [size, 1])
-
-
-def _unique(pairs: IntArray) -> IntArray:
-    apart = np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1)
-    return np.unique(apart, axis=0)
+def _among(pairs: IntArray, kept: IntArray) -> BoolArray:
+    size = int(max(pairs.max(initial=0), kept.max(initial=0))) + 1
+    return np.isin(pairs @ [size, 1], kept @ [size, 1])

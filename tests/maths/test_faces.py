@@ -1,0 +1,81 @@
+"""Polygons, against what loops over them find."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from animtool._types import IntArray
+from animtool.maths.faces import (
+    distinct_pairs,
+    edge_counts,
+    edges,
+    of_one_edge,
+    sides,
+    triangulated,
+)
+
+POLYGON = st.lists(st.integers(0, 9), min_size=3, max_size=6, unique=True)
+POLYGONS = st.lists(POLYGON, min_size=1, max_size=8)
+FEW = settings(max_examples=50, deadline=None)
+
+
+def flat(polygons: list[list[int]]) -> tuple[IntArray, IntArray]:
+    return np.array([len(one) for one in polygons]), np.concatenate(polygons)
+
+
+def around(polygon: list[int]) -> list[tuple[int, int]]:
+    return list(zip(polygon, [*polygon[1:], polygon[0]], strict=True))
+
+
+@given(POLYGONS)
+@FEW
+def test_sides_go_around_each_polygon(polygons: list[list[int]]) -> None:
+    wanted = [list(side) for polygon in polygons for side in around(polygon)]
+    assert sides(*flat(polygons)).tolist() == wanted
+
+
+@given(POLYGONS)
+@FEW
+def test_an_edge_is_there_once_and_counted(polygons: list[list[int]]) -> None:
+    every = [tuple(sorted(side)) for one in polygons for side in around(one)]
+    found, often = edge_counts(*flat(polygons))
+    assert [tuple(edge) for edge in found.tolist()] == sorted(set(every))
+    assert often.tolist() == [every.count(edge) for edge in sorted(set(every))]
+    assert edges(*flat(polygons)).tolist() == found.tolist()
+
+
+@given(POLYGONS)
+@FEW
+def test_sides_of_one_edge_are_paired(polygons: list[list[int]]) -> None:
+    own = sides(*flat(polygons))
+    wanted = {
+        (i, j)
+        for i, j in combinations(range(len(own)), 2)
+        if set(own[i].tolist()) == set(own[j].tolist())
+    }
+    one, other = of_one_edge(own)
+    pairs = [
+        (min(pair), max(pair))
+        for pair in zip(one.tolist(), other.tolist(), strict=True)
+    ]
+    assert len(pairs) == len(wanted)
+    assert set(pairs) == wanted
+
+
+@given(POLYGONS)
+@FEW
+def test_a_fan_has_two_triangles_less_than_corners(polygons: list[list[int]]) -> None:
+    triangles = triangulated(*flat(polygons))
+    assert len(triangles) == sum(len(polygon) - 2 for polygon in polygons)
+    corners = {corner for polygon in polygons for corner in polygon}
+    assert set(triangles.ravel().tolist()) == corners
+
+
+def test_nothing_has_no_pairs() -> None:
+    none = np.zeros((0, 2), np.int64)
+    assert distinct_pairs(none).shape == (0, 2)
+    assert [len(part) for part in of_one_edge(none)] == [0, 0]
