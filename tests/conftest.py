@@ -13,8 +13,8 @@ ROOT = Path(__file__).parents[1]
 # It is read when numpy is imported, here and in the processes that tests start.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-# How long an example takes is the machine's affair.
-settings.register_profile("animtool", deadline=None)
+# How long an example takes is the machine's affair; others are taken in each run.
+settings.register_profile("animtool", deadline=None, max_examples=50)
 settings.load_profile("animtool")
 
 

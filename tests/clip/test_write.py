@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from support.bvh import COLUMNS, small_bvh
 from support.cli import animtool
@@ -124,7 +124,6 @@ def written_and_read(clip: Clip, rig: Rig, folder: Path) -> Clip:
     return load_clip(open_clip(path), rig)
 
 
-@settings(max_examples=100)
 @given(clip=clips(), unit=st.integers(0, len(UNITS) - 1))
 def test_any_clip_comes_back(
     heroes: list[tuple[Path, Rig]], clip: Clip, unit: int

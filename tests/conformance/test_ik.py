@@ -210,6 +210,13 @@ def followed(request: pytest.FixtureRequest) -> tuple[str, Clip, IkResult]:
     return request.param.stem, clip, result
 
 
+@pytest.fixture(scope="module")
+def smoother(followed: tuple[str, Clip, IkResult]) -> IkResult:
+    """The poses that follow a clip, smoothed."""
+    _, clip, result = followed
+    return smooth(result, clip.targets, SMOOTH, fps=clip.fps)
+
+
 def test_clips_are_followed_in_every_frame(
     followed: tuple[str, Clip, IkResult],
     record_property: Callable[[str, object], None],
@@ -236,20 +243,22 @@ def test_clips_are_followed_without_jumps(
         assert np.abs(_speeds(clip, result.coordinates)).max() < 2 * most
 
 
-def test_locked_goals_do_not_slide(followed: tuple[str, Clip, IkResult]) -> None:
+def test_locked_goals_do_not_slide(
+    followed: tuple[str, Clip, IkResult], smoother: IkResult
+) -> None:
     _, clip, result = followed
     if clip.lock is None:
         pytest.skip("nothing is locked in this clip")
-    for poses in (result, _smoothed(clip, result)):
+    for poses in (result, smoother):
         assert _slides(clip, poses.coordinates).max() < SLIDE
 
 
 def test_smooth_clips_accelerate_little_at_the_same_accuracy(
     followed: tuple[str, Clip, IkResult],
+    smoother: IkResult,
     record_property: Callable[[str, object], None],
 ) -> None:
     name, clip, result = followed
-    smoother = _smoothed(clip, result)
     assert not (result.converged & ~smoother.converged).any()
     assert smoother.jumps == ()
     beyond = _beyond_limits(clip.problem.rig, smoother.coordinates)
@@ -271,10 +280,6 @@ def _near(clip: Clip, result: IkResult) -> BoolArray:
     near = result.positions.max(axis=1) < LENGTH_TOLERANCE * clip.problem.length
     near &= result.orientations.max(axis=1) < ANGLE_TOLERANCE
     return np.asarray(near)
-
-
-def _smoothed(clip: Clip, result: IkResult) -> IkResult:
-    return smooth(result, clip.targets, SMOOTH, fps=clip.fps)
 
 
 def _speeds(clip: Clip, coordinates: FloatArray) -> FloatArray:

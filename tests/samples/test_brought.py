@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import re
-import shlex
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
-from support.cli import animtool_process
 from support.made_arrays import check_made
+from support.printed import make_project, run_printed
 from support.usd import joint_transforms, open_stage, skeleton_query, validation_errors
 
 from animtool import open_source
@@ -35,14 +33,11 @@ ON_LIMIT = 1e-5  # [rad] or [m]: what float32 leaves of a limit
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A project in which the commands of both READMEs have run."""
     folder = tmp_path_factory.mktemp("brought")
-    for name in ("samples", "rigs"):
-        shutil.copytree(ROOT / name, folder / name)
-    (folder / "animtool.toml").touch()
+    make_project(folder)
     for name in ("carry", "weld"):
         text = (ROOT / f"samples/{name}/README.md").read_text("utf-8")
-        for command in re.findall(r"^\$ animtool (.*)$", text, re.M):
-            done = animtool_process(*shlex.split(command), cwd=folder)
-            assert done.code == 0, f"{command}\n{done.stderr}"
+        for command in re.findall(r"^\$ (animtool .*)$", text, re.M):
+            run_printed(command, folder)
     return folder
 
 

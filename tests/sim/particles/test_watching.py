@@ -98,7 +98,7 @@ def test_a_force_that_is_no_number_is_no_blow_up() -> None:
 def test_particles_that_go_with_the_air_are_looked_at(method: str) -> None:
     wind = find_force("wind")(velocity=(30, 0, 0), drag=0.01)
     options = IntegrateOptions(method, step=STEP)
-    setup = Particles([Emitter(rate=20, lifetime=2)], [wind], options=options)
+    setup = Particles([Emitter(rate=5, lifetime=2)], [wind], options=options)
     frame = ParticleRun(setup).at(3.0)
     assert np.isfinite(frame.points).all()
     assert frame.velocities[:, 0].max() == pytest.approx(30, rel=0.01)
