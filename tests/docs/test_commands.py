@@ -22,6 +22,7 @@ DOCUMENTS = [
     "samples/cape/README.md",
     "samples/carry/README.md",
     "samples/ci/README.md",
+    "samples/drape/README.md",
     "samples/embers/README.md",
     "samples/flag/README.md",
     "samples/orbits/README.md",
