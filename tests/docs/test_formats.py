@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import math
 import re
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -25,6 +27,8 @@ from animtool.rig.parts import AttachKind
 from animtool.rig.targets import DRIVEN_PARTS, KEYED_PARTS
 from animtool.scene.file import load_scene
 from animtool.scene.start import rest_take
+from animtool.sim.particles.forces import FORCES, find_force
+from animtool.sim.particles.velocity_field import VARIABLES
 
 TEXT = PAGE.read_text("utf-8")
 BLOCKS = re.findall(r"^```yaml\n(.*?)^```", TEXT, re.M | re.S)
@@ -69,6 +73,28 @@ def test_the_functions_are_those_of_expressions() -> None:
     assert {name: len(args.split(",")) for name, args in listed} == {
         name: count for name, (_, count) in FUNCTIONS.items()
     }
+
+
+def test_the_forces_are_those_that_there_are() -> None:
+    table = TEXT.split("| force | options, and what they are usually | |")[1]
+    rows = table.split("\n\n")[0].splitlines()[2:]
+    assert sorted(row.split("`")[1] for row in rows) == sorted(FORCES)
+    for row in rows:
+        options = re.findall(r"`([^`]*)`", row.split("|")[2])
+        listed = yaml.safe_load("\n".join(o if ": " in o else f"{o}:" for o in options))
+        made = asdict(find_force(row.split("`")[1])())
+        usual = {
+            name: None if value == math.inf else value for name, value in made.items()
+        }
+        spelled = {k: tuple(v) if isinstance(v, list) else v for k, v in listed.items()}
+        assert spelled == usual
+
+
+def test_the_variables_of_fields_are_listed() -> None:
+    row = next(row for row in TEXT.splitlines() if row.startswith("| `field` |"))
+    named = row.partition("[expressions]")[2]
+    found = {name for part in re.findall(r"`([^`]*)`", named) for name in part.split()}
+    assert found == set(VARIABLES)
 
 
 def test_the_parts_are_those_of_joints() -> None:
