@@ -245,18 +245,28 @@ wind ``(K or 1, 1, 3)``.)")
   nb::class_<SpringLayers>(m, "SpringLayers",
                            R"(A surface of springs that keeps apart from itself.
 
-Particles keep the ``thickness`` from triangles, or less: as far as they are from each other
-at ``rest`` ``(N, 3)``; those that springs keep apart are left to them. With Coulomb's
+Particles keep the ``thickness`` from triangles, and edges three quarters of it from edges, or
+less: as far as they are from each other at ``rest`` ``(N, 3)``, and two thirds of that along
+the surface. With Coulomb's
 coefficient of ``friction``; the ``speed`` with which what is nearer comes apart.)")
       .def(nb::init<const SpringNetwork&, In<double, 2>, double, double, double>(),
            "network"_a, "rest"_a, "thickness"_a, "friction"_a, "speed"_a)
       .def("least", &SpringLayers::least, "triangle"_a, "particle"_a,
-           R"(Return the distance that a particle keeps, 0 of those left to springs.)");
+           R"(Return the distance that a particle keeps, 0 from triangles that it is a corner of.)")
+      .def("least_of_edges", &SpringLayers::least_of_edges, "first"_a, "second"_a,
+           R"(Return the distance that edges keep, 0 of those that share a particle.
+
+Edges are pairs of particles, the lower first, in order.)");
 
   m.def("part_springs", &part_springs, "network"_a, "layers"_a, "before"_a, "after"_a, "h"_a,
         R"(Take the step of h that a surface is kept apart in from itself.
 
 From positions ``(N, 3)`` to the state ``(2, N, 3)`` returned, of one that knows nothing.)");
+
+  m.def("pierced_edges", &pierced_edges, "positions"_a, "triangles"_a,
+        R"(How many edges go through triangles ``(T, 3)`` that have neither of their ends.
+
+Each pair counts; at ``positions`` ``(N, 3)``.)");
 
   m.def("spring_order", &spring_order, "ends"_a, "particles"_a,
         R"(The order ``(S,)`` in which springs ``(S, 2)`` are gone through.
@@ -304,12 +314,14 @@ up to ``most``; after many that go well half as many are tried, down to ``least`
 lessens a stretch hardly it is ``futile``: the stretch, and cells for which it is not tried.
 
 ``layers`` keep the surface apart from itself; ``crossed`` ``(C, 3)`` are passages to go on
-with: a particle, the triangle that it went through, and the side of this that it came from.
+with: a particle, the triangle that it went through, and the side of this that it came from;
+or an edge, numbered after the particles, another of a higher number, and its side.
 
 Returns ``(state, torn, substeps, calm, stretch, steps, touched, unresolved, crossed,
-passed, futile)``: steps a cell and cells that went well, to go on with; the largest stretch
+through, futile)``: steps a cell and cells that went well, to go on with; the largest stretch
 that is not a spring's own; steps in all; particles that colliders moved in a step, at most;
-the passages left, and the most particles at the end of a cell that had any.)");
+the passages left; and of what went through the most particles and pairs of edges at the end
+of a cell, and how many steps a second would have seen all of it, 0 where these did.)");
 
   nb::class_<SpringStrands>(m, "SpringStrands",
                             R"(Strands of P particles of one mass, each held at its root.

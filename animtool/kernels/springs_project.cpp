@@ -281,17 +281,16 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
   Projection projection(run, cell, contacts, self);
   Cadence cadence(projection, run, least, most, stretch, substeps, calm, futile);
   double worst = 0;
-  std::int64_t passed = 0;
   {
     nb::gil_scoped_release release;
     for (std::int64_t i = 0; i < cells; ++i) {
       worst = std::max(worst, cadence.cross(i, grid.start(i)));
-      passed = std::max(passed, self.particles_passed());
+      self.note_through();
       if (run.tear()) projection.forget();
     }
   }
   return {ended_state(run), ended_torn(run), cadence.substeps, cadence.calm, worst,
-          cadence.steps, contacts.touched, contacts.unresolved, self.ended(), passed,
+          cadence.steps, contacts.touched, contacts.unresolved, self.ended(), self.through(),
           cadence.futile};
 }
 

@@ -33,10 +33,10 @@ using Futile = std::tuple<double, int>;
 using SpringsStepped = std::tuple<Out<double, 3>, Out<std::uint8_t, 1>, std::int64_t>;
 // states, torn, steps a cell, cells that went well since, largest stretch, steps taken,
 // particles in contact and left inside colliders, passages of the surface through itself
-// (C, 3), most particles that were through it, what more steps were found to be no use for
+// (C, 3), what went through, what more steps were found to be no use for
 using SpringsProjected = std::tuple<Out<double, 3>, Out<std::uint8_t, 1>, int, int, double,
                                     std::int64_t, std::int64_t, std::int64_t,
-                                    Out<std::int64_t, 2>, std::int64_t, Futile>;
+                                    Out<std::int64_t, 2>, SelfThrough, Futile>;
 // states, states before, whether these are known, torn, steps, corrections, cells not solved,
 // particles left inside colliders
 using SpringsSolved = std::tuple<Out<double, 3>, Out<double, 3>, bool, Out<std::uint8_t, 1>,
@@ -66,6 +66,9 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
 // One step of what keeps a surface apart from itself, from positions (N, 3) to a state (2, N, 3).
 Out<double, 3> part_springs(const SpringNetwork& network, const SpringLayers& layers,
                             In<double, 2> before, In<double, 3> after, double h);
+
+// How many edges go through triangles that have neither of their ends, at positions (N, 3).
+std::int64_t pierced_edges(In<double, 2> positions, In<std::int64_t, 2> triangles);
 
 SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
                             std::optional<In<double, 3>> before, In<std::uint8_t, 1> torn,

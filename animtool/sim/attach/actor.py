@@ -28,6 +28,7 @@ from animtool.sim.attach.stepping import (
 )
 from animtool.sim.attach.strands import StrandStepper
 from animtool.sim.colliders.on_joints import Capsules
+from animtool.sim.springs.self_contact import tangle_notices
 from animtool.units import UpAxis
 
 __all__ = ["Actor", "Ways", "carried", "upwards"]
@@ -72,6 +73,7 @@ class Actor:
         tally: What happened.
         jumps: How often it was carried over a jump.
         lost: Springs whose ends are at one place in the first pose, and ought not to.
+        tangles: Warnings of cloth that begins in a tangle.
         seconds: Time spent [s].
     """
 
@@ -118,6 +120,11 @@ class Actor:
         )
         self.target = body.targets(first)[0]
         self.lost = lost_links(network, self.target)
+        self.tangles = (
+            tangle_notices(self.target, network.triangles, f"the cloth {body.name}")
+            if settings.thickness
+            else []
+        )
         self.state = State(self.target, np.zeros_like(self.target))
 
     def rush(self, speed: FloatArray) -> None:

@@ -9,6 +9,7 @@ from animtool.sim.attach.actor import Actor
 from animtool.sim.attach.named_frames import of_named_frames
 from animtool.sim.attach.network import odd_surface
 from animtool.sim.attach.simulation import Closing, Simulation
+from animtool.sim.springs.self_contact import through_notices
 
 __all__ = ["AttachReport", "notices_of", "reports_of"]
 
@@ -32,6 +33,7 @@ class AttachReport:
         contacts: Most particles that touched colliders at once.
         unresolved: Most that were left inside.
         passed: Most that had gone through the cloth.
+        cut: Most pairs of its edges that had gone through each other.
         jumps: How often it was carried over a jump.
         seconds: Time spent [s].
     """
@@ -46,6 +48,7 @@ class AttachReport:
     contacts: int
     unresolved: int
     passed: int
+    cut: int
     jumps: int
     seconds: float
 
@@ -60,7 +63,7 @@ def _report(actor: Actor) -> AttachReport:
     status = "ok"
     if tally.stretch > PARDON * aimed:
         status = "stretched"
-    if tally.unresolved or tally.passed:
+    if tally.unresolved or tally.through.passed or tally.through.cut:
         status = "unresolved"
     return AttachReport(
         actor.body.name,
@@ -72,7 +75,8 @@ def _report(actor: Actor) -> AttachReport:
         aimed,
         tally.contacts,
         tally.unresolved,
-        tally.passed,
+        tally.through.passed,
+        tally.through.cut,
         actor.jumps,
         actor.seconds,
     )
@@ -84,6 +88,7 @@ def notices_of(simulation: Simulation) -> list[Fault]:
     said = [_note(report) for report in reports]
     for actor, report in zip(simulation.actors, reports, strict=True):
         said += _of_start(actor) + _warnings(report)
+        said += through_notices(actor.tally.through, f"the cloth {report.name}")
     if simulation.closing is not None:
         names = listed([report.name for report in reports])
         said.append(_closed(names, simulation.closing))
@@ -115,7 +120,7 @@ def _of_start(actor: Actor) -> list[Fault]:
         message = f"{name}: the ends of {which} are at one place in the first pose"
         hint = "with no direction they pull nothing until something parts them"
         said.append(Fault("SIM140", message, hint=hint, severity=Severity.WARNING))
-    return said
+    return said + actor.tangles
 
 
 def _warnings(report: AttachReport) -> list[Fault]:
@@ -132,11 +137,6 @@ def _warnings(report: AttachReport) -> list[Fault]:
         message = f"{report.name}: {points} stay inside colliders"
         hint = "colliders that close in leave them no way out"
         said.append(Fault("SIM132", message, hint=hint, severity=Severity.WARNING))
-    if report.passed:
-        points = counted(report.passed, "particle")
-        message = f"{report.name}: {points} went through the cloth"
-        hint = "give it more thickness, or a higher rate"
-        said.append(Fault("SIM144", message, hint=hint, severity=Severity.WARNING))
     return said
 
 

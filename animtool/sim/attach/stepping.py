@@ -13,6 +13,7 @@ from animtool._types import FloatArray, IntArray
 from animtool.sim.attach.network import Network, reach
 from animtool.sim.attach.settings import Settings
 from animtool.sim.springs import SelfContact
+from animtool.sim.springs.self_contact import Through
 
 __all__ = [
     "STIFF",
@@ -93,22 +94,27 @@ class Tally:
         stretch: Most that a spring was longer than at rest, over that [1].
         contacts: Most particles that touched colliders at once.
         unresolved: Most that were left inside one.
-        passed: Most that had gone through the cloth.
+        through: What had gone through the cloth.
     """
 
     stretch: float = 0.0
     contacts: int = 0
     unresolved: int = 0
-    passed: int = 0
+    through: Through = field(default_factory=Through)
 
     def add(
-        self, stretch: float, contacts: int, unresolved: int, passed: int = 0
+        self,
+        stretch: float,
+        contacts: int,
+        unresolved: int,
+        through: Through | None = None,
     ) -> None:
         """Note a frame."""
         self.stretch = max(self.stretch, stretch)
         self.contacts = max(self.contacts, contacts)
         self.unresolved = max(self.unresolved, unresolved)
-        self.passed = max(self.passed, passed)
+        if through is not None:
+            self.through = self.through.with_more(through)
 
 
 def steps_wanted(network: Network, settings: Settings) -> float:
@@ -219,8 +225,8 @@ class SheetStepper:
             substeps, 0, substeps, substeps, np.inf, motions.colliders, self._layers,
             state.passages,
         )  # fmt: skip
-        made, _, _, _, _, _, touched, inside, passages, passed, _ = found
-        self.tally.add(self._stretch(made[0]), touched, inside, passed)
+        made, _, _, _, _, _, touched, inside, passages, through, _ = found
+        self.tally.add(self._stretch(made[0]), touched, inside, Through(*through))
         return State(made[0], made[1], passages)
 
     def _layered(self, network: _kernels.SpringNetwork) -> _kernels.SpringLayers:

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from animtool._types import FloatArray, IntArray
 from animtool.sim.springs.options import Solver
+from animtool.sim.springs.self_contact import Through
 from animtool.sim.trajectory import Trajectory
 
 __all__ = ["Grid", "SpringMotion"]
@@ -39,7 +40,7 @@ class Grid:
         lost: Whether a cell could not be crossed.
         unresolved: Particles left inside colliders, at most.
         passages: Where the surface is through itself ``(C, 3)``, as kernels have it.
-        passed: Particles through the surface, at most.
+        through: What went through the surface, at most.
     """
 
     solver: Solver
@@ -59,7 +60,7 @@ class Grid:
     lost: bool = False
     unresolved: int = 0
     passages: IntArray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
-    passed: int = 0
+    through: Through = field(default_factory=Through)
 
     @property
     def time(self) -> float:
@@ -82,6 +83,7 @@ class SpringMotion(Trajectory):
             their way out of one, at most at a time.
         passed: Particles that had gone through the surface and were not yet brought
             back, at most at a time.
+        cut: Pairs of edges that had gone through each other, at most at a time.
     """
 
     solver: Solver
@@ -91,3 +93,4 @@ class SpringMotion(Trajectory):
     torn: npt.NDArray[np.bool_]
     unresolved: int
     passed: int = 0
+    cut: int = 0

@@ -7,11 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animtool._types import ArrayLike
-from animtool.errors import Fault, OptionError
+from animtool import _kernels
+from animtool._types import ArrayLike, FloatArray, IntArray
+from animtool.errors import Fault, OptionError, Severity, counted
 from animtool.sim.springs.body import Body
 
-__all__ = ["SelfContact", "check_self_contact"]
+__all__ = [
+    "SelfContact",
+    "Through",
+    "check_self_contact",
+    "tangle_notices",
+    "through_notices",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,17 +26,17 @@ class SelfContact:
     """How a surface keeps apart from itself: cloth in folds, rolls and layers.
 
     At the end of each step, each particle is as far from each triangle as the cloth is
-    thick, on the side that it was, and Coulomb's friction takes from the way of one
-    along the other. What one gains in momentum the other loses. Pairs that are
-    nearer at rest keep that distance; neighbours, nearer along the surface than one and
-    a half thicknesses, are left to the springs, and so are folds sharper than that.
+    thick, and each edge three quarters of that from each other edge, on the side that
+    they were; Coulomb's friction takes from the way of one along the other. What one
+    gains in momentum the other loses. Pairs that are nearer at rest keep that distance;
+    along the surface they keep two thirds of it, so that the thickness is never more
+    than springs leave room for.
 
     Limits of the method: what has gone through in spite of all, as where colliders
     close in on it, is remembered and brought back, but cloth that begins in a tangle
-    stays in it. Edges may cut into each other, by less than they are long, where no
-    particle goes through a triangle. A particle that in one step goes further than four
-    thicknesses from the others may go through unseen: with colliders or pins that
-    fast, take a shorter step.
+    stays in it (SIM166). Parts that go further over each other in one step than four
+    thicknesses may go through unseen (SIM165): with colliders or pins that fast, take
+    a shorter step.
 
     Attributes:
         thickness: Least distance [m].
@@ -41,7 +48,7 @@ class SelfContact:
     References:
         M. Müller, B. Heidelberger, M. Hennix, J. Ratcliff, Position Based Dynamics,
         2007, sections 3.5 and 4.4. R. Bridson, R. Fedkiw, J. Anderson, Robust Treatment
-        of Collisions, Contact and Friction for Cloth Animation, 2002, section 7.
+        of Collisions, Contact and Friction for Cloth Animation, 2002, sections 6 and 7.
     """
 
     thickness: float
@@ -78,3 +85,85 @@ def check_self_contact(contact: SelfContact, body: Body) -> None:
         raise OptionError(
             [Fault("SIM045", message, where="self_contact") for message in messages]
         )
+
+
+@dataclass(frozen=True, slots=True)
+class Through:
+    """What of a surface went through itself, at most at a time.
+
+    Attributes:
+        passed: Particles through triangles that were not yet brought back.
+        cut: Pairs of edges through each other.
+        rate: Steps a second in which what went too far in one would have been seen
+            [1/s]; 0 where nothing did.
+    """
+
+    passed: int = 0
+    cut: int = 0
+    rate: float = 0.0
+
+    def with_more(self, more: Through) -> Through:
+        """Return the most of both."""
+        return Through(
+            max(self.passed, more.passed),
+            max(self.cut, more.cut),
+            max(self.rate, more.rate),
+        )
+
+
+def tangle_notices(
+    positions: FloatArray, triangles: IntArray, what: str = "the surface"
+) -> list[Fault]:
+    """Return a warning where a surface begins in a tangle (SIM166).
+
+    Args:
+        positions: Of particles ``(N, 3)`` [m].
+        triangles: Of particles ``(T, 3)``.
+        what: Begins so.
+
+    >>> points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0.2, 0.2, -1]])
+    >>> points = np.append(points, [[0.2, 0.2, 1], [2, 2, 0]], axis=0)
+    >>> (notice,) = tangle_notices(points, np.array([[0, 1, 2], [3, 4, 5]]))
+    >>> notice.message
+    'the surface begins in a tangle: 1 edge goes through a triangle of it'
+    """
+    pierced = _kernels.pierced_edges(
+        np.ascontiguousarray(positions), np.ascontiguousarray(triangles, np.int64)
+    )
+    if not pierced:
+        return []
+    if pierced == 1:
+        which = "1 edge goes through a triangle"
+    else:
+        which = f"edges go through triangles {pierced} times"
+    message = f"{what} begins in a tangle: {which} of it"
+    hint = "what is through is not told from what is not: it may stay so"
+    return [_warning("SIM166", message, hint)]
+
+
+def through_notices(through: Through, what: str = "the surface") -> list[Fault]:
+    """Return warnings of what went through a surface (SIM144, SIM165, SIM167).
+
+    Args:
+        through: The most of all steps.
+        what: Of which.
+    """
+    found = []
+    if through.passed:
+        message = f"{counted(through.passed, 'particle')} went through {what}"
+        hint = "take a shorter step, or a greater thickness"
+        found.append(_warning("SIM144", message, hint))
+    if through.cut:
+        times = counted(through.cut, "pair")
+        message = f"{times} of edges cut through each other in {what}"
+        hint = "take a shorter step, or a greater thickness"
+        found.append(_warning("SIM167", message, hint))
+    if through.rate:
+        message = f"parts of {what} went over each other by many thicknesses in a step"
+        hint = f"{math.ceil(through.rate)} steps a second miss nothing"
+        found.append(_warning("SIM165", message, hint))
+    return found
+
+
+def _warning(code: str, message: str, hint: str) -> Fault:
+    return Fault(code, message, hint=hint, severity=Severity.WARNING)

@@ -14,6 +14,7 @@ from animtool.sim.options import IntegrateOptions
 from animtool.sim.springs.choosing import Choice, choose, explicit_limit
 from animtool.sim.springs.motion import Grid, SpringMotion
 from animtool.sim.springs.options import Solver, SpringOptions, check_options
+from animtool.sim.springs.self_contact import Through, through_notices
 from animtool.sim.springs.solvers import ADVANCE
 from animtool.sim.springs.system import SpringSystem
 from animtool.sim.trajectory import Carried, Stats, Status
@@ -102,7 +103,9 @@ def simulate_springs(
 
 def _fresh(grid: Grid) -> Grid:
     """Return where a motion stands, with nothing counted."""
-    return replace(grid, stretch=0.0, steps=0, evaluations=0, unresolved=0, passed=0)
+    return replace(
+        grid, stretch=0.0, steps=0, evaluations=0, unresolved=0, through=Through()
+    )
 
 
 def _check_start(system: SpringSystem, state: FloatArray) -> None:
@@ -176,7 +179,8 @@ def _motion(
         stretch=run.grid.stretch,
         torn=run.torn,
         unresolved=run.grid.unresolved,
-        passed=run.grid.passed,
+        passed=run.grid.through.passed,
+        cut=run.grid.through.cut,
     )
 
 
@@ -319,11 +323,7 @@ def _notices(
         )
         hint = "they start inside, or colliders close in on them from several sides"
         found.append(_warning("SIM143", message, hint))
-    if run.grid.passed:
-        message = f"{counted(run.grid.passed, 'particle')} went through the surface"
-        hint = "take a shorter step, or a greater thickness"
-        found.append(_warning("SIM144", message, hint))
-    return found
+    return found + through_notices(run.grid.through)
 
 
 def _stretched(options: SpringOptions, run: _Run) -> Fault:

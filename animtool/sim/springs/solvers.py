@@ -10,6 +10,7 @@ from animtool import _kernels
 from animtool.sim.springs.contacts import cell_colliders
 from animtool.sim.springs.motion import Grid
 from animtool.sim.springs.options import Solver, SpringOptions
+from animtool.sim.springs.self_contact import Through
 from animtool.sim.springs.system import SpringSystem
 
 __all__ = ["ADVANCE", "Advance"]
@@ -62,7 +63,7 @@ def _projected(
         met, system.layers, grid.passages, grid.futile,
     )  # fmt: skip
     state, torn, substeps, calm, stretch, steps, _, inside = made[:8]
-    passages, passed, futile = made[8:]
+    passages, through, futile = made[8:]
     return replace(
         grid,
         index=grid.index + cells,
@@ -73,7 +74,7 @@ def _projected(
         calm=calm,
         futile=futile,
         passages=passages,
-        passed=max(grid.passed, passed),
+        through=grid.through.with_more(Through(*through)),
         stretch=max(grid.stretch, stretch),
         steps=grid.steps + steps,
         evaluations=grid.evaluations + steps,

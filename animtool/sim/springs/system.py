@@ -25,7 +25,11 @@ from animtool.sim.springs.checks import (
 )
 from animtool.sim.springs.jumps import Jumps
 from animtool.sim.springs.paths import Air, Pins, Targets, over_knots
-from animtool.sim.springs.self_contact import SelfContact, check_self_contact
+from animtool.sim.springs.self_contact import (
+    SelfContact,
+    check_self_contact,
+    tangle_notices,
+)
 from animtool.sim.system import Energy, Matrix, Native, SecondOrder
 
 __all__ = ["SpringSystem"]
@@ -384,6 +388,8 @@ class SpringSystem(SecondOrder):
     def notices(self) -> list[Fault]:
         """Return warnings of the start, and of what is put elsewhere at once."""
         found = start_notices(self.body) + self.colliders.notices()
+        if self.self_contact is not None:
+            found += tangle_notices(self.body.positions, self.body.triangles)
         return found + self.jumps.notices()
 
     def suspect(self, t: float, state: FloatArray) -> str:  # noqa: ARG002

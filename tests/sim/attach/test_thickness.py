@@ -49,8 +49,9 @@ def test_cloth_in_folds_keeps_its_thickness() -> None:
     least = [np.where(near, 1, distances(x, x[corners])).min() for x in places]
     assert min(least) > 0.9 * THICKNESS
     assert codes == ["SIM130"]
-    # A few edges cut into each other; without a thickness it is all in a tangle.
-    assert 20 * crossings(found) < crossings(simulated(whirled(), **OPTIONS)[0])
+    # Without a thickness it is all in a tangle.
+    assert crossings(found) == 0
+    assert crossings(simulated(whirled(), **OPTIONS)[0]) > 100
 
 
 def test_in_blocks_or_from_a_saved_frame_it_moves_the_same(tmp_path: Path) -> None:

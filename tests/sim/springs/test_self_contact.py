@@ -231,9 +231,10 @@ def test_what_is_pulled_through_is_counted() -> None:
     )
     motion = simulate_springs(system, [0, 0.25], XPBD)
     assert motion.passed == 4
-    (notice,) = motion.notices
-    assert notice.code == "SIM144"
-    assert "4 particles" in notice.message
+    passed, cut = motion.notices
+    assert (passed.code, cut.code) == ("SIM144", "SIM167")
+    assert "4 particles" in passed.message
+    assert f"{motion.cut} pairs" in cut.message
 
 
 def solid(points: FloatArray, triangles: object) -> Body:
@@ -267,52 +268,85 @@ class Reference:
 
     def __init__(self, body: Body, weights: FloatArray, contact: SelfContact) -> None:
         self.body, self.weights, self.contact = body, weights, contact
-        assert contact.rest is not None
-        rest = np.asarray(contact.rest)
-        apart = distances(rest, rest[body.triangles])
-        self.least = np.minimum(apart, contact.thickness)
+        triangles = body.triangles
+        edges = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
+        self.edges = np.unique(np.sort(edges, axis=1), axis=0)
 
     def part(self, before: FloatArray, x: FloatArray, h: float) -> FloatArray:
-        shifted, way = before.copy(), x - before
-        # What is farther when the pass begins waits for the next.
-        own = np.linalg.norm(way - way.mean(axis=0), axis=1)
-        travel = own[:, None] + own[self.body.triangles].max(axis=1)
-        reach = self.least + travel + self.contact.speed * h
-        near = distances(x, x[self.body.triangles]) < reach
-        x = x.copy()
-        for t, corners in enumerate(self.body.triangles):
-            for n in range(len(x)):
-                if near[n, t] and n not in corners:
-                    self._pair(before, shifted, x, n, corners, self.least[n, t], h)
+        """Return where particles are; none is near another at rest."""
+        shifted, start, x = before.copy(), x, x.copy()
+        for corners in self.body.triangles:
+            for n in sorted(set(range(len(x))) - set(corners)):
+                who = np.array([n, *corners])
+                self._pair(before, shifted, start, x, who, self.contact.thickness, h)
+        for i, one in enumerate(self.edges):
+            for two in self.edges[i + 1 :]:
+                who = np.array([*one, *two])
+                if len(set(who)) == 4:
+                    least = 0.75 * self.contact.thickness
+                    self._pair(before, shifted, start, x, who, least, h)
         return x
 
     def _pair(
-        self, before: FloatArray, shifted: FloatArray, x: FloatArray, n: int,
-        corners: IntArray, least: float, h: float,
+        self, before: FloatArray, shifted: FloatArray, start: FloatArray,
+        x: FloatArray, who: IntArray, least: float, h: float,
     ) -> None:  # fmt: skip
-        share = shares(x[n], x[corners])
-        off = x[n] - share @ x[corners]
+        two = least < self.contact.thickness
+        nearest = nearest_of_edges if two else nearest_of_triangle
+
+        def distance(rows: FloatArray) -> float:
+            return float(np.linalg.norm(nearest(rows[who]) @ rows[who]))
+
+        # What is farther when the pass begins waits for the next.
+        way, (first, second) = (start - before)[who], np.split(np.arange(4), [1 + two])
+        over = way[first][:, None] - way[second][None]
+        travel = np.linalg.norm(over, axis=-1).max()
+        if distance(start) >= least + travel + self.contact.speed * h:
+            return
+        gain = nearest(x[who])
+        off = gain @ x[who]
         apart = np.linalg.norm(off)
-        if not apart < least:
-            return
-        who, gain = np.array([n, *corners]), np.array([1.0, *-share])
+        at_end = two and (np.abs(gain) < 1e-9).any()
         w = self.weights[who] * gain
-        if not w.any():
+        if not apart < least or at_end or not w.any():
             return
-        first, begun = (
-            min(distances(one[[n]], one[corners][None])[0, 0], least)
-            for one in (before, shifted)
-        )
-        pressed = max(0.0, begun - apart)
-        goal = min(least, first + self.contact.speed * h)
-        back = max(0.0, goal - max(apart, begun))
+        begun = [min(distance(one), least) for one in (before, shifted)]
+        pressed = max(0.0, begun[1] - apart)
+        goal = min(least, begun[0] + self.contact.speed * h)
+        back = max(0.0, goal - max(apart, begun[1]))
         out = off / apart
         slid = gain @ (x[who] - shifted[who])
         slid = slid - out * (slid @ out)
-        way, held = np.linalg.norm(slid), self.contact.friction * pressed
-        slid = slid * (held / way if way > held else 1.0)
+        far, held = np.linalg.norm(slid), self.contact.friction * pressed
+        slid = slid * (held / far if far > held else 1.0)
         x[who] += w[:, None] * (out * (pressed + back) - slid) / (w @ gain)
         shifted[who] += w[:, None] * out * back / (w @ gain)
+
+
+def nearest_of_triangle(points: FloatArray) -> FloatArray:
+    """Return shares of a particle and three corners in the way between ``(4,)``."""
+    return np.array([1.0, *-shares(points[0], points[1:])])
+
+
+def apart_of_edges(x: FloatArray, edges: IntArray) -> list[float]:
+    """Return distances of all edges that share no end."""
+    pairs = [np.array([*one, *two]) for i, one in enumerate(edges) for two in edges[:i]]
+    each = [x[who] for who in pairs if len(set(who)) == 4]
+    return [float(np.linalg.norm(nearest_of_edges(p) @ p)) for p in each] or [np.inf]
+
+
+def nearest_of_edges(points: FloatArray) -> FloatArray:
+    """Return shares of four ends in the shortest way between two edges ``(4,)``."""
+    a, b, c, d = points
+    s, t = np.linalg.lstsq(np.stack([b - a, c - d], 1), c - a, rcond=None)[0]
+    found = [np.array([1 - s, s, t - 1, -t])] if 0 < s < 1 and 0 < t < 1 else []
+    for i, ends in ((0, (2, 3)), (1, (2, 3)), (2, (0, 1)), (3, (0, 1))):
+        way = points[ends[1]] - points[ends[0]]
+        at = np.clip((points[i] - points[ends[0]]) @ way / (way @ way), 0, 1)
+        share = np.zeros(4)
+        share[i], share[ends[0]], share[ends[1]] = 1, at - 1, -at
+        found.append(share if i < 2 else -share)
+    return min(found, key=lambda share: float(np.linalg.norm(share @ points)))
 
 
 def shares(p: FloatArray, corners: FloatArray) -> FloatArray:
@@ -347,6 +381,8 @@ def test_each_pair_is_moved_as_the_formula_says(seed: int) -> None:
     corner = (np.arange(count)[:, None, None] == triangles).any(axis=2)
     # Nothing is to go through anything.
     assume((corner | (distances(points, points[triangles]) > 5e-3)).all())
+    edges = Reference(body, body.masses, contact).edges
+    assume(min(apart_of_edges(points, edges)) > 5e-3)
     x = points + rng.uniform(-1, 1, (count, 3)) * 1e-3
     assert system.layers is not None
     state = np.stack([x, np.zeros_like(x)])
@@ -382,7 +418,7 @@ def test_any_start_stays_finite_and_keeps_its_momentum(seed: int, flat: bool) ->
     np.testing.assert_allclose(masses @ made[1], masses @ state[1], atol=1e-9)
 
 
-def test_neighbours_are_left_to_springs_and_others_keep_their_distance() -> None:
+def test_no_distance_is_more_than_springs_leave_room_for() -> None:
     flat = cloth()
     body = join(
         [flat, replace(flat, positions=np.add(flat.positions, [0, 0, 0.3 * EDGE]))]
@@ -394,12 +430,21 @@ def test_neighbours_are_left_to_springs_and_others_keep_their_distance() -> None
     x, triangles = body.positions, body.triangles
     apart = distances(x, x[triangles])
     same = (np.arange(len(x)) < len(x) // 2)[:, None] == (triangles[:, 0] < len(x) // 2)
-    expected = np.minimum(apart, thickness)
-    expected[same & (apart < 1.5 * thickness)] = 0
+    expected = np.minimum(np.where(same, apart / 1.5, apart), thickness)
     rng = np.random.default_rng(1)
     for n in rng.choice(len(x), 10, replace=False).tolist():
         made = [found.least(t, n) for t in range(len(triangles))]
         np.testing.assert_allclose(made, expected[n], atol=1e-12)
+    edges = Reference(body, body.masses, SelfContact(thickness)).edges
+    for i in rng.choice(len(edges), 10, replace=False).tolist():
+        for j in rng.choice(len(edges), 40, replace=False).tolist():
+            who = np.array([*edges[i], *edges[j]])
+            gap = float(np.linalg.norm(nearest_of_edges(x[who]) @ x[who]))
+            one = (who[0] < len(x) // 2) == (who[2] < len(x) // 2)
+            least = min(gap / 1.5 if one else gap, thickness) * 0.75
+            shared = len(set(who)) < 4
+            made = found.least_of_edges(i, j)
+            assert made == pytest.approx(0.0 if shared else least, abs=1e-12)
 
 
 def test_integrators_keep_it_apart_too() -> None:
