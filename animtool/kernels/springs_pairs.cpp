@@ -34,6 +34,12 @@ struct Box {
   double widest() const {
     return std::max({high[0] - low[0], high[1] - low[1], high[2] - low[2]});
   }
+  // Whether a box about two points has something of it.
+  bool meets(Vec a, Vec b) const {
+    return std::max(a.x, b.x) >= low[0] && std::min(a.x, b.x) <= high[0] &&
+           std::max(a.y, b.y) >= low[1] && std::min(a.y, b.y) <= high[1] &&
+           std::max(a.z, b.z) >= low[2] && std::min(a.z, b.z) <= high[2];
+  }
   bool has(const double* p) const {
     return p[0] >= low[0] && p[0] <= high[0] && p[1] >= low[1] && p[1] <= high[1] &&
            p[2] >= low[2] && p[2] <= high[2];
@@ -111,7 +117,7 @@ std::vector<LayerPair> EdgesAndEdges::near(const SpringLayers& layers,
   for (std::size_t e = 0; e < layers.edges(); ++e) {
     const std::int32_t* ends = layers.ends(e);
     const shapes::Segment edge(ends, x.data());
-    const Box about = box(edge, lengths[e]);
+    const Box about = box(edge, lengths[e]), close = box(edge, 0);
     const Vec middle = load(&middles[ROW * e]);
     grid.visit(about.low, about.high, [&](std::int32_t n, const double* place) {
       const auto f = static_cast<std::size_t>(n);
@@ -123,6 +129,8 @@ std::vector<LayerPair> EdgesAndEdges::near(const SpringLayers& layers,
       const auto [first, second] = std::minmax(e, f);
       const std::int32_t *one = layers.ends(first), *two = layers.ends(second);
       if (one[0] == two[0] || one[0] == two[1] || one[1] == two[0] || one[1] == two[1]) return;
+      const std::int32_t* others = layers.ends(f);
+      if (!close.meets(row_of(x.data(), others[0]), row_of(x.data(), others[1]))) return;
       const std::int32_t who[4] = {one[0], one[1], two[0], two[1]};
       const double apart = length(shapes::EdgePair(who, x.data()).nearest().off);
       if (!(apart <= farthest)) return;

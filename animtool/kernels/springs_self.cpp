@@ -17,9 +17,9 @@ using collide::load;
 
 // Of a way in a step, over that of all, what is looked at for crossings [thickness].
 constexpr double FASTEST = 4;
-// Steps that all pairs are listed for, and those that are near picked from them; bounds of
-// the margins [thickness].
-constexpr double LIST_AHEAD = 32, LEAST_LIST = 0.25, MOST_LIST = 0.6;
+// How much farther pairs are listed than they come in a step [thickness].
+constexpr double LISTED = 0.6;
+// Steps that those which are near are picked from them for, and bounds of that [thickness].
 constexpr double PICK_AHEAD = 6, LEAST_PICK = 0.03, MOST_PICK = 0.5;
 // Width of cells that hold what may come near [longest edge, thickness].
 constexpr double CELL_EDGES = 4, CELL = 8;
@@ -103,16 +103,13 @@ void SelfContacts::list(double h, const std::vector<double>& before,
                         const std::vector<double>& x) {
   if (cells_cover() && picked_.covers(need_)) return;
   const double d = layers_->thickness;
-  const auto margin = [&](double steps, double least, double most) {
-    return std::clamp(steps * travel_, least * d, most * d);
-  };
   if (!cells_cover() || !listed_.covers(need_)) {
     look_around(h, before, x);
-    listed_.begin(x, need_ + margin(LIST_AHEAD, LEAST_LIST, MOST_LIST));
+    listed_.begin(x, need_ + LISTED * d);
     corners_.list(*layers_, x, listed_.reach);
     edges_.list(*layers_, x, listed_.reach);
   }
-  const double reach = need_ + margin(PICK_AHEAD, LEAST_PICK, MOST_PICK);
+  const double reach = need_ + std::clamp(PICK_AHEAD * travel_, LEAST_PICK * d, MOST_PICK * d);
   picked_.begin(x, std::min(reach, listed_.reach - listed_.drift));
   corners_.pick(*layers_, x, picked_.reach);
   edges_.pick(*layers_, x, picked_.reach);

@@ -118,7 +118,7 @@ def free_sheet(size: int, contact: bool) -> SpringSystem:
     """Return a sheet that hangs from its corners and meets nothing."""
     body = _cloth(size, size)
     return SpringSystem(
-        body, pins=Pins([0, size - 1]), gravity=(0, -9.81, 0),
+        body, pins=Pins([size * size - size, size * size - 1]), gravity=(0, -9.81, 0),
         self_contact=SelfContact(0.5 / (size - 1)) if contact else None,
     )  # fmt: skip
 
