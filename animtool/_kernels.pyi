@@ -276,21 +276,38 @@ class SpringLayers:
     """
     A surface of springs that keeps apart from itself.
 
-    Particles keep the ``thickness`` from triangles, or less: as far as they are from each other
-    at ``rest`` ``(N, 3)``; those that springs keep apart are left to them. With Coulomb's
+    Particles keep the ``thickness`` from triangles, and edges three quarters of it from edges, or
+    less: as far as they are from each other at ``rest`` ``(N, 3)``, and two thirds of that along
+    the surface. With Coulomb's
     coefficient of ``friction``; the ``speed`` with which what is nearer comes apart.
     """
 
     def __init__(self, network: SpringNetwork, rest: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], thickness: float, friction: float, speed: float) -> None: ...
 
     def least(self, triangle: int, particle: int) -> float:
-        """Return the distance that a particle keeps, 0 of those left to springs."""
+        """
+        Return the distance that a particle keeps, 0 from triangles that it is a corner of.
+        """
+
+    def least_of_edges(self, first: int, second: int) -> float:
+        """
+        Return the distance that edges keep, 0 of those that share a particle.
+
+        Edges are pairs of particles, the lower first, in order.
+        """
 
 def part_springs(network: SpringNetwork, layers: SpringLayers, before: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], after: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], h: float) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')]:
     """
     Take the step of h that a surface is kept apart in from itself.
 
     From positions ``(N, 3)`` to the state ``(2, N, 3)`` returned, of one that knows nothing.
+    """
+
+def pierced_edges(positions: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], triangles: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> int:
+    """
+    How many edges go through triangles ``(T, 3)`` that have neither of their ends.
+
+    Each pair counts; at ``positions`` ``(N, 3)``.
     """
 
 def spring_order(ends: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], particles: int) -> Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')]:
@@ -333,7 +350,7 @@ def step_springs(network: SpringNetwork, state: Annotated[NDArray[numpy.float64]
     Returns ``(state, torn, unresolved)``: particles left inside colliders at the end.
     """
 
-def project_springs(network: SpringNetwork, state: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], torn: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], origin: float, first: int, cell: float, cells: int, substeps: int, calm: int, least: int, most: int, stretch: float, colliders: tuple[tuple[Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)]], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C', device='cpu', writable=False)], float, Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None, float, Sequence[tuple[MeshSurface, Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], Sequence[float], int, int]]] | None, layers: SpringLayers | None, crossed: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], futile: tuple[float, int] = (0.0, 0)) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C')], int, int, float, int, int, int, Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C')], int, tuple[float, int]]:
+def project_springs(network: SpringNetwork, state: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], torn: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], origin: float, first: int, cell: float, cells: int, substeps: int, calm: int, least: int, most: int, stretch: float, colliders: tuple[tuple[Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)]], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None, None), order='C', device='cpu', writable=False)], float, Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None, float, Sequence[tuple[MeshSurface, Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], Sequence[float], int, int]]] | None, layers: SpringLayers | None, crossed: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], futile: tuple[float, int] = (0.0, 0)) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C')], int, int, float, int, int, int, Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C')], tuple[int, int, float], tuple[float, int]]:
     """
     Take steps of extended position based dynamics, each spring once a step, in order.
 
@@ -343,12 +360,14 @@ def project_springs(network: SpringNetwork, state: Annotated[NDArray[numpy.float
     lessens a stretch hardly it is ``futile``: the stretch, and cells for which it is not tried.
 
     ``layers`` keep the surface apart from itself; ``crossed`` ``(C, 3)`` are passages to go on
-    with: a particle, the triangle that it went through, and the side of this that it came from.
+    with: a particle, the triangle that it went through, and the side of this that it came from;
+    or an edge, numbered after the particles, another of a higher number, and its side.
 
     Returns ``(state, torn, substeps, calm, stretch, steps, touched, unresolved, crossed,
-    passed, futile)``: steps a cell and cells that went well, to go on with; the largest stretch
+    through, futile)``: steps a cell and cells that went well, to go on with; the largest stretch
     that is not a spring's own; steps in all; particles that colliders moved in a step, at most;
-    the passages left, and the most particles at the end of a cell that had any.
+    the passages left; and of what went through the most particles and pairs of edges at the end
+    of a cell, and how many steps a second would have seen all of it, 0 where these did.
     """
 
 class SpringStrands:
