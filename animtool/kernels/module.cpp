@@ -305,20 +305,18 @@ Returns ``(state, torn, unresolved)``: particles left inside colliders at the en
   m.def("project_springs", &project_springs, "network"_a, "state"_a, "torn"_a, "origin"_a,
         "first"_a, "cell"_a, "cells"_a, "substeps"_a, "calm"_a, "least"_a, "most"_a,
         "stretch"_a, "colliders"_a.none(), "layers"_a.none(), "crossed"_a,
-        "futile"_a = Futile(0.0, 0),
         R"(Take steps of extended position based dynamics, each spring once a step, in order.
 
 Cells are those of `step_springs`. One at whose end a spring is longer than at rest by more
 than this ``stretch``, and not mostly by its own give, is crossed again in twice the steps,
-up to ``most``; after many that go well half as many are tried, down to ``least``. Where that
-lessens a stretch hardly it is ``futile``: the stretch, and cells for which it is not tried.
+up to ``most``; after many that go well half as many are tried, down to ``least``.
 
 ``layers`` keep the surface apart from itself; ``crossed`` ``(C, 3)`` are passages to go on
 with: a particle, the triangle that it went through, and the side of this that it came from;
 or an edge, numbered after the particles, another of a higher number, and its side.
 
 Returns ``(state, torn, substeps, calm, stretch, steps, touched, unresolved, crossed,
-through, futile)``: steps a cell and cells that went well, to go on with; the largest stretch
+through)``: steps a cell and cells that went well, to go on with; the largest stretch
 that is not a spring's own; steps in all; particles that colliders moved in a step, at most;
 the passages left; and of what went through the most particles and pairs of edges at the end
 of a cell, and how many steps a second would have seen all of it, 0 where these did.)");

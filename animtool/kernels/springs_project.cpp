@@ -19,13 +19,6 @@ constexpr int CALM_CELLS = 120;
 constexpr double CALM_SHARE = 0.125;
 // Of a stretch, over what is beyond the spring's own give, from where on it is its own.
 constexpr double OWN = 2;
-// Twice as many steps are of use where they leave at most this share of a stretch. Where the
-// last of them were not, they are not asked for again but after some cells, or at a stretch of
-// so much more.
-constexpr double LESS = 0.75, MORE = 1.25;
-constexpr int WAITING_CELLS = 120;
-// How often in a row they are to be of no use.
-constexpr int TRIES = 2;
 
 // What of a spring a step of length h moves: by its length beyond rest, by the change of it.
 struct Give {
@@ -70,11 +63,8 @@ class Projection {
       const double rate = 1 / h;
       for (std::size_t k = 0; k < run_.size; ++k) run_.v[k] = (run_.x[k] - before_[k]) * rate;
     }
-    return stretch(h);
+    return stretch();
   }
-
-  // Whether the last steps were shorter than the spring longest takes to swing or to calm down.
-  bool follows() const { return follows_; }
 
   void forget() { prepared_ = 0; }
 
@@ -149,9 +139,8 @@ class Projection {
     }
   }
 
-  double stretch(double h) {
+  double stretch() const {
     double most = 0;
-    follows_ = true;
     for (std::size_t s = 0; s < run_.lines().springs.size(); ++s) {
       const Spring& spring = run_.lines().springs[s];
       if (!(spring.rest > 0) || !(spring.stiffness > 0)) continue;
@@ -162,14 +151,7 @@ class Projection {
       if (square <= bound * bound) continue;
       const double beyond = std::sqrt(square) - spring.rest;
       const double own = std::max(0.0, gives_[s]);
-      const double found = std::min(beyond, OWN * (beyond - own)) / spring.rest;
-      if (found > most) {
-        most = found;
-        const auto& masses = run_.network.inverse_masses;
-        follows_ = (spring.stiffness * h + spring.damping) * h *
-                       (masses[static_cast<std::size_t>(spring.i)] +
-                        masses[static_cast<std::size_t>(spring.j)]) <= 1;
-      }
+      most = std::max(most, std::min(beyond, OWN * (beyond - own)) / spring.rest);
       if (square != square) return std::numeric_limits<double>::infinity();
     }
     return most;
@@ -180,89 +162,10 @@ class Projection {
   SelfContacts& self_;
   double cell_;
   int prepared_ = 0;
-  bool follows_ = true;
   std::vector<double> before_, forces_, lengths_, changes_, weights_;
   std::vector<double> gives_;  // by how much springs are longer right after their own turn
   std::vector<Give> anchor_gives_;
   ProjectAll project_all_;
-};
-
-// Steps of cells, as many as keep springs within a stretch.
-class Cadence {
- public:
-  Cadence(Projection& projection, SpringRun& run, int least, int most, double stretch,
-          int substeps, int calm, Futile futile)
-      : projection_(projection),
-        run_(run),
-        least_(least),
-        most_(most),
-        stretch_(stretch),
-        substeps(substeps),
-        calm(calm),
-        futile(futile) {}
-
-  // One cell; returns what is left of stretch.
-  double cross(std::int64_t index, double start) {
-    x_ = run_.x;
-    v_ = run_.v;
-    auto& [level, waiting] = futile;
-    double found = taken(index, start, substeps);
-    if (!(found <= stretch_) && (waiting == 0 || found > MORE * level))
-      found = raised(index, start, found);
-    else if (waiting > 0)
-      --waiting;
-    calm = found <= CALM_SHARE * stretch_ ? calm + 1 : 0;
-    if (calm >= CALM_CELLS && substeps > least_) {
-      substeps = std::max(substeps / 2, least_);
-      calm = 0;
-    }
-    return found;
-  }
-
- private:
-  double taken(std::int64_t index, double start, int count) {
-    steps += count;
-    return projection_.cross(index, start, count);
-  }
-
-  double taken_again(std::int64_t index, double start, int count) {
-    run_.x = x_;
-    run_.v = v_;
-    return taken(index, start, count);
-  }
-
-  // The cell again in twice the steps, and twice these, until it is well or no use. Too few may
-  // hardly help where more do: only those that follow each swing of a spring end it early.
-  double raised(std::int64_t index, double start, double found) {
-    int in_vain = 0;
-    if (substeps > least_ && substeps > most_ >> TRIES) {
-      substeps = std::max(least_, most_ >> TRIES);
-      found = taken_again(index, start, substeps);
-    }
-    while (!(found <= stretch_) && substeps < most_) {
-      substeps = std::min(2 * substeps, most_);
-      const double before = found;
-      found = taken_again(index, start, substeps);
-      in_vain = found > LESS * before ? in_vain + 1 : 0;
-      if (in_vain >= TRIES && projection_.follows()) break;
-    }
-    if (found <= stretch_) return found;
-    const bool of_use = in_vain < TRIES;
-    futile = {of_use ? std::numeric_limits<double>::infinity() : found, WAITING_CELLS};
-    if (!of_use) substeps = std::max(least_, substeps >> in_vain);
-    return found;
-  }
-
-  Projection& projection_;
-  SpringRun& run_;
-  int least_, most_;
-  double stretch_;
-  std::vector<double> x_, v_;
-
- public:
-  int substeps, calm;
-  Futile futile;
-  std::int64_t steps = 0;
 };
 
 }  // namespace
@@ -272,26 +175,42 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
                                  double cell, std::int64_t cells, int substeps, int calm,
                                  int least, int most, double stretch,
                                  const std::optional<SpringColliders>& colliders,
-                                 const SpringLayers* layers, In<std::int64_t, 2> crossed,
-                                 Futile futile) {
+                                 const SpringLayers* layers, In<std::int64_t, 2> crossed) {
   SpringRun run = begin_springs(network, state, torn);
   const Cells grid{origin, first, cell, cells};
   SpringContacts contacts(colliders, network.particles(), cells);
   SelfContacts self(layers, network, crossed);
-  Projection projection(run, cell, contacts, self);
-  Cadence cadence(projection, run, least, most, stretch, substeps, calm, futile);
   double worst = 0;
+  std::int64_t taken = 0;
   {
     nb::gil_scoped_release release;
+    Projection projection(run, cell, contacts, self);
+    std::vector<double> x, v;
     for (std::int64_t i = 0; i < cells; ++i) {
-      worst = std::max(worst, cadence.cross(i, grid.start(i)));
+      x = run.x;
+      v = run.v;
+      double found = projection.cross(i, grid.start(i), substeps);
+      taken += substeps;
+      while (!(found <= stretch) && substeps < most) {
+        substeps = std::min(2 * substeps, most);
+        calm = 0;
+        run.x = x;
+        run.v = v;
+        found = projection.cross(i, grid.start(i), substeps);
+        taken += substeps;
+      }
+      worst = std::max(worst, found);
       self.note_through();
+      calm = found <= CALM_SHARE * stretch ? calm + 1 : 0;
+      if (calm >= CALM_CELLS && substeps > least) {
+        substeps = std::max(substeps / 2, least);
+        calm = 0;
+      }
       if (run.tear()) projection.forget();
     }
   }
-  return {ended_state(run), ended_torn(run), cadence.substeps, cadence.calm, worst,
-          cadence.steps, contacts.touched, contacts.unresolved, self.ended(), self.through(),
-          cadence.futile};
+  return {ended_state(run), ended_torn(run), substeps, calm, worst, taken,
+          contacts.touched, contacts.unresolved, self.ended(), self.through()};
 }
 
 }  // namespace animtool

@@ -26,17 +26,14 @@ struct Cells {
   }
 };
 
-// A stretch that more steps did not lessen, 0 where none was found and infinite where the most
-// were of use, and cells for which more are not asked for again.
-using Futile = std::tuple<double, int>;
 // states (2, N, 3), torn, particles left inside colliders
 using SpringsStepped = std::tuple<Out<double, 3>, Out<std::uint8_t, 1>, std::int64_t>;
 // states, torn, steps a cell, cells that went well since, largest stretch, steps taken,
 // particles in contact and left inside colliders, passages of the surface through itself
-// (C, 3), what went through, what more steps were found to be no use for
+// (C, 3), what went through
 using SpringsProjected = std::tuple<Out<double, 3>, Out<std::uint8_t, 1>, int, int, double,
                                     std::int64_t, std::int64_t, std::int64_t,
-                                    Out<std::int64_t, 2>, SelfThrough, Futile>;
+                                    Out<std::int64_t, 2>, SelfThrough>;
 // states, states before, whether these are known, torn, steps, corrections, cells not solved,
 // particles left inside colliders
 using SpringsSolved = std::tuple<Out<double, 3>, Out<double, 3>, bool, Out<std::uint8_t, 1>,
@@ -60,8 +57,7 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
                                  double cell, std::int64_t cells, int substeps, int calm,
                                  int least, int most, double stretch,
                                  const std::optional<SpringColliders>& colliders,
-                                 const SpringLayers* layers, In<std::int64_t, 2> crossed,
-                                 Futile futile);
+                                 const SpringLayers* layers, In<std::int64_t, 2> crossed);
 
 // One step of what keeps a surface apart from itself, from positions (N, 3) to a state (2, N, 3).
 Out<double, 3> part_springs(const SpringNetwork& network, const SpringLayers& layers,

@@ -24,8 +24,7 @@ __all__ = ["Keeping", "Moment", "SpringRun"]
 # Times of a whole motion that are compared with those of one in half steps.
 COMPARED = 64
 # Notices whose message says how much it is so far.
-_STRETCHED = {"SIM141", "SIM160"}
-_GROWING = {*_STRETCHED, "SIM143"}
+_GROWING = {"SIM141", "SIM143"}
 # Times this near to each other are one [s].
 SAME = 1e-9
 
@@ -218,7 +217,7 @@ class SpringRun:
         for fault in motion.notices:
             # Of what has a number that changes, the first, or the worst.
             key = fault.code if fault.code in _GROWING else str(fault)
-            worse = fault.code in _STRETCHED and motion.stretch >= self._worst
+            worse = fault.code == "SIM141" and motion.stretch >= self._worst
             if key not in self._said or worse:
                 self._said[key] = fault
         self._worst = max(self._worst, motion.stretch)

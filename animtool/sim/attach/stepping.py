@@ -225,7 +225,7 @@ class SheetStepper:
             substeps, 0, substeps, substeps, np.inf, motions.colliders, self._layers,
             state.passages,
         )  # fmt: skip
-        made, _, _, _, _, _, touched, inside, passages, through, _ = found
+        made, _, _, _, _, _, touched, inside, passages, through = found
         self.tally.add(self._stretch(made[0]), touched, inside, Through(*through))
         return State(made[0], made[1], passages)
 

@@ -30,9 +30,6 @@ class Grid:
         before: State a step before, of bdf2.
         calm: Cells of xpbd without need of as many steps.
         least: Steps in a cell of xpbd, at least.
-        futile: A stretch that more steps of xpbd did not lessen [1], 0 where none was
-            found, infinite where the most were of use; and cells before more are asked
-            for again.
         stretch: The largest so far of springs of xpbd that is not mostly their own
             give [1].
         steps: Taken so far.
@@ -53,7 +50,6 @@ class Grid:
     before: FloatArray | None = None
     calm: int = 0
     least: int = 1
-    futile: tuple[float, int] = (0.0, 0)
     stretch: float = 0.0
     steps: int = 0
     evaluations: int = 0

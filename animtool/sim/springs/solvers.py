@@ -60,10 +60,9 @@ def _projected(
     made = _kernels.project_springs(
         _network(system, grid), grid.state, grid.torn, grid.origin, grid.index,
         grid.cell, cells, grid.substeps, grid.calm, grid.least, most, options.stretch,
-        met, system.layers, grid.passages, grid.futile,
+        met, system.layers, grid.passages,
     )  # fmt: skip
-    state, torn, substeps, calm, stretch, steps, _, inside = made[:8]
-    passages, through, futile = made[8:]
+    state, torn, substeps, calm, stretch, steps, _, inside, passages, through = made
     return replace(
         grid,
         index=grid.index + cells,
@@ -72,7 +71,6 @@ def _projected(
         torn=torn,
         unresolved=max(grid.unresolved, inside),
         calm=calm,
-        futile=futile,
         passages=passages,
         through=grid.through.with_more(Through(*through)),
         stretch=max(grid.stretch, stretch),

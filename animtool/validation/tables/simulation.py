@@ -62,7 +62,6 @@ RULES = (
     Rule("SIM150", "particles that begin where springs pull", Severity.WARNING),
     Rule("SIM152", "a rest that was not found", Severity.WARNING),
     Rule("SIM153", "a mesh that is odd for cloth", Severity.WARNING),
-    Rule("SIM160", "springs that more steps do not shorten", Severity.WARNING),
     Rule("SIM161", "springs that give by more than they may", Severity.NOTE),
     Rule("SIM165", "a surface too fast for its thickness", Severity.WARNING),
     Rule("SIM166", "a surface that begins in a tangle", Severity.WARNING),

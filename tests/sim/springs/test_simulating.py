@@ -308,18 +308,6 @@ def test_a_stretch_that_cannot_be_kept_is_said() -> None:
     assert motion.step == SHORTEST
 
 
-def test_steps_that_are_no_use_are_not_taken() -> None:
-    line = rope([0, 0, 0], [1, 0, 0], 60, Family(1e12), mass=1e-4, tip_mass=1e6)
-    system = SpringSystem(line, pins=Pins([0]))
-    motion = simulate_springs(system, [0, 1], SpringOptions("xpbd"))
-    assert [notice.code for notice in motion.notices] == ["SIM160"]
-    assert motion.stats.steps < 0.1 / SHORTEST
-    parts = simulate_springs(system, [0, 0.31], SpringOptions("xpbd"))
-    rest = simulate_springs(system, [0.31, 1], SpringOptions("xpbd"), parts.carried)
-    assert rest.states[-1].tobytes() == motion.states[-1].tobytes()
-    assert [notice.code for notice in rest.notices] == ["SIM160"]
-
-
 def test_the_damping_of_a_soft_spring_asks_for_no_more_steps() -> None:
     family = Family(20.0, ratio=0.05)
     body = sheet(12, 12, mass=1e-3, structural=family, diagonals=family)
