@@ -11,7 +11,7 @@ from animtool._types import FloatArray, IntArray
 from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError
 from animtool.maths.faces import triangulated
-from animtool.rig.kinematics import WorldTransforms, bind_world
+from animtool.rig.kinematics import WorldTransforms, bind_matrices
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import surfaces_of
 from animtool.scene.systems.character_motion import CharacterMotion
@@ -53,12 +53,10 @@ class CharacterSkin:
         if fault is not None:
             raise OptionError(fault)
         (self.surface,) = [one for one in surfaces_of(rig) if one.name == name]
-        world = bind_world(rig)
-        bind = np.zeros((len(rig.joints), 4, 4))
-        bind[:, :3, :3], bind[:, :3, 3] = world.linear[0], world.positions[0]
-        bind[:, 3, 3] = 1.0
         shapes = [shape.name for shape in rig.shapes]
-        (mesh,) = character_meshes([self.surface], rig.names, bind, shapes)
+        (mesh,) = character_meshes(
+            [self.surface], rig.names, bind_matrices(rig), shapes
+        )
         weights = character.motion.weights
         self._mesh: DeformedMesh = mesh.mesh
         self._world = character.world
