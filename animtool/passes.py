@@ -109,8 +109,8 @@ class PassContext:
             something missed it [m].
         early: How many frames stand before the take's own and hold its first, for a
             pass that settles.
-        keeps: Whether a pass writes the files that its options name beside the take:
-            a bake does, what only looks at a take does not.
+        keeps: Whether a pass writes files beside the take, which its options name as
+            ``writes``: a bake does, what only looks at a take does not.
     """
 
     open: Callable[[Path], Take]

@@ -131,6 +131,11 @@ def _check(scene: Scene, options: BakeOptions) -> None:
             _check_one(scene, output, options)
         except AnimtoolError as error:
             errors.append(error)
+    try:
+        replaces = merged(options, scene.bake).overwrite
+        check_outputs(scene.kept, scene.inputs, overwrite=replaces)
+    except AnimtoolError as error:
+        errors.append(error)
     if errors:
         faults += [fault for error in errors for fault in error.faults]
         raise type(errors[0])(faults)

@@ -92,6 +92,13 @@ class Scene:
             named += [folder / path for path in given if isinstance(path, Path)]
         return named
 
+    @property
+    def kept(self) -> list[Path]:
+        """Every file that its passes write beside its outputs."""
+        folder = self.path.resolve().parent
+        named = [getattr(entry.options, "writes", ()) for entry in self.passes]
+        return [folder / name for names in named for name in names]
+
     def writing(self, output: SceneOutput) -> Scene:
         """Return the scene of one output: the systems of it, and what these need."""
         if output.systems is None or not self.systems:

@@ -120,6 +120,27 @@ def test_every_fault_of_a_scene_has_its_line(beast: Path) -> None:
     assert "SIM030 passes[0].simulate" in done.stderr
 
 
+@pytest.mark.parametrize("several", [False, True])
+def test_saved_states_are_replaced_as_outputs_are(several: bool, beast: Path) -> None:
+    text = SCENE.replace("settle: 0.2", "settle: 0.2, save: s.npz, save_at: [9]")
+    if several:
+        text = text.replace("output: {file: out.usdc}", "output: [{file: out.usdc}]")
+        assert "output: [" in text
+    beast.write_text(text, "utf-8")
+    states, out = beast.parent / "s.npz", beast.parent / "out.usdc"
+    assert animtool("bake", beast).code == 0
+    assert states.stat().st_size > 100
+    states.write_text("mine", "utf-8")
+    out.unlink()
+    done = animtool("bake", beast)
+    assert (done.code, done.stderr.count("OUT001")) == (2, 1)
+    assert f"{states.name}: OUT001" in done.stderr
+    assert states.read_text("utf-8") == "mine"
+    assert not out.exists()
+    assert animtool("bake", beast, "--overwrite").code == 0
+    assert states.stat().st_size > 100
+
+
 def test_point_caches_have_what_is_simulated(walker: Path) -> None:
     done = animtool("bake", walker)
     assert done.code == 0, done.stderr

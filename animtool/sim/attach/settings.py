@@ -111,6 +111,11 @@ class SimulateOptions:
     save_at: tuple[float, ...] = ()
     resume: Path | None = None
 
+    @property
+    def writes(self) -> tuple[str, ...]:
+        """Files that are written beside the take."""
+        return (self.save,) if self.save else ()
+
 
 @dataclass(frozen=True, slots=True)
 class Settings:

@@ -87,7 +87,7 @@ def open_scene(document: Document) -> Opened:
     scene = scene_of_document(document)
     path = str(document.path)
     opened = Opened(Kind.SCENE)
-    if scene.systems:
+    if not scene.sources:
         # It has no take: its reader has checked all that there is to check.
         return opened
     try:

@@ -29,6 +29,15 @@ channels: [{target: joint/lower.angle, keys: [{t: 1, v: 20}, {t: 12, v: 60}]}]
 """
 SCENE = "scene: animtool/1\nsource: {file: limb.clip.yaml}\n"
 SOLVED = f"{SCENE}passes: [{{ik: {{targets: page.targets.yaml}}}}]\n"
+ROPE = """\
+systems:
+- rope:
+    from: [0, 0.9, 0]
+    to: [0.5, 0.9, 0]
+    count: 6
+    mass: 0.1
+    springs: {structural: {stiffness: 1000, ratio: 0.1}}
+"""
 TARGETS = "targets: animtool/1\nunits: {length: m}\nfps: 24\ngoals:\n"
 FAR = "- {effector: arm, position: [0, 0.2, 0.6]}\n"
 HIPS = "- {effector: base, position: [0, 0.9, 0.2]}\n"
@@ -129,8 +138,9 @@ def test_a_goal_out_of_reach_is_said_of_its_line(shot: Path) -> None:
         ("output: {file: o.usda, reduce_at: {hand: 2mm}}\n", ["SCN207"]),
     ],
 )
-def test_a_scene(text: str, wanted: list[str], shot: Path) -> None:
-    shot.write_text(SCENE + text, "utf-8")
+@pytest.mark.parametrize("systems", ["", ROPE])
+def test_a_scene(text: str, wanted: list[str], systems: str, shot: Path) -> None:
+    shot.write_text(SCENE + text + systems, "utf-8")
     assert codes(shot) == wanted
 
 
