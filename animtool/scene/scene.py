@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from fractions import Fraction
@@ -130,7 +130,6 @@ class Scene:
         stream = self._beside(stream, things, retimed=True)
         for entry in self.passes:
             stream = self._passed(stream, entry, context)
-        stream.notices += context.notices
         return self._beside(stream, things, retimed=False)
 
     def steps(self) -> Iterator[tuple[Take, TakeStream]]:
@@ -150,8 +149,6 @@ class Scene:
         context = self._context(keeps=False)
         for entry in self.passes:
             take, stream = _gathered(self._passed(stream, entry, context))
-            stream.notices += context.notices
-            context.notices.clear()
             yield take, stream
 
     def passed(self, stream: TakeStream, entry: ScenePass) -> TakeStream:
@@ -220,14 +217,26 @@ class Scene:
     def _passed(
         self, stream: TakeStream, entry: ScenePass, context: PassContext
     ) -> TakeStream:
-        """Return what a pass makes of a take, counted by the meter."""
+        """Return what a pass makes of a take, counted by the meter.
+
+        What it notices, at once or block by block, is said at its place.
+        """
+        own: list[Fault] = []
         notices, details = stream.notices, stream.details
         stage = self.meter.stage(entry.pass_.name, entry.place.where)
         context.errors.clear()
         with self.meter.running(stage), entry.place.blamed():
-            stream = self._apply(entry, stream, context)
+            stream = self._apply(entry, replace(stream, notices=own), context)
+        own += context.notices
+        context.notices.clear()
+
+        def tell() -> None:
+            notices.extend(map(entry.place.put, own))
+            own.clear()
+
+        tell()
         stage.error = max(context.errors, default=None)
-        blocks = self.meter.blocks(stage, _read(entry.place, stream.blocks))
+        blocks = self.meter.blocks(stage, _read(entry.place, stream.blocks, tell))
         return replace(stream, notices=notices, details=details, blocks=blocks)
 
     def until(self, stop: str) -> Scene:
@@ -307,9 +316,13 @@ class Scene:
         return open_source(path, SourceOptions(rig=rig)).collect()
 
 
-def _read(place: Place, blocks: Iterator[Motion]) -> Iterator[Motion]:
+def _read(
+    place: Place, blocks: Iterator[Motion], after: Callable[[], None] | None = None
+) -> Iterator[Motion]:
     with place.blamed():
         yield from blocks
+    if after is not None:
+        after()
 
 
 def _gathered(stream: TakeStream) -> tuple[Take, TakeStream]:

@@ -68,5 +68,5 @@ def test_it_is_baked_and_valid(tmp_path: Path) -> None:
     out = tmp_path / "cape.usdc"
     done = animtool("bake", SCENE, "-o", out, "--strict")
     assert done.code == 0, done.stderr
-    assert "SIM130 cape: the cycle was run" in done.stderr
+    assert "SIM130 passes[0].simulate: cape: the cycle was run" in done.stderr
     assert animtool("validate", out, "--strict").code == 0

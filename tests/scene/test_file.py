@@ -145,7 +145,7 @@ def test_what_a_pass_says_is_reported(shot: Path) -> None:
     shot.write_text(GOOD.replace("mirror:", "loop: {find: true}"), "utf-8")
     done = animtool("bake", shot)
     assert done.code == 0
-    assert "note: SCN102 the best cycle: frames" in done.stderr
+    assert ":4:9: note: SCN102 passes[0].loop: the best cycle: frames" in done.stderr
     poor = GOOD.replace("mirror:", "loop: {first: 1, last: 17, repeats: 2}")
     shot.write_text(poor, "utf-8")
     done = animtool("bake", shot, "--strict", "--overwrite")
