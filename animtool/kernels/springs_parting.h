@@ -2,12 +2,19 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <vector>
 
 #include "springs_pairs.h"
 
 namespace animtool {
+
+// No particle goes more than this many times the way that two parts come apart: where all
+// but one are held, and that one hardly counts where they are near, it would be thrown off.
+constexpr double FARTHEST = 10;
+// Who counts for less than a hundredth moves by less, the less it counts.
+constexpr double LEAST = 1e-3;
 
 // Two parts that are near, and from which side the first went through the second (1 or -1),
 // 0 where it did not.
@@ -73,7 +80,7 @@ inline void Parting::move(const LayerHit& hit, const double* share, collide::Vec
                           double pressed, double back) {
   if (back > 0 && !shifts_) shifted_ = before_, shifts_ = true;
   std::vector<double>& was = shifts_ ? shifted_ : before_;
-  double weights[4], whole = 0;
+  double weights[4], whole = 0, farthest = 0, lightest = 0;
   double *to[4], *from[4];
   collide::Vec along;
   for (std::size_t k = 0; k < 4; ++k) {
@@ -81,8 +88,11 @@ inline void Parting::move(const LayerHit& hit, const double* share, collide::Vec
     to[k] = &x_[ROW * particle], from[k] = &was[ROW * particle];
     weights[k] = network_.inverse_masses[particle] * share[k];
     whole += weights[k] * share[k];
+    farthest = std::max(farthest, std::abs(weights[k]));
+    lightest = std::max(lightest, network_.inverse_masses[particle]);
     along = along + (collide::load(to[k]) - collide::load(from[k])) * share[k];
   }
+  whole = std::max({whole, farthest / FARTHEST, lightest * LEAST});
   if (!(whole > 0)) return;
   along = along - out * dot(along, out);
   const double slid = length(along), held = layers_.friction * pressed;

@@ -125,18 +125,17 @@ def tangle_notices(
     >>> points = np.append(points, [[0.2, 0.2, 1], [2, 2, 0]], axis=0)
     >>> (notice,) = tangle_notices(points, np.array([[0, 1, 2], [3, 4, 5]]))
     >>> notice.message
-    'the surface begins in a tangle: 1 edge goes through a triangle of it'
+    'the surface begins in a tangle: its edges go through its triangles in 2 places'
     """
     pierced = _kernels.pierced_edges(
         np.ascontiguousarray(positions), np.ascontiguousarray(triangles, np.int64)
     )
     if not pierced:
         return []
-    if pierced == 1:
-        which = "1 edge goes through a triangle"
-    else:
-        which = f"edges go through triangles {pierced} times"
-    message = f"{what} begins in a tangle: {which} of it"
+    places = counted(pierced, "place")
+    message = (
+        f"{what} begins in a tangle: its edges go through its triangles in {places}"
+    )
     hint = "what is through is not told from what is not: it may stay so"
     return [_warning("SIM166", message, hint)]
 

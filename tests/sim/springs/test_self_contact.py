@@ -303,12 +303,17 @@ class Reference:
         travel = np.linalg.norm(over, axis=-1).max()
         if distance(start) >= least + travel + self.contact.speed * h:
             return
+
+        def at_end(share: FloatArray) -> bool:
+            return two and bool((np.abs(share) < 1e-9).any())
+
         gain = nearest(x[who])
         off = gain @ x[who]
         apart = np.linalg.norm(off)
-        at_end = two and (np.abs(gain) < 1e-9).any()
         w = self.weights[who] * gain
-        if not apart < least or at_end or not w.any():
+        if not apart < least or not w.any():
+            return
+        if at_end(gain) or at_end(nearest(start[who])):
             return
         begun = [min(distance(one), least) for one in (before, shifted)]
         pressed = max(0.0, begun[1] - apart)
@@ -319,8 +324,10 @@ class Reference:
         slid = slid - out * (slid @ out)
         far, held = np.linalg.norm(slid), self.contact.friction * pressed
         slid = slid * (held / far if far > held else 1.0)
-        x[who] += w[:, None] * (out * (pressed + back) - slid) / (w @ gain)
-        shifted[who] += w[:, None] * out * back / (w @ gain)
+        # None is thrown farther than ten times the way that is missing.
+        whole = max(w @ gain, np.abs(w).max() / 10, self.weights[who].max() * 1e-3)
+        x[who] += w[:, None] * (out * (pressed + back) - slid) / whole
+        shifted[who] += w[:, None] * out * back / whole
 
 
 def nearest_of_triangle(points: FloatArray) -> FloatArray:
@@ -500,3 +507,22 @@ def test_a_rope_has_no_layers() -> None:
     with pytest.raises(OptionError) as error:
         SpringSystem(line, self_contact=SelfContact(0.01))
     assert [fault.code for fault in error.value.faults] == ["SIM045"]
+
+
+@pytest.mark.parametrize("share", [0.0, 1e-17, 1e-9, 1e-3, 0.05, 0.3])
+def test_nothing_is_thrown_off_by_a_corner_that_hardly_counts(share: float) -> None:
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    over = np.array([[0.5 * (1 - share), share, 0.005]])
+    body = solid(np.concatenate([corners, over]), [[0, 1, 2]])
+    contact = SelfContact(0.02, rest=body.positions * 100)
+    system = SpringSystem(body, pins=Pins([0, 1, 3]), self_contact=contact)
+    before = body.positions + np.array([0, 0, 0.02]) * [[0], [0], [0], [1]]
+    assert system.layers is not None
+    state = np.stack([body.positions, np.zeros_like(body.positions)])
+    made = _kernels.part_springs(system.network(0), system.layers, before, state, 0.01)
+    moved = np.linalg.norm(made[0] - body.positions, axis=1)
+    missing = 0.02 - 0.005
+    assert moved.max() <= 10 * missing * (1 + 1e-9)
+    assert moved[2] <= 1e3 * share * missing * (1 + 1e-9)
+    if share > 0.1:
+        assert moved[2] == pytest.approx(missing / share, rel=1e-6)

@@ -178,7 +178,7 @@ def test_a_start_in_a_tangle_is_said() -> None:
     system = pair(-0.1, np.ones(6), 0.2)
     motion = simulate_springs(system, [0, 0.01], SpringOptions("xpbd"))
     (notice,) = (one for one in motion.notices if one.code == "SIM166")
-    assert "2 times" in notice.message
+    assert "in 2 places" in notice.message
     free = SpringSystem(system.body, gravity=(0, 0, 0))
     assert not simulate_springs(free, [0, 0.01]).notices
 
