@@ -10,10 +10,9 @@ from animtool.sim.springs.solvers import SHORTEST
 
 __all__ = ["COSTS", "projected_rate"]
 
-# Time of a step, for each spring [s]: medians over sheets of 20, 50 and 100 a side,
-# blocks of 6 to 20 and a hundred strands, on one core of a server of 2024. Where there
-# are few springs a step costs more of each, in all solvers about alike. Only how they
-# compare decides.
+# Time of a step, for each spring of a sheet of 20 by 20 [s], on one core of a server of
+# 2024 (tests/bench/results/sim_springs.csv). Where there are few springs a step costs
+# more of each, in all solvers about alike. Only how they compare decides.
 COSTS = {
     # Springs of neighbours are pulled four at a time, from columns of particles.
     Solver.SYMPLECTIC_EULER: 2.8e-9,
