@@ -98,7 +98,8 @@ def test_orders(integrator: Integrator, name: str) -> None:
 
 def test_the_order_of_dop853() -> None:
     motion, errors = pendulum(2.0), []
-    for count in (16, 32):
+    # At 32 steps the error is 3e-15: rounding, which differs between processors.
+    for count in (8, 16):
         # A tolerance that leaves the bound on the step alone.
         options = IntegrateOptions("dop853", tolerance=1e3, step=END / count)
         found = integrate(motion.system, [0, END], options)
