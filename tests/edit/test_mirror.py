@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from animtool.edit.mirror import mirror, mirror_pairs
-from animtool.errors import OptionError
+from animtool.edit.mirror import PASS, MirrorOptions, mirror
+from animtool.errors import Fault, OptionError
 from animtool.formats.bvh import read_bvh
+from animtool.passes import PassContext, apply_pass
 from animtool.rig.kinematics import forward
+from animtool.rig.sides import pair_sides
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Channel, Clock, Motion, Take
+from animtool.take import Channel, Clock, Motion, Take, TakeStream
 
 
 def positions(take: Take) -> np.ndarray:
@@ -21,7 +23,7 @@ def positions(take: Take) -> np.ndarray:
 
 def test_the_world_is_mirrored(walk: Path) -> None:
     take = read_bvh(walk).collect()
-    partners = mirror_pairs(take.rig.names)
+    partners = pair_sides(take.rig.names, take.rig.parents).partners
     assert (partners != np.arange(len(partners))).any()
     expected = positions(take)[:, partners] * [-1.0, 1.0, 1.0]
     assert_allclose(positions(mirror(take)), expected, atol=1e-12)
@@ -59,3 +61,76 @@ def test_a_stated_pair_whose_parents_are_no_partners_is_named() -> None:
     assert "'foot_l' and 'arm_r' cannot change places" in first
     assert "'leg_l' and 'hips'" in first
     assert "'hips' hangs from no joint" in second
+
+
+# Names of the Acclaim skeletons of CMU: letters in front of words.
+CMU = ["root", "lfemur", "rfemur", "thorax", "lhumerus", "rhumerus", "lhand", "rhand"]
+
+
+def arms(names: list[str], foot: float = -0.1) -> Take:
+    """Return a take of two frames in which the left arm is raised."""
+    offsets = [(0, 1, 0), (0.1, -0.5, 0), (foot, -0.5, 0), (0, 0.5, 0)]
+    offsets += [(0.2, 0, 0), (-0.2, 0, 0), (0.5, 0, 0), (-0.5, 0, 0)]
+    rig = Rig(
+        "person",
+        tuple(
+            Joint(name, parent, translation=tuple(map(float, offset)))
+            for name, parent, offset in zip(
+                names, (-1, 0, 0, 0, 3, 3, 4, 5), offsets, strict=True
+            )
+        ),
+    )
+    turned = np.stack([rig.rest_rotations, rig.rest_rotations])
+    turned[1, 4] = [0, 0, np.sqrt(0.5), np.sqrt(0.5)]
+    motion = Motion(
+        Channel.from_dense(np.stack([rig.rest_translations] * 2)),
+        Channel.from_dense(turned),
+    )
+    return Take(rig, Clock(Fraction(24), Fraction(1), Fraction(1), 2), motion)
+
+
+def mirrored(take: Take, **options: object) -> tuple[Take, list[Fault]]:
+    context = PassContext(lambda _: take, Path())
+    chosen = MirrorOptions(**options)  # type: ignore[arg-type]
+    stream = apply_pass(TakeStream.of(take), PASS, chosen, context)
+    return stream.collect(), context.notices
+
+
+def test_names_of_cmu_change_sides() -> None:
+    take = arms(CMU)
+    seen, notices = mirrored(take)
+    assert not notices
+    hand = positions(seen)[1, CMU.index("rhand")]
+    assert_allclose(hand, [-0.2, 2.0, 0.0], atol=1e-12)
+    assert_allclose(positions(seen)[1, CMU.index("lhand")], [0.7, 1.5, 0], atol=1e-12)
+
+
+def test_names_that_look_left_and_have_no_partner_are_a_warning() -> None:
+    names = [*CMU[:4], "armLeft", "arm_right", "handLeft", "hand_right"]
+    _, (notice,) = mirrored(arms(names))
+    assert (notice.code, notice.severity) == ("SCN082", "warning")
+    assert "'armLeft', 'arm_right', 'handLeft', 'hand_right'" in notice.message
+    pairs = (("armLeft", "arm_right"), ("handLeft", "hand_right"))
+    assert "pairs: [[armLeft, arm_right], [handLeft, hand_right]]" in str(notice.hint)
+    seen, notices = mirrored(arms(names), pairs=pairs)
+    assert not notices
+    assert_allclose(positions(seen)[1, 7], [-0.2, 2.0, 0.0], atol=1e-12)
+
+
+def test_a_rest_pose_that_is_not_symmetric_is_a_warning() -> None:
+    _, (notice,) = mirrored(arms(CMU, foot=-0.36))
+    assert (notice.code, notice.severity) == ("SCN083", "warning")
+    assert "'lfemur' is 0.26 m from the mirror image of 'rfemur'" in notice.message
+    tall = arms(CMU, foot=-0.11)
+    assert not mirrored(tall)[1]
+
+
+def test_a_joint_of_one_side_alone_keeps_its_motion() -> None:
+    # A sword in the left hand, and none in the right one.
+    take = arms([*CMU[:6], "sword", "rhand"])
+    seen, (notice,) = mirrored(take)
+    assert notice.code == "SCN082"
+    assert "'sword'" in notice.message
+    assert_allclose(
+        seen.motion.rotations.dense()[:, 6], take.motion.rotations.dense()[:, 6]
+    )

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from animtool.edit.mirror import mirror_pairs
 from animtool.rig.arkit import ARKIT_SHAPES, arkit_name
+from animtool.rig.sides import pair_sides
 
 
 def test_there_are_52() -> None:
@@ -29,7 +29,7 @@ def test_others(name: str) -> None:
 
 
 def test_sides_are_each_others_mirror() -> None:
-    partners = mirror_pairs(list(ARKIT_SHAPES))
+    partners = pair_sides(ARKIT_SHAPES).partners
     for i, j in enumerate(partners.tolist()):
         left = ARKIT_SHAPES[i].replace("Right", "Left")
         assert ARKIT_SHAPES[j].replace("Right", "Left") == left

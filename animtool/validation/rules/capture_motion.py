@@ -11,9 +11,9 @@ from animtool._types import BoolArray
 from animtool.errors import Fault
 from animtool.maths import so3
 from animtool.rig.kinematics import rest_size
+from animtool.rig.sides import pair_sides
 from animtool.take import Take
 from animtool.validation.rules.leaps import leaps
-from animtool.validation.rules.rig_symmetry import other_side
 from animtool.validation.subjects.capture import TakeSubject
 
 __all__ = [
@@ -138,9 +138,8 @@ def dead_side(subject: TakeSubject) -> Iterator[Fault]:
     spreads = np.zeros(len(take.rig.joints))
     away = so3.angle_between(channel.values, channel.values[:1])
     spreads[channel.animated] = away.max(axis=0)
-    places = {name: i for i, name in enumerate(take.rig.names)}
-    for i, name in enumerate(take.rig.names):
-        other = places.get(other_side(name) or "", i)
+    partners = pair_sides(take.rig.names, take.rig.parents).partners.tolist()
+    for i, (name, other) in enumerate(zip(take.rig.names, partners, strict=True)):
         if spreads[i] > STILL or spreads[other] < ALIVE:
             continue
         message = (

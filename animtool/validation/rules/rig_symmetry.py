@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from functools import lru_cache
 
@@ -11,37 +10,16 @@ import numpy as np
 from animtool._types import BoolArray
 from animtool.errors import Fault
 from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.sides import pair_sides
 from animtool.rig.skeleton import Joint
 from animtool.validation.subjects.rig import RigSubject
 
-__all__ = ["other_limits", "other_place", "other_side"]
+__all__ = ["other_limits", "other_place"]
 
 # Bones that differ by less of the rig's size are alike [1].
 SAME_PLACE = 1e-4
 # Limits that differ by less are alike [rad], [m].
 SAME_LIMIT = 1e-6
-_SIDES = {"l": "r", "r": "l", "left": "right", "right": "left"}
-# A letter on its own, or a word that begins or ends as names are put together.
-_SIDE = re.compile(
-    r"(?<![A-Za-z0-9])[lrLR](?![A-Za-z0-9])"
-    r"|(?<![a-z])(?:left|right)(?![a-z])|(?:Left|Right)(?![a-z])"
-)
-
-
-def other_side(name: str) -> str | None:
-    """Return what the joint of the other side would be called.
-
-    >>> other_side("arm_l"), other_side("LeftArm"), other_side("clavicle")
-    ('arm_r', 'RightArm', None)
-    """
-
-    def swap(found: re.Match[str]) -> str:
-        word = found[0]
-        swapped = _SIDES[word.lower()]
-        return swapped.capitalize() if word[0].isupper() else swapped
-
-    swapped = _SIDE.sub(swap, name)
-    return None if swapped == name else swapped
 
 
 def other_place(rig: RigSubject) -> Iterator[Fault]:
@@ -85,13 +63,12 @@ def _compared(rig: RigSubject) -> tuple[list[tuple[Joint, Joint]], BoolArray]:
 
 def _pairs(rig: RigSubject) -> list[tuple[Joint, Joint]]:
     """Return joints and their counterparts that no mirror wrote."""
-    places = {joint.name: i for i, joint in enumerate(rig.rig.joints)}
-    pairs = []
-    for i, joint in enumerate(rig.rig.joints):
-        other = places.get(other_side(joint.name) or "", -1)
-        if other > i and not joint.mirror:
-            pairs.append((joint, rig.rig.joints[other]))
-    return pairs
+    partners = pair_sides(rig.rig.names, rig.rig.parents).partners.tolist()
+    return [
+        (joint, rig.rig.joints[other])
+        for i, (joint, other) in enumerate(zip(rig.rig.joints, partners, strict=True))
+        if other > i and not joint.mirror
+    ]
 
 
 def _alike(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> BoolArray:

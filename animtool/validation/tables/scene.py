@@ -70,6 +70,10 @@ RULES = (
     Rule("SCN072", "a picture of a kind that there is none of"),
     Rule("SCN080", "an output with a system that there is none of"),
     Rule("SCN081", "an output of a simulation without a system"),
+    Rule("SCN082", "a joint of one side without partner", Severity.WARNING),
+    Rule(
+        "SCN083", "a mirrored take whose rest pose is not symmetric", Severity.WARNING
+    ),
     Rule("SCN090", "a system whose name another has", Severity.WARNING),
     Rule(
         "SCN101",

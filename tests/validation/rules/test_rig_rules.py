@@ -5,10 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from animtool.validation.rules.rig_symmetry import other_side
 from animtool.validation.run import validate
 
 HEAD = "rig: animtool/1\nname: page\njoints:\n"
@@ -142,34 +139,6 @@ def test_a_rig(name: str, tmp_path: Path) -> None:
     path = tmp_path / "page.rig.yaml"
     path.write_text(HEAD + text, "utf-8")
     assert sorted(fault.code for fault in validate(path)) == wanted
-
-
-@pytest.mark.parametrize(
-    ("left", "right"),
-    [
-        ("arm_l", "arm_r"),
-        ("L_arm", "R_arm"),
-        ("arm.L.001", "arm.R.001"),
-        ("LeftUpLeg", "RightUpLeg"),
-        ("mixamorig:LeftHand", "mixamorig:RightHand"),
-        ("left_leg_2", "right_leg_2"),
-        ("thumb_1_l", "thumb_1_r"),
-    ],
-)
-def test_the_other_side(left: str, right: str) -> None:
-    assert other_side(left) == right
-    assert other_side(right) == left
-
-
-@pytest.mark.parametrize("name", ["clavicle", "lower_leg", "rib_3", "bright", "Lr"])
-def test_names_without_a_side(name: str) -> None:
-    assert other_side(name) is None
-
-
-@given(st.text("lrLR_.:ab1", max_size=12))
-def test_the_other_side_of_the_other_side(name: str) -> None:
-    other = other_side(name)
-    assert other is None or other_side(other) == name
 
 
 def test_a_drive_without_a_value_is_no_fault_of_those_that_read_it(

@@ -1,0 +1,164 @@
+"""Left and right joints of a rig, paired by their names."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import IntArray
+
+__all__ = ["SidePairs", "pair_sides", "stray_sides"]
+
+_WORDS = {"left": "right", "lft": "rgt", "lf": "rt", "lt": "rt", "l": "r", "左": "右"}
+_LEFT, _RIGHT = (
+    rf"(?<![A-Za-z]){word}|{word.capitalize()}|(?<![A-Za-z]){word.upper()}(?![a-z])"
+    for word in ("left", "right")
+)
+# A letter set off by other characters, or by the case of its neighbors.
+_LETTER = (
+    r"(?<![A-Za-z0-9])[{0}{1}](?![A-Za-z0-9])"
+    r"|(?<![A-Za-z])[{0}{1}](?=[A-Z][a-z])|(?<![A-Za-z0-9]){0}(?=[A-Z])"
+    r"|(?<=[a-z]){1}(?![A-Za-z0-9])"
+)
+_LOOKS_LEFT = re.compile(f"{_LEFT}|左|" + _LETTER.format("l", "L"))
+_LOOKS_RIGHT = re.compile(f"{_RIGHT}|右|" + _LETTER.format("r", "R"))
+# How a name says that it is left, the surest way first. The last ones are letters of
+# other words in most names: a partner of the other name must exist anyway.
+_WAYS = tuple(
+    re.compile(pattern)
+    for pattern in (
+        f"{_LEFT}|左",
+        _LETTER.format("l", "L"),
+        r"Left|LEFT|left|(?<![A-Za-z])[Ll](?:ft|f|t)(?![a-z])|Lft|Lf(?![a-z])",
+        r"(?<![A-Za-z])[lL](?![A-Za-z])|(?<=[a-z0-9])L(?![a-z])",
+        r"(?<![A-Za-z])[lL](?=[A-Za-z])",
+        r"(?<=[A-Za-z0-9])[lL](?![A-Za-z])",
+    )
+)
+
+
+@dataclass(frozen=True, slots=True)
+class SidePairs:
+    """The partners of joints, or of other named parts.
+
+    Attributes:
+        partners: Index of each one's partner ``(J,)``, its own where it has none.
+        left: Of the pairs that the names gave, indices of the left ones.
+        strays: Those whose names look left or right and that have no partner.
+    """
+
+    partners: IntArray
+    left: tuple[int, ...]
+    strays: tuple[int, ...]
+
+
+def pair_sides(
+    names: Sequence[str],
+    parents: Sequence[int] | IntArray | None = None,
+    stated: Sequence[tuple[str, str]] = (),
+) -> SidePairs:
+    """Return the left and right partners among names.
+
+    A pair holds where both names exist, neither has another partner, and their
+    parents are the same or partners.
+
+    Args:
+        names: Of J joints.
+        parents: Index of each one's parent, -1 for none; None where names have no
+            hierarchy, as those of shapes.
+        stated: Pairs that hold whatever the names say.
+
+    >>> pair_sides(["hips", "lfemur", "rfemur", "arm.L", "arm.R"]).partners.tolist()
+    [0, 2, 1, 4, 3]
+    >>> pair_sides(["rib", "tail_l"]).strays
+    (1,)
+    """
+    index = {name: i for i, name in enumerate(names)}
+    above = [-1] * len(names) if parents is None else [int(p) for p in parents]
+    partners = np.arange(len(names))
+    free = set(range(len(names)))
+    for a, b in ((index[a], index[b]) for a, b in stated):
+        if a in free and b in free:
+            partners[a], partners[b] = b, a
+            free -= {a, b}
+    found: list[int] = []
+    for _, _, left, right in sorted(_candidates(names, index, _depths(above))):
+        parent = above[left]
+        hung = int(partners[parent]) if parent >= 0 else -1
+        if left in free and right in free and hung == above[right]:
+            partners[left], partners[right] = right, left
+            free -= {left, right}
+            found.append(left)
+    strays = [i for i in sorted(free) if _looks(names[i])]
+    return SidePairs(partners, tuple(sorted(found)), tuple(strays))
+
+
+def stray_sides(names: Sequence[str], pairs: SidePairs) -> list[tuple[str, str]]:
+    """Return pairs that a person may mean, of names that have no partner.
+
+    >>> names = ["armLeft", "arm_right"]
+    >>> stray_sides(names, pair_sides(names))
+    [('armLeft', 'arm_right')]
+    """
+    left = [names[i] for i in pairs.strays if _LOOKS_LEFT.search(names[i])]
+    right = [names[i] for i in pairs.strays if names[i] not in left]
+    meant = []
+    for name in left:
+        key = _without_side(name)
+        same = [other for other in right if _without_side(other) == key]
+        if len(same) == 1:
+            meant.append((name, same[0]))
+            right.remove(same[0])
+    return meant
+
+
+def _without_side(name: str) -> str:
+    bare = _LOOKS_RIGHT.sub("", _LOOKS_LEFT.sub("", name))
+    return re.sub(r"[^a-z0-9]", "", bare.casefold())
+
+
+def _looks(name: str) -> bool:
+    return bool(_LOOKS_LEFT.search(name) or _LOOKS_RIGHT.search(name))
+
+
+def _depths(parents: Sequence[int]) -> list[int]:
+    depths: list[int] = []
+    for parent in parents:
+        depths.append(depths[parent] + 1 if parent >= 0 else 0)
+    return depths
+
+
+def _candidates(
+    names: Sequence[str], index: dict[str, int], depths: Sequence[int]
+) -> Iterator[tuple[int, int, int, int]]:
+    """Yield depth, way, left and right of each pair that the names allow."""
+    folded: dict[str, list[int]] = {}
+    for i, name in enumerate(names):
+        folded.setdefault(name.casefold(), []).append(i)
+    for left, name in enumerate(names):
+        for way, other in _others(name):
+            if other in index:
+                yield depths[left], way, left, index[other]
+            elif len(same := folded.get(other.casefold(), [])) == 1 and way < 3:
+                yield depths[left], way + len(_WAYS), left, same[0]
+
+
+def _others(name: str) -> Iterator[tuple[int, str]]:
+    """Yield what the right partner of a left one may be called, and how sure it is."""
+    for way, pattern in enumerate(_WAYS):
+        marks = list(pattern.finditer(name))
+        if len(marks) > 1:
+            yield way, pattern.sub(_right, name)
+        for mark in marks:
+            yield way, name[: mark.start()] + _right(mark) + name[mark.end() :]
+
+
+def _right(mark: re.Match[str]) -> str:
+    word = mark[0]
+    right = _WORDS[word.lower()]
+    if word.isupper():
+        return right.upper()
+    return right.capitalize() if word[0].isupper() else right
