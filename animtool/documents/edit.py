@@ -19,6 +19,7 @@ import yaml
 from animtool.documents.document import Location, document_of, spelled
 from animtool.documents.numbers import flow, number
 from animtool.documents.numbers import text as plain_text
+from animtool.documents.yaml_values import compose
 from animtool.errors import FormatError
 
 __all__ = ["Add", "Edit", "EditError", "Put", "Remove", "Rename", "edited"]
@@ -141,7 +142,7 @@ class _Page:
     @classmethod
     def of(cls, text: str, *, json: bool) -> _Page:
         safe = _JSON_ONLY.sub(lambda found: "_" * len(found[0]), text) if json else text
-        root = yaml.compose(safe, yaml.CSafeLoader)
+        root = compose(safe)
         return cls(text, root, json, "\r\n" if "\r\n" in text else "\n")
 
     def splice(self, edit: Edit) -> Splice:

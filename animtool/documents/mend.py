@@ -19,6 +19,7 @@ __all__ = [
     "models_of",
     "replaced",
     "stand_in",
+    "takes_no_text",
 ]
 
 
@@ -84,6 +85,19 @@ def stand_in(annotation: Any) -> Any:
     if get_origin(plain) is dict:
         return {UNKNOWN: stand_in(get_args(plain)[1])} if shortest else {}
     return {str: UNKNOWN, float: 1.0, int: 1, bool: False}.get(plain)
+
+
+def takes_no_text(annotation: Any) -> bool:
+    """Return whether a type allows numbers and truth values, and nothing else.
+
+    >>> takes_no_text(float | None), takes_no_text(float | str)
+    (True, False)
+    """
+    kinds = [
+        get_args(one)[0] if get_origin(one) is Annotated else one
+        for one in _alternatives(annotation)
+    ]
+    return all(kind in {float, int, bool} for kind in kinds)
 
 
 def replaced(value: Any, location: Location, new: Any) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from animtool.documents.document import Document, Location
-from animtool.documents.mend import annotation_at, replaced, stand_in
+from animtool.documents.mend import annotation_at, replaced, stand_in, takes_no_text
 from animtool.documents.names import VARIABLE_NAME, is_variable_name, nearest
 from animtool.documents.yaml_values import plain_scalar
 
@@ -45,9 +45,10 @@ def resolve_variables(
     """Put the values of variables into the text of a document; keys stay.
 
     What is written without quotes is read anew with its values in place, so that it
-    may become a number. A default may use those that stand above it, and those given.
-    Faults are noted: a name that is not known (SCN030), a ``${`` without name and
-    ``}``, or a name that is none (SCN032). Something stands in for the value there.
+    may become a number, and so is a variable in quotes where no text may be. A default
+    may use those that stand above it, and those given. Faults are noted: a name that
+    is not known (SCN030), a ``${`` without name and ``}``, or a name that is none
+    (SCN032). Something stands in for the value there.
 
     Args:
         document: Changed in place.
@@ -156,7 +157,7 @@ class _Resolver:
         """Put the values of variables into a text of the document."""
         found = self.resolved(location, text)
         value: Any = found
-        if found is not None and self.document.written(location) is not None:
+        if found is not None and self.is_typed(location, text):
             try:
                 value = plain_scalar(found)
             except OverflowError:
@@ -167,6 +168,19 @@ class _Resolver:
             value = stand_in(annotation)
             self.document.doubts.add(location)
         replaced(self.document.value, location, value)
+
+    def is_typed(self, location: Location, text: str) -> bool:
+        """Return whether a text may become a number or a truth value.
+
+        It has no quotes; or it is a variable, whole, where no text may be.
+        """
+        if self.document.written(location) is not None:
+            return True
+        whole = _USE.fullmatch(text)
+        if whole is None or not whole["name"]:
+            return False
+        kind = annotation_at(self.model, self.document.value, location)
+        return kind is not None and takes_no_text(kind)
 
     def resolved(self, location: Location, text: str) -> str | None:
         """Return a text with values in place; None where that cannot be."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from animtool.documents.yaml_values import plain_scalar
+from animtool.documents.yaml_values import masked_variables, plain_scalar
 
 __all__ = ["comments_in", "json_text", "yaml_text"]
 
@@ -73,7 +73,7 @@ def comments_in(text: str) -> list[int]:
     """
     lines: list[int] = []
     end, line = 0, 1
-    for token in yaml.scan(text, yaml.CSafeLoader):
+    for token in yaml.scan(masked_variables(text), yaml.CSafeLoader):
         gap = text[end : token.start_mark.index]
         lines += [line + i for i, part in enumerate(gap.split("\n")) if "#" in part]
         end, line = token.end_mark.index, token.end_mark.line + 1

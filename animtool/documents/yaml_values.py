@@ -14,9 +14,10 @@ from typing import Any, NamedTuple, NoReturn, cast
 
 import yaml
 
+from animtool.documents.names import VARIABLE_NAME
 from animtool.errors import Fault, FormatError, excerpt
 
-__all__ = ["ReadValues", "plain_scalar", "read_values"]
+__all__ = ["ReadValues", "compose", "masked_variables", "plain_scalar", "read_values"]
 
 # A person nests five or six.
 DEEPEST = 50
@@ -45,6 +46,11 @@ _NAMED = {
 _PAIRS = re.compile(
     r"\\(?:u([dD][89abAB][0-9a-fA-F]{2})\\u([dD][c-fC-F][0-9a-fA-F]{2})|.)", re.DOTALL
 )
+# The braces of a variable are brackets of YAML inside of brackets. These letters of
+# no meaning stand for them while YAML is read.
+_VARIABLE = re.compile(rf"\$\{{({VARIABLE_NAME})\}}")
+_MASK = {"{": "\ue07b", "}": "\ue07d"}
+_UNMASK = str.maketrans({mask: brace for brace, mask in _MASK.items()})
 
 
 class ReadValues(NamedTuple):
@@ -89,7 +95,7 @@ def read_values(text: str, path: Path) -> ReadValues:
         if path.suffix.lower() not in SUFFIXES:
             hint = f"wanted is a file that ends in {', '.join(SUFFIXES)}"
         elif _is_variable(text, mark):
-            hint = 'between brackets, a text with ${…} stands in quotes: "${…}"'
+            hint = 'write ${name} without spaces, or put the text in quotes: "${…}"'
         reader.fault("DOC001", f"is no YAML: {problem}", spot, hint)
     except yaml.YAMLError as error:
         reader.fault("DOC001", f"is no YAML: {error}".split("\n", 1)[0], (1, 1))
@@ -98,8 +104,36 @@ def read_values(text: str, path: Path) -> ReadValues:
     return ReadValues(value, reader.places, reader.plain)
 
 
+def masked_variables(text: str) -> str:
+    """Return a text in which variables are plain text to YAML, wherever they are.
+
+    Every character keeps its line and column.
+
+    >>> len(masked_variables("{a: ${k}}"))
+    9
+    """
+    if any(mask in text for mask in _MASK.values()):
+        return text
+    return _VARIABLE.sub(f"${_MASK['{']}\\1{_MASK['}']}", text)
+
+
+def compose(text: str) -> Any:
+    """Return the outermost YAML node of a text, variables read as plain text."""
+    root = yaml.compose(masked_variables(text), yaml.CSafeLoader)
+    nodes = [root]
+    while nodes:
+        node = nodes.pop()
+        if isinstance(node, yaml.ScalarNode):
+            node.value = node.value.translate(_UNMASK)
+        elif isinstance(node, yaml.MappingNode):
+            nodes += [part for pair in node.value for part in pair]
+        elif isinstance(node, yaml.SequenceNode):
+            nodes += node.value
+    return root
+
+
 def _is_variable(text: str, mark: Any) -> bool:
-    """Return whether the bracket of a ``${name}`` is where the reader stopped."""
+    """Return whether the bracket of a ``${`` is where the reader stopped."""
     if mark is None:
         return False
     line = text.splitlines()[mark.line : mark.line + 1]
@@ -158,7 +192,9 @@ class _Reader:
         )
 
     def read(self, text: str) -> Any:
-        parser = cast("Any", yaml.CSafeLoader(text))
+        safe = masked_variables(text)
+        masked = safe is not text
+        parser = cast("Any", yaml.CSafeLoader(safe))
         root: list[Any] = []
         stack: list[_Open] = [_Open(root)]
         documents = 0
@@ -166,6 +202,8 @@ class _Reader:
             kind = type(event)
             if kind is yaml.ScalarEvent:
                 place = self._place(event)
+                if masked:
+                    event.value = event.value.translate(_UNMASK)
                 plain = event.value if event.implicit[0] else ""
                 if plain:
                     self.plain[len(self.places) - 1] = plain

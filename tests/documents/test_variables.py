@@ -131,10 +131,34 @@ def test_the_nearest_name_is_given() -> None:
     assert "'shot'" in fault.hint
 
 
-def test_brackets_around_a_variable_ask_for_quotes() -> None:
+def test_variables_between_brackets_need_no_quotes() -> None:
+    text = (
+        "several: [${n}, a${n}b, {x: ${n}, y: $${n}, ${n}: '${n}'}, \"{${n}}\"]"
+        "  # ${n\nnumber: ${n}\n"
+    )
+    found = resolved(text, n="3")
+    inner = {"x": 3, "y": "${n}", "${n}": "3"}
+    assert found.value["several"] == [3, "a3b", inner, "{3}"]
+    assert found.value["number"] == 3
+    assert found.place(("several", 2, "y")) == (2, 38)
+
+
+def test_a_quoted_variable_is_a_number_where_no_text_may_be() -> None:
+    document = document_of(
+        '{"scene": "animtool/1", "number": "${n}", "text": "${n}", "several": ["${n}"]'
+        "}",
+        Path("a.scene.json"),
+    )
+    resolve_variables(document, Model, {"n": "1e-3"})
+    assert document.value["number"] == 0.001
+    assert (document.value["text"], document.value["several"]) == ("1e-3", ["1e-3"])
+    assert refused("number: 'x${n}'\n", n="3") == [("DOC022", (2, 9))]
+
+
+def test_what_is_no_variable_between_brackets_asks_for_quotes() -> None:
     with pytest.raises(FormatError, match="quotes") as caught:
-        resolved("several: [${shot}]\n")
-    assert caught.value.code == "DOC001"
+        resolved("several: [${a b}]\n")
+    assert (caught.value.code, caught.value.faults[0].lines) == ("DOC001", (2,))
 
 
 def test_a_number_of_too_many_digits() -> None:
