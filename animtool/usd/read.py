@@ -12,7 +12,7 @@ import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, FormatError, Severity, excerpt, listed
+from animtool.errors import Fault, FormatError, Severity, counted, excerpt, listed
 from animtool.maths import so3
 from animtool.rates import rate_from_float
 from animtool.rig.parts import AttachKind, Shape
@@ -270,8 +270,7 @@ def _read(
 
     rig = skeleton.rig
     joints, notices = _joints(skeleton, animation, where)
-    if not grid.even:
-        notices.append(_uneven(grid, where))
+    notices += _grid_notices(grid, len(times), where)
     meters = rig.meters_per_unit
     translations, rotations, scales = (
         joints.whole(attribute, rest, codes, where)
@@ -352,10 +351,27 @@ def _joints(
     return joints, [warning]
 
 
-def _uneven(grid: SampleGrid, where: str) -> Fault:
-    every = f"{float(grid.step):g} time codes"
-    message = f"samples are unevenly spaced; read every {every}"
-    return Fault("USD105", message, where, severity=Severity.NOTE)
+def _grid_notices(grid: SampleGrid, samples: int, where: str) -> list[Fault]:
+    """Return notices of samples that are not evenly spaced, or not on frames."""
+    notices = []
+    every = "time code" if grid.step == 1 else f"{float(grid.step):g} time codes"
+    if not grid.even:
+        message = f"samples are unevenly spaced; read every {every}"
+        notices.append(Fault("USD105", message, where, severity=Severity.NOTE))
+    if grid.drift:
+        message = (
+            f"samples are up to {grid.drift:.2g} time codes off the frames (at "
+            f"{grid.drift_code:.10g}); read as {counted(grid.count, 'frame')}, "
+            f"one every {every}"
+        )
+        notices.append(Fault("USD121", message, where, severity=Severity.NOTE))
+    if grid.between:
+        message = f"{grid.between} of {samples} samples fall between frames; "
+        message += "only the values on frames are read"
+        hint = "resample the animation on whole frames where it is made"
+        warning = Severity.WARNING
+        notices.append(Fault("USD122", message, where, (), hint, warning))
+    return notices
 
 
 def _details(stage: Any, skeleton: SkeletonRig) -> dict[str, object]:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
+
+from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError
 from animtool.usd.library import take_range
 
@@ -20,23 +23,35 @@ LARGEST_STEP_DENOMINATOR = 10_000
 FINEST_GRID = 8
 # More frames than any take of unevenly spaced keys: there, a key has gone astray.
 MOST_FRAMES = 100_000
+# Samples within this share of a step from a frame are that frame's: exporters add up
+# float steps, which drift. Shutter offsets are many times larger.
+LARGEST_DRIFT = 0.02
+# Steps that people and exporters mean, and steps of rates that differ by a little.
+PLAIN_STEP_DENOMINATORS = (1, 2, 3, 4, 5, 6, 8, 10, 20, 50, 100)
+FINE_STEP_DENOMINATOR = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class SampleGrid:
-    """Evenly spaced time codes that hold every sample.
+    """Evenly spaced time codes at which samples are read.
 
     Attributes:
         start: Time code of the first frame.
         step: Time codes from one to the next.
         count: Number of frames.
-        even: Whether samples are so spaced, or some fall between frames.
+        even: Whether samples are so spaced, or some gaps are longer.
+        drift: Largest distance of a sample from its frame [time codes].
+        drift_code: Time code of that sample.
+        between: Number of samples that fall between frames.
     """
 
     start: Fraction
     step: Fraction
     count: int
     even: bool
+    drift: float = 0.0
+    drift_code: float = 0.0
+    between: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,22 +96,81 @@ def _grid(times: list[float], span: _Span, where: str) -> SampleGrid:
     if len(times) < 2:
         start = time_fraction(times[0]) if times else span.first
         return SampleGrid(start, Fraction(1), 1, True)
+    grid = _exact_grid(times) or _drifting_grid(times)
+    return _whole_codes(times, where) if grid is None else _from_stated(grid, span)
+
+
+def _exact_grid(times: list[float]) -> SampleGrid | None:
+    """Return the coarsest grid that holds every sample; None where it is too fine."""
     exact = [time_fraction(time) for time in times]
     gaps = {b - a for a, b in pairwise(exact)}
     step = _common_divisor(gaps)
     count = int((exact[-1] - exact[0]) / step) + 1
     if count > FINEST_GRID * len(times):
-        first, last = math.floor(exact[0]), math.ceil(exact[-1])
-        if last - first > MOST_FRAMES:
-            message = f"{len(times)} samples spread over {last - first} time codes"
-            raise FormatError(Fault("USD016", message, where, (), "a stray sample?"))
-        return SampleGrid(Fraction(first), Fraction(1), last - first + 1, False)
-    # Samples within a frame before the first serve its motion blur.
-    start = span.first
-    early = (start - exact[0]) / step
-    if exact[0] < start < exact[0] + 1 and early.denominator == 1 and early < count:
-        return SampleGrid(start, step, count - int(early), len(gaps) == 1)
+        return None
     return SampleGrid(exact[0], step, count, len(gaps) == 1)
+
+
+def _drifting_grid(times: list[float]) -> SampleGrid | None:
+    """Return a grid that every sample is near to; None where there is none."""
+    codes = np.array(times)
+    gaps = np.diff(codes)
+    middle, mean = Fraction(float(np.median(gaps))), Fraction(float(gaps.mean()))
+    steps = [middle.limit_denominator(most) for most in PLAIN_STEP_DENOMINATORS]
+    steps.append(mean.limit_denominator(FINE_STEP_DENOMINATOR))
+    found = (_near_grid(codes, step) for step in dict.fromkeys(steps) if step > 0)
+    return next((grid for grid in found if grid is not None), None)
+
+
+def _near_grid(codes: FloatArray, step: Fraction) -> SampleGrid | None:
+    """Return the grid of a step if every sample is near a frame of its own."""
+    length = float(step)
+    is_plain = step.denominator <= PLAIN_STEP_DENOMINATORS[-1]
+    plain = step.denominator if is_plain else 1
+    start = Fraction(round(codes[0] * plain), plain)
+    if abs(codes[0] - float(start)) > LARGEST_DRIFT * length:
+        start = time_fraction(float(codes[0]))
+    index = np.rint((codes - float(start)) / length)
+    away = np.abs(codes - (float(start) + index * length))
+    gaps = np.diff(index)
+    worst = int(away.argmax())
+    if away[worst] > LARGEST_DRIFT * length or (gaps < 1).any():
+        return None
+    count = int(index[-1]) + 1
+    if index[0] != 0 or count > FINEST_GRID * len(codes):
+        return None
+    drift, code = float(away[worst]), float(codes[worst])
+    return SampleGrid(start, step, count, bool((gaps == 1).all()), drift, code)
+
+
+def _whole_codes(times: list[float], where: str) -> SampleGrid:
+    """Return every time code that the samples span.
+
+    Raises:
+        FormatError: There are more than in any take (USD016).
+    """
+    exact = [time_fraction(time) for time in times]
+    first, last = math.floor(exact[0]), math.ceil(exact[-1])
+    if last - first > MOST_FRAMES:
+        message = f"{len(times)} samples spread over {last - first} time codes"
+        raise FormatError(Fault("USD016", message, where, (), "a stray sample?"))
+    between = sum(time.denominator != 1 for time in exact)
+    count = last - first + 1
+    return SampleGrid(Fraction(first), Fraction(1), count, False, between=between)
+
+
+def _from_stated(grid: SampleGrid, span: _Span) -> SampleGrid:
+    """Return a grid from the stated first frame on, where that is just after its first.
+
+    Samples within a frame before the first serve its motion blur.
+    """
+    start = span.first
+    early = (start - grid.start) / grid.step
+    if not grid.start < start < grid.start + 1:
+        return grid
+    if early.denominator != 1 or early >= grid.count:
+        return grid
+    return replace(grid, start=start, count=grid.count - int(early))
 
 
 def time_fraction(time: float) -> Fraction:

@@ -107,6 +107,8 @@ RULES = (
         "scale of rest or bind transforms, which a rig does not hold",
         Severity.WARNING,
     ),
+    Rule("USD121", "samples that drift off the frames", Severity.NOTE),
+    Rule("USD122", "samples that fall between the frames read", Severity.WARNING),
     Rule(
         "USD130",
         "a take of a library with another rest pose than the first",

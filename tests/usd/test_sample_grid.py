@@ -1,0 +1,76 @@
+"""Which frames the sample times of an animation stand for."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.drifting import author_samples
+
+from animtool.usd.read import read_usd
+from animtool.usd.sample_grid import SampleGrid, _grid, _Span
+
+STATED = _Span(Fraction(1), None)
+
+
+def grid(times: list[float]) -> SampleGrid:
+    return _grid(times, STATED, "a.usda")
+
+
+def test_a_long_take_of_drifting_samples_has_as_many_frames(tmp_path: Path) -> None:
+    times = (1 + 1.0000000521 * np.arange(3000)).tolist()
+    stream = read_usd(author_samples(tmp_path / "drift.usda", times))
+    clock = stream.collect().clock
+    assert (clock.start, clock.step, clock.count) == (1, 1, 3000)
+    (notice,) = stream.notices
+    assert notice.code == "USD121"
+    assert "0.00016" in notice.message
+    assert "3000 frames" in notice.message
+
+
+@given(
+    st.sampled_from([Fraction(1), Fraction(5, 4), Fraction(1, 5), Fraction(4, 5)]),
+    st.integers(-20, 1001),
+    st.integers(4, 400),
+    st.floats(-1e-6, 1e-6),
+    st.integers(0, 2**31),
+)
+@settings(max_examples=40, deadline=None)
+def test_drift_and_jitter_far_below_a_frame_keep_the_count(
+    step: Fraction, start: int, count: int, drift: float, seed: int
+) -> None:
+    jitter = np.random.default_rng(seed).uniform(-1e-3, 1e-3, count) * float(step)
+    times = start + np.arange(count) * float(step) * (1 + drift) + jitter
+    found = grid(times.tolist())
+    assert (found.start, found.step, found.count) == (start, step, count)
+    assert found.drift < 0.02 * float(step)
+
+
+def test_a_step_of_a_slightly_other_rate_is_kept() -> None:
+    found = grid((1 + 1.00003 * np.arange(3000)).tolist())
+    assert (found.start, found.count, found.even) == (1, 3000, True)
+    assert float(found.step) == pytest.approx(1.00003, abs=1e-9)
+
+
+def test_a_missing_sample_of_a_drifting_take_leaves_its_frame() -> None:
+    times = (1 + 1.0000002 * np.arange(900)).tolist()
+    del times[450]
+    found = grid(times)
+    assert (found.count, found.step, found.even) == (900, 1, False)
+
+
+def test_samples_between_frames_are_counted(tmp_path: Path) -> None:
+    times = [1.0, 2.137, 3.6123, 7.0]
+    stream = read_usd(author_samples(tmp_path / "keys.usda", times))
+    assert stream.collect().clock.count == 7
+    assert [notice.code for notice in stream.notices] == ["USD105", "USD122"]
+    assert "2 of 4 samples" in stream.notices[1].message
+
+
+def test_samples_on_even_parts_of_frames_are_no_drift() -> None:
+    found = grid([1 + i / 5 for i in range(41)])
+    assert (found.step, found.count, found.drift) == (Fraction(1, 5), 41, 0.0)
