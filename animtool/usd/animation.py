@@ -137,7 +137,7 @@ def _move_root(
     first, *others = rig.roots
     rest_t = rig.rest_translations[first] / meters_per_unit
     rest_r = rig.rest_rotations[first]
-    turn = so3.align_signs(so3.multiply(rotations[:, first], so3.conjugate(rest_r)))
+    turn = so3.multiply(rotations[:, first], so3.conjugate(rest_r))
     move = translations[:, first] - so3.rotate(turn, rest_t)
     translations[:, first], rotations[:, first] = rest_t, rest_r
     back = so3.conjugate(turn)
@@ -204,7 +204,11 @@ class AnimationWriter:
             spec, "translations", types.Float3Array, Vt.Vec3fArray.FromNumpy
         )
         self._rotations = Samples(
-            spec, "rotations", types.QuatfArray, Vt.QuatfArray.FromNumpy
+            spec,
+            "rotations",
+            types.QuatfArray,
+            Vt.QuatfArray.FromNumpy,
+            quaternions=True,
         )
         self._scales = Samples(
             spec, "scales", types.Half3Array, Vt.Vec3hArray.FromNumpy
@@ -308,7 +312,7 @@ class AnimationWriter:
         types = Sdf.ValueTypeNames
         names = ["xformOp:translate:rootMotion", "xformOp:orient:rootMotion"]
         move = Samples(spec, names[0], types.Double3, _vector)
-        turn = Samples(spec, names[1], types.Quatd, _quaternion)
+        turn = Samples(spec, names[1], types.Quatd, _quaternion, quaternions=True)
         self._author_order(placing + names)
         for codes, path in zip(self._codes, self._root_path, strict=True):
             move.add(codes, path.translations)

@@ -276,7 +276,8 @@ def _author_track(
     factor = 1.0 if track.reference is None else track.reference.meters_per_unit / unit
 
     def author(name: str, type_name: Any, rows: Any, make: _Make) -> None:
-        samples = Samples(spec, name, type_name, make)
+        quaternions = type_name == types.Quatd
+        samples = Samples(spec, name, type_name, make, quaternions=quaternions)
         samples.add(codes, rows)
         samples.finish(rows[0])
 

@@ -115,6 +115,8 @@ def _drifting_grid(times: list[float]) -> SampleGrid | None:
     """Return a grid that every sample is near to; None where there is none."""
     codes = np.array(times)
     gaps = np.diff(codes)
+    # Attributes that drift apart have samples of one frame almost at the same time.
+    gaps = gaps[gaps > LARGEST_DRIFT * np.quantile(gaps, 0.75)]
     middle, mean = Fraction(float(np.median(gaps))), Fraction(float(gaps.mean()))
     steps = [middle.limit_denominator(most) for most in PLAIN_STEP_DENOMINATORS]
     steps.append(mean.limit_denominator(FINE_STEP_DENOMINATOR))
@@ -123,7 +125,7 @@ def _drifting_grid(times: list[float]) -> SampleGrid | None:
 
 
 def _near_grid(codes: FloatArray, step: Fraction) -> SampleGrid | None:
-    """Return the grid of a step if every sample is near a frame of its own."""
+    """Return the grid of a step if every sample is near one of its frames."""
     length = float(step)
     is_plain = step.denominator <= PLAIN_STEP_DENOMINATORS[-1]
     plain = step.denominator if is_plain else 1
@@ -134,13 +136,13 @@ def _near_grid(codes: FloatArray, step: Fraction) -> SampleGrid | None:
     away = np.abs(codes - (float(start) + index * length))
     gaps = np.diff(index)
     worst = int(away.argmax())
-    if away[worst] > LARGEST_DRIFT * length or (gaps < 1).any():
-        return None
     count = int(index[-1]) + 1
-    if index[0] != 0 or count > FINEST_GRID * len(codes):
+    if away[worst] > LARGEST_DRIFT * length or index[0] != 0:
+        return None
+    if count > FINEST_GRID * len(codes):
         return None
     drift, code = float(away[worst]), float(codes[worst])
-    return SampleGrid(start, step, count, bool((gaps == 1).all()), drift, code)
+    return SampleGrid(start, step, count, bool((gaps <= 1).all()), drift, code)
 
 
 def _whole_codes(times: list[float], where: str) -> SampleGrid:

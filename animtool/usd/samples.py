@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool._types import FloatArray
+from animtool.maths import so3
 from animtool.usd.layers import attribute
 
 __all__ = ["Samples"]
@@ -17,7 +18,9 @@ __all__ = ["Samples"]
 class Samples:
     """An attribute's samples; a default only, while the values do not change.
 
-    The frames before the first change share one array, as copies of it would.
+    The frames before the first change share one array, as copies of it would. Signs of
+    quaternions ``(F, …, 4)`` continue from frame to frame and from block to block:
+    every rotation over time is written here.
 
     Attributes:
         sampled: Whether they changed, or are sampled all the same.
@@ -31,18 +34,21 @@ class Samples:
         make: Callable[[Any], Any],
         *,
         interpolation: str = "",
+        quaternions: bool = False,
     ) -> None:
         self._attribute = attribute(spec, name, type_name, interpolation=interpolation)
         self._path = self._attribute.path
         self._set = spec.layer.SetTimeSample
         self._make = make
         self._first: npt.NDArray[Any] | None = None
+        self._quaternions = quaternions
+        self._last: npt.NDArray[Any] | None = None
         self._held: list[FloatArray] = []
         self.sampled = False
 
     def add(self, codes: FloatArray, rows: npt.NDArray[Any]) -> None:
         """Add frames of values ``(F, …)``."""
-        rows = np.ascontiguousarray(rows)
+        rows = np.ascontiguousarray(self._continued(rows))
         if self._first is None:
             self._first = rows[0].copy()
         if not self.sampled:
@@ -53,6 +59,15 @@ class Samples:
         put, path, make = self._set, self._path, self._make
         for code, row in zip(codes.tolist(), rows, strict=True):
             put(path, code, make(row))
+
+    def _continued(self, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return rows, quaternions with signs that continue those added before."""
+        if not self._quaternions or not rows.size:
+            return rows
+        last = rows[0] if self._last is None else self._last
+        rows = so3.align_signs(rows, last).astype(rows.dtype)
+        self._last = rows[-1]
+        return rows
 
     def release(self) -> None:
         """Sample from the first frame on, whether anything changes or not."""

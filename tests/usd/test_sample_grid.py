@@ -63,6 +63,12 @@ def test_a_missing_sample_of_a_drifting_take_leaves_its_frame() -> None:
     assert (found.count, found.step, found.even) == (900, 1, False)
 
 
+def test_attributes_that_drift_apart_share_frames() -> None:
+    whole = np.arange(1.0, 301.0)
+    found = grid(sorted({*whole, *(1 + 1.0000031 * np.arange(300))}))
+    assert (found.count, found.step, found.even) == (300, 1, True)
+
+
 def test_samples_between_frames_are_counted(tmp_path: Path) -> None:
     times = [1.0, 2.137, 3.6123, 7.0]
     stream = read_usd(author_samples(tmp_path / "keys.usda", times))
