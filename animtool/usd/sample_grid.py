@@ -23,8 +23,8 @@ LARGEST_STEP_DENOMINATOR = 10_000
 FINEST_GRID = 8
 # More frames than any take of unevenly spaced keys: there, a key has gone astray.
 MOST_FRAMES = 100_000
-# Samples within this share of a step from a frame are that frame's: exporters add up
-# float steps, which drift. Shutter offsets are many times larger.
+# Samples within this share of a step, or of a time code, from a frame are that frame's:
+# exporters add up float steps, which drift. Shutter offsets are many times larger.
 LARGEST_DRIFT = 0.02
 # Steps that people and exporters mean, and steps of rates that differ by a little.
 PLAIN_STEP_DENOMINATORS = (1, 2, 3, 4, 5, 6, 8, 10, 20, 50, 100)
@@ -116,7 +116,7 @@ def _drifting_grid(times: list[float]) -> SampleGrid | None:
     codes = np.array(times)
     gaps = np.diff(codes)
     # Attributes that drift apart have samples of one frame almost at the same time.
-    gaps = gaps[gaps > LARGEST_DRIFT * np.quantile(gaps, 0.75)]
+    gaps = gaps[gaps > LARGEST_DRIFT * np.quantile(gaps, 0.75, method="lower")]
     middle, mean = Fraction(float(np.median(gaps))), Fraction(float(gaps.mean()))
     steps = [middle.limit_denominator(most) for most in PLAIN_STEP_DENOMINATORS]
     steps.append(mean.limit_denominator(FINE_STEP_DENOMINATOR))
@@ -127,17 +127,18 @@ def _drifting_grid(times: list[float]) -> SampleGrid | None:
 def _near_grid(codes: FloatArray, step: Fraction) -> SampleGrid | None:
     """Return the grid of a step if every sample is near one of its frames."""
     length = float(step)
+    most = LARGEST_DRIFT * min(length, 1.0)
     is_plain = step.denominator <= PLAIN_STEP_DENOMINATORS[-1]
     plain = step.denominator if is_plain else 1
     start = Fraction(round(codes[0] * plain), plain)
-    if abs(codes[0] - float(start)) > LARGEST_DRIFT * length:
+    if abs(codes[0] - float(start)) > most:
         start = time_fraction(float(codes[0]))
     index = np.rint((codes - float(start)) / length)
     away = np.abs(codes - (float(start) + index * length))
     gaps = np.diff(index)
     worst = int(away.argmax())
     count = int(index[-1]) + 1
-    if away[worst] > LARGEST_DRIFT * length or index[0] != 0:
+    if away[worst] > most or index[0] != 0:
         return None
     if count > FINEST_GRID * len(codes):
         return None
