@@ -55,6 +55,7 @@ Examples:
   animtool validate . --format sarif --output-file animtool.sarif
   animtool validate rigs --diff
   animtool validate rigs --fix
+  animtool validate shot.usdc --fix -o repaired.usdc
   git diff --name-only main -- "*.rig.yaml" | animtool validate -"""
 )
 @click.argument("paths", nargs=-1, required=True)
@@ -76,8 +77,19 @@ Examples:
 @click.option(
     "--fix",
     is_flag=True,
-    help="Mend in place what has a safe remedy in rigs, clips, scenes and targets, and "
-    "report what is left. BVH and USD files are not written.",
+    help="Fix in place what has a safe remedy in rigs, clips, scenes and targets, and "
+    "report what is left. A USD file needs -o or --overwrite; BVH is not written.",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="With --fix and one USD file: write the repaired copy there.",
+)
+@click.option(
+    "--overwrite",
+    is_flag=True,
+    help="With --fix: replace the file of -o; without -o, USD files themselves.",
 )
 @click.option(
     "--diff", is_flag=True, help="Show what --fix would change, and write nothing."
@@ -124,6 +136,7 @@ def validate(console: Console, /, paths: tuple[str, ...], **given: Any) -> None:
         {code: Severity(name) for code, name in given["severity"]},
         given["jobs"],
     )
+    _check_fix(given)
     files = find_files(_listed(paths))
     if given["diff"]:
         _show_difference(console, files, options, given)
@@ -132,10 +145,20 @@ def validate(console: Console, /, paths: tuple[str, ...], **given: Any) -> None:
         from animtool.output import check_outputs
 
         check_outputs([given["output_file"]], files, overwrite=True)
-    found = (
-        _fixed(console, files, options) if given["fix"] else _checked(files, options)
-    )
+    if given["fix"]:
+        found = _fixed(console, files, options, given)
+    else:
+        found = _checked(files, options)
     _say(console, found, given)
+
+
+def _check_fix(given: Mapping[str, Any]) -> None:
+    """Refuse options of `--fix` without it, or that `--diff` cannot follow."""
+    named = "-o" if given["output"] is not None else "--overwrite"
+    if given["output"] is None and not given["overwrite"]:
+        return
+    if not given["fix"] or given["diff"]:
+        raise click.UsageError(f"{named} is for --fix, which writes.")
 
 
 def _checked(files: Sequence[Path], options: ValidateOptions) -> Report:
@@ -149,11 +172,24 @@ def _checked(files: Sequence[Path], options: ValidateOptions) -> Report:
     return with_fixable(report)
 
 
-def _fixed(console: Console, files: Sequence[Path], options: ValidateOptions) -> Report:
+def _fixed(
+    console: Console,
+    files: Sequence[Path],
+    options: ValidateOptions,
+    given: Mapping[str, Any],
+) -> Report:
     """Mend files, and return what is left."""
-    from animtool.validation.fixes.run import fix_files
+    from animtool.validation.fixes.run import fix_copy, fix_files
 
-    fixes = fix_files(files, options)
+    overwrite = given["overwrite"]
+    if given["output"] is None:
+        fixes = fix_files(files, options, overwrite=overwrite)
+    elif len(files) == 1:
+        fixes = fix_copy(files[0], given["output"], options, overwrite=overwrite)
+    else:
+        raise click.UsageError(f"-o is for one USD file, not {len(files)} files.")
+    for note in fixes.notes:
+        console.say(note)
     for fault, said in fixes.report.mended:
         console.say(f"{fault.path}: {fault.code} mended: {said}")
     for fault, reason in fixes.left:
@@ -179,10 +215,10 @@ def _show_difference(
     console.faults(report.broken)
     code = report.exit_code(strict=given["strict"], exit_zero=given["exit_zero"])
     for plan in plan_files(report, options):
-        if plan.after == plan.before:
+        if not plan.mended:
             continue
         console.result(plan.difference())
-        for path in plan.arrays:
+        for path in plan.after.outputs():
             console.say(f"{path} would be written")
         if code is ExitCode.OK and not given["exit_zero"]:
             code = ExitCode.FINDINGS

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
@@ -205,14 +205,22 @@ def save_layer(layer: Any, path: Path | None) -> int:
         return temporary.stat().st_size
 
 
-def export_layer(layer: Any, temporary: Path, path: Path) -> None:
+def export_layer(
+    layer: Any, temporary: Path, path: Path, arguments: Mapping[str, str] | None = None
+) -> None:
     """Write a layer to a file that becomes ``path`` when all is well.
+
+    Args:
+        layer: What to write.
+        temporary: Where to.
+        path: What the user calls that.
+        arguments: Of USD's file format.
 
     Raises:
         OutputError: It cannot be written.
     """
     try:
-        done = layer.Export(str(temporary))
+        done = layer.Export(str(temporary), args=dict(arguments or {}))
     except Tf.ErrorException as error:
         raise output_error(path, usd_reason(error)) from error
     if not done:

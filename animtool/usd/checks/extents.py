@@ -22,7 +22,7 @@ from animtool.usd.checks.subject import AnyArray, Sampled, Subject, at_samples
 from animtool.usd.checks.table import finding
 from animtool.usd.rig_prims import decompose
 
-__all__ = ["bounds_apart", "check_extents"]
+__all__ = ["bounds_apart", "check_extents", "extent_sources"]
 
 # Of the diagonal: text files with four digits are within.
 TOLERANCE = 1e-3
@@ -39,7 +39,7 @@ def check_extents(subject: Subject) -> Iterator[Fault]:
         if not prim.IsA(UsdGeom.Boundable) or not prim.IsDefined():
             continue
         bounded = UsdGeom.Boundable(prim)
-        source = _source(subject, prim)
+        source = extent_sources(subject, prim)
         attr = bounded.GetExtentAttr()
         # A rig that does not move may have its extent in the layer that moves it.
         if source is None or not (source or attr.HasAuthoredValue()):
@@ -52,7 +52,7 @@ def check_extents(subject: Subject) -> Iterator[Fault]:
             yield from _compare(subject, bounded, attr, source)
 
 
-def _source(subject: Subject, prim: Any) -> list[Any] | None:
+def extent_sources(subject: Subject, prim: Any) -> list[Any] | None:
     """Return the attributes that an extent follows; None where it has none to follow.
 
     Where points or joints are no numbers, there is nothing to compare with.

@@ -12,11 +12,12 @@ import numpy.typing as npt
 from animtool.documents.edit import Edit
 from animtool.errors import Fault
 from animtool.plugins import load_object
+from animtool.usd.fixes.table import EDITS
 from animtool.validation.subjects.subject import Opened
 
-__all__ = ["FIXES", "Fix", "Mend", "NotMendedError", "fix_of"]
+__all__ = ["FIXES", "Fix", "Mend", "NotMendedError", "fix_of", "has_fix"]
 
-# What a finding's code is mended by.
+# What a finding's code is mended by in documents; USD layers have edits of their own.
 FIXES = {
     "RIG210": "animtool.validation.fixes.weights:summed",
     "RIG219": "animtool.validation.fixes.names:distinct",
@@ -56,3 +57,12 @@ def fix_of(code: str) -> Fix | None:
     True
     """
     return cast(Fix, load_object(FIXES[code])) if code in FIXES else None
+
+
+def has_fix(code: str) -> bool:
+    """Return whether findings of a code may have a safe remedy.
+
+    >>> has_fix("RIG210"), has_fix("USD204"), has_fix("RIG201")
+    (True, True, False)
+    """
+    return code in FIXES or code in EDITS

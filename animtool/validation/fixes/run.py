@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import codecs
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from animtool.errors import Fault
-from animtool.output import check_outputs, output_error, replacing
-from animtool.scene.convert_rig import write_arrays
-from animtool.validation.fixes.mend import FIXES
-from animtool.validation.fixes.plan import FileMend, plan_file, reopened
+from animtool.errors import Fault, counted
+from animtool.output import check_outputs
+from animtool.validation.fixes.mend import has_fix
+from animtool.validation.fixes.plan import FileMend, is_layer, plan_file, with_fixable
 from animtool.validation.options import ValidateOptions
 from animtool.validation.run import Report, validate_files
 from animtool.validation.settings import settings_of
 
-__all__ = ["Fixes", "fix_files", "plan_files"]
+__all__ = ["Fixes", "fix_copy", "fix_files", "plan_files"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,10 +24,12 @@ class Fixes:
     Attributes:
         files: Those with findings of a code that has a fix.
         report: What is found after it.
+        notes: Remarks on files as a whole.
     """
 
     files: tuple[FileMend, ...]
     report: Report
+    notes: tuple[str, ...] = ()
 
     @property
     def left(self) -> tuple[tuple[Fault, str], ...]:
@@ -45,62 +45,97 @@ def plan_files(report: Report, options: ValidateOptions) -> Iterator[FileMend]:
         options: Which codes count.
     """
     for path in _having_fixes(report):
-        yield plan_file(path, options.within(settings_of(path)))
+        yield _plan(path, options)
 
 
-def fix_files(files: Sequence[Path], options: ValidateOptions | None = None) -> Fixes:
+def fix_files(
+    files: Sequence[Path],
+    options: ValidateOptions | None = None,
+    *,
+    overwrite: bool = False,
+) -> Fixes:
     """Mend what is wrong in files as far as that is safe, and validate them again.
+
+    Args:
+        files: Of any kind that is checked.
+        options: Which codes count.
+        overwrite: Whether USD files are replaced; else they stay.
 
     Raises:
         OutputError: A file cannot be written.
     """
     options = options or ValidateOptions()
     report = validate_files(files, options)
-    check_outputs(_having_fixes(report), [], overwrite=True)
+    named = _having_fixes(report)
+    kept = [path for path in named if is_layer(path) and not overwrite]
+    changed = [path for path in named if path not in kept]
+    check_outputs(changed, [], overwrite=True)
     plans = []
-    for plan in plan_files(report, options):
-        if plan.after != plan.before:
-            _write(plan)
+    for path in changed:
+        plan = _plan(path, options)
+        if plan.mended:
+            plan.after.write(path)
         plans.append(plan)
+    notes = tuple(_kept(report, kept))
     if any(plan.mended for plan in plans):
         report = validate_files(files, options)
     mended = tuple(entry for plan in plans for entry in plan.mended)
-    return Fixes(tuple(plans), replace(report, mended=mended))
+    return Fixes(tuple(plans), replace(report, mended=mended), notes)
+
+
+def fix_copy(
+    source: Path,
+    output: Path,
+    options: ValidateOptions | None = None,
+    *,
+    overwrite: bool = False,
+) -> Fixes:
+    """Write a copy of a USD layer with what is wrong fixed, and validate the copy.
+
+    A layer with nothing to fix is copied as it is.
+
+    Args:
+        source: The layer, which stays as it is.
+        output: The copy.
+        options: Which codes count.
+        overwrite: Whether the copy may replace a file.
+
+    Raises:
+        FormatError: The layer cannot be read.
+        OptionError: The copy exists (OUT001), is the layer (OUT003), or one of the two
+            is no plain layer (OUT004).
+        OutputError: It cannot be written.
+    """
+    from animtool.usd.fixes.copy import check_copy
+
+    options = options or ValidateOptions()
+    check_copy(source, output)
+    check_outputs([output], [source], overwrite=overwrite)
+    plan = _plan(source, options)
+    notes = plan.after.write(output)
+    report = validate_files([output], options)
+    return Fixes((plan,), replace(report, mended=tuple(plan.mended)), tuple(notes))
+
+
+def _plan(path: Path, options: ValidateOptions) -> FileMend:
+    return plan_file(path, options.within(settings_of(path)))
 
 
 def _having_fixes(report: Report) -> list[Path]:
-    named = {fault.path for fault in report.findings if fault.code in FIXES}
+    named = {fault.path for fault in report.findings if has_fix(fault.code)}
     return [path for path in report.files if str(path) in named]
 
 
-def _write(plan: FileMend) -> None:
-    """Write a file, its new arrays before it."""
-    try:
-        for path, arrays in plan.arrays.items():
-            write_arrays(path, dict(arrays))
-        _check_arrays(plan)
-        _write_text(plan.path, plan.after)
-    except BaseException:
-        for path in plan.arrays:
-            path.unlink(missing_ok=True)
-        raise
-
-
-def _check_arrays(plan: FileMend) -> None:
-    """Refuse arrays that are read otherwise than they were written."""
-    if not plan.arrays:
+def _kept(report: Report, paths: Sequence[Path]) -> Iterator[str]:
+    """Yield what could be fixed in USD files that stay as they are."""
+    if not paths:
         return
-    last, _ = plan.mended[-1]
-    _, found = reopened(plan.after, plan.path)
-    if any(fault.code in {last.code, "RIG018", "RIG019"} for fault in found):
-        raise output_error(next(iter(plan.arrays)), "it is read otherwise than written")
-
-
-def _write_text(path: Path, text: str) -> None:
-    mark = path.read_bytes().startswith(codecs.BOM_UTF8)
-    with replacing(path) as temporary:
-        try:
-            encoding = "utf-8-sig" if mark else "utf-8"
-            temporary.write_text(text, encoding, newline="")
-        except OSError as error:
-            raise output_error(path, error) from error
+    fixable = with_fixable(report).fixable
+    for path in paths:
+        count = sum(fault.path == str(path) for fault in fixable)
+        if count:
+            found = counted(count, "finding")
+            yield (
+                f"{path}: {found} can be fixed: -o NEW.usdc writes a repaired copy, "
+                "--overwrite replaces the file"
+            )

@@ -77,7 +77,8 @@ def test_twice_is_as_once(text: str, tmp_path: Path) -> None:
 def test_a_file_without_findings_is_not_touched(root: Path) -> None:
     for path in sorted((root / "rigs").glob("*/*.rig.yaml")):
         plan = plan_file(path, ValidateOptions())
-        assert plan.after == plan.before == path.read_text("utf-8")
+        assert plan.after.text == path.read_text("utf-8")
+        assert not plan.mended
 
 
 def test_a_mark_at_the_beginning_stays(tmp_path: Path) -> None:
@@ -125,7 +126,7 @@ def test_a_mend_that_makes_it_worse_is_not_kept(
     path = tmp_path / "page.rig.yaml"
     text = 'rig: animtool/1\nname: page\njoints: [{name: "a.l", type: free}]\n'
     path.write_text(text, "utf-8")
-    monkeypatch.setattr("animtool.validation.fixes.plan.fix_of", lambda _: wrong)
+    monkeypatch.setattr("animtool.validation.fixes.texts.fix_of", lambda _: wrong)
     fixes = fix_files([path])
     assert not fixes.report.mended
     assert [why for _, why in fixes.left] == ["DOC022 would come of it"]

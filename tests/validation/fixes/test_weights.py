@@ -66,7 +66,7 @@ def test_no_file_is_written_over(loose: Path) -> None:
 def test_a_plan_writes_nothing(loose: Path) -> None:
     before = sorted(path.name for path in loose.parent.iterdir())
     plan = plan_file(loose, ValidateOptions())
-    assert [path.name for path in plan.arrays] == ["body_weights.npz"]
+    assert [path.name for path in plan.after.arrays] == ["body_weights.npz"]
     assert "+" in plan.difference()
     assert sorted(path.name for path in loose.parent.iterdir()) == before
 
@@ -77,7 +77,7 @@ def test_arrays_of_a_file_that_cannot_be_written_go_too(
     def fail(*_: object) -> None:
         raise OSError("disk")
 
-    monkeypatch.setattr("animtool.validation.fixes.run._write_text", fail)
+    monkeypatch.setattr("animtool.validation.fixes.texts._write_text", fail)
     before = loose.read_text("utf-8")
     with pytest.raises(OSError, match="disk"):
         fix_files([loose])

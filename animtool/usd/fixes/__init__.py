@@ -1,0 +1,1 @@
+"""Edits of a USD layer that fix findings with one safe remedy."""

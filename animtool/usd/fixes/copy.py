@@ -1,0 +1,162 @@
+"""A layer edited in memory, and copies of it written elsewhere.
+
+The layer takes the edits under its own name, so that everything that it brings in is
+found as ever; its file stays as it is, and the layer is read from it again at the end.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeAlias, cast
+
+from pxr import Sdf, Usd, UsdUtils
+
+from animtool.errors import Fault, OptionError
+from animtool.output import output_error, replacing
+from animtool.plugins import load_object
+from animtool.usd.fixes.table import EDITS
+from animtool.usd.fixes.target import Edit, NotFixableError, Target
+from animtool.usd.layers import export_layer, find_layer, usd_errors
+from animtool.usd.stderr import without_usd_warnings
+
+__all__ = ["EditedLayer", "check_copy", "edited_layer", "write_copy"]
+
+# Raises NotFixableError where it would not be safe.
+Fix: TypeAlias = Callable[[Target, Fault], Edit]
+SUFFIXES = (".usd", ".usda", ".usdc")
+
+
+class EditedLayer:
+    """A layer while it holds edited content.
+
+    Attributes:
+        target: The stage and the layer.
+    """
+
+    def __init__(self, layer: Any) -> None:
+        self.target = Target(Usd.Stage.Open(layer), layer)
+
+    def edit_of(self, fault: Fault) -> Edit:
+        """Return the edit that fixes a finding.
+
+        Raises:
+            NotFixableError: It is not safe here.
+        """
+        if fault.code not in EDITS:
+            raise NotFixableError("it has no fix")
+        fix = cast(Fix, load_object(EDITS[fault.code]))
+        return fix(self.target, fault)
+
+    def content(self) -> Any:
+        """Return a copy of the content that no later edit reaches."""
+        copy = Sdf.Layer.CreateAnonymous(".usda")
+        copy.TransferContent(self.target.layer)
+        return copy
+
+
+@contextmanager
+def edited_layer(path: Path, content: Any = None) -> Iterator[EditedLayer]:
+    """Give a file's layer, with some content in place of the file's.
+
+    Raises:
+        FormatError: It cannot be read.
+    """
+    layer = find_layer(path)
+    with without_usd_warnings(), usd_errors(path):
+        try:
+            if content is not None:
+                layer.TransferContent(content)
+            yield EditedLayer(layer)
+        finally:
+            if layer.dirty:
+                layer.Reload(force=True)
+
+
+def check_copy(source: Path, output: Path) -> None:
+    """Refuse a copy of another kind than a plain layer.
+
+    Raises:
+        OptionError: The source or the output is a package or no USD file (OUT004).
+    """
+    for path in (source, output):
+        if path.suffix.lower() not in SUFFIXES:
+            message = f"{path.suffix or 'no suffix'} cannot hold a repaired layer"
+            hint = f"allowed: {', '.join(SUFFIXES)}"
+            raise OptionError(Fault("OUT004", message, str(path), (), hint))
+
+
+def write_copy(source: Path, content: Any, output: Path) -> Sequence[str]:
+    """Write a layer's content to another file, in the format of its own.
+
+    Relative asset paths are rewritten where the folder is another one. The bytes are
+    the file's own where nothing changes.
+
+    Args:
+        source: The layer's file.
+        content: What to write in place of what it holds; None keeps that.
+        output: The file to write.
+
+    Returns:
+        What else the copy changes, in words.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    with edited_layer(source, content) as edited:
+        layer = edited.content()
+    moved = _anchored(layer, source, output)
+    same = source.suffix.lower() == output.suffix.lower()
+    arguments = {"format": _format(source)} if output.suffix == ".usd" else {}
+    with replacing(output) as temporary:
+        if content is None and same and not moved:
+            try:
+                shutil.copyfile(source, temporary)
+            except OSError as error:
+                raise output_error(output, error) from error
+        else:
+            export_layer(layer, temporary, output, arguments)
+    return [f"rewrites {moved} relative asset paths for the new folder"] * bool(moved)
+
+
+def _format(path: Path) -> str:
+    """Return which of its two formats a file with any suffix has."""
+    with path.open("rb") as file:
+        return "usda" if file.read(5) == b"#usda" else "usdc"
+
+
+def _anchored(layer: Any, source: Path, output: Path) -> int:
+    """Rewrite relative asset paths for another folder; return how many."""
+    old, new = source.resolve().parent, output.resolve().parent
+    if old == new:
+        return 0
+    count = 0
+
+    def moved(text: str) -> str:
+        nonlocal count
+        bare, package, rest = text.partition("[")
+        if not bare or Path(bare).is_absolute() or "://" in bare:
+            return text
+        relative = bare.startswith(("./", "../"))
+        if not relative and not (old / bare).exists():
+            return text
+        count += 1
+        return f"{_relative((old / bare).resolve(), new)}{package}{rest}"
+
+    UsdUtils.ModifyAssetPaths(layer, moved)
+    return count
+
+
+def _relative(path: Path, folder: Path) -> str:
+    """Return a path as seen from a folder, both absolute; across drives as it is."""
+    if path.anchor != folder.anchor:
+        return path.as_posix()
+    shared = 0
+    for mine, theirs in zip(path.parts, folder.parts, strict=False):
+        if mine != theirs:
+            break
+        shared += 1
+    up = [".."] * (len(folder.parts) - shared) or ["."]
+    return "/".join([*up, *path.parts[shared:]])

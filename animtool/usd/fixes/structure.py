@@ -1,0 +1,127 @@
+"""Missing statements of a layer that have one possible value."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from pxr import Sdf, Usd, UsdSkel, Vt
+
+from animtool.errors import Fault, counted
+from animtool.usd.checks.animation import tokens
+from animtool.usd.checks.skeleton import joint_parents, own_matrices
+from animtool.usd.fixes.target import Change, Edit, NotFixableError, Target
+
+__all__ = [
+    "binding_api",
+    "default_prim",
+    "default_value",
+    "rest_from_bind",
+    "unit_scales",
+]
+
+
+def default_prim(target: Target, _: Fault) -> Edit:
+    """State the only root prim as the default."""
+    if target.layer.HasDefaultPrim():
+        raise NotFixableError("the default prim is missing from the stage")
+    roots = target.stage.GetPseudoRoot().GetAllChildren()
+    if len(roots) != 1:
+        raise NotFixableError(f"{counted(len(roots), 'root prim')} to choose from")
+    name = roots[0].GetName()
+
+    def edit() -> Change:
+        target.layer.defaultPrim = name
+        return Change(f"sets defaultPrim to {name}")
+
+    return edit
+
+
+def binding_api(target: Target, fault: Fault) -> Edit:
+    """Apply SkelBindingAPI to a prim with skel properties."""
+    prim = target.prim(fault)
+    target.prim_spec(prim)
+
+    def edit() -> Change:
+        with Usd.EditContext(target.stage, target.layer):
+            UsdSkel.BindingAPI.Apply(prim)
+        return Change("applies SkelBindingAPI")
+
+    return edit
+
+
+def unit_scales(target: Target, fault: Fault) -> Edit:
+    """Author scales of one for an animation that lacks scales alone."""
+    prim = target.prim(fault)
+    animation = UsdSkel.Animation(prim)
+    others = (animation.GetTranslationsAttr(), animation.GetRotationsAttr())
+    if not all(attr.HasAuthoredValue() for attr in others):
+        raise NotFixableError("translations or rotations are missing, not scales alone")
+    spec, count = target.prim_spec(prim), len(tokens(animation.GetJointsAttr()))
+
+    def edit() -> Change:
+        made = spec.attributes.get("scales") or Sdf.AttributeSpec(
+            spec, "scales", Sdf.ValueTypeNames.Half3Array
+        )
+        made.default = Vt.Vec3hArray.FromNumpy(np.ones((count, 3), np.float16))
+        return Change(f"writes scales of 1 for {counted(count, 'joint')}")
+
+    return edit
+
+
+def rest_from_bind(target: Target, fault: Fault) -> Edit:
+    """Author restTransforms as the bind transforms relative to their parents."""
+    prim = target.prim(fault)
+    skeleton = UsdSkel.Skeleton(prim)
+    joints = tokens(skeleton.GetJointsAttr())
+    bind = own_matrices(skeleton.GetBindTransformsAttr())
+    if len(bind) != len(joints) or not np.isfinite(bind).all():
+        raise NotFixableError("there are no bind transforms to take them from")
+    if skeleton.GetRestTransformsAttr().HasAuthoredValue():
+        raise NotFixableError("there are rest transforms of another number")
+    spec = target.prim_spec(prim)
+    parents = joint_parents(joints)
+    try:
+        rest = _relative(bind, parents)
+    except np.linalg.LinAlgError:
+        raise NotFixableError("a bind transform has no inverse") from None
+
+    def edit() -> Change:
+        made = spec.attributes.get("restTransforms") or Sdf.AttributeSpec(
+            spec,
+            "restTransforms",
+            Sdf.ValueTypeNames.Matrix4dArray,
+            Sdf.VariabilityUniform,
+        )
+        made.default = Vt.Matrix4dArray.FromNumpy(rest)
+        return Change(f"writes restTransforms of {counted(len(joints), 'joint')}")
+
+    return edit
+
+
+def _relative(bind: Any, parents: Any) -> Any:
+    """Return row-vector matrices relative to their parents ``(J, 4, 4)``."""
+    rest = np.array(bind, np.float64)
+    for joint, parent in enumerate(parents):
+        if parent >= 0:
+            rest[joint] = bind[joint] @ np.linalg.inv(bind[parent])
+    return np.ascontiguousarray(rest)
+
+
+def default_value(target: Target, fault: Fault) -> Edit:
+    """Make a default of samples that are all equal."""
+    spec = target.attribute(fault)
+    layer, path = spec.layer, spec.path
+    times = layer.ListTimeSamplesForPath(path)
+    values = [layer.QueryTimeSample(path, time) for time in times]
+    if not values or spec.HasDefaultValue():
+        raise NotFixableError("it has a default beside its samples")
+    if any(value != values[0] for value in values):
+        raise NotFixableError("its samples differ")
+
+    def edit() -> Change:
+        spec.default = values[0]
+        spec.ClearInfo("timeSamples")
+        return Change(f"makes a default of {counted(len(times), 'equal sample')}")
+
+    return edit

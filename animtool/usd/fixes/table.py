@@ -1,0 +1,26 @@
+"""Which codes of USD files have one safe remedy, and the edit that applies it.
+
+No pxr is needed.
+"""
+
+from __future__ import annotations
+
+__all__ = ["EDITS"]
+
+# In the order of application: times first, since extents follow from all the others.
+EDITS = {
+    "USD252": "animtool.usd.fixes.timing:rates",
+    "USD254": "animtool.usd.fixes.timing:sample_range",
+    "USD255": "animtool.usd.fixes.timing:sample_range",
+    "USD256": "animtool.usd.fixes.timing:wider_range",
+    "USD211": "animtool.usd.fixes.structure:default_value",
+    "USD236": "animtool.usd.fixes.structure:binding_api",
+    "USD259": "animtool.usd.fixes.structure:default_prim",
+    "USD201": "animtool.usd.fixes.structure:unit_scales",
+    "USD229": "animtool.usd.fixes.structure:rest_from_bind",
+    "USD203": "animtool.usd.fixes.rotations:unit",
+    "USD204": "animtool.usd.fixes.rotations:continuous",
+    "USD232": "animtool.usd.fixes.weights:normalised",
+    "USD250": "animtool.usd.fixes.extents:computed",
+    "USD251": "animtool.usd.fixes.extents:computed",
+}

@@ -1,0 +1,131 @@
+"""Rates, ranges and sample times of a layer."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from pxr import Sdf
+
+from animtool.errors import Fault, counted
+from animtool.usd.checks.subject import Subject
+from animtool.usd.fixes.target import Change, Edit, NotFixableError, Target
+
+__all__ = ["rates", "sample_range", "whole_frames", "wider_range"]
+
+# [frame] Further from a whole frame, a sample may be meant where it is.
+MAX_DRIFT = 0.02
+# [1/s] What USD assumes of a layer that states no rate.
+ASSUMED_RATE = 24.0
+
+
+def rates(target: Target, _: Fault) -> Edit:
+    """State both rates, the missing one as USD takes it today."""
+    layer = target.layer
+
+    def edit() -> Change:
+        ticks, frames = layer.HasTimeCodesPerSecond(), layer.HasFramesPerSecond()
+        rate = layer.timeCodesPerSecond if ticks else ASSUMED_RATE
+        if frames and not ticks:
+            rate = layer.framesPerSecond
+        if not ticks:
+            layer.timeCodesPerSecond = rate
+        if not frames:
+            layer.framesPerSecond = rate
+        return Change(f"states the rate that USD assumes, {rate:g}")
+
+    return edit
+
+
+def sample_range(target: Target, _: Fault) -> Edit:
+    """State the range of the samples as the layer's."""
+    return lambda: _ranged(target, widen=False)
+
+
+def wider_range(target: Target, _: Fault) -> Edit:
+    """Widen the layer's range to hold all samples."""
+    return lambda: _ranged(target, widen=True)
+
+
+def _ranged(target: Target, *, widen: bool) -> Change:
+    layer, stage = target.layer, target.stage
+    first, last = _span(stage)
+    before = _stated(layer)
+    if widen:
+        first = min(first, stage.GetStartTimeCode())
+        last = max(last, stage.GetEndTimeCode())
+    layer.startTimeCode, layer.endTimeCode = first, last
+    return Change(f"sets the range {before} to {first:g} to {last:g}")
+
+
+def _stated(layer: Any) -> str:
+    start = f"{layer.startTimeCode:g}" if layer.HasStartTimeCode() else "none"
+    end = f"{layer.endTimeCode:g}" if layer.HasEndTimeCode() else "none"
+    return f"from {start} to {end}"
+
+
+def _span(stage: Any) -> tuple[float, float]:
+    """Return the first and last frame of the samples, those of motion blur apart."""
+    subject = Subject(stage)
+    times = sorted({t for attr in subject.attributes for t in subject.times(attr)})
+    if not times or not (math.isfinite(times[0]) and math.isfinite(times[-1])):
+        raise NotFixableError("there are no samples to take the range from")
+    held = set(times)
+    first, last = float(math.ceil(times[0])), float(math.floor(times[-1]))
+    return (
+        first if first in held else times[0],
+        last if last in held else times[-1],
+    )
+
+
+def whole_frames(target: Target, _: Fault) -> Edit:
+    """Move samples that lie a little off a whole frame onto it.
+
+    Samples between frames, as those of motion blur, stay.
+    """
+    layer = target.layer
+    moved = {
+        time: float(round(time))
+        for time in layer.ListAllTimeSamples()
+        if 0 < abs(time - round(time)) <= MAX_DRIFT
+    }
+    if not moved:
+        raise NotFixableError("the samples of this layer are on whole frames")
+    paths = _moving(layer)
+    for path in paths:
+        times = layer.ListTimeSamplesForPath(path)
+        if len({moved.get(time, time) for time in times}) < len(times):
+            raise NotFixableError(f"two samples of {path} would be on one frame")
+
+    def edit() -> Change:
+        count = 0
+        with Sdf.ChangeBlock():
+            for path in paths:
+                count += _move(layer, path, moved)
+        text = f"moves {counted(count, 'sample')} to whole frames"
+        largest = max(abs(new - old) for old, new in moved.items())
+        return Change(text, largest, "frame")
+
+    return edit
+
+
+def _moving(layer: Any) -> list[Any]:
+    """Return the paths of a layer that have samples, in order."""
+    found: list[Any] = []
+
+    def look(path: Any) -> None:
+        if path.IsPropertyPath() and layer.GetNumTimeSamplesForPath(path):
+            found.append(path)
+
+    layer.Traverse(Sdf.Path.absoluteRootPath, look)
+    return sorted(found)
+
+
+def _move(layer: Any, path: Any, moved: dict[float, float]) -> int:
+    times = [t for t in layer.ListTimeSamplesForPath(path) if t in moved]
+    values = [layer.QueryTimeSample(path, time) for time in times]
+    for time in times:
+        layer.EraseTimeSample(path, time)
+    for time, value in zip(times, values, strict=True):
+        layer.SetTimeSample(path, moved[time], value)
+    return len(times)

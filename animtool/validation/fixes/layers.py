@@ -1,0 +1,106 @@
+"""USD layers fixed in memory, all findings of a code at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from animtool.errors import Fault
+from animtool.usd.fixes.table import EDITS
+from animtool.validation.fixes.draft import Step
+from animtool.validation.run import findings_in
+from animtool.validation.subjects.open import open_file
+
+if TYPE_CHECKING:
+    from animtool.usd.fixes.copy import EditedLayer
+
+__all__ = ["LayerDraft"]
+
+
+@dataclass(frozen=True, eq=False)
+class LayerDraft:
+    """The content of a USD layer; what it brings in stays as it is.
+
+    Attributes:
+        path: The file.
+        content: The layer's content; None is that of the file.
+        edits: What it differs by, a line each.
+    """
+
+    path: Path
+    content: Any = None
+    edits: tuple[str, ...] = ()
+
+    @cached_property
+    def found(self) -> Sequence[Fault]:
+        """Findings of the rules in it."""
+        from animtool.usd.fixes.copy import edited_layer
+
+        with edited_layer(self.path, self.content):
+            return findings_in(open_file(self.path))
+
+    def batch(self, cases: Sequence[Fault]) -> Sequence[Fault]:
+        """Return the findings of the code whose fix comes first."""
+        codes = {fault.code for fault in cases}
+        first = next(code for code in EDITS if code in codes)
+        return [fault for fault in cases if fault.code == first]
+
+    def step(self, faults: Sequence[Fault]) -> Step:
+        """Return the layer with findings fixed, as far as they are its own."""
+        from animtool.usd.fixes.copy import edited_layer
+
+        done: list[tuple[Fault, str]] = []
+        refused: list[tuple[Fault, str]] = []
+        with edited_layer(self.path, self.content) as layer:
+            for fault in faults:
+                reason, said = _applied(layer, fault)
+                (refused if reason else done).append((fault, reason or said))
+            content = layer.content()
+        lines = [f"{self.path}: {fault.code} {said}" for fault, said in done]
+        other = LayerDraft(self.path, content, (*self.edits, *lines))
+        return Step(other if done else self, done, refused)
+
+    def finish(self, _: Sequence[Fault], /) -> Step:
+        """Return the layer as it is: no fix has to wait."""
+        return Step(self)
+
+    def fixable(self, faults: Sequence[Fault]) -> Iterator[Fault]:
+        """Yield the findings that are of this layer and have a safe remedy."""
+        from animtool.usd.fixes.copy import edited_layer
+        from animtool.usd.fixes.target import NotFixableError
+
+        with edited_layer(self.path, self.content) as layer:
+            for fault in faults:
+                try:
+                    layer.edit_of(fault)
+                except NotFixableError:
+                    continue
+                yield fault
+
+    def difference(self) -> str:
+        """Return the edits, a line each: a crate has no text to compare."""
+        return "".join(f"{line}\n" for line in self.edits)
+
+    def outputs(self) -> Sequence[Path]:
+        """Return new files that the layer needs: none."""
+        return ()
+
+    def write(self, output: Path) -> Sequence[str]:
+        """Write the layer to a file, and return what else that changed."""
+        from animtool.usd.fixes.copy import write_copy
+
+        return write_copy(self.path, self.content, output)
+
+
+def _applied(layer: EditedLayer, fault: Fault) -> tuple[str, str]:
+    """Apply the fix of a finding; return why not, or else what it changed."""
+    from animtool.usd.fixes.target import NotFixableError
+
+    where = "" if fault.where in {None, "/"} else f"{fault.where}: "
+    try:
+        return "", f"{where}{layer.edit_of(fault)()}"
+    except NotFixableError as error:
+        return f"{where}{error}", ""
