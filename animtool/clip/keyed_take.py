@@ -9,17 +9,32 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.clip.clip import Clip
+from animtool.clip.control_keys import (
+    FittedControls,
+    driven_pose,
+    fit_controls,
+    own_weights_of,
+    solved_controls,
+)
+from animtool.clip.coordinates import (
+    JointMotion,
+    Same,
+    joint_motions,
+    joint_tracks,
+)
+from animtool.clip.key_report import ChannelError, channel_errors, key_notices
 from animtool.clip.points import SHELL, carried_points, joint_bounds, point_errors
 from animtool.clip.pose import pose_of
 from animtool.clip.reduce import reduce_motion
 from animtool.clip.reduced_clip import clip_of_reduction
-from animtool.clip.reduction import ChannelKind, ReducedChannel, Reduction
-from animtool.clip.sample import sample_channels
-from animtool.clip.tracks import euler_order, tracks_of
-from animtool.maths import euler
-from animtool.maths.fit import fit_keys
+from animtool.clip.reduction import ChannelKind, Reduction
+from animtool.clip.sample import sample_channels, sample_values
+from animtool.clip.tracks import Track, in_order, tracks_of
+from animtool.errors import Fault
+from animtool.rig.control_inverse import SolvedControls
 from animtool.rig.controls import evaluate_controls
-from animtool.rig.shapes import combination_order, own_weights
+from animtool.rig.kinematics import rest_size
+from animtool.rig.shapes import combination_order
 from animtool.rig.skeleton import Rig
 from animtool.take import Channel, Motion, Take
 
@@ -27,10 +42,15 @@ __all__ = ["KeyedTake", "keyed_take"]
 
 # Largest error of a shape's weight that anyone sees [1].
 WEIGHT_TOLERANCE = 1e-3
-# Weights that come of other shapes and of controls differ by less: float32 samples.
-SAME_WEIGHT = 1e-6
+# What samples in float32 leave between joints and what drives them [rad], [m], [1].
+SAME_ANGLE, SAME_LENGTH, SAME_WEIGHT = 2e-6, 1e-6, 1e-6
+# Of a tolerance, what such a difference may use up [1].
+SAME_SHARE = 0.05
 # Numbers of ten digits may leave a tolerance that was just held [1].
 ROUNDING = 1e-6
+# Times that all keys are made finer, by this factor, until the tolerance is held.
+TRIES = 4
+FINER = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,10 +60,16 @@ class KeyedTake:
     Attributes:
         clip: For the rig.
         reduction: Its keys; the errors are those of the clip sampled on the rig.
+        controls: Names of the rig's controls that have keys.
+        errors: Largest error of each channel.
+        notices: Notes on controls, joint types and mimics that the take departs from.
     """
 
     clip: Clip
     reduction: Reduction
+    controls: tuple[str, ...]
+    errors: tuple[ChannelError, ...]
+    notices: tuple[Fault, ...]
 
 
 def keyed_take(
@@ -57,10 +83,10 @@ def keyed_take(
 ) -> KeyedTake:
     """Return a clip that gives a take back on a rig.
 
-    Keys hold joints as a whole. Where a control's default, or a joint that another
-    follows, would move one that is at rest in the take, one key holds it there. The
-    keys of a shape are what is left of its weight without what controls add and
-    without the product of the shapes that it combines.
+    Controls are keyed where their values follow from what they drive. Keys of joints
+    and shapes are what controls, mimics and combined shapes leave: an angle, a slide,
+    a translation or rotation relative to rest, or the local transform where a joint
+    moves in a way that its type does not have.
 
     Args:
         take: With at least one frame.
@@ -68,88 +94,166 @@ def keyed_take(
         name: What the clip is called.
         tolerance: Largest error of any joint > 0 [m].
         joint_tolerances: Other tolerances, by names of joints or patterns > 0 [m].
-        base: For an additive take what it is put on.
+        base: For an additive take what it is put on. Its controls stay at their
+            defaults.
 
     Raises:
         OptionError: A joint is unknown or a tolerance not above 0 (CLIP020).
-        FormatError: An expression of the rig has no value at rest (CLIP015).
+        FormatError: An expression of the rig has no value at some frame (CLIP015).
     """
     others = joint_tolerances or {}
-    bare = replace(take, motion=replace(take.motion, weights=_own(take, rig)))
-    reduction = reduce_motion(
-        bare,
-        tolerance,
-        joint_tolerances=others,
-        weight_tolerance=WEIGHT_TOLERANCE / _growth(rig, bare.motion.weights),
-        base=base,
-    )
-    while True:
-        clip = clip_of_reduction(reduction, rig, name)
-        sampled = sample_channels(clip.channels, rig, take.clock.times)
-        strays = _strays(reduction, rig, sampled.motion)
-        if not strays:
+    same = _same(rig, float(joint_bounds(rig, tolerance, others).min()))
+    joints = joint_motions(rig, take.motion, same)
+    solved = _solved(take, rig, joints, same, additive=base is not None)
+    weights = own_weights_of(take, rig)
+    job = _Job(take, rig, name, joints, weights, solved, same, tolerance, others, base)
+    made = job.made(1.0)
+    for i in range(TRIES):
+        if made.reduction.held:
             break
-        reduction = replace(reduction, channels=(*reduction.channels, *strays))
-    bounds = joint_bounds(rig, tolerance, others)
-    return KeyedTake(clip, _measured(reduction, take, sampled.motion, base, bounds))
+        finer = job.made(FINER ** (i + 1))
+        made = min(made, finer, key=lambda keyed: keyed.reduction.error)
+    return made
 
 
-def _own(take: Take, rig: Rig) -> Channel | None:
-    """Return the weights that keys must give, besides what comes by itself."""
-    if not rig.shapes:
-        return take.motion.weights
-    names = [shape.name for shape in rig.shapes]
-    found = take.motion.weights
-    values = np.zeros((1, len(names))) if found is None else found.dense()[..., 0]
-    total = dict(zip(names, values.T, strict=True))
-    own = own_weights(rig.shapes, total)
-    driven = evaluate_controls(rig.controls, {}).targets
-    for shape in rig.shapes:
-        added = driven.get(f"shape/{shape.name}", np.zeros(1))
-        left = own[shape.name] - added
-        comes = bool(shape.combine) or added.any()
-        nothing = comes and (np.abs(left) <= SAME_WEIGHT).all()
-        own[shape.name] = np.zeros_like(left) if nothing else left
-    if found is None and not any(value.any() for value in own.values()):
-        return None
-    columns = np.stack([own[shape] for shape in names], axis=-1)[..., None]
-    return Channel.from_dense(
-        np.broadcast_to(columns, (take.motion.frames, *columns.shape[1:]))
+def _same(rig: Rig, tolerance: float) -> Same:
+    """Return which differences are rounding, next to a tolerance of joints [m]."""
+    least = SAME_SHARE * tolerance
+    return Same(
+        min(SAME_ANGLE, least / max(rest_size(rig), SHELL)),
+        min(SAME_LENGTH, least),
+        SAME_WEIGHT,
     )
 
 
-def _growth(rig: Rig, own: Channel | None) -> float:
+def _solved(
+    take: Take,
+    rig: Rig,
+    joints: list[JointMotion],
+    same: Same,
+    *,
+    additive: bool,
+) -> SolvedControls:
+    if additive:
+        count = take.motion.frames
+        still = {c.name: np.full(count, c.default) for c in rig.controls}
+        return SolvedControls(still, (), ())
+    return solved_controls(take, rig, joints, same)
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """A take to be keyed, and what is known of it."""
+
+    take: Take
+    rig: Rig
+    name: str
+    joints: list[JointMotion]
+    weights: dict[str, FloatArray]
+    solved: SolvedControls
+    same: Same
+    tolerance: float
+    others: Mapping[str, float]
+    base: Take | None
+
+    def made(self, factor: float) -> KeyedTake:
+        """Return the take's keys at a part of the tolerance."""
+        take, rig, others = self.take, self.rig, self.others
+        others = {pattern: factor * value for pattern, value in others.items()}
+        bounds = joint_bounds(rig, factor * self.tolerance, others)
+        exact = evaluate_controls(rig.controls, self.solved.values).targets
+        weights = self._weights(exact, exact)
+        finest = WEIGHT_TOLERANCE * factor / _growth(rig, weights)
+        own = self._own(joint_tracks(rig, self.joints, exact, exact, self.same))
+        controls = fit_controls(take, rig, self.solved.values, own, bounds, finest)
+        fitted = evaluate_controls(rig.controls, controls.named).targets
+        tracks = joint_tracks(rig, self.joints, exact, fitted, self.same)
+        tracks += self._scales() + self._weights(exact, fitted)
+        reduction = reduce_motion(
+            take,
+            factor * self.tolerance,
+            joint_tolerances=others,
+            weight_tolerance=finest,
+            base=self.base,
+            tracks=in_order(tracks),
+            start=self._start(controls, own),
+        )
+        reduction = replace(
+            reduction,
+            channels=(*controls.channels, *reduction.channels),
+            samples=controls.moving + reduction.samples,
+        )
+        clip = clip_of_reduction(reduction, rig, self.name)
+        sampled = sample_channels(clip.channels, rig, take.clock.times).motion
+        whole = joint_bounds(rig, self.tolerance, self.others)
+        return KeyedTake(
+            clip,
+            _measured(reduction, take, sampled, self.base, whole),
+            tuple(controls.named),
+            channel_errors(clip, rig, take, sampled, self.solved.values),
+            key_notices(rig, self.joints, self.solved, tracks, exact),
+        )
+
+    def _own(self, tracks: list[Track]) -> frozenset[tuple[ChannelKind, int]]:
+        """Return what has keys of its own, and the joints that follow such a joint."""
+        own = {(track.kind, track.index) for track in tracks}
+        leading = {self.rig.joints[index].name for _, index in own}
+        for j, joint in enumerate(self.rig.joints):
+            if joint.mimic is not None and joint.mimic.joint in leading:
+                own |= {(ChannelKind.TRANSLATION, j), (ChannelKind.ROTATION, j)}
+        return frozenset(own)
+
+    def _start(
+        self, controls: FittedControls, own: frozenset[tuple[ChannelKind, int]]
+    ) -> Motion:
+        """Return the take with joints as the keys of controls move them."""
+        times = self.take.clock.times
+        exact = {f"control/{n}": v[:, None] for n, v in self.solved.values.items()}
+        wanted = sample_values(exact, self.rig, times).motion
+        found = sample_values(controls.values, self.rig, times).motion
+        return driven_pose(self.take.motion, found, wanted, own)
+
+    def _scales(self) -> list[Track]:
+        motion = self.take.motion
+        if motion.scales is None:
+            return []
+        bare = replace(motion, weights=None)
+        still = Channel(
+            np.ones_like(motion.scales.rest),
+            np.zeros(0, np.int64),
+            np.zeros((1, 0, 3)),
+        )
+        tracks = tracks_of(self.rig, bare, replace(bare, scales=still))
+        return [track for track in tracks if track.kind is ChannelKind.SCALE]
+
+    def _weights(
+        self, exact: Mapping[str, FloatArray], fitted: Mapping[str, FloatArray]
+    ) -> list[Track]:
+        """Return tracks of weights, what controls and combined shapes add taken off."""
+        tracks = []
+        nothing = np.zeros(1)
+        for i, shape in enumerate(self.rig.shapes):
+            total = self.weights[shape.name]
+            target = f"shape/{shape.name}"
+            left = total - exact.get(target, nothing)
+            comes = bool(shape.combine) or target in exact
+            if np.abs(left).max(initial=0.0) <= (self.same.weight if comes else 0.0):
+                continue
+            samples = np.array(total - fitted.get(target, nothing))[:, None]
+            still = (samples == samples[:1]).all()
+            tracks.append(
+                Track(ChannelKind.WEIGHT, i, None, samples[:1] if still else samples)
+            )
+        return tracks
+
+
+def _growth(rig: Rig, tracks: list[Track]) -> float:
     """Return how many tolerances a weight from 0 to 1 may be off, 1 at least."""
-    if own is None or not rig.shapes:
-        return 1.0
-    keyed = own.rest[:, 0] != 0
-    keyed[own.animated] = True
-    parts = {s.name: float(k) for s, k in zip(rig.shapes, keyed, strict=True)}
+    keyed = {track.index for track in tracks}
+    parts = {s.name: float(i in keyed) for i, s in enumerate(rig.shapes)}
     for shape in combination_order(rig.shapes):
         parts[shape.name] += sum(parts[name] for name in shape.combine)
-    return max(1.0, *parts.values())
-
-
-def _strays(reduction: Reduction, rig: Rig, found: Motion) -> list[ReducedChannel]:
-    """Return keys that hold at rest what no channel holds and something moves."""
-    held = {(channel.kind, channel.index) for channel in reduction.channels}
-    rest = reduction.rest
-    return [
-        _at_rest(rig, track.kind, track.index, rest)
-        for track in tracks_of(rig, replace(found, scales=None, weights=None), rest)
-        if (track.kind, track.index) not in held
-    ]
-
-
-def _at_rest(rig: Rig, kind: ChannelKind, index: int, rest: Motion) -> ReducedChannel:
-    turns = kind is ChannelKind.ROTATION
-    joint = rig.joints[index]
-    values = (rest.rotations if turns else rest.translations).rest[index, None]
-    order = euler_order(joint, values) if turns else None
-    if order is not None:
-        values = euler.from_quaternion(values, order)
-    keys = fit_keys(values, 1.0)
-    return ReducedChannel(f"{joint.name}.{kind}", kind, index, joint.name, order, keys)
+    return max(1.0, *parts.values()) if parts else 1.0
 
 
 def _measured(

@@ -9,7 +9,6 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.clip.reduction import ChannelKind
 from animtool.clip.tracks import Track
-from animtool.maths import euler
 from animtool.maths.additive import scaled, shifted, turned
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
@@ -38,19 +37,18 @@ class Pose:
 
     def set(self, track: Track, values: FloatArray) -> None:
         """Put the values ``(F, D)`` of a track in place."""
-        j, base = track.index, self.base
-        if track.order is not None:
-            turn = euler.to_quaternion(values, track.order)
+        j, base, local = track.index, self.base, track.local(values)
+        if track.kind is ChannelKind.ROTATION:
             self.rotations[:, j] = (
-                turn if base is None else turned(base.rotations[:, j], turn)
+                local if base is None else turned(base.rotations[:, j], local)
             )
         elif track.kind is ChannelKind.TRANSLATION:
             self.translations[:, j] = (
-                values if base is None else shifted(base.translations[:, j], values)
+                local if base is None else shifted(base.translations[:, j], local)
             )
         elif track.kind is ChannelKind.SCALE and self.scales is not None:
             below = None if base is None else base.scales
-            self.scales[:, j] = values if below is None else scaled(below[:, j], values)
+            self.scales[:, j] = local if below is None else scaled(below[:, j], local)
 
     def world(self, out: WorldTransforms | None = None) -> WorldTransforms:
         """Return where every joint is, in ``out`` if it is given."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,6 +45,8 @@ def reduce_motion(
     joint_tolerances: Mapping[str, float] | None = None,
     weight_tolerance: float = 1e-3,
     base: Take | None = None,
+    tracks: Sequence[Track] | None = None,
+    start: Motion | None = None,
 ) -> Reduction:
     """Return sparse keys of a take whose world error is within a tolerance.
 
@@ -72,10 +74,13 @@ def reduce_motion(
         base: For a take of additive deltas what they are added to, frame by frame:
             translations are summed, rotations stand behind the base's, scales are
             multiplied. Rest is then no delta. None is a take that stands alone.
+        tracks: The channels to key; None is all that is not at rest, each joint as a
+            whole.
+        start: What joints without a track do in the end; None is what the take does.
 
     Returns:
         Keys and what they reached; `animtool.clip.reduction.evaluate_reduction`
-        gives the motion back.
+        gives the motion back where ``tracks`` is None.
 
     Raises:
         OptionError: A joint is unknown or a tolerance not above 0 (CLIP020).
@@ -91,11 +96,14 @@ def reduce_motion(
         raise ValueError(f"weight_tolerance must be above 0, not {weight_tolerance}")
     rest = _rest(rig, motion, additive=base is not None)
     bounds = joint_bounds(rig, tolerance, joint_tolerances or {})
-    tracks = tracks_of(rig, motion, rest)
+    tracks = tracks_of(rig, motion, rest) if tracks is None else tracks
     weights = [t for t in tracks if t.kind is ChannelKind.WEIGHT]
     local = [t for t in tracks if t.kind is not ChannelKind.WEIGHT]
 
-    world = _World(rig, motion, None if base is None else base.motion, shell, bounds)
+    below = None if base is None else base.motion
+    world = _World(rig, motion, below, shell, bounds)
+    if start is not None:
+        world.pose = pose_of(rig, start, below)
     budgets = [Budget.of(t, world.first_tolerance(t)) for t in local if t.moves]
     reached = _search(world, budgets)
     shapes = [Budget.of(track, weight_tolerance) for track in weights if track.moves]
@@ -242,7 +250,9 @@ def _channel(rig: Rig, track: Track, keys: FittedKeys) -> ReducedChannel:
     else:
         joint = rig.joints[track.index].name
         target = f"{joint}.{track.kind}"
-    return ReducedChannel(target, track.kind, track.index, joint, track.order, keys)
+    return ReducedChannel(
+        target, track.kind, track.index, joint, track.order, keys, track.part
+    )
 
 
 def _descendants(rig: Rig) -> BoolArray:

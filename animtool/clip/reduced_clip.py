@@ -26,8 +26,7 @@ def clip_of_reduction(reduction: Reduction, rig: Rig, name: str) -> Clip:
     """Return a reduction as a clip, its numbers rounded in the units of the rig.
 
     Keys are Hermite ones, their tangents slopes a frame: each segment is the cubic
-    that was fitted. Rotations are Euler angles, and like translations in the space
-    of the joint's parent.
+    that was fitted. Rotations are Euler angles, a pin's is one angle.
 
     Args:
         reduction: Keys in metres and degrees, frames from 0.
@@ -64,7 +63,8 @@ def fitted_channel(
         euler: Order of the angles; empty for other values.
     """
     # What the keys count, in the unit that they are written in.
-    given = (math.radians(1.0) if euler else 1.0) / unit
+    turns = bool(euler) or target.endswith(".angle")
+    given = (math.radians(1.0) if turns else 1.0) / unit
     times = float(clock.start) + keys.frames.astype(np.float64) * float(clock.step)
     spans = np.diff(times)[:, None]
     count, width = keys.values.shape
@@ -89,14 +89,11 @@ def fitted_channel(
 
 
 def _target(channel: ReducedChannel, rig: Rig) -> str:
+    if channel.kind is ChannelKind.CONTROL:
+        return channel.target
     if channel.kind is ChannelKind.WEIGHT:
         return f"shape/{rig.shapes[channel.index].name}"
-    part = {
-        ChannelKind.TRANSLATION: "local_translation",
-        ChannelKind.ROTATION: "local_rotation",
-        ChannelKind.SCALE: "scale",
-    }[channel.kind]
-    return f"joint/{channel.joint}.{part}"
+    return f"joint/{channel.joint}.{channel.part}"
 
 
 def _rounded(values: ArrayLike, unit: float) -> FloatArray:

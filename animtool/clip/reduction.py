@@ -22,21 +22,23 @@ class ChannelKind(StrEnum):
     ROTATION = "rotation"
     SCALE = "scale"
     WEIGHT = "weight"
+    CONTROL = "control"
 
 
 @dataclass(frozen=True, slots=True)
 class ReducedChannel:
-    """The keys of one joint's translation, rotation or scale, or of one weight.
+    """The keys of one joint's translation, rotation or scale, a weight or a control.
 
     Attributes:
-        target: ``joint.kind``, or ``weight[i]``.
+        target: ``joint.kind``, ``weight[i]`` or ``control/name``.
         kind: What it drives.
-        index: Of the joint in its rig, or of the weight.
-        joint: Name of the joint; None for a weight.
+        index: Of the joint in its rig, of the weight, or of the control.
+        joint: Name of the joint; None for a weight or a control.
         order: Of the Euler angles, left to right; None for all but rotations.
         keys: Frames from 0, not time codes. Translations are in [m], rotations in
             [deg], continuous over turns; the rest in [1]. Handles lie at thirds of
             the segments beside a key.
+        part: The joint's part as a clip names it; empty for a weight or a control.
     """
 
     target: str
@@ -45,6 +47,7 @@ class ReducedChannel:
     joint: str | None
     order: str | None
     keys: FittedKeys
+    part: str = ""
 
 
 @dataclass(frozen=True, slots=True)

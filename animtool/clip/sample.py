@@ -19,7 +19,7 @@ from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.rig.targets import DRIVEN_PARTS, KEYED_PARTS, split_part
 from animtool.take import Channel, Motion
 
-__all__ = ["Sampled", "sample_channels"]
+__all__ = ["Sampled", "sample_channels", "sample_values"]
 
 # Beyond a limit by less is rounding [rad], [m], [1].
 LIMIT_TOLERANCE = 1e-9
@@ -68,9 +68,30 @@ def sample_channels(
     Raises:
         FormatError: An expression of the rig has no value at some frame (CLIP015).
     """
+    return sample_values(evaluate_channels(channels, times), rig, times, clamp=clamp)
+
+
+def sample_values(
+    keyed: Mapping[str, FloatArray],
+    rig: Rig,
+    times: FloatArray,
+    *,
+    clamp: bool = False,
+) -> Sampled:
+    """Return the motion that values of targets give a rig, as `sample_channels` does.
+
+    Args:
+        keyed: Values ``(F, D)`` by target, or ``(1, D)`` where one never moves;
+            rotations as quaternions.
+        rig: Its rig.
+        times: Of the values, which notices name.
+        clamp: Bring controls into their ranges and joints into their limits.
+
+    Raises:
+        FormatError: An expression of the rig has no value at some frame (CLIP015).
+    """
     count = len(times)
     notices: list[Fault] = []
-    keyed = evaluate_channels(channels, times)
     controls = {
         name.removeprefix("control/"): value[:, 0]
         for name, value in keyed.items()

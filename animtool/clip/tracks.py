@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from animtool._types import FloatArray
 from animtool.clip.reduction import ChannelKind
-from animtool.maths import euler
+from animtool.maths import euler, so3
 from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Channel, Motion
 
-__all__ = ["Track", "euler_order", "tracks_of"]
+__all__ = ["PARTS", "Track", "euler_order", "in_order", "tracks_of"]
+
+# Parts of a joint that hold it as a whole, in its parent's space.
+PARTS = {
+    ChannelKind.TRANSLATION: "local_translation",
+    ChannelKind.ROTATION: "local_rotation",
+    ChannelKind.SCALE: "scale",
+}
 
 # Of the middle angle's cosine: some 80 degrees.
 NEAR_LOCK = 0.17
@@ -27,13 +34,37 @@ class Track:
         kind: What it drives.
         index: Of the joint in its rig, or of the weight.
         order: Of the Euler angles; None for all but rotations.
-        samples: ``(F, D)``, or ``(1, D)`` for a channel that does not move.
+        samples: ``(F, D)``, or ``(1, D)`` for a channel that does not move: angles
+            [deg], lengths [m], or [1].
+        part: The joint's part as a clip names it; empty for a weight.
+        before: What the samples are relative to: rotations ``(F or 1, 4)``, or
+            translations ``(F or 1, 3)`` [m]; None is the parent's space.
+        rest: Rotation of the frame that relative translations are in.
+        axis: Of a pin's angle or a slide, in the joint's rest frame.
     """
 
     kind: ChannelKind
     index: int
     order: str | None
     samples: FloatArray
+    part: str = ""
+    before: FloatArray | None = None
+    rest: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+    def local(self, values: FloatArray) -> FloatArray:
+        """Return values ``(F, D)`` in the space of the joint's parent."""
+        if self.kind is ChannelKind.ROTATION:
+            turn = (
+                so3.from_axis_angle(self.axis, np.radians(values[:, 0]))
+                if self.order is None
+                else euler.to_quaternion(values, self.order)
+            )
+            return turn if self.before is None else so3.multiply(self.before, turn)
+        if self.before is None:
+            return values
+        moved = values * np.array(self.axis) if values.shape[1] == 1 else values
+        return np.asarray(self.before + so3.rotate(self.rest, moved))
 
     @property
     def moves(self) -> bool:
@@ -70,10 +101,14 @@ def tracks_of(rig: Rig, motion: Motion, rest: Motion) -> list[Track]:
         motion: Theirs.
         rest: One frame that needs no track.
     """
-    found = list(_tracks(rig, motion, rest))
+    return in_order(_tracks(rig, motion, rest))
+
+
+def in_order(tracks: Iterable[Track]) -> list[Track]:
+    """Return tracks joint by joint, the weights last."""
     kinds = list(ChannelKind)
     return sorted(
-        found,
+        tracks,
         key=lambda t: (
             t.kind is ChannelKind.WEIGHT,
             t.index,
@@ -94,9 +129,11 @@ def _tracks(rig: Rig, motion: Motion, rest: Motion) -> Iterator[Track]:
         for index, values in _moving_or_placed(channel.compact(), still):
             if kind is ChannelKind.ROTATION:
                 order = euler_order(rig.joints[index], values)
-                yield Track(kind, index, order, euler.from_quaternion(values, order))
+                samples = euler.from_quaternion(values, order)
+                yield Track(kind, index, order, samples, PARTS[kind])
             else:
-                yield Track(kind, index, None, np.ascontiguousarray(values))
+                samples, part = np.ascontiguousarray(values), PARTS.get(kind, "")
+                yield Track(kind, index, None, samples, part)
 
 
 def _moving_or_placed(

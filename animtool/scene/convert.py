@@ -22,6 +22,7 @@ from animtool.scene.sources import (
 from animtool.take import Take
 
 if TYPE_CHECKING:
+    from animtool.clip.keyed_take import KeyedTake
     from animtool.clip.reduction import Reduction
     from animtool.rig.store import StoredArrays
 
@@ -41,7 +42,7 @@ class ConvertReport:
         frames: Frames written.
         joints: Joints written.
         notices: Warnings and notes.
-        reduction: What became of the samples, where keys were written.
+        keyed: The keys, where a clip was written, and how far they are off.
         files: Every file written, ``output`` last.
     """
 
@@ -49,8 +50,13 @@ class ConvertReport:
     frames: int
     joints: int
     notices: list[Fault]
-    reduction: Reduction | None = None
+    keyed: KeyedTake | None = None
     files: list[Path] = field(default_factory=list)
+
+    @property
+    def reduction(self) -> Reduction | None:
+        """The keys and their error, where a clip was written."""
+        return None if self.keyed is None else self.keyed.reduction
 
 
 def convert(
@@ -234,7 +240,12 @@ def _to_clip(
     files = [arrays_path] if arrays else []
     files += [output] if keys.rig_file is not None else [rig_path, output]
     return ConvertReport(
-        output, take.clock.count, len(rig.joints), stream.notices, made.reduction, files
+        output,
+        take.clock.count,
+        len(rig.joints),
+        [*stream.notices, *made.notices],
+        made,
+        files,
     )
 
 
@@ -262,9 +273,11 @@ def typed_by_motion(take: Take) -> Rig:
     """Return the rig of a take with joints that can do what the take does.
 
     A joint whose translation moves, or is not that of rest, is free; the others are
-    balls. A rig that knows pins, slides or fixed joints says all that it means.
+    balls. A rig with controls, pins, slides or fixed joints
+    keeps its own types.
     """
-    if any(j.type not in {JointType.FREE, JointType.BALL} for j in take.rig.joints):
+    free = {JointType.FREE, JointType.BALL}
+    if take.rig.controls or any(j.type not in free for j in take.rig.joints):
         return take.rig
     channel = take.motion.translations
     moved = (channel.rest != take.rig.rest_translations).any(axis=1)

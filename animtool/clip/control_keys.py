@@ -1,0 +1,248 @@
+"""Controls of a rig as keys, solved for from what a take's joints and shapes do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.clip.coordinates import JointMotion, Same, wanted_of_joints
+from animtool.clip.points import SHELL, carried_points, point_errors
+from animtool.clip.reduction import ChannelKind, ReducedChannel
+from animtool.clip.sample import sample_values
+from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
+from animtool.rig.control_inverse import SolvedControls, keyed_values, solve_controls
+from animtool.rig.controls import evaluate_controls
+from animtool.rig.kinematics import forward
+from animtool.rig.shapes import own_weights
+from animtool.rig.skeleton import Rig
+from animtool.take import Channel, Motion, Take
+
+__all__ = ["FittedControls", "fit_controls", "own_weights_of", "solved_controls"]
+
+# Of the tolerance of the whole, what the keys of controls may use up [1].
+SHARE = 0.5
+# Frames at which it is tried how far a control moves things.
+TRIED_FRAMES = 8
+# Times that the keys of controls are made finer before every frame gets one.
+FITS = 12
+# Control values that differ by less are the same but for rounding, relative.
+ROUNDING = 1e-11
+
+
+def own_weights_of(take: Take, rig: Rig) -> dict[str, FloatArray]:
+    """Return the weights ``(F or 1,)`` that keys and controls add up to, by shape.
+
+    What combined shapes get from those that they combine is taken off.
+    """
+    names = [shape.name for shape in rig.shapes]
+    found = take.motion.weights
+    values = np.zeros((1, len(names))) if found is None else found.dense()[..., 0]
+    return own_weights(rig.shapes, dict(zip(names, values.T, strict=True)))
+
+
+def solved_controls(
+    take: Take, rig: Rig, joints: Sequence[JointMotion], same: Same
+) -> SolvedControls:
+    """Return the values of a rig's controls that move it as a take does.
+
+    Values that come with the take are where the search starts; without any, the
+    defaults.
+    """
+    frames, controls = take.motion.frames, rig.controls
+    held = take.motion.controls
+    start = {c.name: np.full(frames, c.default) for c in controls}
+    if held is not None:
+        columns = held.dense()[..., 0].T
+        reached = {c.name: v for c, v in zip(controls, columns, strict=True)}
+        start = keyed_values(controls, reached)
+    near = evaluate_controls(controls, start).targets
+    wanted, keyed = wanted_of_joints(rig, joints, set(near), near, same)
+    shapes = own_weights_of(take, rig)
+    for shape, value in shapes.items():
+        if f"shape/{shape}" in near:
+            wanted[f"shape/{shape}"] = value
+    wanted = {t: np.broadcast_to(value, (frames,)) for t, value in wanted.items()}
+    tolerances = {target: same.of(target) for target in wanted}
+    solved = solve_controls(controls, wanted, tolerances, start, keyed=keyed)
+    return SolvedControls(
+        {
+            control.name: _settled(solved.values[control.name], control.default)
+            for control in controls
+        },
+        solved.kept,
+        () if held is not None else solved.released,
+    )
+
+
+def _settled(values: FloatArray, default: float) -> FloatArray:
+    """Return values without rounding: those of the default or of a still control."""
+    small = ROUNDING * max(1.0, float(np.abs(values).max(initial=0.0)))
+    values = np.where(np.abs(values - default) <= small, default, values)
+    still = np.ptp(values) <= small
+    return np.full_like(values, values[0]) if still else values
+
+
+@dataclass(frozen=True, slots=True)
+class FittedControls:
+    """Keys of the controls that are not at their default.
+
+    Attributes:
+        channels: One each, in the rig's order.
+        values: What the keys give, of every control ``(F or 1, 1)``, by target.
+        moving: Samples of the channels that move.
+    """
+
+    channels: list[ReducedChannel]
+    values: dict[str, FloatArray]
+    moving: int
+
+    @property
+    def named(self) -> dict[str, FloatArray]:
+        """The values of the controls with keys ``(F or 1,)``, by their names."""
+        return {n.removeprefix("control/"): v[:, 0] for n, v in self.values.items()}
+
+
+def fit_controls(
+    take: Take,
+    rig: Rig,
+    solved: Mapping[str, FloatArray],
+    own: frozenset[tuple[ChannelKind, int]],
+    bounds: FloatArray,
+    weight_tolerance: float,
+) -> FittedControls:
+    """Return sparse keys of controls that move joints and shapes within tolerances.
+
+    Args:
+        take: F frames.
+        rig: Its rig.
+        solved: Keyed value of every control ``(F,)``.
+        own: Translations and rotations of joints that have keys of their own, which
+            make up for what the controls' keys are off.
+        bounds: Of every joint, how far its points may be off ``(J,)`` [m]; half of it
+            is used.
+        weight_tolerance: Likewise of the shapes' weights [1].
+    """
+    defaults = {control.name: control.default for control in rig.controls}
+    held = [name for name in defaults if (solved[name] != defaults[name]).any()]
+    moving = [name for name in held if (solved[name] != solved[name][0]).any()]
+    effect = _Effect(take, rig, solved, own, bounds, weight_tolerance)
+    tolerances = {name: effect.tolerance(name) for name in moving}
+    keys: dict[str, FittedKeys] = {}
+    values: dict[str, FloatArray] = {}
+    for fit in range(FITS):
+        for name in held:
+            column = solved[name][:, None]
+            if name not in tolerances:
+                keys[name] = fit_keys(column[:1], 1.0)
+                continue
+            keys[name] = fit_keys(column, tolerances[name])
+        values = {
+            f"control/{name}": evaluate_keys(found, np.arange(take.motion.frames))
+            for name, found in keys.items()
+        }
+        ratio = effect.ratio(values) if moving else 0.0
+        if ratio <= SHARE:
+            break
+        factor = 0.8 * SHARE / ratio if fit < FITS - 2 else 1e-9
+        tolerances = {n: max(t * factor, 1e-13) for n, t in tolerances.items()}
+    order = {control.name: i for i, control in enumerate(rig.controls)}
+    channels = [
+        ReducedChannel(
+            f"control/{name}", ChannelKind.CONTROL, order[name], None, None, keys[name]
+        )
+        for name in held
+    ]
+    return FittedControls(channels, values, take.motion.frames * len(moving))
+
+
+class _Effect:
+    """How far controls move a rig that is otherwise as in a take."""
+
+    def __init__(
+        self,
+        take: Take,
+        rig: Rig,
+        solved: Mapping[str, FloatArray],
+        own: frozenset[tuple[ChannelKind, int]],
+        bounds: FloatArray,
+        weight_tolerance: float,
+    ) -> None:
+        self.take, self.rig, self.own = take, rig, own
+        self.exact = {f"control/{n}": v[:, None] for n, v in solved.items()}
+        self.bounds, self.weight_tolerance = bounds, weight_tolerance
+        self.points = carried_points(rig, SHELL)
+
+    def ratio(
+        self, values: Mapping[str, FloatArray], frames: IntArray | None = None
+    ) -> float:
+        """Return the largest error that values of controls make, in tolerances."""
+        take, rig = self.take, self.rig
+        at = np.arange(take.motion.frames) if frames is None else frames
+        exact = {
+            name: value[at] if len(value) > 1 else value
+            for name, value in self.exact.items()
+        }
+        given = {name: v[at] if len(v) > 1 else v for name, v in values.items()}
+        times = take.clock.times[at]
+        wanted = sample_values(exact, rig, times).motion
+        found = sample_values({**exact, **given}, rig, times).motion
+        truth = take.motion.select(at)
+        made = driven_pose(truth, found, wanted, self.own)
+        worlds = [forward(take.rig, *motion.dense()) for motion in (truth, made)]
+        errors = point_errors(self.points, *worlds)
+        ratio = float((errors / self.bounds).max(initial=0.0))
+        weights = [
+            np.zeros((1, 1, 1)) if m.weights is None else m.weights.dense()
+            for m in (wanted, found)
+        ]
+        off = float(np.abs(weights[0] - weights[1]).max(initial=0.0))
+        return max(ratio, off / self.weight_tolerance)
+
+    def tolerance(self, name: str) -> float:
+        """Return a first tolerance of a control's keys."""
+        values = self.exact[f"control/{name}"]
+        step = 1e-3 * float(np.ptp(values))
+        frames = np.unique(
+            np.linspace(0, len(values) - 1, TRIED_FRAMES).astype(np.int64)
+        )
+        ratio = self.ratio({f"control/{name}": values + step}, frames)
+        return SHARE * step / ratio if ratio > 0 else 1e-3 * step
+
+
+def driven_pose(
+    motion: Motion,
+    found: Motion,
+    exact: Motion,
+    own: frozenset[tuple[ChannelKind, int]],
+) -> Motion:
+    """Return a motion with the joints that controls move as they move them.
+
+    Args:
+        motion: As the take has it.
+        found: What the controls' keys give, on a rig that is else at rest.
+        exact: What the exact controls give.
+        own: Translations and rotations that have keys of their own: they stay.
+    """
+
+    def mixed(kind: ChannelKind, name: str) -> Channel:
+        of_take: Channel = getattr(motion, name)
+        now: Channel = getattr(found, name)
+        before: Channel = getattr(exact, name)
+        moved = set(now.animated.tolist()) | set(before.animated.tolist())
+        joints = [j for j in sorted(moved) if (kind, j) not in own]
+        if not joints:
+            return of_take
+        at = np.array(joints)
+        same = (now.gather(at) == before.gather(at)).all(axis=(0, 2))
+        at = at[~same]
+        return of_take.put(at, now.gather(at)) if len(at) else of_take
+
+    return Motion(
+        mixed(ChannelKind.TRANSLATION, "translations"),
+        mixed(ChannelKind.ROTATION, "rotations"),
+        motion.scales,
+        motion.weights,
+    )

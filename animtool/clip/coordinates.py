@@ -1,0 +1,378 @@
+"""A take's joints relative to rest, and the keys that controls leave to them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray
+from animtool.clip.reduction import ChannelKind
+from animtool.clip.tracks import Track, euler_order
+from animtool.maths import euler, so3
+from animtool.rig.limits import RangeLimit
+from animtool.rig.skeleton import Joint, JointType, Rig
+from animtool.rig.targets import DRIVEN_PARTS, split_part
+from animtool.take import Motion
+
+__all__ = ["JointMotion", "Same", "joint_motions", "joint_tracks", "wanted_of_joints"]
+
+# Whole turns that the first angle of a pin may be off what is read of its rotation.
+MOST_TURNS = 3
+_COORDINATE = {JointType.PIN: "angle", JointType.PRISMATIC: "slide"}
+_TURNING = {JointType.FREE, JointType.BALL}
+
+
+@dataclass(frozen=True, slots=True)
+class Same:
+    """Differences that are rounding, and need no keys: [rad], [m], [1]."""
+
+    angle: float
+    length: float
+    weight: float
+
+    def of(self, target: str) -> float:
+        """Return that of a target of a control.
+
+        >>> Same(1e-6, 1e-7, 1e-8).of("joint/hips.translation.x")
+        1e-07
+        """
+        if target.startswith("shape/"):
+            return self.weight
+        part = split_part(target, DRIVEN_PARTS)[1]
+        lengths = part == "slide" or part.startswith("translation")
+        return self.length if lengths else self.angle
+
+
+@dataclass(frozen=True, slots=True)
+class JointMotion:
+    """What a joint does relative to its rest frame, in n = F frames, or 1 if still.
+
+    Attributes:
+        turn: ``(n, 4)``, signs continuous.
+        shift: ``(n, 3)`` [m].
+        coordinate: Of a pin [rad], continuous, or of a prismatic joint [m] ``(n,)``;
+            zeros for others.
+        turn_off: Largest part of the turn that the joint's type does not have [rad].
+        shift_off: Likewise of the shift [m].
+        turn_rests: The local rotation is that of rest, to the last digit.
+        shift_rests: The local translation is.
+    """
+
+    turn: FloatArray
+    shift: FloatArray
+    coordinate: FloatArray
+    turn_off: float
+    shift_off: float
+    turn_rests: bool
+    shift_rests: bool
+
+
+def joint_motions(rig: Rig, motion: Motion, same: Same) -> list[JointMotion]:
+    """Return the motion of every joint relative to rest.
+
+    Whole turns of a pin's angle are those that keep it within its limits and agree
+    with the joints that follow it.
+    """
+    moves = [set(c.animated.tolist()) for c in (motion.translations, motion.rotations)]
+    found = []
+    for j, joint in enumerate(rig.joints):
+        at = np.array([j])
+        local = [
+            channel.gather(at)[:, 0] if j in own else channel.rest[at]
+            for channel, own in zip(
+                (motion.translations, motion.rotations), moves, strict=True
+            )
+        ]
+        found.append(_joint_motion(joint, local[0], local[1]))
+    for j, joint in enumerate(rig.joints):
+        if joint.type is JointType.PIN:
+            found[j] = _on_turn(rig, found, j, same)
+    return found
+
+
+def _joint_motion(
+    joint: Joint, translation: FloatArray, rotation: FloatArray
+) -> JointMotion:
+    undo = so3.conjugate(joint.rotation)
+    turn = so3.align_signs(so3.multiply(undo, rotation))
+    shift = so3.rotate(undo, translation - np.array(joint.translation))
+    axis = np.array(joint.axis)
+    coordinate = np.zeros(1)
+    turn_off, shift_off = 0.0, float(np.abs(shift).max(initial=0.0))
+    if joint.type is JointType.PIN:
+        coordinate = np.unwrap(2.0 * np.arctan2(turn[:, :3] @ axis, turn[:, 3]))
+        coordinate = coordinate - 2 * np.pi * np.round(coordinate[:1] / (2 * np.pi))
+        left = so3.angle_between(turn, so3.from_axis_angle(axis, coordinate))
+        turn_off = float(left.max(initial=0.0))
+    elif joint.type not in _TURNING:
+        turn_off = float(so3.angle_between(turn, so3.IDENTITY).max(initial=0.0))
+    if joint.type is JointType.PRISMATIC:
+        coordinate = shift @ axis
+        left = shift - coordinate[:, None] * axis
+        shift_off = float(np.abs(left).max(initial=0.0))
+    elif joint.type is JointType.FREE:
+        shift_off = 0.0
+    return JointMotion(
+        turn,
+        shift,
+        coordinate,
+        turn_off,
+        shift_off,
+        bool((rotation == np.array(joint.rotation)).all()),
+        bool((translation == np.array(joint.translation)).all()),
+    )
+
+
+def _on_turn(
+    rig: Rig, motions: Sequence[JointMotion], j: int, same: Same
+) -> JointMotion:
+    """Return a pin's motion with its angle on the likeliest turn."""
+    joint, own = rig.joints[j], motions[j]
+    led = [
+        (motions[i], follower.mimic, follower.type)
+        for i, follower in enumerate(rig.joints)
+        if follower.mimic is not None and follower.mimic.joint == joint.name
+    ]
+
+    def oddness(turns: int) -> tuple[bool, float, int]:
+        angle = own.coordinate + 2 * np.pi * turns
+        astray = False
+        for motion, mimic, kind in led:
+            off = motion.coordinate - (mimic.gain * angle + mimic.offset)
+            pin = kind is JointType.PIN
+            off = _wrapped(off) if pin else off
+            most = same.angle if pin else same.length
+            astray = astray or bool(np.abs(off).max(initial=0.0) > most)
+        excess = 0.0
+        if isinstance(joint.limits, RangeLimit):
+            excess = float(np.abs(joint.limits.excess(angle)).max(initial=0.0))
+        return astray, round(excess, 9), abs(turns)
+
+    turns = min(range(-MOST_TURNS, MOST_TURNS + 1), key=oddness)
+    return replace(own, coordinate=own.coordinate + 2 * np.pi * turns)
+
+
+def wanted_of_joints(
+    rig: Rig,
+    motions: Sequence[JointMotion],
+    targets: Set[str],
+    near: Mapping[str, FloatArray],
+    same: Same,
+) -> tuple[dict[str, FloatArray], set[str]]:
+    """Return what controls would have to add to joints, and what they cannot.
+
+    Args:
+        rig: J joints.
+        motions: Theirs.
+        targets: What controls drive: ``joint/NAME.PART``; others are left out.
+        near: What is driven where controls are as they are thought to be; rotation
+            vectors beyond half a turn are read nearest to it.
+        same: What is rounding.
+
+    Returns:
+        The value of each target ``(F or 1,)``, and the targets of joints that also
+        move in ways that no control drives.
+    """
+    wanted: dict[str, FloatArray] = {}
+    keyed: set[str] = set()
+    for target in sorted(targets):
+        group, _, name = target.partition("/")
+        if group != "joint":
+            continue
+        joint, part = split_part(name, DRIVEN_PARTS)
+        motion = motions[rig.index(joint)]
+        kind, _, axis = part.partition(".")
+        if kind == "rotation":
+            parts = [f"joint/{joint}.rotation.{axis}" for axis in "xyz"]
+            thought = [near.get(part, np.zeros(1)) for part in parts]
+            vector = _near(motion.turn, np.stack(np.broadcast_arrays(*thought), -1))
+            wanted[target] = vector[:, "xyz".index(axis)]
+            spare = [i for i in range(3) if parts[i] not in targets]
+            if np.abs(vector[:, spare]).max(initial=0.0) > same.angle:
+                keyed.add(target)
+        elif kind == "translation":
+            wanted[target] = motion.shift[:, "xyz".index(axis)]
+        else:
+            wanted[target] = motion.coordinate
+            off = motion.turn_off > same.angle if kind == "angle" else False
+            if off or (kind == "slide" and motion.shift_off > same.length):
+                keyed.add(target)
+    return wanted, keyed
+
+
+def _near(turn: FloatArray, thought: FloatArray) -> FloatArray:
+    """Return rotation vectors ``(n, 3)``, on the turn nearest to those thought of."""
+    vector = so3.log(turn)
+    vector, thought = np.broadcast_arrays(vector, thought)
+    length = np.linalg.norm(vector, axis=1, keepdims=True)
+    size = np.linalg.norm(thought, axis=1, keepdims=True)
+    axis = np.where(length > 1e-9, vector, thought)
+    axis = axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-300)
+    along = (thought * axis).sum(axis=1, keepdims=True)
+    start = (vector * axis).sum(axis=1, keepdims=True)
+    turns = np.round((along - start) / (2 * np.pi))
+    return np.where(size > np.pi / 2, vector + 2 * np.pi * turns * axis, vector)
+
+
+def joint_tracks(
+    rig: Rig,
+    motions: Sequence[JointMotion],
+    driven: Mapping[str, FloatArray],
+    fitted: Mapping[str, FloatArray],
+    same: Same,
+) -> list[Track]:
+    """Return tracks of what joints do beyond what controls and mimics make them do.
+
+    Args:
+        rig: J joints.
+        motions: Theirs.
+        driven: What controls add to targets, by target: it says what needs keys.
+        fitted: What the controls' keys add: the samples are relative to it.
+        same: What is rounding.
+    """
+    made: dict[int, list[Track]] = {}
+    coordinates: dict[str, FloatArray] = {}
+    last = [j for j, joint in enumerate(rig.joints) if joint.mimic is not None]
+    first = [j for j, joint in enumerate(rig.joints) if joint.mimic is None]
+    for j in (*first, *last):
+        joint = rig.joints[j]
+        one = _OneJoint(joint, j, motions[j], driven, fitted, same)
+        expected = one.driven(_COORDINATE.get(joint.type, ""))
+        if joint.mimic is not None:
+            mimic = joint.mimic
+            leader = coordinates.get(mimic.joint, np.zeros(1))
+            followed = mimic.gain * leader + mimic.offset
+            expected = followed if followed.any() else expected
+        made[j] = list(one.tracks(expected))
+        parts = {track.part for track in made[j]}
+        coordinates[joint.name] = (
+            np.zeros(1)
+            if "local_rotation" in parts or "local_translation" in parts
+            else motions[j].coordinate
+            if parts & {"angle", "slide"}
+            else expected
+        )
+    return [track for j in range(len(rig.joints)) for track in made[j]]
+
+
+@dataclass(frozen=True, slots=True)
+class _OneJoint:
+    """A joint whose keys are looked for."""
+
+    joint: Joint
+    index: int
+    motion: JointMotion
+    given: Mapping[str, FloatArray]
+    fitted: Mapping[str, FloatArray]
+    same: Same
+
+    def driven(self, part: str, *, fitted: bool = False) -> FloatArray:
+        """Return what controls add to a part ``(F or 1,)``."""
+        source = self.fitted if fitted else self.given
+        return source.get(f"joint/{self.joint.name}.{part}", np.zeros(1))
+
+    def vector(self, part: str, *, fitted: bool = False) -> FloatArray:
+        """Return what controls add to the axes of a part ``(F or 1, 3)``."""
+        columns = [self.driven(f"{part}.{axis}", fitted=fitted) for axis in "xyz"]
+        return np.stack(np.broadcast_arrays(*columns), axis=-1)
+
+    def tracks(self, expected: FloatArray) -> Iterator[Track]:
+        """Yield the tracks, translation first.
+
+        Args:
+            expected: Coordinate without keys ``(F or 1,)``.
+        """
+        yield from self._shift(expected)
+        yield from self._turn(expected)
+
+    def _shift(self, expected: FloatArray) -> Iterator[Track]:
+        motion, joint, same = self.motion, self.joint, self.same
+        rest_t, rest_r = np.array(joint.translation), np.array(joint.rotation)
+        if motion.shift_off > same.length and not motion.shift_rests:
+            local = rest_t + so3.rotate(rest_r, motion.shift)
+            yield self._track(ChannelKind.TRANSLATION, "local_translation", local)
+        elif joint.type is JointType.PRISMATIC:
+            off = motion.coordinate - expected
+            if self._differs(off, same.length, rests=motion.shift_rests):
+                before = self.driven("slide", fitted=True)
+                yield self._track(
+                    ChannelKind.TRANSLATION,
+                    "slide",
+                    (motion.coordinate - before)[:, None],
+                    rest_t + so3.rotate(rest_r, before[:, None] * np.array(joint.axis)),
+                )
+        elif joint.type is JointType.FREE:
+            added = self.vector("translation")
+            off = motion.shift - added
+            if self._differs(off, same.length, rests=motion.shift_rests):
+                before = self.vector("translation", fitted=True)
+                yield self._track(
+                    ChannelKind.TRANSLATION,
+                    "translation",
+                    motion.shift - before,
+                    rest_t + so3.rotate(rest_r, before),
+                )
+
+    def _turn(self, expected: FloatArray) -> Iterator[Track]:
+        motion, joint, same = self.motion, self.joint, self.same
+        rest = np.array(joint.rotation)
+        if motion.turn_off > same.angle and not motion.turn_rests:
+            local = so3.align_signs(so3.multiply(rest, motion.turn))
+            yield self._euler("local_rotation", local, None)
+        elif joint.type is JointType.PIN:
+            off = _wrapped(motion.coordinate - expected)
+            if self._differs(off, same.angle, rests=motion.turn_rests):
+                before = self.driven("angle", fitted=True)
+                yield self._track(
+                    ChannelKind.ROTATION,
+                    "angle",
+                    np.degrees(motion.coordinate - before)[:, None],
+                    so3.multiply(rest, so3.from_axis_angle(joint.axis, before)),
+                )
+        elif joint.type in _TURNING:
+            added = so3.exp(self.vector("rotation"))
+            off = so3.angle_between(added, motion.turn)
+            if self._differs(off, same.angle, rests=motion.turn_rests):
+                before = so3.exp(self.vector("rotation", fitted=True))
+                own = so3.align_signs(so3.multiply(so3.conjugate(before), motion.turn))
+                yield self._euler("rotation", own, so3.multiply(rest, before))
+
+    def _differs(self, off: FloatArray, same: float, *, rests: bool) -> bool:
+        """Return whether a coordinate needs keys: of an undriven joint, if it moves."""
+        name = f"joint/{self.joint.name}."
+        driven = any(target.startswith(name) for target in self.given)
+        if not driven and self.joint.mimic is None:
+            return not rests
+        return bool(np.abs(off).max(initial=0.0) > same)
+
+    def _euler(self, part: str, turns: FloatArray, before: FloatArray | None) -> Track:
+        order = euler_order(self.joint, turns)
+        samples = euler.from_quaternion(turns, order)
+        return self._track(ChannelKind.ROTATION, part, samples, before, order)
+
+    def _track(
+        self,
+        kind: ChannelKind,
+        part: str,
+        samples: FloatArray,
+        before: FloatArray | None = None,
+        order: str | None = None,
+    ) -> Track:
+        joint = self.joint
+        still: BoolArray = (samples == samples[:1]).all()
+        return Track(
+            kind,
+            self.index,
+            order,
+            np.ascontiguousarray(samples[:1] if still else samples),
+            part,
+            before,
+            joint.rotation,
+            joint.axis,
+        )
+
+
+def _wrapped(angles: FloatArray) -> FloatArray:
+    return np.asarray(angles - 2 * np.pi * np.round(angles / (2 * np.pi)))

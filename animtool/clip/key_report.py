@@ -1,0 +1,206 @@
+"""What a take's keys lose: the error of each channel, and what departs from the rig."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.clip.clip import Clip
+from animtool.clip.coordinates import JointMotion
+from animtool.clip.tracks import Track
+from animtool.clip.units import ClipUnits
+from animtool.errors import Fault, Severity, listed
+from animtool.maths import so3
+from animtool.rig.control_inverse import SolvedControls, keyed_values
+from animtool.rig.skeleton import JointType, Rig
+from animtool.rig.targets import KEYED_PARTS, split_part
+from animtool.take import Channel, Motion, Take
+from animtool.units import unit_name
+
+__all__ = ["ChannelError", "channel_errors", "key_notices"]
+
+MAX_NAMES = 6
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelError:
+    """How far a channel of a clip is from the take that it was made of.
+
+    Attributes:
+        target: Of the channel.
+        error: The largest, in ``unit``.
+        unit: Of the clip's file: ``deg``, ``rad``, a length, or empty.
+        frame: Index of the frame where that is.
+    """
+
+    target: str
+    error: float
+    unit: str
+    frame: int
+
+
+def channel_errors(
+    clip: Clip,
+    rig: Rig,
+    take: Take,
+    found: Motion,
+    controls: Mapping[str, FloatArray],
+) -> tuple[ChannelError, ...]:
+    """Return the largest error of each channel of a clip.
+
+    Args:
+        clip: The clip.
+        rig: Its rig.
+        take: What it was made of.
+        found: The clip sampled at the take's frames.
+        controls: What its controls should be ``(F,)``.
+    """
+    units = ClipUnits.of_rig(rig)
+    sampled = {}
+    if found.controls is not None:
+        columns = found.controls.dense()[..., 0].T
+        reached = {c.name: v for c, v in zip(rig.controls, columns, strict=True)}
+        sampled = keyed_values(rig.controls, reached)
+    shapes = {shape.name: i for i, shape in enumerate(rig.shapes)}
+
+    def errors(target: str) -> tuple[FloatArray, str]:
+        group, _, name = target.partition("/")
+        if group == "control":
+            return np.abs(sampled[name] - controls[name]), ""
+        if group == "shape":
+            at = np.array([shapes[name]])
+            pair = take.motion.weights, found.weights
+            a, b = (_gathered(c, at, take.motion.frames) for c in pair)
+            return np.abs(a - b)[:, 0, 0], ""
+        joint, part = split_part(name, KEYED_PARTS)
+        at = np.array([rig.index(joint)])
+        if part in {"angle", "rotation", "local_rotation"}:
+            turns = [m.rotations.gather(at)[:, 0] for m in (take.motion, found)]
+            unit = "rad" if units.angle == 1.0 else "deg"
+            return so3.angle_between(*turns) / units.angle, unit
+        if part == "scale":
+            pair = take.motion.scales, found.scales
+            a, b = (_gathered(c, at, take.motion.frames, 1.0) for c in pair)
+            return np.abs(a - b).max(axis=(1, 2)), ""
+        places = [m.translations.gather(at)[:, 0] for m in (take.motion, found)]
+        off = np.linalg.norm(places[0] - places[1], axis=1)
+        return off / units.length, unit_name(units.length)
+
+    made = []
+    for channel in clip.channels:
+        off, unit = errors(channel.target)
+        frame = int(np.argmax(off))
+        made.append(ChannelError(channel.target, float(off[frame]), unit, frame))
+    return tuple(made)
+
+
+def _gathered(
+    channel: Channel | None, at: IntArray, frames: int, usual: float = 0.0
+) -> FloatArray:
+    if channel is None:
+        return np.full((frames, 1, 1), usual)
+    return channel.gather(at)
+
+
+def key_notices(
+    rig: Rig,
+    joints: Sequence[JointMotion],
+    solved: SolvedControls,
+    tracks: Sequence[Track],
+    driven: Mapping[str, FloatArray],
+) -> tuple[Fault, ...]:
+    """Return notes on where a take departs from what its rig can do by itself.
+
+    Args:
+        rig: J joints.
+        joints: Their motion.
+        solved: Its controls.
+        tracks: Keys of joints and shapes besides the controls'.
+        driven: What the controls add to targets.
+    """
+    found = [
+        *_released(solved),
+        *_on_top(rig, tracks, driven),
+        *_off_type(rig, joints, tracks),
+        *_astray(rig, tracks),
+    ]
+    return tuple(
+        Fault(code, message, severity=Severity.NOTE, hint=hint)
+        for code, message, hint in found
+    )
+
+
+_Note = tuple[str, str, str | None]
+
+
+def _released(solved: SolvedControls) -> Iterator[_Note]:
+    if solved.released:
+        names = listed(solved.released, MAX_NAMES)
+        message = f"controls not keyed: no values of {names} give what they drive"
+        hint = "joints and shapes that they drive have keys instead"
+        yield "CLIP115", message, hint
+
+
+def _on_top(
+    rig: Rig, tracks: Sequence[Track], driven: Mapping[str, FloatArray]
+) -> Iterator[_Note]:
+    """Yield what moves by itself besides what a control that has keys moves."""
+    units = ClipUnits.of_rig(rig)
+    angle = "rad" if units.angle == 1.0 else "deg"
+    for track in tracks:
+        if not track.part:
+            continue
+        name = f"joint/{rig.joints[track.index].name}."
+        parts = [target for target in driven if target.startswith(name)]
+        if not any(np.ptp(driven[target]) > 0 for target in parts):
+            continue
+        if track.part in {"angle", "rotation"}:
+            turns = track.local(track.samples)
+            before = track.before
+            assert before is not None
+            most = so3.angle_between(turns, before).max() / units.angle
+            amount = f"{most:.4g} {angle}"
+        elif track.part in {"slide", "translation"}:
+            most = np.linalg.norm(track.samples, axis=1).max() / units.length
+            amount = f"{most:.4g} {unit_name(units.length)}"
+        else:
+            continue
+        joint = rig.joints[track.index].name
+        message = f"joint {joint!r} has keys on top of what controls give it: "
+        yield "CLIP116", f"{message}{track.part} up to {amount}", None
+
+
+def _off_type(
+    rig: Rig, joints: Sequence[JointMotion], tracks: Sequence[Track]
+) -> Iterator[_Note]:
+    units = ClipUnits.of_rig(rig)
+    angle = "rad" if units.angle == 1.0 else "deg"
+    for track in tracks:
+        if not track.part:
+            continue
+        joint, motion = rig.joints[track.index], joints[track.index]
+        if track.part == "local_rotation":
+            does = "turns" if joint.type is not JointType.PIN else "turns off its axis"
+            amount = f"{motion.turn_off / units.angle:.4g} {angle}"
+        elif track.part == "local_translation":
+            does = (
+                "moves off its axis" if joint.type is JointType.PRISMATIC else "moves"
+            )
+            amount = f"{motion.shift_off / units.length:.4g} {unit_name(units.length)}"
+        else:
+            continue
+        message = f"joint {joint.name!r} of type {joint.type} {does}, by up to {amount}"
+        hint = f"it has keys of {track.part}, in place of its own coordinates"
+        yield "CLIP117", message, hint
+
+
+def _astray(rig: Rig, tracks: Sequence[Track]) -> Iterator[_Note]:
+    keyed = {t.index for t in tracks if t.part not in {"", "scale"}}
+    for j in sorted(keyed):
+        joint = rig.joints[j]
+        if joint.mimic is not None:
+            message = f"joint {joint.name!r} does not follow {joint.mimic.joint!r}"
+            yield "CLIP118", message, "it has keys of its own"
