@@ -59,6 +59,8 @@ def ik_text(report: IkReport) -> list[str]:
         lines.append(f"  on their limits: {listed(names, MOST_NAMED)}")
     if report.written is not None:
         lines.append(f"  written: {', '.join(map(str, _outputs(report)))}")
+        if not hasattr(report.written, "result"):
+            lines += [f"    {line}" for line in channel_lines(report.written)]
     return lines
 
 

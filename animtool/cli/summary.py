@@ -12,6 +12,7 @@ from animtool.rates import rate_label
 from animtool.units import unit_name
 
 if TYPE_CHECKING:
+    from animtool.clip.key_report import ChannelError
     from animtool.clip.reduction import Reduction
     from animtool.scene.convert import ConvertReport
     from animtool.scene.report import BakeReport, TakeReport
@@ -292,7 +293,32 @@ def convert_text(report: ConvertReport) -> list[str]:
     if report.reduction is not None:
         made = _reduction_text(report.reduction, report.frames)
         lines += [f"  {line}" for line in made]
-    return lines
+    return lines + [f"  {line}" for line in channel_lines(report)]
+
+
+def channel_lines(report: ConvertReport) -> list[str]:
+    """Return what the channels of a clip are, and the largest error by their unit."""
+    keyed = report.keyed
+    if keyed is None or not keyed.errors:
+        return []
+    groups: dict[str, list[str]] = {}
+    for error in keyed.errors:
+        group = error.target.partition("/")[0]
+        groups.setdefault(group, []).append(error.target)
+    nouns = {"control": "control", "joint": "joint channel", "shape": "shape"}
+    counts = [counted(len(groups[g]), noun) for g, noun in nouns.items() if g in groups]
+    worst: dict[tuple[str, bool], ChannelError] = {}
+    for error in keyed.errors:
+        key = error.unit, error.target.startswith("control/")
+        if key not in worst or error.error > worst[key].error:
+            worst[key] = error
+    off = [
+        f"{error.error:.3g}{f' {error.unit}' if error.unit else ''} ({error.target})"
+        for error in worst.values()
+        if error.error > 0
+    ]
+    lines = [f"keys on {', '.join(counts)}"]
+    return [*lines, f"largest errors of channels: {', '.join(off)}"] if off else lines
 
 
 def convert_json(report: ConvertReport) -> dict[str, object]:
@@ -303,7 +329,25 @@ def convert_json(report: ConvertReport) -> dict[str, object]:
         "frames": report.frames,
         "joints": report.joints,
         **_reduction_json(report.reduction),
+        **_channels_json(report),
         "notices": [notice.as_dict() for notice in report.notices],
+    }
+
+
+def _channels_json(report: ConvertReport) -> dict[str, object]:
+    """Return the channels of a clip and their errors, nothing for other outputs."""
+    if report.keyed is None:
+        return {}
+    return {
+        "channels": [
+            {
+                "target": error.target,
+                "error": error.error,
+                "unit": error.unit or None,
+                "frame_index": error.frame,
+            }
+            for error in report.keyed.errors
+        ]
     }
 
 

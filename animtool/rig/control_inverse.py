@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +21,8 @@ GRID = 9
 DIFFERENCE = 1e-7
 # A residual below this part of its tolerance is left as it is.
 CONVERGED = 1e-6
+# Angles of several that are each tried as the one whose whole turns are right.
+MAX_ANCHORS = 3
 # Frames solved at once: their arrays of slopes stay below some 20 MB.
 FRAMES_AT_ONCE = 1024
 
@@ -124,10 +126,13 @@ def _solved_group(
         return start, set()
     free = [name for name in start if name not in problem.masters]
     values = problem.solve(start, free)
-    if problem.masters and problem.unexplained(values):
-        every = problem.solve(values, [*start])
-        if not problem.unexplained(every):
-            return every, set()
+    for other in (*problem.on_turns(start, free), problem):
+        if not other.unexplained(values):
+            break
+        names = [*start] if other is problem and problem.masters else free
+        trial = other.solve(start if other is not problem else values, names)
+        if not other.unexplained(trial):
+            values = trial
     released: set[str] = set()
     while True:
         broken = problem.unexplained(values)
@@ -211,6 +216,23 @@ class _Problem:
             for name, targets in direct.items()
             if targets and all(target.startswith("control/") for target in targets)
         }
+
+    def on_turns(
+        self, start: Mapping[str, FloatArray], free: Sequence[str]
+    ) -> Iterator[_Problem]:
+        """Yield the problem with angles on the turns that one of them leads to."""
+        angles = [target for target in self.order if target.endswith(".angle")]
+        for anchor in angles[:MAX_ANCHORS] if len(angles) > 1 else ():
+            alone = self._of({anchor: self.wanted[anchor]})
+            driven = evaluate_controls(self.controls, alone.solve(start, free)).targets
+            turned = dict(self.wanted)
+            for target in angles:
+                turns = np.round((driven[target] - turned[target]) / (2 * np.pi))
+                turned[target] = turned[target] + 2 * np.pi * turns
+            yield self._of(turned)
+
+    def _of(self, wanted: Mapping[str, FloatArray]) -> _Problem:
+        return _Problem(self.controls, wanted, self.tolerances, self.keyed)
 
     def residuals(
         self,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from animtool.documents.versions import KINDS
-from animtool.errors import Fault, OptionError, refuse_warnings
+from animtool.errors import Fault, OptionError, Severity, listed, refuse_warnings
 from animtool.files import seen_from
 from animtool.output import check_outputs, output_error, replacing
 from animtool.rig.skeleton import JointType, Rig
@@ -31,6 +31,7 @@ __all__ = ["ConvertReport", "convert", "convert_outputs"]
 _WRITES = ".bvh, .clip.yaml, .usd, .usda, .usdc"
 # Of keys written for samples [m]: under what anyone sees on a person.
 REDUCTION = 0.0005
+MAX_NAMES = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,10 +244,20 @@ def _to_clip(
         output,
         take.clock.count,
         len(rig.joints),
-        [*stream.notices, *made.notices],
+        [*stream.notices, *made.notices, *_left_out(take)],
         made,
         files,
     )
+
+
+def _left_out(take: Take) -> list[Fault]:
+    """Return a warning of what a clip has no place for."""
+    names = [*(track.path for track in take.tracks), *take.motion.points]
+    if not names:
+        return []
+    message = f"a clip has no place for {listed(names, MAX_NAMES)}: left out"
+    hint = "write USD too, which holds them"
+    return [Fault("CLIP119", message, severity=Severity.WARNING, hint=hint)]
 
 
 def _below(take: Take, path: Path, options: SourceOptions | None) -> Take:

@@ -53,6 +53,11 @@ RULES = (
         "a joint has `local_` keys, which take the place of what a moving control adds",
         Severity.NOTE,
     ),
+    Rule("CLIP115", "controls whose values do not follow from a take", Severity.NOTE),
+    Rule("CLIP116", "a joint with keys on top of its controls", Severity.NOTE),
+    Rule("CLIP117", "a joint that moves as its type does not", Severity.NOTE),
+    Rule("CLIP118", "a joint that departs from the one it follows", Severity.NOTE),
+    Rule("CLIP119", "props or points that a clip has no place for", Severity.WARNING),
     _rule(
         "CLIP201",
         "keys outside the clip's range that do nothing",
