@@ -6,6 +6,7 @@ import math
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from animtool.cli.summary import channel_lines
 from animtool.errors import counted, listed
 from animtool.ik.report import BEYOND, limit_counts, status_counts
 from animtool.rates import rate_label

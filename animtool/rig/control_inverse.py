@@ -21,6 +21,8 @@ GRID = 9
 DIFFERENCE = 1e-7
 # A residual below this part of its tolerance is left as it is.
 CONVERGED = 1e-6
+# A residual without a value, in tolerances; its square is finite.
+HUGE = 1e30
 # Angles of several that are each tried as the one whose whole turns are right.
 MAX_ANCHORS = 3
 # Frames solved at once: their arrays of slopes stay below some 20 MB.
@@ -250,13 +252,14 @@ class _Problem:
         """
         driven = evaluate_controls(self.controls, values).targets
         rows = []
-        for target in self.order:
-            off = self.wanted[target][frames] - driven[target]
-            if turns and target.endswith(".angle"):
-                off = off - 2 * np.pi * np.round(off / (2 * np.pi))
-            rows.append(off / self.tolerances[target])
+        with np.errstate(invalid="ignore", over="ignore"):
+            for target in self.order:
+                off = self.wanted[target][frames] - driven[target]
+                if turns and target.endswith(".angle"):
+                    off = off - 2 * np.pi * np.round(off / (2 * np.pi))
+                rows.append(off / self.tolerances[target])
         stacked = np.stack(np.broadcast_arrays(*rows), axis=-1)
-        return np.asarray(np.nan_to_num(stacked, nan=1e30, posinf=1e30, neginf=-1e30))
+        return np.asarray(np.nan_to_num(stacked.clip(-HUGE, HUGE), nan=HUGE))
 
     def unexplained(self, values: Mapping[str, FloatArray]) -> set[str]:
         """Return the targets that are off by more than their tolerance."""

@@ -71,7 +71,9 @@ def check(take: Take, folder: Path) -> tuple[KeyedTake, dict[str, str]]:
 
 def all_controls(rig: Rig) -> dict[str, FloatArray]:
     return {
-        f"control/{c.name}": smooth(c.name, max(c.low or 0.0, -99), min(c.high or 1, 99))
+        f"control/{c.name}": smooth(
+            c.name, max(c.low or 0.0, -99), min(c.high or 1, 99)
+        )
         for c in rig.controls
     }
 
@@ -89,7 +91,7 @@ def test_controls_of_a_take_stay_controls(name: str, tmp_path: Path) -> None:
 def test_controls_are_solved_for_from_joints_alone(name: str, tmp_path: Path) -> None:
     rig = rig_named(name)
     keyed = all_controls(rig)
-    made, targets = check(take_of(rig, keyed, controls=False), tmp_path)
+    _, targets = check(take_of(rig, keyed, controls=False), tmp_path)
     assert {*targets} == {*keyed}
     back = Clip.load(tmp_path / "one.clip.yaml", rig).sample(rig).motion.controls
     assert back is not None
@@ -165,7 +167,7 @@ def test_whole_turns_of_a_leader_are_those_that_its_follower_shows(
     assert {*targets} == {"control/crank"}
 
 
-def test_keys_are_few_within_a_tolerance(tmp_path: Path) -> None:
+def test_keys_are_few_within_a_tolerance() -> None:
     rig = rig_named("biped")
     take = take_of(rig, all_controls(rig), controls=True)
     coarse = keyed_take(take, rig, "one", 2e-3)
