@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 from typing import ClassVar
 
@@ -21,9 +21,14 @@ __all__ = [
     "counted",
     "excerpt",
     "listed",
+    "naming",
     "percent",
     "refuse_warnings",
 ]
+
+
+# Names in a message in brief.
+MAX_NAMED = 12
 
 
 class ExitCode(IntEnum):
@@ -60,6 +65,7 @@ class Fault:
         severity: Error, warning or note.
         column: 1-based column of the chief line.
         where: Place inside a structured file, such as ``joints[3].axis``.
+        brief: Shorter message for a terminal without ``-v``; empty is the message.
     """
 
     code: str
@@ -70,6 +76,7 @@ class Fault:
     severity: Severity = Severity.ERROR
     column: int | None = None
     where: str | None = None
+    brief: str = field(default="", repr=False, compare=False)
 
     def __str__(self) -> str:
         """Return ``file:line:column: CODE where: message, hint``, as far as known.
@@ -168,6 +175,23 @@ def listed(items: Sequence[object], most: int = 5) -> str:
     ('a, b', '0, 1 …')
     """
     return ", ".join(map(str, items[:most])) + (" …" if len(items) > most else "")
+
+
+def naming(
+    code: str,
+    message: str,
+    names: Sequence[str],
+    path: str | None = None,
+    hint: str | None = None,
+    severity: Severity = Severity.ERROR,
+) -> Fault:
+    """Return a fault whose message ends with names: all, or in brief the first.
+
+    >>> naming("USD102", "missing: ", list("abcdefghijklmn")).brief
+    'missing: a, b, c, d, e, f, g, h, i, j, k, l …'
+    """
+    whole, brief = (message + listed(names, n) for n in (len(names), MAX_NAMED))
+    return Fault(code, whole, path, (), hint, severity, brief=brief)
 
 
 def counted(count: int, noun: str, plural: str = "") -> str:

@@ -108,6 +108,7 @@ class _Reader:
             ),
             form=model.form,
             rig_layer=None if layer is None else self._file(at("rig_layer"), layer),
+            force_fit=model.force_fit,
             prim_path=model.prim_path,
             bones=model.bones,
             fps=self._parsed(at("fps"), model.fps, parse_rate),

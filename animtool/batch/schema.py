@@ -13,7 +13,14 @@ from pydantic import Field
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Name
 from animtool.documents.ignore import IgnoreModel
-from animtool.scene.output_fields import Bones, FormName, ReduceAt, RigLayer, Sparse
+from animtool.scene.output_fields import (
+    Bones,
+    ForceFit,
+    FormName,
+    ReduceAt,
+    RigLayer,
+    Sparse,
+)
 
 __all__ = ["BatchModel", "LimitsModel", "OptionsModel"]
 
@@ -83,6 +90,7 @@ class OptionsModel(FileModel):
     )
     form: FormName = None
     rig_layer: RigLayer = None
+    force_fit: ForceFit = False
     prim_path: str | None = Field(
         default=None,
         description="Where the character stands. Not given: as `bake` has it.",

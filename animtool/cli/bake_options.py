@@ -196,6 +196,7 @@ def bake_options_record(given: Mapping[str, Any]) -> BakeOptions:
         ),
         form="split" if given["split"] else given["form"],
         rig_layer=given["rig_layer"],
+        force_fit=given["force_fit"],
         prim_path=given["prim_path"],
         bones=given["bones"],
         strip_namespace=given["strip_namespace"],

@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TextIO
 
 from animtool.errors import Fault, Severity
@@ -55,7 +55,10 @@ class Console:
             if fatal or self.verbosity >= 0 or fault.severity is Severity.ERROR:
                 code = self._color(fault.code, _COLORS[fault.severity])
                 entry = {"level": str(fault.severity), **fault.as_dict()}
-                self._line(entry, str(fault).replace(fault.code, code, 1))
+                shown = fault
+                if fault.brief and self.verbosity <= 0:
+                    shown = replace(fault, message=fault.brief)
+                self._line(entry, str(shown).replace(fault.code, code, 1))
 
     def error(self, message: str) -> None:
         """Write an error that has no code to stderr."""

@@ -384,6 +384,7 @@ def _bake_options(given: dict[str, Any], to_stdout: bool) -> Any:
     flags = {
         "--split": given["split"],
         "--rig-layer": given["rig_layer"],
+        "--force-fit": given["force_fit"],
         "--prim-path": given["prim_path"],
         "--start": given["first_code"],
         "--sparse": given["sparse"],
@@ -401,6 +402,7 @@ def _bake_options(given: dict[str, Any], to_stdout: bool) -> Any:
     return BakeOptions(
         form="split" if given["split"] else None,
         rig_layer=given["rig_layer"],
+        force_fit=given["force_fit"],
         prim_path=given["prim_path"],
         start=given["first_code"],
         sparse=given["sparse"],

@@ -191,7 +191,7 @@ def set_option(command: Command) -> Command:
 
 
 def rig_layer_options(command: Command) -> Command:
-    """Add ``--rig-layer`` and ``--prim-path``, of what a layer is written over."""
+    """Add ``--rig-layer``, ``--prim-path`` and ``--force-fit``, of layers."""
     prim_path = click.option(
         "--prim-path",
         metavar="PATH",
@@ -204,7 +204,12 @@ def rig_layer_options(command: Command) -> Command:
         help="The rig in USD that a layer is for, or a shot that holds it; its units, "
         "up axis, rate and start are adopted.",
     )
-    return rig_layer(prim_path(command))
+    force_fit = click.option(
+        "--force-fit",
+        is_flag=True,
+        help="Write a take that does not fit the rig all the same.",
+    )
+    return rig_layer(prim_path(force_fit(command)))
 
 
 def strict_option(command: Command) -> Command:

@@ -228,6 +228,8 @@ def _take_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
         "animation": written.animation,
         **({"beside": written.things} if written.things else {}),
     }
+    if "fit" in take.details:
+        found["fit"] = take.details["fit"]
     if written.name:
         found = {
             "take": written.name,

@@ -133,6 +133,8 @@ class Rig:
         colliders: What simulations may not pass through.
         radians_per_unit: Angle unit of the source [rad]; inside they are radians.
         notices: What is odd about the file that it was read from; not compared.
+        has_rest: Whether the file states a rest pose, as all do but a SkelAnimation
+            without its Skeleton; not compared.
 
     Raises:
         OptionError: A name stands twice (RIG001), or a parent does not precede its
@@ -152,6 +154,7 @@ class Rig:
     colliders: tuple[Collider, ...] = ()
     radians_per_unit: float = math.radians(1.0)
     notices: tuple[Fault, ...] = field(default=(), repr=False, compare=False)
+    has_rest: bool = field(default=True, repr=False, compare=False)
     _index: dict[str, int] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

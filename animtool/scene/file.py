@@ -259,6 +259,7 @@ class _SceneReader:
         bake = BakeOptions(
             form=model.form,
             rig_layer=None if layer is None else self._input((*at, "rig_layer"), layer),
+            force_fit=model.force_fit,
             take=model.take,
             prim_path=model.prim_path,
             fps=fps,
@@ -347,8 +348,14 @@ class _SceneReader:
             message = "the first source brings all that it has"
             hint = "tracks: says what each of the others puts in its place"
             self.document.add("SCN038", ("source", 0, "tracks"), message, hint)
+        # Others than clips are brought onto the rig of the first as they are joined.
         return tuple(
-            self._source(("source", i), entry, rig) for i, entry in enumerate(given)
+            self._source(
+                ("source", i),
+                entry,
+                rig if i == 0 or takes_option(Path(entry.file), "rig") else None,
+            )
+            for i, entry in enumerate(given)
         )
 
     def _source(
@@ -360,7 +367,7 @@ class _SceneReader:
             None if model.up is None else UpAxis(model.up),
             self._rate((*at, "fps"), model.fps),
             model.prim,
-            rig if takes_option(path, "rig") else None,
+            rig,
             model.clamp,
             model.take,
         )

@@ -21,9 +21,10 @@ from animtool.output import (
     sparing_inputs,
 )
 from animtool.rig.store import StoredArrays
-from animtool.scene.convert_rig import open_rig, write_arrays
+from animtool.scene.convert_rig import write_arrays
 from animtool.scene.ik import frame_index, naming
 from animtool.scene.progress import Progress
+from animtool.scene.rigs import open_rig
 from animtool.scene.sources import SourceOptions
 from animtool.scene.start import open_start
 from animtool.take import Clock, Take

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import Protocol
 
 import numpy as np
 
@@ -17,8 +16,7 @@ from animtool.errors import Fault, OptionError, Severity, excerpt, listed
 from animtool.maths.curves import Curves
 from animtool.rates import rate_label
 from animtool.reorient import reorient
-from animtool.rig.skeleton import Rig
-from animtool.scene.onto_rig import NameMap, map_names
+from animtool.scene.onto_rig import Noter, on_rig
 from animtool.scene.tracks import (
     TrackNames,
     Tracks,
@@ -29,22 +27,9 @@ from animtool.scene.tracks import (
 from animtool.take import Channel, Motion, Take, TakeStream, time_codes
 from animtool.timecode import seconds_between
 
-__all__ = ["Noter", "Part", "joined", "on_rig"]
+__all__ = ["Part", "joined"]
 
 MOST_NAMED = 6
-
-
-class Noter(Protocol):
-    """Makes a fault of a source, with the place where that is named."""
-
-    def __call__(
-        self,
-        code: str,
-        message: str,
-        hint: str | None = None,
-        severity: Severity = Severity.ERROR,
-    ) -> Fault:
-        """Return the fault."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,33 +78,6 @@ def joined(first: Part, others: Sequence[Part]) -> TakeStream:
         first.stream.notices += layer.notices
         first.stream.notices += _taken_twice(layer, layers[:i])
     return _Joining(first.stream, layers).stream()
-
-
-def on_rig(part: Part, rig: Rig) -> tuple[Part, NameMap]:
-    """Return a source on a rig, by name, and where that has what.
-
-    What the rig lacks is left out; what it has beside that stays at rest.
-
-    Raises:
-        OptionError: It has nothing of the rig (SCN036).
-    """
-    stream = reorient(part.stream, rig.up)
-    names = map_names(rig, stream.rig)
-    if all((own < 0).all() for own in (names.joints, names.shapes, names.controls)):
-        message = f"has no joint, shape or control of {rig.name!r}"
-        hint = f"its joints are {listed(stream.rig.names, MOST_NAMED)}"
-        raise OptionError(part.note("SCN036", message, hint))
-    given, curve = stream.blocks, stream.curve
-    own = {control.name for control in rig.controls}
-    made = replace(
-        stream,
-        rig=rig,
-        blocks=(names.apply(block) for block in given),
-        control_curves={k: c for k, c in stream.control_curves.items() if k in own},
-    )
-    if curve is not None:
-        made.curve = lambda times: names.apply(curve(times))
-    return replace(part, stream=made), names
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,8 +145,8 @@ def _alike(motion: Motion, like: Motion) -> Motion:
 def _layer(first: Part, other: Part) -> _Layer:
     """Return a source as it stands on the rig and the clock of the first."""
     rig = first.stream.rig
-    placed, names = on_rig(other, rig)
-    take = placed.stream.collect()
+    stream, names = on_rig(other.stream, rig, other.note)
+    placed, take = replace(other, stream=stream), stream.collect()
     notices = [
         note
         if note.path

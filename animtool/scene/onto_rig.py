@@ -2,15 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault, OptionError, Severity, listed, naming
+from animtool.reorient import reorient
 from animtool.rig.skeleton import Rig
-from animtool.take import Channel, Motion
+from animtool.rig.fitting import check_fit
+from animtool.scene.rigs import open_rig
+from animtool.take import Channel, Motion, TakeStream
 
-__all__ = ["NameMap", "map_names"]
+__all__ = ["NameMap", "Noter", "left_out", "map_names", "on_rig", "on_rig_file"]
+
+MOST_NAMED = 6
+LOST = "their motion is left out"
+RESTING = "they stay at rest"
+
+
+class Noter(Protocol):
+    """Makes a fault of a source, with the place where that is named."""
+
+    def __call__(
+        self,
+        code: str,
+        message: str,
+        hint: str | None = None,
+        severity: Severity = Severity.ERROR,
+    ) -> Fault:
+        """Return the fault."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +87,96 @@ def map_names(rig: Rig, other: Rig) -> NameMap:
         _indices([c.name for c in rig.controls], [c.name for c in other.controls]),
         tuple(sorted(set(range(len(other.joints))) - set(joints))),
     )
+
+
+def on_rig(stream: TakeStream, rig: Rig, note: Noter) -> tuple[TakeStream, NameMap]:
+    """Return a source on a rig, by name, and where that has what.
+
+    What the rig lacks is left out; what only the rig has stays at rest.
+
+    Args:
+        stream: The source.
+        rig: The rig.
+        note: Makes faults of the source.
+
+    Raises:
+        OptionError: It has nothing of the rig (SCN036).
+    """
+    stream = reorient(stream, rig.up)
+    names = map_names(rig, stream.rig)
+    if all((own < 0).all() for own in (names.joints, names.shapes, names.controls)):
+        message = f"has no joint, shape or control of {rig.name!r}"
+        hint = f"its joints are {listed(stream.rig.names, MOST_NAMED)}"
+        raise OptionError(note("SCN036", message, hint))
+    given, curve = stream.blocks, stream.curve
+    own = {control.name for control in rig.controls}
+    made = replace(
+        stream,
+        rig=rig,
+        blocks=(names.apply(block) for block in given),
+        control_curves={k: c for k, c in stream.control_curves.items() if k in own},
+    )
+    if curve is not None:
+        made.curve = lambda times: names.apply(curve(times))
+    return made, names
+
+
+def left_out(names: NameMap, other: Rig, where: str) -> list[Fault]:
+    """Return notices of what only one of two rigs has.
+
+    Args:
+        names: Where the rig has what.
+        other: The rig of the source.
+        where: File of the source.
+    """
+    shapes = set(names.shapes.tolist())
+    joints = [other.names[j] for j in names.spare]
+    spare = [shape.name for i, shape in enumerate(other.shapes) if i not in shapes]
+    resting = [names.rig.names[j] for j in np.flatnonzero(names.joints < 0).tolist()]
+    return [
+        naming(code, f"{len(which)} {what}: ", which, where, hint, severity)
+        for code, which, what, hint, severity in (
+            ("RIG042", joints, "joints are not in the rig", LOST, Severity.WARNING),
+            ("RIG042", spare, "shapes are not in the rig", LOST, Severity.WARNING),
+            ("RIG043", resting, "joints only the rig has", RESTING, Severity.NOTE),
+        )
+        if which
+    ]
+
+
+def on_rig_file(
+    path: Path, stream: TakeStream, rig_path: Path, *, forced: bool
+) -> TakeStream:
+    """Return a source on a rig that lives elsewhere.
+
+    Raises:
+        FormatError: The rig is malformed, or the source does not fit it (RIG040).
+        OptionError: The source has nothing of the rig (SCN036).
+    """
+
+    def note(
+        code: str,
+        message: str,
+        hint: str | None = None,
+        severity: Severity = Severity.ERROR,
+    ) -> Fault:
+        return Fault(code, message, str(path), (), hint, severity)
+
+    rig, notices = open_rig(rig_path)
+    own = reorient(stream, rig.up)
+    made, names = on_rig(own, rig, note)
+    unmatched = left_out(names, own.rig, str(path))
+    _, differences = check_fit(
+        own.rig,
+        rig,
+        names.joints,
+        str(rig_path),
+        forced=forced,
+        unmatched=unmatched,
+    )
+    made.notices += [*notices, *unmatched, *differences]
+    made.details["rig"] = str(rig_path)
+    return made
 
 
 def _indices(names: list[str], others: list[str]) -> IntArray:

@@ -33,6 +33,7 @@ class BakeOptions:
         form: ``stage``, ``split``, ``layer`` or ``library``; None is a layer where
             there is a rig layer, else a stage.
         rig_layer: The rig, or a shot that holds it, for a layer.
+        force_fit: Write a take that does not fit the rig all the same.
         take: Name of a library's take; None is that of the source.
         prim_path: Where the character stands; None is ``/{name of the source}``,
             or where the rig layer has it.
@@ -72,6 +73,7 @@ class BakeOptions:
     source: SourceOptions = field(default_factory=SourceOptions)
     form: str | None = None
     rig_layer: Path | None = None
+    force_fit: bool = False
     take: str | None = None
     prim_path: str | None = None
     bones: bool = False

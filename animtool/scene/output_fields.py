@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-__all__ = ["Bones", "FormName", "ReduceAt", "RigLayer", "Sparse"]
+__all__ = ["Bones", "ForceFit", "FormName", "ReduceAt", "RigLayer", "Sparse"]
 
 FormName = Annotated[
     Literal["stage", "split", "layer"] | None,
@@ -22,6 +22,13 @@ RigLayer = Annotated[
     Field(
         description="The rig in USD, or a shot that holds it, that a layer goes over.",
         examples=["hero.usda"],
+    ),
+]
+ForceFit = Annotated[
+    bool,
+    Field(
+        description="Write a take that does not fit the rig all the same.",
+        examples=[True],
     ),
 ]
 Sparse = Annotated[

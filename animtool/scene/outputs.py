@@ -87,8 +87,10 @@ def _plans(scene: Scene, given: BakeOptions) -> list[BakePlan | TakePlan]:
             )
             for output in scene.outputs
         ]
+    forced = any(merged(given, output.bake).force_fit for output in scene.outputs)
     with sparing_inputs(scene_files(scene, given)):
-        streams = shared(scene.open(), len(scene.outputs))
+        stream = scene.forced(force_fit=forced).open()
+        streams = shared(stream, len(scene.outputs))
     return [
         _planned(scene.writing(output), output, stream, given)
         for output, stream in zip(scene.outputs, streams, strict=True)

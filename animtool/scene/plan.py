@@ -401,7 +401,11 @@ def _mapped(
 ) -> JointMap:
     from animtool.usd.target import map_joints
 
-    mapping = map_joints(stream.rig, target, options.strip_namespace)
+    mapping = map_joints(
+        stream.rig, target, options.strip_namespace, force_fit=options.force_fit
+    )
+    if mapping.fit is not None:
+        stream.details["fit"] = round(mapping.fit.score, 4)
     notices += mapping.notices
     return mapping
 

@@ -76,9 +76,11 @@ class Reading:
             try:
                 shown = share_of(progress, i, len(self.files))
                 if path in self.scenes:
-                    streams.append(_shown(self.scenes[path].open(), shown))
+                    scene = self.scenes[path].forced(force_fit=options.force_fit)
+                    streams.append(_shown(scene.open(), shown))
                     continue
                 own = fitting_options(options.source, path, self.files)
+                own = replace(own, force_fit=options.force_fit)
                 streams.append(opener(path, own, progress=shown))
             except AnimtoolError as error:
                 errors.append(error)

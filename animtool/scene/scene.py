@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 from animtool.errors import AnimtoolError, Fault, FormatError, OptionError
 from animtool.passes import PassContext, apply_pass
-from animtool.scene.convert_rig import open_rig
 from animtool.scene.entries import (
     Place,
     SceneOutput,
@@ -22,7 +21,7 @@ from animtool.scene.entries import (
 )
 from animtool.scene.options import BakeOptions
 from animtool.scene.preroll import Preroll, begun_early, without_first
-from animtool.scene.sources import SourceOptions, open_source, takes_option
+from animtool.scene.sources import SourceOptions, open_source
 from animtool.scene.stats import Meter
 from animtool.take import Motion, Take, TakeStream
 
@@ -41,8 +40,7 @@ class Scene:
         sources: What is read, at least one; the first has the rig and the frames.
         passes: What to do to it, in order.
         outputs: What to write, at least one.
-        rig: Of clips, and of several sources the one that all move; None is that of
-            the first.
+        rig: The rig that all sources move; None is that of the first.
         beside: What is carried beside the character.
         systems: What is simulated, beside the source or in its place.
         first: Frame of the shot that the first frame of the sources is; None is what
@@ -113,6 +111,16 @@ class Scene:
             for i in simulated_with(self.systems, chosen)
         )
         return replace(self, outputs=(output,), systems=systems)
+
+    def forced(self, *, force_fit: bool) -> Scene:
+        """Return the scene with sources that need not fit its rig, where asked for."""
+        if not force_fit:
+            return self
+        sources = tuple(
+            replace(source, options=replace(source.options, force_fit=True))
+            for source in self.sources
+        )
+        return replace(self, sources=sources)
 
     def open(self, *, keeps: bool = True) -> TakeStream:
         """Return the source with every pass applied.
@@ -281,7 +289,7 @@ class Scene:
         """Return the sources as one."""
         if len(self.sources) == 1:
             return open_source(self.sources[0].path, self.sources[0].options)
-        from animtool.scene.joining import Part, joined, on_rig
+        from animtool.scene.joining import Part, joined
 
         parts: list[Part] = []
         faults: list[Fault] = []
@@ -304,16 +312,11 @@ class Scene:
             raise FormatError(faults)
         first = self.sources[0]
         with first.place.blamed():
-            if self.rig is not None and first.options.rig is None:
-                rig, notices = open_rig(self.rig)
-                parts[0], _ = on_rig(parts[0], rig)
-                parts[0].stream.notices += notices
             stream = joined(parts[0], parts[1:])
         return replace(stream, blocks=_read(first.place, stream.blocks))
 
     def _take(self, path: Path) -> Take:
-        rig = self.rig if takes_option(path, "rig") else None
-        return open_source(path, SourceOptions(rig=rig)).collect()
+        return open_source(path, SourceOptions(rig=self.rig)).collect()
 
 
 def _read(

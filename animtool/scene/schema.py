@@ -13,7 +13,13 @@ from pydantic import Discriminator, Field, Tag
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Name
 from animtool.documents.ignore import IgnoreModel
-from animtool.scene.output_fields import Bones, ReduceAt, RigLayer, Sparse
+from animtool.scene.output_fields import (
+    Bones,
+    ForceFit,
+    ReduceAt,
+    RigLayer,
+    Sparse,
+)
 from animtool.scene.systems.schema import SystemModel
 
 __all__ = ["BesideModel", "OutputModel", "SceneModel", "SourceModel"]
@@ -188,6 +194,7 @@ class OutputModel(FileModel):
         examples=["walk"],
     )
     rig_layer: RigLayer = None
+    force_fit: ForceFit = False
     prim_path: str | None = Field(
         default=None,
         description="Where the character stands. Not given: /NAME of the source, or "
@@ -265,8 +272,8 @@ class SceneModel(FileModel):
     )
     rig: str | None = Field(
         default=None,
-        description="Of a clip: its rig. Not given: the one that the clip names. Of "
-        "several sources: the rig that all move. Not given: that of the first.",
+        description="The rig that the sources move. Not given: the one that a clip "
+        "names, else the joints of the first source.",
         examples=["hero.rig.yaml"],
     )
     fps: float | str | None = Field(

@@ -33,9 +33,10 @@ __all__ = [
 Opener: TypeAlias = Callable[..., "TakeStream"]
 
 SCENE_SUFFIXES = (".scene.yaml", ".scene.yml", ".scene.json")
+# Options that apply to every source.
+ANY_SOURCE = frozenset({"rig", "force_fit"})
 # As the command line calls an option, and why a file may not take it.
 _REFUSALS = {
-    "rig": ("--rig", "is for clips, and this is no clip"),
     "clamp": ("--clamp", "is for clips, and this is no clip"),
     "prim_path": ("--source-prim (--prim-path)", "is for USD files, and this is none"),
     "take": ("--take", "is for clip libraries in USD, and this is no USD file"),
@@ -55,7 +56,9 @@ class SourceOptions:
         fps: Its real frame rate; a number or text becomes a fraction. None is what
             the file says.
         prim_path: The character, where a stage has several.
-        rig: Rig of a clip, in place of the one that it names.
+        rig: Rig that the motion is for: of a clip in place of the one that it names,
+            of others in place of their own joints, by name.
+        force_fit: Take motion that does not fit the rig all the same.
         clamp: Bring a clip's controls into their ranges, and joints into limits.
         take: Which take of a clip library; None is the one that it selects.
 
@@ -70,6 +73,7 @@ class SourceOptions:
     rig: Path | None = None
     clamp: bool = False
     take: str | None = None
+    force_fit: bool = False
 
     def __post_init__(self) -> None:
         """Take the rate as it is written."""
@@ -114,6 +118,7 @@ def fitting_options(
     """Return options for one of several files that are opened alike.
 
     What files of its kind do not take is left out, where one of the others takes it.
+    All take a rig.
 
     >>> walk, idle = Path("walk.bvh"), Path("idle.usda")
     >>> options = SourceOptions(up=UpAxis.Z, clamp=True)
@@ -125,7 +130,8 @@ def fitting_options(
     left_out = {
         field.name: getattr(usual, field.name)
         for field in fields(SourceOptions)
-        if not takes_option(path, field.name)
+        if field.name not in ANY_SOURCE
+        and not takes_option(path, field.name)
         and any(takes_option(other, field.name) for other in others)
     }
     return replace(options, **left_out)
@@ -150,12 +156,19 @@ def open_source(
         hint = "animtool bake bakes it; its source is a file that can be read"
         raise OptionError(Fault("IO002", message, str(path), (), hint))
     reader = find_reader(path)
+    if options.rig is not None and "rig" not in reader.options:
+        own = replace(options, rig=None, force_fit=False)
+        stream = open_source(path, own, progress=progress)
+        from animtool.scene.onto_rig import on_rig_file
+
+        return on_rig_file(path, stream, options.rig, forced=options.force_fit)
     note_input(path)
     usual = SourceOptions()
     given = {
         field.name: value
         for field in fields(SourceOptions)
-        if (value := getattr(options, field.name)) != getattr(usual, field.name)
+        if field.name != "force_fit"
+        and (value := getattr(options, field.name)) != getattr(usual, field.name)
     }
     refused = [name for name in given if name not in reader.options]
     if refused:

@@ -16,9 +16,10 @@ from animtool.rig.parts import Attachment
 from animtool.units import UpAxis
 from animtool.usd.layers import attribute, prim
 from animtool.usd.mesh_read import bound_meshes
+from animtool.usd.placement import MOST_NAMED
 from animtool.usd.point_space import PointSpace
 from animtool.usd.strand_read import bound_strands
-from animtool.usd.target import MOST_NAMED, RigTarget, compose_check
+from animtool.usd.target import RigTarget, compose_check
 
 __all__ = ["CacheTarget", "TargetMesh", "open_cache_target"]
 

@@ -220,7 +220,7 @@ def _rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
     positions = array_value(animation.GetTranslationsAttr(), first)
     if len(positions) == len(tokens):
         matrices[:, 3, :3] = np.array(positions)
-    return rig_from_tokens(
+    found = rig_from_tokens(
         tokens,
         matrices,
         path.stem,
@@ -229,6 +229,7 @@ def _rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
         up_axis(stage),
         {},
     )
+    return replace(found, rig=replace(found.rig, has_rest=False))
 
 
 def _resting(skeleton: SkeletonRig, stage: Any, path: Path) -> TakeStream:

@@ -31,6 +31,7 @@ def write(
     *,
     rig_layer: Path | str | None = None,
     prim_path: str | None = None,
+    force_fit: bool = False,
     split: bool = False,
     bones: bool = False,
     unit: LengthUnit | str | None = None,
@@ -49,6 +50,7 @@ def write(
             a stage with skeleton and animation.
         prim_path: Where the character stands; None is ``/{name of the rig}``, or
             where the rig layer has it.
+        force_fit: Write a layer of a take that does not fit the rig all the same.
         split: Write the stage in three files, ``path`` the last.
         bones: Add geometry that shows the joints.
         unit: Length unit of the stage; None is the rig's.
@@ -58,7 +60,7 @@ def write(
         What was written, with the error that rounding made [m].
 
     Raises:
-        FormatError: The rig layer is malformed.
+        FormatError: The rig layer is malformed, or the take does not fit it (RIG040).
         OptionError: An option makes no sense, or a file exists.
         OutputError: A file cannot be written.
     """
@@ -74,7 +76,7 @@ def write(
     job, written, notices = (
         _stage_job(take, path, form, prim_path, unit, bones)
         if layer is None
-        else _layer_job(take, path, layer, prim_path)
+        else _layer_job(take, path, layer, prim_path, force_fit=force_fit)
     )
     authored, result = author(job, [written])
     write_usd(job, authored, result)
@@ -126,13 +128,13 @@ def _unit(name: LengthUnit | str) -> LengthUnit:
 
 
 def _layer_job(
-    take: Take, path: Path, layer: Path, prim_path: str | None
+    take: Take, path: Path, layer: Path, prim_path: str | None, *, force_fit: bool
 ) -> tuple[UsdJob, UsdTake, list[Fault]]:
     from animtool.usd.target import map_joints, open_target
 
     target = open_target(layer, prim_path)
     take = reorient(TakeStream.of(take), target.skeleton.rig.up).collect()
-    mapping = map_joints(take.rig, target, 0)
+    mapping = map_joints(take.rig, target, 0, force_fit=force_fit)
     clock = replace(
         take.clock, fps=target.fps, step=take.clock.step * target.fps / take.clock.fps
     )

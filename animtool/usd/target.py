@@ -13,9 +13,11 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray, IntArray
-from animtool.errors import Fault, FormatError, Severity, excerpt, listed
+from animtool.errors import Fault, FormatError, Severity, excerpt, naming
 from animtool.rates import rate_from_float
 from animtool.rig.arkit import arkit_name
+from animtool.rig.fit import Fit
+from animtool.rig.fitting import check_fit
 from animtool.rig.skeleton import Rig
 from animtool.take import Channel, Motion
 from animtool.units import UpAxis, unit_name
@@ -34,8 +36,6 @@ from animtool.usd.rig_prims import (
     skeleton_rig,
     up_axis,
 )
-
-MOST_NAMED = 40
 
 __all__ = [
     "JointMap",
@@ -252,6 +252,7 @@ class JointMap:
         notices: Joints and shapes of the take that the target lacks, or spells in
             another way.
         shapes: Names of the take's shapes as the target has them.
+        fit: How well the take's rest skeleton fits; None where there are no joints.
     """
 
     rig: Rig
@@ -259,6 +260,7 @@ class JointMap:
     rest_scales: FloatArray
     notices: list[Fault]
     shapes: tuple[str, ...] = ()
+    fit: Fit | None = None
 
     def apply(self, motion: Motion) -> Motion:
         """Return the motion of the target; joints that the take lacks are at rest."""
@@ -293,11 +295,20 @@ class JointMap:
 _NONE: IntArray = np.zeros(0, np.int64)
 
 
-def map_joints(take: Rig, target: RigTarget, strip_namespaces: int) -> JointMap:
+def map_joints(
+    take: Rig, target: RigTarget, strip_namespaces: int, *, force_fit: bool = False
+) -> JointMap:
     """Match joints by path, else by name, legal or original.
 
+    Args:
+        take: The take's rig, with the target's up axis.
+        target: The rig of the layer.
+        strip_namespaces: Leading ``ns:`` parts of the take's names to drop.
+        force_fit: Accept a take whose rest skeleton does not fit.
+
     Raises:
-        FormatError: No joint of the take is in the target.
+        FormatError: No joint of the take is in the target (USD010), or the take does
+            not fit it (RIG040).
     """
     names = joint_names(take.joints, strip_namespaces)
     own = [legal_name(joint.source_name or joint.name) for joint in take.joints]
@@ -332,21 +343,24 @@ def map_joints(take: Rig, target: RigTarget, strip_namespaces: int) -> JointMap:
     notices = []
     if missing:
         message = f"{len(missing)} joints of the take are not in the rig: "
-        message += listed(missing, MOST_NAMED)
         hint, kind = "they are left out", Severity.WARNING
-        notices.append(Fault("USD102", message, where, (), hint, kind))
+        notices.append(naming("USD102", message, missing, where, hint, kind))
     if resting:
         message = f"{len(resting)} joints of the rig are not in the take: "
-        message += listed(resting, MOST_NAMED)
         hint, kind = "they stay at rest", Severity.NOTE
-        notices.append(Fault("USD111", message, where, (), hint, kind))
+        notices.append(naming("USD111", message, resting, where, hint, kind))
     shapes, said = match_shapes(target, [shape.name for shape in take.shapes])
+    found_at = np.array(source, np.int64)
+    fit, differences = check_fit(
+        take, skeleton.rig, found_at, where, forced=force_fit, unmatched=notices
+    )
     return JointMap(
         skeleton.rig,
-        np.array(source, np.int64),
+        found_at,
         skeleton.rest_scales,
-        notices + said,
+        notices + said + differences,
         shapes,
+        fit,
     )
 
 
@@ -377,14 +391,12 @@ def match_shapes(
     missing = [name for name in found if name not in known]
     if missing:
         message = f"{len(missing)} shapes of the take are on no mesh of the rig: "
-        message += listed(missing, MOST_NAMED)
-        hint = "their weights move nothing there"
-        notices.append(Fault("USD114", message, where, (), hint, Severity.WARNING))
+        hint, kind = "their weights move nothing there", Severity.WARNING
+        notices.append(naming("USD114", message, missing, where, hint, kind))
     other = [f"{a} as {b}" for a, b in zip(shapes, found, strict=True) if a != b]
     if other:
         message = f"{len(other)} shapes are written as the rig spells them: "
-        message += listed(other, MOST_NAMED)
-        notices.append(Fault("USD118", message, where, severity=Severity.NOTE))
+        notices.append(naming("USD118", message, other, where, None, Severity.NOTE))
     return tuple(found), notices
 
 

@@ -20,7 +20,8 @@ from animtool.rig.controls import Control, Drive
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
 from animtool.scene.file import load_scene
-from animtool.scene.joining import Part, joined, on_rig
+from animtool.scene.joining import Part, joined
+from animtool.scene.onto_rig import on_rig
 from animtool.scene.tracks import TrackNames
 from animtool.take import Channel, Clock, Motion, Take, TakeStream
 
@@ -253,9 +254,9 @@ def test_a_source_of_the_same_rig_replaces_all_that_it_moves(take: Take) -> None
 
 def test_another_rig_is_met_by_name() -> None:
     head = Rig("cap", (Joint("jaw", -1), Joint("cap_head", 0, source_name="head")))
-    placed, names = on_rig(part(numbered(head, 3)), HERO)
+    placed, names = on_rig(TakeStream.of(numbered(head, 3)), HERO, note)
     assert names.joints.tolist() == [-1, 1, 0]
-    motion = placed.stream.collect().motion
+    motion = placed.collect().motion
     assert motion.translations.animated.tolist() == [1, 2]
     np.testing.assert_array_equal(motion.translations.rest[0], [0, 0, 0])
 

@@ -16,7 +16,6 @@ __all__ = [
     "near_rate",
     "outside_take",
     "undone_goals",
-    "unused_rig",
     "without_frames",
 ]
 
@@ -92,16 +91,6 @@ def near_rate(subject: SceneSubject) -> Iterator[Fault]:
     message = f"the output has {rate_label(given)}, and the take {rate_label(own)}"
     hint = "leave fps out; of a BVH that states a wrong rate, source.fps says the true"
     yield subject.fault("SCN205", ("fps",), message, hint)
-
-
-def unused_rig(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield a rig that the source does not use (SCN206)."""
-    first, *others = subject.scene.sources
-    if "rig" in subject.document.value and first.options.rig is None and not others:
-        name = first.path.name
-        message = f"the rig is not used: {name!r} brings its own joints"
-        hint = "a rig is for clips; the pass ik and output.rig_layer name their own"
-        yield subject.fault("SCN206", ("rig",), message, hint)
 
 
 def undone_goals(subject: SceneSubject) -> Iterator[Fault]:

@@ -55,6 +55,18 @@ RULES = (
         "an attachment without a key that its kind wants, or with one that it "
         "does not take",
     ),
+    Rule("RIG040", "a take that does not fit the rig"),
+    Rule("RIG041", "a take that differs from the rig at rest", Severity.WARNING),
+    Rule(
+        "RIG042",
+        "joints or shapes of a source that the rig it is brought onto lacks",
+        Severity.WARNING,
+    ),
+    Rule(
+        "RIG043",
+        "joints of a rig that the source brought onto it lacks",
+        Severity.NOTE,
+    ),
     Rule(
         "RIG101",
         "a joint and its mirror hang from one parent that is off the plane x = 0",

@@ -106,7 +106,6 @@ RULES = (
         "scene_output:over_other",
     ),
     _rule("SCN205", "a rate that is nearly the take's", "scene_passes:near_rate"),
-    _rule("SCN206", "a rig that the source does not use", "scene_passes:unused_rig"),
     _rule(
         "SCN207",
         "options of the output that a bake refuses",

@@ -1,0 +1,191 @@
+"""How well the joints of a take fit a rig that its motion is written onto."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.maths import so3
+from animtool.maths.rigid import rigid_motion
+from animtool.rig.kinematics import rest_world
+from animtool.rig.skeleton import Rig
+
+__all__ = ["FITS", "NOTICEABLE", "Fit", "measure_fit"]
+
+# Below, motion of one rig is wrong on the other; at or above, it is only coarser.
+FITS = 0.7
+# At or above, no difference between the rigs can be seen.
+NOTICEABLE = 0.98
+# Rotations this far apart, as a root mean square, score 0 [rad].
+ROTATION_SPAN = np.radians(45.0)
+# Rest poses are the same pose where bones point within this, root mean square [rad].
+SAME_POSE = np.radians(3.0)
+# Bones shorter than this share of the mean bone have no direction.
+SHORTEST = 1e-3
+# Bones lie along one line where they leave it by less than this share.
+STRAIGHT = 0.05
+# A joint is named where it differs by more [rad], [1].
+NAMED_ANGLE, NAMED_LENGTH = np.radians(5.0), 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The rest skeleton of a take against that of a rig.
+
+    Attributes:
+        take_share: Share of the take's joints that the rig has. End joints that the
+            rig lacks are not counted.
+        rig_share: Share of the rig's joints that the take has.
+        joints: Matched joints below a root, of the rig ``(B,)``.
+        angles: By how much the frames of each differ [rad] ``(B,)``: the direction of
+            its bone in the frame of its parent, and where both rest in the same pose,
+            turned as a whole or not, its rest rotation.
+        lengths: By how much its bone's length differs once both rigs have one size
+            [1] ``(B,)``.
+        bones: How much each bone counts, 1 in total ``(B,)``.
+        size: Bone lengths of the take over those of the rig [1].
+        tilt: Angle between what is up in both rest poses [rad]; 0 where they are
+            different poses.
+    """
+
+    take_share: float
+    rig_share: float
+    joints: IntArray
+    angles: FloatArray
+    lengths: FloatArray
+    bones: FloatArray
+    size: float
+    tilt: float
+
+    @cached_property
+    def parts(self) -> dict[str, float]:
+        """What the score is the least of, each from 0 to 1."""
+        return {
+            "joints": max(self.take_share, self.rig_share),
+            "rotations": max(0.0, 1.0 - self.rotation / ROTATION_SPAN),
+            "lengths": 1.0 - self.length,
+            "size": min(self.size, 1.0 / self.size) if self.size > 0 else 0.0,
+            "up axis": max(0.0, float(np.cos(self.tilt))),
+        }
+
+    @property
+    def score(self) -> float:
+        """From 0, nothing fits, to 1, where both have one rest skeleton."""
+        return float(min(self.parts.values()))
+
+    @property
+    def rotation(self) -> float:
+        """Root mean square of the angles [rad]."""
+        return float(np.sqrt(self.bones @ self.angles**2))
+
+    @property
+    def length(self) -> float:
+        """Root mean square of the differences in length [1]."""
+        return float(np.sqrt(self.bones @ self.lengths**2))
+
+    @property
+    def differing(self) -> list[int]:
+        """Joints of the rig whose rest differs visibly, the most different first."""
+        far = np.maximum(self.angles / NAMED_ANGLE, self.lengths / NAMED_LENGTH)
+        order = np.argsort(-far, kind="stable")
+        return [int(self.joints[i]) for i in order if far[i] > 1.0]
+
+
+def measure_fit(take: Rig, rig: Rig, source: IntArray, *, posed: bool = True) -> Fit:
+    """Return how well a take's rest skeleton fits a rig.
+
+    Args:
+        take: The take's rig, with the up axis of the other.
+        rig: The rig that it is written onto.
+        source: Joint of the take for each joint of the rig ``(J,)``, -1 for none.
+        posed: Whether the take has a rest pose; without one only its bones count.
+
+    >>> from animtool.rig.skeleton import Joint
+    >>> arm = Rig("arm", (Joint("a", -1), Joint("b", 0, translation=(0, 1, 0))))
+    >>> measure_fit(arm, arm, np.arange(2)).score
+    1.0
+    """
+    matched = np.flatnonzero(source >= 0)
+    shares = _take_share(take, source[matched]), len(matched) / max(1, len(source))
+    inner = matched[(rig.parents[matched] >= 0) & (take.parents[source[matched]] >= 0)]
+    own, other = rig.rest_translations[inner], take.rest_translations[source[inner]]
+    sizes = np.array([np.linalg.norm(v, axis=1) for v in (other, own)])
+    totals = sizes.sum(axis=1)
+    if not (totals > 0).all():
+        # No bone to compare, as of a single joint.
+        nothing = np.zeros(0)
+        none = np.zeros(0, np.int64)
+        return Fit(*shares, none, nothing, nothing, nothing, 1.0, 0.0)
+    relative = sizes / totals[:, None]
+    size = float(totals[0] / totals[1])
+    longer = relative.max(axis=0)
+    lengths = np.zeros(len(inner))
+    np.divide(np.abs(relative[0] - relative[1]), longer, lengths, where=longer > 0)
+    pointing = (relative > SHORTEST / len(inner)).all(axis=0)
+    angles = np.where(pointing, _between(other, own), 0.0)
+    bones = relative.mean(axis=0)
+    tilt = 0.0
+    if posed:
+        posture = _Posture(take, rig, source[inner], inner)
+        apart = np.where(pointing, _between(*posture.bones), 0.0)
+        if np.sqrt(bones @ apart**2) < SAME_POSE:
+            angles = np.maximum(angles, posture.turned)
+            tilt = posture.tilt
+    return Fit(*shares, inner, angles, lengths, bones, size, tilt)
+
+
+class _Posture:
+    """Two rest poses in model space, the one turned onto the other.
+
+    Attributes:
+        bones: Bones of both, from the parent to the joint ``(B, 3)`` [m].
+        turned: Angle between the rotations of each joint [rad] ``(B,)``.
+        tilt: By how much up was turned [rad].
+    """
+
+    def __init__(self, take: Rig, rig: Rig, there: IntArray, here: IntArray) -> None:
+        theirs, mine = rest_world(take), rest_world(rig)
+        ends = theirs.positions[0, there], mine.positions[0, here]
+        starts = (
+            theirs.positions[0, take.parents[there]],
+            mine.positions[0, rig.parents[here]],
+        )
+        bones = ends[1] - starts[1]
+        turn = so3.IDENTITY
+        if not _is_straight(bones):
+            turn, _ = rigid_motion(
+                np.concatenate([starts[0], ends[0]]),
+                np.concatenate([starts[1], ends[1]]),
+            )
+        self.bones = so3.rotate(turn, ends[0] - starts[0]), bones
+        self.turned = so3.angle_between(
+            so3.multiply(turn, theirs.rotations[0, there]), mine.rotations[0, here]
+        )
+        up = np.eye(3)["XYZ".index(rig.up.value)]
+        self.tilt = float(np.arccos(np.clip(so3.rotate(turn, up) @ up, -1.0, 1.0)))
+
+
+def _is_straight(bones: FloatArray) -> bool:
+    """Return whether all bones lie along one line, which leaves a twist open."""
+    spreads = np.linalg.svd(bones, compute_uv=False)
+    return bool(len(spreads) < 2 or spreads[1] <= STRAIGHT * spreads[0])
+
+
+def _take_share(take: Rig, used: IntArray) -> float:
+    """Return the share of a take's joints in use; end joints below one are free."""
+    has = np.zeros(len(take.joints), np.bool_)
+    has[used] = True
+    parents = take.parents
+    ends = np.ones(len(parents), np.bool_)
+    ends[parents[parents >= 0]] = False
+    free = ends & ~has & (parents >= 0) & has[parents]
+    return float(has.sum() / max(1, (~free).sum()))
+
+
+def _between(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the angles between vectors ``(B, 3)`` [rad]; 0 where one is zero."""
+    across = np.linalg.norm(np.cross(a, b), axis=1)
+    return np.asarray(np.arctan2(across, (a * b).sum(axis=1)))
