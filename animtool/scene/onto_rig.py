@@ -11,8 +11,8 @@ import numpy as np
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, OptionError, Severity, listed, naming
 from animtool.reorient import reorient
-from animtool.rig.skeleton import Rig
 from animtool.rig.fitting import check_fit
+from animtool.rig.skeleton import Rig
 from animtool.scene.rigs import open_rig
 from animtool.take import Channel, Motion, TakeStream
 
