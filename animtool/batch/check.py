@@ -47,12 +47,15 @@ def _clashes(
             name = os.fspath(where).casefold()
             other = taken.setdefault(name, item)
             if other is not item:
-                sources = f"{other.found.path} and {item.found.path}"
-                message = f"would be written for both {sources}"
+                message = f"would be written for both {other.label} and {item.label}"
                 hint = "{parent} in -o keeps the folders of inputs apart"
+                if other.found == item.found and item.values:
+                    name = next(iter(item.values))
+                    hint = f"{{{name}}} in -o, or ${{{name}}} in the scene's output, "
+                    hint += "keeps the variants apart"
                 yield Fault("BAT006", message, str(path), (), hint)
             elif name in own:
-                message = f"would be written twice for {item.found.path}"
+                message = f"would be written twice for {item.label}"
                 yield Fault("BAT006", message, str(path))
             own.add(name)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from animtool.batch.cuts import SHOT_NAMES, CutList, Shot, read_cuts
+from animtool.batch.effects import check_columns, check_effects, sample_source
 from animtool.batch.limits import Limits
 from animtool.batch.names import (
     INPUT_NAMES,
@@ -19,6 +21,7 @@ from animtool.batch.names import (
 )
 from animtool.batch.recipe import Item, Recipe
 from animtool.batch.spec import BatchSpec
+from animtool.batch.variants import file_name, variant_pattern
 from animtool.documents.names import check_given
 from animtool.errors import Fault, NothingFoundError, OptionError, listed
 from animtool.files import FoundFile, Places, files_meant
@@ -94,13 +97,19 @@ def find_batch(spec: BatchSpec) -> Batch:
         OptionError: The output has a name that there is none of (BAT004), or a
             variable that nothing uses is given (SCN031), or both the batch and its
             scene name outputs (SCN044), or outputs are of no kind of USD layer
-            (OUT004).
+            (OUT004); or the items of a scene would be the same (BAT060), or a variant
+            has a name of another meaning (BAT063).
     """
     if spec.output is not None:
         name = "{parent}/{stem}" if spec.cuts is None else "{shot}"
-        pattern = file_pattern(spec.output, name)
+        pattern = file_pattern(spec.output, name + variant_pattern(spec.variants))
         spec = replace(spec, output=pattern)
         _check_pattern(spec, pattern)
+    if spec.scene is not None and spec.variants is not None and not spec.inputs:
+        # The scene is what is made in variants, and needs no other input.
+        scene = spec.scene if spec.path is None else spec.scene.absolute()
+        spec = replace(spec, inputs=(os.fspath(scene),), scene=None)
+    check_columns(spec)
     cuts = _cuts(spec)
     shots = cuts.shots
     if not shots:
@@ -108,14 +117,16 @@ def find_batch(spec: BatchSpec) -> Batch:
     recipe = _recipe(spec, [shot.found for shot in shots])
     sample = None
     if spec.scene is not None:
-        first = shots[0]
-        sample = recipe.source(Item(1, first.found, first.found.path, first.names))
+        sample = sample_source(spec, recipe, shots[0])
         if spec.output is not None:
             recipe.refuse_several(sample)
     _check_variables(spec, recipe, sample)
+    check_effects(spec, recipe, shots)
     items = tuple(_items(spec, recipe, shots, sample))
     options = spec.options
+    table = None if spec.variants is None else spec.variants.path
     given = [spec.scene, options.rig_layer, options.source.rig, spec.path, spec.cuts]
+    given.append(table)
     return Batch(
         spec.name,
         items,
@@ -131,7 +142,7 @@ def find_batch(spec: BatchSpec) -> Batch:
 
 def _check_pattern(spec: BatchSpec, pattern: str) -> None:
     place = None if spec.path is None else str(spec.path)
-    known = dict(spec.variables)
+    known = {**spec.variables, **spec.rows[0]}
     if spec.cuts is not None:
         known |= dict.fromkeys(SHOT_NAMES, "")
     faults = [
@@ -154,14 +165,15 @@ def _recipe(spec: BatchSpec, found: Sequence[FoundFile]) -> Recipe:
 
 def _check_variables(spec: BatchSpec, recipe: Recipe, sample: Source | None) -> None:
     """Refuse variables that neither the scene nor the output uses."""
-    used = {name for name in spec.variables if f"{{{name}}}" in (spec.output or "")}
+    given = [*spec.variables, *spec.rows[0]]
+    used = {name for name in given if f"{{{name}}}" in (spec.output or "")}
     if sample is not None:
         used |= set(getattr(sample, "variables", ()))
     elif any(map(is_scene, recipe.kinds)):
         # Each has its own, and says what is wrong with them when it is made.
-        used |= set(spec.variables)
+        used |= set(given)
     taken = {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
-    check_given(spec.variables, used - taken)
+    check_given(given, used - taken)
 
 
 def _items(
@@ -172,17 +184,20 @@ def _items(
 ) -> Iterator[Item]:
     """Yield the items, each with its output: the pattern's, its scene's, or beside."""
     named_by_scene = getattr(sample, "output", None) is not None
-    for number, shot in enumerate(shots, 1):
-        file = shot.found
+    made = itertools.product(shots, spec.rows)
+    for number, (shot, row) in enumerate(made, 1):
+        file, own = shot.found, {**shot.names, **row}
+        parts = {name: file_name(value) for name, value in row.items()}
         if spec.output is not None:
-            names = {**spec.variables, **input_names(file), **shot.names}
+            names = {**spec.variables, **input_names(file), **shot.names, **parts}
             output = spec.folder / spec.output.format(**names)
-            yield Item(number, file, output, shot.names)
+            yield Item(number, file, output, own, values=row)
             continue
-        beside = file.path.with_name(f"{source_stem(file.path)}.usdc")
+        more = "".join(f"_{part}" for part in parts.values())
+        beside = file.path.with_name(f"{source_stem(file.path)}{more}.usdc")
         if spec.cuts is not None:
-            beside = spec.cuts.with_name(f"{shot.names['shot']}.usdc")
-        item = Item(number, file, beside, shot.names)
+            beside = spec.cuts.with_name(f"{shot.names['shot']}{more}.usdc")
+        item = Item(number, file, beside, own, values=row)
         if named_by_scene or (spec.scene is None and is_scene(file.path)):
             item = recipe.named(item)
         yield item

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, TypeVar
 
 from animtool.batch.cuts import SHOT_NAMES
 from animtool.batch.limits import Limits, parse_bytes
-from animtool.batch.names import unknown_names
+from animtool.batch.names import INPUT_NAMES, unknown_names
 from animtool.batch.schema import BatchModel, OptionsModel
 from animtool.batch.spec import BatchSpec
+from animtool.batch.variant_entries import rows_of_document
+from animtool.batch.variants import Variants, read_variants
 from animtool.config import project_roots
 from animtool.documents.check import check_version, validated
 from animtool.documents.document import Document, Location, read_document
@@ -61,7 +63,12 @@ class _Reader:
         if model.scene is None and model.cut is not None:
             message = "a cut list needs a scene that says what is done to its shots"
             self.document.add("BAT001", ("cut",), message)
-        self._names()
+        if not model.inputs and not (model.scene and model.variants):
+            message = "key 'inputs' is missing"
+            hint = "files, folders and globs; a scene alone can have variants"
+            self.document.add("DOC021", (), message, hint)
+        variants = self._variants()
+        self._names(() if variants is None else variants.names)
         memory = self._parsed(("limits", "memory"), model.limits.memory, parse_bytes)
         return BatchSpec(
             tuple(model.inputs),
@@ -77,9 +84,22 @@ class _Reader:
             path,
             None if model.cut is None else self._file(("cut",), model.cut),
             model.handles,
+            variants,
         )
 
-    def _names(self) -> None:
+    def _variants(self) -> Variants | None:
+        """Return the table of values; None where there is none, or it is faulty."""
+        given = self.model.variants
+        if not given:
+            return None
+        if isinstance(given, str):
+            path = self._file(("variants",), given)
+            return read_variants(path) if path.is_file() else None
+        shots = () if self.model.cut is None else SHOT_NAMES
+        taken = {*INPUT_NAMES, *self.model.variables, *shots}
+        return rows_of_document(self.document, given, taken)
+
+    def _names(self, columns: Sequence[str]) -> None:
         """Check the names of variables, and those between braces in the output."""
         model = self.model
         for name in model.variables:
@@ -87,7 +107,7 @@ class _Reader:
                 message = f"{name!r} is no name of a variable"
                 hint = "letters, digits and _ make one, and no digit begins it"
                 self.document.add("BAT002", ("variables", name), message, hint)
-        known = dict(model.variables)
+        known = {**model.variables, **dict.fromkeys(columns, "")}
         if model.cut is not None:
             known |= dict.fromkeys(SHOT_NAMES, "")
         for message, hint in unknown_names(model.output or "", known):

@@ -20,7 +20,17 @@ if TYPE_CHECKING:
     from animtool.scene.reading import Source
     from animtool.scene.scene import Scene
 
-__all__ = ["Item", "Recipe"]
+__all__ = ["Item", "Recipe", "values_text"]
+
+
+def values_text(values: Mapping[str, str]) -> str:
+    """Return the values of a variant behind the name of its input.
+
+    >>> values_text({"k": "2", "s": "0.5"})
+    ' (k=2, s=0.5)'
+    """
+    shown = ", ".join(f"{name}={value}" for name, value in values.items())
+    return f" ({shown})" if shown else ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +44,7 @@ class Item:
         names: What names stand for in its scene, beside those of its input.
         files: Every file to write, where its scene names several outputs, or one that
             is no USD; empty where they follow from ``output``.
+        values: Those of ``names`` that tell it from other variants.
     """
 
     number: int
@@ -41,6 +52,12 @@ class Item:
     output: Path
     names: Mapping[str, str] = field(default_factory=dict)
     files: tuple[Path, ...] = ()
+    values: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def label(self) -> str:
+        """The input, and the values of a variant."""
+        return f"{self.found.path}{values_text(self.values)}"
 
     @property
     def folders(self) -> list[Path]:
@@ -71,7 +88,11 @@ class Recipe:
 
     def names(self, item: Item) -> dict[str, str]:
         """Return what names in a scene stand for."""
-        return {**input_names(item.found), **item.names, **self.variables}
+        names = input_names(item.found)
+        if self.scene is None:
+            # A scene that is an input is no input of its own.
+            del names["input"]
+        return {**names, **item.names, **self.variables}
 
     def source(self, item: Item) -> Source:
         """Return what is baked: a scene, loaded, or a file.
@@ -181,7 +202,7 @@ class Recipe:
         plain: dict[str, object] = {"input": named_from(item.found.path, root)}
         if self.scene is not None or is_scene(item.found.path):
             names = self.names(item)
-            for key in ("input", "folder"):
+            for key in names.keys() & {"input", "folder"}:
                 names[key] = named_from(Path(names[key]), root)
             plain["variables"] = names
         if self.scene is not None:

@@ -73,6 +73,7 @@ class ItemReport:
         found: dict[str, object] = {
             "item": self.item.number,
             "input": str(self.item.found.path),
+            **({"values": dict(self.item.values)} if self.item.values else {}),
             "output": str(self.item.output),
             **({"outputs": [str(path) for path in files]} if files else {}),
             "status": str(self.status),

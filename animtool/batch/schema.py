@@ -22,7 +22,7 @@ from animtool.scene.output_fields import (
     Sparse,
 )
 
-__all__ = ["BatchModel", "LimitsModel", "OptionsModel"]
+__all__ = ["BatchModel", "LimitsModel", "OptionsModel", "RangeModel"]
 
 
 class LimitsModel(FileModel):
@@ -122,6 +122,22 @@ class OptionsModel(FileModel):
     )
 
 
+class RangeModel(FileModel):
+    """Values from one number to another."""
+
+    start: float = Field(description="The first value.", examples=[0])
+    stop: float = Field(
+        description="The last value, where the steps lead to it.", examples=[1]
+    )
+    step: float = Field(
+        default=1, description="From each value to the next.", examples=[0.25]
+    )
+
+
+Value = str | float | bool
+Column = str | list[Value] | RangeModel
+
+
 class BatchModel(FileModel):
     """A batch file."""
 
@@ -129,8 +145,10 @@ class BatchModel(FileModel):
         description="What the file is, and the version of its format.",
         examples=["animtool/1"],
     )
-    inputs: Annotated[list[Name], Len(1)] = Field(
-        description="Files, folders, and globs in which `**` is any folders.",
+    inputs: list[Name] = Field(
+        default=[],
+        description="Files, folders, and globs in which `**` is any folders. Must be "
+        "given, but for `variants` of a `scene` that has no `${input}`.",
         examples=[["takes/**/*.bvh"]],
     )
     exclude: list[str] = Field(
@@ -161,6 +179,13 @@ class BatchModel(FileModel):
         description="What `${name}` stands for in the scene; `--set` of the command "
         "line comes first.",
         examples=[{"shot": "sh010"}],
+    )
+    variants: str | list[dict[str, Value]] | dict[str, Column] = Field(
+        default={},
+        description="A table of values for `${name}` in the scene and `{name}` in the "
+        "output: an item for each row. Names with values each make every combination; "
+        "a list has the rows themselves; a text names a CSV file.",
+        examples=[{"stiffness": [50, 100, 200], "seed": "1..4"}],
     )
     options: OptionsModel | None = Field(
         default=None,

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from animtool.batch.limits import Limits
+from animtool.batch.variants import Variants
 from animtool.scene.options import BakeOptions
 
 __all__ = ["BatchSpec", "is_batch"]
@@ -32,6 +33,8 @@ class BatchSpec:
         path: The file that says it; None where there is none.
         cuts: A timeline whose clips are the items; None has one for each input.
         handles: Frames wanted before and behind the cuts of a timeline.
+        variants: A table of values of which each row makes an item of each input; None
+            makes one.
     """
 
     inputs: tuple[str, ...]
@@ -47,6 +50,12 @@ class BatchSpec:
     path: Path | None = None
     cuts: Path | None = None
     handles: int = 0
+    variants: Variants | None = None
+
+    @property
+    def rows(self) -> Sequence[Mapping[str, str]]:
+        """The variants; one without values where there are none."""
+        return ({},) if self.variants is None else self.variants.rows
 
 
 def is_batch(path: Path) -> bool:

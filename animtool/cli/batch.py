@@ -14,6 +14,11 @@ import click
 from animtool.cli.batch_cuts import cut_options, with_cuts
 from animtool.cli.batch_openjd import openjd_failure, openjd_lines
 from animtool.cli.batch_progress import shown_progress
+from animtool.cli.batch_variants import (
+    variant_options,
+    variant_words,
+    with_variants,
+)
 from animtool.cli.console import Console
 from animtool.cli.options import (
     FILE,
@@ -75,6 +80,7 @@ Examples:
   animtool batch nightly.batch.yaml
   animtool batch "takes/**/*.bvh" -o "out/{parent}/{stem}.usdc" -j 8
   animtool batch takes --scene clean.scene.yaml --set shot=sh010 -o "out/{stem}.usdc"
+  animtool batch --scene flag.scene.yaml --vary k=50,100,200 -o "out/flag_{k}.usdc"
   animtool batch --cut edit.otio --scene shot.scene.yaml -o "out/{shot}.usdc"
   animtool batch nightly.batch.yaml -n
   animtool batch nightly.batch.yaml --retry-failed --time-limit 600
@@ -98,6 +104,7 @@ Examples:
 )
 @set_option
 @cut_options
+@variant_options
 @click.option(
     "--exclude",
     multiple=True,
@@ -206,6 +213,9 @@ def batch(console: Console, /, inputs: tuple[str, ...], **given: Any) -> None:
     folder of the outputs, with what it was made of: the same command goes on where it
     was stopped, and makes again what changed since.
 
+    With --variants or --vary, each row of a table is an item: ${k} in the scene and
+    {k} in -o stand for its values. Without INPUT, the scene alone is made in variants.
+
     With --cut, each clip of a timeline is an item. Its scene has ${shot}, ${first} and
     ${last}, ${begin} and ${end}, ${head}, ${tail}, ${handles}, ${clip}, ${track},
     ${fps} and ${speed}.
@@ -217,7 +227,8 @@ def batch(console: Console, /, inputs: tuple[str, ...], **given: Any) -> None:
 
     if given["fail_fast"] and given["max_failures"] not in {None, 1}:
         raise click.UsageError("--fail-fast is --max-failures 1: give one.")
-    if not inputs and given["cuts"] is None:
+    varied = given["table"] is not None or given["columns"]
+    if not inputs and given["cuts"] is None and not (varied and given["scene"]):
         raise click.UsageError("Give a batch file, inputs, or --cut.")
     openjd = given["lines"] == "openjd"
     if openjd and given["report_format"] != "text":
@@ -281,7 +292,7 @@ def _spec(inputs: tuple[str, ...], given: dict[str, Any]) -> BatchSpec:
         spec = replace(spec, output=output)
     if given["scene"] is not None:
         spec = replace(spec, scene=given["scene"])
-    spec = with_cuts(spec, given)
+    spec = with_variants(with_cuts(spec, given), given)
     excluded = tuple(str(here / text) if jobs else text for text in given["exclude"])
     limits = replace(
         spec.limits,
@@ -337,6 +348,7 @@ class _Repeat:
             words += ["--handles", str(given["handles"])] if given["handles"] else []
         for name, value in given["variables"]:
             words += ["--set", f"{name}={value}"]
+        words += variant_words(given)
         for text in () if listed else given["exclude"]:
             words += ["--exclude", text]
         return shlex.join(words + ([] if listed else ["--items", str(item.number)]))
@@ -371,7 +383,7 @@ def _tell(
     for line in batch_text(report, dry=given["dry_run"]):
         console.say(line)
     for entry in report.failed:
-        console.error(f"{entry.item.found.path} failed")
+        console.error(f"{entry.item.label} failed")
         console.faults(entry.faults, fatal=True)
         console.say(f"  again: {repeat.command(entry)}")
 

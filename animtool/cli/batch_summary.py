@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from animtool.batch.outcome import Status
+from animtool.batch.recipe import values_text
 from animtool.batch.report import BatchReport, ItemReport
 from animtool.errors import counted
 
@@ -58,9 +59,10 @@ def ended_text(entry: ItemReport, number: int, total: int) -> str:
         total: How many are to be made.
     """
     head = f"[{number}/{total}] {entry.status} {entry.item.output}"
+    values = values_text(entry.item.values)
     if entry.status is Status.FAILED:
-        return f"{head}: {entry.why}"
-    return f"{head} ({entry.reason}) {entry.seconds:.2f} s"
+        return f"{head}{values}: {entry.why}"
+    return f"{head}{values} ({entry.reason}) {entry.seconds:.2f} s"
 
 
 def planned_text(report: BatchReport) -> list[str]:
@@ -69,7 +71,8 @@ def planned_text(report: BatchReport) -> list[str]:
     for entry in report.items:
         what = "skip" if entry.status is Status.SKIPPED else "make"
         detail = f": {entry.detail}" if entry.detail else ""
-        lines.append(f"{what} {entry.item.output} ({entry.reason}{detail})")
+        values = values_text(entry.item.values)
+        lines.append(f"{what} {entry.item.output}{values} ({entry.reason}{detail})")
     return lines
 
 

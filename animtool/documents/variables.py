@@ -22,6 +22,8 @@ __all__ = [
 
 # Where a document gives variables their usual values.
 DEFAULTS = "variables"
+# Where a document says where its result goes.
+OUTPUT = "output"
 # Two dollars stand for one, and what follows is text.
 _USE = re.compile(rf"\$(?P<kept>\$)?\{{(?:(?P<name>{VARIABLE_NAME})\}})?")
 
@@ -33,10 +35,12 @@ class Variables:
     Attributes:
         names: Of those that it uses or gives a value.
         idle: Of those that it gives a value and no text uses.
+        effective: Of those whose values decide more than the key ``output``.
     """
 
     names: frozenset[str] = frozenset()
     idle: frozenset[str] = frozenset()
+    effective: frozenset[str] = frozenset()
 
 
 def resolve_variables(
@@ -61,7 +65,8 @@ def resolve_variables(
         if location[0] != DEFAULTS:
             resolver.put(location, text)
     stated = frozenset(resolver.stated)
-    return Variables(stated | resolver.used, stated - resolver.used)
+    used = frozenset().union(*resolver.uses.values())
+    return Variables(stated | used, stated - used, resolver.effective())
 
 
 # As JSON Schema says it: a text that becomes a value of another type.
@@ -122,7 +127,8 @@ class _Resolver:
         model: What it should be.
         values: Of the variables that are known.
         stated: Names of those that the document gives a value.
-        used: Names of those that a text uses.
+        uses: Names of those that texts use, by key of the document; in values of
+            variables by name of the variable too.
         faulty: Names of those whose own value is faulty.
     """
 
@@ -130,7 +136,7 @@ class _Resolver:
     model: type[BaseModel]
     values: dict[str, str]
     stated: set[str] = field(default_factory=set)
-    used: set[str] = field(default_factory=set)
+    uses: dict[Location, set[str]] = field(default_factory=dict)
     faulty: set[str] = field(default_factory=set)
 
     def defaults(self) -> None:
@@ -152,6 +158,21 @@ class _Resolver:
                 self.faulty.add(name)
             else:
                 self.values[name] = text
+
+    def effective(self) -> frozenset[str]:
+        """Return the variables that decide more than the output."""
+        left = {
+            name
+            for key, names in self.uses.items()
+            if key[0] not in {DEFAULTS, OUTPUT}
+            for name in names
+        }
+        found: set[str] = set()
+        while left:
+            name = left.pop()
+            found.add(name)
+            left |= self.uses.get((DEFAULTS, name), set()) - found
+        return frozenset(found)
 
     def put(self, location: Location, text: str) -> None:
         """Put the values of variables into a text of the document."""
@@ -203,7 +224,8 @@ class _Resolver:
             hint = "write ${name}, or $${ where those letters are meant"
             self.document.add("SCN032", location, message, hint)
             return None
-        self.used.add(name)
+        key = location[:2] if location[0] == DEFAULTS else location[:1]
+        self.uses.setdefault(key, set()).add(name)
         if name not in self.values and name not in self.faulty:
             message = f"there is no variable {name!r}"
             hint = nearest(name, sorted(self.values))

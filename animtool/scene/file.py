@@ -71,7 +71,12 @@ def scene_of_document(
     model = validated(document, SceneModel)
     named = [Path(text) for text in given.values() if Path(text).is_absolute()]
     reader = _SceneReader(document, model, named)
-    scene = replace(reader.scene(), variables=found.names, idle_variables=found.idle)
+    scene = replace(
+        reader.scene(),
+        variables=found.names,
+        idle_variables=found.idle,
+        effective_variables=found.effective,
+    )
     document.check()
     return scene
 

@@ -49,6 +49,7 @@ class Scene:
             take.
         variables: Names of the variables that it uses or gives a value.
         idle_variables: Those of them that no text uses.
+        effective_variables: Those of them that decide more than the outputs.
         meter: Counts what its stages cost, each time that it is opened.
     """
 
@@ -62,6 +63,7 @@ class Scene:
     preroll: Preroll | None = None
     variables: frozenset[str] = frozenset()
     idle_variables: frozenset[str] = frozenset()
+    effective_variables: frozenset[str] = frozenset()
     meter: Meter = field(default_factory=Meter, compare=False, repr=False)
     systems: tuple[SceneSystem, ...] = ()
 

@@ -205,8 +205,17 @@ def test_scenes_load(project: Path, text: str) -> None:
 @pytest.mark.parametrize("text", WHOLE["batch"])
 def test_batches_load(project: Path, text: str) -> None:
     (project / "one.batch.yaml").write_text(text, "utf-8")
+    (project / "steps.scene.yaml").write_text(
+        "scene: animtool/1\nsource: {file: ${input}}\n"
+        "passes: [{trim: {first: ${first}, last: ${last}}}]\n",
+        "utf-8",
+    )
     found = find_batch(load_batch(project / "one.batch.yaml"))
-    assert {item.output.name for item in found.items} == {"walk.usdc", "stride.usdc"}
+    ends = [""]
+    if found.items[0].values:
+        ends = [f"_{first}_{last}" for first in (1, 5) for last in (20, 30)]
+    wanted = {f"{stem}{end}.usdc" for stem in ("walk", "stride") for end in ends}
+    assert {item.output.name for item in found.items} == wanted
 
 
 def test_the_names_of_inputs_are_listed() -> None:

@@ -36,5 +36,11 @@ RULES = (
     Rule("BAT043", "what is not taken from a timeline as it is", Severity.NOTE),
     Rule("BAT044", "a clip with another speed", Severity.WARNING),
     Rule("BAT045", "frames that media does not have", Severity.WARNING),
+    Rule("BAT060", "a scene that makes the same of all items"),
+    Rule("BAT061", "a table of variants without values"),
+    Rule("BAT062", "a row of variants with other columns"),
+    Rule("BAT063", "a column of variants that cannot be called so"),
+    Rule("BAT064", "a value of a variant that makes no sense"),
+    Rule("BAT065", "too many variants, or none"),
     Rule("BAT046", "a shot called otherwise than its clip", Severity.NOTE),
 )

@@ -1,0 +1,291 @@
+"""Variants of a batch: a table of values, one item a row."""
+
+from __future__ import annotations
+
+import csv
+import io
+import itertools
+import math
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+
+from animtool.documents.document import read_text
+from animtool.documents.names import is_variable_name
+from animtool.errors import Fault, FormatError, OptionError, counted, excerpt
+
+__all__ = [
+    "MAX_VARIANTS",
+    "TOO_MANY",
+    "Variants",
+    "columns_variants",
+    "file_name",
+    "name_problems",
+    "range_values",
+    "read_variants",
+    "value_problem",
+    "values_of_text",
+    "variant_pattern",
+    "variants_of_texts",
+]
+
+# More items than a person means; a slip of a step asks for millions.
+MAX_VARIANTS = 10_000
+# As many faults of a table as a person reads.
+MAX_FAULTS = 100
+TOO_MANY = f"at most {MAX_VARIANTS} variants can be made at a time"
+_RANGE = re.compile(
+    r"(?P<first>[-+]?\d+(?:\.\d+)?)\.\.(?P<last>[^/.][^/]*)(?:/(?P<step>.+))?"
+)
+_NO_FILE_NAME = re.compile(r"[^A-Za-z0-9_.+-]+")
+
+
+@dataclass(frozen=True, slots=True)
+class Variants:
+    """A table of values.
+
+    Attributes:
+        rows: Of each variant, the value of every name, as written.
+        path: The file that it was read from; None where there is none.
+    """
+
+    rows: tuple[Mapping[str, str], ...]
+    path: Path | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of its columns."""
+        return tuple(self.rows[0])
+
+
+def columns_variants(columns: Mapping[str, Sequence[str]]) -> Variants:
+    """Return every combination of the values of columns, the last changing fastest.
+
+    Raises:
+        ValueError: There are none, or too many.
+
+    >>> [row["k"] + row["s"] for row in columns_variants({"k": "12", "s": "ab"}).rows]
+    ['1a', '1b', '2a', '2b']
+    """
+    count = math.prod(map(len, columns.values())) if columns else 0
+    if count == 0:
+        raise ValueError("there is no value")
+    if count > MAX_VARIANTS:
+        raise ValueError(f"{counted(count, 'variant')}: {TOO_MANY}")
+    rows = itertools.product(*columns.values())
+    return Variants(tuple(dict(zip(columns, row, strict=True)) for row in rows))
+
+
+def variants_of_texts(texts: Sequence[str]) -> Variants:
+    """Return every combination of the values of texts such as ``k=1,2,5``.
+
+    Raises:
+        OptionError: A name or a value makes no sense (BAT063, BAT064), or there are
+            too many (BAT065).
+
+    >>> variants_of_texts(["k=1..2", "s=a"]).rows
+    ({'k': '1', 's': 'a'}, {'k': '2', 's': 'a'})
+    """
+    columns: dict[str, list[str]] = {}
+    faults: list[Fault] = []
+    names = [text.partition("=")[0].strip() for text in texts]
+    hint = "write NAME=1,2,5 or NAME=1..20"
+    faults += [
+        Fault("BAT063", f"--vary {texts[i]}: {message}", hint=hint)
+        for i, message in name_problems(names)
+    ]
+    for name, text in zip(names, texts, strict=True):
+        try:
+            columns[name] = values_of_text(text.partition("=")[2])
+        except ValueError as error:
+            faults.append(Fault("BAT064", f"--vary {text}: {error}", hint=hint))
+    if not faults:
+        try:
+            return columns_variants(columns)
+        except ValueError as error:
+            faults.append(Fault("BAT065", f"--vary: {error}"))
+    raise OptionError(faults)
+
+
+def values_of_text(text: str) -> list[str]:
+    """Return the values of a list with commas, in which ranges may be.
+
+    Raises:
+        ValueError: A value or a range makes no sense.
+
+    >>> values_of_text("1..3,10"), values_of_text("0..1/0.25")
+    (['1', '2', '3', '10'], ['0', '0.25', '0.5', '0.75', '1'])
+    """
+    values: list[str] = []
+    for part in (part.strip() for part in text.split(",")):
+        found = _RANGE.fullmatch(part)
+        if found is None:
+            problem = value_problem(part)
+            if problem is not None:
+                raise ValueError(problem)
+            values.append(part)
+        else:
+            values += range_values(found["first"], found["last"], found["step"] or "1")
+    return values
+
+
+def range_values(first: str, last: str, step: str = "1") -> list[str]:
+    """Return the numbers from the first to the last, both included where steps allow.
+
+    Raises:
+        ValueError: One is no number, the step leads away from the last, or there are
+            too many.
+
+    >>> range_values("0", "0.3", "0.1"), range_values("3", "1", "-1")
+    (['0', '0.1', '0.2', '0.3'], ['3', '2', '1'])
+    """
+    begin, end, by = map(_decimal, (first, last, step))
+    if by == 0 or (end - begin) / by < 0:
+        raise ValueError(f"steps of {step} do not lead from {first} to {last}")
+    count = int((end - begin) / by) + 1
+    if count > MAX_VARIANTS:
+        raise ValueError(f"a range of {counted(count, 'value')}: {TOO_MANY}")
+    return [_text(begin + i * by) for i in range(count)]
+
+
+def _decimal(text: str) -> Decimal:
+    try:
+        value = Decimal(text.strip())
+    except InvalidOperation:
+        value = Decimal("nan")
+    # Others have more digits than a float, or than memory.
+    if not value.is_finite() or abs(value.adjusted()) > 300:
+        raise ValueError(f"{excerpt(text)} is not a finite number")
+    return value
+
+
+def _text(value: Decimal) -> str:
+    text = format(value, "f")
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def value_problem(text: str) -> str | None:
+    """Return what is wrong with a value; None where nothing is.
+
+    >>> value_problem("1e-3"), value_problem("nan")
+    (None, "'nan' is not a finite number")
+    """
+    if not text.strip():
+        return "a value is missing"
+    try:
+        number = float(text.strip().removeprefix("."))
+    except ValueError:
+        return None
+    return None if math.isfinite(number) else f"{excerpt(text)} is not a finite number"
+
+
+def name_problems(
+    names: Sequence[str], taken: Collection[str] = ()
+) -> Iterator[tuple[int, str]]:
+    """Yield the columns whose names cannot be used, and why.
+
+    Args:
+        names: Of the columns.
+        taken: Names that mean something else already.
+    """
+    for i, name in enumerate(names):
+        if not is_variable_name(name):
+            shown = excerpt(name) if name else "a column without a name"
+            yield i, f"{shown} is not a name of letters, digits and _"
+        elif name in taken:
+            yield i, f"{name!r} has another meaning here"
+        elif name in names[:i]:
+            yield i, f"there are two columns {name!r}"
+
+
+def variant_pattern(table: Variants | None) -> str:
+    """Return the end of a pattern of files that keeps variants apart.
+
+    >>> variant_pattern(Variants(({"k": "1", "s": "2"},)))
+    '_{k}_{s}'
+    """
+    return "" if table is None else "".join(f"_{{{name}}}" for name in table.names)
+
+
+def file_name(value: str) -> str:
+    """Return a value as a part of a file's name.
+
+    >>> file_name("a/b c"), file_name("../x"), file_name("-0.5")
+    ('a_b_c', '_x', '-0.5')
+    """
+    return _NO_FILE_NAME.sub("_", value).lstrip(".") or "_"
+
+
+def read_variants(path: Path) -> Variants:
+    """Return the table of a CSV file: names in the first line, then a variant a line.
+
+    Columns are separated by commas, in ``.tsv`` files by tabs. Blank lines are skipped.
+
+    Raises:
+        FormatError: With every fault of the file, each with line and column.
+    """
+    separator = "\t" if path.suffix.lower() == ".tsv" else ","
+    lines = list(_lines(read_text(path), separator, path))
+    if len(lines) < 2:
+        message = "has no line of values" if lines else "is empty"
+        hint = "the first line names the columns, each other line is a variant"
+        raise FormatError(Fault("BAT061", message, str(path), (1,), hint))
+    (_, names, places), *rows = lines
+    faults = [
+        Fault("BAT063", message, str(path), (lines[0][0],), column=places[i])
+        for i, message in name_problems(names)
+    ]
+    if len(rows) > MAX_VARIANTS:
+        message = f"{counted(len(rows), 'row')}: {TOO_MANY}"
+        faults.append(Fault("BAT065", message, str(path), (rows[MAX_VARIANTS][0],)))
+        raise FormatError(faults)
+    for line, values, spots in rows:
+        if len(values) != len(names):
+            message = f"{counted(len(values), 'value')} for {len(names)} columns"
+            column = spots[min(len(values) - 1, len(names))]
+            hint = f"columns: {', '.join(names)}"
+            fault = Fault("BAT062", message, str(path), (line,), hint, column=column)
+            faults.append(fault)
+            continue
+        for name, value, column in zip(names, values, spots, strict=True):
+            problem = value_problem(value)
+            if problem is not None:
+                text = f"column {name!r}: {problem}"
+                faults.append(Fault("BAT064", text, str(path), (line,), column=column))
+    if len(faults) > MAX_FAULTS:
+        rest = f"{len(faults) - MAX_FAULTS} more faults are not shown"
+        faults = [*faults[:MAX_FAULTS], Fault("DOC011", rest, str(path))]
+    if faults:
+        raise FormatError(faults)
+    table = (dict(zip(names, values, strict=True)) for _, values, _ in rows)
+    return Variants(tuple(table), path)
+
+
+def _lines(
+    text: str, separator: str, path: Path
+) -> Iterator[tuple[int, list[str], list[int]]]:
+    """Yield the lines of a table that are not blank: number, values, and columns."""
+    for number, line in enumerate(text.replace("\r\n", "\n").split("\n"), 1):
+        if not line.strip(f" {separator}"):
+            continue
+        try:
+            (values,) = csv.reader(io.StringIO(line), delimiter=separator, strict=True)
+        except (csv.Error, ValueError) as error:
+            message = f"cannot be read as a table: {error}"
+            hint = "a quote inside of quotes is written twice; values have no line ends"
+            raise FormatError(
+                Fault("BAT061", message, str(path), (number,), hint, column=1)
+            ) from error
+        yield number, [value.strip() for value in values], _spots(line, separator)
+
+
+def _spots(line: str, separator: str) -> list[int]:
+    """Return the 1-based columns where the values of a line begin."""
+    spots, quoted = [1], False
+    for column, letter in enumerate(line, 2):
+        quoted ^= letter == '"'
+        if letter == separator and not quoted:
+            spots.append(column)
+    return spots

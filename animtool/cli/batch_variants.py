@@ -1,0 +1,58 @@
+"""Variants on the command line of ``animtool batch``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from animtool.cli.options import FILE, Command
+
+if TYPE_CHECKING:
+    from animtool.batch.spec import BatchSpec
+
+__all__ = ["variant_options", "variant_words", "with_variants"]
+
+
+def variant_options(command: Command) -> Command:
+    """Give a command ``--variants`` and ``--vary``."""
+    command = click.option(
+        "--vary",
+        "columns",
+        multiple=True,
+        metavar="NAME=VALUES",
+        help="Make an item for each value of ${NAME} in the scene: values with commas, "
+        "ranges such as 1..20 or 0..1/0.25. Given several times: every combination.",
+    )(command)
+    return click.option(
+        "--variants",
+        "table",
+        type=FILE,
+        metavar="FILE",
+        help="A CSV file of values: names in the first line, an item a line after it.",
+    )(command)
+
+
+def variant_words(given: Mapping[str, Any]) -> list[str]:
+    """Return the options as they were given."""
+    words = [] if given["table"] is None else ["--variants", str(given["table"])]
+    for text in given["columns"]:
+        words += ["--vary", text]
+    return words
+
+
+def with_variants(spec: BatchSpec, given: Mapping[str, Any]) -> BatchSpec:
+    """Return a batch with the variants of a command line, if it has some."""
+    if given["table"] is not None and given["columns"]:
+        raise click.UsageError("--variants and --vary both give values: give one.")
+    if given["table"] is not None:
+        from animtool.batch.variants import read_variants
+
+        return replace(spec, variants=read_variants(given["table"]))
+    if given["columns"]:
+        from animtool.batch.variants import variants_of_texts
+
+        return replace(spec, variants=variants_of_texts(given["columns"]))
+    return spec
