@@ -10,8 +10,9 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError
+from animtool.rates import rate_label
 
-__all__ = ["MOST_FRAMES", "Clock", "time_codes"]
+__all__ = ["MOST_FRAMES", "Clock", "FrameSpan", "frame_label", "time_codes"]
 
 # Days of animation: rather a number that is mistyped.
 MOST_FRAMES = 10_000_000
@@ -84,3 +85,46 @@ class Clock:
     def duration(self) -> Fraction:
         """From the first frame to the last [s]."""
         return self.step * max(0, self.count - 1) / self.fps
+
+    @property
+    def span(self) -> FrameSpan:
+        """First frame, last frame and rate."""
+        last = self.start + self.step * max(0, self.count - 1)
+        return FrameSpan(self.start, last, self.fps)
+
+
+@dataclass(frozen=True, slots=True)
+class FrameSpan:
+    """First and last frame, as reports print them.
+
+    Attributes:
+        first: Time code of the first frame.
+        last: Time code of the last frame.
+        fps: Time codes a second.
+    """
+
+    first: Fraction
+    last: Fraction
+    fps: Fraction
+
+    def __str__(self) -> str:
+        """Return the span as people read it.
+
+        >>> str(FrameSpan(Fraction(1001), Fraction(2017, 2), Fraction(24)))
+        'frames 1001 to 1008.5 at 24 fps'
+        """
+        ends = dict.fromkeys(map(frame_label, (self.first, self.last)))
+        word = "frames" if len(ends) > 1 else "frame"
+        return f"{word} {' to '.join(ends)} at {rate_label(self.fps)}"
+
+
+def frame_label(frame: Fraction) -> str:
+    """Return a time code as people read it.
+
+    >>> frame_label(Fraction(1001)), frame_label(Fraction(5, 3))
+    ('1001', '1.66667')
+    """
+    if frame.denominator == 1:
+        return str(frame)
+    digits = 5 + len(str(int(abs(frame))))
+    return f"{float(frame):.{digits}g}"

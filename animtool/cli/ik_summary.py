@@ -7,9 +7,9 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from animtool.cli.summary import channel_lines
+from animtool.clock import frame_label
 from animtool.errors import counted, listed
 from animtool.ik.report import BEYOND, limit_counts, status_counts
-from animtool.rates import rate_label
 
 if TYPE_CHECKING:
     from animtool.ik.report import GoalReport, Misses
@@ -36,14 +36,9 @@ def ik_text(report: IkReport) -> list[str]:
     clock, problem = solved.take.clock, solved.problem
     frames = len(solved.statuses)
     ends = ", ".join(f"{n} {status}" for status, n in status_counts(solved).items())
-    last = clock.start + clock.step * (clock.count - 1)
-    span = f"frames {float(clock.start):g} to {float(last):g}"
-    if frames == 1:
-        span = f"frame {float(clock.start):g}"
     restarts = int((solved.descents - 1).clip(min=0).sum())
     lines = [
-        f"{solved.tracks.path}: {counted(len(report.goals), 'goal')}, {span} at "
-        f"{rate_label(clock.fps)}",
+        f"{solved.tracks.path}: {counted(len(report.goals), 'goal')}, {report.span}",
         f"  {counted(len(problem.joints), 'joint moves', 'joints move')}, "
         f"{counted(problem.degrees, 'degree')} of freedom for "
         f"{counted(problem.rows, 'condition')}",
@@ -62,6 +57,12 @@ def ik_text(report: IkReport) -> list[str]:
         lines.append(f"  written: {', '.join(map(str, _outputs(report)))}")
         if not hasattr(report.written, "result"):
             lines += [f"    {line}" for line in channel_lines(report.written)]
+        if report.span.first != clock.start or report.span.fps != clock.fps:
+            lines.append(
+                f"  frames of goals and joints are those solved, {clock.span}; "
+                f"frame {frame_label(clock.start)} is written as "
+                f"{frame_label(report.span.first)}"
+            )
     return lines
 
 
@@ -103,8 +104,14 @@ def ik_json(report: IkReport) -> dict[str, object]:
         "targets": str(solved.tracks.path),
         "outputs": _outputs(report),
         "frames": frames,
-        "first": float(clock.start),
-        "fps": str(clock.fps),
+        "first": float(report.span.first),
+        "last": float(report.span.last),
+        "fps": str(report.span.fps),
+        "solved": {
+            "first": float(clock.span.first),
+            "last": float(clock.span.last),
+            "fps": str(clock.span.fps),
+        },
         "joints": list(solved.problem.joints),
         "degrees_of_freedom": solved.problem.degrees,
         "conditions": solved.problem.rows,

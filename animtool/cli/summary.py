@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from animtool.cli.mesh_summary import mesh_json, mesh_text
+from animtool.clock import FrameSpan
 from animtool.errors import counted, listed
 from animtool.rates import rate_label
 from animtool.units import unit_name
@@ -29,10 +29,6 @@ __all__ = [
     "table_json",
     "table_text",
 ]
-
-
-def _number(value: Fraction) -> str:
-    return str(value) if value.denominator == 1 else f"{float(value):.6g}"
 
 
 def _finite(value: float) -> float | None:
@@ -63,7 +59,7 @@ def bake_text(report: BakeReport) -> list[str]:
     if one is not None:
         lines.append(f"  {_frames_text(report, one)}")
     else:
-        lines.append(f"  {len(takes)} takes, {_range_text(report)}")
+        lines.append(f"  {len(takes)} takes, {report.span}")
     lines += [
         f"  {counted(result.joints, 'joint')}, {moving} animated",
         *_beside_text(report),
@@ -88,19 +84,16 @@ def bake_text(report: BakeReport) -> list[str]:
 
 def _frames_text(report: BakeReport, take: TakeReport) -> str:
     """Return what was written of a take, and of what."""
-    written = take.written
-    first, last = _number(written.first), _number(written.last)
-    text = f"{counted(written.samples, 'sample')}, frames {first} to {last}"
-    text += f" at {rate_label(report.fps)}"
-    if take.source_fps != report.fps or take.source_frames != written.samples:
+    written, span = take.written, report.span
+    if written.name:
+        span = FrameSpan(written.first, written.last, span.fps)
+    text = f"{counted(written.samples, 'sample')}, {span}"
+    if take.source_fps != span.fps or take.source_frames != written.samples:
         text += f", from {counted(take.source_frames, 'frame')}"
         text += f" at {rate_label(take.source_fps)}"
+    if take.between:
+        text += f", {take.between} of which fall between frames"
     return text
-
-
-def _range_text(report: BakeReport) -> str:
-    first, last = _number(report.result.first), _number(report.result.last)
-    return f"frames {first} to {last} at {rate_label(report.fps)}"
 
 
 def _rounded_to(take: TakeReport) -> str:
@@ -181,10 +174,10 @@ def bake_json(report: BakeReport) -> dict[str, object]:
         "outputs": [str(path) for path in result.outputs],
         "form": report.form,
         "samples": result.samples,
-        "start": float(result.first),
-        "end": float(result.last),
-        "fps": float(report.fps),
-        "rate": str(report.fps),
+        "start": float(report.span.first),
+        "end": float(report.span.last),
+        "fps": float(report.span.fps),
+        "rate": str(report.span.fps),
         "joints": report.joints,
         "joints_written": result.joints,
         "animated": result.sampled,
@@ -225,6 +218,7 @@ def _take_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
         "source": str(take.source),
         "source_frames": take.source_frames,
         "source_rate": str(take.source_fps),
+        "between_frames": take.between,
         "animation": written.animation,
         **({"beside": written.things} if written.things else {}),
     }
@@ -291,7 +285,7 @@ def output_json(report: BakeReport | ConvertReport) -> dict[str, object]:
 def convert_text(report: ConvertReport) -> list[str]:
     """Return the lines of a summary of a conversion."""
     frames, joints = counted(report.frames, "frame"), counted(report.joints, "joint")
-    lines = [f"{report.output}: {frames}, {joints}"]
+    lines = [f"{report.output}: {frames}, {joints}", f"  {report.span}"]
     if report.reduction is not None:
         made = _reduction_text(report.reduction, report.frames)
         lines += [f"  {line}" for line in made]
@@ -329,6 +323,10 @@ def convert_json(report: ConvertReport) -> dict[str, object]:
         "convert": "animtool/1",
         "output": str(report.output),
         "frames": report.frames,
+        "start": float(report.span.first),
+        "end": float(report.span.last),
+        "fps": float(report.span.fps),
+        "rate": str(report.span.fps),
         "joints": report.joints,
         **_reduction_json(report.reduction),
         **_channels_json(report),

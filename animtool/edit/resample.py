@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -9,10 +10,11 @@ from fractions import Fraction
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
+from animtool.clock import frame_label
 from animtool.edit.frame_range import FrameRange
 from animtool.edit.frames import check_count
 from animtool.edit.places import Places, even_places
-from animtool.errors import Fault, OptionError
+from animtool.errors import Fault, OptionError, Severity
 from animtool.passes import (
     RETIMED_PARTS,
     OptionChecks,
@@ -27,6 +29,7 @@ __all__ = [
     "PASS",
     "ResampleOptions",
     "SampleTimes",
+    "dropped_notice",
     "plan_samples",
     "resampled",
     "sample",
@@ -46,6 +49,9 @@ class SampleTimes:
             lie before the first or behind the last frame.
         frames: Frame of the source at or before each sample ``(N,)``.
         fractions: How far on to the next, in [0, 1) ``(N,)``.
+        between: Number of samples of the source between whole frames of the result
+            that are not kept.
+        dropped: What the source lasts beyond the last whole frame [time codes].
     """
 
     first: Fraction
@@ -53,6 +59,8 @@ class SampleTimes:
     codes: FloatArray
     frames: IntArray
     fractions: FloatArray
+    between: int = 0
+    dropped: Fraction = Fraction(0)
 
 
 def plan_samples(
@@ -98,7 +106,33 @@ def plan_samples(
     order = np.argsort(codes.T.ravel(), kind="stable")
     frames = np.stack([places.frames for places in each]).T.ravel()[order]
     fractions = np.stack([places.fractions for places in each]).T.ravel()[order]
-    return SampleTimes(first, last, codes.T.ravel()[order], frames, fractions)
+    to_the_end = frame_range is None or frame_range.last > start + whole
+    return SampleTimes(
+        first,
+        last,
+        codes.T.ravel()[order],
+        frames,
+        fractions,
+        _between(wanted, ratio, frames[fractions == 0]),
+        span - whole if to_the_end and wanted[-1] == whole else Fraction(0),
+    )
+
+
+def _between(wanted: range, ratio: Fraction, taken: IntArray) -> int:
+    """Return how many samples lie between whole frames, and are not taken.
+
+    Args:
+        wanted: Frames of the result, from that of the first sample.
+        ratio: Samples from one frame to the next.
+        taken: Indices of samples that are kept.
+    """
+    low, high = math.ceil(wanted[0] * ratio), math.floor(wanted[-1] * ratio)
+    inside = np.unique(taken[(taken >= low) & (taken <= high)])
+    # Sample k is on frame k / ratio.
+    each = ratio.numerator
+    on_frames = high // each - (low - 1) // each
+    off_frames = int((inside % each != 0).sum()) if each > 1 else 0
+    return max(0, high - low + 1 - on_frames - off_frames)
 
 
 def _refusal(message: str) -> OptionError:
@@ -148,6 +182,21 @@ def _kept_samples(
     return SampleTimes(first, last, codes, frames, np.zeros(len(frames)))
 
 
+def dropped_notice(dropped: Fraction, fps: Fraction, last: Fraction) -> Fault:
+    """Return the note of a part of a frame that is left out at the end of a take.
+
+    Args:
+        dropped: How long it is > 0 [time codes].
+        fps: Time codes a second.
+        last: Time code of the last frame that is kept.
+    """
+    message = (
+        f"the take ends {float(dropped):.3g} frames ({float(dropped / fps):.3g} s) "
+        f"after its last whole frame, {frame_label(last)}; that part is left out"
+    )
+    return Fault("TAKE006", message, severity=Severity.NOTE)
+
+
 def sample(take: Take, times: SampleTimes) -> Iterator[tuple[FloatArray, Motion]]:
     """Yield time codes and motion at sample times, block by block.
 
@@ -165,6 +214,8 @@ def sample(take: Take, times: SampleTimes) -> Iterator[tuple[FloatArray, Motion]
 def resampled(take: Take, fps: Fraction | float | str) -> Take:
     """Return the take with a sample on every time code at another rate.
 
+    What the take lasts after its last whole frame is left out, and noted (TAKE006).
+
     Args:
         take: F frames.
         fps: Frames a second, such as 24, ``"23.976"`` or ``Fraction(24000, 1001)``.
@@ -178,7 +229,10 @@ def resampled(take: Take, fps: Fraction | float | str) -> Take:
     times = plan_samples(take.clock, fps, take.clock.start)
     motion = Motion.concatenate([block for _, block in sample(take, times)])
     clock = Clock(fps, take.clock.start, Fraction(1), motion.frames)
-    return replace(take, clock=clock, motion=motion)
+    notices = take.notices
+    if times.dropped:
+        notices = (*notices, dropped_notice(times.dropped, fps, times.last))
+    return replace(take, clock=clock, motion=motion, notices=notices)
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,8 +247,12 @@ class ResampleOptions:
     fps: str | float | None = None
 
 
-def _run(take: Take, options: ResampleOptions, _: PassContext) -> Take:
-    return take if options.fps is None else resampled(take, options.fps)
+def _run(take: Take, options: ResampleOptions, context: PassContext) -> Take:
+    if options.fps is None:
+        return take
+    found = resampled(take, options.fps)
+    context.notices.extend(found.notices[len(take.notices) :])
+    return found
 
 
 def _checks(options: ResampleOptions) -> OptionChecks:

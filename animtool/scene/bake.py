@@ -19,7 +19,7 @@ from animtool.output import size_of
 from animtool.prefetch import prefetch
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
-from animtool.scene.frames import moving_joints, timed_blocks
+from animtool.scene.frames import TimedTake, moving_joints, timed_blocks
 from animtool.scene.options import BakeOptions
 from animtool.scene.plan import BakePlan, plan_bake, rig_paths
 from animtool.scene.progress import Progress
@@ -130,7 +130,6 @@ def run_bake(plan: BakePlan, *, progress: Progress = None) -> BakeReport:
         ],
         result,
         f"{plan.form} ({plan.reason})",
-        plan.fps,
         len(plan.takes[0].stream.rig.joints),
         job.meters_per_unit,
         job.rig.up.value,
@@ -205,9 +204,7 @@ class _TakeRun:
         self.frames = 0
         self.seconds = 0.0
         self.thinned: Thinned | None = None
-        self._opened: (
-            tuple[TimedBlocks, tuple[Fraction, Fraction] | None, Rig] | None
-        ) = None
+        self._opened: TimedTake | None = None
 
     def open(self) -> Rig:
         """Return the rig at rest, with the source's frames at the output's times."""
@@ -216,9 +213,10 @@ class _TakeRun:
         if self._watch is None:
             self._opened = timed_blocks(self.plan, counted)
         else:
-            timed, frames, rig = timed_blocks(self.plan, self._watch.read(counted))
-            self._opened = self._watch.written(timed), frames, rig
-        return self._opened[2]
+            opened = timed_blocks(self.plan, self._watch.read(counted))
+            watched = self._watch.written(opened.blocks)
+            self._opened = replace(opened, blocks=watched)
+        return self._opened.rig
 
     def prepare(self, rig: Rig) -> tuple[UsdTake, TimedBlocks]:
         """Return what the writer is told of the take, and its frames.
@@ -229,7 +227,7 @@ class _TakeRun:
         if self._opened is None:
             self.open()
         assert self._opened is not None
-        timed, frames, _ = self._opened
+        timed, frames = self._opened.blocks, self._opened.frames
         plan, options, mapping = self.plan, self.plan.options, self.plan.mapping
         chosen, beside = None, None
         if plan.stream.tracks:
@@ -269,6 +267,7 @@ class _TakeRun:
     ) -> TakeReport:
         """Return what became of the take, and of what is simulated beside it."""
         plan, stream, thinned = self.plan, self.plan.stream, self.thinned
+        times = None if self._opened is None else self._opened.times
         return TakeReport(
             plan.source,
             written,
@@ -282,6 +281,7 @@ class _TakeRun:
             "" if thinned is None else job.rig.names[thinned.joint],
             meshes=[] if systems is None else systems.reports,
             simulated=stream.simulated + ([] if systems is None else systems.simulated),
+            between=0 if times is None else times.between,
         )
 
     def time(self, blocks: Iterator[WrittenBlock]) -> Iterator[WrittenBlock]:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from animtool.clock import Clock, FrameSpan
 from animtool.documents.versions import KINDS
 from animtool.errors import Fault, OptionError, Severity, listed, refuse_warnings
 from animtool.files import seen_from
@@ -40,6 +42,7 @@ class ConvertReport:
 
     Attributes:
         output: The file written.
+        span: First frame, last frame and rate, as the file has them.
         frames: Frames written.
         joints: Joints written.
         notices: Warnings and notes.
@@ -48,6 +51,7 @@ class ConvertReport:
     """
 
     output: Path
+    span: FrameSpan
     frames: int
     joints: int
     notices: list[Fault]
@@ -128,12 +132,15 @@ def convert(
     if take.clock.step > 1:
         take = resampled(take, take.clock.fps)
     text = write_bvh(take)
-    notices = stream.notices + text.notices
+    noted = [notice for notice in take.notices if notice not in stream.notices]
+    notices = stream.notices + noted + text.notices
     refuse_warnings(notices, strict=strict)
     _write(output, text.parts)
-    return ConvertReport(
-        output, take.clock.count, len(take.rig.joints), notices, files=[output]
-    )
+    count = take.clock.count
+    # A BVH numbers no frames; whatever reads it begins with the first.
+    span = Clock(take.clock.rate, Fraction(1), Fraction(1), count).span
+    joints = len(take.rig.joints)
+    return ConvertReport(output, span, count, joints, notices, files=[output])
 
 
 def convert_outputs(output: Path, rig_file: Path | None = None) -> list[Path]:
@@ -242,6 +249,7 @@ def _to_clip(
     files += [output] if keys.rig_file is not None else [rig_path, output]
     return ConvertReport(
         output,
+        FrameSpan(made.clip.first, made.clip.last, made.clip.fps),
         take.clock.count,
         len(rig.joints),
         [*stream.notices, *made.notices, *_left_out(take)],
@@ -320,6 +328,7 @@ def _to_usd(
     report = bake(source, output, settings, progress=progress, opener=opener)
     return ConvertReport(
         output,
+        report.span,
         report.result.samples,
         report.joints,
         report.notices,

@@ -3,39 +3,66 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray
+from animtool.clock import frame_label
 from animtool.edit.frame_range import FrameRange
-from animtool.edit.resample import SampleTimes, plan_samples, sample
+from animtool.edit.resample import (
+    SampleTimes,
+    dropped_notice,
+    plan_samples,
+    sample,
+)
 from animtool.errors import Fault, OptionError, Severity
 from animtool.rig.skeleton import Rig
 from animtool.scene.take_plan import TakePlan
 from animtool.take import Clock, Motion, Take, TakeStream, time_codes
 
-__all__ = ["moving_joints", "timed_blocks"]
+__all__ = ["TimedTake", "moving_joints", "timed_blocks"]
 
 
-def timed_blocks(
-    plan: TakePlan, stream: TakeStream
-) -> tuple[Iterator[tuple[FloatArray, Motion]], tuple[Fraction, Fraction] | None, Rig]:
-    """Return time codes with motions, first and last frame, and the rig at rest.
+@dataclass(frozen=True, slots=True)
+class TimedTake:
+    """A take at the times of an output.
+
+    Attributes:
+        blocks: Time codes and motions.
+        rig: At rest.
+        times: When the source is sampled; None where its own samples are written.
+    """
+
+    blocks: Iterator[tuple[FloatArray, Motion]]
+    rig: Rig
+    times: SampleTimes | None = None
+
+    @property
+    def frames(self) -> tuple[Fraction, Fraction] | None:
+        """First and last frame, where known before the blocks are read."""
+        return None if self.times is None else (self.times.first, self.times.last)
+
+
+def timed_blocks(plan: TakePlan, stream: TakeStream) -> TimedTake:
+    """Return a take at the times of the output.
 
     The blocks stream through where each sample of the source is a sample of the
     output; otherwise the take is gathered and sampled anew.
     """
     options = plan.options
+    # A rate that is asked for puts a sample on each frame.
+    on_frames = options.fps is None or options.keep_samples or stream.step == 1
     as_is = (
         plan.fps == stream.fps
+        and on_frames
         and not options.samples
         and options.frame_range is None
         and options.rest_frame is None
     )
     if as_is:
-        return _streamed(plan, stream), None, stream.rig
+        return TimedTake(_streamed(plan, stream), stream.rig)
     if stream.curve is not None and options.rest_frame is None:
         return _sampled(plan, stream, stream.curve)
     take = stream.collect()
@@ -47,16 +74,16 @@ def timed_blocks(
         offsets=options.samples,
         keep_samples=options.keep_samples,
     )
-    plan.notices.extend(_cut_notice(plan, times))
+    plan.notices.extend([*_cut_notice(plan, times), *_end_notices(plan, times)])
     rig = take.rig
     if options.rest_frame is not None:
         rig = _with_rest(plan, take, options.rest_frame)
-    return sample(take, times), (times.first, times.last), rig
+    return TimedTake(sample(take, times), rig, times)
 
 
 def _sampled(
     plan: TakePlan, stream: TakeStream, curve: Callable[[FloatArray], Motion]
-) -> tuple[Iterator[tuple[FloatArray, Motion]], tuple[Fraction, Fraction] | None, Rig]:
+) -> TimedTake:
     """Evaluate a source that is a function of time at the output's own times."""
     options = plan.options
     first = Fraction(1) if stream.start is None else stream.start
@@ -69,7 +96,7 @@ def _sampled(
         offsets=options.samples,
         keep_samples=options.keep_samples,
     )
-    plan.notices.extend(_cut_notice(plan, times))
+    plan.notices.extend([*_cut_notice(plan, times), *_end_notices(plan, times)])
     # Exact on the source's frames; samples before its first or behind its last are
     # not on its grid.
     inside = times.frames + times.fractions
@@ -78,7 +105,7 @@ def _sampled(
     outside = (beyond < 0) | (beyond > clock.count - 1)
     places = np.where(outside, beyond, inside)
     motion = curve(float(first) + places * float(stream.step))
-    return iter([(times.codes, motion)]), (times.first, times.last), stream.rig
+    return TimedTake(iter([(times.codes, motion)]), stream.rig, times)
 
 
 def _streamed(
@@ -112,6 +139,26 @@ def _cut_notice(plan: TakePlan, times: SampleTimes) -> list[Fault]:
         f"{float(times.first):g} to {float(times.last):g} are written"
     )
     return [Fault("CLI101", message, str(plan.source), severity=Severity.WARNING)]
+
+
+def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
+    """Name what lies between the last frame written and the end asked for."""
+    where, wanted = str(plan.source), plan.options.frame_range
+    notices = []
+    if times.dropped:
+        found = dropped_notice(times.dropped, plan.fps, times.last)
+        notices.append(replace(found, path=where, hint="--keep-samples writes it"))
+    if wanted is None or plan.options.cut is not None:
+        return notices
+    ends = f"{frame_label(times.first)} to {frame_label(times.last)}"
+    off_step = (wanted.last - wanted.first) % wanted.step != 0
+    off_samples = times.first > wanted.first or times.last < wanted.last
+    if off_step or (plan.options.keep_samples and off_samples):
+        text = f"{wanted.first}-{wanted.last}"
+        text += f"x{wanted.step}" if wanted.step > 1 else ""
+        message = f"--range {text} has no sample at its ends; {ends} are written"
+        notices.append(Fault("CLI105", message, where, severity=Severity.NOTE))
+    return notices
 
 
 def _lacking(

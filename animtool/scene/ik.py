@@ -11,6 +11,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from animtool.clock import FrameSpan
 from animtool.config import project_roots
 from animtool.errors import (
     Fault,
@@ -116,6 +117,13 @@ class IkReport:
     notices: list[Fault]
     seconds: dict[str, float]
     written: BakeReport | ConvertReport | None = None
+
+    @property
+    def span(self) -> FrameSpan:
+        """Frames of what was written, or of what was solved where nothing was."""
+        return (
+            self.solved.take.clock.span if self.written is None else self.written.span
+        )
 
 
 class MissedGoalsError(ToleranceError):

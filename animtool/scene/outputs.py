@@ -212,8 +212,9 @@ def _on_clock(plan: TakePlan) -> Take:
     plain = BakeOptions(
         fps=options.fps, frame_range=options.frame_range, cut=options.cut
     )
-    timed, frames, rig = timed_blocks(replace(plan, options=plain), plan.stream)
-    motions: Sequence[Motion] = [motion for _, motion in timed]
+    timed = timed_blocks(replace(plan, options=plain), plan.stream)
+    frames, rig = timed.frames, timed.rig
+    motions: Sequence[Motion] = [motion for _, motion in timed.blocks]
     motion = Motion.concatenate(list(motions))
     step = plan.stream.step * plan.fps / plan.stream.fps
     if frames is not None:

@@ -17,14 +17,14 @@ from animtool.output import size_of, together
 from animtool.prefetch import prefetch
 from animtool.rig.kinematics import rest_size
 from animtool.scene.deform import Character, PointStream
-from animtool.scene.frames import timed_blocks
+from animtool.scene.frames import TimedTake, timed_blocks
 from animtool.scene.plan import BakePlan
 from animtool.scene.report import BakeReport, MeshReport, TakeReport
 from animtool.take import Motion
 from animtool.units import UpAxis
 from animtool.usd.animation import Rounding
 from animtool.usd.beside import Beside, author_things, thing_places
-from animtool.usd.jobs import UsdResult, WrittenTake
+from animtool.usd.jobs import UsdResult, WrittenTake, layer_span
 from animtool.usd.names import legal_name
 from animtool.usd.paths import RigPaths
 from animtool.usd.point_cache import (
@@ -76,8 +76,9 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
     """
     began = time.perf_counter()
     stream, frames = plan.takes[0].stream, _Frames()
-    timed, span = _timed(plan, frames)
-    job, character, spaces = _job(plan, character, span)
+    opened = _timed(plan, frames)
+    timed = opened.blocks
+    job, character, spaces = _job(plan, character, opened.frames)
     beside = Beside(stream.tracks)
     if stream.tracks:
         timed = beside.watched(timed)
@@ -100,7 +101,7 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
         made = _write(plan, job, ahead, check)
     authored = made.authored - began
     seconds = {"read": sum(points.seconds), "author": authored}
-    result = _result(job, made, frames.samples)
+    result = _result(made, frames.samples)
     result.takes[0].things = things
     seconds["total"] = time.perf_counter() - began
     seconds["save"] = seconds["total"] - seconds["author"]
@@ -114,7 +115,6 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
         [report],
         result,
         f"point caches as a {plan.form} ({plan.reason})",
-        plan.fps,
         len(stream.rig.joints),
         job.meters_per_unit,
         job.up.value,
@@ -124,17 +124,14 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
     )
 
 
-def _timed(
-    plan: BakePlan, frames: _Frames
-) -> tuple[Iterator[tuple[FloatArray, Motion]], tuple[Fraction, Fraction] | None]:
-    """Return what is to be written with its time codes, and their span where known."""
+def _timed(plan: BakePlan, frames: _Frames) -> TimedTake:
+    """Return what is to be written with its time codes."""
     take = plan.takes[0]
     stream = replace(take.stream, blocks=frames.of_source(take.stream.blocks))
     if plan.beside is None:
-        timed, span, _ = timed_blocks(take, stream)
-        return timed, span
-    timed, span, _ = timed_blocks(take, plan.beside.watch.read(stream))
-    return plan.beside.watch.written(timed), span
+        return timed_blocks(take, stream)
+    timed = timed_blocks(take, plan.beside.watch.read(stream))
+    return replace(timed, blocks=plan.beside.watch.written(timed.blocks))
 
 
 def _author_beside(
@@ -300,17 +297,16 @@ def _layer_job(
     return job, character, [part.space for part in target.prims]
 
 
-def _result(job: CacheJob, made: _Written, samples: int) -> UsdResult:
-    layer = made.layer
-    first, last = job.frames or (layer.startTimeCode, layer.endTimeCode)
+def _result(made: _Written, samples: int) -> UsdResult:
+    span = layer_span(made.layer)
     worst = max(made.meshes, key=lambda mesh: mesh.error)
     sampled = [name for mesh in made.meshes for name in mesh.sampled]
     take = WrittenTake(
         "",
         samples=samples,
-        first=Fraction(first),
-        last=Fraction(last),
+        first=span.first,
+        last=span.last,
         sampled=list(dict.fromkeys(sampled)),
         rounding=Rounding(worst.error, worst.error_code),
     )
-    return UsdResult(made.outputs, made.size, [take])
+    return UsdResult(span, made.outputs, made.size, [take])

@@ -7,6 +7,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from animtool.clock import FrameSpan
 from animtool.errors import Fault
 from animtool.usd.jobs import UsdResult, WrittenTake
 
@@ -56,6 +57,7 @@ class TakeReport:
         meshes: What was written of each mesh, where it was deformed.
         meshes_of: Whose meshes they are.
         simulated: What became of each thing that was simulated, as plain values.
+        between: Samples of the source that fall between the frames written.
     """
 
     source: Path
@@ -71,6 +73,7 @@ class TakeReport:
     meshes: list[MeshReport] = field(default_factory=list)
     meshes_of: str = ""
     simulated: list[dict[str, object]] = field(default_factory=list)
+    between: int = 0
 
 
 @dataclass(slots=True)
@@ -81,7 +84,6 @@ class BakeReport:
         takes: What became of every source, at least one.
         result: What was written.
         form: Stage, split or layer, and why.
-        fps: Time codes a second of the output.
         joints: Joints of the first source.
         meters_per_unit: Unit of the output [m].
         up: Its up axis.
@@ -93,13 +95,22 @@ class BakeReport:
     takes: list[TakeReport]
     result: UsdResult
     form: str
-    fps: Fraction
     joints: int
     meters_per_unit: float
     up: str
     size: float
     notices: list[Fault]
     seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def span(self) -> FrameSpan:
+        """First frame, last frame and rate that the written layer states."""
+        return self.result.span
+
+    @property
+    def fps(self) -> Fraction:
+        """Time codes a second of the output."""
+        return self.span.fps
 
     @property
     def worst(self) -> TakeReport:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +10,7 @@ from typing import Any
 
 from pxr import Sdf
 
+from animtool.errors import Fault
 from animtool.maths.curves import Curves
 from animtool.rig.surfaces import surfaces_of
 from animtool.usd.animation import AnimationWriter
@@ -20,6 +21,7 @@ from animtool.usd.jobs import (
     UsdResult,
     UsdTake,
     WrittenTake,
+    layer_span,
 )
 from animtool.usd.layers import (
     StageMetadata,
@@ -46,7 +48,7 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
     outputs = output_paths(suffix, job.form)
     animation = new_layer(outputs[1 if job.form is Form.SPLIT else 0])
     authored = Authored(animation)
-    result = UsdResult()
+    notices: list[Fault] = []
     if job.form is not Form.LAYER:
         authored.rig = new_layer(outputs[0]) if job.form is Form.SPLIT else animation
     with Sdf.ChangeBlock():
@@ -61,7 +63,6 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
                 _, notices = author_meshes(
                     authored.rig, surfaces, job.paths, tokens, job.meters_per_unit
                 )
-                result.notices += notices
                 authored.visible = True
             if job.bones:
                 from animtool.usd.bones import author_bones
@@ -73,9 +74,10 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
             _author_take(job, authored, take, first=not i)
             for i, take in enumerate(takes)
         ]
-        result.takes = [part.written for part in parts]
-        result.notices += [n for part in parts for n in part.written.notices]
-        _author_metadata(job, authored, result)
+        written = [part.written for part in parts]
+        _author_metadata(job, authored, written)
+    notices += [notice for take in written for notice in take.notices]
+    result = UsdResult(layer_span(animation), takes=written, notices=notices)
     for part in parts:
         if part.curves:
             from animtool.usd.curves import author_controls
@@ -209,7 +211,7 @@ def write_usd(
     if job.form is Form.SPLIT:
         root = new_layer(job.output)
         root.subLayerPaths = [f"./{path.name}" for path in result.outputs[1::-1]]
-        author_metadata(root, _metadata(job, result))
+        author_metadata(root, _metadata(job, result.takes))
         layers = [authored.rig, authored.animation, root]
     with _quietly(result):
         for layer, path in zip(layers, result.outputs, strict=True):
@@ -223,16 +225,19 @@ def _quietly(result: UsdResult) -> AbstractContextManager[None]:
     return without_version_warnings() if newer else nullcontext()
 
 
-def _metadata(job: UsdJob, result: UsdResult) -> StageMetadata:
+def _metadata(job: UsdJob, takes: Sequence[WrittenTake]) -> StageMetadata:
     default = Sdf.Path(job.paths.model).GetPrefixes()[0].name
     unit, up = job.meters_per_unit, job.rig.up
     if job.target is not None:
         unit, up = job.target.unit, job.target.up
-    return StageMetadata(default, job.fps, result.first, result.last, unit, up)
+    first, last = min(t.first for t in takes), max(t.last for t in takes)
+    return StageMetadata(default, job.fps, first, last, unit, up)
 
 
-def _author_metadata(job: UsdJob, authored: Authored, result: UsdResult) -> None:
-    metadata = _metadata(job, result)
+def _author_metadata(
+    job: UsdJob, authored: Authored, takes: Sequence[WrittenTake]
+) -> None:
+    metadata = _metadata(job, takes)
     author_metadata(authored.animation, metadata)
     if authored.rig is not None and authored.rig is not authored.animation:
         author_metadata(authored.rig, metadata)

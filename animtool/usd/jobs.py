@@ -6,16 +6,19 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from animtool._types import BoolArray
+from animtool.clock import FrameSpan
 from animtool.errors import Fault
 from animtool.maths.curves import Curves
+from animtool.rates import rate_from_float
 from animtool.rig.skeleton import Rig
 from animtool.usd.animation import Rounding, WrittenBlock
 from animtool.usd.forms import Form
 from animtool.usd.names import UsdNames
 from animtool.usd.paths import RigPaths
+from animtool.usd.sample_grid import time_fraction
 
 if TYPE_CHECKING:
     from animtool.usd.beside import Beside
@@ -27,6 +30,7 @@ __all__ = [
     "UsdResult",
     "UsdTake",
     "WrittenTake",
+    "layer_span",
 ]
 
 
@@ -121,17 +125,28 @@ class WrittenTake:
     notices: list[Fault] = field(default_factory=list)
 
 
+def layer_span(layer: Any) -> FrameSpan:
+    """Return the frames that a layer states, as reports print them."""
+    return FrameSpan(
+        time_fraction(layer.startTimeCode),
+        time_fraction(layer.endTimeCode),
+        rate_from_float(layer.timeCodesPerSecond),
+    )
+
+
 @dataclass(slots=True)
 class UsdResult:
     """What was written.
 
     Attributes:
+        span: First frame, last frame and rate that the written layer states.
         outputs: The files.
         bytes: Their size.
         takes: Each animation, at least one.
         notices: Warnings and notes of `animtool.usd.write`.
     """
 
+    span: FrameSpan
     outputs: list[Path] = field(default_factory=list)
     bytes: int = 0
     takes: list[WrittenTake] = field(default_factory=list)
@@ -141,16 +156,6 @@ class UsdResult:
     def samples(self) -> int:
         """Number of time samples of all takes."""
         return sum(take.samples for take in self.takes)
-
-    @property
-    def first(self) -> Fraction:
-        """Time code of the first frame of any take."""
-        return min(take.first for take in self.takes)
-
-    @property
-    def last(self) -> Fraction:
-        """Time code of the last frame of any take."""
-        return max(take.last for take in self.takes)
 
     @property
     def sampled(self) -> list[str]:

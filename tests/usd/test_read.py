@@ -200,7 +200,7 @@ def test_a_take_on_twos_keeps_its_time_codes(tmp_path: Path) -> None:
     slow.write_text(small_bvh(random_rows(13), frame_time="0.0416667"))
     bake(slow, tmp_path / "twos.usda", options)
     report = bake(tmp_path / "twos.usda", tmp_path / "again.usda")
-    assert (report.fps, report.result.first, report.result.last) == (24, 1, 13)
+    assert (report.fps, report.span.first, report.span.last) == (24, 1, 13)
     anim = [
         Sdf.Layer.FindOrOpen(str(tmp_path / name)).ListTimeSamplesForPath(path)
         for name, path in (

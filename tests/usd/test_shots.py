@@ -355,7 +355,7 @@ def test_offsets_of_the_rig_do_not_touch_the_layer(
     codes = np.arange(2012.0, 2032.0)
     assert_near(played(shot, f"{prim}/Rig", codes), own((codes - 10) / 2))
     report = layer_for(take, shot, prim)
-    assert (report.result.first, report.fps) == (1009, 30)
+    assert (report.span.first, report.fps) == (1009, 30)
     shot.write_text(head(beside) + text)
     stage = Usd.Stage.Open(str(shot))
     stage.Reload()
@@ -386,7 +386,7 @@ def test_a_shot_of_another_rate_and_start_with_offsets(
     shifted = "@./rig.usda@ (offset = -400; scale = 3)"
     shot.write_text(head(shifted, start=17, rate=15))
     report = layer_for(take, shot)
-    assert (report.result.first, report.result.last) == (17, 21)
+    assert (report.span.first, report.span.last) == (17, 21)
     assert report.fps == Fraction(15)
     top = tmp_path / "top.usda"
     top.write_text(head("@./layer.usda@, @./shot.usda@", start=17, rate=15))

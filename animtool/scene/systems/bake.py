@@ -21,7 +21,7 @@ from animtool.scene.systems.run import SystemRun, write_systems
 from animtool.units import UpAxis
 from animtool.usd.animation import Rounding
 from animtool.usd.forms import Form
-from animtool.usd.jobs import UsdResult, WrittenTake
+from animtool.usd.jobs import UsdResult, WrittenTake, layer_span
 from animtool.usd.layers import StageMetadata, check_prim_path
 from animtool.usd.names import legal_name
 from animtool.usd.simulated import SimulatedJob, simulated_layer
@@ -179,12 +179,12 @@ def run_system_bake(plan: SystemPlan, *, progress: Progress = None) -> BakeRepor
         simulated=run.simulated,
     )
     outputs = [*made.files, *([] if plan.output is None else [plan.output])]
+    size = sum(sizes) + sum(map(size_of, made.files))
     spent = sum(run.seconds)
     return BakeReport(
         [report],
-        UsdResult(outputs, sum(sizes) + sum(map(size_of, made.files)), [take]),
+        UsdResult(layer_span(layer), outputs, size, [take]),
         f"{Form.STAGE} (it is simulated)",
-        metadata.fps,
         0,
         metadata.meters_per_unit,
         metadata.up.value,

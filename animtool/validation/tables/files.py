@@ -24,6 +24,7 @@ RULES = (
         "`--physics` writes a rig, and its source has motion, which is left out",
         Severity.NOTE,
     ),
+    Rule("CLI105", "a `--range` whose ends have no sample", Severity.NOTE),
     Rule("DOC001", "no YAML, or a number too long"),
     Rule("DOC002", "an anchor or alias"),
     Rule("DOC003", "a tag"),

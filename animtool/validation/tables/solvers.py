@@ -52,4 +52,5 @@ RULES = (
     ),
     Rule("TAKE004", "in Python: a take with a value that is not finite"),
     Rule("TAKE005", "in Python: a rotation that is no unit quaternion"),
+    Rule("TAKE006", "a part of a frame at the end of a take", Severity.NOTE),
 )
