@@ -12,10 +12,19 @@ from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError
 from animtool.rates import rate_label
 
-__all__ = ["MOST_FRAMES", "Clock", "FrameSpan", "frame_label", "time_codes"]
+__all__ = [
+    "MOST_FRAMES",
+    "Clock",
+    "FrameSpan",
+    "frame_label",
+    "time_codes",
+    "time_fraction",
+]
 
 # Days of animation: rather a number that is mistyped.
 MOST_FRAMES = 10_000_000
+# Time codes are doubles of fractions such as 1001 + 1/5: this finds them again.
+LARGEST_STEP_DENOMINATOR = 10_000
 
 
 def time_codes(start: Fraction, step: Fraction, count: int) -> FloatArray:
@@ -31,6 +40,15 @@ def time_codes(start: Fraction, step: Fraction, count: int) -> FloatArray:
     if max(abs(first), abs(first + each * count), common) < 2**53:
         return (first + each * np.arange(count, dtype=np.int64)) / float(common)
     return np.array([float(start + i * step) for i in range(count)])
+
+
+def time_fraction(time: float) -> Fraction:
+    """Return the fraction that a time code of a file stands for.
+
+    >>> time_fraction(1001.2)
+    Fraction(5006, 5)
+    """
+    return Fraction(time).limit_denominator(LARGEST_STEP_DENOMINATOR)
 
 
 @dataclass(frozen=True, slots=True)

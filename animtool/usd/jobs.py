@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from animtool._types import BoolArray
-from animtool.clock import FrameSpan
+from animtool.clock import FrameSpan, time_fraction
 from animtool.errors import Fault
 from animtool.maths.curves import Curves
 from animtool.rates import rate_from_float
@@ -18,7 +18,6 @@ from animtool.usd.animation import Rounding, WrittenBlock
 from animtool.usd.forms import Form
 from animtool.usd.names import UsdNames
 from animtool.usd.paths import RigPaths
-from animtool.usd.sample_grid import time_fraction
 
 if TYPE_CHECKING:
     from animtool.usd.beside import Beside
@@ -151,6 +150,16 @@ class UsdResult:
     bytes: int = 0
     takes: list[WrittenTake] = field(default_factory=list)
     notices: list[Fault] = field(default_factory=list)
+
+    @property
+    def first(self) -> Fraction:
+        """Time code of the first frame of any take."""
+        return self.span.first
+
+    @property
+    def last(self) -> Fraction:
+        """Time code of the last frame of any take."""
+        return self.span.last
 
     @property
     def samples(self) -> int:

@@ -12,6 +12,7 @@ import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray, IntArray
+from animtool.clock import time_fraction
 from animtool.errors import Fault, FormatError, Severity, counted, excerpt, listed
 from animtool.maths import so3
 from animtool.rates import rate_from_float
@@ -40,7 +41,7 @@ from animtool.usd.rig_prims import (
     skeleton_rig,
     up_axis,
 )
-from animtool.usd.sample_grid import SampleGrid, sample_grid, time_fraction
+from animtool.usd.sample_grid import SampleGrid, sample_grid
 
 __all__ = ["read_usd"]
 

@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.clock import time_fraction
 from animtool.errors import Fault, FormatError
 from animtool.usd.library import take_range
 
-__all__ = ["SampleGrid", "sample_grid", "time_fraction"]
+__all__ = ["SampleGrid", "sample_grid"]
 
-# Time codes are doubles of fractions such as 1001 + 1/5: this finds them again.
-LARGEST_STEP_DENOMINATOR = 10_000
 # Sub-frame samples about each frame make a grid finer than the samples; beyond this
 # it is no grid but a curve's own keys.
 FINEST_GRID = 8
@@ -174,15 +173,6 @@ def _from_stated(grid: SampleGrid, span: _Span) -> SampleGrid:
     if early.denominator != 1 or early >= grid.count:
         return grid
     return replace(grid, start=start, count=grid.count - int(early))
-
-
-def time_fraction(time: float) -> Fraction:
-    """Return the fraction that a time code of a stage stands for.
-
-    >>> time_fraction(1001.2)
-    Fraction(5006, 5)
-    """
-    return Fraction(time).limit_denominator(LARGEST_STEP_DENOMINATOR)
 
 
 def _common_divisor(gaps: set[Fraction]) -> Fraction:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
+from animtool.clock import time_fraction
 from animtool.errors import Fault, Severity, listed
 from animtool.rates import rate_from_float
 from animtool.units import unit_name
@@ -21,7 +22,6 @@ from animtool.usd.rig_prims import (
     open_stage,
     up_axis,
 )
-from animtool.usd.sample_grid import time_fraction
 from animtool.usd.stderr import without_usd_warnings
 
 __all__ = ["ChunkSet", "PointPrim", "PointStage", "moved_points", "read_points"]

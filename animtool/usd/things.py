@@ -13,6 +13,7 @@ import numpy as np
 from pxr import Usd, UsdGeom
 
 from animtool._types import BoolArray, FloatArray
+from animtool.clock import time_fraction
 from animtool.errors import Fault, FormatError, OptionError, excerpt
 from animtool.maths import so3
 from animtool.rates import rate_from_float
@@ -21,7 +22,6 @@ from animtool.units import UpAxis, up_from_up
 from animtool.usd.layers import usd_errors
 from animtool.usd.prims import find_prim, nearest_prim
 from animtool.usd.rig_prims import decompose, open_stage, up_axis
-from animtool.usd.sample_grid import time_fraction
 
 __all__ = ["ThingSource", "Wanted", "open_thing"]
 
