@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from animtool._types import IntArray
+from animtool._types import FloatArray, IntArray
 
 __all__ = [
     "distinct_pairs",
@@ -13,6 +13,7 @@ __all__ = [
     "of_one_edge",
     "sides",
     "triangulated",
+    "vertex_normals",
 ]
 
 
@@ -109,3 +110,30 @@ def triangulated(counts: IntArray, indices: IntArray) -> IntArray:
     return np.stack(
         [indices[starts], indices[starts + turn + 1], indices[starts + turn + 2]], 1
     )
+
+
+def vertex_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
+    """Return the unit normal at each vertex ``(N, 3)``, faces weighted by area.
+
+    A vertex without a face, or with faces that cancel out, has the z axis.
+
+    Args:
+        points: ``(N, 3)``.
+        triangles: Vertices of each, counter-clockwise from outside ``(T, 3)``.
+
+    >>> vertex_normals(np.eye(3)[[0, 1, 1]] * [[1], [1], [0]], np.array([[2, 0, 1]]))
+    array([[0., 0., 1.],
+           [0., 0., 1.],
+           [0., 0., 1.]])
+    """
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    areas = np.repeat(np.cross(b - a, c - a), 3, axis=0)
+    corners, count = triangles.reshape(-1), len(points)
+    sums = np.stack(
+        [np.bincount(corners, areas[:, axis], count) for axis in range(3)], axis=1
+    )
+    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+    flat = lengths[:, 0] <= np.finfo(np.float64).tiny
+    normals: FloatArray = sums / np.where(flat[:, None], 1.0, lengths)
+    normals[flat] = (0.0, 0.0, 1.0)
+    return normals

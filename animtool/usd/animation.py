@@ -262,10 +262,10 @@ class AnimationWriter:
         elif replaces_motion:
             self._author_order(placing)
 
-    def author_extents(self, padding: float) -> None:
-        """Write the SkelRoot's bounds: those of its joints, and padding about them."""
+    def padded_bounds(self, padding: float | np.float32) -> list[Float32Array]:
+        """Return the bounds of the joints, padded: ``(F, 2, 3)``, one array a block."""
         pad = np.array([[-padding] * 3, [padding] * 3], np.float32)
-        self.author_bounds([extents + pad for extents in self._extents])
+        return [extents + pad for extents in self._extents]
 
     def author_bounds(self, extents: list[Float32Array]) -> None:
         """Write the SkelRoot's bounds ``(F, 2, 3)``, one array a block."""
@@ -276,12 +276,6 @@ class AnimationWriter:
         for codes, bounds in zip(self._codes, extents, strict=True):
             samples.add(codes, bounds)
         samples.finish(np.zeros((2, 3), np.float32))
-
-    @property
-    def first_extent(self) -> Float32Array:
-        """Bounds of the joints in the first sample ``(2, 3)``."""
-        first: Float32Array = self._extents[0][0]
-        return first
 
     @property
     def codes(self) -> list[FloatArray]:

@@ -18,6 +18,8 @@ __all__ = ["author_bones", "bone_segments"]
 # A bone is an octahedron, widest a fifth of the way along.
 WAIST = 0.2
 HALF_WIDTH = 0.08
+# Of the length, at either end: no two bones share a point, which tools would merge.
+GAP = 0.005
 
 _FACES = np.array([[[0, b, a], [5, a, b]] for a, b in ((1, 2), (2, 3), (3, 4), (4, 1))])
 
@@ -53,7 +55,9 @@ def author_bones(layer: Any, rig: Rig, paths: RigPaths, meters_per_unit: float) 
     segments, owners = bone_segments(rig)
     if not len(segments):
         return False
-    points = _octahedra(segments / meters_per_unit).reshape(-1, 3).astype(np.float32)
+    corners, outwards = _octahedra(segments / meters_per_unit)
+    points = corners.reshape(-1, 3).astype(np.float32)
+    normals = Vt.Vec3fArray.FromNumpy(outwards.reshape(-1, 3).astype(np.float32))
     faces = (_FACES.reshape(1, -1) + 6 * np.arange(len(segments))[:, None]).reshape(-1)
     spec = prim(layer, f"{paths.root}/Bones", "Mesh")
     schemas = Sdf.TokenListOp()
@@ -65,6 +69,7 @@ def author_bones(layer: Any, rig: Rig, paths: RigPaths, meters_per_unit: float) 
     indices = Vt.IntArray.FromNumpy(faces.astype(np.int32))
     attribute(spec, "faceVertexIndices", types.IntArray, indices)
     attribute(spec, "points", types.Point3fArray, Vt.Vec3fArray.FromNumpy(points))
+    attribute(spec, "normals", types.Normal3fArray, normals, interpolation="vertex")
     bounds = np.stack([points.min(axis=0), points.max(axis=0)])
     attribute(spec, "extent", types.Float3Array, Vt.Vec3fArray.FromNumpy(bounds))
     attribute(spec, "purpose", types.Token, "guide", uniform=True)
@@ -96,10 +101,13 @@ def author_bones(layer: Any, rig: Rig, paths: RigPaths, meters_per_unit: float) 
     return True
 
 
-def _octahedra(segments: FloatArray) -> FloatArray:
-    """Return six points a bone ``(B, 6, 3)``: head, four about the waist, tail."""
-    head, tail = segments[:, 0], segments[:, 1]
-    along = tail - head
+def _octahedra(segments: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return six points a bone: head, four about the waist, tail; and their normals.
+
+    Both are ``(B, 6, 3)``.
+    """
+    along = segments[:, 1] - segments[:, 0]
+    head, tail = segments[:, 0] + GAP * along, segments[:, 1] - GAP * along
     length = np.linalg.norm(along, axis=-1, keepdims=True)
     direction = along / length
     # The axis that the bone is least along gives a side that is never degenerate.
@@ -109,5 +117,9 @@ def _octahedra(segments: FloatArray) -> FloatArray:
     front = np.cross(direction, side)
     waist = head + WAIST * along
     width = HALF_WIDTH * length
-    ring = [waist + width * v for v in (side, front, -side, -front)]
-    return np.stack([head, *ring, tail], axis=1)
+    around = [side, front, -side, -front]
+    ring = [waist + width * v for v in around]
+    return (
+        np.stack([head, *ring, tail], axis=1),
+        np.stack([-direction, *around, direction], axis=1),
+    )

@@ -34,6 +34,14 @@ class ClipFiles:
         stem = self.output.stem
         return self.output.with_name(f"{stem}.{self.name}.{number + 1:04d}.usdc")
 
+    @property
+    def defaults(self) -> str:
+        """Asset path of the chunk with defaults, which the layer has as a sublayer.
+
+        Defaults in the layer itself would win over the clips.
+        """
+        return f"./{self.chunk(0).name}"
+
     def there(self) -> list[Path]:
         """Return the chunks that are there, in order."""
         stem, folder = re.escape(self.output.stem), self.output.parent

@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from pxr import Sdf
+from pxr import Gf, Sdf
 
-from animtool._types import Float32Array
+from animtool._types import Float32Array, FloatArray
 from animtool.errors import Fault, OutputError
 from animtool.usd.animation import AnimationWriter
 from animtool.usd.jobs import UsdJob
+from animtool.usd.layers import attribute, prim
 
 __all__ = ["author_extents"]
 
@@ -41,7 +42,7 @@ def author_extents(
     if bare:
         with Sdf.ChangeBlock():
             for _, writer in writers:
-                writer.author_extents(0.0)
+                writer.author_bounds(writer.padded_bounds(0.0))
         if not any(name for name, _ in writers):
             return
     stage = _composed(job, layers)
@@ -81,7 +82,7 @@ def _select(stage: Any, job: UsdJob, name: str) -> None:
 
 
 def _author_bounds(job: UsdJob, stage: Any, writer: AnimationWriter) -> None:
-    from pxr import Usd, UsdGeom
+    from pxr import UsdGeom
 
     root = UsdGeom.Boundable(stage.GetPrimAtPath(job.paths.root))
     skeleton = UsdGeom.Xformable(stage.GetPrimAtPath(job.paths.skeleton))
@@ -92,21 +93,59 @@ def _author_bounds(job: UsdJob, stage: Any, writer: AnimationWriter) -> None:
         and not skeleton.GetXformOpOrderAttr().Get()
     )
 
-    def computed(code: float) -> Float32Array:
-        extent = UsdGeom.Boundable.ComputeExtentFromPlugins(root, Usd.TimeCode(code))
-        return np.array(extent, np.float32).reshape(-1, 3)
-
-    if simple:
-        pad = float(np.abs(computed(writer.codes[0][0]) - writer.first_extent).max())
-        reach = float(np.abs(writer.first_extent).max())
-        # Two roundings to float32 apart is no padding.
-        pad = pad if pad > 2.5e-7 * reach else 0.0
-        with Sdf.ChangeBlock():
-            writer.author_extents(pad)
-        return
-    bounds = [np.stack([computed(c) for c in codes]) for codes in writer.codes]
+    bounds = writer.padded_bounds(_padding(job, stage, root)) if simple else []
+    if not simple or not _are_computed(root, writer.codes, bounds):
+        bounds = [
+            np.stack([_computed(root, code) for code in codes.tolist()])
+            for codes in writer.codes
+        ]
     with Sdf.ChangeBlock():
         writer.author_bounds(bounds)
+
+
+def _computed(root: Any, code: Any) -> Float32Array:
+    """Return the extent that USD computes ``(2, 3)``."""
+    from pxr import UsdGeom
+
+    extent = UsdGeom.Boundable.ComputeExtentFromPlugins(root, code)
+    return np.array(extent, np.float32).reshape(-1, 3)
+
+
+def _are_computed(
+    root: Any, codes: Sequence[FloatArray], bounds: Sequence[Float32Array]
+) -> bool:
+    """Return whether bounds are to the last bit those that USD computes.
+
+    The first, the middle and the last are compared.
+    """
+    times, own = np.concatenate(codes), np.concatenate(bounds)
+    return all(
+        np.array_equal(own[i], _computed(root, float(times[i])))
+        for i in {0, len(times) // 2, len(times) - 1}
+    )
+
+
+def _padding(job: UsdJob, stage: Any, root: Any) -> np.float32:
+    """Return what UsdSkel adds to the bounds of the joints.
+
+    With every joint at the origin, that is all that is left of the extent.
+    """
+    from pxr import Usd, UsdSkel
+
+    skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath(job.paths.skeleton))
+    joints = skeleton.GetJointsAttr().Get() or []
+    folded = Sdf.Layer.CreateAnonymous(".usda")
+    posed = prim(folded, job.paths.animation, over=True)
+    count, types = len(joints), Sdf.ValueTypeNames
+    attribute(posed, "joints", types.TokenArray, joints, uniform=True)
+    attribute(posed, "translations", types.Float3Array, [(0, 0, 0)] * count)
+    attribute(posed, "rotations", types.QuatfArray, [Gf.Quatf.GetIdentity()] * count)
+    attribute(posed, "scales", types.Half3Array, [(1, 1, 1)] * count)
+    session = stage.GetSessionLayer()
+    session.subLayerPaths.insert(0, folded.identifier)
+    extent = _computed(root, Usd.TimeCode.Default())
+    session.subLayerPaths.remove(folded.identifier)
+    return np.float32(extent[1].max())
 
 
 def _check_resolved(job: UsdJob, stage: Any, animation: str, *, library: bool) -> None:

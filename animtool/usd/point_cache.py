@@ -229,11 +229,12 @@ def author_cache(
     with Sdf.ChangeBlock():
         specs = author_prims(layer, job)
         writers = [MeshWriter(specs[path]) for path in job.meshes]
+        whole = job.target is None
         first, last = np.inf, -np.inf
         for block in blocks:
             writers[block.mesh].add(block)
             first, last = min(first, block.codes[0]), max(last, block.codes[-1])
-        reports = [writer.finish() for writer in writers]
+        reports = [writer.finish(rest=whole) for writer in writers]
         author_metadata(layer, cache_metadata(job, first, last))
     if job.target is not None:
         job.target.check(layer)
@@ -301,8 +302,18 @@ class MeshWriter:
         for channel in self._channels.values():
             channel.release()
 
-    def finish(self) -> CachedMesh:
-        """Write the defaults of what never changed; return what there is now."""
+    def rest(self) -> None:
+        """Write defaults of what has samples, but for velocities: a mesh at no time."""
+        for name, channel in self._channels.items():
+            if name != "velocities":
+                channel.rest()
+
+    def finish(self, *, rest: bool) -> CachedMesh:
+        """Write the defaults of what never changed; return what there is now.
+
+        Args:
+            rest: Whether what has samples has a default too; a rig has its own.
+        """
         report, channels = self._report, self._channels
         velocities = channels.pop("velocities", None)
         moves = bool(channels) and channels["points"].sampled
@@ -313,6 +324,8 @@ class MeshWriter:
                 channels["velocities"] = velocities
             else:
                 _remove(self._spec, "velocities")
+        if rest:
+            self.rest()
         nothing = np.zeros((0, 3), np.float32)
         for channel in channels.values():
             channel.finish(nothing)

@@ -17,7 +17,13 @@ from pxr import Sdf
 from animtool._types import Float32Array
 from animtool.output import once_named, replacing
 from animtool.usd.clip_files import ClipFiles, point_files
-from animtool.usd.layers import author_metadata, export_layer, new_layer, prim
+from animtool.usd.layers import (
+    attribute,
+    author_metadata,
+    export_layer,
+    new_layer,
+    prim,
+)
 from animtool.usd.point_cache import (
     CachedMesh,
     CacheJob,
@@ -75,6 +81,8 @@ def write_chunks(
         if job.target is not None:
             job.target.check(layer, points=False)
         check(layer)
+        if job.target is None and any(report.samples for report in chunks.reports):
+            layer.subLayerPaths.append(clips.defaults)
         export_layer(_manifest(job, chunks), manifest, clips.manifest)
         export_layer(layer, whole, output)
     once_named(lambda: clips.remove_others(chunks.paths))
@@ -170,6 +178,8 @@ class _Chunks:
         with Sdf.ChangeBlock():
             for writer in chunk.writers:
                 writer.release()
+                if number == 0 and self._job.target is None:
+                    writer.rest()
             metadata = cache_metadata(self._job, chunk.first, chunk.last)
             author_metadata(chunk.layer, metadata)
             chunk.layer.startTimeCode, chunk.layer.endTimeCode = chunk.first, chunk.last
@@ -204,6 +214,10 @@ def _author_still(specs: Any, job: CacheJob, chunks: _Chunks) -> None:
                 empty_attribute(specs[path], name)
             elif name != "velocities":
                 empty_attribute(specs[path], name).finish(still[name])
+            elif job.target is None:
+                # The first chunk, a sublayer for its defaults, has zeros there.
+                kind = Sdf.ValueTypeNames.Vector3fArray
+                attribute(specs[path], name, kind, Sdf.ValueBlock())
 
 
 def _manifest(job: CacheJob, chunks: _Chunks) -> Any:

@@ -46,9 +46,12 @@ class PrimWriter(ABC):
         """
 
     def put(self, layer: Any, code: float, name: str, value: Any) -> None:
-        """Write the value of an attribute at a time code."""
+        """Write the value of an attribute at a time code; the first is its default."""
+        path = f"{self.report.path}.{name}"
+        if name not in self._last:
+            layer.GetAttributeAtPath(path).default = value
         self._last[name] = value
-        layer.SetTimeSample(f"{self.report.path}.{name}", code, value)
+        layer.SetTimeSample(path, code, value)
 
     def repeat(self, layer: Any, code: float) -> None:
         """Write the last frame into another layer too, which is not counted."""

@@ -80,6 +80,14 @@ class Samples:
                 self._set(self._path, code, value)
         self._held.clear()
 
+    def rest(self) -> None:
+        """Author the first value as the default too, where there are samples.
+
+        Readers that ask at no time find it.
+        """
+        if self.sampled and self._first is not None:
+            self._attribute.default = self._make(self._first)
+
     def finish(self, otherwise: npt.NDArray[Any]) -> None:
         """Author the default of values that never changed, or never came."""
         if not self.sampled:

@@ -146,6 +146,7 @@ def chunk_simulated(
                 for writer in writers:
                     writer.repeat(growing.layer, code)
     author_clips(layer, job.model, files, starts, code)
+    layer.subLayerPaths.append(files.defaults)
     with replacing(files.manifest) as temporary:
         manifest = new_layer(files.manifest)
         _declare(manifest, writers, layer)

@@ -11,6 +11,7 @@ from pxr import Sdf, Vt
 
 from animtool import _kernels
 from animtool._types import Float32Array, FloatArray, IntArray
+from animtool.maths.faces import triangulated, vertex_normals
 from animtool.usd.layers import attribute, prim
 from animtool.usd.prim_writer import PrimWriter
 
@@ -65,20 +66,23 @@ class _MovedWriter(PrimWriter, Generic[Row]):
 
     Attributes:
         type_name: Of the prim.
+        moving: Types of the attributes that every frame has.
     """
 
     type_name: ClassVar[str]
+    moving: ClassVar[dict[str, Any]] = {
+        "points": _TYPES.Point3fArray,
+        "velocities": _TYPES.Vector3fArray,
+        "extent": _TYPES.Float3Array,
+    }
 
     def begin(self, layer: Any, row: Row) -> None:
         """Write the prim: attributes, what never changes, and the shape."""
         spec = prim(layer, self.report.path, self.type_name)
-        for name, kind in (
-            ("points", _TYPES.Point3fArray),
-            ("velocities", _TYPES.Vector3fArray),
-            ("extent", _TYPES.Float3Array),
-        ):
-            attribute(spec, name, kind)
-        self.report.sampled = ["points", "velocities", "extent"]
+        for name, kind in self.moving.items():
+            interpolation = "vertex" if name == "normals" else ""
+            attribute(spec, name, kind, interpolation=interpolation)
+        self.report.sampled = list(self.moving)
         for name, values in self.shape(row).items():
             value = None if self.changes(row) else Vt.IntArray.FromNumpy(values)
             attribute(spec, name, _TYPES.IntArray, value)
@@ -93,12 +97,16 @@ class _MovedWriter(PrimWriter, Generic[Row]):
         self.put(layer, code, "velocities", Vt.Vec3fArray.FromNumpy(speeds))
         extent = _extent(points[0], self.margin(row))
         self.put(layer, code, "extent", Vt.Vec3fArray.FromNumpy(extent))
-        size = 24 * len(row.points) + 24
+        size = 24 * len(row.points) + 24 + self.add_more(layer, code, row)
         for name, values in self.shape(row).items() if self.changes(row) else ():
             self.put(layer, code, name, Vt.IntArray.FromNumpy(values))
             size += values.nbytes
         self.report.vertices = max(self.report.vertices, len(row.points))
         self.count(code, error, worst, size)
+
+    def add_more(self, layer: Any, code: float, row: Row) -> int:  # noqa: ARG002
+        """Write what else a frame has; return its size in memory [byte]."""
+        return 0
 
     @abstractmethod
     def shape(self, row: Row) -> dict[str, Any]:
@@ -143,9 +151,24 @@ class CurvesWriter(_MovedWriter[CurvesRow]):
 
 
 class FacesWriter(_MovedWriter[FacesRow]):
-    """Writes a polygon mesh."""
+    """Writes a polygon mesh with a normal at each vertex."""
 
     type_name = "Mesh"
+    moving: ClassVar[dict[str, Any]] = {
+        **_MovedWriter.moving,
+        "normals": _TYPES.Normal3fArray,
+    }
+
+    def begin(self, layer: Any, row: FacesRow) -> None:
+        """Write the prim; its faces never change."""
+        super().begin(layer, row)
+        self._triangles = triangulated(row.counts, row.indices)
+
+    def add_more(self, layer: Any, code: float, row: FacesRow) -> int:
+        """Write the normals."""
+        normals = vertex_normals(row.points, self._triangles).astype(np.float32)
+        self.put(layer, code, "normals", Vt.Vec3fArray.FromNumpy(normals))
+        return normals.nbytes
 
     def shape(self, row: FacesRow) -> dict[str, Any]:
         """Return the faces."""

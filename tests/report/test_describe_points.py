@@ -99,7 +99,7 @@ def test_info_of_points(tmp_path: Path) -> None:
     (mesh,) = [line for line in lines if line.startswith("  mesh ")]
     assert mesh.startswith(
         "  mesh      /shot/flag: 12 points, 6 faces, 9 samples, time codes 1 to 9, "
-        "with velocities, from ("
+        "with velocities, normals, from ("
     )
     (points,) = [line for line in lines if line.startswith("  points ")]
     assert "velocities, widths, ids, age, not the same all along" in points
