@@ -111,6 +111,8 @@ class PassContext:
             pass that settles.
         keeps: Whether a pass writes files beside the take, which its options name as
             ``writes``: a bake does, what only looks at a take does not.
+        in_shot: Whether time codes of the take are shot frames, which its samples need
+            not be on.
     """
 
     open: Callable[[Path], Take]
@@ -119,6 +121,7 @@ class PassContext:
     errors: list[float] = field(default_factory=list)
     early: int = 0
     keeps: bool = True
+    in_shot: bool = False
 
     def take(self, path: Path | None, option: str = "take") -> Take:
         """Return the take that an option names.

@@ -30,7 +30,7 @@ LAYERS = [
         "junit",
         "lazy",
     },
-    {"plugins"},
+    {"plugins", "shot"},
     {"readers"},
     {"maths"},
     {"documents"},

@@ -3,19 +3,32 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from fractions import Fraction
 from math import ceil, floor
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
-from animtool.errors import Fault, FormatError, OptionError, Severity, excerpt
+from animtool.batch.cut_metadata import CutMetadata, cut_metadata
+from animtool.config import find_config
+from animtool.documents.names import nearest
+from animtool.errors import (
+    Fault,
+    FormatError,
+    OptionError,
+    Severity,
+    counted,
+    excerpt,
+)
 from animtool.files import FoundFile
-from animtool.rates import rate_from_float
+from animtool.rates import rate_from_float, rate_label
 from animtool.scene.sources import source_stem
+from animtool.shot import SHOT_START, Shot, frames_within
 
-__all__ = ["SHOT_NAMES", "CutList", "Shot", "read_cuts"]
+__all__ = ["SHOT_NAMES", "Cut", "CutList", "CutOptions", "read_cut", "read_cuts"]
 
 SHOT_NAMES = (
     "shot",
@@ -23,31 +36,57 @@ SHOT_NAMES = (
     "track",
     "first",
     "last",
-    "head",
-    "tail",
     "begin",
     "end",
+    "head",
+    "tail",
     "handles",
     "fps",
     "speed",
+    "media_in",
+    "media_out",
+    "media_first",
+    "media_last",
+    "media_fps",
 )
 # What names of files and of variables' users may hold everywhere.
 _LEGAL = re.compile(r"[^A-Za-z0-9_-]+")
 # Times are floats in timelines: this near to a frame, it is meant [frame].
-_NEAR = 1e-4
+_NEAR = Fraction(1, 1_000_000)
+# Of parts of a frame; two rates that are used have a smaller one in common.
+_LARGEST_DENOMINATOR = 100_000
 
 
 @dataclass(frozen=True, slots=True)
-class Shot:
-    """A clip of a timeline.
+class CutOptions:
+    """What a timeline's shots have that its metadata need not say.
 
     Attributes:
-        found: Its media.
+        handles: Shot frames before and after each cut; None is as clips and timeline
+            say, else 0.
+        start: First frame of each shot; None is as clips and timeline say, else the
+            project's, else 1001.
+        fps: Rate of the shots where the timeline states none.
+    """
+
+    handles: int | None = None
+    start: int | None = None
+    fps: Fraction | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """What an item is made of: a clip of a timeline, or a file.
+
+    Attributes:
+        found: The media.
         names: What names stand for in its scene and its output, `SHOT_NAMES`.
+        shot: The clip's frames; None for a file that no timeline shows.
     """
 
     found: FoundFile
-    names: Mapping[str, str]
+    names: Mapping[str, str] = field(default_factory=dict)
+    shot: Shot | None = None
 
 
 @dataclass(slots=True)
@@ -59,32 +98,85 @@ class CutList:
         notices: What was left out of it, or changed.
     """
 
-    shots: list[Shot] = field(default_factory=list)
+    shots: list[Cut] = field(default_factory=list)
     notices: list[Fault] = field(default_factory=list)
 
 
 def read_cuts(
     path: Path,
     media: Sequence[FoundFile] = (),
-    handles: int = 0,
+    options: CutOptions | None = None,
     left_out: Callable[[Path], bool] = lambda _: False,
 ) -> CutList:
     """Return the shots of a timeline: the clips of its video tracks.
 
     A clip's media is the file that it refers to; one that refers to none, or to one
     that is not there, has that of ``media`` that is called like it, or like that file.
+    Its times are seconds of the media; a shot counts frames at the timeline's rate.
 
     Args:
         path: A file that OpenTimelineIO, or an adapter of it, reads.
         media: Where media is looked for that a clip does not lead to.
-        handles: Frames wanted before and behind each cut.
+        options: What the shots have.
         left_out: Whether media is not wanted.
 
     Raises:
-        FormatError: It cannot be read (BAT041), or media is missing (BAT042).
-        OptionError: OpenTimelineIO is missing (BAT040).
+        FormatError: It cannot be read (BAT041), media is missing (BAT042), a clip
+            plays backwards or stands still (BAT044), or metadata is wrong (BAT047).
+        OptionError: OpenTimelineIO is missing (BAT040), or the timeline has another
+            rate than is asked for (BAT051).
     """
-    return _Reader(path, media, handles, left_out).read()
+    return _Reader(path, media, options or CutOptions(), left_out).read()
+
+
+def read_cut(path: Path, name: str | None, options: CutOptions) -> CutList:
+    """Return one shot of a timeline; see `read_cuts`.
+
+    Args:
+        path: The timeline.
+        name: The shot; None where there is only one.
+        options: What the shot has.
+
+    Raises:
+        FormatError: As `read_cuts`; what is wrong with other clips does not matter.
+        OptionError: There is no shot of that name, or no name and several shots
+            (BAT048).
+    """
+    return _Reader(path, (), options).read(lambda found: _named(found, name, path))
+
+
+def _named(entries: Sequence[_Entry], name: str | None, path: Path) -> list[_Entry]:
+    """Return the clip that is the shot of a name; without one the only clip."""
+    names = [entry.name for entry in entries]
+    shots = f"the shots are {', '.join(names)}" if names else "it has no clip"
+    if name is None:
+        if len(names) == 1:
+            return list(entries)
+        message = f"has {counted(len(names), 'shot')}: name one with --shot"
+        raise OptionError(Fault("BAT048", message, str(path), (), shots))
+    if name not in names:
+        near = nearest(name, names)
+        hint = f"{near} {shots}" if near.startswith("did") else shots
+        message = f"has no shot {excerpt(name)}"
+        raise OptionError(Fault("BAT048", message, str(path), (), hint))
+    return [entry for entry in entries if entry.name == name]
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    """A clip on a track.
+
+    Attributes:
+        clip: It.
+        track: Name of the track.
+        named: What the clip is called in messages.
+        name: Of its shot.
+    """
+
+    clip: Any
+    track: str
+    named: str
+    name: str
 
 
 class _Reader:
@@ -94,22 +186,29 @@ class _Reader:
         self,
         path: Path,
         media: Sequence[FoundFile],
-        handles: int,
-        left_out: Callable[[Path], bool],
+        options: CutOptions,
+        left_out: Callable[[Path], bool] = lambda _: False,
     ) -> None:
-        self.path, self.handles, self.left_out = path, handles, left_out
+        self.path, self.options, self.left_out = path, options, left_out
         self.found = CutList()
+        self.entries: list[_Entry] = []
         self.faults: list[Fault] = []
         self.taken: set[str] = set()
         self.gaps = 0
+        self.own = CutMetadata()
+        self.fps = Fraction(24)
         self.media: dict[str, FoundFile] = {}
         for file in media:
             self.media.setdefault(source_stem(file.path).casefold(), file)
 
-    def read(self) -> CutList:
-        """Return its shots."""
-        tracks = list(_opened(self.path).tracks)
-        for number, track in enumerate(tracks, 1):
+    def read(
+        self, choose: Callable[[Sequence[_Entry]], Sequence[_Entry]] = list
+    ) -> CutList:
+        """Return its shots, or those of the clips that are chosen."""
+        timeline = _opened(self.path)
+        self.own = self.metadata(timeline, "the timeline", rate=True)
+        self.fps = self.rate(timeline)
+        for number, track in enumerate(timeline.tracks, 1):
             name, kind = (
                 track.name or f"track {number}",
                 getattr(track, "kind", "Video"),
@@ -120,6 +219,8 @@ class _Reader:
                 self.note("BAT043", f"{name}, of {kind}, is left out")
         if self.gaps:
             self.note("BAT043", f"left out gaps: {self.gaps}")
+        for entry in choose(self.entries):
+            self.clip(entry)
         if self.faults:
             raise FormatError(self.faults)
         return self.found
@@ -129,6 +230,43 @@ class _Reader:
         fault = Fault(code, message, str(self.path), severity=severity)
         self.found.notices.append(fault)
 
+    def fault(self, code: str, message: str, hint: str | None = None) -> None:
+        """Say what makes the timeline unusable."""
+        self.faults.append(Fault(code, message, str(self.path), (), hint))
+
+    def metadata(self, schema: Any, named: str, *, rate: bool = False) -> CutMetadata:
+        """Return what ``metadata.animtool`` of a clip or the timeline says."""
+        found, faults = cut_metadata(schema.metadata, named, rate=rate)
+        for message, hint in faults:
+            self.fault("BAT047", message, hint)
+        return found
+
+    def rate(self, timeline: Any) -> Fraction:
+        """Return the rate of its shots: stated, asked for, or that of most clips."""
+        stated = self.own.fps
+        begin = timeline.global_start_time
+        if stated is None and begin is not None and begin.rate > 0:
+            stated = rate_from_float(begin.rate)
+        asked = self.options.fps
+        if stated is not None:
+            if asked not in {None, stated}:
+                assert asked is not None
+                message = f"has {rate_label(stated)}, and {rate_label(asked)} is asked"
+                hint = "shots are written at the rate of their timeline"
+                raise OptionError(Fault("BAT051", message, str(self.path), (), hint))
+            return stated
+        if asked is not None:
+            return asked
+        rates = Counter(_rates(timeline.tracks))
+        if not rates:
+            return self.fps
+        chosen = rates.most_common(1)[0][0]
+        if len(rates) > 1:
+            message = "states no rate, and its clips have several: "
+            message += f"{rate_label(chosen)}, that of most, is taken"
+            self.note("BAT049", message)
+        return chosen
+
     def track(self, track: Any, name: str) -> None:
         """Take the clips of a track, those of stacks and tracks in it too."""
         import opentimelineio as otio
@@ -137,68 +275,79 @@ class _Reader:
             if isinstance(child, otio.schema.Gap):
                 self.gaps += 1
             elif isinstance(child, otio.schema.Clip):
-                self.clip(child, name)
+                self.entries.append(self.entry(child, name))
             elif isinstance(child, otio.core.Composition):
                 where = f"{name}/{child.name}" if child.name else name
                 self.note("BAT043", f"{where} is nested; its clips are shots, as whole")
                 self.track(child, where)
 
-    def clip(self, clip: Any, track: str) -> None:
-        """Take a clip."""
+    def entry(self, clip: Any, track: str) -> _Entry:
+        """Return a clip with the name of its shot."""
         named = f"clip {excerpt(clip.name or '')} of {track}"
+        path = self.referred(clip)
+        name = clip.name or ("" if path is None else source_stem(path))
+        return _Entry(clip, track, named, self.name(name, named))
+
+    def clip(self, entry: _Entry) -> None:
+        """Take a clip."""
+        clip, named = entry.clip, entry.named
         found = self.medium(clip, named)
         if found is None:
             return
+        own = self.metadata(clip, named)
         try:
-            start, count, length, rate = _span(clip)
+            start, seconds, media_fps = _span(clip)
+            before, after = self.overlaps(clip, named)
         except Exception as error:
             message = f"{named} has no range: {excerpt(str(error), 120)}"
-            self.faults.append(Fault("BAT041", message, str(self.path)))
+            self.fault("BAT041", message)
             return
         speed = _speed(clip)
-        if speed != 1:
-            message = f"{named} plays at {speed:g} times its speed, which scenes can do"
-            self.note("BAT044", message, Severity.WARNING)
-        before, behind = self.overlaps(clip, named, rate)
-        first = floor(start + _NEAR) + 1 - before
-        last = max(first, ceil(start + count * abs(speed) - _NEAR) + behind)
-        head, tail = self.reach(first, last, length, named)
+        if speed <= 0:
+            message = f"{named} plays at {float(speed):g} times its speed"
+            hint = "only forward motion is baked: render the clip's media as it plays, "
+            hint += f"or leave it out with --exclude {found.path}"
+            self.fault("BAT044", message, hint)
+            return
+        handles = _first(self.options.handles, own.handles, self.own.handles, 0)
+        shot_start = _first(
+            self.options.start, own.start_frame, self.own.start_frame, self.project
+        )
+        cut_in = shot_start + handles
+        count = frames_within(seconds, self.fps) + before + after
+        shot = Shot(
+            cut_in,
+            cut_in + count - 1,
+            handles,
+            handles,
+            entry.name,
+            self.fps,
+            start - before * speed / self.fps,
+            speed,
+        )
         names = {
-            "shot": self.name(clip.name or source_stem(found.path), named),
+            "shot": shot.name,
             "clip": clip.name or "",
-            "track": track,
-            "first": str(first),
-            "last": str(last),
-            "head": str(head),
-            "tail": str(tail),
-            "begin": str(first - head),
-            "end": str(last + tail),
-            "handles": str(self.handles),
-            "fps": str(rate_from_float(rate)),
-            "speed": f"{speed:g}",
+            "track": entry.track,
+            **shot.names(),
+            **_media_names(shot, media_fps),
         }
-        self.found.shots.append(Shot(found, names))
+        self.found.shots.append(Cut(found, names, shot))
 
-    def reach(
-        self, first: int, last: int, length: int | None, named: str
-    ) -> tuple[int, int]:
-        """Return how many frames of the handles there are on both sides."""
-        if length is None:
-            return self.handles, self.handles
-        if not 1 <= first <= last <= length:
-            message = f"{named} shows frames {first} to {last} of 1 to {length}"
-            self.note("BAT045", message, Severity.WARNING)
-        head = max(0, min(self.handles, first - 1))
-        tail = max(0, min(self.handles, length - last))
-        if head + tail < 2 * self.handles:
-            message = f"{named} has handles of {head} and {tail} frames only"
-            self.note("BAT045", message, Severity.WARNING)
-        return head, tail
+    @property
+    def project(self) -> int:
+        """First frame of a shot where the timeline states none."""
+        start = find_config(self.path).start
+        return SHOT_START if start is None else int(start)
+
+    def referred(self, clip: Any) -> Path | None:
+        """Return the file that a clip refers to, which may be missing."""
+        url = getattr(clip.media_reference, "target_url", None)
+        return None if not url else _path(str(url), self.path.parent)
 
     def medium(self, clip: Any, named: str) -> FoundFile | None:
         """Return the media of a clip; None where it has none, or it is missing."""
-        url = getattr(clip.media_reference, "target_url", None)
-        path = None if not url else _path(str(url), self.path.parent)
+        path = self.referred(clip)
         if path is not None and self.left_out(path):
             self.note("BAT043", f"{named} is left out, as asked: {path}")
             return None
@@ -209,26 +358,24 @@ class _Reader:
                 return self.media[stem.casefold()]
         if path is not None:
             hint = "give the folder that has it, or one of the clip's name, as INPUT"
-            message = f"the media of {named} is not there: {path}"
-            self.faults.append(Fault("BAT042", message, str(self.path), hint=hint))
+            self.fault("BAT042", f"the media of {named} is not there: {path}", hint)
         elif self.media:
-            message = f"no media is called like {named}"
-            self.faults.append(Fault("BAT042", message, str(self.path)))
+            self.fault("BAT042", f"no media is called like {named}")
         else:
             message = f"{named} is left out: it refers to no media"
             self.note("BAT043", message, Severity.WARNING)
         return None
 
-    def overlaps(self, clip: Any, named: str, rate: float) -> tuple[int, int]:
-        """Return the frames that transitions show before and behind a clip's cut."""
-        spent = [
-            0 if side is None else ceil(side.rescaled_to(rate).value - _NEAR)
+    def overlaps(self, clip: Any, named: str) -> tuple[int, int]:
+        """Return the frames that transitions show before and after a clip's cut."""
+        before, after = (
+            0 if side is None else ceil(_seconds(side) * self.fps - _NEAR)
             for side in _sides(clip)
-        ]
-        if any(spent):
-            more = f"{spent[0]} frames before its cut and {spent[1]} behind it"
+        )
+        if before or after:
+            more = f"{before} frames before its cut and {after} after it"
             self.note("BAT043", f"{named} is in transitions: {more} are taken too")
-        return spent[0], spent[1]
+        return before, after
 
     def name(self, wanted: str, named: str) -> str:
         """Return a name that is legal, and of no shot before."""
@@ -241,6 +388,22 @@ class _Reader:
         if name != wanted:
             self.note("BAT046", f"{named} is the shot {name}")
         return name
+
+
+def _first(*given: int | None) -> int:
+    """Return the first that is stated."""
+    return next(value for value in given if value is not None)
+
+
+def _media_names(shot: Shot, media_fps: Fraction) -> dict[str, str]:
+    """Return the frames of its media that a cut shows, from 1 at the first."""
+    shown = (shot.seconds_at(frame) for frame in (shot.cut_in, shot.cut_out))
+    first, last = (floor(seconds * media_fps + _NEAR) + 1 for seconds in shown)
+    return {
+        "media_first": str(first),
+        "media_last": str(last),
+        "media_fps": str(media_fps),
+    }
 
 
 def _opened(path: Path) -> Any:
@@ -280,27 +443,49 @@ def _path(url: str, folder: Path) -> Path:
     return folder / (url if (folder / url).exists() else unquote(url))
 
 
-def _span(clip: Any) -> tuple[float, float, int | None, float]:
+def _seconds(time: Any) -> Fraction:
+    """Return a time of a timeline, exact at its own rate [s]."""
+    exact = Fraction(time.value)
+    whole = Fraction(round(exact))
+    if abs(exact - whole) > _NEAR:
+        whole = exact.limit_denominator(_LARGEST_DENOMINATOR)
+    return whole / rate_from_float(time.rate)
+
+
+def _span(clip: Any) -> tuple[Fraction, Fraction, Fraction]:
     """Return what a clip shows of its media.
 
     Returns:
-        First frame, from 0 at the first of the media, frames, frames of the media,
-        None where it does not say, and their rate [1/s].
+        Time of its first frame, 0 at the media's first [s], how long it is shown [s],
+        and frames a second of the media, as far as the timeline knows.
     """
     span = clip.trimmed_range()
-    rate, start, length = span.start_time.rate, span.start_time, None
+    start, rate = _seconds(span.start_time), span.start_time.rate
     if clip.media_reference.available_range is not None:
         there = clip.media_reference.available_range
-        start -= there.start_time
-        length = floor(there.duration.rescaled_to(rate).value + _NEAR)
-    return start.rescaled_to(rate).value, span.duration.value, length, rate
+        start -= _seconds(there.start_time)
+        rate = there.start_time.rate
+    return start, _seconds(span.duration), rate_from_float(rate)
 
 
-def _speed(clip: Any) -> float:
+def _rates(composition: Any) -> Iterator[Fraction]:
+    """Yield the rate of every clip and gap on tracks of pictures."""
+    for child in composition:
+        if hasattr(child, "find_children"):
+            if getattr(child, "kind", "Video") == "Video":
+                yield from _rates(child)
+            continue
+        span = getattr(child, "source_range", None)
+        if span is not None and span.start_time.rate > 0:
+            yield rate_from_float(span.start_time.rate)
+
+
+def _speed(clip: Any) -> Fraction:
     """Return how many times as fast as its media a clip plays."""
-    speed = 1.0
+    speed = Fraction(1)
     for effect in clip.effects:
-        speed *= float(getattr(effect, "time_scalar", 1.0))
+        scalar = Fraction(float(getattr(effect, "time_scalar", 1.0)))
+        speed *= scalar.limit_denominator(_LARGEST_DENOMINATOR)
     return speed
 
 

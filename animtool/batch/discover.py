@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from animtool.batch.cuts import SHOT_NAMES, CutList, Shot, read_cuts
+from animtool.batch.cuts import SHOT_NAMES, Cut, CutList, CutOptions, read_cuts
 from animtool.batch.effects import check_columns, check_effects, sample_source
 from animtool.batch.limits import Limits
 from animtool.batch.names import (
@@ -26,7 +26,7 @@ from animtool.documents.names import check_given
 from animtool.errors import Fault, NothingFoundError, OptionError, listed
 from animtool.files import FoundFile, Places, files_meant
 from animtool.readers import BVH, DOCUMENT, READERS
-from animtool.scene.sources import is_scene, source_stem
+from animtool.scene.sources import is_scene, is_timeline, source_stem
 from animtool.usd.forms import check_suffix
 
 if TYPE_CHECKING:
@@ -100,12 +100,17 @@ def find_batch(spec: BatchSpec) -> Batch:
             (OUT004); or the items of a scene would be the same (BAT060), or a variant
             has a name of another meaning (BAT063).
     """
+    spec = _with_timeline(spec)
     if spec.output is not None:
         name = "{parent}/{stem}" if spec.cuts is None else "{shot}"
         pattern = file_pattern(spec.output, name + variant_pattern(spec.variants))
         spec = replace(spec, output=pattern)
         _check_pattern(spec, pattern)
-    if spec.scene is not None and spec.variants is not None and not spec.inputs:
+    if (
+        spec.scene is not None
+        and spec.variants is not None
+        and not (spec.inputs or spec.cuts)
+    ):
         # The scene is what is made in variants, and needs no other input.
         scene = spec.scene if spec.path is None else spec.scene.absolute()
         spec = replace(spec, inputs=(os.fspath(scene),), scene=None)
@@ -179,7 +184,7 @@ def _check_variables(spec: BatchSpec, recipe: Recipe, sample: Source | None) -> 
 def _items(
     spec: BatchSpec,
     recipe: Recipe,
-    shots: Sequence[Shot],
+    shots: Sequence[Cut],
     sample: Source | None,
 ) -> Iterator[Item]:
     """Yield the items, each with its output: the pattern's, its scene's, or beside."""
@@ -191,13 +196,13 @@ def _items(
         if spec.output is not None:
             names = {**spec.variables, **input_names(file), **shot.names, **parts}
             output = spec.folder / spec.output.format(**names)
-            yield Item(number, file, output, own, values=row)
+            yield Item(number, file, output, own, values=row, shot=shot.shot)
             continue
         more = "".join(f"_{part}" for part in parts.values())
         beside = file.path.with_name(f"{source_stem(file.path)}{more}.usdc")
         if spec.cuts is not None:
             beside = spec.cuts.with_name(f"{shot.names['shot']}{more}.usdc")
-        item = Item(number, file, beside, own, values=row)
+        item = Item(number, file, beside, own, values=row, shot=shot.shot)
         if named_by_scene or (spec.scene is None and is_scene(file.path)):
             item = recipe.named(item)
         yield item
@@ -207,8 +212,36 @@ def _cuts(spec: BatchSpec) -> CutList:
     """Return what items are made of: clips of a timeline, or the inputs."""
     found, left_out = _found(spec)
     if spec.cuts is None:
-        return CutList([Shot(file, {}) for file in found])
-    return read_cuts(spec.cuts, found, spec.handles, left_out)
+        return CutList([Cut(file) for file in found])
+    options, start = spec.options, spec.options.start
+    fps = options.fps
+    if spec.scene is not None:
+        from animtool.scene.file import stated_rate
+
+        start, fps = None, stated_rate(spec.scene)
+    if start is not None and start.denominator != 1:
+        message = f"start is {float(start):g}, and shots begin at a whole frame"
+        raise OptionError(Fault("CLI002", message))
+    first = None if start is None else int(start)
+    return read_cuts(spec.cuts, found, CutOptions(spec.handles, first, fps), left_out)
+
+
+def _with_timeline(spec: BatchSpec) -> BatchSpec:
+    """Return a batch whose timeline is its cut list, where it is one of the inputs.
+
+    Raises:
+        OptionError: There are several (BAT050).
+    """
+    named = [text for text in spec.inputs if is_timeline(Path(text))]
+    if not named:
+        return spec
+    cuts = [*([] if spec.cuts is None else [str(spec.cuts)]), *named]
+    if len(cuts) > 1:
+        message = f"there are several timelines: {listed(cuts)}"
+        hint = "a batch is of the shots of one"
+        raise OptionError(Fault("BAT050", message, hint=hint))
+    inputs = tuple(text for text in spec.inputs if text not in named)
+    return replace(spec, cuts=spec.folder / named[0], inputs=inputs)
 
 
 def _found(spec: BatchSpec) -> tuple[list[FoundFile], Callable[[Path], bool]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, cast
 
-from animtool.batch.cuts import SHOT_NAMES, Shot
+from animtool.batch.cuts import SHOT_NAMES, Cut
 from animtool.batch.names import INPUT_NAMES
 from animtool.batch.recipe import Item, Recipe
 from animtool.batch.spec import BatchSpec
@@ -22,10 +22,10 @@ __all__ = ["check_columns", "check_effects", "sample_source"]
 MAX_FAULTS = 50
 
 
-def sample_source(spec: BatchSpec, recipe: Recipe, shot: Shot) -> Source:
+def sample_source(spec: BatchSpec, recipe: Recipe, shot: Cut) -> Source:
     """Return what the first item of an input is baked from."""
     names = {**shot.names, **spec.rows[0]}
-    return recipe.source(Item(1, shot.found, shot.found.path, names))
+    return recipe.source(Item(1, shot.found, shot.found.path, names, shot=shot.shot))
 
 
 def check_columns(spec: BatchSpec) -> None:
@@ -49,7 +49,7 @@ def check_columns(spec: BatchSpec) -> None:
         raise OptionError(faults)
 
 
-def check_effects(spec: BatchSpec, recipe: Recipe, shots: Sequence[Shot]) -> None:
+def check_effects(spec: BatchSpec, recipe: Recipe, shots: Sequence[Cut]) -> None:
     """Refuse scenes of which all items, or all variants, would be the same.
 
     Raises:

@@ -22,7 +22,7 @@ from animtool.documents.references import referred
 from animtool.edit.frame_range import FrameRange
 from animtool.rates import parse_rate
 from animtool.scene.options import BakeOptions
-from animtool.scene.sources import SourceOptions
+from animtool.scene.sources import SourceOptions, is_timeline
 from animtool.units import LengthUnit, UpAxis, parse_length
 
 __all__ = ["batch_of_document", "load_batch"]
@@ -60,10 +60,7 @@ class _Reader:
             message = "there are both a scene and options"
             hint = "write into the scene's output what the options say"
             self.document.add("BAT001", ("options",), message, hint)
-        if model.scene is None and model.cut is not None:
-            message = "a cut list needs a scene that says what is done to its shots"
-            self.document.add("BAT001", ("cut",), message)
-        if not model.inputs and not (model.scene and model.variants):
+        if not (model.inputs or model.cut or (model.scene and model.variants)):
             message = "key 'inputs' is missing"
             hint = "files, folders and globs; a scene alone can have variants"
             self.document.add("DOC021", (), message, hint)
@@ -108,7 +105,7 @@ class _Reader:
                 hint = "letters, digits and _ make one, and no digit begins it"
                 self.document.add("BAT002", ("variables", name), message, hint)
         known = {**model.variables, **dict.fromkeys(columns, "")}
-        if model.cut is not None:
+        if model.cut is not None or any(is_timeline(Path(t)) for t in model.inputs):
             known |= dict.fromkeys(SHOT_NAMES, "")
         for message, hint in unknown_names(model.output or "", known):
             self.document.add("BAT004", ("output",), message, hint)

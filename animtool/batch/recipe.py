@@ -14,6 +14,7 @@ from animtool.errors import OptionError
 from animtool.files import FoundFile
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import fitting_options, is_scene
+from animtool.shot import Shot
 
 if TYPE_CHECKING:
     from animtool.scene.outputs import OutputReport
@@ -45,6 +46,7 @@ class Item:
         files: Every file to write, where its scene names several outputs, or one that
             is no USD; empty where they follow from ``output``.
         values: Those of ``names`` that tell it from other variants.
+        shot: Of a clip of a timeline; None is a file as it is.
     """
 
     number: int
@@ -53,6 +55,7 @@ class Item:
     names: Mapping[str, str] = field(default_factory=dict)
     files: tuple[Path, ...] = ()
     values: Mapping[str, str] = field(default_factory=dict)
+    shot: Shot | None = None
 
     @property
     def label(self) -> str:
@@ -99,7 +102,8 @@ class Recipe:
 
         Raises:
             FormatError: The scene is malformed.
-            OptionError: It adds a take to a library (SCN052).
+            OptionError: It adds a take to a library (SCN052), or says itself where the
+                take of a shot begins (SCN073).
         """
         path = item.found.path if self.scene is None else self.scene
         if not is_scene(path):
@@ -107,6 +111,8 @@ class Recipe:
         from animtool.scene.file import load_scene
 
         scene = load_scene(path, self.names(item))
+        if item.shot is not None:
+            scene = scene.of_shot(item.shot)
         for output in scene.outputs:
             if output.bake.form == "library":
                 message = "items of a batch do not share a library"
@@ -166,6 +172,8 @@ class Recipe:
 
             return bake_scene(cast("Scene", source), options)
         self.refuse_several(source)
+        if item.shot is not None and isinstance(source, Path):
+            options = replace(options, shot=item.shot, start=None)
         from animtool.scene.bake import bake
 
         return [bake(source, item.output, options)]
@@ -205,6 +213,8 @@ class Recipe:
             for key in names.keys() & {"input", "folder"}:
                 names[key] = named_from(Path(names[key]), root)
             plain["variables"] = names
+        if item.shot is not None:
+            plain["shot"] = {k: str(v) for k, v in item.shot.as_dict().items()}
         if self.scene is not None:
             plain["scene"] = named_from(self.scene, root)
             plain["strict"] = self.options.strict

@@ -79,6 +79,8 @@ class ItemReport:
             "status": str(self.status),
             "reason": str(self.reason),
         }
+        if self.item.shot is not None:
+            found["shot"] = self.item.shot.as_dict()
         if self.detail:
             found["detail"] = self.detail
         if self.status in {Status.DONE, Status.FAILED}:

@@ -148,7 +148,7 @@ class BatchModel(FileModel):
     inputs: list[Name] = Field(
         default=[],
         description="Files, folders, and globs in which `**` is any folders. Must be "
-        "given, but for `variants` of a `scene` that has no `${input}`.",
+        "given, but with a `cut`, or `variants` of a `scene` that has no `${input}`.",
         examples=[["takes/**/*.bvh"]],
     )
     exclude: list[str] = Field(
@@ -165,13 +165,14 @@ class BatchModel(FileModel):
     cut: str | None = Field(
         default=None,
         description="A timeline that OpenTimelineIO reads: each of its clips is an "
-        "item, and `inputs` are where media is looked for that it does not lead to. It "
-        "goes with a `scene`.",
+        "item, and `inputs` are where media is looked for that it does not lead to. A "
+        "timeline among `inputs` is the same.",
         examples=["edit.otio"],
     )
-    handles: Annotated[int, Ge(0)] = Field(
-        default=0,
-        description="Frames wanted before and behind each cut of the timeline.",
+    handles: Annotated[int, Ge(0)] | None = Field(
+        default=None,
+        description="Shot frames before and after each cut of the timeline. Not "
+        "given: as its `metadata.animtool` says, else 0.",
         examples=[8],
     )
     variables: dict[str, str] = Field(

@@ -20,7 +20,8 @@ class BatchSpec:
     """What a batch is asked to do.
 
     Attributes:
-        inputs: Files, folders and globs, seen from ``folder``.
+        inputs: Files, folders and globs, seen from ``folder``; a timeline among them
+            is that of ``cuts``.
         folder: Where relative names start.
         name: What its records are called.
         exclude: What of the inputs is left out.
@@ -32,7 +33,8 @@ class BatchSpec:
         jobs: How many processes; None is one for each processor.
         path: The file that says it; None where there is none.
         cuts: A timeline whose clips are the items; None has one for each input.
-        handles: Frames wanted before and behind the cuts of a timeline.
+        handles: Shot frames before and after the cuts of a timeline; None is as that
+            says, else 0.
         variants: A table of values of which each row makes an item of each input; None
             makes one.
     """
@@ -49,7 +51,7 @@ class BatchSpec:
     jobs: int | None = None
     path: Path | None = None
     cuts: Path | None = None
-    handles: int = 0
+    handles: int | None = None
     variants: Variants | None = None
 
     @property

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from animtool.cli.bake_options import bake_options, bake_options_record
+from animtool.cli.bake_shot import shot_source
 from animtool.cli.bake_sources import (
     only_scene,
     opened_sources,
@@ -41,6 +42,7 @@ Examples:
   animtool bake shot.scene.yaml
   animtool bake shot.scene.yaml --set shot=sh020
   animtool bake shot.scene.yaml --plan
+  animtool bake edit.otio --shot sh010 --handles 8 -o sh010.usdc
   animtool bake walk.bvh run.bvh idle.clip.yaml -o library.usda
   animtool bake library.usda --take run -o run.usdc
   animtool bake walk.bvh -o walk_layer.usdc --rig-layer hero.rig.usda
@@ -62,7 +64,7 @@ Examples:
     "--output",
     type=OUTPUT,
     help="USD file to write (.usda, .usdc, .usd), or - for usda on stdout.  "
-    "[default: SOURCE with .usdc; a library has none]",
+    "[default: SOURCE with .usdc, the shot's name; a library has none]",
 )
 @bake_options
 @click.option(
@@ -95,18 +97,22 @@ Examples:
 @common_options
 @click.pass_obj
 def bake(
-    console: Console, /, sources: tuple[Path, ...], output: Path | None, **given: Any
+    console: Console, /, sources: Sequence[Path], output: Path | None, **given: Any
 ) -> None:
     """Bake SOURCE, a scene, clip, BVH or USD file, to a USD animation that plays.
 
     Several make a clip library: one skeleton, an animation for each, and a variant
     set `take` that binds one of them. Then -o names the file.
 
+    Of a timeline (.otio and others), --shot names the clip: its shot is baked from the
+    media that it shows. animtool batch bakes all of them.
+
     The summary says what was written and the error made: the largest distance
     between a joint's position in float64 and in the float32 values of the file.
     """
     to_stdout = goes_to_stdout(output, given)
     _check_usage(given)
+    sources, output = shot_source(console, sources, output, given)
     if output is None and len(sources) > 1 and not given["table"]:
         raise click.UsageError("Several sources make one library: name it with -o.")
     opened = opened_sources(sources, dict(given["variables"]))

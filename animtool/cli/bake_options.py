@@ -111,7 +111,19 @@ _OPTIONS = (
         type=_parsed("frame"),
         metavar="FRAME",
         help="Time code of the first frame.  [default: the rig layer's, the "
-        "project's, 1]",
+        "project's, 1; of a shot the timeline's, the project's, 1001]",
+    ),
+    click.option(
+        "--shot",
+        metavar="NAME",
+        help="Of a timeline: the shot to bake; needed where there are several.",
+    ),
+    click.option(
+        "--handles",
+        type=click.IntRange(0),
+        metavar="N",
+        help="Of a timeline: frames before and after the cut, at its rate.  [default: "
+        "as the timeline says, else 0]",
     ),
     click.option(
         "--samples",
@@ -203,6 +215,7 @@ def bake_options_record(given: Mapping[str, Any]) -> BakeOptions:
         rest_frame=given["rest_frame"],
         fps=given["fps"],
         frame_range=given["frame_range"],
+        shot=given["shot"],
         start=given["start"],
         samples=given["samples"],
         keep_samples=given["keep_samples"],

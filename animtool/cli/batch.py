@@ -27,6 +27,7 @@ from animtool.cli.options import (
     count_or_auto,
     set_option,
 )
+from animtool.errors import Severity
 
 if TYPE_CHECKING:
     from animtool.batch.report import BatchReport, ItemReport
@@ -81,7 +82,8 @@ Examples:
   animtool batch "takes/**/*.bvh" -o "out/{parent}/{stem}.usdc" -j 8
   animtool batch takes --scene clean.scene.yaml --set shot=sh010 -o "out/{stem}.usdc"
   animtool batch --scene flag.scene.yaml --vary k=50,100,200 -o "out/flag_{k}.usdc"
-  animtool batch --cut edit.otio --scene shot.scene.yaml -o "out/{shot}.usdc"
+  animtool batch edit.otio -o "out/{shot}.usdc" --handles 8
+  animtool batch edit.otio --scene shot.scene.yaml -o "out/{shot}.usdc"
   animtool batch nightly.batch.yaml -n
   animtool batch nightly.batch.yaml --retry-failed --time-limit 600
   animtool batch nightly.batch.yaml --items 1-20
@@ -216,9 +218,10 @@ def batch(console: Console, /, inputs: tuple[str, ...], **given: Any) -> None:
     With --variants or --vary, each row of a table is an item: ${k} in the scene and
     {k} in -o stand for its values. Without INPUT, the scene alone is made in variants.
 
-    With --cut, each clip of a timeline is an item. Its scene has ${shot}, ${first} and
-    ${last}, ${begin} and ${end}, ${head}, ${tail}, ${handles}, ${clip}, ${track},
-    ${fps} and ${speed}.
+    Where an INPUT is a timeline, each of its clips is an item, and shows the seconds
+    of its media that the edit shows, in frames of the shot. Its scene has ${shot},
+    ${first} and ${last} of the cut, ${begin} and ${end} with the handles, ${head},
+    ${tail}, ${handles}, ${fps} and others, all in frames of the shot.
 
     Ends with 1 where items failed, 5 where there is no input.
     """
@@ -345,7 +348,8 @@ class _Repeat:
         words += [] if given["scene"] is None else ["--scene", str(given["scene"])]
         if given["cuts"] is not None:
             words += ["--cut", str(given["cuts"])]
-            words += ["--handles", str(given["handles"])] if given["handles"] else []
+        if given["handles"] is not None:
+            words += ["--handles", str(given["handles"])]
         for name, value in given["variables"]:
             words += ["--set", f"{name}={value}"]
         words += variant_words(given)
@@ -379,7 +383,10 @@ def _tell(
             console.result(line)
     for entry in report.items:
         for notice in entry.notices:
-            console.detail(str(notice))
+            if notice.severity is Severity.NOTE:
+                console.detail(str(notice))
+            else:
+                console.faults([notice])
     for line in batch_text(report, dry=given["dry_run"]):
         console.say(line)
     for entry in report.failed:

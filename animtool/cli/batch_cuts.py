@@ -22,24 +22,22 @@ def cut_options(command: Command) -> Command:
         "--handles",
         type=click.IntRange(0),
         metavar="N",
-        help="Frames wanted before and behind each cut: ${begin} and ${end} reach so "
-        "far.  [default: as the batch file says, else 0]",
+        help="Of a timeline: frames before and after each cut, at its rate.  [default: "
+        "as the batch file or the timeline says, else 0]",
     )(command)
     return click.option(
         "--cut",
         "cuts",
         type=FILE,
         metavar="FILE",
-        help="A timeline that OpenTimelineIO reads: each clip is an item, baked by a "
-        "scene. Inputs are where media is looked for that it does not lead to.",
+        help="A timeline that OpenTimelineIO reads: each clip is an item. A timeline "
+        "among the inputs is the same; the others are where media is looked for.",
     )(command)
 
 
 def with_cuts(spec: BatchSpec, given: Mapping[str, Any]) -> BatchSpec:
     """Return a batch with the cut list that a command line names, if it names one."""
     if given["cuts"] is not None:
-        if spec.scene is None:
-            raise click.UsageError("--cut needs a scene that says what is done.")
         spec = replace(spec, cuts=given["cuts"])
     if given["handles"] is not None:
         spec = replace(spec, handles=given["handles"])

@@ -33,7 +33,7 @@ def batch_text(report: BatchReport, *, dry: bool = False) -> list[str]:
         lines.append(f"  why: {why}")
     warned = len(report.warned())
     if warned:
-        lines.append(f"  warnings: of {counted(warned, 'item')}, -v shows them")
+        lines.append(f"  warnings: of {counted(warned, 'item')}")
     if report.slowest:
         slow = [
             f"{entry.item.output} {entry.seconds:.2f} s" for entry in report.slowest

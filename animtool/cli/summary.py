@@ -49,6 +49,7 @@ def bake_text(report: BakeReport) -> list[str]:
         return [
             f"{files}: {report.form}",
             f"  {_frames_text(report, one)}",
+            *_shot_text(report),
             *mesh_text(one, report.meters_per_unit),
             *_beside_text(report),
             f"  {report.up} up, lengths in {unit}{assumed}",
@@ -58,6 +59,7 @@ def bake_text(report: BakeReport) -> list[str]:
     lines = [f"{files}: {report.form}"]
     if one is not None:
         lines.append(f"  {_frames_text(report, one)}")
+        lines += _shot_text(report)
     else:
         lines.append(f"  {len(takes)} takes, {report.span}")
     lines += [
@@ -94,6 +96,11 @@ def _frames_text(report: BakeReport, take: TakeReport) -> str:
     if take.between:
         text += f", {take.between} of which fall between frames"
     return text
+
+
+def _shot_text(report: BakeReport) -> list[str]:
+    """Return the line of the shot that was written, if it is one."""
+    return [] if report.shot is None else [f"  {report.shot.label}"]
 
 
 def _rounded_to(take: TakeReport) -> str:
@@ -185,6 +192,7 @@ def bake_json(report: BakeReport) -> dict[str, object]:
         "units": unit_name(report.meters_per_unit),
         "up": report.up,
         "bytes": result.bytes,
+        **({} if report.shot is None else {"shot": report.shot.as_dict()}),
         "seconds": {name: round(value, 6) for name, value in report.seconds.items()},
         "megabytes_per_second": round(
             report.source_bytes / 1e6 / report.seconds["total"], 3

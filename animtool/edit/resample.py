@@ -71,6 +71,7 @@ def plan_samples(
     frame_range: FrameRange | None = None,
     offsets: Sequence[Fraction] = (),
     keep_samples: bool = False,
+    hold: bool = False,
 ) -> SampleTimes:
     """Return when to sample a take whose first frame becomes time code ``start``.
 
@@ -82,6 +83,8 @@ def plan_samples(
         offsets: Samples around each frame, in frames; none is one on the frame.
         keep_samples: Keep every sample of the source at its exact time, in place
             of one a frame.
+        hold: Keep every frame of the range; where the take has none, its first or
+            last pose is held.
 
     Raises:
         OptionError: The range has no frame of the take, the options exclude each
@@ -91,48 +94,62 @@ def plan_samples(
     span = Fraction(clock.count - 1) / ratio
     if keep_samples:
         return _kept_samples(clock, start, 1 / ratio, frame_range)
-    whole = int(span)
-    wanted = range(whole + 1)
+    # Frames count from the whole time code at or before the take's first frame.
+    origin, ahead = start, Fraction(0)
+    wanted = range(int(span) + 1)
     if frame_range is not None:
-        wanted = _within(frame_range, start, whole)
+        origin = Fraction(math.floor(start))
+        ahead = origin - start
+        wanted = _within(frame_range, start, span, hold=hold)
     if len(wanted) * max(1, len(offsets)) > MOST_FRAMES:
-        raise _refusal(f"at {float(fps):g} fps the take has {whole + 1} frames")
-    first, last = start + wanted[0], start + wanted[-1]
+        raise _refusal(f"{len(wanted)} frames at {float(fps):g} fps are too many")
+    first, last = origin + wanted[0], origin + wanted[-1]
     index = np.arange(wanted[0], wanted[-1] + 1, wanted.step)
     each = [
-        even_places(index, offset, ratio, clock.count) for offset in offsets or (0,)
+        even_places(index, ahead + offset, ratio, clock.count)
+        for offset in offsets or (0,)
     ]
-    codes = np.stack([_codes(start + wanted[0] + o, wanted) for o in offsets or (0,)])
+    codes = np.stack([_codes(first + o, wanted) for o in offsets or (0,)])
     order = np.argsort(codes.T.ravel(), kind="stable")
     frames = np.stack([places.frames for places in each]).T.ravel()[order]
     fractions = np.stack([places.fractions for places in each]).T.ravel()[order]
-    to_the_end = frame_range is None or frame_range.last > start + whole
+    end = span - ahead  # of the take, counted as the frames are
+    whole = math.floor(end)
+    to_the_end = not hold and wanted[-1] == whole
+    if frame_range is not None and frame_range.last <= origin + whole:
+        to_the_end = False
     return SampleTimes(
         first,
         last,
         codes.T.ravel()[order],
         frames,
         fractions,
-        _between(wanted, ratio, frames[fractions == 0]),
-        span - whole if to_the_end and wanted[-1] == whole else Fraction(0),
+        _between(wanted, ahead, ratio, clock.count, frames[fractions == 0]),
+        end - whole if to_the_end else Fraction(0),
     )
 
 
-def _between(wanted: range, ratio: Fraction, taken: IntArray) -> int:
+def _between(
+    wanted: range, ahead: Fraction, ratio: Fraction, count: int, taken: IntArray
+) -> int:
     """Return how many samples lie between whole frames, and are not taken.
 
     Args:
-        wanted: Frames of the result, from that of the first sample.
+        wanted: Frames of the result.
+        ahead: How far the frame 0 is after the first sample, above -1 [frame].
         ratio: Samples from one frame to the next.
+        count: Number of samples.
         taken: Indices of samples that are kept.
     """
-    low, high = math.ceil(wanted[0] * ratio), math.floor(wanted[-1] * ratio)
-    inside = np.unique(taken[(taken >= low) & (taken <= high)])
-    # Sample k is on frame k / ratio.
-    each = ratio.numerator
-    on_frames = high // each - (low - 1) // each
-    off_frames = int((inside % each != 0).sum()) if each > 1 else 0
-    return max(0, high - low + 1 - on_frames - off_frames)
+    begin = max(wanted[0], math.ceil(-ahead))
+    end = min(wanted[-1], math.floor((count - 1) / ratio - ahead))
+    if end < begin:
+        return 0
+    low = max(0, math.ceil((wanted[0] + ahead) * ratio))
+    high = min(count - 1, math.floor((wanted[-1] + ahead) * ratio))
+    places = even_places(np.arange(begin, end + 1), ahead, ratio, count)
+    kept = np.union1d(places.frames[places.fractions == 0], taken)
+    return high - low + 1 - int(((kept >= low) & (kept <= high)).sum())
 
 
 def _refusal(message: str) -> OptionError:
@@ -143,19 +160,25 @@ def _codes(first: Fraction, wanted: range) -> FloatArray:
     return time_codes(Fraction(first), Fraction(wanted.step), len(wanted))
 
 
-def _within(frame_range: FrameRange, start: Fraction, whole: int) -> range:
-    """Return the indices of a range's frames that the take has."""
-    if start.denominator != 1:
-        raise _refusal("whole frames are asked for, and the first is not whole")
-    first, last = frame_range.first - int(start), frame_range.last - int(start)
-    low = (
-        first if first >= 0 else first + -(first // frame_range.step) * frame_range.step
-    )
-    wanted = range(low, min(last, whole) + 1, frame_range.step)
+def _within(
+    frame_range: FrameRange, start: Fraction, span: Fraction, *, hold: bool
+) -> range:
+    """Return a range's frames that the take has, counted from ``floor(start)``.
+
+    With ``hold`` those that it has not are among them.
+    """
+    origin = math.floor(start)
+    step = frame_range.step
+    low, high = frame_range.first - origin, frame_range.last - origin
+    if hold:
+        return range(low, high + 1, step)
+    begin, end = start - origin, start - origin + span
+    low += max(0, math.ceil((begin - low) / step)) * step
+    wanted = range(low, min(high, math.floor(end)) + 1, step)
     if not wanted:
         raise _refusal(
             f"frames {frame_range.first}-{frame_range.last} are not in the take, "
-            f"which has {int(start)}-{int(start) + whole}"
+            f"which has {float(start):g}-{float(start + span):g}"
         )
     return wanted
 

@@ -43,17 +43,20 @@ def trim(take: Take, first: float | None = None, last: float | None = None) -> T
 
 
 def _trimmed(
-    stream: TakeStream, options: TrimOptions, _: PassContext | None = None
+    stream: TakeStream, options: TrimOptions, context: PassContext | None = None
 ) -> TakeStream:
+    # The frames of a shot at the ends of the range may lie between two samples.
+    in_shot = context is not None and context.in_shot
     check_range(options.first, options.last)
     start = Fraction(1) if stream.start is None else stream.start
     low, high = 0, None
     if options.first is not None:
         away = (exact(options.first, "first") - start) / stream.step
-        low = max(0, math.ceil(away - ON_FRAME))
+        whole = math.floor(away + ON_FRAME) if in_shot else math.ceil(away - ON_FRAME)
+        low = max(0, whole)
     if options.last is not None:
         away = (exact(options.last, "last") - start) / stream.step
-        high = math.floor(away + ON_FRAME)
+        high = math.ceil(away - ON_FRAME) if in_shot else math.floor(away + ON_FRAME)
     if high is not None and high < low:
         raise frame_refusal(
             f"no frame is from {_shown(options.first, start)} to {options.last:g}"

@@ -136,6 +136,7 @@ def run_bake(plan: BakePlan, *, progress: Progress = None) -> BakeReport:
         rest_size(rest),
         notices,
         seconds,
+        plan.options.shot,
     )
 
 
@@ -158,6 +159,7 @@ def _job(plan: BakePlan, rest: Rig) -> UsdJob:
         meters_per_unit=meters,
         target=plan.target,
         bones=plan.options.bones,
+        shot=None if plan.form is Form.LIBRARY else plan.options.shot,
     )
 
 

@@ -41,9 +41,10 @@ from animtool.scene.systems.kinds import SYSTEM_KINDS, SystemReader
 from animtool.scene.systems.links import check_links, check_names
 from animtool.scene.systems.schema import SystemModel
 from animtool.scene.tracks import TrackNames
+from animtool.shot import Shot
 from animtool.units import LengthUnit, UpAxis, parse_length
 
-__all__ = ["load_scene", "scene_of_document"]
+__all__ = ["load_scene", "scene_of_document", "stated_rate"]
 
 
 def load_scene(path: Path | str, variables: Mapping[str, str] | None = None) -> Scene:
@@ -79,6 +80,16 @@ def scene_of_document(
     )
     document.check()
     return scene
+
+
+def stated_rate(path: Path) -> Fraction | None:
+    """Return the rate that a scene file states as a number; None where it has none."""
+    given = read_document(path).value
+    fps = given.get("fps") if isinstance(given, dict) else None
+    try:
+        return parse_rate(fps) if isinstance(fps, int | float | str) else None
+    except ValueError:
+        return None
 
 
 _PRIM_PATH = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
@@ -219,11 +230,20 @@ class _SceneReader:
         shot = self.model.shot
         if shot is None or not shot.preroll:
             return None
+        found = self._shot()
+        assert found is not None
         return Preroll(
             None if shot.start is None else Fraction(shot.start),
-            shot.cut[0] - shot.handles - shot.preroll,
+            found.start - shot.preroll,
             self._rate(("fps",), self.model.fps),
         )
+
+    def _shot(self) -> Shot | None:
+        """Return the shot's frames; its rate is that of the output."""
+        shot = self.model.shot
+        if shot is None:
+            return None
+        return Shot(shot.cut[0], shot.cut[1], shot.handles, shot.handles)
 
     def _outputs(self) -> tuple[SceneOutput, ...]:
         given = self.model.output
@@ -269,7 +289,7 @@ class _SceneReader:
             prim_path=model.prim_path,
             fps=fps,
             frame_range=frames,
-            cut=None if shot is None else (shot.cut[0], shot.cut[1]),
+            shot=self._shot(),
             start=None if start is None else Fraction(start),
             samples=self._samples((*at, "samples"), model.samples),
             sparse=model.sparse,
@@ -314,7 +334,7 @@ class _SceneReader:
 
     def _frames(self) -> FrameRange | None:
         """Return the frames to write: a range, or the cut with its handles."""
-        shot = self.model.shot
+        shot, found = self.model.shot, self._shot()
         at: Location = ("range",) if shot is None else ("shot", "cut")
         ends = self.model.range if shot is None else shot.cut
         if shot is not None and self.model.range is not None:
@@ -326,8 +346,9 @@ class _SceneReader:
         if first > last:
             message = f"the {at[-1]} from {first} to {last} is reversed"
             self.document.add("SCN003", at, message, f"write [{last}, {first}]")
-        handles = 0 if shot is None else shot.handles
-        return FrameRange(first - handles, last + handles)
+        if found is not None:
+            return FrameRange(found.start, found.end)
+        return FrameRange(first, last)
 
     def _samples(self, at: Location, given: list[float]) -> tuple[Fraction, ...]:
         if not given:

@@ -17,8 +17,9 @@ from animtool.edit.resample import (
     plan_samples,
     sample,
 )
-from animtool.errors import Fault, OptionError, Severity
+from animtool.errors import Fault, Severity
 from animtool.rig.skeleton import Rig
+from animtool.scene.shots import missing_frames
 from animtool.scene.take_plan import TakePlan
 from animtool.take import Clock, Motion, Take, TakeStream, time_codes
 
@@ -66,28 +67,21 @@ def timed_blocks(plan: TakePlan, stream: TakeStream) -> TimedTake:
     if stream.curve is not None and options.rest_frame is None:
         return _sampled(plan, stream, stream.curve)
     take = stream.collect()
-    times = plan_samples(
-        take.clock,
-        plan.fps,
-        plan.start,
-        frame_range=options.frame_range,
-        offsets=options.samples,
-        keep_samples=options.keep_samples,
-    )
-    plan.notices.extend([*_cut_notice(plan, times), *_end_notices(plan, times)])
+    times = _sample_times(plan, take.clock)
     rig = take.rig
     if options.rest_frame is not None:
         rig = _with_rest(plan, take, options.rest_frame)
     return TimedTake(sample(take, times), rig, times)
 
 
-def _sampled(
-    plan: TakePlan, stream: TakeStream, curve: Callable[[FloatArray], Motion]
-) -> TimedTake:
-    """Evaluate a source that is a function of time at the output's own times."""
+def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
+    """Return when to sample a take, and notice where it lacks frames.
+
+    Raises:
+        OptionError: The take has no frame of the shot (SCN042), or of the range.
+    """
     options = plan.options
-    first = Fraction(1) if stream.start is None else stream.start
-    clock = Clock(stream.fps, first, stream.step, stream.count)
+    notices = [] if options.shot is None else missing_frames(plan, options.shot, clock)
     times = plan_samples(
         clock,
         plan.fps,
@@ -95,15 +89,29 @@ def _sampled(
         frame_range=options.frame_range,
         offsets=options.samples,
         keep_samples=options.keep_samples,
+        hold=options.shot is not None,
     )
-    plan.notices.extend([*_cut_notice(plan, times), *_end_notices(plan, times)])
-    # Exact on the source's frames; samples before its first or behind its last are
-    # not on its grid.
-    inside = times.frames + times.fractions
-    ratio = float(clock.rate / plan.fps)
-    beyond = (times.codes - float(plan.start)) * ratio
-    outside = (beyond < 0) | (beyond > clock.count - 1)
-    places = np.where(outside, beyond, inside)
+    if options.shot is None:
+        notices = _range_notice(plan, times)
+    plan.notices.extend([*notices, *_end_notices(plan, times)])
+    return times
+
+
+def _sampled(
+    plan: TakePlan, stream: TakeStream, curve: Callable[[FloatArray], Motion]
+) -> TimedTake:
+    """Evaluate a source that is a function of time at the output's own times."""
+    first = Fraction(1) if stream.start is None else stream.start
+    clock = Clock(stream.fps, first, stream.step, stream.count)
+    times = _sample_times(plan, clock)
+    # Exact on the source's frames; samples before its first or after its last are
+    # not on its grid. In a shot they hold its ends.
+    places = times.frames + times.fractions
+    if plan.options.shot is None:
+        ratio = float(clock.rate / plan.fps)
+        beyond = (times.codes - float(plan.start)) * ratio
+        outside = (beyond < 0) | (beyond > clock.count - 1)
+        places = np.where(outside, beyond, places)
     motion = curve(float(first) + places * float(stream.step))
     return TimedTake(iter([(times.codes, motion)]), stream.rig, times)
 
@@ -118,18 +126,10 @@ def _streamed(
         done += block.frames
 
 
-def _cut_notice(plan: TakePlan, times: SampleTimes) -> list[Fault]:
-    """Say so where a range reaches beyond the take.
-
-    Raises:
-        OptionError: A frame of the cut is not there (SCN042).
-    """
+def _range_notice(plan: TakePlan, times: SampleTimes) -> list[Fault]:
+    """Say so where a range reaches beyond the take."""
     wanted = plan.options.frame_range
-    if wanted is None:
-        return []
-    if plan.options.cut is not None:
-        return _lacking(plan, wanted, plan.options.cut, times)
-    if plan.options.keep_samples:
+    if wanted is None or plan.options.keep_samples:
         return []
     last = wanted.last - (wanted.last - wanted.first) % wanted.step
     if times.first == wanted.first and times.last == last:
@@ -148,7 +148,7 @@ def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
     if times.dropped:
         found = dropped_notice(times.dropped, plan.fps, times.last)
         notices.append(replace(found, path=where, hint="--keep-samples writes it"))
-    if wanted is None or plan.options.cut is not None:
+    if wanted is None or plan.options.shot is not None:
         return notices
     ends = f"{frame_label(times.first)} to {frame_label(times.last)}"
     off_step = (wanted.last - wanted.first) % wanted.step != 0
@@ -159,48 +159,6 @@ def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
         message = f"--range {text} has no sample at its ends; {ends} are written"
         notices.append(Fault("CLI105", message, where, severity=Severity.NOTE))
     return notices
-
-
-def _lacking(
-    plan: TakePlan, wanted: FrameRange, cut: tuple[int, int], times: SampleTimes
-) -> list[Fault]:
-    """Name the handle frames that a take lacks.
-
-    Raises:
-        OptionError: A frame of the cut is not there (SCN042).
-    """
-    asked = range(wanted.first, wanted.last + 1, wanted.step)
-    missing = [frame for frame in asked if not times.first <= frame <= times.last]
-    where = str(plan.source)
-    inside = [frame for frame in missing if cut[0] <= frame <= cut[1]]
-    if inside:
-        message = f"the take has no frame {_spans(inside, wanted.step)} of the cut "
-        message += f"{cut[0]} to {cut[1]}"
-        hint = (
-            f"it has {float(times.first):g} to {float(times.last):g} of what is asked"
-        )
-        raise OptionError(Fault("SCN042", message, where, (), hint, where="shot.cut"))
-    if not missing:
-        return []
-    message = f"the take has no handle frame {_spans(missing, wanted.step)}"
-    warning = Severity.WARNING
-    return [Fault("SCN106", message, where, (), None, warning, where="shot.handles")]
-
-
-def _spans(frames: list[int], step: int) -> str:
-    """Return frames as people read them.
-
-    >>> _spans([1, 2, 3, 9, 11, 12], 1)
-    '1 to 3, 9, 11 to 12'
-    """
-    spans: list[list[int]] = []
-    for frame in frames:
-        if spans and frame == spans[-1][-1] + step:
-            spans[-1].append(frame)
-        else:
-            spans.append([frame])
-    ends = [dict.fromkeys((span[0], span[-1])) for span in spans]
-    return ", ".join(" to ".join(map(str, one)) for one in ends)
 
 
 def _with_rest(plan: TakePlan, take: Take, frame: int) -> Rig:

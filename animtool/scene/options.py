@@ -9,8 +9,9 @@ from pathlib import Path
 
 from animtool.edit.frame_range import FrameRange
 from animtool.errors import Fault, OptionError
-from animtool.rates import rate_option
+from animtool.rates import rate_label, rate_option
 from animtool.scene.sources import SourceOptions
+from animtool.shot import Shot
 from animtool.units import LengthUnit, UpAxis
 
 __all__ = [
@@ -43,10 +44,10 @@ class BakeOptions:
         fps: Frames a second of the output; a number or text such as ``23.976``
             becomes a fraction. None is the rig layer's or the source's.
         frame_range: Frames to write.
-        cut: First and last frame of a cut: these must be there, others of the range
-            are handles. None is no cut.
-        start: Time code of the first frame; None is the rig layer's, the
-            project's, or 1.
+        shot: The shot that is written: its frames, where there is no range, at its
+            rate. The pose of frames that the take lacks is held.
+        start: Time code of the first frame of the take; None is where the shot has
+            it, the rig layer's, the project's, or 1.
         samples: Sub-frame samples around each frame, in frames.
         keep_samples: Keep the source's samples at fractional time codes.
         to_units: Unit of the output; None is the rig layer's or the source's.
@@ -81,7 +82,7 @@ class BakeOptions:
     rest_frame: int | None = None
     fps: Fraction | None = None
     frame_range: FrameRange | None = None
-    cut: tuple[int, int] | None = None
+    shot: Shot | None = None
     start: Fraction | None = None
     samples: tuple[Fraction, ...] = ()
     keep_samples: bool = False
@@ -103,6 +104,12 @@ class BakeOptions:
         """Take the rate as it is written."""
         if self.fps is not None:
             object.__setattr__(self, "fps", rate_option(self.fps, "CLI006"))
+        if self.shot is not None:
+            if self.frame_range is None:
+                frames = FrameRange(self.shot.start, self.shot.end)
+                object.__setattr__(self, "frame_range", frames)
+            if self.fps is None:
+                object.__setattr__(self, "fps", self.shot.fps)
 
 
 def merged(options: BakeOptions, others: BakeOptions) -> BakeOptions:
@@ -217,6 +224,7 @@ def check_options(
         (form == "split" and to_stdout, "--split writes three files, not stdout")
     )
     clashes += _sample_clashes(options)
+    clashes += _shot_clashes(options, form)
     clashes += _deform_clashes(options, form)
     clashes += _chunk_clashes(options, to_stdout=to_stdout, simulated=simulated)
     faults = [Fault("CLI002", message) for wrong, message in clashes if wrong]
@@ -280,6 +288,25 @@ def _sample_clashes(options: BakeOptions) -> list[tuple[bool, str]]:
             options.reduce is None and bool(options.reduce_at),
             "--reduce-at goes with --reduce",
         ),
+    ]
+
+
+def _shot_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
+    """Return what excludes a shot that places its media, and whether it is so."""
+    shot = options.shot
+    if shot is None or not shot.places_media or shot.fps is None:
+        return []
+    named = f"shot {shot.name}" if shot.name else "the shot"
+    return [
+        (
+            options.fps != shot.fps,
+            f"--fps {options.fps} is not the rate of {named}, {rate_label(shot.fps)}",
+        ),
+        (
+            options.start is not None,
+            f"--start: {named} begins at {shot.start}, as its timeline says",
+        ),
+        (form == "library", f"{named} is not a take of a library"),
     ]
 
 

@@ -210,7 +210,7 @@ def _on_clock(plan: TakePlan) -> Take:
     """Return a take at the rate, in the range and at the time codes of an output."""
     options = plan.options
     plain = BakeOptions(
-        fps=options.fps, frame_range=options.frame_range, cut=options.cut
+        fps=options.fps, frame_range=options.frame_range, shot=options.shot
     )
     timed = timed_blocks(replace(plan, options=plain), plan.stream)
     frames, rig = timed.frames, timed.rig

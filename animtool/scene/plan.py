@@ -315,6 +315,8 @@ def plan_output(
     fps = options.fps or (target.fps if target else streams[0].fps)
     if len(sources) > 1:
         notices += rate_notice(names, streams, fps)
+    if options.shot is not None:
+        options = replace(options, shot=replace(options.shot, fps=fps))
     notices += _rate_apart(target, fps)
     notices += _left_points(streams, options)
     start = start_of(options, target, streams[0], sources[0])
@@ -384,6 +386,8 @@ def _check_count(count: int, options: BakeOptions) -> None:
     message = ""
     if not count:
         message = "there is no source to bake"
+    elif options.shot is not None and count > 1:
+        message = "a shot shows one take, and there are several"
     elif options.deform and count > 1:
         message = "--deform writes the points of one take, and there are several"
     if message:
@@ -435,6 +439,8 @@ def start_of(
     """Return the first frame: asked for, the shot's, the source's, the project's, 1."""
     if options.start is not None:
         return options.start
+    if options.shot is not None and options.shot.places_media:
+        return Fraction(1) if stream.start is None else stream.start
     if target is not None and target.start is not None:
         return target.start
     if stream.start is not None:

@@ -121,6 +121,7 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
         rest_size(character.rig),
         notices,
         seconds,
+        plan.options.shot,
     )
 
 
@@ -255,6 +256,7 @@ def _job(
         rig.up,
         character.surfaces,
         character.strands,
+        shot=options.shot,
     )
     spaces = [PointSpace()] * len(character.surfaces)
     spaces += [PointSpace(margin=WIDTH / unit / 2)] * len(character.strands)
@@ -290,6 +292,7 @@ def _layer_job(
         plan.target.up,
         normals=plan.options.normals is not False,
         target=target,
+        shot=plan.options.shot,
     )
     character = character.only(
         [mesh.name for mesh in target.meshes], [part.name for part in target.strands]

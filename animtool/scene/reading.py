@@ -11,6 +11,7 @@ from animtool.errors import AnimtoolError, Fault, Severity
 from animtool.scene.options import BakeOptions, merged
 from animtool.scene.progress import Progress, share_of, told
 from animtool.scene.scene import Scene
+from animtool.scene.shots import in_shot
 from animtool.scene.sources import (
     Opener,
     fitting_options,
@@ -81,7 +82,8 @@ class Reading:
                     continue
                 own = fitting_options(options.source, path, self.files)
                 own = replace(own, force_fit=options.force_fit)
-                streams.append(opener(path, own, progress=shown))
+                stream = opener(path, own, progress=shown)
+                streams.append(in_shot(stream, options.shot))
             except AnimtoolError as error:
                 errors.append(error)
         if len(errors) == 1:

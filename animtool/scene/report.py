@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from animtool.clock import FrameSpan
 from animtool.errors import Fault
+from animtool.shot import Shot
 from animtool.usd.jobs import UsdResult, WrittenTake
 
 if TYPE_CHECKING:
@@ -90,6 +91,7 @@ class BakeReport:
         size: Extent of the skeleton at rest [m].
         notices: Warnings and notes.
         seconds: Wall time by stage; ``read`` runs beside ``author``.
+        shot: The shot that was written; None is no shot.
     """
 
     takes: list[TakeReport]
@@ -101,6 +103,7 @@ class BakeReport:
     size: float
     notices: list[Fault]
     seconds: dict[str, float] = field(default_factory=dict)
+    shot: Shot | None = None
 
     @property
     def span(self) -> FrameSpan:

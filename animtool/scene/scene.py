@@ -21,8 +21,10 @@ from animtool.scene.entries import (
 )
 from animtool.scene.options import BakeOptions
 from animtool.scene.preroll import Preroll, begun_early, without_first
+from animtool.scene.shots import in_shot
 from animtool.scene.sources import SourceOptions, open_source
 from animtool.scene.stats import Meter
+from animtool.shot import Shot
 from animtool.take import Motion, Take, TakeStream
 
 if TYPE_CHECKING:
@@ -124,6 +126,40 @@ class Scene:
         )
         return replace(self, sources=sources)
 
+    def of_shot(self, shot: Shot) -> Scene:
+        """Return the scene with its take where a timeline has it.
+
+        Time codes of the take are then shot frames. The scene may write another cut,
+        other handles or a range of the shot.
+
+        Raises:
+            OptionError: The scene says itself where the take begins, or has another
+                rate (SCN073).
+        """
+        faults: list[Fault] = []
+        outputs: list[SceneOutput] = []
+        for output in self.outputs:
+            bake, own = output.bake, shot
+            if bake.start is not None:
+                message = "the timeline already says where the take begins"
+                hint = "leave start out; start_frame in metadata.animtool of the clip "
+                hint += f"moves the shot, which begins at {shot.start}"
+                faults.append(output.place.fault("SCN073", message, hint))
+            if bake.fps not in {None, shot.fps}:
+                message = f"fps is {bake.fps}, and the shot has {shot.fps}"
+                faults.append(output.place.fault("SCN073", message, "write ${fps}"))
+            if bake.shot is not None:
+                cut = bake.shot
+                own = shot.recut(cut.cut_in, cut.cut_out, cut.head, cut.tail)
+            bake = replace(bake, shot=own, fps=shot.fps)
+            outputs.append(replace(output, bake=bake))
+        if faults:
+            raise OptionError(list(dict.fromkeys(faults)))
+        early = self.preroll
+        if early is not None:
+            early = replace(early, start=None, fps=shot.fps)
+        return replace(self, outputs=tuple(outputs), preroll=early)
+
     def open(self, *, keeps: bool = True) -> TakeStream:
         """Return the source with every pass applied.
 
@@ -172,7 +208,13 @@ class Scene:
         return self._passed(stream, entry, self._context(keeps=False))
 
     def _context(self, *, keeps: bool) -> PassContext:
-        return PassContext(self._take, self.path.resolve().parent, keeps=keeps)
+        shot = self.bake.shot
+        return PassContext(
+            self._take,
+            self.path.resolve().parent,
+            keeps=keeps,
+            in_shot=shot is not None and shot.places_media,
+        )
 
     def _source(self) -> TakeStream:
         """Return the source, counted by the meter."""
@@ -184,7 +226,7 @@ class Scene:
         first = self.sources[0]
         stage = self.meter.stage(first.path.name, first.place.where)
         with self.meter.running(stage):
-            stream = self._sources()
+            stream = in_shot(self._sources(), self.bake.shot)
         stream.curve = self.meter.curve(stage, stream.curve)
         stream.blocks = self.meter.blocks(stage, stream.blocks)
         return stream

@@ -149,17 +149,18 @@ class ShotModel(FileModel):
     start: float | None = Field(
         default=None,
         description="Time code of the first frame of the take. Not given: as for an "
-        "output without `start`.",
+        "output without `start`; of a timeline's shot, where that has it.",
         examples=[1001],
     )
     cut: Annotated[list[int], Len(2, 2)] = Field(
-        description="First and last frame of the cut: these must be there.",
+        description="First and last frame of the cut; those that the take lacks are "
+        "held and named.",
         examples=[[1009, 1090]],
     )
     handles: Annotated[int, Ge(0)] = Field(
         default=0,
-        description="Frames to write before and behind the cut; those that are missing "
-        "are named.",
+        description="Frames to write before and after the cut; those that the take "
+        "lacks are held and named.",
         examples=[8],
     )
     preroll: Annotated[int, Ge(0)] = Field(

@@ -23,6 +23,7 @@ __all__ = [
     "SourceOptions",
     "fitting_options",
     "is_scene",
+    "is_timeline",
     "is_usd",
     "open_source",
     "source_stem",
@@ -35,6 +36,17 @@ Opener: TypeAlias = Callable[..., "TakeStream"]
 SCENE_SUFFIXES = (".scene.yaml", ".scene.yml", ".scene.json")
 # Options that apply to every source.
 ANY_SOURCE = frozenset({"rig", "force_fit"})
+# What OpenTimelineIO and its adapters read.
+TIMELINE_SUFFIXES = (
+    ".otio",
+    ".otioz",
+    ".otiod",
+    ".edl",
+    ".fcpxml",
+    ".xml",
+    ".aaf",
+    ".xges",
+)
 # As the command line calls an option, and why a file may not take it.
 _REFUSALS = {
     "clamp": ("--clamp", "is for clips, and this is no clip"),
@@ -89,6 +101,15 @@ def is_usd(path: Path) -> bool:
 def is_scene(path: Path) -> bool:
     """Return whether a path is that of a scene file."""
     return path.name.lower().endswith(SCENE_SUFFIXES)
+
+
+def is_timeline(path: Path) -> bool:
+    """Return whether a path is that of a timeline.
+
+    >>> is_timeline(Path("edit.otio")), is_timeline(Path("walk.bvh"))
+    (True, False)
+    """
+    return path.suffix.lower() in TIMELINE_SUFFIXES
 
 
 def source_stem(path: Path) -> str:

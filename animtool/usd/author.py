@@ -231,7 +231,7 @@ def _metadata(job: UsdJob, takes: Sequence[WrittenTake]) -> StageMetadata:
     if job.target is not None:
         unit, up = job.target.unit, job.target.up
     first, last = min(t.first for t in takes), max(t.last for t in takes)
-    return StageMetadata(default, job.fps, first, last, unit, up)
+    return StageMetadata(default, job.fps, first, last, unit, up, job.shot)
 
 
 def _author_metadata(

@@ -14,6 +14,7 @@ from animtool.errors import Fault
 from animtool.maths.curves import Curves
 from animtool.rates import rate_from_float
 from animtool.rig.skeleton import Rig
+from animtool.shot import Shot
 from animtool.usd.animation import Rounding, WrittenBlock
 from animtool.usd.forms import Form
 from animtool.usd.names import UsdNames
@@ -48,6 +49,7 @@ class UsdJob:
         meters_per_unit: Unit of the layer [m].
         target: The rig of a layer.
         bones: Add geometry that shows the joints.
+        shot: The shot that is written; None is no shot.
     """
 
     form: Form
@@ -60,6 +62,7 @@ class UsdJob:
     meters_per_unit: float
     target: RigTarget | None = None
     bones: bool = False
+    shot: Shot | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from pxr import Sdf, Tf, Work
 from animtool.errors import Fault, FormatError, OptionError, excerpt
 from animtool.inputs import note_input
 from animtool.output import output_error, replacing
+from animtool.shot import Shot
 from animtool.units import UpAxis
 
 __all__ = [
@@ -49,6 +50,7 @@ class StageMetadata:
         last: Time code of the last frame.
         meters_per_unit: Length unit [m].
         up: Up axis.
+        shot: The shot that the layer is of; None is no shot.
     """
 
     default_prim: str
@@ -57,10 +59,11 @@ class StageMetadata:
     last: Fraction
     meters_per_unit: float
     up: UpAxis
+    shot: Shot | None = None
 
 
 def author_metadata(layer: Any, metadata: StageMetadata) -> None:
-    """State the rate, the range, the units, the up axis and the default prim."""
+    """State the rate, the range, the units, the up axis, the default prim, the shot."""
     root = layer.pseudoRoot
     if metadata.default_prim:
         layer.defaultPrim = metadata.default_prim
@@ -70,6 +73,17 @@ def author_metadata(layer: Any, metadata: StageMetadata) -> None:
     layer.endTimeCode = float(metadata.last)
     root.SetInfo("metersPerUnit", metadata.meters_per_unit)
     root.SetInfo("upAxis", metadata.up.value)
+    if metadata.shot is not None:
+        data = dict(layer.customLayerData)
+        data["animtool"] = {**data.get("animtool", {}), "shot": _shot(metadata.shot)}
+        layer.customLayerData = data
+
+
+def _shot(shot: Shot) -> dict[str, object]:
+    """Return what ``animtool:shot`` in a layer's customLayerData says."""
+    camel = {"cut_in": "cutIn", "cut_out": "cutOut"}
+    camel |= {"media_in": "mediaIn", "media_out": "mediaOut"}
+    return {camel.get(key, key): value for key, value in shot.as_dict().items()}
 
 
 def check_prim_path(text: str) -> None:

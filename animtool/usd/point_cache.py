@@ -15,6 +15,7 @@ from animtool import _kernels
 from animtool._types import Float32Array, FloatArray
 from animtool.rig.strands import Strands
 from animtool.rig.surfaces import Surface
+from animtool.shot import Shot
 from animtool.skin.deform import Deformed
 from animtool.units import UpAxis
 from animtool.usd.layers import (
@@ -103,6 +104,7 @@ class CacheJob:
         normals: Of a layer, whether the blocks have those of meshes that have them;
             False blocks those of the rig.
         target: Of a layer, the rig; None is a stage.
+        shot: The shot that is written; None is no shot.
     """
 
     output: Path | None
@@ -116,6 +118,7 @@ class CacheJob:
     strands: tuple[Strands, ...] = ()
     normals: bool = True
     target: CacheTarget | None = None
+    shot: Shot | None = None
 
 
 @dataclass(slots=True)
@@ -255,7 +258,7 @@ def cache_metadata(job: CacheJob, first: float, last: float) -> StageMetadata:
     unit, up = job.meters_per_unit, job.up
     if job.target is not None:
         unit, up = job.target.unit, job.target.up
-    return StageMetadata(default, job.fps, *frames, unit, up)
+    return StageMetadata(default, job.fps, *frames, unit, up, job.shot)
 
 
 def _author_stage(layer: Any, job: CacheJob) -> Mapping[str, Any]:

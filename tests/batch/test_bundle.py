@@ -215,10 +215,21 @@ def test_a_job_of_a_cut_list_runs_to_the_same_bytes(edit: Path, tmp_path: Path) 
     assert whole_outputs(edit / "named") == made
 
 
-def test_a_cut_list_needs_a_scene(edit: Path) -> None:
-    (edit / "b.batch.yaml").write_text(JOB)
-    done = animtool("job", "b.batch.yaml", "--cut", "edit.otio", "-o", "x", cwd=edit)
-    assert (done.code, "scene" in done.stderr) == (2, True)
-    (edit / "c.batch.yaml").write_text(f"{JOB}cut: edit.otio\n")
-    done = animtool("job", "c.batch.yaml", "-o", "x", cwd=edit)
-    assert (done.code, "BAT001" in done.stderr) == (3, True), done.stderr
+def test_a_job_of_shots_alone_is_the_batch_of_them(edit: Path, tmp_path: Path) -> None:
+    """A timeline among the inputs, and no scene."""
+    pytest.importorskip("openjd.cli", reason="openjd-cli is not installed")
+    lines = "batch: animtool/1\ninputs: [edit.otio]\nhandles: 8\n"
+    (edit / "own.batch.yaml").write_text(lines + 'output: "own/{shot}.usdc"\n')
+    done = animtool("job", "own.batch.yaml", "-o", "a.job", "--chunk", 2, cwd=edit)
+    assert "3 items, 2 a task, 2 tasks" in done.stderr
+    values = ["-p", f"BatchFile={edit / 'own.batch.yaml'}", "-p", "Jobs=1"]
+    values += ["-p", f"Command={starter(tmp_path / 'start')}"]
+    words = ["--step", "Settle", "--run-dependencies", *values]
+    assert "3 of 3 are up to date" in openjd(
+        "run", edit / "a.job/template.yaml", *words
+    )
+    alone = ["edit.otio", "--handles", 8, "-o", "alone/{shot}.usdc", "-j", 1]
+    assert animtool("batch", *alone, cwd=edit).code == 0
+    made = whole_outputs(edit / "own")
+    assert set(made) == {"a.usdc", "b.usdc", "c.usdc"}
+    assert made == whole_outputs(edit / "alone")

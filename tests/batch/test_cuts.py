@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import sys
+from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support.batch import take_files, whole_outputs
 from support.cli import animtool
 
-from animtool.batch.cuts import SHOT_NAMES, read_cuts
+from animtool.batch.cuts import SHOT_NAMES, CutOptions, read_cuts
 from animtool.errors import FormatError, OptionError
 from animtool.files import FoundFile
+from animtool.rates import rate_from_float
+from animtool.shot import Shot
 
 otio = pytest.importorskip("opentimelineio", reason="no OpenTimelineIO (extra: otio)")
 
@@ -38,36 +43,127 @@ def codes(path: Path, **given: object) -> set[str]:
     return {n.code for n in read_cuts(path, **given).notices}  # type: ignore[arg-type]
 
 
-def test_ranges_count_from_the_first_frame_of_the_media(takes: Path) -> None:
+def test_frames_are_those_of_the_shot(takes: Path) -> None:
     made = clip("sh010", "takes/take000.bvh", (86410, 12), (86400, 40))
-    (shot,) = read_cuts(timeline(takes / "a.otio", made), handles=8).shots
-    assert set(shot.names) == set(SHOT_NAMES)
-    assert (shot.names["first"], shot.names["last"]) == ("11", "22")
-    assert (shot.names["begin"], shot.names["end"]) == ("3", "30")
-    assert (shot.names["shot"], shot.names["fps"]) == ("sh010", "24")
-    assert (shot.names["track"], shot.names["clip"]) == ("V1", "sh010")
-    assert shot.found.path == takes / "takes/take000.bvh"
+    path = timeline(takes / "a.otio", made)
+    (cut,) = read_cuts(path, options=CutOptions(handles=8)).shots
+    assert set(cut.names) == set(SHOT_NAMES)
+    assert (cut.names["first"], cut.names["last"]) == ("1009", "1020")
+    assert (cut.names["begin"], cut.names["end"]) == ("1001", "1028")
+    assert (cut.names["head"], cut.names["tail"], cut.names["handles"]) == ("8",) * 3
+    assert (cut.names["shot"], cut.names["fps"]) == ("sh010", "24")
+    assert (cut.names["track"], cut.names["clip"]) == ("V1", "sh010")
+    assert (cut.names["media_first"], cut.names["media_last"]) == ("11", "22")
+    assert cut.names["media_fps"] == "24"
+    assert cut.found.path == takes / "takes/take000.bvh"
+    assert cut.shot is not None
+    assert cut.shot.media_in == Fraction(10, 24)
 
 
 def test_media_without_a_range_of_its_own(takes: Path) -> None:
     made = clip("sh010", "takes/take000.bvh", (4, 10), None)
-    (shot,) = read_cuts(timeline(takes / "a.otio", made), handles=8).shots
-    assert (shot.names["first"], shot.names["last"]) == ("5", "14")
-    assert (shot.names["begin"], shot.names["end"]) == ("-3", "22")
+    (cut,) = read_cuts(timeline(takes / "a.otio", made)).shots
+    assert (cut.names["media_first"], cut.names["media_last"]) == ("5", "14")
+    assert (cut.names["first"], cut.names["last"]) == ("1001", "1010")
 
 
-def test_handles_that_are_not_there_are_named(takes: Path) -> None:
-    made = clip("sh010", "takes/take000.bvh", (2, 30), (0, 40))
-    found = read_cuts(timeline(takes / "a.otio", made), handles=8)
-    assert [(n.code, str(n.severity)) for n in found.notices] == [("BAT045", "warning")]
-    assert "2 and 8 frames" in found.notices[0].message
-    names = found.shots[0].names
-    assert (names["begin"], names["end"], names["handles"]) == ("1", "40", "8")
+def shots_of(path: Path, **options: Any) -> list[Shot]:
+    found = read_cuts(path, options=CutOptions(**options)).shots
+    assert all(cut.shot is not None for cut in found)
+    return [cut.shot for cut in found if cut.shot is not None]
 
 
-def test_a_cut_beyond_its_media_is_named(takes: Path) -> None:
-    made = clip("sh010", "takes/take000.bvh", (30, 20), (0, 40))
-    assert codes(timeline(takes / "a.otio", made)) == {"BAT045"}
+@pytest.mark.parametrize("rate", [24, 30, 120, 24000 / 1001, 25])
+@pytest.mark.parametrize("stated", [24, 24000 / 1001])
+def test_seconds_are_those_of_the_edit(takes: Path, rate: float, stated: float) -> None:
+    """The range of a clip is stored at the rate of its media."""
+    shown, there = span(round(2 * rate), round(3 * rate), rate), span(0, 400, rate)
+    made = clip("a", "takes/take000.bvh", shown, there)
+    path = timeline(takes / "a.otio", made, rate=stated)
+    (shot,) = shots_of(path, handles=8)
+    fps, exact = rate_from_float(stated), rate_from_float(rate)
+    assert shot.fps == fps
+    assert shot.media_in == round(2 * rate) / exact
+    assert shot.cut_in == 1009
+    seconds = round(3 * rate) / exact
+    assert shot.seconds_at(shot.cut_out) < shot.media_in + seconds
+    assert shot.seconds_at(shot.cut_out + 1) >= shot.media_in + seconds - Fraction(
+        1, 10**5
+    )
+    assert shot.seconds_at(shot.start) == shot.media_in - 8 / fps
+
+
+def test_ranges_and_media_at_two_rates(takes: Path) -> None:
+    media = span(108000, 300, 30)
+    made = clip("a", "takes/take000.bvh", span(86448, 72, 24), media)
+    (shot,) = shots_of(timeline(takes / "a.otio", made, rate=24))
+    assert (shot.media_in, shot.cut_out - shot.cut_in + 1) == (2, 72)
+
+
+def test_the_rate_is_that_of_most_clips_where_none_is_stated(takes: Path) -> None:
+    url = "takes/take000.bvh"
+    made = [clip(f"s{i}", url, span(0, 10, r)) for i, r in enumerate((30, 24, 24))]
+    path = timeline(takes / "a.otio", *made)
+    assert {shot.fps for shot in shots_of(path)} == {24}
+    assert codes(path) == {"BAT049"}
+    assert {shot.fps for shot in shots_of(path, fps=Fraction(25))} == {25}
+    stated = timeline(takes / "b.otio", *made[:0], clip("a", url, (0, 4)), rate=24)
+    with pytest.raises(OptionError, match="BAT051"):
+        shots_of(stated, fps=Fraction(25))
+
+
+@pytest.mark.parametrize(
+    ("whole", "own", "given", "found"),
+    [
+        ({}, {}, {}, (1001, 0)),
+        ({"start_frame": 101, "handles": 4}, {}, {}, (101, 4)),
+        ({"start_frame": 101, "handles": 4}, {"handles": 6}, {}, (101, 6)),
+        ({"handles": 4}, {"start_frame": 901}, {}, (901, 4)),
+        ({"start_frame": 101}, {"handles": 6}, {"handles": 2, "start": 11}, (11, 2)),
+    ],
+)
+def test_start_and_handles(
+    takes: Path,
+    whole: dict[str, int],
+    own: dict[str, int],
+    given: dict[str, int],
+    found: tuple[int, int],
+) -> None:
+    made = clip("a", "takes/take000.bvh", (10, 10))
+    made.metadata["animtool"] = own
+    path = timeline(takes / "a.otio", made, metadata=whole)
+    (shot,) = shots_of(path, **given)
+    assert (shot.start, shot.head, shot.tail) == (found[0], found[1], found[1])
+    assert shot.cut_in == found[0] + found[1]
+
+
+def test_the_start_of_a_project(takes: Path) -> None:
+    (takes / "animtool.toml").write_text("start = 501\n")
+    path = timeline(takes / "a.otio", clip("a", "takes/take000.bvh", (0, 4)))
+    assert shots_of(path)[0].start == 501
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ({"handels": 8}, "did you mean 'handles'?"),
+        ({"handles": -1}, "below 0"),
+        ({"start_frame": 1001.5}, "not a whole number"),
+        ({"start_frame": True}, "not a whole number"),
+        ({"start_frame": "1001"}, "not a whole number"),
+        ({"fps": 24}, "no key 'fps'"),
+        (8, "not a table"),
+    ],
+)
+def test_metadata_that_cannot_be_used(takes: Path, value: object, said: str) -> None:
+    made = clip("sh010", "takes/take000.bvh", (0, 4))
+    made.metadata["animtool"] = value
+    with pytest.raises(FormatError) as error:
+        read_cuts(timeline(takes / "a.otio", made))
+    (fault,) = error.value.faults
+    assert fault.code == "BAT047"
+    assert "clip 'sh010' of V1" in fault.message
+    assert said in str(fault)
 
 
 def test_names_are_legal_and_of_one_shot(takes: Path) -> None:
@@ -103,19 +199,30 @@ def test_transitions_lengthen_what_is_taken(takes: Path) -> None:
         "x", "SMPTE_Dissolve", in_offset=time(3, 24), out_offset=time(5, 24)
     )
     made = clip("a", url, (10, 10)), fade, clip("b", url, (10, 10))
-    found = read_cuts(timeline(takes / "a.otio", *made))
-    spans = [(shot.names["first"], shot.names["last"]) for shot in found.shots]
-    assert spans == [("11", "25"), ("8", "20")]
-    assert [n.code for n in found.notices] == ["BAT043", "BAT043"]
+    path = timeline(takes / "a.otio", *made)
+    spans = [(shot.cut_out - shot.cut_in + 1, shot.media_in) for shot in shots_of(path)]
+    assert spans == [(15, Fraction(10, 24)), (13, Fraction(7, 24))]
+    assert [n.code for n in read_cuts(path).notices] == ["BAT043", "BAT043"]
 
 
-def test_speed_is_said_and_counted(takes: Path) -> None:
-    made = clip("a", "takes/take000.bvh", (0, 10))
+def test_speed_is_that_of_the_edit(takes: Path) -> None:
+    made = clip("a", "takes/take000.bvh", (6, 10))
     made.effects.append(otio.schema.LinearTimeWarp("fast", time_scalar=2.0))
-    found = read_cuts(timeline(takes / "a.otio", made))
-    assert found.shots[0].names["last"] == "20"
-    assert found.shots[0].names["speed"] == "2"
-    assert [n.code for n in found.notices] == ["BAT044"]
+    path = timeline(takes / "a.otio", made)
+    (shot,) = shots_of(path)
+    assert (shot.cut_out - shot.cut_in + 1, shot.speed) == (10, 2)
+    assert shot.seconds_at(shot.cut_out) == Fraction(6 + 18, 24)
+    assert codes(path) == set()
+
+
+def test_motion_that_does_not_go_forward_is_refused(takes: Path) -> None:
+    back = clip("a", "takes/take000.bvh", (6, 10))
+    back.effects.append(otio.schema.LinearTimeWarp("back", time_scalar=-1.0))
+    still = clip("b", "takes/take000.bvh", (6, 10))
+    still.effects.append(otio.schema.FreezeFrame("still"))
+    with pytest.raises(FormatError) as error:
+        read_cuts(timeline(takes / "a.otio", back, still))
+    assert [fault.code for fault in error.value.faults] == ["BAT044", "BAT044"]
 
 
 def test_nested_clips_are_shots(takes: Path) -> None:
@@ -187,7 +294,7 @@ def test_an_edl(takes: Path) -> None:
     media = [FoundFile(path, path.parent) for path in (takes / "takes").iterdir()]
     (shot,) = read_cuts(takes / "a.edl", media).shots
     assert shot.found.path.stem == "take001"
-    assert (shot.names["first"], shot.names["last"]) == ("1", "8")
+    assert (shot.names["media_first"], shot.names["media_last"]) == ("1", "8")
 
 
 def test_a_scene_for_each_shot(takes: Path) -> None:
@@ -195,27 +302,32 @@ def test_a_scene_for_each_shot(takes: Path) -> None:
     url = "takes/take000.bvh"
     made = clip("a", url, (10, 4), (0, 40)), clip("b", url, (20, 6), (0, 40))
     timeline(takes / "edit.otio", *made, clip("c", "takes/take001.bvh", (0, 4)))
-    words = ["--cut", "edit.otio", "--scene", "shot.scene.yaml", "--handles", 2]
+    words = ["edit.otio", "--scene", "shot.scene.yaml", "--handles", 2]
     words += ["--executor", "serial", "-o", "out/{shot}.usda"]
     done = animtool("batch", *words, "--format", "json", cwd=takes)
     assert done.code == 0, done.stderr
-    assert '"samples": 8' in done.stdout
-    assert '"samples": 10' in done.stdout
-    assert "BAT045" in done.stderr
+    items = json.loads(done.stdout)["items"]
+    assert [item["samples"] for item in items] == [8, 10, 8]
+    assert items[0]["shot"]["cut_in"] == 1003
+    said = "shot c: the take lacks handle frames 1001 to 1002; the nearest pose is held"
+    assert f"warning: SCN106 {said}" in done.stderr
     assert set(whole_outputs(takes / "out")) == {"a.usda", "b.usda", "c.usda"}
     again = animtool("batch", *words, cwd=takes)
     assert "3 of 3 are up to date" in again.stderr
     other = animtool("batch", *words, "--handles", 1, "-n", cwd=takes)
     assert "options changed" in other.stdout
+    strict = animtool("batch", *words, "--strict", cwd=takes)
+    assert (strict.code, "SCN106 shot c" in strict.stderr) == (1, True)
+    assert set(whole_outputs(takes / "out")) == {"a.usda", "b.usda", "c.usda"}
 
 
 def test_shots_of_scenes_take_cuts_and_handles(takes: Path) -> None:
-    (takes / "shot.scene.yaml").write_text(
-        "scene: animtool/1\nvariables: {first: 1, last: 2, handles: 0}\n"
-        'source: {file: "${input}"}\n'
-        "shot:\n  start: 1\n  cut:\n  - ${first}\n  - ${last}\n"
-        "  handles: ${handles}\n"
+    scene = (
+        "scene: animtool/1\nvariables: {first: 1, last: 2, handles: 0, fps: 24}\n"
+        'source: {file: "${input}"}\nfps: ${fps}\n'
+        "shot:\n  cut:\n  - ${first}\n  - ${last}\n  handles: ${handles}\n"
     )
+    (takes / "shot.scene.yaml").write_text(scene)
     made = clip("a", "takes/take000.bvh", (10, 4), (0, 40))
     timeline(takes / "edit.otio", made)
     words = ["--cut", "edit.otio", "--scene", "shot.scene.yaml", "--handles", 2]
@@ -223,20 +335,65 @@ def test_shots_of_scenes_take_cuts_and_handles(takes: Path) -> None:
     done = animtool("batch", *words, cwd=takes)
     assert done.code == 0, done.stderr
     text = (takes / "a.usda").read_text()
-    assert "startTimeCode = 9\n" in text
-    assert "endTimeCode = 16\n" in text
+    assert "startTimeCode = 1001\n" in text
+    assert "endTimeCode = 1008\n" in text
+    (takes / "shot.scene.yaml").write_text(f"{scene}  start: 1\n")
+    done = animtool("batch", *words, cwd=takes)
+    assert (done.code, "SCN073" in done.stderr) == (2, True), done.stderr
+
+
+def test_a_rate_that_a_scene_states_is_that_of_the_shots(takes: Path) -> None:
+    """A timeline without a rate whose clip counts frames of its media at 30 fps."""
+    scene = 'scene: animtool/1\nfps: 24\nsource: {file: "${input}"}\n'
+    (takes / "shot.scene.yaml").write_text(scene)
+    url = "takes/take000.bvh"
+    timeline(takes / "edit.otio", clip("a", url, span(10, 10, 30), span(0, 40, 30)))
+    words = ["--scene", "shot.scene.yaml", "--executor", "serial", "-o", "{shot}.usda"]
+    done = animtool("batch", "edit.otio", *words, cwd=takes)
+    assert done.code == 0, done.stderr
+    assert "endTimeCode = 1008\n" in (takes / "a.usda").read_text()
+    made = clip("a", url, span(10, 10, 30), span(0, 40, 30))
+    timeline(takes / "edit.otio", made, rate=30)
+    done = animtool("batch", "edit.otio", *words, cwd=takes)
+    assert (done.code, "BAT051" in done.stderr) == (2, True), done.stderr
 
 
 def test_outputs_without_a_pattern_are_beside_the_list(takes: Path) -> None:
-    (takes / "shot.scene.yaml").write_text(SCENE)
     made = clip("a", "takes/take000.bvh", (0, 4)), clip("b", "gone.bvh", (0, 4))
     timeline(takes / "edit.otio", *made)
-    words = ["--cut", "edit.otio", "--scene", "shot.scene.yaml"]
-    words += ["--executor", "serial"]
+    words = ["edit.otio", "--executor", "serial"]
     assert "BAT042" in animtool("batch", *words, cwd=takes).stderr
     done = animtool("batch", *words, "--exclude", "gone.bvh", cwd=takes)
     assert done.code == 0, done.stderr
     assert (takes / "a.usdc").exists()
-    bare = animtool("batch", "--cut", "edit.otio", cwd=takes)
-    assert (bare.code, "needs a scene" in bare.stderr) == (2, True)
+    both = animtool("batch", "edit.otio", "--cut", "edit.otio", cwd=takes)
+    assert (both.code, "BAT050" in both.stderr) == (2, True)
     assert animtool("batch", cwd=takes).code == 2
+
+
+def test_one_shot_is_baked_by_its_name(takes: Path) -> None:
+    made = clip("sh010", "takes/take000.bvh", (4, 8)), clip("sh020", "gone.bvh", (0, 4))
+    timeline(takes / "edit.otio", *made, rate=24)
+    done = animtool("bake", "edit.otio", "--shot", "sh010", "--handles", 2, cwd=takes)
+    assert done.code == 0, done.stderr
+    assert "shot sh010: cut 1003 to 1010, handles 2 and 2, 24 fps" in done.stderr
+    assert (takes / "sh010.usdc").exists()
+    for words, said in (
+        (["--shot", "sh01"], "did you mean 'sh010'? the shots are sh010, sh020"),
+        ([], "has 2 shots: name one with --shot, the shots are sh010, sh020"),
+        (["--shot", "sh010", "--fps", 25, "--overwrite"], "BAT051"),
+        (["--shot", "sh010", "--start", "1.5"], "whole frame"),
+    ):
+        done = animtool("bake", "edit.otio", *words, cwd=takes)
+        assert (done.code, said in done.stderr) == (2, True), done.stderr
+    done = animtool("bake", "takes/take000.bvh", "--shot", "sh010", cwd=takes)
+    assert (done.code, "is for a SOURCE that is a timeline" in done.stderr) == (2, True)
+
+
+def test_the_only_shot_needs_no_name(takes: Path) -> None:
+    made = clip("only", "takes/take000.bvh", (4, 8))
+    timeline(takes / "edit.otio", made, rate=24)
+    words = ["edit.otio", "-o", "x.usda", "--start", 51]
+    done = animtool("bake", *words, cwd=takes)
+    assert done.code == 0, done.stderr
+    assert "startTimeCode = 51\n" in (takes / "x.usda").read_text()

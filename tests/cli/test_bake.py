@@ -31,8 +31,7 @@ def test_defaults_are_those_of_the_options() -> None:
 
 
 def test_every_option_is_reachable() -> None:
-    # Of a cut a scene speaks, in its shot.
-    names = {p.name for p in bake.params} | {"source", "form", "cut"}
+    names = {p.name for p in bake.params} | {"source", "form"}
     for field in fields(BakeOptions):
         assert field.name in names
 

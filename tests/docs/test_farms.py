@@ -19,7 +19,7 @@ from support.cluster import local_cluster
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="blocks are of sh")
 
 # What tells each block of sh apart: it is run by the test that asks for it.
-BLOCKS = ("split", "openjd run", "--lines openjd", "#IFRAME#", "dask=", "--cut")
+BLOCKS = ("split", "openjd run", "--lines openjd", "#IFRAME#", "dask=", "--shot")
 JOB = "batch: animtool/1\ninputs: [takes]\noutput: out/{stem}.usdc\n"
 
 
@@ -143,12 +143,14 @@ def test_cut_lists(guide: str, tmp_path: Path, commands: dict[str, str]) -> None
     from support.timelines import clip, timeline
 
     (path,) = take_files(tmp_path / "takes", 1, frames=40)
-    timeline(tmp_path / "edit.otio", clip("a", f"takes/{path.name}", (10, 4), (0, 40)))
-    part = guide.split("### Cut lists")[1]
+    made = clip("sh010", f"takes/{path.name}", (10, 4), (0, 40))
+    timeline(tmp_path / "edit.otio", made)
+    part = guide.split("### Shots and cut lists")[1]
     (scene,) = re.findall(r"^```yaml\n(.*?)^```", part.split("\n## ")[0], re.M | re.S)
     (tmp_path / "shot.scene.yaml").write_text(scene)
-    first, second = block(guide, "--cut").splitlines()
-    assert "1 done" in shell(first, tmp_path, commands)
+    batch, bake, other = block(guide, "--shot").splitlines()
+    assert "1 done" in shell(batch, tmp_path, commands)
+    assert "shot sh010: cut 1001 to 1004" in shell(bake, tmp_path, commands)
     # Lists of edits need a package of their own: only the words are looked at here.
-    other = second.replace("edit.edl", "edit.otio")
+    other = other.replace("edit.edl", "edit.otio")
     assert "options changed" in shell(f"{other} -n", tmp_path, commands)

@@ -195,6 +195,8 @@ ELSEWHERE = {
     "SCN090",
     # Those of tests/cli/test_simulation_table.py.
     *(f"SCN{n:03d}" for n in range(70, 73)),
+    # Those of tests/pipeline/test_cut_list.py and tests/scene/test_shot.py.
+    *("SCN073", "SCN074"),
     # That of tests/scene/systems/test_chosen.py.
     "SCN081",
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -18,6 +19,7 @@ from animtool.passes import PASSES, Pass, PassContext, Scope
 from animtool.scene.file import load_scene
 from animtool.scene.preroll import Preroll, begun_early, without_first
 from animtool.take import Motion, Take, TakeStream
+from animtool.usd.layers import find_layer
 
 SCENE = """scene: animtool/1
 source: {file: walk.bvh, units: cm}
@@ -58,18 +60,66 @@ def test_handles_that_are_missing_are_named(shot: Path, cut: str, named: str) ->
     shot.write_text(SCENE.replace("[1009, 1050]", cut), "utf-8")
     done = animtool("bake", shot)
     assert done.code == 0, done.stderr
-    assert f"SCN106 shot.handles: the take has no handle frame {named}\n" in done.stderr
+    said = f"SCN106 shot.handles: the take lacks handle frames {named}; the nearest"
+    assert said in done.stderr
+    first, last = (int(frame) for frame in cut.strip("[]").split(", "))
+    text = (shot.parent / "shot.usda").read_text("utf-8")
+    assert f"startTimeCode = {first - 8}\n" in text
+    assert f"endTimeCode = {last + 8}\n" in text
     done = animtool("bake", shot, "--strict", "--overwrite")
     assert done.code == 1
 
 
-@pytest.mark.parametrize("cut", ["[1000, 1050]", "[1009, 1065]", "[1030, 1070]"])
-def test_a_cut_that_is_missing_is_refused(shot: Path, cut: str) -> None:
+@pytest.mark.parametrize(
+    ("cut", "named"),
+    [
+        ("[1000, 1050]", "1000"),
+        ("[1009, 1065]", "1065"),
+        ("[1030, 1070]", "1065 to 1070"),
+    ],
+)
+def test_frames_of_the_cut_that_are_missing_hold_the_nearest_pose(
+    shot: Path, cut: str, named: str
+) -> None:
     shot.write_text(SCENE.replace("[1009, 1050]", cut), "utf-8")
+    done = animtool("bake", shot, "--strict")
+    assert done.code == 1
+    assert not (shot.parent / "shot.usda").exists()
+    done = animtool("bake", shot)
+    assert done.code == 0, done.stderr
+    said = f"SCN074 shot.cut: the take lacks frames of the cut {named}; the nearest"
+    assert said in done.stderr
+    take = open_source(shot.parent / "shot.usda").collect()
+    positions = take.world().positions
+    begin, near = int(take.clock.start), 1001 if named == "1000" else 1064
+    held = positions[int(named[-4:]) - begin]
+    np.testing.assert_array_equal(held, positions[near - begin])
+
+
+def test_a_take_without_any_frame_of_the_shot_is_refused(shot: Path) -> None:
+    shot.write_text(SCENE.replace("[1009, 1050]", "[1080, 1090]"), "utf-8")
     done = animtool("bake", shot)
     assert done.code == 2
     assert "SCN042 shot.cut" in done.stderr
     assert not (shot.parent / "shot.usda").exists()
+
+
+def test_a_layer_says_which_shot_it_is_of(shot: Path) -> None:
+    done = animtool("bake", shot, "--format", "json")
+    report = json.loads(done.stdout)["shot"]
+    assert (report["start"], report["cut_in"], report["cut_out"]) == (1001, 1009, 1050)
+    layer = find_layer(shot.parent / "shot.usda")
+    assert layer.customLayerData["animtool"]["shot"] == {
+        "name": "",
+        "start": 1001,
+        "end": 1058,
+        "cutIn": 1009,
+        "cutOut": 1050,
+        "head": 8,
+        "tail": 8,
+        "fps": 30.0,
+        "rate": "30",
+    }
 
 
 def test_the_command_line_writes_other_frames(shot: Path) -> None:

@@ -85,7 +85,7 @@ def plan_systems(scene: Scene, output: Path | None, options: BakeOptions) -> Sys
     unit = 1.0 if options.to_units is None else options.to_units.meters
     up = options.to_up or UpAxis.Y
     span = Fraction(frames.first), Fraction(frames.last)
-    metadata = StageMetadata(model.split("/")[1], fps, *span, unit, up)
+    metadata = StageMetadata(model.split("/")[1], fps, *span, unit, up, options.shot)
     job = system_job(scene.systems, model, metadata, unit, up)
     return SystemPlan(scene.path, scene.systems, output, job, codes, first, options)
 
@@ -191,4 +191,5 @@ def run_system_bake(plan: SystemPlan, *, progress: Progress = None) -> BakeRepor
         0.0,
         run.notices,
         {"read": spent, "author": total - spent, "save": 0.0, "total": total},
+        options.shot,
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -90,9 +91,15 @@ class SystemsBeside:
         codes = [Fraction(code) for code in self.watch.codes.tolist()]
         metadata = replace(self.job.metadata, first=codes[0], last=codes[-1])
         job = replace(self.job, metadata=metadata)
-        last = float((codes[-1] - self.start) / metadata.fps)
-        run = SystemRun(self.systems, last, self.watch.motion(self.scene))
-        rows = run.rows(codes, self.start, metadata.fps)
+        # Where a shot begins before its take, the take's first pose is held.
+        start = min(self.start, Fraction(ceil(codes[0])))
+        last = float((codes[-1] - start) / metadata.fps)
+        motion = self.watch.motion(self.scene)
+        if motion is not None and start < self.start:
+            held = float((self.start - start) / metadata.fps)
+            motion = replace(motion, times=motion.times + held)
+        run = SystemRun(self.systems, last, motion)
+        rows = run.rows(codes, start, metadata.fps)
         made = write_systems(
             job, run, rows, layer, output, self.chunk, finish, strict=self.strict
         )

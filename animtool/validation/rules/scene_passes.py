@@ -63,7 +63,7 @@ def _outside(
     if wholly != (wanted.last < start or wanted.first > last):
         return
     what, at = "range", ("range",)
-    if scene.bake.cut is not None:
+    if scene.bake.shot is not None:
         what, at = "cut with its handles,", ("shot",)
     message = (
         f"the {what} from {wanted.first} to {wanted.last} {how}, "

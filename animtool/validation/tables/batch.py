@@ -8,7 +8,7 @@ from animtool.validation.rule import Rule
 __all__ = ["RULES"]
 
 RULES = (
-    Rule("BAT001", "a scene with options, or a cut list without a scene"),
+    Rule("BAT001", "a scene with options"),
     Rule("BAT002", "a length, rate, size, range or name that is none"),
     Rule("BAT003", "a file that is not there, or outside the project"),
     Rule("BAT004", "a name in an output that there is none of"),
@@ -34,13 +34,17 @@ RULES = (
     Rule("BAT041", "no timeline"),
     Rule("BAT042", "media of a clip that is missing"),
     Rule("BAT043", "what is not taken from a timeline as it is", Severity.NOTE),
-    Rule("BAT044", "a clip with another speed", Severity.WARNING),
-    Rule("BAT045", "frames that media does not have", Severity.WARNING),
+    Rule("BAT044", "a clip that plays backwards or stands still"),
+    Rule("BAT046", "a shot called otherwise than its clip", Severity.NOTE),
+    Rule("BAT047", "metadata of a timeline that cannot be used"),
+    Rule("BAT048", "unknown shot, or several shots and none named"),
+    Rule("BAT049", "a timeline whose clips have several rates", Severity.NOTE),
+    Rule("BAT050", "several timelines"),
+    Rule("BAT051", "another rate than the timeline has"),
     Rule("BAT060", "a scene that makes the same of all items"),
     Rule("BAT061", "a table of variants without values"),
     Rule("BAT062", "a row of variants with other columns"),
     Rule("BAT063", "a column of variants that cannot be called so"),
     Rule("BAT064", "a value of a variant that makes no sense"),
     Rule("BAT065", "too many variants, or none"),
-    Rule("BAT046", "a shot called otherwise than its clip", Severity.NOTE),
 )

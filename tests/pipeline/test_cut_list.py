@@ -1,0 +1,172 @@
+"""A cut list of takes at several rates, whole: what each frame of a shot shows."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.cli import animtool
+
+from animtool import open_source
+from animtool.rates import rate_from_float
+from animtool.usd.layers import find_layer
+
+otio = pytest.importorskip("opentimelineio", reason="no OpenTimelineIO (extra: otio)")
+
+from support.timelines import clip, span, timeline  # noqa: E402
+
+# Name, rate of the take, its frames, first second shown, seconds shown. The last has
+# 4 of 8 handle frames at its end.
+SHOTS = [
+    ("sh010", 24, 96, 1.0, 1.0),
+    ("sh020", 30, 150, 2.0, 1.5),
+    ("sh030", 120, 310, 1.25, 1.1666666666666667),
+]
+HANDLES = 8
+CAPTURE = """HIERARCHY
+ROOT hips
+{{
+  OFFSET 0 0 0
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+  End Site
+  {{
+    OFFSET 0 1 0
+  }}
+}}
+MOTION
+Frames: {count}
+Frame Time: {time:.10f}
+{rows}
+"""
+TRIM = """scene: animtool/1
+source: {file: "${input}"}
+passes:
+- trim:
+    first: ${begin}
+    last: ${end}
+"""
+CUT = """scene: animtool/1
+variables: {first: 1, last: 2, handles: 0, fps: 24}
+fps: ${fps}
+source: {file: "${input}"}
+shot:
+  cut:
+  - ${first}
+  - ${last}
+  handles: ${handles}
+"""
+
+
+def capture(path: Path, rate: int, count: int) -> None:
+    """Write a take whose root is 1 m further in each second."""
+    rows = "\n".join(f"{100 * i / rate:.9f} 0 0 0 0 0" for i in range(count))
+    path.write_text(CAPTURE.format(count=count, time=1 / rate, rows=rows), "utf-8")
+
+
+def edit(folder: Path, fps: float, *, own: bool) -> Path:
+    """Write takes and their cut list; ranges are at the takes' rates, or the edit's."""
+    clips = []
+    for name, rate, count, first, seconds in SHOTS:
+        capture(folder / f"{name}_take.bvh", rate, count)
+        counted = rate if own else fps
+        shown = span(round(first * counted), round(seconds * counted), counted)
+        media = span(0, count, rate)
+        clips.append(clip(name, f"{name}_take.bvh", shown, media))
+    return timeline(folder / "cut.otio", *clips, rate=fps, metadata={"handles": 8})
+
+
+def expected(name: str, fps: float, *, own: bool) -> tuple[Fraction, int, Fraction]:
+    """Return a cut's first second, its frames, and the last second of its media."""
+    _, rate, count, first, seconds = next(shot for shot in SHOTS if shot[0] == name)
+    exact, counted = (
+        rate_from_float(fps),
+        Fraction(rate) if own else rate_from_float(fps),
+    )
+    within = round(seconds * float(counted)) / counted
+    frames = -(-within * exact // 1)
+    begin = round(first * float(counted)) / counted
+    return begin, int(frames), Fraction(count - 1, rate)
+
+
+@pytest.mark.parametrize(
+    ("fps", "own", "scene"),
+    [
+        (24, True, None),
+        (24, False, None),
+        (24000 / 1001, True, None),
+        (24, True, TRIM),
+        (24, True, CUT),
+    ],
+)
+def test_shots_show_the_seconds_of_the_edit(
+    tmp_path: Path, fps: float, own: bool, scene: str | None
+) -> None:
+    edit(tmp_path, fps, own=own)
+    words = ["cut.otio", "-o", "out/{shot}.usdc", "--executor", "serial"]
+    if scene is not None:
+        (tmp_path / "shot.scene.yaml").write_text(scene, "utf-8")
+        words += ["--scene", "shot.scene.yaml"]
+    done = animtool("batch", *words, cwd=tmp_path)
+    assert done.code == 0, done.stderr
+    warned = [line for line in done.stderr.splitlines() if "warning: " in line]
+    assert len(warned) == 1
+    assert "SCN106 shot sh030: the take lacks handle frames" in warned[0]
+    exact = rate_from_float(fps)
+    for name, *_ in SHOTS:
+        begin, frames, last = expected(name, fps, own=own)
+        take = open_source(tmp_path / f"out/{name}.usdc").collect()
+        assert (take.clock.start, take.clock.step, take.clock.fps) == (1001, 1, exact)
+        assert take.clock.count == frames + 2 * HANDLES
+        shown = [
+            min(begin + (i - HANDLES) / exact, last) for i in range(take.clock.count)
+        ]
+        found = take.world().positions[:, 0, 0]
+        np.testing.assert_allclose(found, np.array(shown, float), atol=1e-6)
+        layer = find_layer(tmp_path / f"out/{name}.usdc")
+        shot = layer.customLayerData["animtool"]["shot"]
+        assert (layer.startTimeCode, layer.endTimeCode) == (shot["start"], shot["end"])
+        assert (shot["name"], shot["start"], shot["cutIn"]) == (name, 1001, 1009)
+        assert shot["cutOut"] == 1009 + frames - 1
+        assert (shot["head"], shot["tail"], shot["rate"]) == (8, 8, str(exact))
+        assert shot["mediaIn"] == float(begin)
+
+
+def test_a_shot_baked_alone_is_that_of_the_batch(tmp_path: Path) -> None:
+    edit(tmp_path, 24, own=True)
+    words = ["cut.otio", "-o", "out/{shot}.usdc", "--executor", "serial"]
+    assert animtool("batch", *words, cwd=tmp_path).code == 0
+    done = animtool("bake", "cut.otio", "--shot", "sh020", "-o", "a.usdc", cwd=tmp_path)
+    assert done.code == 0, done.stderr
+    made = (tmp_path / "a.usdc").read_bytes()
+    assert made == (tmp_path / "out/sh020.usdc").read_bytes()
+
+
+def test_shots_become_layers_over_a_rig(tmp_path: Path) -> None:
+    edit(tmp_path, 24, own=True)
+    one = ["bake", "sh010_take.bvh", "-o", "rig.usda", "--split", "--start", 1]
+    assert animtool(*one, cwd=tmp_path).code == 0
+    words = ["--shot", "sh020", "--rig-layer", "rig.rig.usda", "-o", "a.usdc"]
+    done = animtool("bake", "cut.otio", *words, cwd=tmp_path)
+    assert done.code == 0, done.stderr
+    layer = find_layer(tmp_path / "a.usdc")
+    assert (layer.startTimeCode, layer.endTimeCode) == (1001, 1052)
+    (tmp_path / "job.batch.yaml").write_text(
+        "batch: animtool/1\ninputs: [cut.otio]\noptions: {rig_layer: rig.rig.usda}\n"
+        "output: out/{shot}.usdc\n"
+    )
+    done = animtool("batch", "job.batch.yaml", "--executor", "serial", cwd=tmp_path)
+    assert done.code == 0, done.stderr
+    made = (tmp_path / "out/sh020.usdc").read_bytes()
+    assert made == (tmp_path / "a.usdc").read_bytes()
+
+
+def test_media_too_short_is_an_error_under_strict(tmp_path: Path) -> None:
+    edit(tmp_path, 24, own=True)
+    words = ["cut.otio", "-o", "out/{shot}.usdc", "--executor", "serial", "--strict"]
+    done = animtool("batch", *words, cwd=tmp_path)
+    assert done.code == 1
+    assert "SCN106 shot sh030" in done.stderr
+    names = sorted(path.name for path in (tmp_path / "out").glob("*.usdc"))
+    assert names == ["sh010.usdc", "sh020.usdc"]
