@@ -1,0 +1,1 @@
+"""Rules on motion: one engine for clips, BVH and USD."""

@@ -1,0 +1,209 @@
+"""Joints and roots that jump in one frame of motion that is otherwise smooth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.errors import Fault, listed
+from animtool.validation.motion.steps import around, mean_around, surprises
+from animtool.validation.motion.subject import MotionSubject
+
+__all__ = ["joint_pops", "reference_pose", "root_pops"]
+
+# A smaller difference to the motion around is seen as a part of it [rad].
+LEAST_TURN = math.radians(18.5)
+# The same of moves, of the rig's size: of a joint against its parent, where rigs that
+# slide and stretch do so on purpose; and of a root, which is seen sooner [1].
+LEAST_SHIFT, LEAST_ROOT_SHIFT = 0.2, 0.03
+# No motion at the rates in use turns a joint so far in one frame [rad].
+FLIP = math.radians(120.0)
+# A pop is as many times rougher than the motion around: kicks, claps and landings at
+# 24 to 120 fps come to 6, and 20 degrees in a smooth walk to 9 and more [1]. Motion is
+# never taken for smoother than this, which is the noise of captures [rad], [size].
+STANDS_OUT = 8.0
+TURN_NOISE, SHIFT_NOISE = math.radians(1.0), 0.002
+# Of the steps beside it [1]; fast motion begins and ends over several frames.
+ABOVE_BESIDE = 5.5
+# Motion around: this long before and after, but some steps at least [s], [1].
+REACH_SECONDS, FEWEST_STEPS = 0.12, 12
+# A move is as many times what is done beside it: a ball that bounces turns its speed
+# round in one step, which is twice that [1].
+ABOVE_SPEED = 2.4
+# Steps beside a pop that it disturbs itself [1].
+GAP = 2
+# Fewer frames do not show what is usual in them.
+FEWEST_FRAMES = 8
+# So many joints that jump from the first frame are a reference pose.
+REFERENCE_JOINTS = 3
+# Below this many degrees a joint starts from rest, and does not leave a pose.
+REFERENCE_TURN = math.radians(30.0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Pops:
+    """Steps at which joints jump.
+
+    Attributes:
+        joints: Of the columns ``(N,)``.
+        flags: Where ``(S, N)``.
+        amounts: How far each step is from the motion around ``(S, N)``.
+        unit: ``rad`` or ``m``.
+    """
+
+    joints: IntArray
+    flags: BoolArray
+    amounts: FloatArray
+    unit: str
+
+    def worst(self) -> tuple[int, int]:
+        """Return step and column of the largest jump."""
+        found = np.where(self.flags, self.amounts, -1.0)
+        step, column = np.unravel_index(int(found.argmax()), found.shape)
+        return int(step), int(column)
+
+    def much(self, step: int, column: int) -> str:
+        """Return how far a joint jumps, with its unit."""
+        amount = float(self.amounts[step, column])
+        if self.unit == "m":
+            return f"{amount:.3g} m"
+        return f"{math.degrees(min(amount, math.pi)):.0f}\N{DEGREE SIGN}"
+
+
+def joint_pops(subject: MotionSubject) -> Iterator[Fault]:
+    """Yield the joints below the roots that jump in one frame (MOT202)."""
+    roots = list(subject.take.rig.roots)
+    found = [
+        _turn_pops(subject, np.flatnonzero(~np.isin(subject.turning, roots))),
+        _shift_pops(
+            subject, np.flatnonzero(~np.isin(subject.moving, roots)), LEAST_SHIFT
+        ),
+    ]
+    hint = "correct the frames around it; a cut that is meant has interp: step"
+    yield from _reported(subject, "MOT202", found, hint)
+
+
+def root_pops(subject: MotionSubject) -> Iterator[Fault]:
+    """Yield the roots that jump in one frame: the whole character does (MOT203)."""
+    roots = list(subject.take.rig.roots)
+    found = [
+        _turn_pops(subject, np.flatnonzero(np.isin(subject.turning, roots))),
+        _shift_pops(
+            subject, np.flatnonzero(np.isin(subject.moving, roots)), LEAST_ROOT_SHIFT
+        ),
+    ]
+    hint = "correct the frames around it, or cut the take there"
+    yield from _reported(subject, "MOT203", found, hint)
+
+
+def _reported(
+    subject: MotionSubject, code: str, found: list[_Pops], hint: str
+) -> Iterator[Fault]:
+    """Yield one fault for all jumps of a kind, which names the largest."""
+    found = [pops for pops in found if pops.flags.any()]
+    if not found:
+        return
+    pops = found[0]
+    step, column = pops.worst()
+    joint = int(pops.joints[column])
+    names = {
+        subject.take.rig.joints[int(entry.joints[i])].name: None
+        for entry in found
+        for i in np.flatnonzero(entry.flags.any(axis=0))
+    }
+    name = subject.take.rig.joints[joint].name
+    steps = np.concatenate([np.flatnonzero(p.flags.any(axis=1)) for p in found])
+    often = len(np.unique(steps))
+    message = (
+        f"{name!r} jumps by {pops.much(step, column)} from frame {subject.at(step)} "
+        f"to {subject.at(step + 1)}, against the motion around it"
+    )
+    others = [other for other in names if other != name]
+    if often > 1:
+        message += f"; there are {often} such steps in all"
+    if others:
+        message += f"; also {listed(others)}"
+    yield subject.fault(code, joint, step, message, hint)
+
+
+def _turn_pops(subject: MotionSubject, columns: IntArray) -> _Pops:
+    joints = subject.turning[columns]
+    if subject.frames < FEWEST_FRAMES or not len(columns):
+        return _no_pops(joints)
+    turns = subject.turns[:, columns]
+    amounts = surprises(turns, _ignored(subject))
+    flags = _stands_out(subject, amounts, LEAST_TURN, TURN_NOISE)
+    # Where every other step is one, none is above what is around it.
+    flags |= (amounts > FLIP) & (amounts > 2.0 * np.median(amounts, axis=0))
+    return _Pops(joints, flags, amounts, "rad")
+
+
+def _shift_pops(subject: MotionSubject, columns: IntArray, least: float) -> _Pops:
+    joints = subject.moving[columns]
+    if subject.frames < FEWEST_FRAMES or not len(columns):
+        return _no_pops(joints)
+    shifts = subject.shifts[:, columns]
+    amounts = surprises(shifts, _ignored(subject))
+    size = subject.size
+    flags = _stands_out(subject, amounts, least * size, SHIFT_NOISE * size)
+    flags &= amounts > ABOVE_SPEED * around(np.linalg.norm(shifts, axis=2))
+    return _Pops(joints, flags, amounts, "m")
+
+
+def _no_pops(joints: IntArray) -> _Pops:
+    empty = np.zeros((0, len(joints)))
+    return _Pops(joints, empty.astype(bool), empty, "rad")
+
+
+def _ignored(subject: MotionSubject) -> BoolArray:
+    """Return cuts, and the first step: many captures begin with a pose of its own."""
+    cuts = subject.cuts()
+    cuts[:1] = True
+    return cuts
+
+
+def _stands_out(
+    subject: MotionSubject, amounts: FloatArray, least: float, noise: float
+) -> BoolArray:
+    """Return where surprises are far above those around ``(S, N)``."""
+    candidates = (amounts > least).any(axis=0)
+    flags = np.zeros(amounts.shape, bool)
+    if not candidates.any():
+        return flags
+    amounts = amounts[:, candidates]
+    reach = max(FEWEST_STEPS, round(REACH_SECONDS / subject.interval))
+    usual = noise + mean_around(amounts, reach, GAP)
+    flags[:, candidates] = (
+        (amounts > least)
+        & (amounts > STANDS_OUT * usual)
+        & (amounts > ABOVE_BESIDE * around(amounts))
+    )
+    return flags
+
+
+def _leaving_first(subject: MotionSubject) -> IntArray:
+    """Return the joints that jump from the first frame to the second."""
+    if subject.frames < FEWEST_FRAMES or not len(subject.turning):
+        return np.zeros(0, np.int64)
+    sizes = np.linalg.norm(subject.turns[:FEWEST_FRAMES], axis=2)
+    usual = sizes[1:].max(axis=0)
+    away = (sizes[0] > REFERENCE_TURN) & (sizes[0] > STANDS_OUT * usual)
+    return subject.turning[away]
+
+
+def reference_pose(subject: MotionSubject) -> Iterator[Fault]:
+    """Yield that the first frame is a pose of its own (MOT204)."""
+    found = _leaving_first(subject)
+    if len(found) < REFERENCE_JOINTS or subject.cuts()[0]:
+        return
+    first, second = subject.at(0), subject.at(1)
+    message = (
+        f"frame {first} is a pose of its own: {len(found)} joints jump to that of "
+        f"frame {second}"
+    )
+    hint = f"the pass trim: {{first: {second}}} leaves it out"
+    yield subject.fault("MOT204", int(found[0]), 0, message, hint)

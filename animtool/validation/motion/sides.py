@@ -1,0 +1,195 @@
+"""Left and right: swapped, or one of them without motion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.errors import Fault, listed
+from animtool.maths import so3
+from animtool.validation.motion.contacts import feet_of
+from animtool.validation.motion.pops import LEAST_TURN
+from animtool.validation.motion.subject import MotionSubject
+from animtool.validation.rules.rig_symmetry import other_side
+
+__all__ = ["dead_side", "swapped_sides"]
+
+# A joint is still that turns less in all frames; its other side is alive that turns
+# more [rad].
+STILL, ALIVE = 1e-6, math.radians(20.0)
+# Fewer frames are a pose.
+FEWEST_FRAMES = 2
+# Share of the frames in which left lies on the right for the two to be swapped [1].
+MOSTLY = 0.9
+# Toes point ahead, and knees bend, by at least this much of the size [1].
+AHEAD = 0.01
+# Fewer pairs that change places at once are a pose of their own.
+FEWEST_PAIRS = 2
+# Where two joints change places, going on as the other leaves a step this much of
+# what going on as oneself does [1].
+EXCHANGED = 0.35
+
+
+def _pairs(subject: MotionSubject) -> list[tuple[int, int]]:
+    """Return the joints that have another side, left first."""
+    names = subject.take.rig.names
+    places = {name: i for i, name in enumerate(names)}
+    found = []
+    for i, name in enumerate(names):
+        j = places.get(other_side(name) or "", -1)
+        if j >= 0 and _is_left(name, names[j]):
+            found.append((i, j))
+    return found
+
+
+def _is_left(name: str, other: str) -> bool:
+    """Return whether the letters in which two names differ are of a left side."""
+    for mine, theirs in zip(name, other, strict=False):
+        if mine != theirs:
+            return mine in "lL"
+    return False
+
+
+def swapped_sides(subject: MotionSubject) -> Iterator[Fault]:
+    """Yield that left and right are swapped, in all frames or in some (MOT210)."""
+    pairs = _pairs(subject)
+    if not pairs:
+        return
+    whole = list(_whole_take(subject, pairs))
+    yield from whole or _exchanged(subject, pairs)
+
+
+def _whole_take(
+    subject: MotionSubject, pairs: list[tuple[int, int]]
+) -> Iterator[Fault]:
+    """Yield that the left joints lie on the right of a body that looks ahead."""
+    ahead = _ahead(subject)
+    hips = _hips(subject, pairs)
+    if ahead is None or hips is None:
+        return
+    left, right = hips
+    positions = subject.positions
+    feet = feet_of(subject.take.rig.names)
+    trunk = 0.5 * (positions[:, left] + positions[:, right])
+    upwards = trunk - positions[:, feet].mean(axis=1)
+    across = np.cross(upwards, ahead)
+    side = np.einsum("fc,fc->f", across, positions[:, left] - positions[:, right])
+    known = np.linalg.norm(ahead, axis=1) > AHEAD * subject.size
+    if np.count_nonzero(known) < max(1, len(known) // 2):
+        return
+    wrong = known & (side < 0.0)
+    if np.count_nonzero(wrong) <= MOSTLY * np.count_nonzero(known):
+        return
+    names = subject.take.rig.names
+    message = (
+        f"{names[left]!r} lies on the right of the body, and {names[right]!r} on the "
+        f"left, in {np.count_nonzero(wrong)} of {subject.frames} frames, as the feet "
+        "point"
+    )
+    hint = "the names are swapped, or the motion is mirrored: the pass mirror turns it"
+    yield subject.fault("MOT210", left, int(np.flatnonzero(wrong)[0]), message, hint)
+
+
+def _ahead(subject: MotionSubject) -> FloatArray | None:
+    """Return where the feet point, on average ``(F, 3)`` [m]; None without toes."""
+    rig = subject.take.rig
+    feet = set(feet_of(rig.names).tolist())
+    ends = [i for i in feet if rig.joints[i].parent in feet]
+    ends = [i for i in ends if "toe" in rig.names[i].lower()]
+    if not ends:
+        return None
+    toes = np.array(ends)
+    bones = subject.positions[:, toes] - subject.positions[:, rig.parents[toes]]
+    ahead = bones.mean(axis=1)
+    return np.asarray(ahead - (ahead @ subject.up)[:, None] * subject.up)
+
+
+def _hips(
+    subject: MotionSubject, pairs: list[tuple[int, int]]
+) -> tuple[int, int] | None:
+    """Return the pair of joints that the feet hang from, nearest to the root."""
+    rig = subject.take.rig
+    feet = set(feet_of(rig.names).tolist())
+    partners = dict(pairs)
+    for left in sorted(feet):
+        chain = []
+        joint = left
+        while joint >= 0:
+            if joint in partners:
+                chain.append(joint)
+            joint = rig.joints[joint].parent
+        # Those nearest to the root may be at one place with it.
+        for top in reversed(chain):
+            bone = subject.rest[top] - subject.rest[partners[top]]
+            if np.linalg.norm(bone) > AHEAD * subject.size:
+                return top, partners[top]
+    return None
+
+
+def _exchanged(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator[Fault]:
+    """Yield the step at which joints of two sides go on as each other."""
+    if subject.frames < FEWEST_FRAMES + 1:
+        return
+    rotations = subject.take.motion.rotations
+    moves = set(rotations.animated.tolist())
+    pairs = [pair for pair in pairs if moves.issuperset(pair)]
+    if not pairs:
+        return
+    left = rotations.gather(np.array([pair[0] for pair in pairs]))
+    right = rotations.gather(np.array([pair[1] for pair in pairs]))
+    own = so3.angle_between(left[1:], left[:-1])
+    own = np.minimum(own, so3.angle_between(right[1:], right[:-1]))
+    across = so3.angle_between(left[1:], right[:-1])
+    across = np.maximum(across, so3.angle_between(right[1:], left[:-1]))
+    swaps = (own > LEAST_TURN) & (across < EXCHANGED * own)
+    swaps &= ~subject.cuts()[:, None]
+    # Two fingers may change their pose; a limb has more joints than one.
+    swaps &= swaps.sum(axis=1, keepdims=True) >= min(FEWEST_PAIRS, len(pairs))
+    steps = np.flatnonzero(swaps.any(axis=1))
+    if not len(steps):
+        return
+    step = int(steps[0])
+    names = [
+        f"{subject.take.rig.names[pairs[i][0]]!r} and "
+        f"{subject.take.rig.names[pairs[i][1]]!r}"
+        for i in np.flatnonzero(swaps[step]).tolist()
+    ]
+    until = f", until frame {subject.at(int(steps[1]))}" if len(steps) > 1 else ""
+    message = f"{listed(names)} change places at frame {subject.at(step + 1)}{until}"
+    hint = "swap their channels back there; markers of two sides were exchanged"
+    joint = pairs[int(np.flatnonzero(swaps[step])[0])][0]
+    yield subject.fault("MOT210", joint, step, message, hint)
+
+
+def dead_side(subject: MotionSubject) -> Iterator[Fault]:
+    """Yield joints that never turn while those of the other side do (MOT211)."""
+    channel = subject.take.motion.rotations
+    roots = set(subject.take.rig.roots)
+    # Where the root stays put, parts were keyed one by one, and one arm may wave.
+    if subject.frames < FEWEST_FRAMES or roots.isdisjoint(
+        [*subject.turning.tolist(), *subject.moving.tolist()]
+    ):
+        return
+    spreads = np.zeros(len(subject.take.rig.joints))
+    away = so3.angle_between(channel.values, channel.values[:1])
+    spreads[channel.animated] = away.max(axis=0)
+    found: list[tuple[int, int]] = []
+    for left, right in _pairs(subject):
+        for mine, other in ((left, right), (right, left)):
+            if spreads[mine] <= STILL and spreads[other] >= ALIVE:
+                found.append((mine, other))
+    if not found:
+        return
+    names = subject.take.rig.names
+    mine, other = found[0]
+    more = [names[i] for i, _ in found[1:]]
+    message = (
+        f"{names[mine]!r} never turns, and {names[other]!r} does, by "
+        f"{math.degrees(spreads[other]):.0f}\N{DEGREE SIGN}"
+    )
+    message += f"; nor do {listed(more)}" if more else ""
+    hint = "its sensor or its channels were lost"
+    yield subject.fault("MOT211", mine, None, message, hint)

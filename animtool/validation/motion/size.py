@@ -1,0 +1,240 @@
+"""Size and stance: units, up axis, bones that change their length."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from animtool._types import FloatArray
+from animtool.errors import Fault, Severity
+from animtool.units import UpAxis
+from animtool.validation.motion.contacts import feet_of
+from animtool.validation.motion.subject import MotionSubject
+
+__all__ = ["lies_along", "other_units", "strange_size", "stretched", "wrong_up"]
+
+# Share of its length that a bone may change by, and of the rig's size below which a
+# bone has none to speak of [1].
+GROWS, SHORT = 0.5, 0.02
+# Factors by which units are mistaken: m, cm, mm and in, and how near to one [1].
+FACTORS = (10.0, 100.0, 1000.0, 39.37)
+NEAR_FACTOR = 0.15
+# Of animated bones, the share that must have one such factor [1].
+MOST_BONES = 0.8
+# From a bird to a dinosaur, of rigs with feet [m]: the diagonal of their joints.
+CHARACTER = (0.1, 25.0)
+# People and most animals [m]; another unit must bring a character into this.
+LIKELY = (0.3, 5.0)
+# What anything with a skeleton spans, feet or not [m]: from an insect to a ship.
+ANYTHING = (0.004, 400.0)
+# Fewer joints are a prop, of any size.
+FEWEST_JOINTS = 10
+# Cosine beyond which the body is along an axis, and share of the frames in which it
+# is: a fall or a roll is shorter [1].
+ALONG, MOSTLY = 0.85, 0.9
+# Fewer frames are a pose, which may lie.
+FEWEST_FRAMES = 8
+
+
+def stretched(subject: MotionSubject) -> Iterator[Fault]:
+    """Yield bones whose length changes by over a half (MOT212)."""
+    if not subject.has_rest or _bone_factor(subject) is not None:
+        return
+    worst: tuple[float, int, int, float, float] | None = None
+    count = 0
+    channel = subject.take.motion.translations
+    for a, j in enumerate(channel.animated.tolist()):
+        joint = subject.take.rig.joints[j]
+        rest = math.hypot(*joint.translation)
+        if joint.parent < 0 or rest <= SHORT * subject.size:
+            continue
+        lengths = np.linalg.norm(channel.values[:, a], axis=1)
+        off = np.abs(lengths / rest - 1.0)
+        frame = int(off.argmax())
+        if off[frame] > GROWS:
+            count += 1
+            found = (float(off[frame]), j, frame, float(lengths[frame]), rest)
+            worst = found if worst is None or found[0] > worst[0] else worst
+    if worst is None:
+        return
+    _, j, frame, length, rest = worst
+    more = f"; {count - 1} more bones change too" if count > 1 else ""
+    message = (
+        f"the bone to {subject.take.rig.joints[j].name!r} is {length:.3g} m at frame "
+        f"{subject.at(frame)}, and {rest:.3g} m at rest{more}"
+    )
+    hint = "translations replace those of the rest pose, and are not added to them"
+    yield subject.fault("MOT212", j, frame, message, hint)
+
+
+def _bone_factor(subject: MotionSubject) -> float | None:
+    """Return the factor between animated bones and those at rest, if it is a unit's."""
+    rig, translations = subject.take.rig, subject.take.motion.translations
+    bones = np.flatnonzero(rig.parents >= 0)
+    rest = np.linalg.norm(rig.rest_translations[bones], axis=1)
+    bones, rest = bones[rest > SHORT * subject.size], rest[rest > SHORT * subject.size]
+    if not len(bones):
+        return None
+    lengths = np.linalg.norm(translations.gather(bones), axis=2)
+    ratios = np.median(lengths, axis=0) / rest
+    return _unit_factor(ratios)
+
+
+def _unit_factor(ratios: FloatArray) -> float | None:
+    """Return the factor of two units that most ratios are near to."""
+    if not len(ratios):
+        return None
+    for factor in (*FACTORS, *(1.0 / factor for factor in FACTORS)):
+        near = np.abs(ratios / factor - 1.0) < NEAR_FACTOR
+        if float(near.mean()) >= MOST_BONES:
+            return factor
+    return None
+
+
+def other_units(subject: MotionSubject) -> Iterator[Fault]:
+    """Yield that the motion, or the whole character, is in another unit (MOT213)."""
+    factor = _bone_factor(subject) if subject.has_rest else None
+    if factor is not None:
+        message = (
+            f"the bones are {_times(factor)} as long as those of the rig at rest: the "
+            "animation is in another unit"
+        )
+        hint = "convert the animation, or author metersPerUnit of the layer it is in"
+        yield subject.fault("MOT213", None, 0, message, hint)
+        return
+    off = _root_factor(subject)
+    if off is not None:
+        root, factor = off
+        message = (
+            f"the root {subject.take.rig.joints[root].name!r} is {_times(factor)} as "
+            "high as at rest: its translation is in another unit"
+        )
+        hint = "convert the root's translations to the unit of the rig"
+        yield subject.fault("MOT213", root, 0, message, hint)
+        return
+    low, high = CHARACTER
+    size = subject.size
+    if not subject.has_units or not _is_character(subject) or low <= size <= high:
+        return
+    fitting = [
+        factor
+        for factor in (*FACTORS[:3], *(1.0 / factor for factor in FACTORS[:3]))
+        if LIKELY[0] <= size * factor <= LIKELY[1]
+    ]
+    if not fitting:
+        return
+    message = (
+        f"the character spans {_length(size)}; {_times(fitting[0])} the size it would "
+        f"span {_length(size * fitting[0])}"
+    )
+    unit = subject.take.rig.meters_per_unit
+    hint = f"its unit is {unit:g} m; {unit * fitting[0]:g} m seems to be meant"
+    yield subject.fault("MOT213", None, None, message, hint)
+
+
+def _root_factor(subject: MotionSubject) -> tuple[int, float] | None:
+    """Return a root that moves at many times its height at rest, and how many."""
+    if not subject.has_rest or not _is_character(subject):
+        return None
+    rig = subject.take.rig
+    moving = set(subject.moving.tolist())
+    for root in rig.roots:
+        rest = float(subject.rest[root] @ subject.up)
+        if root not in moving or rest < 0.1 * subject.size:
+            continue
+        heights = subject.heights[:, root]
+        factor = _unit_factor(np.array([np.median(heights)]) / rest)
+        if factor is not None and abs(math.log10(factor)) > 1.5:
+            return int(root), factor
+    return None
+
+
+def _is_character(subject: MotionSubject) -> bool:
+    """Return whether a rig has feet and joints enough to be of a person or animal."""
+    rig = subject.take.rig
+    return len(rig.joints) >= FEWEST_JOINTS and len(feet_of(rig.names)) > 0
+
+
+def _times(factor: float) -> str:
+    """Return a factor in words.
+
+    >>> _times(100.0), _times(0.01)
+    ('100 times', '1/100')
+    """
+    return f"{factor:.3g} times" if factor >= 1.0 else f"1/{1.0 / factor:.3g}"
+
+
+def _length(meters: float) -> str:
+    """Return a length in a unit that people would say it in.
+
+    >>> _length(0.0012), _length(158.0)
+    ('1.2 mm', '158 m')
+    """
+    if meters < 0.01:
+        return f"{1000.0 * meters:.3g} mm"
+    if meters < 1.0:
+        return f"{100.0 * meters:.3g} cm"
+    return f"{meters:.4g} m"
+
+
+def strange_size(subject: MotionSubject) -> Iterator[Fault]:
+    """Yield that a skeleton is smaller or larger than anything that moves (MOT215)."""
+    low, high = ANYTHING
+    if not subject.has_units:
+        return
+    if len(subject.take.rig.joints) < 2 or low <= subject.size <= high:
+        return
+    if _is_character(subject) and next(other_units(subject), None) is not None:
+        return
+    if subject.size * 1e3 < low * 1e-3:
+        # All joints are at one place: a rig of controls, or of one joint.
+        return
+    message = f"the skeleton spans {_length(subject.size)}"
+    unit = subject.take.rig.meters_per_unit
+    hint = f"check the unit that it is read in, {unit:g} m"
+    yield subject.fault("MOT215", None, None, message, hint)
+
+
+def wrong_up(subject: MotionSubject) -> Iterator[Fault]:
+    """Yield that the body stands along another axis than the up axis (MOT214)."""
+    found = lies_along(subject)
+    if found is None:
+        return
+    name, share = found
+    up = subject.take.rig.up
+    where = f"along {name}" if name else "upside down"
+    message = f"the body is {where} in {100.0 * share:.0f}% of the frames; up is {up}"
+    hint = "turn the root"
+    if name:
+        hint = f"author upAxis {name}, or read the file with --up {name}"
+    root = int(subject.take.rig.roots[0])
+    fault = subject.fault("MOT214", root, 0, message, hint)
+    # A file that states no up axis is read in the usual one.
+    yield fault if subject.has_units else replace(fault, severity=Severity.NOTE)
+
+
+def lies_along(subject: MotionSubject) -> tuple[str, float] | None:
+    """Return the axis that a body stands along in place of up, and how often.
+
+    The axis is empty where it is upside down; None where the body stands, or moves.
+    """
+    rig = subject.take.rig
+    feet = feet_of(rig.names)
+    if subject.frames < FEWEST_FRAMES or not _is_character(subject):
+        return None
+    others = np.setdiff1d(np.arange(len(rig.joints)), feet)
+    body = subject.positions[:, others].mean(axis=1)
+    body = body - subject.positions[:, feet].mean(axis=1)
+    lengths = np.linalg.norm(body, axis=1)
+    body = body / np.maximum(lengths, 1e-12)[:, None]
+    if np.median(body @ subject.up) > 0.5:
+        return None
+    other = UpAxis.Y if rig.up is UpAxis.Z else UpAxis.Z
+    for axis, name in ((np.array(other.vector), str(other)), (-subject.up, "")):
+        share = float(np.mean(body @ axis > ALONG))
+        if share >= MOSTLY:
+            return name, share
+    return None

@@ -1,0 +1,160 @@
+"""A take as the motion rules see it, with what they all measure computed once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.errors import Fault
+from animtool.maths import so3
+from animtool.rig.kinematics import rest_world
+from animtool.take import Take
+
+__all__ = ["FaultAt", "MotionSubject"]
+
+# Code, joint (empty: the whole take), frame (None: all of them), message, hint.
+FaultAt: TypeAlias = Callable[[str, str, float | None, str, str], Fault]
+
+# A rig that spans less has no size to compare with [m].
+SMALLEST_SIZE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class MotionSubject:
+    """One take of a file, whatever the file is.
+
+    Attributes:
+        take: F frames, J joints.
+        fault_at: Makes a fault with its location in the file.
+        codes: Time code of each sample as the file has it ``(F,)``; None where the
+            take's clock is exact.
+        frame_range: First and last time code that the file states for the motion.
+        meant: Steps from a frame to the next that are cuts on purpose ``(F - 1,)``.
+        has_rest: Whether the rig's rest pose is known; a USD layer alone has none.
+        has_units: Whether the file states its unit and up axis; a BVH does not.
+        influencing: Joints that move points of a mesh, themselves or through a
+            joint below; None where no skinned mesh is known.
+        bind: Positions of the joints in the bind pose, world ``(J, 3)`` [m].
+    """
+
+    take: Take
+    fault_at: FaultAt
+    codes: FloatArray | None = None
+    frame_range: tuple[float, float] | None = None
+    meant: BoolArray | None = None
+    has_rest: bool = True
+    has_units: bool = True
+    influencing: frozenset[str] | None = None
+    bind: FloatArray | None = None
+
+    def fault(
+        self, code: str, joint: int | None, frame: int | None, message: str, hint: str
+    ) -> Fault:
+        """Return a fault of a joint at a frame, both by index."""
+        name = "" if joint is None else self.take.rig.joints[joint].name
+        at = None if frame is None else float(self.times[frame])
+        return self.fault_at(code, name, at, message, hint)
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return self.take.motion.frames
+
+    @cached_property
+    def times(self) -> FloatArray:
+        """Time code of every frame ``(F,)``."""
+        return self.take.clock.times if self.codes is None else self.codes
+
+    @cached_property
+    def interval(self) -> float:
+        """Usual time between two frames [s]."""
+        if self.frames < 2:
+            return 1.0 / float(self.take.clock.rate)
+        return float(np.median(np.diff(self.times))) / float(self.take.clock.fps)
+
+    @cached_property
+    def _pace(self) -> FloatArray:
+        """Usual step over each step of time ``(F - 1,)``: 1 where samples are even."""
+        steps = np.diff(self.times)
+        return np.asarray(np.median(steps) / steps if len(steps) else steps)
+
+    @property
+    def turning(self) -> IntArray:
+        """Indices of the joints that turn ``(A,)``."""
+        return self.take.motion.rotations.animated
+
+    @property
+    def moving(self) -> IntArray:
+        """Indices of the joints that move against their parents ``(B,)``."""
+        return self.take.motion.translations.animated
+
+    @cached_property
+    def turns(self) -> FloatArray:
+        """Rotation vectors from each frame to the next ``(F - 1, A, 3)`` [rad].
+
+        In the parent's space, and per usual interval where samples are uneven.
+        """
+        values = self.take.motion.rotations.values
+        vectors = so3.log(so3.multiply(values[1:], so3.conjugate(values[:-1])))
+        return np.asarray(vectors * self._pace[:, None, None])
+
+    @cached_property
+    def shifts(self) -> FloatArray:
+        """Moves from each frame to the next ``(F - 1, B, 3)`` [m], as `turns`."""
+        moves = np.diff(self.take.motion.translations.values, axis=0)
+        return np.asarray(moves * self._pace[:, None, None])
+
+    @cached_property
+    def speeds(self) -> FloatArray:
+        """How much all joints do from each frame to the next ``(F - 1,)``.
+
+        The root of the sum of squares of turns [rad] and of moves [half the size].
+        """
+        turns = np.einsum("fjc,fjc->f", self.turns, self.turns)
+        moves = np.einsum("fjc,fjc->f", self.shifts, self.shifts)
+        return np.asarray(np.sqrt(turns + moves * (2.0 / self.size) ** 2))
+
+    @cached_property
+    def positions(self) -> FloatArray:
+        """Joint positions, world ``(F, J, 3)`` [m]."""
+        return self.take.world().positions
+
+    @cached_property
+    def rest(self) -> FloatArray:
+        """Joint positions at rest, world ``(J, 3)`` [m]."""
+        return rest_world(self.take.rig).positions[0]
+
+    @cached_property
+    def size(self) -> float:
+        """Diagonal of the joints' bounds at rest [m]."""
+        span = self.rest.max(axis=0) - self.rest.min(axis=0)
+        return max(float(np.linalg.norm(span)), SMALLEST_SIZE)
+
+    @cached_property
+    def up(self) -> FloatArray:
+        """Unit vector away from the ground ``(3,)``."""
+        return np.array(self.take.rig.up.vector)
+
+    @cached_property
+    def heights(self) -> FloatArray:
+        """Heights of the joints above the up axis' 0 ``(F, J)`` [m]."""
+        return np.asarray(self.positions @ self.up)
+
+    def level(self, joints: IntArray) -> FloatArray:
+        """Return where joints are along the ground ``(F, len(joints), 3)`` [m]."""
+        points = self.positions[:, joints]
+        return np.asarray(points - (points @ self.up)[..., None] * self.up)
+
+    def cuts(self) -> BoolArray:
+        """Return the steps that no rule counts as motion ``(F - 1,)``."""
+        steps = max(self.frames - 1, 0)
+        return np.zeros(steps, bool) if self.meant is None else self.meant.copy()
+
+    def at(self, frame: int) -> str:
+        """Return the time code of a frame for a message."""
+        return f"{self.times[frame]:.10g}"
