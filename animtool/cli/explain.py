@@ -52,9 +52,10 @@ def explain(console: Console, /, codes: tuple[str, ...], report_format: str) -> 
 def _bare_page(rule: Rule) -> str:
     """Return what is known of a code without a page, laid out as one."""
     where = "Readers and commands say it."
-    if rule.kind is not None:
-        kind = str(rule.kind).upper() if rule.kind in {"bvh", "usd"} else rule.kind
-        where = f"animtool validate looks for it in {kind} files."
+    if rule.kinds:
+        upper = {"bvh", "usd"}
+        kinds = [k.upper() if k in upper else str(k) for k in sorted(rule.kinds)]
+        where = f"animtool validate looks for it in {' and '.join(kinds)} files."
     article = "An" if rule.severity == "error" else "A"
     return (
         f"# {rule.code}: {rule.title}\n\n## What\n\n"
@@ -67,6 +68,7 @@ def _entry(rule: Rule, text: str | None) -> dict[str, Any]:
         "code": rule.code,
         "title": rule.title,
         "severity": str(rule.severity),
-        "kind": None if rule.kind is None else str(rule.kind),
+        "kind": str(next(iter(rule.kinds))) if len(rule.kinds) == 1 else None,
+        "kinds": sorted(map(str, rule.kinds)),
         "page": text,
     }

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError, Severity
-from animtool.validation.tables import RULES, all_rules
+from animtool.validation.tables import RULES, all_rules, current_code
 
 __all__ = ["ValidateOptions", "check_codes"]
 
@@ -40,10 +40,8 @@ class ValidateOptions:
 
     def of(self, fault: Fault) -> Fault:
         """Return a finding with the severity that is asked for."""
-        best = _longest(fault.code, self.severity)
-        if best < 0:
-            return fault
-        return replace(fault, severity=self.severity[fault.code[:best]])
+        best = _best(fault.code, self.severity)
+        return fault if best is None else replace(fault, severity=self.severity[best])
 
     def within(self, project: ValidateOptions) -> ValidateOptions:
         """Return these options where a project has some: what is given here wins."""
@@ -55,9 +53,16 @@ class ValidateOptions:
         )
 
 
+def _best(code: str, beginnings: Iterable[str]) -> str | None:
+    """Return the longest of the beginnings of a code, in its own or an old spelling."""
+    found = [b for b in beginnings if code.startswith(current_code(b))]
+    return max(found, key=lambda b: len(current_code(b)), default=None)
+
+
 def _longest(code: str, beginnings: Iterable[str]) -> int:
     """Return the length of the longest beginning of a code, -1 for none."""
-    return max((len(b) for b in beginnings if code.startswith(b)), default=-1)
+    best = _best(code, beginnings)
+    return -1 if best is None else len(current_code(best))
 
 
 def check_codes(options: ValidateOptions, path: str | None = None) -> None:
@@ -72,7 +77,7 @@ def check_codes(options: ValidateOptions, path: str | None = None) -> None:
     """
     faults = []
     for given in (*options.select, *options.ignore, *options.severity):
-        if given and any(code.startswith(given) for code in RULES):
+        if given and any(code.startswith(current_code(given)) for code in RULES):
             continue
         rules, _ = all_rules()
         if given and any(code.startswith(given) for code in rules):

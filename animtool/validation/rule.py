@@ -35,17 +35,27 @@ class Rule:
         code: Family and three digits, such as ``RIG201``.
         title: What it says, a line without a full stop.
         severity: Of its findings.
-        kind: Of the files that `check` looks at; None for a code that readers or
-            commands say by themselves.
+        kind: Of the files that `check` looks at, or several kinds; None for a code
+            that readers or commands report by themselves.
         check: ``module:function`` of a function from the subject of such a file to
             its faults; empty where there is none.
+        takes: Whether `check` looks at each take of a file, a
+            `validation.motion.subject.MotionSubject`, in place of the file.
     """
 
     code: str
     title: str
     severity: Severity = Severity.ERROR
-    kind: Kind | None = None
+    kind: Kind | frozenset[Kind] | None = None
     check: str = ""
+    takes: bool = False
+
+    @property
+    def kinds(self) -> frozenset[Kind]:
+        """Kinds of the files that the rule looks at, none for one without a check."""
+        if self.kind is None:
+            return frozenset()
+        return frozenset([self.kind]) if isinstance(self.kind, Kind) else self.kind
 
     def load(self) -> Check:
         """Return the function of a rule that has one."""

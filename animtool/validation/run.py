@@ -171,10 +171,9 @@ def findings_in(opened: Opened) -> list[Fault]:
     """Return what is wrong or odd in a file that was opened, whatever counts."""
     found = list(opened.faults)
     rules, _ = all_rules()
-    if opened.subject is not None:
-        for rule in rules.values():
-            if rule.check and rule.kind is opened.kind:
-                found += _run(rule, opened)
+    for rule in rules.values():
+        if rule.check and opened.kind in rule.kinds:
+            found += _run(rule, opened)
     if opened.document is None:
         return found
     ignores = Ignores.of(opened.document)
@@ -190,19 +189,34 @@ def findings_of_rule(rule: Rule, path: Path) -> list[Fault]:
         AnimtoolError: The file cannot be opened as what the rule looks at.
     """
     opened = open_file(path)
-    if opened.subject is None:
-        raise FormatError(opened.faults)
-    if opened.kind is not rule.kind:
-        message = f"is a {opened.kind} file, and {rule.code} looks at {rule.kind}"
+    if opened.kind not in rule.kinds:
+        kinds = ", ".join(sorted(rule.kinds))
+        message = f"is a {opened.kind} file, and {rule.code} looks at {kinds}"
         raise FormatError(Fault("DOC009", message, str(path)))
-    return [replace(f, severity=rule.severity) for f in rule.load()(opened.subject)]
+    subjects = _subjects(rule, opened)
+    if not subjects:
+        raise FormatError(opened.faults)
+    return [fault for subject in subjects for fault in _found(rule, subject)]
+
+
+def _subjects(rule: Rule, opened: Opened) -> Sequence[object]:
+    """Return what a rule looks at in a file; nothing where its reader refused it."""
+    if rule.takes:
+        return opened.takes
+    return () if opened.subject is None else (opened.subject,)
+
+
+def _found(rule: Rule, subject: object) -> Iterator[Fault]:
+    """Yield what a rule finds; what it reports as a note stays one."""
+    for fault in rule.load()(subject):
+        is_note = fault.severity is Severity.NOTE
+        yield fault if is_note else replace(fault, severity=rule.severity)
 
 
 def _run(rule: Rule, opened: Opened) -> list[Fault]:
     """Return what a rule finds; that it failed is a finding too."""
     try:
-        check = rule.load()
-        return [replace(f, severity=rule.severity) for f in check(opened.subject)]
+        return [f for s in _subjects(rule, opened) for f in _found(rule, s)]
     except Exception as error:
         path = None if opened.document is None else str(opened.document.path)
         kind = type(error).__name__

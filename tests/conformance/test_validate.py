@@ -17,12 +17,13 @@ KNOWN = {
         "BVH101": "Frames says 3069, and there are 3070 rows",
     },
     "assimp_cmu_01_03.bvh": {
-        "BVH203": "LeftToeBase and RightFingerBase turn by 60° and 48° in one frame",
-        "BVH204": "RThumb turns over 27 times, which a thumb does not",
+        "MOT202": "RThumb turns over 38 times, LeftToeBase by 60° in one frame",
     },
-    "fm_pfnn_hierarchy.bvh": {"BVH202": "a hierarchy: 60 rows that are alike"},
-    "geno_bind.bvh": {"BVH202": "a bind pose: two rows that are alike"},
-    "mh_face_poseunits.bvh": {"BVH203": "no motion: each frame is a pose of its own"},
+    "fm_pfnn_hierarchy.bvh": {"MOT201": "a hierarchy: 60 rows that are alike"},
+    "geno_bind.bvh": {"MOT201": "a bind pose: two rows that are alike"},
+    "mh_face_poseunits.bvh": {"MOT202": "no motion: each frame is a pose of its own"},
+    "mh_zombie.bvh": {"MOT203": "the root turns by 14° to 19° a frame, and stops at 4"},
+    "openperform_freya.bvh": {"MOT203": "the hips jump by 8 cm in 8 ms, three times"},
 }
 
 
@@ -32,6 +33,7 @@ def test_good_captures(path: Path) -> None:
     warnings = {f.code for f in found if f.severity is Severity.WARNING}
     assert not any(fault.severity is Severity.ERROR for fault in found)
     assert warnings == set(KNOWN.get(path.name, {}))
+    assert len(warnings) <= 1
 
 
 @pytest.mark.parametrize("path", data_files("bvh_hard", "*.bvh"))

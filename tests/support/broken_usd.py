@@ -385,15 +385,6 @@ def _invert_rest(layer: Sdf.Layer) -> None:
     rows(REST, lambda _: np.linalg.inv(bind))(layer)
 
 
-def _jump(degrees: float, codes: tuple[float, ...] = (5.0,)) -> Break:
-    half = math.radians(degrees) / 2
-    turn = [math.sin(half), 0.0, 0.0, math.cos(half)]
-    return both(
-        in_all_samples(ROT, cell(3, [0, 0, 0, 1])),
-        *(rows(ROT, cell(3, turn), code) for code in codes),
-    )
-
-
 def _indexed(*indices: int, offsets: int | None = None) -> Break:
     """Let the smile move some points alone."""
     count = len(indices) if offsets is None else offsets
@@ -455,7 +446,6 @@ BROKEN = [
     Case("USD203", "a doubled quaternion", rows(ROT, lambda old: old * 2, 3.0), ROT),
     Case("USD203", "a zero quaternion", rows(ROT, cell(0, [0, 0, 0, 0]), 3.0), ROT),
     Case("USD204", "a sign flip", rows(ROT, lambda old: -old, 5.0), ROT),
-    Case("USD205", "a jump of half a turn", _jump(170.0), ROT),
     Case("USD206", "a weight too few", rows(WEIGHTS, shorter, 8.0), WEIGHTS),
     Case("USD206", "weights without shapes", drop(f"{ANIM}.blendShapes"), WEIGHTS),
     Case(
@@ -798,20 +788,6 @@ NEAR = [
     Case("USD202", "a very large number", rows(WEIGHTS, cell(1, 1e30), 3.0)),
     Case("USD203", "a rounded quaternion", rows(ROT, lambda q: q * (1 + TINY), 3.0)),
     Case("USD204", "all signs changed", in_all_samples(ROT, lambda old: -old)),
-    Case("USD205", "a turn of 80 degrees", _jump(80.0)),
-    Case(
-        "USD205",
-        "a quick spin",
-        both(
-            *(
-                _jump(0.0),
-                *(
-                    rows(ROT, cell(3, [math.sin(i), 0, 0, math.cos(i)]), 1.0 + i)
-                    for i in range(9)
-                ),
-            )
-        ),
-    ),
     Case("USD206", "a weight beyond one", rows(WEIGHTS, cell(1, 3.0), 3.0)),
     Case(
         "USD207",

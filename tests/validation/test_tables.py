@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 from support.broken_usd import BROKEN, NEAR
+from support.planted_layers import LAYERS as PLANTED_LAYERS
+from support.planted_takes import TAKES
 
 from animtool.errors import OptionError
 from animtool.validation.rule import Rule
@@ -28,7 +30,7 @@ def test_every_code_is_in_the_table(root: Path) -> None:
 @pytest.mark.parametrize("rule", [r for r in RULES.values() if r.check])
 def test_a_check_is_there_and_of_a_kind(rule: Rule) -> None:
     assert callable(rule.load())
-    assert rule.kind is not None
+    assert rule.kinds
     assert int(rule.code[-3:]) >= 201
 
 
@@ -39,6 +41,7 @@ EXAMPLES = {
     "bvh": "validation/test_pages.py::test_lines_of_captures_are_true",
     "usda": "usd/checks/test_pages.py::test_an_example_is_true",
 }
+PLANTED = "validation/motion/test_planted.py::test_a_planted_fault_is_found"
 LAYERS = "usd/checks/test_broken_layers.py::test_a_near_miss_has_no_finding"
 OTHERS = "usd/checks/test_usd_validators.py"
 VALIDATORS = {
@@ -60,6 +63,8 @@ def shown_in(code: str) -> list[str]:
     ]
     if code in {case.code for case in BROKEN} & {case.code for case in NEAR}:
         found.append(LAYERS)
+    if code in {case.code for case in (*TAKES, *PLANTED_LAYERS)}:
+        found.append(PLANTED)
     if code in VALIDATORS:
         found.append(f"{OTHERS}::{VALIDATORS[code]}")
     return found

@@ -6,14 +6,15 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from animtool.usd.checks.run import check_layer as check_layer
+    from animtool.usd.checks.run import inspect_layer as inspect_layer
 
-__all__ = ["check_layer"]
+__all__ = ["check_layer", "inspect_layer"]
 
 
 def __getattr__(name: str) -> object:
-    """Import `check_layer` when it is first used."""
-    if name != "check_layer":
+    """Import the functions when they are first used."""
+    if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from animtool.usd.checks.run import check_layer
+    from animtool.usd.checks import run
 
-    return check_layer
+    return getattr(run, name)

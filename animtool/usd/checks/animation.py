@@ -20,12 +20,6 @@ __all__ = ["check_animations", "check_known_joints", "duplicates"]
 UNIT_TOLERANCE = 1e-3
 # |cos| of half the angle: nearer than this, two quaternions are one rotation.
 SAME_SIDE = 0.7
-# cos of half a quarter turn. A turn further than that between samples, and so many
-# times further than between the samples around, is a jump.
-JUMP_COSINE = float(np.cos(np.pi / 4))
-JUMP_FACTOR = 8.0
-# [s] Samples further apart may well differ.
-JUMP_WITHIN = 0.101
 
 
 def check_animations(subject: Subject) -> Iterator[Fault]:
@@ -83,7 +77,7 @@ def _transforms(subject: Subject, animation: Any, joints: list[str]) -> Iterator
         if bad.any():
             yield _not_finite(attr, sampled, which, bad, joints)
         elif name == "rotations" and len(values):
-            yield from _rotations(subject, attr, sampled, which, values, joints)
+            yield from _rotations(attr, sampled, which, values, joints)
 
 
 def _counts(
@@ -118,7 +112,6 @@ def _weights(subject: Subject, attr: Any, shapes: list[str]) -> Iterator[Fault]:
 
 
 def _rotations(
-    subject: Subject,
     attr: Any,
     sampled: Sampled,
     which: Any,
@@ -142,39 +135,6 @@ def _rotations(
         frames = which[1:][flipped.any(axis=1)]
         message = f"signs of {listed(names)} change {at_samples(sampled, frames)}"
         yield finding("USD204", attr.GetPath(), message)
-    yield from _jumps(subject, attr, sampled.times[which], np.abs(cosines), joints)
-
-
-def _jumps(
-    subject: Subject, attr: Any, times: AnyArray, cosines: AnyArray, joints: list[str]
-) -> Iterator[Fault]:
-    rate = subject.stage.GetTimeCodesPerSecond()
-    near = np.diff(times) <= JUMP_WITHIN * rate
-    rows, columns = np.nonzero((cosines < JUMP_COSINE) & near[:, None])
-    if not len(rows) or len(cosines) < 3:
-        return
-
-    def angles(at: AnyArray) -> AnyArray:
-        inside = np.clip(at, 0, len(cosines) - 1)
-        found: AnyArray = 2 * np.arccos(np.clip(cosines[inside, columns], 0, 1))
-        found[inside != at] = 0.0
-        return found
-
-    here = angles(rows)
-    # A sample that is off makes two jumps; a spin makes them all along.
-    around = np.median([angles(rows + step) for step in (-2, -1, 1, 2)], axis=0)
-    lone = here > JUMP_FACTOR * around
-    if not lone.any():
-        return
-    first = int(np.flatnonzero(lone)[0])
-    names = list(dict.fromkeys(joints[j] for j in columns[lone]))
-    message = (
-        f"{listed(names)} jump in {len(set(rows[lone].tolist()))} of {len(times)} "
-        f"samples; {excerpt(joints[columns[first]])} by "
-        f"{np.degrees(here[first]):.0f} degrees between time codes "
-        f"{times[rows[first]]:g} and {times[rows[first] + 1]:g}"
-    )
-    yield finding("USD205", attr.GetPath(), message)
 
 
 def check_known_joints(subject: Subject) -> Iterator[Fault]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -27,13 +27,14 @@ from animtool.usd.checks.stage_metadata import (
     check_units,
 )
 from animtool.usd.checks.subject import Subject
+from animtool.usd.checks.takes import AnimationTake, animation_takes
 from animtool.usd.checks.types import check_types
 from animtool.usd.checks.usd_validators import check_with_usd
 from animtool.usd.checks.value_clips import check_value_clips
 from animtool.usd.layers import find_layer, usd_errors
 from animtool.usd.stderr import without_usd_warnings
 
-__all__ = ["check_layer", "check_stage"]
+__all__ = ["Inspection", "check_layer", "check_stage", "inspect_layer"]
 
 Check: TypeAlias = Callable[[Subject], Iterator[Fault]]
 
@@ -59,8 +60,23 @@ TIMED: tuple[Check, ...] = (
 )
 
 
-def check_layer(path: Path | str) -> list[Fault]:
-    """Return all that is wrong with a USD layer and what it brings in.
+@dataclass(frozen=True, slots=True)
+class Inspection:
+    """What was found in a USD layer.
+
+    Attributes:
+        faults: All that is wrong with it and what it brings in.
+        takes: Its animations, for rules on motion.
+        alone: Whether the rig is elsewhere: it is a layer for a stage.
+    """
+
+    faults: list[Fault]
+    takes: list[AnimationTake] = field(default_factory=list)
+    alone: bool = False
+
+
+def inspect_layer(path: Path | str) -> Inspection:
+    """Return all that is wrong with a USD layer and what it brings in, and its takes.
 
     What cannot be opened has that as its one finding. USD's own warnings about the
     layer are not printed meanwhile: the findings say the same.
@@ -71,11 +87,18 @@ def check_layer(path: Path | str) -> list[Fault]:
     path = Path(path)
     try:
         with without_usd_warnings(), usd_errors(path):
-            stage = Usd.Stage.Open(find_layer(path))
-            found = [*check_stage(stage), *_run(check_with_usd, Subject(stage))]
+            subject = Subject(Usd.Stage.Open(find_layer(path)))
+            found = [*_faults(subject), *_run(check_with_usd, subject)]
+            takes = [] if _unmeasured(found) else _takes(subject, path)
     except FormatError as error:
-        return list(error.faults)
-    return [replace(fault, path=str(path)) for fault in _distinct(found)]
+        return Inspection(list(error.faults))
+    faults = [replace(fault, path=str(path)) for fault in _distinct(found)]
+    return Inspection(faults, takes, subject.alone)
+
+
+def check_layer(path: Path | str) -> list[Fault]:
+    """Return all that is wrong with a USD layer; see `inspect_layer`."""
+    return inspect_layer(path).faults
 
 
 def check_stage(stage: Any) -> list[Fault]:
@@ -84,11 +107,34 @@ def check_stage(stage: Any) -> list[Fault]:
     Args:
         stage: A `Usd.Stage`.
     """
-    subject = Subject(stage)
+    return _distinct(_faults(Subject(stage)))
+
+
+def _faults(subject: Subject) -> list[Fault]:
     found = [fault for check in UNTIMED for fault in _run(check, subject)]
-    if not any(fault.code == "USD253" for fault in found):
+    if not _untimed(found):
         found += [fault for check in TIMED for fault in _run(check, subject)]
-    return _distinct(found)
+    return found
+
+
+def _untimed(found: list[Fault]) -> bool:
+    """Return whether a rate is none, so that samples have no time."""
+    return any(fault.code == "USD253" for fault in found)
+
+
+def _unmeasured(found: list[Fault]) -> bool:
+    """Return whether a rate, the unit or the up axis is none: no motion has a size."""
+    return any(fault.code in {"USD253", "USD260"} for fault in found)
+
+
+def _takes(subject: Subject, path: Path) -> list[AnimationTake]:
+    """Return the animations; none where an attribute is of another type than USD's."""
+    try:
+        return animation_takes(subject, path)
+    except (FormatError, AttributeError, IndexError, TypeError, ValueError):
+        if any(True for _ in check_types(subject)):
+            return []
+        raise
 
 
 def _run(check: Check, subject: Subject) -> Iterator[Fault]:

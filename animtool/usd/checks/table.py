@@ -57,10 +57,6 @@ CODES: dict[str, Code] = {
         "negate them so that neighbours are on one side: a tool that interpolates "
         "components turns the long way round",
     ),
-    "USD205": _warning(
-        "a joint that jumps between two samples",
-        "look at that sample: a gimbal flip or a wrapped angle looks like this",
-    ),
     "USD206": _error(
         "blendShapeWeights of another length than blendShapes",
         "write one weight a shape in every sample",

@@ -9,7 +9,6 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.validation.motion.subject import MotionSubject
-from animtool.validation.rules.rig_symmetry import other_side
 
 __all__ = ["Contacts", "contacts_of", "feet_of"]
 
@@ -91,9 +90,9 @@ def contacts_of(subject: MotionSubject) -> Contacts | None:
 
 def _agrees(subject: MotionSubject, feet: IntArray, ground: FloatArray) -> BoolArray:
     """Return whether each foot stands as high as that of the other side ``(E,)``."""
-    names = [subject.take.rig.names[i] for i in feet.tolist()]
-    places = {name: e for e, name in enumerate(names)}
-    others = [places.get(other_side(name) or "", e) for e, name in enumerate(names)]
+    places = {int(joint): e for e, joint in enumerate(feet)}
+    partners = subject.sides.partners[feet].tolist()
+    others = [places.get(joint, e) for e, joint in enumerate(partners)]
     return np.asarray(np.abs(ground - ground[others]) < NEAR * subject.size)
 
 

@@ -48,7 +48,11 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     stands, and a heel turns about its toes.
     """
     contacts = contacts_of(subject)
-    if contacts is None or lies_along(subject) or _travel(subject) < TRAVEL * subject.size:
+    if (
+        contacts is None
+        or lies_along(subject)
+        or _travel(subject) < TRAVEL * subject.size
+    ):
         return
     level = subject.level(contacts.feet)
     speeds = _speeds(subject, level)

@@ -192,7 +192,7 @@ def _leaving_first(subject: MotionSubject) -> IntArray:
     sizes = np.linalg.norm(subject.turns[:FEWEST_FRAMES], axis=2)
     usual = sizes[1:].max(axis=0)
     away = (sizes[0] > REFERENCE_TURN) & (sizes[0] > STANDS_OUT * usual)
-    return subject.turning[away]
+    return np.asarray(subject.turning[away])
 
 
 def reference_pose(subject: MotionSubject) -> Iterator[Fault]:

@@ -154,11 +154,10 @@ def _still_steps(subject: MotionSubject) -> BoolArray | None:
     if subject.frames < FEWEST_FRAMES or len(_columns(subject)) < 2:
         return None
     speeds = subject.speeds
-    moving = speeds[speeds > 0.0]
+    moving = speeds[speeds > STILL * speeds.max()]
     if len(moving) < FEWEST_FRAMES // 2:
         return None
-    still = speeds < STILL * np.median(moving)
-    return still
+    return np.asarray(speeds < STILL * np.median(moving))
 
 
 def _abrupt(subject: MotionSubject, first: int, last: int) -> bool:
@@ -166,7 +165,7 @@ def _abrupt(subject: MotionSubject, first: int, last: int) -> bool:
     speeds = subject.speeds
     if first == 0 or last == len(speeds) - 1:
         return False
-    usual = np.median(speeds[speeds > 0.0])
+    usual = np.median(speeds[speeds > STILL * speeds.max()])
     before, behind = speeds[first - 1], speeds[last + 1]
     return bool(min(before, behind) > LEAST_PACE * usual)
 

@@ -7,13 +7,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from animtool._types import FloatArray
+from animtool._types import BoolArray, FloatArray
 from animtool.errors import Fault, listed
 from animtool.maths import so3
 from animtool.validation.motion.contacts import feet_of
-from animtool.validation.motion.pops import LEAST_TURN
 from animtool.validation.motion.subject import MotionSubject
-from animtool.validation.rules.rig_symmetry import other_side
 
 __all__ = ["dead_side", "swapped_sides"]
 
@@ -26,6 +24,11 @@ FEWEST_FRAMES = 2
 MOSTLY = 0.9
 # Toes point ahead, and knees bend, by at least this much of the size [1].
 AHEAD = 0.01
+# Joints that change places turn by this much at least, and all of them together by
+# more [rad].
+LEAST_EXCHANGE, LEAST_IN_ALL = math.radians(8.0), math.radians(30.0)
+# Fewer frames do not show that both sides move before and after.
+FEWEST_STEPS = 5
 # Fewer pairs that change places at once are a pose of their own.
 FEWEST_PAIRS = 2
 # Where two joints change places, going on as the other leaves a step this much of
@@ -35,22 +38,8 @@ EXCHANGED = 0.35
 
 def _pairs(subject: MotionSubject) -> list[tuple[int, int]]:
     """Return the joints that have another side, left first."""
-    names = subject.take.rig.names
-    places = {name: i for i, name in enumerate(names)}
-    found = []
-    for i, name in enumerate(names):
-        j = places.get(other_side(name) or "", -1)
-        if j >= 0 and _is_left(name, names[j]):
-            found.append((i, j))
-    return found
-
-
-def _is_left(name: str, other: str) -> bool:
-    """Return whether the letters in which two names differ are of a left side."""
-    for mine, theirs in zip(name, other, strict=False):
-        if mine != theirs:
-            return mine in "lL"
-    return False
+    partners = subject.sides.partners
+    return [(left, int(partners[left])) for left in subject.sides.left]
 
 
 def swapped_sides(subject: MotionSubject) -> Iterator[Fault]:
@@ -131,12 +120,10 @@ def _hips(
 
 def _exchanged(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator[Fault]:
     """Yield the step at which joints of two sides go on as each other."""
-    if subject.frames < FEWEST_FRAMES + 1:
-        return
     rotations = subject.take.motion.rotations
     moves = set(rotations.animated.tolist())
     pairs = [pair for pair in pairs if moves.issuperset(pair)]
-    if not pairs:
+    if not pairs or subject.frames < FEWEST_STEPS:
         return
     left = rotations.gather(np.array([pair[0] for pair in pairs]))
     right = rotations.gather(np.array([pair[1] for pair in pairs]))
@@ -144,10 +131,11 @@ def _exchanged(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator
     own = np.minimum(own, so3.angle_between(right[1:], right[:-1]))
     across = so3.angle_between(left[1:], right[:-1])
     across = np.maximum(across, so3.angle_between(right[1:], left[:-1]))
-    swaps = (own > LEAST_TURN) & (across < EXCHANGED * own)
-    swaps &= ~subject.cuts()[:, None]
-    # Two fingers may change their pose; a limb has more joints than one.
-    swaps &= swaps.sum(axis=1, keepdims=True) >= min(FEWEST_PAIRS, len(pairs))
+    swaps = (own > LEAST_EXCHANGE) & (across < EXCHANGED * own)
+    swaps &= _moves_beside(own, EXCHANGED * own) & ~subject.cuts()[:, None]
+    far = np.where(swaps, own, 0.0).sum(axis=1) > LEAST_IN_ALL
+    many = swaps.sum(axis=1) >= min(FEWEST_PAIRS, len(pairs))
+    swaps &= (far & many)[:, None]
     steps = np.flatnonzero(swaps.any(axis=1))
     if not len(steps):
         return
@@ -164,6 +152,17 @@ def _exchanged(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator
     yield subject.fault("MOT210", joint, step, message, hint)
 
 
+def _moves_beside(steps: FloatArray, most: FloatArray) -> BoolArray:
+    """Return where the steps before and after are motion, but small ``(F - 1, P)``.
+
+    Poses of a library that are held, or take turns, exchange sides by intent.
+    """
+    rows = np.pad(steps, ((1, 1), (0, 0)))
+    before, after = rows[:-2], rows[2:]
+    moving = np.minimum(before, after) > STILL
+    return np.asarray(moving & (np.maximum(before, after) < most))
+
+
 def dead_side(subject: MotionSubject) -> Iterator[Fault]:
     """Yield joints that never turn while those of the other side do (MOT211)."""
     channel = subject.take.motion.rotations
@@ -175,7 +174,11 @@ def dead_side(subject: MotionSubject) -> Iterator[Fault]:
         return
     spreads = np.zeros(len(subject.take.rig.joints))
     away = so3.angle_between(channel.values, channel.values[:1])
-    spreads[channel.animated] = away.max(axis=0)
+    # One frame that is off is no motion.
+    spreads[channel.animated] = np.maximum(
+        np.percentile(away, 90, axis=0) if len(channel.animated) else 0.0,
+        np.minimum(away.max(axis=0, initial=0.0), 2.0 * STILL),
+    )
     found: list[tuple[int, int]] = []
     for left, right in _pairs(subject):
         for mine, other in ((left, right), (right, left)):

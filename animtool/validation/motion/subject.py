@@ -13,6 +13,7 @@ from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault
 from animtool.maths import so3
 from animtool.rig.kinematics import rest_world
+from animtool.rig.sides import SidePairs, pair_sides
 from animtool.take import Take
 
 __all__ = ["FaultAt", "MotionSubject"]
@@ -122,12 +123,17 @@ class MotionSubject:
     @cached_property
     def positions(self) -> FloatArray:
         """Joint positions, world ``(F, J, 3)`` [m]."""
-        return self.take.world().positions
+        return np.asarray(self.take.world().positions)
 
     @cached_property
     def rest(self) -> FloatArray:
         """Joint positions at rest, world ``(J, 3)`` [m]."""
-        return rest_world(self.take.rig).positions[0]
+        return np.asarray(rest_world(self.take.rig).positions[0])
+
+    @cached_property
+    def sides(self) -> SidePairs:
+        """Which joints are left and right of each other, by their names."""
+        return pair_sides(self.take.rig.names, self.take.rig.parents)
 
     @cached_property
     def size(self) -> float:

@@ -49,7 +49,7 @@ def zero_scale(subject: MotionSubject) -> Iterator[Fault]:
     if scales is None:
         return
     values = scales.dense()
-    gone = (np.abs(values) < ZERO).any(axis=2)
+    gone = np.asarray(np.abs(values).min(axis=2) < ZERO)
     joints = np.flatnonzero(gone.any(axis=0))
     if not len(joints):
         return
@@ -100,7 +100,9 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
     bones, own = bones[kept], own[kept]
     ratios = np.linalg.norm(bind[bones] - bind[parents[bones]], axis=1) / own
     other = (ratios > OTHER_LENGTH) | (ratios < 1.0 / OTHER_LENGTH)
-    hint = "bind transforms are in world space, where the joints stood when it was bound"
+    hint = (
+        "bind transforms are in world space, where the joints stood when it was bound"
+    )
     if len(bones) and float(other.mean()) > MOST_BONES:
         worst = int(np.abs(np.log(np.maximum(ratios, 1e-12))).argmax())
         joint = int(bones[worst])

@@ -5,13 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from animtool.errors import Fault
 from animtool.scene.sources import open_source
 from animtool.take import Take
+from animtool.validation.motion.subject import MotionSubject
 from animtool.validation.rule import Kind
-from animtool.validation.subjects.steps import Steps, steps_of
 from animtool.validation.subjects.subject import Opened
+
+if TYPE_CHECKING:
+    from animtool.usd.checks.takes import AnimationTake
 
 __all__ = ["TakeSubject", "open_bvh", "open_usd"]
 
@@ -28,10 +32,12 @@ class TakeSubject:
     path: Path
     take: Take
 
-    @cached_property
-    def steps(self) -> Steps:
-        """How far joints go from frame to frame."""
-        return steps_of(self.take)
+    def fault_at(
+        self, code: str, joint: str, frame: float | None, message: str, hint: str
+    ) -> Fault:
+        """Return a fault of a joint at a frame; of the whole take at its root."""
+        del frame
+        return self.fault(code, joint or self.take.rig.names[0], message, hint)
 
     def fault(self, code: str, joint: str, message: str, hint: str) -> Fault:
         """Return a fault of a joint, in the line that begins it."""
@@ -59,17 +65,37 @@ def open_bvh(path: Path) -> Opened:
     Raises:
         FormatError: It is malformed, with every fault.
     """
-    return _opened(Kind.BVH, path)
+    take = open_source(path).collect()
+    faults = [f if f.path else replace(f, path=str(path)) for f in take.notices]
+    subject = TakeSubject(path, take)
+    motion = MotionSubject(take, subject.fault_at, has_units=False)
+    return Opened(Kind.BVH, faults, subject, takes=(motion,))
 
 
 def open_usd(path: Path) -> Opened:
-    """Return what is wrong with a USD layer and what it brings in."""
-    from animtool.usd.checks import check_layer
+    """Return what is wrong with a USD layer and what it brings in, and its takes."""
+    from animtool.usd.checks import inspect_layer
 
-    return Opened(Kind.USD, check_layer(path))
+    layer = inspect_layer(path)
+    takes = tuple(_subject(path, found) for found in layer.takes)
+    return Opened(Kind.USD, layer.faults, takes=takes)
 
 
-def _opened(kind: Kind, path: Path) -> Opened:
-    take = open_source(path).collect()
-    faults = [f if f.path else replace(f, path=str(path)) for f in take.notices]
-    return Opened(kind, faults, TakeSubject(path, take))
+def _subject(path: Path, found: AnimationTake) -> MotionSubject:
+    """Return a take of a layer; its faults are at its prim."""
+
+    def fault_at(
+        code: str, joint: str, frame: float | None, message: str, hint: str
+    ) -> Fault:
+        del joint, frame
+        return Fault(code, message, str(path), (), hint, where=found.path)
+
+    return MotionSubject(
+        found.take,
+        fault_at,
+        found.codes,
+        found.frame_range,
+        has_rest=found.has_rest,
+        influencing=found.influencing,
+        bind=found.bind,
+    )

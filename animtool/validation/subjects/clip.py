@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from animtool._types import BoolArray
+from animtool.clip.channels import Interp
 from animtool.clip.clip import Clip
 from animtool.clip.file import (
     check_clip,
@@ -20,6 +22,7 @@ from animtool.documents.document import Document, Location
 from animtool.errors import AnimtoolError, Fault, Severity
 from animtool.rig.skeleton import Rig
 from animtool.take import Take
+from animtool.validation.motion.subject import MotionSubject
 from animtool.validation.rule import Kind
 from animtool.validation.subjects.subject import DocumentSubject, Opened
 
@@ -55,6 +58,26 @@ class ClipSubject(DocumentSubject):
                 return self.key(i, frame)
         return ("channels",)
 
+    def fault_at(
+        self, code: str, joint: str, frame: float | None, message: str, hint: str
+    ) -> Fault:
+        """Return a fault of a joint at a frame, at the key that it follows."""
+        known = joint and frame is not None
+        place = self.at(joint, frame or 0.0) if known else ("channels",)
+        return self.fault(code, place, message, hint)
+
+    @cached_property
+    def cuts(self) -> BoolArray:
+        """From which frames to the next a step is keyed ``(F - 1,)``."""
+        frames = np.array(self.frames)
+        found = np.zeros(len(frames) - 1, bool)
+        for channel in self.clip.channels:
+            for k, interp in enumerate(channel.interps[:-1]):
+                if interp is Interp.STEP:
+                    at = channel.times[k + 1]
+                    found |= (frames[:-1] < at) & (at <= frames[1:])
+        return found
+
     def key(self, channel: int, frame: float) -> Location:
         """Return the last key of a channel that is not behind a frame, or its first."""
         times = self.clip.channels[channel].times
@@ -84,7 +107,9 @@ def open_clip_document(document: Document) -> Opened:
     take = _placed(path, lambda: clip.sample(rig), opened)
     if take is not None:
         opened.faults += [_named(fault, path) for fault in take.notices]
-        opened.subject = ClipSubject(document, clip, rig, take)
+        subject = ClipSubject(document, clip, rig, take)
+        motion = MotionSubject(take, subject.fault_at, meant=subject.cuts)
+        opened.subject, opened.takes = subject, (motion,)
     return opened
 
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from animtool.documents.document import Document, Location
 from animtool.errors import Fault
 from animtool.validation.rule import Kind
+
+if TYPE_CHECKING:
+    from animtool.validation.motion.subject import MotionSubject
 
 __all__ = ["DocumentSubject", "Opened"]
 
@@ -21,12 +24,16 @@ class Opened:
         faults: What its reader refused and noticed.
         subject: What the rules of its kind look at; None where the reader refused it.
         document: Its text; None of files that people do not write.
+        takes: What moves in it, one entry a character or take, for motion rules.
+        profile: Name of the severity profile that its content asks for, if any.
     """
 
     kind: Kind
     faults: list[Fault] = field(default_factory=list)
     subject: Any = None
     document: Document | None = None
+    takes: tuple[MotionSubject, ...] = ()
+    profile: str | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,7 @@ from animtool.validation.tables import (
     clip,
     files,
     findings,
+    motion,
     rig,
     scene,
     simulation,
@@ -35,6 +36,7 @@ __all__ = [
     "RULES",
     "ListedRule",
     "all_rules",
+    "current_code",
     "find_rule",
     "listed_rules",
     "page",
@@ -48,6 +50,7 @@ _TABLES = (
     clip,
     files,
     findings,
+    motion,
     rig,
     scene,
     simulation,
@@ -76,6 +79,15 @@ class ListedRule:
     about: str
 
 
+def current_code(code: str) -> str:
+    """Return the code that a code of an earlier version became, or the code itself.
+
+    >>> current_code('BVH203'), current_code('RIG')
+    ('MOT202', 'RIG')
+    """
+    return motion.ALIASES.get(code, code)
+
+
 @cache
 def all_rules() -> tuple[Mapping[str, Rule], tuple[Fault, ...]]:
     """Return every rule by code, those of plug-ins included, and broken plug-ins.
@@ -99,7 +111,7 @@ def listed_rules() -> list[ListedRule]:
     for point in _points():
         found = _loaded(point)
         if isinstance(found, Rule):
-            kind, about = str(found.kind), found.title
+            kind, about = ", ".join(sorted(found.kinds)), found.title
         else:
             kind, about = "", found.message
         listed.append(ListedRule(point.name, point.value, kind, about))
@@ -131,9 +143,9 @@ def _wrong(name: str, rule: Rule) -> str:
     """Return what is wrong with a rule of a plug-in, or nothing."""
     if not _CODE.fullmatch(name) or rule.code != name:
         return f"has the code {rule.code!r}, and its name must be that: ABC123"
-    if name in RULES:
+    if current_code(name) in RULES:
         return "has a code of animtool's own"
-    return "" if rule.kind else "says of no kind of file that it is for"
+    return "" if rule.kinds else "says of no kind of file that it is for"
 
 
 def find_rule(code: str) -> Rule:
@@ -145,7 +157,7 @@ def find_rule(code: str) -> Rule:
     >>> find_rule("rig001").title
     'a joint twice'
     """
-    name = code.upper()
+    name = current_code(code.upper())
     if name in RULES:
         return RULES[name]
     rules, _ = all_rules()

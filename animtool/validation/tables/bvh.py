@@ -61,19 +61,4 @@ RULES = (
         Severity.NOTE,
     ),
     _rule("BVH201", "names of joints that USD cannot tell apart", "names:in_capture"),
-    _rule("BVH202", "a take in which nothing moves", "capture_motion:motionless"),
-    _rule("BVH203", "a joint that jumps in one frame", "capture_motion:jumps"),
-    _rule("BVH204", "a joint that turns over in one frame", "capture_motion:flips"),
-    _rule("BVH205", "a bone whose length changes by half", "capture_motion:stretched"),
-    _rule(
-        "BVH206",
-        "a joint that never turns while its other side does",
-        "capture_motion:dead_side",
-    ),
-    _rule(
-        "BVH207",
-        "a first frame that is a pose of its own",
-        "capture_motion:reference_pose",
-        Severity.NOTE,
-    ),
 )

@@ -64,8 +64,6 @@ RULES = (
         "clip_keys:outside_range",
     ),
     _rule("CLIP202", "keys half a turn apart", "clip_keys:half_turns"),
-    _rule("CLIP203", "a joint that jumps in one frame", "clip_motion:jumps"),
-    _rule("CLIP204", "a foot that slides while it stands", "clip_motion:foot_slide"),
     _rule(
         "CLIP205",
         "a curve that leaves limits between keys that keep them",

@@ -32,14 +32,14 @@ Frame Time: 0.0333333
 RAMP = np.arange(20.0)
 CASES = {
     "angles that leap a whole turn": (np.where(RAMP < 9, RAMP, RAMP + 360.0), []),
-    "a leap": (np.where(RAMP < 9, RAMP, RAMP + 60.0), ["BVH203"]),
-    "a leap, and one back": (np.where(RAMP == 9, 70.0, RAMP), ["BVH203"]),
+    "a leap": (np.where(RAMP < 9, RAMP, RAMP + 60.0), ["MOT202"]),
+    "a leap, and one back": (np.where(RAMP == 9, 70.0, RAMP), ["MOT202"]),
     "leaps in all frames": (60.0 * RAMP, []),
     "a first frame alone": (np.where(RAMP == 0, 70.0, RAMP), []),
-    "one turned over": (np.where(RAMP < 9, RAMP, RAMP + 180.0), ["BVH204"]),
+    "one turned over": (np.where(RAMP < 9, RAMP, RAMP + 180.0), ["MOT202"]),
     "too few frames to tell": (np.array([0.0, 1, 170, 171]), []),
     "one frame": (np.array([0.0]), []),
-    "two that are alike": (np.array([5.0, 5.0]), ["BVH202"]),
+    "two that are alike": (np.array([5.0, 5.0]), ["MOT201"]),
 }
 
 

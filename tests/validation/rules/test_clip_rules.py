@@ -68,7 +68,7 @@ CASES: dict[str, tuple[str, list[str]]] = {
     ),
     "a wheel that cycles three quarters": (
         f"range: [1, 48]\n{WHEEL}[{{t: 1, v: 0}}, {{t: 25, v: 270}}]}}]\n",
-        ["CLIP203", "CLIP207"],
+        ["CLIP207", "MOT202"],
     ),
     "an open cycle that is never repeated": (
         f"range: [1, 25]\n{WHEEL}[{{t: 1, v: 0}}, {{t: 25, v: 270}}]}}]\n",
@@ -85,7 +85,7 @@ CASES: dict[str, tuple[str, list[str]]] = {
             "{t: 1, v: [0, 0, 0]}, {t: 9, v: [0, 0, 2]}, {t: 10, v: [80, 0, 2]}, "
             "{t: 11, v: [0, 0, 2]}, {t: 20, v: [0, 0, 4]}",
         ),
-        ["CLIP203"],
+        ["MOT203"],
     ),
 }
 

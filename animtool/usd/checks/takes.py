@@ -1,0 +1,326 @@
+"""The animations of a stage as takes, from the samples that the checks have read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import UsdGeom, UsdSkel
+
+from animtool._types import FloatArray, IntArray
+from animtool.errors import AnimtoolError
+from animtool.maths import so3
+from animtool.rates import rate_from_float
+from animtool.rig.parts import Shape
+from animtool.rig.skeleton import Joint, Rig
+from animtool.take import Channel, Clock, Motion, Take
+from animtool.usd.animation_values import scale_channel
+from animtool.usd.carried_roots import carry_roots, moving_carriers
+from animtool.usd.checks.animation import tokens
+from animtool.usd.checks.skeleton import own_matrices
+from animtool.usd.checks.subject import Subject
+from animtool.usd.library import take_range
+from animtool.usd.rig_prims import (
+    SkeletonRig,
+    rig_from_tokens,
+    skeleton_rig,
+    up_axis,
+)
+from animtool.usd.sample_grid import time_fraction
+
+__all__ = ["AnimationTake", "animation_takes"]
+
+
+@dataclass(frozen=True, slots=True)
+class AnimationTake:
+    """A SkelAnimation with the skeleton that it moves.
+
+    Attributes:
+        path: The SkelAnimation.
+        take: F frames, one a sample.
+        codes: Their time codes as the file has them ``(F,)``; None for no samples.
+        frame_range: The range that the take or its stage states, where it is about
+            this take.
+        has_rest: Whether the Skeleton is on the stage.
+        influencing: Names of joints that move points; None without a skinned mesh.
+        bind: Joint positions of the bind pose, world ``(J, 3)`` [m].
+    """
+
+    path: str
+    take: Take
+    codes: FloatArray | None
+    frame_range: tuple[float, float] | None
+    has_rest: bool
+    influencing: frozenset[str] | None
+    bind: FloatArray | None
+
+
+def animation_takes(subject: Subject, path: Path) -> list[AnimationTake]:
+    """Return the animations of a stage that are sound enough to be looked at.
+
+    Those with arrays of a wrong length, or values that are not finite, are left out:
+    the checks report them.
+    """
+    skeletons = list(subject.of_type(UsdSkel.Skeleton))
+    bound = _bound(skeletons)
+    found = []
+    for animation in subject.of_type(UsdSkel.Animation):
+        skeleton = bound.get(animation.GetPath()) or _nearest(animation, skeletons)
+        try:
+            take = _take(subject, path, animation, skeleton)
+        except AnimtoolError:
+            continue
+        if take is not None:
+            found.append(take)
+    return found
+
+
+def _bound(skeletons: list[Any]) -> dict[Any, Any]:
+    """Return the Skeleton of each animation that one is bound to."""
+    found: dict[Any, Any] = {}
+    for skeleton in skeletons:
+        binding = UsdSkel.BindingAPI(skeleton.GetPrim())
+        source = binding.GetInheritedAnimationSource()
+        if source:
+            found.setdefault(source.GetPath(), skeleton)
+    return found
+
+
+def _nearest(animation: Any, skeletons: list[Any]) -> Any:
+    """Return the Skeleton with most joints of an animation, such as a library's."""
+    joints = set(tokens(animation.GetJointsAttr()))
+    best = None
+    most = len(joints) // 2
+    for skeleton in skeletons:
+        shared = len(joints.intersection(tokens(skeleton.GetJointsAttr())))
+        if shared > most:
+            best, most = skeleton, shared
+    return best
+
+
+def _take(
+    subject: Subject, path: Path, animation: Any, skeleton: Any
+) -> AnimationTake | None:
+    where = f"{path}<{animation.GetPath()}>"
+    joints = tokens(animation.GetJointsAttr())
+    shapes = tokens(animation.GetBlendShapesAttr())
+    found = _rig(subject, animation, skeleton, joints, path)
+    movers = moving_carriers(skeleton.GetPrim()) if skeleton else []
+    attributes = [
+        (animation.GetTranslationsAttr(), len(joints), 3),
+        (animation.GetRotationsAttr(), len(joints), 4),
+        (animation.GetScalesAttr(), len(joints), 3),
+        (animation.GetBlendShapeWeightsAttr(), len(shapes), 1),
+    ]
+    times = {t for attr, count, _ in attributes if count for t in subject.times(attr)}
+    times.update(t for mover in movers for t in mover.GetTimeSamples())
+    codes = np.array(sorted(times), np.float64)
+    rows = [_values(subject, *entry, codes) for entry in attributes]
+    motion = _motion(found, joints, shapes, rows)
+    if motion is None:
+        return None
+    translations, rotations, scales, weights = motion
+    if movers:
+        own = translations, rotations, scales
+        carry_roots(found.rig, skeleton.GetPrim(), codes.tolist(), *own, where)
+    rig = replace(found.rig, shapes=tuple(Shape(name) for name in shapes))
+    take = Take(
+        rig,
+        _clock(subject, codes),
+        Motion(
+            Channel.from_dense(translations),
+            Channel.from_dense(rotations),
+            scale_channel(scales),
+            None if weights is None else Channel.from_dense(weights),
+        ),
+    )
+    return AnimationTake(
+        str(animation.GetPath()),
+        take,
+        codes if len(codes) else None,
+        _range(subject, animation),
+        skeleton is not None,
+        _influencing(subject, skeleton, found) if skeleton else None,
+        _bind(skeleton, rig) if skeleton else None,
+    )
+
+
+def _rig(
+    subject: Subject, animation: Any, skeleton: Any, joints: list[str], path: Path
+) -> SkeletonRig:
+    """Return the rig that an animation moves; alone it rests at its first sample."""
+    if skeleton is not None and tokens(skeleton.GetJointsAttr()):
+        return skeleton_rig(skeleton, path)
+    meters = UsdGeom.GetStageMetersPerUnit(subject.stage)
+    up = up_axis(subject.stage)
+    name = str(animation.GetPrim().GetName())
+    if not joints:
+        # A face of shapes alone: nothing turns.
+        rig = Rig(name, (Joint(name, -1),), meters, up)
+        return SkeletonRig(rig, [], np.ones((1, 3)))
+    rest = np.tile(np.eye(4), (len(joints), 1, 1))
+    sampled = subject.sampled(animation.GetTranslationsAttr())
+    which, values = sampled.rows(len(joints), 3)
+    if len(which):
+        rest[:, 3, :3] = values[0]
+    where = f"{path}<{animation.GetPath()}>"
+    return rig_from_tokens(joints, rest, name, where, meters, up, {})
+
+
+def _values(
+    subject: Subject, attr: Any, count: int, width: int, codes: FloatArray
+) -> FloatArray | None:
+    """Return an attribute at time codes ``(F, count, width)``; None if not sound."""
+    if not count or not attr:
+        return None
+    sampled = subject.sampled(attr)
+    which, rows = sampled.rows(count, width)
+    if not len(which) or len(which) != len(sampled.times):
+        return None
+    values = np.asarray(rows, np.float64)
+    if not np.isfinite(values).all():
+        return None
+    frames = max(len(codes), 1)
+    if not sampled.animated or len(values) == 1:
+        return np.repeat(values[:1], frames, axis=0)
+    if len(values) == frames:
+        return values
+    after = np.searchsorted(sampled.times, codes).clip(1, len(values) - 1)
+    early, late = sampled.times[after - 1], sampled.times[after]
+    share = ((codes - early) / (late - early)).clip(0.0, 1.0)[:, None, None]
+    if width == 4:
+        values = so3.align_signs(values)
+    return np.asarray(values[after - 1] * (1.0 - share) + values[after] * share)
+
+
+def _motion(
+    found: SkeletonRig,
+    joints: list[str],
+    shapes: list[str],
+    rows: Sequence[FloatArray | None],
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None] | None:
+    """Return T, R and S of every joint of a rig, and the weights; None if not sound."""
+    rig = found.rig
+    weights = rows[3]
+    if (joints and any(row is None for row in rows[:3])) or (
+        not joints and weights is None
+    ):
+        return None
+    frames = next(len(row) for row in rows if row is not None)
+    if shapes and weights is None:
+        weights = np.zeros((frames, len(shapes), 1))
+    rests = (
+        rig.rest_translations / rig.meters_per_unit,
+        rig.rest_rotations,
+        found.rest_scales,
+    )
+    index = {token: i for i, token in enumerate(found.tokens)}
+    places = np.array([index.get(token, -1) for token in joints], np.int64)
+    translations, rotations, scales = (
+        _placed(rest, row, places, frames)
+        for rest, row in zip(rests, rows[:3], strict=True)
+    )
+    if not (np.linalg.norm(rotations, axis=2) > 0.0).all():
+        return None
+    translations *= rig.meters_per_unit
+    return translations, so3.align_signs(so3.normalize(rotations)), scales, weights
+
+
+def _placed(
+    rest: FloatArray, row: FloatArray | None, places: IntArray, frames: int
+) -> FloatArray:
+    """Return the values of an animation's joints among those at rest."""
+    dense = np.repeat(rest[None], frames, axis=0)
+    if row is not None:
+        known = places >= 0
+        dense[:, places[known]] = row[:, known]
+    return dense
+
+
+def _clock(subject: Subject, codes: FloatArray) -> Clock:
+    fps = rate_from_float(subject.stage.GetTimeCodesPerSecond())
+    start = time_fraction(float(codes[0])) if len(codes) else Fraction(1)
+    step = time_fraction(float(np.median(np.diff(codes)))) if len(codes) > 1 else 1
+    return Clock(fps, start, Fraction(step) or Fraction(1), max(len(codes), 1))
+
+
+def _range(subject: Subject, animation: Any) -> tuple[float, float] | None:
+    """Return the range that an animation states, or else its stage for all that moves.
+
+    Where something else on the stage moves longer, the range is not about this one.
+    """
+    own = take_range(animation)
+    if own is not None:
+        return float(own[0]), float(own[1])
+    stage = subject.stage
+    if not (
+        stage.HasAuthoredMetadata("startTimeCode")
+        and stage.HasAuthoredMetadata("endTimeCode")
+    ):
+        return None
+    spans = [
+        (times[0], times[-1], attr.GetPrim() == animation.GetPrim())
+        for attr in subject.attributes
+        if (times := subject.times(attr))
+    ]
+    mine = [span for span in spans if span[2]]
+    if not mine or (
+        min(span[0] for span in mine) > min(span[0] for span in spans)
+        or max(span[1] for span in mine) < max(span[1] for span in spans)
+    ):
+        return None
+    return float(stage.GetStartTimeCode()), float(stage.GetEndTimeCode())
+
+
+def _influencing(
+    subject: Subject, skeleton: Any, found: SkeletonRig
+) -> frozenset[str] | None:
+    """Return the joints that move points, or have one below that does."""
+    used: set[int] = set()
+    meshes = 0
+    index = {token: i for i, token in enumerate(found.tokens)}
+    for prim in subject.prims:
+        binding = UsdSkel.BindingAPI(prim)
+        indices = binding.GetJointIndicesPrimvar()
+        if not (indices and indices.HasAuthoredValue()):
+            continue
+        held = binding.GetInheritedSkeleton()
+        if not held or held.GetPath() != skeleton.GetPath():
+            continue
+        meshes += 1
+        own = tokens(binding.GetJointsAttr()) or found.tokens
+        used |= {
+            index[own[i]] for i in _used(binding, indices, len(own)) if own[i] in index
+        }
+    if not meshes:
+        return None
+    for joint in sorted(used):
+        parent = found.rig.joints[joint].parent
+        while parent >= 0 and parent not in used:
+            used.add(parent)
+            parent = found.rig.joints[parent].parent
+    return frozenset(found.rig.joints[i].name for i in used)
+
+
+def _used(binding: Any, indices: Any, count: int) -> Iterator[int]:
+    """Yield the indices of joints with any weight."""
+    which = np.array(indices.Get() or (), np.int64)
+    weights = np.array(binding.GetJointWeightsPrimvar().Get() or (), np.float64)
+    if len(weights) == len(which):
+        which = which[weights > 0.0]
+    yield from np.unique(which[(which >= 0) & (which < count)]).tolist()
+
+
+def _bind(skeleton: Any, rig: Rig) -> FloatArray | None:
+    """Return where the joints are in the bind pose; None where it is not sound."""
+    matrices = own_matrices(skeleton.GetBindTransformsAttr())
+    if len(matrices) != len(rig.joints) or not np.isfinite(matrices).all():
+        return None
+    # Identities are another fault.
+    if (matrices == np.eye(4)).all():
+        return None
+    return np.asarray(matrices[:, 3, :3] * rig.meters_per_unit)
