@@ -12,6 +12,7 @@ import numpy as np
 from pxr import UsdGeom, UsdSkel
 
 from animtool._types import FloatArray, IntArray
+from animtool.clock import time_fraction
 from animtool.errors import AnimtoolError
 from animtool.maths import so3
 from animtool.rates import rate_from_float
@@ -30,7 +31,6 @@ from animtool.usd.rig_prims import (
     skeleton_rig,
     up_axis,
 )
-from animtool.usd.sample_grid import time_fraction
 
 __all__ = ["AnimationTake", "animation_takes"]
 
