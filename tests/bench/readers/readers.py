@@ -54,8 +54,6 @@ class Reference:
         joints: World positions by joint, one a code [m], y up.
         points: Some world points by mesh with samples, one array a code [m], y up.
         fps: Time codes a second.
-        upright: Rotation from the file's axes to y up ``(3, 3)``.
-        unit: Of the file's numbers [m].
         frames: Number of samples.
     """
 
@@ -63,8 +61,6 @@ class Reference:
     joints: dict[str, Any]
     points: dict[str, Any]
     fps: float
-    upright: Any
-    unit: float
     frames: int
 
 
@@ -166,7 +162,7 @@ def reference(path: Path) -> Reference:
         for name, places in moving_points(stage, code):
             points.setdefault(name, []).append(places @ upright.T * unit)
     fps = stage.GetTimeCodesPerSecond()
-    return Reference(codes, joints, points, fps, upright, unit, len(whole))
+    return Reference(codes, joints, points, fps, len(whole))
 
 
 def posed(stage: Any, code: float) -> list[tuple[str, Any]]:
@@ -261,17 +257,11 @@ def blender(python: Path, sample: Sample, ref: Reference) -> dict[str, Any] | No
 
 
 def three(folder: Path, sample: Sample, ref: Reference) -> dict[str, Any] | None:
-    """Return what three.js reads, brought to metres, y up."""
+    """Return what three.js reads, in metres, y up: its loader converts both."""
     codes = [f"{code:g}" for code in ref.codes]
     script = str(READERS / "three_usd.mjs")
     command = ["node", script, str(sample.path), "OUTPUT", f"{ref.fps:g}", *codes]
-    found = peer(command, folder)
-    for kind in ("joints", "points") if found else ():
-        found[kind] = {
-            name: (np.array(places, float) * ref.unit).tolist()
-            for name, places in found[kind].items()
-        }
-    return found
+    return peer(command, folder)
 
 
 def findings(validator: Path, path: Path) -> Counter[str]:

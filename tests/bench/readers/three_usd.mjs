@@ -1,7 +1,7 @@
 // What three.js makes of a USD file, as JSON: joints and points over time.
 // In a folder with three installed (npm install three):
 //   node three_usd.mjs walk.usdc OUT.json FPS CODE…
-// Positions are in the numbers that the loader gives, whose unit it does not convert.
+// Positions are in metres, y up: the loader converts both.
 import { readFileSync, writeFileSync } from "node:fs";
 import { pathToFileURL } from "node:url";
 import path from "node:path";
