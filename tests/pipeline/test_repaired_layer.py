@@ -42,11 +42,9 @@ def test_drifting_samples_are_on_their_frames_again(tmp_path: Path) -> None:
     assert f"{2 * FRAMES} samples" in report["mended"][0]["done"]
     assert report["findings"] == []
     assert path.read_bytes() == before
+    stages = [Usd.Stage.Open(str(file)) for file in (clean, new)]
     for attribute in (f"{ANIMATION}.rotations", f"{ROOT}.extent"):
-        expected, found = (
-            Usd.Stage.Open(str(file)).GetAttributeAtPath(attribute)
-            for file in (clean, new)
-        )
+        expected, found = (stage.GetAttributeAtPath(attribute) for stage in stages)
         codes = expected.GetTimeSamples()
         assert found.GetTimeSamples() == codes
         apart = [
@@ -54,8 +52,7 @@ def test_drifting_samples_are_on_their_frames_again(tmp_path: Path) -> None:
             for code in codes
         ]
         assert max(apart) <= 1e-6
-    stage = Usd.Stage.Open(str(new))
-    root = UsdGeom.Boundable(stage.GetPrimAtPath(ROOT))
+    root = UsdGeom.Boundable(stages[1].GetPrimAtPath(ROOT))
     for code in (1, FRAMES // 2, FRAMES):
         computed = UsdGeom.Boundable.ComputeExtentFromPlugins(root, code)
         assert root.GetExtentAttr().Get(code) == computed
