@@ -11,6 +11,7 @@ import click
 
 from animtool.cli.console import Console
 from animtool.cli.options import (
+    DISTANCE,
     INPUT,
     TOLERANCE,
     Command,
@@ -61,12 +62,19 @@ def _tolerance(
     epilog="""\b
 Examples:
   animtool diff walk.bvh walk.usdc
-  animtool diff old.usdc new.usdc --tol 1e-4 --tol-degrees .01
+  animtool diff old.usdc new.usdc --tol 0.1mm --tol-degrees .01
   animtool diff walk.bvh library.usda --take-b walk"""
 )
 @click.argument("first", type=INPUT)
 @click.argument("second", type=INPUT)
-@_tolerance("--tol", 1e-5, "METRES", "Distance that is no difference.")
+@click.option(
+    "--tol",
+    type=DISTANCE,
+    default=1e-5,
+    show_default=True,
+    metavar="LENGTH",
+    help="Distance that is no difference, such as 1mm; a number alone is in metres.",
+)
 @_tolerance("--tol-degrees", 1e-3, "DEGREES", "Rotation that is no difference.")
 @_tolerance("--tol-weight", 1e-5, "WEIGHT", "Shape weight that is no difference.")
 @_choices

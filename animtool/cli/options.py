@@ -11,6 +11,7 @@ import click
 from animtool.cli.console import Console
 
 __all__ = [
+    "DISTANCE",
     "FILE",
     "INPUT",
     "LENGTH",
@@ -74,6 +75,14 @@ def _tolerance(text: str) -> float:
     return value
 
 
+def _distance(text: str) -> float:
+    """Return a distance [m]; a number alone is in metres."""
+    try:
+        return _tolerance(text)
+    except ValueError:
+        return _length(text)
+
+
 def count_or_auto(text: str) -> int | None:
     """Return a number from 1 up; None for ``auto``.
 
@@ -110,6 +119,7 @@ INPUT = click.Path(path_type=Path, readable=False)
 OUTPUT = click.Path(path_type=Path, allow_dash=True, readable=False)
 RATE = Parsed("rate", _rate)
 LENGTH = Parsed("length", _length)
+DISTANCE = Parsed("length", _distance)
 TOLERANCE = Parsed("tolerance", _tolerance)
 
 

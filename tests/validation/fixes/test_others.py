@@ -47,6 +47,26 @@ def test_files_that_may_mean_it(
     assert list(naming(rig, ["b.l", "a.l"])) == ([(path, "a.l")] if may else [])
 
 
+@pytest.mark.parametrize(
+    ("text", "uses"),
+    [
+        ("# reach along a beam\nclip: animtool/1\n", False),
+        ("clip: animtool/1\ndescription: along a beam\n", False),
+        ("clip: animtool/1\nx: [joint/a b.rotation]\n", True),
+        ("clip: animtool/1\nx: {a b: 1}\n", True),
+        ("clip: animtool/1\nx: 'joints[a b].limits'\n", True),
+    ],
+)
+def test_a_name_within_other_words_is_not_used(
+    text: str, uses: bool, tmp_path: Path
+) -> None:
+    rig = tmp_path / "hero.rig.yaml"
+    rig.write_text(RIG, "utf-8")
+    path = tmp_path / "a.clip.yaml"
+    path.write_text(text, "utf-8")
+    assert list(naming(rig, ["a b"])) == ([(path, "a b")] if uses else [])
+
+
 def test_all_of_a_project_is_looked_at(tmp_path: Path) -> None:
     rig = tmp_path / "rigs/hero.rig.yaml"
     rig.parent.mkdir()
