@@ -18,6 +18,7 @@ LAYERS = [
     {
         "errors",
         "units",
+        "quantities",
         "rates",
         "timecode",
         "output",

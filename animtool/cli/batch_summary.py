@@ -8,6 +8,7 @@ from animtool.batch.outcome import Status
 from animtool.batch.recipe import values_text
 from animtool.batch.report import BatchReport, ItemReport
 from animtool.errors import counted
+from animtool.quantities import length_text
 
 __all__ = ["batch_text", "ended_text", "planned_text", "report_json"]
 
@@ -47,7 +48,7 @@ def batch_text(report: BatchReport, *, dry: bool = False) -> list[str]:
 def _error_text(entry: ItemReport) -> str:
     assert entry.measured is not None
     found = entry.measured
-    return f"{entry.item.output} {found.error:.2g} m (joint {found.joint!r})"
+    return f"{entry.item.output} {length_text(found.error, 2)} (joint {found.joint!r})"
 
 
 def ended_text(entry: ItemReport, number: int, total: int) -> str:

@@ -20,6 +20,7 @@ from animtool.cli.options import (
     source_options,
     source_options_record,
 )
+from animtool.quantities import length_text, plain
 
 if TYPE_CHECKING:
     from animtool.report.compare import TakeDifference
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["diff"]
 
 
-_KINDS = (("world", "m"), ("translation", "m"), ("rotation", "deg"), ("scale", ""))
+_KINDS = ("world", "translation", "rotation", "scale")
 
 
 def _choices(command: Command) -> Command:
@@ -129,18 +130,25 @@ def _text(found: TakeDifference, *, same: bool) -> list[str]:
     if found.shapes:
         compared.insert(1, counted(found.shapes, "shape"))
     lines = [f"{', '.join(compared)} compared"]
-    for kind, unit in _KINDS:
+    for kind in _KINDS:
         largest = getattr(found, kind)
-        line = f"  {kind:<12}{largest.value:.3g} {unit}".rstrip()
+        line = f"  {kind:<12}{_size(kind, largest.value)}"
         if largest.value:
             line += f"  joint {largest.joint!r}, time code {largest.code:g}"
         lines.append(line)
     if found.shapes:
         weight = found.weight
-        line = f"  {'weight':<12}{weight.value:.3g}"
+        line = f"  {'weight':<12}{plain(weight.value)}"
         if weight.value:
             line += f"  shape {weight.shape!r}, time code {weight.code:g}"
         lines.append(line)
     lines += [f"  {text}" for text in found.mismatches]
     lines += [f"  note: {text}" for text in found.notes]
     return [*lines, "same" if same else "different"]
+
+
+def _size(kind: str, value: float) -> str:
+    """Return a difference of a kind in words."""
+    if kind in {"world", "translation"}:
+        return length_text(value)
+    return f"{plain(value)} deg" if kind == "rotation" else plain(value)

@@ -10,6 +10,7 @@ from animtool.cli.summary import channel_lines
 from animtool.clock import frame_label
 from animtool.errors import counted, listed
 from animtool.ik.report import BEYOND, limit_counts, status_counts
+from animtool.quantities import duration_text, length_text, plain
 
 if TYPE_CHECKING:
     from animtool.ik.report import GoalReport, Misses
@@ -26,8 +27,8 @@ def _size(part: str, value: float) -> str:
     if part == "position":
         if not math.isfinite(value):
             return f"over {BEYOND:g} m"
-        return f"{value * 1000:.3g} mm"
-    return f"{math.degrees(value):.3g}°"
+        return length_text(value)
+    return f"{plain(math.degrees(value))}°"
 
 
 def ik_text(report: IkReport) -> list[str]:
@@ -42,8 +43,8 @@ def ik_text(report: IkReport) -> list[str]:
         f"  {counted(len(problem.joints), 'joint moves', 'joints move')}, "
         f"{counted(problem.degrees, 'degree')} of freedom for "
         f"{counted(problem.rows, 'condition')}",
-        f"  {ends}; {solved.iterations.mean():.3g} iterations a frame, "
-        f"{counted(restarts, 'restart')}, {1e6 * solved.seconds / frames:.3g} µs a "
+        f"  {ends}; {plain(solved.iterations.mean())} iterations a frame, "
+        f"{counted(restarts, 'restart')}, {duration_text(solved.seconds / frames)} a "
         "frame",
     ]
     for goal in report.goals:
@@ -185,10 +186,10 @@ def _row_text(row: IkTableRow) -> str:
     if row.refused:
         return f"{row.setting:>12}  cannot: {row.refused}"
     cells = (
-        f"{row.microseconds:.3g}",
-        f"{row.position * 1000:.3g}",
-        f"{math.degrees(row.angle):.3g}",
-        f"{row.iterations:.3g}",
+        plain(row.microseconds),
+        plain(row.position * 1000),
+        plain(math.degrees(row.angle)),
+        plain(row.iterations),
         f"{row.converged:.1%}",
     )
     return "".join(f"{cell:>12}" for cell in (row.setting, *cells))

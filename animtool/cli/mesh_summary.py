@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from animtool.errors import counted
-from animtool.units import unit_name
+from animtool.quantities import duration_text, length_text, size_text
 
 if TYPE_CHECKING:
     from animtool.scene.report import MeshReport, TakeReport
@@ -13,18 +13,13 @@ if TYPE_CHECKING:
 __all__ = ["mesh_json", "mesh_text"]
 
 
-def mesh_text(take: TakeReport, meters_per_unit: float) -> list[str]:
-    """Return a line on whose meshes or systems they are, and one on each.
-
-    Args:
-        take: What became of it.
-        meters_per_unit: Unit of the output [m].
-    """
+def mesh_text(take: TakeReport) -> list[str]:
+    """Return a line on whose meshes or systems they are, and one on each."""
     lines = []
     for simulated, title in ((False, _deformed(take)), (True, _simulated(take))):
         meshes = [mesh for mesh in take.meshes if mesh.simulated is simulated]
         if meshes:
-            lines += [title, *(_line(mesh, meters_per_unit) for mesh in meshes)]
+            lines += [title, *(_line(mesh) for mesh in meshes)]
     return lines
 
 
@@ -42,23 +37,22 @@ def _simulated(take: TakeReport) -> str:
     return f"  {counted(count, 'system')} of {take.source.name}, simulated"
 
 
-def _line(mesh: MeshReport, meters_per_unit: float) -> str:
+def _line(mesh: MeshReport) -> str:
     written = mesh.written
-    error, unit = written.error / meters_per_unit, unit_name(meters_per_unit)
     where = ""
-    if error:
+    if written.error:
         where = f" (vertex {written.error_vertex}, frame {written.error_code:g})"
     moves = "still, no samples"
     if written.samples:
-        moves = f"{counted(written.samples, 'frame')}, {written.bytes / 1e6:.3g} MB"
+        moves = f"{counted(written.samples, 'frame')}, {size_text(written.bytes)}"
     many = counted(written.vertices, "vertex", "vertices")
     if mesh.simulated:
         many = counted(written.vertices, "particle")
         many = f"up to {many}" if mesh.kind == "particles" else many
     return (
         f"    {mesh.name}: {many}, {moves}, "
-        f"{_milliseconds(mesh):.3g} ms a frame, largest error of float32 {error:.2g} "
-        f"{unit}{where}"
+        f"{duration_text(_milliseconds(mesh) / 1e3)} a frame, largest error of float32 "
+        f"{length_text(written.error, 2)}{where}"
     )
 
 

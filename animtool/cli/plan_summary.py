@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from animtool.quantities import plain
+
 if TYPE_CHECKING:
     from animtool.scene.convert import ConvertReport
     from animtool.scene.report import BakeReport
@@ -76,7 +78,7 @@ def stats_text(
 
 
 def _length(meters: float | None) -> str:
-    return "" if meters is None else f"{meters * 1000:.3g}"
+    return "" if meters is None else plain(meters * 1000)
 
 
 def stats_json(

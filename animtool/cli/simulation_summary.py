@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from animtool.errors import listed
+from animtool.quantities import plain
 
 if TYPE_CHECKING:
     from animtool.scene.simulation_table import SimulationTable
@@ -27,7 +28,7 @@ def simulation_table_text(table: SimulationTable) -> list[str]:
 
 
 def _part_text(part: TrialTable) -> list[str]:
-    lines = [f"{part.name}: {part.kind}, {part.span:.4g} s simulated"]
+    lines = [f"{part.name}: {part.kind}, {plain(part.span, 4)} s simulated"]
     if part.reference is not None:
         lines += _reference_text(part, part.reference)
     lines += [f"  {line}" for line in _grid(part)]
@@ -49,7 +50,7 @@ def _reference_text(part: TrialTable, reference: Reference) -> list[str]:
 
 
 def _millimetres(meters: float) -> str:
-    return f"{meters * 1000:.3g}"
+    return plain(meters * 1000)
 
 
 def _grid(part: TrialTable) -> list[str]:
@@ -84,8 +85,8 @@ def _cells(row: TrialRow, span: float) -> list[str]:
         _marks(row),
         row.setting.method,
         ", ".join(f"{name} {value:.6g}" for name, value in row.setting.options),
-        f"{row.seconds:.3g}",
-        f"{span / row.seconds:.3g}" if row.seconds else "",
+        plain(row.seconds),
+        plain(span / row.seconds) if row.seconds else "",
         str(row.steps),
         *sizes,
     ]
@@ -100,7 +101,7 @@ def _optional(rows: list[TrialRow]) -> dict[str, list[str]]:
         "stretch %": [row.stretch for row in rows],
     }
     return {
-        head: ["" if value is None else f"{100 * value:.3g}" for value in values]
+        head: ["" if value is None else plain(100 * value) for value in values]
         for head, values in columns.items()
         if any(value is not None for value in values)
     }

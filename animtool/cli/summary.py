@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from animtool.cli.mesh_summary import mesh_json, mesh_text
 from animtool.clock import FrameSpan
 from animtool.errors import counted, listed
+from animtool.quantities import duration_text, length_text, plain, size_text
 from animtool.rates import rate_label
 from animtool.units import unit_name
 
@@ -39,6 +40,7 @@ def _finite(value: float) -> float | None:
 def bake_text(report: BakeReport) -> list[str]:
     """Return the lines of a summary."""
     result, total = report.result, report.seconds["total"]
+    speed = report.source_bytes / total
     files = ", ".join(map(str, result.outputs)) or "stdout"
     unit = unit_name(report.meters_per_unit)
     unstated = any(take.unit_assumed for take in report.takes)
@@ -50,10 +52,10 @@ def bake_text(report: BakeReport) -> list[str]:
             f"{files}: {report.form}",
             f"  {_frames_text(report, one)}",
             *_shot_text(report),
-            *mesh_text(one, report.meters_per_unit),
+            *mesh_text(one),
             *_beside_text(report),
             f"  {report.up} up, lengths in {unit}{assumed}",
-            f"  {result.bytes / 1e6:.3g} MB written in {total:.2f} s",
+            f"  {size_text(result.bytes)} written in {duration_text(total)}",
         ]
     moving = " and ".join(result.sampled) or "nothing"
     lines = [f"{files}: {report.form}"]
@@ -65,22 +67,20 @@ def bake_text(report: BakeReport) -> list[str]:
     lines += [
         f"  {counted(result.joints, 'joint')}, {moving} animated",
         *_beside_text(report),
-        *(mesh_text(one, report.meters_per_unit) if one and one.meshes else []),
+        *(mesh_text(one) if one and one.meshes else []),
         f"  {report.up} up, lengths in {unit}{assumed}",
-        f"  {result.bytes / 1e6:.3g} MB written in {total:.2f} s, "
-        f"{report.source_bytes / 1e6 / total:.3g} MB/s of source",
+        f"  {size_text(result.bytes)} written in {duration_text(total)}"
+        + (f", {size_text(speed)}/s of source" if speed else ""),
         f"  largest error of {_rounded_to(report.worst)}: "
-        + _error_text(
-            report, report.worst, unit, "" if one else report.worst.written.name
-        ),
+        + _error_text(report.worst, "" if one else report.worst.written.name),
     ]
     if one is not None:
-        return lines + [f"  {line}" for line in _extras_text(report, one, unit)]
+        return lines + [f"  {line}" for line in _extras_text(one)]
     for take in takes:
         lines.append(f"  take {take.written.name}: {_frames_text(report, take)}")
-        error = _error_text(report, take, unit)
+        error = _error_text(take)
         lines.append(f"    error of {_rounded_to(take)}: {error}")
-        lines += [f"    {line}" for line in _extras_text(report, take, unit)]
+        lines += [f"    {line}" for line in _extras_text(take)]
     return lines
 
 
@@ -108,29 +108,25 @@ def _rounded_to(take: TakeReport) -> str:
     return "float32 and half scales" if take.written.rounding.scales else "float32"
 
 
-def _error_text(report: BakeReport, take: TakeReport, unit: str, name: str = "") -> str:
+def _error_text(take: TakeReport, name: str = "") -> str:
     """Return the largest error of a take, and where; with its name, if given."""
     rounding = take.written.rounding
-    error = rounding.error / report.meters_per_unit
-    if not error:
-        return f"{error:.2g} {unit}"
+    text = length_text(rounding.error, 2)
+    if not rounding.error:
+        return text
     of = f"take {name!r}, " if name else ""
-    return (
-        f"{error:.2g} {unit} ({of}joint {take.error_joint!r}, frame {rounding.code:g})"
-    )
+    return f"{text} ({of}joint {take.error_joint!r}, frame {rounding.code:g})"
 
 
-def _extras_text(report: BakeReport, take: TakeReport, unit: str) -> list[str]:
+def _extras_text(take: TakeReport) -> list[str]:
     """Return what only some bakes do to a take."""
     lines, thinned, curves = [], take.thinned, take.written.curves
     if thinned is not None:
-        error = thinned.error / report.meters_per_unit
-        where = (
-            f" (joint {take.thinned_joint!r}, frame {thinned.code:g})" if error else ""
-        )
+        where = f" (joint {take.thinned_joint!r}, frame {thinned.code:g})"
         lines.append(
             f"{counted(thinned.samples, 'sample')} reduced to {len(thinned.kept)}: "
-            f"largest error between them {error:.3g} {unit}{where}"
+            f"largest error between them {length_text(thinned.error)}"
+            + (where if thinned.error else "")
         )
     if curves:
         worst = max(curves, key=lambda curve: curve.difference)
@@ -139,7 +135,7 @@ def _extras_text(report: BakeReport, take: TakeReport, unit: str) -> list[str]:
         kept = "curve of a control" if len(curves) == 1 else "curves of controls"
         lines.append(
             f"{len(curves)} {kept} kept, {knots}: largest difference "
-            f"{worst.difference:.2g}{where}"
+            f"{plain(worst.difference, 2)}{where}"
         )
     return lines
 
@@ -159,7 +155,7 @@ def bake_details(report: BakeReport) -> list[str]:
     return [
         *lines,
         f"  seconds: {seconds} (read runs beside author)",
-        f"  skeleton at rest: {report.size:.4g} m across",
+        f"  skeleton at rest: {length_text(report.size, 4)} across",
     ]
 
 
@@ -194,9 +190,7 @@ def bake_json(report: BakeReport) -> dict[str, object]:
         "bytes": result.bytes,
         **({} if report.shot is None else {"shot": report.shot.as_dict()}),
         "seconds": {name: round(value, 6) for name, value in report.seconds.items()},
-        "megabytes_per_second": round(
-            report.source_bytes / 1e6 / report.seconds["total"], 3
-        ),
+        "megabytes_per_second": _speed(report),
         "error": _error_json(report, report.worst),
         **(
             {"takes": [_take_json(report, take) for take in takes]}
@@ -205,6 +199,13 @@ def bake_json(report: BakeReport) -> dict[str, object]:
         ),
         "notices": [notice.as_dict() for notice in report.notices],
     }
+
+
+def _speed(report: BakeReport) -> float | None:
+    """Return how fast sources were read [MB/s]; None where none is a file of motion."""
+    if not report.source_bytes:
+        return None
+    return round(report.source_bytes / 1e6 / report.seconds["total"], 3)
 
 
 def _error_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
@@ -373,9 +374,9 @@ def _reduction_text(found: Reduction, frames: int) -> list[str]:
     where = ""
     if found.error:
         where = f" (joint {found.joint!r}, frame {found.frame + 1} of {frames})"
-    lines.append(f"largest error: {found.error * 1000:.3g} mm{where}")
+    lines.append(f"largest error: {length_text(found.error)}{where}")
     if found.weight_error:
-        lines.append(f"largest error of a shape's weight: {found.weight_error:.3g}")
+        lines.append(f"largest error of a shape's weight: {plain(found.weight_error)}")
     return lines
 
 
@@ -404,7 +405,7 @@ def table_text(table: BakeTable) -> list[str]:
             str(row.count),
             f"{row.seconds:.3f}",
             f"{row.bytes / 1e3:.0f}" if row.bytes else "",
-            f"{row.error * 1000:.3g}",
+            plain(row.error * 1000),
             f"{row.joint} at {row.time:.2f} s",
         )
         for row in table.rows

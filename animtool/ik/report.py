@@ -12,6 +12,7 @@ from animtool.errors import Fault, Severity, counted, listed
 from animtool.ik.result import IkStatus
 from animtool.ik.take_ik import TakeIk
 from animtool.ik.tracks import PARTS
+from animtool.quantities import length_text, plain
 
 __all__ = [
     "BEYOND",
@@ -269,8 +270,9 @@ def away_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:
     for i, (report, away) in enumerate(zip(reports, solved.away, strict=True)):
         if report.spans or not away > AWAY * solved.size:
             continue
-        message = f"the positions of {report.name!r} are at least {away:.3g} m from "
-        message += f"where it starts, and the rig is {solved.size:.3g} m large"
+        message = f"the positions of {report.name!r} are at least {length_text(away)} "
+        message += f"from where it starts, and the rig is {length_text(solved.size)} "
+        message += "large"
         hint = "are units and space of the targets those meant?"
         found.append(replace(_warning(solved, "TGT106", i, message), hint=hint))
     return found
@@ -317,7 +319,7 @@ def _missed(report: GoalReport) -> str:
     if worst.distance > 0:
         by.append(_length(worst.distance))
     if worst.angle > 0:
-        by.append(f"{np.degrees(worst.angle):.3g}°")
+        by.append(f"{plain(float(np.degrees(worst.angle)))}°")
     message = f"{report.name!r} is not reached at {where}: "
     return f"{message}{' and '.join(by)} off at frame {worst.frame:g}, {worst.status}"
 
@@ -326,7 +328,7 @@ def _length(meters: float) -> str:
     """Return a distance in words, one that has no number too."""
     if not np.isfinite(meters):
         return f"over {BEYOND:g} m"
-    return f"{meters:.3g} m"
+    return length_text(meters)
 
 
 def _frames(span: MissedSpan) -> str:

@@ -25,7 +25,12 @@ from animtool.scene.plan import BakePlan, plan_bake, rig_paths
 from animtool.scene.progress import Progress
 from animtool.scene.reading import Source
 from animtool.scene.report import BakeReport, TakeReport
-from animtool.scene.sources import Opener, open_source, source_stem
+from animtool.scene.sources import (
+    Opener,
+    motion_bytes,
+    open_source,
+    source_stem,
+)
 from animtool.scene.take_plan import TakePlan
 from animtool.take import Motion
 from animtool.usd.animation import WrittenBlock, round_blocks
@@ -277,7 +282,7 @@ class _TakeRun:
             stream.fps / stream.step,
             job.names.names[written.rounding.joint],
             plan.options.source.unit is None and "units" not in stream.details,
-            plan.source.stat().st_size,
+            motion_bytes(plan.source),
             stream.details,
             thinned,
             "" if thinned is None else job.rig.names[thinned.joint],

@@ -20,6 +20,7 @@ from animtool.scene.deform import Character, PointStream
 from animtool.scene.frames import TimedTake, timed_blocks
 from animtool.scene.plan import BakePlan
 from animtool.scene.report import BakeReport, MeshReport, TakeReport
+from animtool.scene.sources import motion_bytes
 from animtool.take import Motion
 from animtool.units import UpAxis
 from animtool.usd.animation import Rounding
@@ -165,7 +166,7 @@ def _take_report(
         stream.fps / stream.step,
         "",
         plan.options.source.unit is None and "units" not in stream.details,
-        take.source.stat().st_size,
+        motion_bytes(take.source),
         stream.details,
         meshes=[
             MeshReport(mesh.name, made, spent, frames.samples, kind)

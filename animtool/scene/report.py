@@ -51,7 +51,7 @@ class TakeReport:
         source_fps: Its frame rate.
         error_joint: Name of the joint that rounding moved most.
         unit_assumed: Whether nothing states the unit of the source.
-        source_bytes: Size of the source.
+        source_bytes: Size of the source; 0 of a scene, which holds no motion.
         details: What the source states of itself.
         thinned: Which samples were left out, where that was asked for.
         thinned_joint: Name of the joint that this moved most.

@@ -98,6 +98,11 @@ def is_usd(path: Path) -> bool:
     return READERS.get(path.suffix.lower()) is USD
 
 
+def motion_bytes(path: Path) -> int:
+    """Return the size of a file that holds motion; 0 of a scene, which names others."""
+    return 0 if is_scene(path) else path.stat().st_size
+
+
 def is_scene(path: Path) -> bool:
     """Return whether a path is that of a scene file."""
     return path.name.lower().endswith(SCENE_SUFFIXES)

@@ -44,9 +44,20 @@ def test_summary_in_words(take: Path, tmp_path: Path) -> None:
         "30 fps",
         "lengths in cm; the source taken to be in cm",
         "float32",
-        "MB/s",
+        "B/s of source",
     ):
         assert said in done.stderr
+
+
+def test_a_scene_has_no_size_to_read_by(take: Path, tmp_path: Path) -> None:
+    scene = tmp_path / "walk.scene.yaml"
+    text = f"scene: animtool/1\nsource: {{file: {take.name}, units: cm}}\n"
+    scene.write_text(text + "output: {file: o.usda}\n", "utf-8")
+    done = animtool("bake", scene)
+    assert done.code == 0, done.stderr
+    assert "of source" not in done.stderr
+    done = animtool("bake", scene, "--overwrite", "--format", "json")
+    assert json.loads(done.stdout)["megabytes_per_second"] is None
 
 
 def test_summary_in_json(take: Path, tmp_path: Path) -> None:

@@ -173,7 +173,6 @@ def run_system_bake(plan: SystemPlan, *, progress: Progress = None) -> BakeRepor
         len(plan.codes),
         metadata.fps,
         plan.systems[run.written[written.index(worst)]].name,
-        source_bytes=plan.scene.stat().st_size,
         meshes=run.reports(written),
         meshes_of=plan.scene.name,
         simulated=run.simulated,
