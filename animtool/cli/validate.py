@@ -72,6 +72,13 @@ Examples:
     metavar="CODE=SEVERITY",
     help="Take a code for an error, a warning or a note.",
 )
+@click.option(
+    "--profile",
+    default="",
+    metavar="NAME|FILE",
+    help="Severities for a delivery: asset, layer, shot, vendor, default, or your own "
+    "file.  [default: layer for a USD layer without its rig, else default]",
+)
 @click.option("--strict", is_flag=True, help="End with 1 where there are warnings.")
 @click.option("--exit-zero", is_flag=True, help="End with 0 whatever is found.")
 @click.option(
@@ -129,12 +136,15 @@ def validate(console: Console, /, paths: tuple[str, ...], **given: Any) -> None:
     from animtool.errors import Severity
     from animtool.validation.files import find_files
     from animtool.validation.options import ValidateOptions
+    from animtool.validation.profiles import load_profile
 
     options = ValidateOptions(
         tuple(code for codes in given["select"] for code in codes),
         tuple(code for codes in given["ignore"] for code in codes),
         {code: Severity(name) for code, name in given["severity"]},
         given["jobs"],
+        given["profile"],
+        load_profile(given["profile"]) if given["profile"] else {},
     )
     _check_fix(given)
     files = find_files(_listed(paths))
@@ -232,7 +242,7 @@ def _say(console: Console, report: Report, given: Mapping[str, Any]) -> None:
     from animtool.validation.formats.plain import summary
 
     console.faults(report.broken)
-    text = written(report, given["report_format"])
+    text = written(report, given["report_format"], whole=console.verbosity > 0)
     if given["output_file"] is None:
         console.result(text)
     else:

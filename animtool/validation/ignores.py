@@ -10,7 +10,7 @@ from typing import Any
 from animtool.documents.document import Document
 from animtool.documents.names import nearest
 from animtool.errors import Fault, Severity
-from animtool.validation.tables import all_rules, current_code
+from animtool.validation.tables import all_rules, current_codes
 
 __all__ = ["Ignores"]
 
@@ -45,7 +45,7 @@ class Ignores:
         rules, _ = all_rules()
         for i, entry in enumerate(_entries(self.document)):
             code = entry["code"]
-            if current_code(code) not in rules:
+            if current_codes(code)[0] not in rules:
                 message = f"{code!r} is no code"
                 hint = nearest(code, sorted(rules))
                 yield self.document.fault(
@@ -65,7 +65,7 @@ class Ignores:
         hidden = False
         for i, entry in enumerate(_entries(self.document)):
             pattern = entry.get("where")
-            if fault.code == current_code(entry["code"]) and (
+            if fault.code in current_codes(entry["code"]) and (
                 not pattern or any(_covers(pattern, place) for place in places)
             ):
                 self.used[i] += 1

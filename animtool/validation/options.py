@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 
 from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError, Severity
-from animtool.validation.tables import RULES, all_rules, current_code
+from animtool.validation.profiles import PROFILES
+from animtool.validation.tables import RULES, all_rules, current_codes
 
 __all__ = ["ValidateOptions", "check_codes"]
 
@@ -20,6 +21,9 @@ class ValidateOptions:
         select: Codes that count; none is all.
         ignore: Codes that do not. Of a code that both name, the longer one decides.
         severity: Severities that take the place of the rules' own, by code.
+        profile: Name or file of a severity profile; empty is the one that the
+            content of a file asks for: `layer` for an animation layer alone.
+        levels: Severities of the profile, below all others; None leaves a code out.
         jobs: Processes; None is as many as the machine has, where there is enough
             to do. More than one need a script that can be imported.
     """
@@ -28,6 +32,8 @@ class ValidateOptions:
     ignore: tuple[str, ...] = ()
     severity: Mapping[str, Severity] = field(default_factory=dict)
     jobs: int | None = 1
+    profile: str = ""
+    levels: Mapping[str, Severity | None] = field(default_factory=dict)
 
     def counts(self, code: str) -> bool:
         """Return whether a code is looked for.
@@ -36,12 +42,32 @@ class ValidateOptions:
         False
         """
         chosen = _longest(code, self.select) if self.select else 0
-        return chosen >= 0 and chosen > _longest(code, self.ignore)
+        if chosen < 0 or chosen <= _longest(code, self.ignore):
+            return False
+        level = _best(code, self.levels)
+        if level is None or self.levels[level] is not None:
+            return True
+        # What a profile leaves out, a more exact wish brings back.
+        return max(chosen, _longest(code, self.severity)) >= _length(level)
 
     def of(self, fault: Fault) -> Fault:
         """Return a finding with the severity that is asked for."""
         best = _best(fault.code, self.severity)
-        return fault if best is None else replace(fault, severity=self.severity[best])
+        if best is not None:
+            return replace(fault, severity=self.severity[best])
+        best = _best(fault.code, self.levels)
+        level = None if best is None else self.levels[best]
+        return fault if level is None else replace(fault, severity=level)
+
+    def with_profile(self, own: str | None) -> ValidateOptions:
+        """Return these options with the levels of the profile for a file.
+
+        Args:
+            own: Name of the profile that its content asks for, if any.
+        """
+        if self.profile or own is None:
+            return self
+        return replace(self, levels=PROFILES[own].levels)
 
     def within(self, project: ValidateOptions) -> ValidateOptions:
         """Return these options where a project has some: what is given here wins."""
@@ -50,19 +76,26 @@ class ValidateOptions:
             select=self.select or project.select,
             ignore=(*project.ignore, *self.ignore),
             severity={**project.severity, **self.severity},
+            profile=self.profile or project.profile,
+            levels=self.levels if self.profile else project.levels,
         )
 
 
 def _best(code: str, beginnings: Iterable[str]) -> str | None:
     """Return the longest of the beginnings of a code, in its own or an old spelling."""
-    found = [b for b in beginnings if code.startswith(current_code(b))]
-    return max(found, key=lambda b: len(current_code(b)), default=None)
+    found = [b for b in beginnings if code.startswith(current_codes(b))]
+    return max(found, key=_length, default=None)
+
+
+def _length(beginning: str) -> int:
+    """Return the length of a beginning, in the current spelling."""
+    return len(current_codes(beginning)[0])
 
 
 def _longest(code: str, beginnings: Iterable[str]) -> int:
     """Return the length of the longest beginning of a code, -1 for none."""
     best = _best(code, beginnings)
-    return -1 if best is None else len(current_code(best))
+    return -1 if best is None else _length(best)
 
 
 def check_codes(options: ValidateOptions, path: str | None = None) -> None:
@@ -77,7 +110,7 @@ def check_codes(options: ValidateOptions, path: str | None = None) -> None:
     """
     faults = []
     for given in (*options.select, *options.ignore, *options.severity):
-        if given and any(code.startswith(current_code(given)) for code in RULES):
+        if given and any(code.startswith(current_codes(given)) for code in RULES):
             continue
         rules, _ = all_rules()
         if given and any(code.startswith(given) for code in rules):

@@ -18,6 +18,7 @@ from animtool.errors import (
 from animtool.validation.files import find_files
 from animtool.validation.ignores import Ignores
 from animtool.validation.options import ValidateOptions, check_codes
+from animtool.validation.profiles import load_profile
 from animtool.validation.rule import Rule
 from animtool.validation.settings import settings_of
 from animtool.validation.subjects.open import open_file
@@ -113,6 +114,8 @@ def validate_files(
     """
     options = options or ValidateOptions()
     check_codes(options)
+    if options.profile and not options.levels:
+        options = replace(options, levels=load_profile(options.profile))
     files = tuple(dict.fromkeys(files))
     folders = {path.parent: path for path in files}
     projects = {folder: settings_of(path) for folder, path in folders.items()}
@@ -155,6 +158,7 @@ def _check(path: Path, options: ValidateOptions) -> list[Fault]:
         found = list(error.faults)
     else:
         found = findings_in(opened)
+        options = options.with_profile(opened.profile)
     return [
         options.of(fault)
         for fault in found

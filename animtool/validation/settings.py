@@ -8,6 +8,7 @@ from typing import Any
 from animtool.config import find_config
 from animtool.errors import Fault, OptionError, Severity
 from animtool.validation.options import ValidateOptions, check_codes
+from animtool.validation.profiles import load_profile
 
 __all__ = ["settings_of"]
 
@@ -28,9 +29,9 @@ def settings_of(path: Path) -> ValidateOptions:
 def _options(table: Any, path: str) -> ValidateOptions:
     lists: dict[str, tuple[str, ...]] = {}
     for name in table:
-        if name not in {*_LISTS, "severity"}:
+        if name not in {*_LISTS, "severity", "profile"}:
             message = f"unknown setting validate.{name}"
-            hint = f"allowed: {', '.join(_LISTS)}, severity"
+            hint = f"allowed: {', '.join(_LISTS)}, severity, profile"
             raise OptionError(Fault("CFG002", message, path, (), hint))
     for name in _LISTS:
         codes = table.get(name, [])
@@ -49,6 +50,17 @@ def _options(table: Any, path: str) -> ValidateOptions:
             hint = f"allowed: {', '.join(Severity)}"
             raise OptionError(Fault("CFG003", message, path, (), hint))
         severities[code] = Severity(name)
-    options = ValidateOptions(lists["select"], lists["ignore"], severities)
+    profile = table.get("profile", "")
+    if not isinstance(profile, str):
+        message = f"validate.profile is {profile!r}, not a name or file"
+        raise OptionError(Fault("CFG003", message, path))
+    levels = load_profile(profile, Path(path).parent) if profile else {}
+    options = ValidateOptions(
+        lists["select"],
+        lists["ignore"],
+        severities,
+        profile=profile,
+        levels=levels,
+    )
     check_codes(options, path)
     return options

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import cast
 
 from animtool.plugins import load_object
+from animtool.validation.formats.plain import text_report
 from animtool.validation.run import Report
 
 __all__ = ["FORMATS", "written"]
@@ -19,7 +20,16 @@ FORMATS = {
 }
 
 
-def written(report: Report, form: str) -> str:
-    """Return a report in one of the forms of `FORMATS`."""
+def written(report: Report, form: str, *, whole: bool = False) -> str:
+    """Return a report in one of the forms of `FORMATS`.
+
+    Args:
+        report: What was found.
+        form: Of `FORMATS`.
+        whole: Print each finding as text, repeats in one file too. Other forms have
+            all of them in any case.
+    """
+    if form == "text":
+        return text_report(report, whole=whole)
     write = cast(Callable[[Report], str], load_object(FORMATS[form]))
     return write(report)

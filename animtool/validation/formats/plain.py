@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
+from typing import TypeAlias
 
 from animtool.errors import Fault, Severity, counted
 from animtool.validation.formats.source import Sources, cut
@@ -10,12 +12,37 @@ from animtool.validation.run import Report
 
 __all__ = ["summary", "text_report"]
 
+_Kind: TypeAlias = tuple[str | None, str, Severity]
 
-def text_report(report: Report) -> str:
-    """Return the findings, each with the line it is in, and a last line that counts."""
+
+def text_report(report: Report, *, whole: bool = False) -> str:
+    """Return the findings, each with the line it is in, and a last line that counts.
+
+    Args:
+        report: What was found.
+        whole: Print findings that repeat one of their file too; those in lines of a
+            text are never repeats.
+    """
     sources = Sources()
-    lines = [line for fault in report.findings for line in _finding(fault, sources)]
+    counts = Counter(map(_kind, report.findings))
+    printed: set[_Kind] = set()
+    lines: list[str] = []
+    for fault in report.findings:
+        kind = _kind(fault)
+        if whole or fault.lines:
+            lines += _finding(fault, sources)
+        elif kind not in printed:
+            printed.add(kind)
+            more = counts[kind] - 1
+            lines.append(
+                f"{fault}" + (f" ({more} more like it, see -v)" if more else "")
+            )
     return "\n".join([*lines, summary(report)]) + "\n"
+
+
+def _kind(fault: Fault) -> _Kind:
+    """Return what findings share that say the same of one file."""
+    return fault.path, fault.code, fault.severity
 
 
 def summary(report: Report) -> str:

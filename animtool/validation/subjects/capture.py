@@ -78,7 +78,8 @@ def open_usd(path: Path) -> Opened:
 
     layer = inspect_layer(path)
     takes = tuple(_subject(path, found) for found in layer.takes)
-    return Opened(Kind.USD, layer.faults, takes=takes)
+    profile = "layer" if layer.alone else None
+    return Opened(Kind.USD, layer.faults, takes=takes, profile=profile)
 
 
 def _subject(path: Path, found: AnimationTake) -> MotionSubject:

@@ -36,7 +36,7 @@ __all__ = [
     "RULES",
     "ListedRule",
     "all_rules",
-    "current_code",
+    "current_codes",
     "find_rule",
     "listed_rules",
     "page",
@@ -79,13 +79,13 @@ class ListedRule:
     about: str
 
 
-def current_code(code: str) -> str:
-    """Return the code that a code of an earlier version became, or the code itself.
+def current_codes(code: str) -> tuple[str, ...]:
+    """Return the codes that a code of an earlier version became, or the code itself.
 
-    >>> current_code('BVH203'), current_code('RIG')
-    ('MOT202', 'RIG')
+    >>> current_codes('BVH203'), current_codes('RIG')
+    (('MOT202', 'MOT203'), ('RIG',))
     """
-    return motion.ALIASES.get(code, code)
+    return motion.ALIASES.get(code, (code,))
 
 
 @cache
@@ -143,7 +143,7 @@ def _wrong(name: str, rule: Rule) -> str:
     """Return what is wrong with a rule of a plug-in, or nothing."""
     if not _CODE.fullmatch(name) or rule.code != name:
         return f"has the code {rule.code!r}, and its name must be that: ABC123"
-    if current_code(name) in RULES:
+    if name in RULES or name in motion.ALIASES:
         return "has a code of animtool's own"
     return "" if rule.kinds else "says of no kind of file that it is for"
 
@@ -157,7 +157,7 @@ def find_rule(code: str) -> Rule:
     >>> find_rule("rig001").title
     'a joint twice'
     """
-    name = current_code(code.upper())
+    name = current_codes(code.upper())[0]
     if name in RULES:
         return RULES[name]
     rules, _ = all_rules()

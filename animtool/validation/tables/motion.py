@@ -83,15 +83,16 @@ RULES = (
     ),
 )
 
-# Codes of earlier versions, which name the same fault in one kind of file.
-ALIASES = {
-    "BVH202": "MOT201",
-    "BVH203": "MOT202",
-    "BVH204": "MOT202",
-    "BVH205": "MOT212",
-    "BVH206": "MOT211",
-    "BVH207": "MOT204",
-    "CLIP203": "MOT202",
-    "CLIP204": "MOT208",
-    "USD205": "MOT202",
+_JUMPS = ("MOT202", "MOT203")
+# Codes of earlier versions, and those that find the same now.
+ALIASES: dict[str, tuple[str, ...]] = {
+    "BVH202": ("MOT201",),
+    "BVH203": _JUMPS,
+    "BVH204": _JUMPS,
+    "BVH205": ("MOT212",),
+    "BVH206": ("MOT211",),
+    "BVH207": ("MOT204",),
+    "CLIP203": _JUMPS,
+    "CLIP204": ("MOT208",),
+    "USD205": _JUMPS,
 }

@@ -1,0 +1,228 @@
+"""Severity profiles: how much each code counts for what a file is delivered as."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from animtool.documents.document import read_document
+from animtool.documents.names import nearest
+from animtool.errors import Fault, FormatError, OptionError, Severity
+from animtool.validation.tables import all_rules, current_codes
+
+__all__ = ["OFF", "PROFILES", "Levels", "Profile", "load_profile"]
+
+# By code or its beginning; None leaves a code out.
+Levels = Mapping[str, Severity | None]
+
+OFF = "off"
+_KEYS = ("profile", "extends", "severity")
+_VERSION = "animtool/1"
+_ERROR, _WARNING, _NOTE = Severity.ERROR, Severity.WARNING, Severity.NOTE
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """What codes count for.
+
+    Attributes:
+        about: What it is for, a line.
+        levels: Severities that replace those of the rules.
+    """
+
+    about: str
+    levels: Levels
+
+
+PROFILES: dict[str, Profile] = {
+    "default": Profile("each code's own severity, for layers too", {}),
+    "asset": Profile(
+        "a rig or asset that is published: what it is opened by must be stated",
+        {
+            "MOT213": _ERROR,
+            "MOT215": _ERROR,
+            "MOT220": _ERROR,
+            "USD227": _ERROR,
+            "USD228": _ERROR,
+            "USD229": _ERROR,
+            "USD232": _ERROR,
+            "USD237": _ERROR,
+            "USD258": _ERROR,
+            "USD259": _ERROR,
+            "USD262": _ERROR,
+            "USD263": _ERROR,
+        },
+    ),
+    "layer": Profile(
+        "an animation layer over a rig elsewhere: a stage's metadata is not its own",
+        {
+            "MOT217": _NOTE,
+            "USD237": None,
+            "USD250": None,
+            "USD251": _NOTE,
+            "USD255": _NOTE,
+            "USD258": None,
+            "USD259": None,
+        },
+    ),
+    "shot": Profile(
+        "a stage of a shot: its time must be right, its assets are others' work",
+        {
+            "MOT215": _NOTE,
+            "MOT217": _NOTE,
+            "MOT220": _NOTE,
+            "MOT221": None,
+            "USD227": _NOTE,
+            "USD229": _NOTE,
+            "USD246": None,
+            "USD250": _NOTE,
+            "USD252": _ERROR,
+            "USD255": _ERROR,
+            "USD256": _ERROR,
+            "USD257": _ERROR,
+            "USD259": _NOTE,
+        },
+    ),
+    "vendor": Profile(
+        "a file that others delivered: what it loses is a warning, the rest is noted",
+        {
+            "USD2": _NOTE,
+            # UsdSkel ignores or misreads what has these.
+            **dict.fromkeys(
+                (
+                    "USD200",
+                    "USD201",
+                    "USD202",
+                    "USD203",
+                    "USD206",
+                    "USD207",
+                    "USD208",
+                    "USD22",
+                    "USD230",
+                    "USD231",
+                    "USD233",
+                    "USD234",
+                    "USD235",
+                    "USD236",
+                    "USD238",
+                    "USD240",
+                    "USD241",
+                    "USD242",
+                    "USD243",
+                    "USD245",
+                    "USD253",
+                    "USD260",
+                    "USD261",
+                    "USD264",
+                    "USD265",
+                    "USD266",
+                ),
+                _WARNING,
+            ),
+            "USD222": _NOTE,
+            "USD227": _NOTE,
+            "USD229": _NOTE,
+            "RIG2": _NOTE,
+            "CLIP2": _NOTE,
+        },
+    ),
+}
+
+
+def load_profile(name: str, folder: Path | None = None) -> Levels:
+    """Return the levels of a profile by its name, or of a file.
+
+    Args:
+        name: One of `PROFILES`, or a YAML, JSON or TOML file.
+        folder: That a file's path is relative to; None is the current one.
+
+    Raises:
+        OptionError: There is no such profile or file (VAL009), the file is malformed
+            (VAL008), or names a code that there is none of (VAL005).
+    """
+    if name in PROFILES:
+        return PROFILES[name].levels
+    path = Path(name) if folder is None else folder / name
+    if not path.is_file():
+        message = f"no profile {name!r}, and no file of that name"
+        hint = nearest(name, list(PROFILES))
+        raise OptionError(Fault("VAL009", message, None, (), hint))
+    is_toml = path.suffix.lower() == ".toml"
+    table = _toml(path) if is_toml else _document(path)
+    return _levels(table, str(path))
+
+
+def _document(path: Path) -> Mapping[str, Any]:
+    try:
+        return dict(read_document(path).value)
+    except FormatError as error:
+        raise OptionError(error.faults) from error
+
+
+def _toml(path: Path) -> Mapping[str, Any]:
+    """Return a TOML file, or of project settings the part on severities."""
+    import tomllib
+
+    try:
+        table = tomllib.loads(path.read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        raise _malformed(f"cannot be read: {error}", str(path)) from error
+    own = table.get("validate")
+    if isinstance(own, dict):
+        return {"severity": own.get("severity", {})}
+    return table
+
+
+def _levels(table: Mapping[str, Any], path: str) -> Levels:
+    for key in table:
+        if key not in _KEYS:
+            raise _malformed(
+                f"unknown key {key!r}", path, f"allowed: {', '.join(_KEYS)}"
+            )
+    version = table.get("profile", _VERSION)
+    if version != _VERSION:
+        raise _malformed(f"profile is {version!r}", path, f"write {_VERSION}")
+    base = table.get("extends", "default")
+    if not isinstance(base, str) or base not in PROFILES:
+        hint = f"allowed: {', '.join(PROFILES)}"
+        raise _malformed(f"extends is {base!r}", path, hint)
+    given = table.get("severity", {})
+    if not isinstance(given, dict):
+        hint = "write codes, such as USD25: note"
+        raise _malformed(f"severity is {given!r}, not a table of codes", path, hint)
+    own = {
+        str(code).upper(): _level(code, value, path) for code, value in given.items()
+    }
+    _check_codes(own, path)
+    # A beginning of the file's own replaces all of the base that it covers.
+    kept = {
+        code: level
+        for code, level in PROFILES[base].levels.items()
+        if not any(code.startswith(current_codes(mine)) for mine in own)
+    }
+    return {**kept, **own}
+
+
+def _level(code: object, value: object, path: str) -> Severity | None:
+    if value is False or value == OFF:
+        return None
+    if value not in list(Severity):
+        hint = f"allowed: {', '.join(Severity)}, {OFF}"
+        raise _malformed(f"severity.{code} is {value!r}", path, hint)
+    return Severity(str(value))
+
+
+def _check_codes(levels: Levels, path: str) -> None:
+    rules, _ = all_rules()
+    for code in levels:
+        if not any(known.startswith(current_codes(code)) for known in rules):
+            message = f"no code is or begins with {code!r}"
+            raise OptionError(
+                Fault("VAL005", message, path, (), nearest(code, [*rules]))
+            )
+
+
+def _malformed(message: str, path: str, hint: str | None = None) -> OptionError:
+    return OptionError(Fault("VAL008", message, path, (), hint))

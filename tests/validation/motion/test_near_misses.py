@@ -1,0 +1,212 @@
+"""Motion that is nearly a fault, at other sizes and rates, and other forms of USD."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Gf, Sdf
+from support.cli import animtool
+from support.planted_takes import at_frames, eased, edited, scaled, step, turned
+
+from animtool._types import FloatArray
+from animtool.edit.resample import resampled
+from animtool.errors import Fault, Severity
+from animtool.maths import so3
+from animtool.scene.sources import open_source
+from animtool.take import Take
+from animtool.validation.motion.subject import MotionSubject
+from animtool.validation.options import ValidateOptions
+from animtool.validation.run import findings_in, validate
+from animtool.validation.subjects.open import open_file
+from animtool.validation.tables import find_rule
+from animtool.validation.tables.motion import ALIASES, RULES
+
+
+@pytest.fixture(scope="module")
+def walking(walk: Path) -> Take:
+    return open_source(walk).collect()
+
+
+def subject(take: Take, codes: FloatArray | None = None) -> MotionSubject:
+    def fault_at(
+        code: str, joint: str, frame: float | None, message: str, hint: str
+    ) -> Fault:
+        return Fault(code, message, hint=hint, where=f"{joint} {frame}")
+
+    return MotionSubject(take, fault_at, codes)
+
+
+def codes(take: Take, times: FloatArray | None = None) -> list[str]:
+    seen = subject(take, times)
+    return [fault.code for rule in RULES for fault in rule.load()(seen)]
+
+
+def kicked(take: Take, frames: int, degrees: float) -> Take:
+    """Swing a knee up and back, fastest at the middle, over some frames."""
+    turns = take.motion.rotations.dense()
+    swing = np.zeros(len(turns))
+    t = np.linspace(0.0, 1.0, frames)
+    swing[30 : 30 + frames] = np.radians(degrees) * np.sin(np.pi * t) ** 2
+    j = take.rig.index("LeftLeg")
+    turn = so3.exp(np.outer(swing, [1.0, 0.0, 0.0]))
+    turns[:, j] = so3.multiply(turn, turns[:, j])
+    return edited(take, rotations=turns)
+
+
+def test_a_fast_kick_is_no_jump(walking: Take) -> None:
+    kick = kicked(walking, 12, 110.0)
+    j = kick.motion.rotations.animated.tolist().index(kick.rig.index("LeftLeg"))
+    steps = np.linalg.norm(subject(kick).turns[:, j], axis=1)
+    assert np.degrees(steps.max()) > 20.0
+    assert "MOT202" not in codes(kick)
+    assert "MOT202" in codes(turned("LeftLeg", 20, slice(31, 32))(walking))
+
+
+@pytest.mark.parametrize("factor", [0.1, 10.0])
+def test_size_does_not_matter(walking: Take, factor: float) -> None:
+    small = scaled(factor)(walking)
+    assert codes(small) == []
+    assert codes(step(0.08, 0)(small)) == ["MOT203"]
+    assert codes(eased(-0.1, 1, 0.3, 0.6)(small)) == ["MOT209"]
+
+
+@pytest.mark.parametrize("rate", [24, 60, 120])
+def test_the_rate_does_not_matter(walking: Take, rate: int) -> None:
+    other = resampled(walking, rate)
+    assert codes(other) == []
+    half = other.motion.frames // 2
+    assert codes(turned("LeftArm", 20, slice(half, half + 1))(other)) == ["MOT202"]
+    assert "MOT203" in codes(step(0.08, 0)(other))
+
+
+def test_an_eased_hold_is_not_frozen(walking: Take) -> None:
+    moves, turns, _ = walking.motion.dense()
+    t = np.linspace(0.0, 1.0, 200)
+    # Stops in the middle for a while, and gets going again.
+    warped = np.interp(t, [0, 0.4, 0.6, 1], [0.0, 0.5, 0.5, 1.0])
+    smooth = np.convolve(np.pad(warped, 10, mode="edge"), np.ones(21) / 21, "valid")
+    frames = smooth * (len(turns) - 1)
+    low = np.floor(frames).astype(int).clip(0, len(turns) - 2)
+    share = frames - low
+    between = so3.slerp(turns[low], turns[low + 1], share[:, None])
+    way = moves[low] + (moves[low + 1] - moves[low]) * share[:, None, None]
+    held = edited(walking, way, between)
+    assert subject(held).speeds.min() < 1e-9
+    assert not {"MOT205", "MOT206", "MOT207"} & set(codes(held))
+
+
+def test_a_jump_does_not_float(walking: Take) -> None:
+    assert codes(eased(0.15, 1, 0.3, 0.7)(walking)) == []
+
+
+def test_samples_for_motion_blur_are_no_fault(walking: Take) -> None:
+    blurred = np.sort(np.concatenate([np.arange(1, 65) + o for o in (-0.25, 0, 0.25)]))
+    thrice = at_frames(walking, np.repeat(np.arange(64), 3))
+    found = codes(thrice, blurred)
+    assert not {"MOT205", "MOT216"} & set(found)
+
+
+def test_a_fault_names_joint_frame_and_remedy(walking: Take) -> None:
+    seen = subject(turned("LeftLeg", 20, slice(31, 32))(walking))
+    (fault,) = (f for rule in RULES for f in rule.load()(seen))
+    assert "'LeftLeg' jumps by 24° from frame 31 to 32" in fault.message
+    assert fault.where == "LeftLeg 31.0"
+    assert "correct the frames" in (fault.hint or "")
+
+
+def test_takes_that_are_too_short_for_most_rules(walking: Take) -> None:
+    for count in (1, 2, 3, 5):
+        assert codes(at_frames(walking, np.arange(count))) == []
+
+
+def test_slower_clocks_keep_their_frames(walking: Take) -> None:
+    slow = replace(walking, clock=replace(walking.clock, start=Fraction(1001)))
+    seen = subject(step(0.08, 0)(slow))
+    (fault,) = (f for rule in RULES for f in rule.load()(seen))
+    assert "from frame 1032 to 1033" in fault.message
+
+
+@pytest.fixture(scope="module")
+def forms(walk: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a layer over its rig, and a library of two takes."""
+    folder = tmp_path_factory.mktemp("forms")
+    assert animtool("bake", walk, "-o", folder / "split.usda", "--split").code == 0
+    rig = folder / "split.rig.usda"
+    layer = folder / "layer.usda"
+    assert animtool("bake", walk, "-o", layer, "--rig-layer", rig).code == 0
+    second = folder / "second.usda"
+    assert animtool("bake", walk, "-o", second).code == 0
+    library = folder / "library.usda"
+    assert animtool("bake", walk, second, "-o", library).code == 0
+    return folder
+
+
+def popped(path: Path, output: Path) -> Path:
+    """Turn one joint of each animation of a file half round in one sample."""
+    layer = Sdf.Layer.CreateNew(str(output))
+    layer.TransferContent(Sdf.Layer.FindOrOpen(str(path)))
+
+    def edit(place: Sdf.Path) -> None:
+        if place.name == "rotations":
+            rows = list(layer.QueryTimeSample(place, 30.0))
+            rows[4] = rows[4] * Gf.Quatf(0.0, 1.0, 0.0, 0.0)
+            layer.SetTimeSample(place, 30.0, rows)
+
+    layer.Traverse("/", edit)
+    layer.Save()
+    return output
+
+
+@pytest.mark.parametrize(("name", "takes"), [("layer", 1), ("library", 2)])
+def test_layers_alone_and_every_take_of_a_library(
+    forms: Path, name: str, takes: int
+) -> None:
+    clean = open_file(forms / f"{name}.usda")
+    assert len(clean.takes) == takes
+    assert [take.has_rest for take in clean.takes] == [name == "library"] * takes
+    assert findings_in(clean) == []
+    wrong = open_file(popped(forms / f"{name}.usda", forms / f"{name}_popped.usda"))
+    found = [fault for fault in findings_in(wrong) if fault.code == "MOT202"]
+    assert len(found) == takes
+    assert len({fault.where for fault in found}) == takes
+
+
+def test_codes_of_earlier_versions_are_accepted(walk: Path, tmp_path: Path) -> None:
+    lines = walk.read_text("utf-8").splitlines()
+    first = lines.index(next(line for line in lines if line.startswith("Frame Time")))
+    row = lines[first + 30].split()
+    lines[first + 30] = " ".join([*row[:20], str(float(row[20]) + 90.0), *row[21:]])
+    path = tmp_path / "take.bvh"
+    path.write_text("\n".join(lines) + "\n", "utf-8")
+    assert {fault.code for fault in validate(path)} == {"MOT202"}
+    assert validate(path, ValidateOptions(ignore=("BVH203",))) == []
+    assert [f.code for f in validate(path, ValidateOptions(select=("BVH204",)))] == [
+        "MOT202"
+    ]
+    options = ValidateOptions(severity={"CLIP203": Severity.ERROR})
+    assert validate(path, options)[0].severity is Severity.ERROR
+    for old, new in ALIASES.items():
+        assert find_rule(old.lower()).code == new[0]
+
+
+def test_an_entry_of_ignore_may_have_an_earlier_code(tmp_path: Path) -> None:
+    rig = "rig: animtool/1\nname: r\njoints: [{name: hips, type: free}]\n"
+    (tmp_path / "r.rig.yaml").write_text(rig, "utf-8")
+    clip = (
+        "clip: animtool/1\nrig: r.rig.yaml\nfps: 24\n"
+        "ignore: [{code: CLIP203, why: a cut}]\n"
+        "channels: [{target: joint/hips.rotation, euler: XYZ, interp: linear, keys: "
+        "[{t: 1, v: [0, 0, 0]}, {t: 9, v: [0, 0, 2]}, {t: 10, v: [80, 0, 2]}, "
+        "{t: 20, v: [80, 0, 4]}]}]\n"
+    )
+    path = tmp_path / "c.clip.yaml"
+    path.write_text(clip, "utf-8")
+    assert validate(path) == []
+    path.write_text(clip.replace("CLIP203", "CLIP204"), "utf-8")
+    assert {fault.code for fault in validate(path)} == {"MOT203", "VAL001"}
+    path.write_text(clip.replace("CLIP203", "MOT203"), "utf-8")
+    assert validate(path) == []
