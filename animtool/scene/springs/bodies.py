@@ -13,7 +13,7 @@ from animtool._types import FloatArray, IntArray
 from animtool.documents.check import FileModel
 from animtool.documents.document import Location
 from animtool.errors import Fault, listed
-from animtool.scene.springs.family_schema import FamilyModel
+from animtool.scene.springs.family_schema import FamilyModel, LineFamilyModel
 from animtool.scene.springs.shapes import Shape
 from animtool.scene.systems.entries import EntryReader
 from animtool.sim.springs import Body, Family
@@ -82,11 +82,23 @@ def families_of(reader: EntryReader, at: Location, model: Any) -> Families:
 
 
 def _family(reader: EntryReader, at: Location, model: FamilyModel) -> Family:
-    faults: dict[str, tuple[str, str | None]] = {
-        name: (f"its {name} must be 0 or more, not {getattr(model, name):g}", None)
-        for name in ("stiffness", "damping", "ratio", "rest")
-        if getattr(model, name) < 0
+    axial = model.axial_stiffness if isinstance(model, LineFamilyModel) else None
+    # Springs of ropes and strands may have the axial one instead.
+    stiffness: float | None = getattr(model, "stiffness", None)
+    numbers = {
+        "stiffness": stiffness,
+        "axial_stiffness": axial,
+        "damping": model.damping,
+        "ratio": model.ratio,
+        "rest": model.rest,
     }
+    faults: dict[str, tuple[str, str | None]] = {
+        name: (f"its {name} must be 0 or more, not {value:g}", None)
+        for name, value in numbers.items()
+        if value is not None and value < 0
+    }
+    if not _has_one_stiffness(reader, at, stiffness, axial, model.rest):
+        return Family(0.0)
     tear = math.inf if model.tear is None else model.tear
     if not tear > 0:
         faults["tear"] = f"its tear must be above 0, not {tear:g}", None
@@ -96,7 +108,32 @@ def _family(reader: EntryReader, at: Location, model: FamilyModel) -> Family:
         reader.document.add("SIM042", (*at, name), message, hint)
     if faults:
         return Family(0.0)
-    return Family(model.stiffness, model.damping, model.ratio, tear, model.rest)
+    return Family(stiffness or 0.0, model.damping, model.ratio, tear, model.rest, axial)
+
+
+def _has_one_stiffness(
+    reader: EntryReader,
+    at: Location,
+    stiffness: float | None,
+    axial: float | None,
+    rest: float,
+) -> bool:
+    """Note a family that has both stiffnesses or none, or axial without length."""
+    both = "stiffness [N/m] of each spring, or axial_stiffness [N], force over strain"
+    if axial is None:
+        if stiffness is not None:
+            return True
+        message, where = "it has no stiffness", at
+    elif stiffness is not None:
+        message = "it has both stiffness and axial_stiffness"
+        where = (*at, "axial_stiffness")
+    elif rest == 0:
+        message = "springs without a length at rest have no axial_stiffness"
+        where, both = (*at, "axial_stiffness"), "stiffness, or a rest above 0"
+    else:
+        return True
+    reader.document.add("SIM190", where, message, f"give {both}")
+    return False
 
 
 def check_grid(

@@ -12,6 +12,7 @@ __all__ = [
     "ClothSpringsModel",
     "DiagonalsModel",
     "FamilyModel",
+    "LineFamilyModel",
     "LineSpringsModel",
     "VolumeSpringsModel",
 ]
@@ -48,6 +49,23 @@ class FamilyModel(FileModel):
     )
 
 
+class LineFamilyModel(FamilyModel):
+    """Springs along ropes and strands."""
+
+    stiffness: float | None = Field(  # type: ignore[assignment]
+        default=None,
+        description="Force over lengthening of each spring [N/m]. Not given: "
+        "`axial_stiffness` is.",
+        examples=[1e4],
+    )
+    axial_stiffness: float | None = Field(
+        default=None,
+        description="In place of `stiffness`: force over strain [N], the same however "
+        "many particles there are. A spring gets it divided by its length at rest.",
+        examples=[5000],
+    )
+
+
 class DiagonalsModel(FamilyModel):
     """Springs across the cells of cloth."""
 
@@ -62,10 +80,10 @@ class DiagonalsModel(FamilyModel):
 class LineSpringsModel(FileModel):
     """The springs of ropes and strands; each family can be left out."""
 
-    structural: FamilyModel | None = Field(
+    structural: LineFamilyModel | None = Field(
         default=None,
         description="From each particle to the next.",
-        examples=[{"stiffness": 1e4, "ratio": 0.1}],
+        examples=[{"axial_stiffness": 5000, "ratio": 0.1}],
     )
     bend: FamilyModel | None = Field(
         default=None,

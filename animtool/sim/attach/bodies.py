@@ -60,10 +60,13 @@ class ChainBody(Body):
     Attributes:
         joints: From the root on ``(C,)``.
         tip: End of the last bone, in the frame of its joint ``(3,)`` [m].
+        bare: Nothing follows the rotation of the last joint: it has no tip, and no
+            joint, skin, collider or strands below it.
     """
 
     joints: IntArray
     tip: FloatArray
+    bare: bool = False
 
     def targets(self, way: Way) -> FloatArray:
         """Return the origins of the joints, and the end of the last bone."""
@@ -151,7 +154,23 @@ def _chain(rig: Rig, entry: Attachment) -> Body:
     network = Network.of(points, np.array([0]), ends, strands=1)
     parent = rig.joints[joints[0]].parent
     carrier = parent if parent >= 0 else joints[0]
-    return ChainBody(entry.name, entry.kind, network, carrier, np.array(joints), tip)
+    bare = _is_bare(rig, joints[-1])
+    return ChainBody(
+        entry.name, entry.kind, network, carrier, np.array(joints), tip, bare
+    )
+
+
+def _is_bare(rig: Rig, joint: int) -> bool:
+    """Return whether nothing shows how a joint is rotated."""
+    name = rig.joints[joint].name
+    skinned = {n for mesh in rig.meshes if mesh.skin for n in mesh.skin.joints}
+    carrying = {collider.joint for collider in rig.colliders}
+    carrying |= {strands.joint for strands in strands_of(rig)}
+    return not (
+        rig.joints[joint].tips
+        or any(below.parent == joint for below in rig.joints)
+        or name in skinned | carrying
+    )
 
 
 def _tip(rig: Rig, joints: list[int]) -> FloatArray:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from animtool.errors import Fault, Severity, counted, listed, percent
 from animtool.sim.attach.actor import Actor
+from animtool.sim.attach.bodies import ChainBody
 from animtool.sim.attach.named_frames import of_named_frames
 from animtool.sim.attach.network import odd_surface
 from animtool.sim.attach.simulation import Closing, Simulation
@@ -15,6 +17,8 @@ __all__ = ["AttachReport", "notices_of", "reports_of"]
 
 # Springs may be this much longer than aimed at before it is worth a warning [1].
 PARDON = 1.5
+# A joint turned by less than this moves nothing that would be missed [rad].
+LEAST_SWING = math.radians(0.1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +92,8 @@ def notices_of(simulation: Simulation) -> list[Fault]:
     said = [_note(report) for report in reports]
     for actor, report in zip(simulation.actors, reports, strict=True):
         said += _of_start(actor) + _warnings(report)
+        if isinstance(actor.body, ChainBody) and actor.body.bare:
+            said += _bare(simulation, actor.body)
         said += through_notices(actor.tally.through, f"the cloth {report.name}")
     if simulation.closing is not None:
         names = listed([report.name for report in reports])
@@ -121,6 +127,20 @@ def _of_start(actor: Actor) -> list[Fault]:
         hint = "with no direction they pull nothing until something parts them"
         said.append(Fault("SIM140", message, hint=hint, severity=Severity.WARNING))
     return said + actor.tangles
+
+
+def _bare(simulation: Simulation, chain: ChainBody) -> list[Fault]:
+    """Return a warning where the last joint of a chain turns, and moves nothing."""
+    angle = simulation.swung.get(chain.name, 0.0)
+    if angle < LEAST_SWING:
+        return []
+    joint = simulation.rig.joints[chain.joints[-1]].name
+    message = (
+        f"{chain.name}: joint {joint!r} is turned by up to {math.degrees(angle):.3g}°, "
+        "and nothing follows: it has no tip, and no joint, skin or collider below it"
+    )
+    hint = "give the joint `tips`, where its bone ends, or add a joint below it"
+    return [Fault("SIM191", message, hint=hint, severity=Severity.WARNING)]
 
 
 def _warnings(report: AttachReport) -> list[Fault]:

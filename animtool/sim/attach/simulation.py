@@ -68,6 +68,8 @@ class Simulation:
         codes: Time codes that were gone through.
         resumed: States that it goes on from; None where it begins anew.
         closing: Of a cycle, how it came round.
+        swung: Largest angle that it turned the last joint of each chain by, by the
+            name of the attachment [rad].
     """
 
     def __init__(
@@ -99,6 +101,7 @@ class Simulation:
         self.codes: list[float] = []
         self.resumed = resumed
         self.closing: Closing | None = None
+        self.swung: dict[str, float] = {}
         self._rate, self._start, self._step = rate, start, step
         self._early = early
         self._before: Pose | None = None
@@ -279,6 +282,9 @@ class Simulation:
         before = self._signs.get(first, own[0])
         aligned = so3.align_signs(whole, before)
         self._signs[first] = aligned[-1]
+        last = so3.angle_between(own[:, -1], aligned[:, -1]) * (share != 0)
+        most = max(self.swung.get(body.name, 0.0), float(last.max(initial=0.0)))
+        self.swung[body.name] = most
         # As it was, to the bit, where nothing is taken of the simulation.
         return np.where((share == 0)[:, None, None], own, aligned)
 

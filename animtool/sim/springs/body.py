@@ -24,6 +24,8 @@ class Family:
             mass of its ends is critical with [1]: c = 2 ratio √(k m).
         tear: Lengthening over the length at rest beyond which a spring tears [1].
         rest: Length at rest over the distance of the ends as built [1].
+        axial: Force over strain [N]: each spring's stiffness is this over its length at
+            rest, and `stiffness` is not used; None is by `stiffness`.
     """
 
     stiffness: float
@@ -31,6 +33,7 @@ class Family:
     ratio: float = 0.0
     tear: float = math.inf
     rest: float = 1.0
+    axial: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,12 +99,17 @@ def springs_between(
     >>> line = np.array([[0.0, 0, 0], [2.0, 0, 0]])
     >>> springs_between([[0, 1]], Family(10.0), line, np.ones(2)).rest.tolist()
     [2.0]
+    >>> rod = Family(0.0, axial=30.0)
+    >>> springs_between([[0, 1]], rod, line, np.ones(2)).stiffness.tolist()
+    [15.0]
     """
     pairs = np.asarray(ends, np.int64).reshape(-1, 2)
     gaps = np.linalg.norm(positions[pairs[:, 1]] - positions[pairs[:, 0]], axis=1)
     lengths = gaps * family.rest if rest is None else np.asarray(rest, np.float64)
     lengths = np.broadcast_to(lengths, len(pairs)).astype(np.float64)
     stiffness = np.full(len(pairs), float(family.stiffness))
+    if family.axial is not None:
+        stiffness = np.divide(family.axial, lengths, out=stiffness, where=lengths > 0)
     critical = 2 * np.sqrt(stiffness * masses[pairs].mean(axis=1))
     with np.errstate(invalid="ignore"):
         limit = lengths * (1 + family.tear)

@@ -70,4 +70,6 @@ RULES = (
     Rule("SIM186", "frames before the one that is gone on from", Severity.NOTE),
     Rule("SIM187", "springs that became twice as long", Severity.WARNING),
     Rule("SIM188", "particles that are never there", Severity.WARNING),
+    Rule("SIM190", "springs with two stiffnesses, or none"),
+    Rule("SIM191", "a joint without length in a simulation", Severity.WARNING),
 )

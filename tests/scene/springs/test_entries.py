@@ -296,3 +296,37 @@ def test_every_fault_is_said_at_once(folder: Path) -> None:
     joined = "[{particles: [0], to: {system: jely, particles: [0]}}]"
     found = [fault.code for fault in faults(folder, text.replace(PIN, joined))]
     assert sorted(found) == ["SCN063", "SIM040", "SIM040", "SIM050", "SIM052"]
+
+
+@pytest.mark.parametrize(
+    ("family", "at"),
+    [
+        ("{stiffness: 10, axial_stiffness: 5}", "springs.structural.axial_stiffness"),
+        ("{ratio: 0.1}", "springs.structural"),
+        ("{axial_stiffness: 5, rest: 0}", "springs.structural.axial_stiffness"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["rope", "strands"])
+def test_springs_of_lines_have_one_stiffness(
+    folder: Path, family: str, at: str, kind: str
+) -> None:
+    old = {"rope": "{stiffness: 1000, ratio: 0.1}", "strands": "{stiffness: 100}"}[kind]
+    (folder / "s.scene.yaml").write_text(SCENE.replace(old, family))
+    with pytest.raises(FormatError) as caught:
+        load_scene(folder / "s.scene.yaml").open()
+    (fault,) = caught.value.faults
+    assert fault.code == "SIM190"
+    assert str(fault.where).endswith(f"{kind}.{at}")
+
+
+def test_axial_stiffness_is_for_ropes_and_strands(folder: Path) -> None:
+    text = SCENE.replace("{stiffness: 1000, ratio: 0.1}", "{axial_stiffness: 1000}")
+    text = text.replace("{stiffness: 100}", "{axial_stiffness: 100, damping: 1}")
+    (folder / "s.scene.yaml").write_text(text)
+    assert load_scene(folder / "s.scene.yaml").systems
+    (folder / "s.scene.yaml").write_text(
+        text.replace("{stiffness: 300}", "{stiffness: 300, axial_stiffness: 1}")
+    )
+    with pytest.raises(FormatError) as caught:
+        load_scene(folder / "s.scene.yaml").open()
+    assert "axial_stiffness" in str(caught.value.faults[0].where)

@@ -26,6 +26,7 @@ from animtool.passes import PassContext, apply_pass, find_pass
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import JointType
 from animtool.sim.attach.settings import SimulateOptions
+from animtool.sim.attach.take_pass import simulate
 from animtool.take import Motion, Take, TakeStream
 
 RIGS = {"chain": tail_rig(3, 0.2), "strands": strands_rig(), "cloth": sheet_rig()}
@@ -346,3 +347,16 @@ def test_a_scene_without_names_is_refused() -> None:
     with pytest.raises(OptionError) as caught:
         checks["what"]()
     assert caught.value.faults[0].code == "SIM030"
+
+
+def test_a_leaf_joint_that_is_turned_and_moves_nothing_is_named() -> None:
+    rig = tail_rig(2, 0.2)
+    bare = replace(rig, joints=tuple(replace(joint, tips=()) for joint in rig.joints))
+    for given, codes in ((rig, []), (bare, ["SIM191"])):
+        stream = TakeStream.of(take_of(given, 24, 0.5, swing))
+        stream = simulate(stream, SimulateOptions(what=("tail",)))
+        assert list(stream.blocks)
+        found = [notice for notice in stream.notices if notice.code == "SIM191"]
+        assert [notice.code for notice in found] == codes
+    assert given.names[-1] in found[0].message
+    assert found[0].hint

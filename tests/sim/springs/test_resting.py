@@ -75,3 +75,24 @@ def test_what_is_at_rest_stays(gravity: tuple[float, ...]) -> None:
     again = find_rest(system.halted(0.0, replace(line, positions=rest.positions)))
     assert again.steps == 0
     assert_allclose(again.positions, rest.positions, atol=0)
+
+
+@pytest.mark.parametrize("count", [11, 41, 161])
+def test_a_rope_of_axial_stiffness_hangs_as_far_down_with_any_number_of_springs(
+    count: int,
+) -> None:
+    axial, load, mass, length = 5000.0, 20.0, 1.0, 2.0
+    line = rope(
+        [0, 0, 0],
+        [0, 0, -length],
+        count,
+        Family(0.0, axial=axial),
+        mass=mass / count,
+        tip_mass=load,
+    )
+    rest = find_rest(SpringSystem(line, pins=Pins([0])))
+    assert rest.solved
+    stretch = -rest.positions[-1, 2] - length
+    whole = 9.81 * (load + mass / 2) * length / axial
+    # Weight in lumps: the half of a lump at each end hangs elsewhere.
+    assert stretch == pytest.approx(whole, rel=mass / load / count)
