@@ -113,6 +113,8 @@ class PassContext:
             ``writes``: a bake does, what only looks at a take does not.
         in_shot: Whether time codes of the take are shot frames, which its samples need
             not be on.
+        progress: Told the share done of the frames in hand, 0 to 1, by passes that
+            say that they tell it; None where nobody looks.
     """
 
     open: Callable[[Path], Take]
@@ -122,6 +124,7 @@ class PassContext:
     early: int = 0
     keeps: bool = True
     in_shot: bool = False
+    progress: Callable[[float], None] | None = None
 
     def take(self, path: Path | None, option: str = "take") -> Take:
         """Return the take that an option names.
@@ -163,6 +166,7 @@ class Pass:
             changes neither clock nor tracks does not see what is beside the rig.
         settles: It begins from a state of its own and needs the pre-roll of a shot to
             come to the take; it keeps the frames that it is given.
+        tells: It takes its time, and tells the context its progress.
     """
 
     name: str
@@ -174,6 +178,7 @@ class Pass:
     reads: frozenset[TakePart] = EVERY_PART
     changes: frozenset[TakePart] = EVERY_PART
     settles: bool = False
+    tells: bool = False
 
 
 def find_pass(name: str) -> Pass:

@@ -229,7 +229,8 @@ def _several(
     options = bake_options_record(given)
     if skipped(console, "bake", given, scene.path, lambda: scene_files(scene, options)):
         return
-    reports = bake_scene(scene, options)
+    with console.progress(f"bake {scene.path.name}") as progress:
+        reports = bake_scene(scene, options, progress=progress)
     from animtool.cli.bake_report import say_outputs
 
     say_outputs(

@@ -81,7 +81,7 @@ def _run(take: Take, options: IkPassOptions, context: PassContext) -> Take:
     rig = take.rig
     take, tracks = asked_of(take, options, context.folder)
     settings = replace(_settings(options), tolerance=_length(options.tolerance))
-    solved = solve_take(take, tracks, settings)
+    solved = solve_take(take, tracks, settings, progress=context.progress)
     context.notices.extend(tracks.notices)
     goals = goal_reports(
         solved,
@@ -148,4 +148,5 @@ PASS = Pass(
     _checks,
     reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK}),
     changes=frozenset({TakePart.RIG, TakePart.JOINTS}),
+    tells=True,
 )

@@ -22,7 +22,7 @@ from animtool.rig.skeleton import Rig
 from animtool.scene.frames import TimedTake, moving_joints, timed_blocks
 from animtool.scene.options import BakeOptions
 from animtool.scene.plan import BakePlan, plan_bake, rig_paths
-from animtool.scene.progress import Progress
+from animtool.scene.progress import Progress, share_of
 from animtool.scene.reading import Source
 from animtool.scene.report import BakeReport, TakeReport
 from animtool.scene.sources import (
@@ -100,7 +100,7 @@ def run_bake(plan: BakePlan, *, progress: Progress = None) -> BakeReport:
     if plan.character is not None:
         from animtool.scene.point_bake import run_point_bake
 
-        return run_point_bake(plan, plan.character)
+        return run_point_bake(plan, plan.character, progress=progress)
     began = time.perf_counter()
     watch = None if plan.beside is None else plan.beside.watch
     runs = [_TakeRun(take, watch) for take in plan.takes]
@@ -120,7 +120,9 @@ def run_bake(plan: BakePlan, *, progress: Progress = None) -> BakeReport:
     notices += plan.notices + job.names.notices + result.notices
     refuse_warnings(notices, strict=plan.options.strict)
     systems = plan.finish(
-        authored.animation, lambda save: write_usd(job, authored, result, save)
+        authored.animation,
+        lambda save: write_usd(job, authored, result, save),
+        share_of(progress, 1, 2),
     )
     if systems is not None:
         notices += systems.notices

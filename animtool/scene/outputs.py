@@ -24,6 +24,7 @@ from animtool.scene.plan import (
     start_of,
     with_systems,
 )
+from animtool.scene.progress import Progress, share_of
 from animtool.scene.reading import shared
 from animtool.scene.report import BakeReport
 from animtool.scene.scene import Scene
@@ -49,7 +50,9 @@ def scene_files(scene: Scene, options: BakeOptions) -> list[Path]:
     return [path for output in scene.outputs for path in _files(scene, output, options)]
 
 
-def bake_scene(scene: Scene, options: BakeOptions | None = None) -> list[OutputReport]:
+def bake_scene(
+    scene: Scene, options: BakeOptions | None = None, *, progress: Progress = None
+) -> list[OutputReport]:
     """Bake a scene to all the outputs that it names.
 
     All are checked before anything is read, and none gets its name before all are
@@ -58,6 +61,7 @@ def bake_scene(scene: Scene, options: BakeOptions | None = None) -> list[OutputR
     Args:
         scene: Each of its outputs has a file.
         options: They come before those of the scene, for every output.
+        progress: Called with the share done, 0 to 1.
 
     Raises:
         FormatError: A source is malformed, or a pass cannot be applied.
@@ -68,17 +72,24 @@ def bake_scene(scene: Scene, options: BakeOptions | None = None) -> list[OutputR
     """
     given = options or BakeOptions()
     _check(scene, given)
-    plans = _plans(scene, given)
+    plans = _plans(scene, given, share_of(progress, 0, 2) if scene.sources else None)
+    writing = share_of(progress, 1, 2) if scene.sources else progress
     with together():
-        return [
-            run_bake(plan)
-            if isinstance(plan, BakePlan)
-            else _converted(plan, _path(output))
-            for plan, output in zip(plans, scene.outputs, strict=True)
-        ]
+        reports: list[OutputReport] = []
+        for i, (plan, output) in enumerate(zip(plans, scene.outputs, strict=True)):
+            shown = share_of(writing, i, len(plans))
+            if isinstance(plan, BakePlan):
+                reports.append(run_bake(plan, progress=shown))
+            else:
+                reports.append(_converted(plan, _path(output)))
+            if shown is not None:
+                shown(1.0)
+    return reports
 
 
-def _plans(scene: Scene, given: BakeOptions) -> list[BakePlan | TakePlan]:
+def _plans(
+    scene: Scene, given: BakeOptions, progress: Progress
+) -> list[BakePlan | TakePlan]:
     """Return what is to become of each output; the sources are opened."""
     if not scene.sources:
         return [
@@ -89,7 +100,7 @@ def _plans(scene: Scene, given: BakeOptions) -> list[BakePlan | TakePlan]:
         ]
     forced = any(merged(given, output.bake).force_fit for output in scene.outputs)
     with sparing_inputs(scene_files(scene, given)):
-        stream = scene.forced(force_fit=forced).open()
+        stream = scene.forced(force_fit=forced).open(progress=progress)
         streams = shared(stream, len(scene.outputs))
     return [
         _planned(scene.writing(output), output, stream, given)

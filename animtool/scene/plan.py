@@ -16,7 +16,7 @@ from animtool.rates import rate_label
 from animtool.reorient import reorient
 from animtool.scene.files import form_of, output_files
 from animtool.scene.options import BakeOptions, check_options
-from animtool.scene.progress import Progress
+from animtool.scene.progress import Progress, share_of
 from animtool.scene.reading import Source, found_sources
 from animtool.scene.sources import Opener, open_source, source_stem
 from animtool.scene.take_plan import TakePlan
@@ -80,13 +80,17 @@ class BakePlan:
     beside: SystemsBeside | None = None
 
     def finish(
-        self, layer: Any, write: Callable[[Save], object]
+        self,
+        layer: Any,
+        write: Callable[[Save], object],
+        progress: Progress = None,
     ) -> WrittenBeside | None:
         """Write a layer that has the take, and what is simulated beside it.
 
         Args:
             layer: In memory.
             write: Writes it with what it is given, and others that belong to it.
+            progress: Called with the share of the systems done, 0 to 1.
 
         Raises:
             FormatError: A system makes no sense, or has no colliders to run into.
@@ -95,7 +99,7 @@ class BakePlan:
             ToleranceError: A system blew up.
         """
         if self.beside is not None:
-            return self.beside.write(layer, self.output, write)
+            return self.beside.write(layer, self.output, write, progress)
         from animtool.usd.layers import save_layer
 
         write(save_layer)
@@ -143,7 +147,9 @@ def plan_bake(
     if simulated and not simulated[0].sources:
         return plan_simulated(simulated[0], path, options, notices)
     with sparing_inputs(outputs):
-        streams = reading.open(options, progress, opener)
+        # Systems come after the take that they go along with.
+        shown = share_of(progress, 0, 2) if simulated else progress
+        streams = reading.open(options, shown, opener)
     with ExitStack() as blamed:
         for scene in reading.scenes.values():
             blamed.enter_context(scene.blamed_things())

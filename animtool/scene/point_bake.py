@@ -19,6 +19,7 @@ from animtool.rig.kinematics import rest_size
 from animtool.scene.deform import Character, PointStream
 from animtool.scene.frames import TimedTake, timed_blocks
 from animtool.scene.plan import BakePlan
+from animtool.scene.progress import Progress, share_of
 from animtool.scene.report import BakeReport, MeshReport, TakeReport
 from animtool.scene.sources import motion_bytes
 from animtool.take import Motion
@@ -65,8 +66,15 @@ class _Frames:
             yield codes, motion
 
 
-def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
+def run_point_bake(
+    plan: BakePlan, character: Character, *, progress: Progress = None
+) -> BakeReport:
     """Run a planned bake of point caches: read, deform, author, write.
+
+    Args:
+        plan: Of the bake.
+        character: What is deformed.
+        progress: Called with the share done, 0 to 1, of what comes after the take.
 
     Raises:
         FormatError: The rows of the source are malformed, or meshes do not fit those
@@ -99,7 +107,7 @@ def run_point_bake(plan: BakePlan, character: Character) -> BakeReport:
 
     ahead = prefetch(points.blocks(frames.of_output(timed)))
     with closing(ahead):
-        made = _write(plan, job, ahead, check)
+        made = _write(plan, job, ahead, check, progress)
     authored = made.authored - began
     seconds = {"read": sum(points.seconds), "author": authored}
     result = _result(made, frames.samples)
@@ -205,6 +213,7 @@ def _write(
     job: CacheJob,
     blocks: Iterator[PointBlock],
     check: Callable[[Any], None],
+    progress: Progress,
 ) -> _Written:
     """Write a cache, in one file or in several, and what is simulated beside it."""
     systems: list[WrittenBeside | None] = []
@@ -220,7 +229,7 @@ def _write(
             if whole:
                 sizes.append(save(layer, plan.output))
 
-        systems.append(plan.finish(layer, write))
+        systems.append(plan.finish(layer, write, share_of(progress, 1, 2)))
 
     with together():
         if plan.options.chunk is None:

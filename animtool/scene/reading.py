@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 from animtool.errors import AnimtoolError, Fault, Severity
 from animtool.scene.options import BakeOptions, merged
-from animtool.scene.progress import Progress, share_of, told
+from animtool.scene.progress import Progress, share_of
 from animtool.scene.scene import Scene
 from animtool.scene.shots import in_shot
 from animtool.scene.sources import (
@@ -78,7 +78,7 @@ class Reading:
                 shown = share_of(progress, i, len(self.files))
                 if path in self.scenes:
                     scene = self.scenes[path].forced(force_fit=options.force_fit)
-                    streams.append(_shown(scene.open(), shown))
+                    streams.append(scene.open(progress=shown))
                     continue
                 own = fitting_options(options.source, path, self.files)
                 own = replace(own, force_fit=options.force_fit)
@@ -122,12 +122,6 @@ def _unused(scenes: dict[Path, Scene]) -> list[Fault]:
         for path, scene in scenes.items()
         if scene.bake != BakeOptions()
     ]
-
-
-def _shown(stream: TakeStream, progress: Progress) -> TakeStream:
-    """Return a take that tells how much of it was made."""
-    blocks = told(stream.blocks, stream.count, progress, lambda block: block.frames)
-    return replace(stream, blocks=blocks)
 
 
 def shared(stream: TakeStream, count: int) -> list[TakeStream]:

@@ -21,6 +21,7 @@ from animtool.scene.entries import (
 )
 from animtool.scene.options import BakeOptions
 from animtool.scene.preroll import Preroll, begun_early, without_first
+from animtool.scene.progress import BlockProgress, Progress, told
 from animtool.scene.shots import in_shot
 from animtool.scene.sources import SourceOptions, open_source
 from animtool.scene.stats import Meter
@@ -160,23 +161,35 @@ class Scene:
             early = replace(early, start=None, fps=shot.fps)
         return replace(self, outputs=tuple(outputs), preroll=early)
 
-    def open(self, *, keeps: bool = True) -> TakeStream:
+    def open(self, *, keeps: bool = True, progress: Progress = None) -> TakeStream:
         """Return the source with every pass applied.
 
         Args:
             keeps: Whether passes write files of their own, as in a bake.
+            progress: Called with the share done, 0 to 1, until the blocks are read.
 
         Raises:
             FormatError: A source is malformed, or a pass cannot be applied to it,
                 with the pass's place; the blocks may raise it too.
             OptionError: An option does not apply to the source.
         """
-        stream, context = self._source(), self._context(keeps=keeps)
+        slow = sum(entry.pass_.tells for entry in self.passes)
+        shown = None if progress is None else BlockProgress(progress, slow)
+        stream = self._source(None if shown is None else shown.read)
+        context = self._context(keeps=keeps)
         things = self._things(stream)
         stream = self._beside(stream, things, retimed=True)
+        telling = 0
         for entry in self.passes:
-            stream = self._passed(stream, entry, context)
-        return self._beside(stream, things, retimed=False)
+            own = context
+            if shown is not None and entry.pass_.tells:
+                own = replace(context, progress=shown.of_pass(telling))
+                telling += 1
+            stream = self._passed(stream, entry, own)
+        stream = self._beside(stream, things, retimed=False)
+        if shown is not None:
+            stream.blocks = shown.blocks(stream.blocks)
+        return stream
 
     def steps(self) -> Iterator[tuple[Take, TakeStream]]:
         """Yield the source and what it is after each pass, as takes and as streams.
@@ -216,7 +229,7 @@ class Scene:
             in_shot=shot is not None and shot.places_media,
         )
 
-    def _source(self) -> TakeStream:
+    def _source(self, progress: Progress = None) -> TakeStream:
         """Return the source, counted by the meter."""
         self.meter.stages.clear()
         if not self.sources:
@@ -226,7 +239,7 @@ class Scene:
         first = self.sources[0]
         stage = self.meter.stage(first.path.name, first.place.where)
         with self.meter.running(stage):
-            stream = in_shot(self._sources(), self.bake.shot)
+            stream = in_shot(self._sources(progress), self.bake.shot)
         stream.curve = self.meter.curve(stage, stream.curve)
         stream.blocks = self.meter.blocks(stage, stream.blocks)
         return stream
@@ -329,10 +342,17 @@ class Scene:
         done = apply_pass(led, entry.pass_, entry.options, sooner)
         return without_first(done, early, stream.start)
 
-    def _sources(self) -> TakeStream:
+    def _sources(self, progress: Progress) -> TakeStream:
         """Return the sources as one."""
         if len(self.sources) == 1:
-            return open_source(self.sources[0].path, self.sources[0].options)
+            (source,) = self.sources
+            stream = open_source(source.path, source.options, progress=progress)
+            if progress is not None and stream.count:
+                read = told(
+                    stream.blocks, stream.count, progress, lambda block: block.frames
+                )
+                stream.blocks = read
+            return stream
         from animtool.scene.joining import Part, joined
 
         parts: list[Part] = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy.typing as npt
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError, Severity, ToleranceError
+from animtool.scene.progress import Progress
 from animtool.sim.springs import (
     SpringMotion,
     SpringOptions,
@@ -80,6 +82,7 @@ class SpringRun:
             times asked for [1].
         begun: The same at the beginning alone [1].
         error: Of positions, where it was asked for [m].
+        clock: Told the time that was reached [s]; None where nobody looks.
         unresolved: Most particles that were left inside colliders.
         torn: Which springs are ``(S,)``.
 
@@ -88,6 +91,8 @@ class SpringRun:
         options: How to simulate them.
         begin: When [s].
         last: The last time that will be asked for [s].
+        phase: Gives what each motion that is compared tells its share, where an error
+            is to be kept; None where nobody looks.
 
     Raises:
         OptionError: An option makes no sense.
@@ -100,13 +105,15 @@ class SpringRun:
         options: SpringOptions,
         begin: float,
         last: float,
+        phase: Callable[[], Progress] | None = None,
     ) -> None:
+        self.clock: Progress = None
         self.system = system
         self._said: dict[str, Fault] = {}
         self.error: float | None = None
         reason = ""
         if options.error is not None:
-            options, reason = self._fine_enough(options, begin, last)
+            options, reason = self._fine_enough(options, begin, last, phase)
         self.options = options
         self.step, self.steps, self.stretch, self.unresolved = np.inf, 0, 0.0, 0
         self._carried: Carried | None = None
@@ -119,11 +126,16 @@ class SpringRun:
         self.solver, self.reason = motion.solver, reason or motion.reason
 
     def _fine_enough(
-        self, options: SpringOptions, begin: float, last: float
+        self,
+        options: SpringOptions,
+        begin: float,
+        last: float,
+        phase: Callable[[], Progress] | None,
     ) -> tuple[SpringOptions, str]:
         """Return options whose steps keep the error over the whole motion, and why."""
         times = np.linspace(begin, max(last, begin), COMPARED)
-        motion = simulate_springs(self.system, times, options)
+        progress = None if phase is None else _by_motions(phase, begin, last)
+        motion = simulate_springs(self.system, times, options, progress=progress)
         self._check(motion)
         self.error = motion.stats.error
         found = replace(options, solver=motion.solver, step=motion.step, error=None)
@@ -197,7 +209,9 @@ class SpringRun:
 
     def _to(self, now: float, t: float) -> SpringMotion:
         times = [now] if t == now else [now, t]
-        motion = simulate_springs(self.system, times, self.options, self._carried)
+        motion = simulate_springs(
+            self.system, times, self.options, self._carried, progress=self.clock
+        )
         self._check(motion)
         self._carried, self._state = motion.carried, motion.states[-1]
         self.torn = motion.torn
@@ -232,3 +246,20 @@ class SpringRun:
         x, ends = self._state[0], springs.ends[whole]
         lengths = np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1)
         return max(float((lengths / springs.rest[whole]).max()) - 1.0, 0.0)
+
+
+def _by_motions(
+    phase: Callable[[], Progress], begin: float, last: float
+) -> Callable[[float], None]:
+    """Return what is told the times of motions, of which each is a phase."""
+    span, before, tell = max(last - begin, 1e-9), np.inf, None
+
+    def told(t: float) -> None:
+        nonlocal before, tell
+        if t < before:
+            tell = phase()
+        before = t
+        if tell is not None:
+            tell((t - begin) / span)
+
+    return told

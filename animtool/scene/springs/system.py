@@ -12,6 +12,7 @@ import numpy.typing as npt
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, Severity, counted, percent
 from animtool.scene.entries import SceneSystem
+from animtool.scene.progress import Progress
 from animtool.scene.springs.joins import join_pairs
 from animtool.scene.springs.paths import Tie, Ties, brought, ties_of, wind_ties
 from animtool.scene.springs.run import SpringRun
@@ -48,7 +49,14 @@ def open_springs(
     setups = [cast(SpringSetup, member.setup) for member in members]
     names = [member.name for member in members]
     whole = _Whole(names, setups, opening)
-    run = SpringRun(whole.system, whole.shared.options, whole.begin, opening.last)
+    run = SpringRun(
+        whole.system,
+        whole.shared.options,
+        whole.begin,
+        opening.last,
+        opening.phase if opening.progress else None,
+    )
+    run.clock = opening.clock(whole.begin)
     running: list[RunningSprings] = []
     springs = 0
     for member, setup, rows in zip(members, setups, whole.rows, strict=True):
@@ -168,11 +176,13 @@ class _Whole:
             speed_limit=self.shared.speed_limit,
             self_contact=self.shared.self_contact,
         )
-        return self._settled(system) if self.shared.settle else system
+        if self.shared.settle:
+            return self._settled(system, opening.phase())
+        return system
 
-    def _settled(self, system: SpringSystem) -> SpringSystem:
+    def _settled(self, system: SpringSystem, progress: Progress) -> SpringSystem:
         """Return a system that begins where it comes to rest."""
-        rest = find_rest(system, self.begin)
+        rest = find_rest(system, self.begin, progress=progress)
         if not rest.solved:
             message = f"no rest was found: forces of {rest.residual:.2g} N are left"
             hint = "let it settle in a preroll, with drag"

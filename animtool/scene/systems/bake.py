@@ -12,7 +12,7 @@ from animtool.errors import Fault, OptionError
 from animtool.output import size_of
 from animtool.scene.entries import SceneSystem
 from animtool.scene.options import BakeOptions
-from animtool.scene.progress import Progress, told
+from animtool.scene.progress import Progress
 from animtool.scene.report import BakeReport, TakeReport
 from animtool.scene.scene import Scene
 from animtool.scene.sources import source_stem
@@ -137,12 +137,9 @@ def run_system_bake(plan: SystemPlan, *, progress: Progress = None) -> BakeRepor
     """
     began = time.perf_counter()
     job, options = plan.job, plan.options
-    if progress is not None:
-        # What settles, or looks for steps, takes its time before the first frame.
-        progress(0.0)
-    run = SystemRun(plan.systems, plan.seconds(plan.codes[-1]))
+    last = plan.seconds(plan.codes[-1])
+    run = SystemRun(plan.systems, last, progress=progress)
     rows = run.rows(plan.codes, plan.first, job.metadata.fps)
-    rows = told(rows, len(plan.codes), progress)
     layer = simulated_layer(job, plan.output)
     sizes: list[int] = []
     made = write_systems(

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from animtool.errors import Fault, FormatError
 from animtool.scene.entries import SceneSystem
+from animtool.scene.progress import Progress
 from animtool.scene.report import MeshReport
 from animtool.scene.scene import Scene
 from animtool.scene.systems.character_watch import CharacterWatch
@@ -73,6 +74,7 @@ class SystemsBeside:
         layer: Any,
         output: Path | None,
         finish: Callable[[Save], object],
+        progress: Progress = None,
     ) -> WrittenBeside:
         """Simulate, and write a layer whose take is in it already.
 
@@ -81,6 +83,7 @@ class SystemsBeside:
             output: The file of the whole; None is stdout.
             finish: Writes the layer with what it is given, and others that belong to
                 it.
+            progress: Called with the share done, 0 to 1.
 
         Raises:
             FormatError: A system makes no sense, or has no colliders to run into.
@@ -98,7 +101,7 @@ class SystemsBeside:
         if motion is not None and start < self.start:
             held = float((self.start - start) / metadata.fps)
             motion = replace(motion, times=motion.times + held)
-        run = SystemRun(self.systems, last, motion)
+        run = SystemRun(self.systems, last, motion, progress)
         rows = run.rows(codes, start, metadata.fps)
         made = write_systems(
             job, run, rows, layer, output, self.chunk, finish, strict=self.strict

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from animtool._types import BoolArray
 from animtool.scene.entries import SceneSystem
+from animtool.scene.progress import Progress
 from animtool.scene.systems.character_motion import CharacterMotion
 from animtool.scene.systems.links import simulated_with
 from animtool.scene.systems.simulation import Tearable, blamed_systems, open_systems
@@ -18,6 +19,7 @@ def foreseen(
     wanted: Sequence[int],
     times: Sequence[float],
     own: CharacterMotion | None = None,
+    progress: Progress = None,
 ) -> Mapping[int, BoolArray]:
     """Return which springs of some systems are torn in the end ``(S,)``.
 
@@ -30,6 +32,7 @@ def foreseen(
         wanted: Numbers of those that may tear.
         times: When they are to be drawn, ascending [s].
         own: The scene's own character, where one asks for it.
+        progress: Called with the share done, 0 to 1.
 
     Raises:
         FormatError: Something makes no sense, at the place of its system.
@@ -38,8 +41,10 @@ def foreseen(
     numbers = simulated_with(systems, wanted)
     opened = open_systems([systems[i] for i in numbers], times[-1], own)
     found = {i: one for i, one in zip(numbers, opened, strict=True) if i in wanted}
-    for t in times:
+    for k, t in enumerate(times):
         for i, one in found.items():
             with blamed_systems([systems[i]]):
                 one.at(t)
+        if progress is not None:
+            progress((k + 1) / len(times))
     return {i: one.torn for i, one in found.items() if isinstance(one, Tearable)}

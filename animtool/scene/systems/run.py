@@ -12,10 +12,16 @@ from typing import Any, TypeAlias
 from animtool.errors import Fault, refuse_warnings
 from animtool.output import once_named, together
 from animtool.scene.entries import SceneSystem
+from animtool.scene.progress import Phases, Progress, TimeProgress
 from animtool.scene.report import MeshReport
 from animtool.scene.systems.character_motion import CharacterMotion
 from animtool.scene.systems.job import named_alike
-from animtool.scene.systems.simulation import Tearable, blamed_systems, open_systems
+from animtool.scene.systems.simulation import (
+    SystemProgress,
+    Tearable,
+    blamed_systems,
+    open_systems,
+)
 from animtool.usd.clip_files import system_files
 from animtool.usd.growing import Growing, save_grown
 from animtool.usd.layers import save_layer
@@ -42,6 +48,7 @@ class SystemRun:
         systems: Sequence[SceneSystem],
         last: float,
         own: CharacterMotion | None = None,
+        progress: Progress = None,
     ) -> None:
         """Begin.
 
@@ -49,6 +56,7 @@ class SystemRun:
             systems: Those of a scene.
             last: The last time that will be asked for [s].
             own: The scene's own character, where one asks for it.
+            progress: Called with the share done, 0 to 1.
 
         Raises:
             FormatError: Something makes no sense, at the place of its system.
@@ -57,7 +65,24 @@ class SystemRun:
         self.seconds = [0.0] * len(systems)
         self.written = [i for i, system in enumerate(systems) if system.written]
         self._own = own
-        self._open = open_systems(systems, last, own)
+        self._phases: Phases | None = None
+        self._frames: Progress = None
+        if progress is not None:
+            progress(0.0)
+            self._phases = Phases(progress)
+        self._open = open_systems(systems, last, own, self._shown(last))
+
+    def _shown(self, last: float) -> SystemProgress | None:
+        """Return where systems tell how far they are."""
+        if self._phases is None:
+            return None
+
+        def tell(share: float) -> None:
+            # While the first frame is made: a pre-roll, or what others look back to.
+            if self._frames is not None:
+                self._frames(share)
+
+        return SystemProgress(self._phases, TimeProgress(tell, last))
 
     @property
     def notices(self) -> list[Fault]:
@@ -88,8 +113,12 @@ class SystemRun:
         """
         times = [float((code - first) / fps) for code in codes]
         self._foresee(times)
-        for code, t in zip(codes, times, strict=True):
+        told = None if self._phases is None else self._phases.last()
+        self._frames = told
+        for k, (code, t) in enumerate(zip(codes, times, strict=True)):
             yield float(code), [self._row(i, t) for i in self.written]
+            if told is not None:
+                told((k + 1) / len(codes))
 
     def _foresee(self, times: Sequence[float]) -> None:
         """Let surfaces that may tear know where they will."""
@@ -103,7 +132,8 @@ class SystemRun:
         from animtool.scene.systems.foresight import foreseen
 
         began = time.perf_counter()
-        torn = foreseen(self.systems, list(tearing), times, self._own)
+        phase = None if self._phases is None else self._phases.phase()
+        torn = foreseen(self.systems, list(tearing), times, self._own, phase)
         for i, opened in tearing.items():
             opened.part(torn[i])
         self.seconds[min(tearing)] += time.perf_counter() - began

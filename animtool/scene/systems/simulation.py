@@ -18,6 +18,7 @@ from animtool._types import BoolArray, FloatArray
 from animtool.errors import Fault, FormatError, OptionError, ToleranceError
 from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
+from animtool.scene.progress import Phases, Progress, TimeProgress
 from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
 from animtool.scene.systems.kinds import SYSTEM_KINDS
 from animtool.scene.systems.links import in_order, needed
@@ -29,6 +30,7 @@ __all__ = [
     "Opener",
     "Opening",
     "Simulation",
+    "SystemProgress",
     "Tearable",
     "TrialMaker",
     "blamed_systems",
@@ -70,6 +72,19 @@ class Tearable(Simulation, Protocol):
         """Draw it so that it can part where springs of it will tear ``(S,)``."""
 
 
+@dataclass(frozen=True, slots=True)
+class SystemProgress:
+    """Where systems tell how far they are.
+
+    Attributes:
+        phases: Of what comes before the first frame.
+        times: Of the simulation itself.
+    """
+
+    phases: Phases
+    times: TimeProgress
+
+
 @dataclass
 class Opening:
     """What systems that are opened may ask for.
@@ -78,11 +93,21 @@ class Opening:
         last: The last time that will be asked for [s].
         characters: Characters in motion, each read once.
         opened: Systems that are open, by name.
+        progress: Where they tell how far they are; None where nobody looks.
     """
 
     last: float
     characters: CharacterMotions = field(default_factory=CharacterMotions)
     opened: dict[str, Simulation] = field(default_factory=dict)
+    progress: SystemProgress | None = None
+
+    def phase(self) -> Progress:
+        """Return what work before the first frame tells its share."""
+        return None if self.progress is None else self.progress.phases.phase()
+
+    def clock(self, begin: float) -> Progress:
+        """Return what a system tells the time that it reached, from its begin on."""
+        return None if self.progress is None else self.progress.times.clock(begin)
 
 
 # From systems that are simulated as one to these at their beginnings.
@@ -123,6 +148,7 @@ def open_systems(
     systems: Sequence[SceneSystem],
     last: float = 0.0,
     own: CharacterMotion | None = None,
+    progress: SystemProgress | None = None,
 ) -> list[Simulation]:
     """Return systems at their beginnings, in their order; the first frame is at 0 s.
 
@@ -130,12 +156,14 @@ def open_systems(
         systems: Those of a scene.
         last: The last time that will be asked for [s].
         own: The scene's own character, where one asks for it.
+        progress: Where they tell how far they are.
 
     Raises:
         FormatError: Something makes no sense, at the place of its system.
         ToleranceError: A system blew up at once.
     """
-    return _opened(systems, Opening(last, _characters(own)))
+    opening = Opening(last, _characters(own), progress=progress)
+    return _opened(systems, opening)
 
 
 def _opened(systems: Sequence[SceneSystem], opening: Opening) -> list[Simulation]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
@@ -82,6 +82,7 @@ class Simulation:
         step: Fraction,
         resumed: Saved | None = None,
         early: int = 0,
+        progress: Callable[[float], None] | None = None,
     ) -> None:
         """Make ready; nothing is read yet.
 
@@ -94,6 +95,7 @@ class Simulation:
             step: Time codes from one frame to the next.
             resumed: States to go on from, at a frame of the take.
             early: Frames before the take's own that hold its first; no cycle has them.
+            progress: Told the share done of each block, 0 to 1.
         """
         self.rig, self.bodies, self.options = rig, bodies, options
         self.actors: list[Actor] = []
@@ -104,6 +106,8 @@ class Simulation:
         self.swung: dict[str, float] = {}
         self._rate, self._start, self._step = rate, start, step
         self._early = early
+        self._progress = progress
+        self._crossed, self._to_cross = 0, 1
         self._before: Pose | None = None
         self._done = 0
         self._signs: dict[int, FloatArray] = {}
@@ -121,6 +125,7 @@ class Simulation:
     def _block(self, block: Motion) -> Motion:
         codes = self._codes(self._done, block.frames)
         rows = [_Rows([], []) for _ in self.bodies]
+        self._crossed, self._to_cross = 0, block.frames
         for i in range(block.frames):
             pose = pose_at(block, i)
             if self._before is None:
@@ -154,7 +159,9 @@ class Simulation:
         if self.resumed is not None:
             return
         still = Ways(self.rig, begin, begin)
-        for _ in range(math.ceil(options.settle * rate)):
+        settling = math.ceil(options.settle * rate)
+        self._to_cross += settling + leading
+        for _ in range(settling):
             self._cross(still)
         root = self.rig.roots[0]
         step = following.translations[root] - pose.translations[root]
@@ -187,6 +194,10 @@ class Simulation:
                 actor.jump(ways)
             else:
                 actor.cross(ways)
+            if self._progress is not None:
+                self._crossed += 1
+                whole = self._to_cross * len(self.actors)
+                self._progress(min(self._crossed / whole, 1.0))
 
     def _note(self, code: float) -> None:
         """Take the states of the frame that is resumed from; keep those asked for."""
@@ -208,6 +219,7 @@ class Simulation:
             four = (poses[0], poses[1], poses[-2], poses[-1])
             travel = travel_between(self.rig, upwards(self.rig), four)
         poses.append(onward(self.rig, poses[0], travel))
+        self._crossed, self._to_cross = 0, count * self.options.loop_repeats
         self._begin(poses[0], poses[1])
         tolerance = parse_length(self.options.loop_tolerance)
         for repeat in range(1, self.options.loop_repeats + 1):

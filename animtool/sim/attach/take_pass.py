@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from fractions import Fraction
 from pathlib import Path
@@ -26,6 +26,7 @@ def simulate(
     *,
     early: int = 0,
     keeps: bool = True,
+    progress: Callable[[float], None] | None = None,
 ) -> TakeStream:
     """Return a take whose rig's attachments move by themselves, block by block.
 
@@ -39,6 +40,7 @@ def simulate(
         folder: Where relative paths start.
         early: Frames before the take's own that hold its first; no cycle has them.
         keeps: Whether states that the options ask for are saved.
+        progress: Told the share done of each block, 0 to 1.
 
     Raises:
         FormatError: Arrays of the rig cannot be read any more or do not fit (RIG018,
@@ -61,6 +63,7 @@ def simulate(
         stream.step,
         _resumed(bodies, options, folder),
         early,
+        progress,
     )
     named = [body.mesh.name for body in bodies if isinstance(body, SurfaceBody)]
     return replace(
@@ -114,7 +117,12 @@ def _run(
     stream: TakeStream, options: SimulateOptions, context: PassContext
 ) -> TakeStream:
     return simulate(
-        stream, options, context.folder, early=context.early, keeps=context.keeps
+        stream,
+        options,
+        context.folder,
+        early=context.early,
+        keeps=context.keeps,
+        progress=context.progress,
     )
 
 
@@ -128,4 +136,5 @@ PASS = Pass(
     reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.SHAPES, TakePart.CLOCK}),
     changes=frozenset({TakePart.JOINTS, TakePart.POINTS}),
     settles=True,
+    tells=True,
 )

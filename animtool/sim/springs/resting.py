@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -49,7 +50,12 @@ class Rest:
     solved: bool
 
 
-def find_rest(system: SpringSystem, t: float = 0.0) -> Rest:
+def find_rest(
+    system: SpringSystem,
+    t: float = 0.0,
+    *,
+    progress: Callable[[float], None] | None = None,
+) -> Rest:
     """Return where the forces on particles cancel out, with pins as they are at a time.
 
     Newton's method for the least energy, with as much added to the stiffness as it
@@ -58,6 +64,12 @@ def find_rest(system: SpringSystem, t: float = 0.0) -> Rest:
 
     Limits of the method: springs that are pressed give way to one of many sides; which
     one, rounding decides. The energy is then a least one among those near by.
+
+    Args:
+        system: Where it is built.
+        t: When pins are looked at [s].
+        progress: Told the share done, 0 to 1, by the orders of magnitude that the
+            forces have fallen.
 
     >>> from animtool.sim.springs import Family, Pins, rope
     >>> line = rope([0, 0, 0], [0, 0, -1], 2, Family(98.1), mass=1.0)
@@ -78,6 +90,8 @@ def find_rest(system: SpringSystem, t: float = 0.0) -> Rest:
             firm *= FIRMER
         else:
             place, sunk = _sunk(calm, place), True
+        if progress is not None:
+            progress(place.settled)
     return Rest(place.x, place.residual, steps, place.solved)
 
 
@@ -126,6 +140,9 @@ class _Place:
         weights = self._masses * np.linalg.norm(system.gravity)
         pull = float(weights.max(initial=0.0))
         self.solved = self.residual <= SOLVED * pull
+        orders = np.log10(max(self.residual, 1e-300) / max(pull, 1e-300))
+        # From the weight of a particle down to what is taken for rounding [1].
+        self.settled = float(np.clip(orders / np.log10(SOLVED), 0.0, 1.0))
         self.rounding = ROUNDED * max(abs(self.energy), 1e-300)
         stiffest = np.append(system.body.springs.stiffness, system.draws[:, 0])
         self.typical = float(stiffest.max(initial=1.0))

@@ -45,6 +45,8 @@ def simulate_springs(
     times: ArrayLike,
     options: SpringOptions | None = None,
     carried: Carried | None = None,
+    *,
+    progress: Callable[[float], None] | None = None,
 ) -> SpringMotion:
     """Return the states of springs at times.
 
@@ -59,6 +61,8 @@ def simulate_springs(
         carried: Where to begin in place of the system's start: what an earlier motion
             carried. The motion in parts is then the motion as a whole, bit for bit.
             Without its memory a motion begins anew from its state.
+        progress: Told the time that was reached now and then [s]; where an error is to
+            be kept, once for each motion that is compared.
 
     Raises:
         OptionError: There is no such solver (SIM001); times descend, are not finite or
@@ -82,7 +86,7 @@ def simulate_springs(
         choice = Choice(
             grid.solver, grid.cell, grid.substeps, "it was carried on", limit
         )
-        return _motion(system, options, moments, choice, _fresh(grid))
+        return _motion(system, options, moments, choice, _fresh(grid), progress)
     t = float(moments[0])
     state = np.ascontiguousarray(system.state if carried is None else carried.state)
     _check_start(system, state)
@@ -94,7 +98,7 @@ def simulate_springs(
         begun = Grid(
             fine.solver, t, fine.cell, 0, substeps, state, whole, least=substeps
         )
-        return _motion(system, options, moments, fine, begun)
+        return _motion(system, options, moments, fine, begun, progress)
 
     if options.error is None:
         return made(choice.substeps)
@@ -147,8 +151,9 @@ def _motion(
     moments: FloatArray,
     choice: Choice,
     grid: Grid,
+    progress: Callable[[float], None] | None,
 ) -> SpringMotion:
-    run = _Run(system, options, grid)
+    run = _Run(system, options, grid, progress)
     states = [run.states_at(float(moments[0]))]
     energies = [run.energy_of(float(moments[0]), states[0])]
     for t in moments[1:].tolist():
@@ -188,9 +193,14 @@ class _Run:
     """A motion under way."""
 
     def __init__(
-        self, system: SpringSystem, options: SpringOptions, grid: Grid
+        self,
+        system: SpringSystem,
+        options: SpringOptions,
+        grid: Grid,
+        progress: Callable[[float], None] | None,
     ) -> None:
         self._system = system
+        self._progress = progress
         self._options = options
         self.grid = grid
         # Where the last time that was reached can be gone on from.
@@ -217,6 +227,8 @@ class _Run:
         target = near if on_grid else int(np.floor(place))
         while self.grid.index < target and self.status is Status.OK:
             self._advance(min(LOOK_EVERY, target - self.grid.index))
+            if self._progress is not None:
+                self._progress(self.grid.time)
         if self.status is not Status.OK:
             return self.grid.state
         self.kept = self.grid
