@@ -14,6 +14,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, TypeAlias, cast
 
+from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError, excerpt
 from animtool.plugins import load_object, load_plugin, plugin_points
 from animtool.take import Take, TakeStream
@@ -45,6 +46,7 @@ PLUGIN_GROUP = "animtool.passes"
 PASSES: dict[str, str] = {
     "blend": "animtool.edit.blend:PASS",
     "difference": "animtool.edit.difference:PASS",
+    "hang": "animtool.edit.hang:PASS",
     "ik": "animtool.ik.take_pass:PASS",
     "layer": "animtool.edit.layer:PASS",
     "loop": "animtool.edit.loop:PASS",
@@ -97,6 +99,12 @@ def named_take(path: Path | None, option: str = "take") -> Path:
     return path
 
 
+# A take, the name of a system and of a particle, and what is told the share done.
+Segments: TypeAlias = Callable[
+    [Take, str, str, Callable[[float], None] | None], FloatArray
+]
+
+
 @dataclass(frozen=True, slots=True)
 class PassContext:
     """What a pass may use beside its take and options.
@@ -115,6 +123,9 @@ class PassContext:
             not be on.
         progress: Told the share done of the frames in hand, 0 to 1, by passes that
             say that they tell it; None where nobody looks.
+        segments: Simulates a rope or strands of the scene by their name; returns a
+            particle of it, by name or number, and the one before it at every frame of
+            a take, the latter first ``(F, 2, 3)`` [m]. None where there is no scene.
     """
 
     open: Callable[[Path], Take]
@@ -125,6 +136,7 @@ class PassContext:
     keeps: bool = True
     in_shot: bool = False
     progress: Callable[[float], None] | None = None
+    segments: Segments | None = None
 
     def take(self, path: Path | None, option: str = "take") -> Take:
         """Return the take that an option names.

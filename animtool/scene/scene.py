@@ -9,6 +9,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from animtool._types import FloatArray
 from animtool.errors import AnimtoolError, Fault, FormatError, OptionError
 from animtool.passes import PassContext, apply_pass
 from animtool.scene.entries import (
@@ -227,7 +228,16 @@ class Scene:
             self.path.resolve().parent,
             keeps=keeps,
             in_shot=shot is not None and shot.places_media,
+            segments=self._segments,
         )
+
+    def _segments(
+        self, take: Take, system: str, particle: str, progress: Progress
+    ) -> FloatArray:
+        from animtool.scene.systems.segments import segments_of
+
+        own = self.path
+        return segments_of(self.systems, own, take, system, particle, progress)
 
     def _source(self, progress: Progress = None) -> TakeStream:
         """Return the source, counted by the meter."""

@@ -72,4 +72,5 @@ RULES = (
     Rule("SIM188", "particles that are never there", Severity.WARNING),
     Rule("SIM190", "springs with two stiffnesses, or none"),
     Rule("SIM191", "a joint without length in a simulation", Severity.WARNING),
+    Rule("SIM192", "a joint that cannot hang where it should"),
 )

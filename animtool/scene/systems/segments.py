@@ -1,0 +1,119 @@
+"""The last segment of a rope or strand over the frames of a take."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.documents.names import nearest
+from animtool.errors import Fault, OptionError, listed
+from animtool.maths import so3
+from animtool.scene.entries import SceneSystem
+from animtool.scene.progress import Progress
+from animtool.scene.springs.pins import numbered
+from animtool.scene.springs.shapes import Curves
+from animtool.scene.springs.system import RunningSprings
+from animtool.scene.systems.character_motion import motion_of
+from animtool.scene.systems.links import simulated_with
+from animtool.scene.systems.simulation import (
+    Simulation,
+    blamed_systems,
+    open_systems,
+)
+from animtool.take import Take
+from animtool.units import UpAxis, up_from_up
+
+__all__ = ["segments_of"]
+
+
+def segments_of(
+    systems: Sequence[SceneSystem],
+    path: Path,
+    take: Take,
+    name: str,
+    particle: str,
+    progress: Progress = None,
+) -> FloatArray:
+    """Return a particle of a rope or strand, the one before it first ``(F, 2, 3)`` [m].
+
+    The system is simulated with those that it needs, over the frames of the take; the
+    scene's own character is the take as it is.
+
+    Args:
+        systems: Those of the scene.
+        path: The scene's file, which its own character is called by.
+        take: F frames, of any up axis, which the result has too.
+        name: Of the system.
+        particle: The name of a place with one particle, or a number.
+        progress: Called with the share done, 0 to 1.
+
+    Raises:
+        OptionError: There is no such system or particle, or the system is no rope and
+            no strands (SIM192).
+        FormatError: A system makes no sense, at its place.
+        ToleranceError: A system blew up.
+    """
+    index = _index(systems, name)
+    numbers = simulated_with(systems, [index])
+    times = np.arange(take.clock.count) * float(take.clock.step / take.clock.fps)
+    opened = open_systems(
+        [systems[i] for i in numbers], float(times[-1]), motion_of(path, take)
+    )
+    running = _running(opened[numbers.index(index)], name)
+    found = _particles(running, name, particle)
+    rows = []
+    for k, t in enumerate(times.tolist()):
+        with blamed_systems([systems[index]]):
+            state, _ = running.run.at(t)
+        rows.append(state[0, found])
+        if progress is not None:
+            progress((k + 1) / len(times))
+    ends = np.array(rows)
+    turn = up_from_up(take.rig.up, UpAxis.Y)
+    return ends if turn is None else so3.rotate(np.array(turn), ends)
+
+
+def _index(systems: Sequence[SceneSystem], name: str) -> int:
+    names = [system.name for system in systems]
+    if names.count(name) == 1:
+        return names.index(name)
+    message = f"unknown system {name!r}"
+    hint = nearest(name, names) or f"the scene has {listed(names)}"
+    if name in names:
+        message, hint = f"several systems are named {name!r}", "rename one of them"
+    if not names:
+        hint = "add a rope under `systems`"
+    raise OptionError(Fault("SIM192", message, where="system", hint=hint))
+
+
+def _running(opened: Simulation, name: str) -> RunningSprings:
+    """Return a rope or strands under way."""
+    lines = isinstance(opened, RunningSprings) and isinstance(
+        opened.setup.body.shape, Curves
+    )
+    if isinstance(opened, RunningSprings) and lines:
+        return opened
+    message = f"{name!r} has no segments to hang on"
+    hint = "name a rope or strands"
+    raise OptionError(Fault("SIM192", message, where="system", hint=hint))
+
+
+def _particles(running: RunningSprings, name: str, particle: str) -> IntArray:
+    """Return the particle before one, and it, as numbers of the run ``(2,)``."""
+    body = running.setup.body
+    number = particle.strip().removeprefix("-").isdecimal()
+    found, faults = numbered([int(particle) if number else particle], body)
+    if faults or len(found) != 1:
+        message = f"{name!r} has {len(found)} particles {particle!r}, not one"
+        if faults:
+            message = f"{name!r} has no particle {particle!r}"
+        hint = f"write one of {', '.join(body.places)}, or a number"
+        raise OptionError(Fault("SIM192", message, where="particle", hint=hint))
+    shape = cast(Curves, body.shape)
+    starts = np.cumsum([0, *shape.counts.tolist()])
+    before = found[0] + 1 if found[0] in starts else found[0] - 1
+    return np.asarray(running.rows[[before, found[0]]], np.int64)

@@ -1,0 +1,175 @@
+"""A joint on the end of a rope: where it is, and how it is turned."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from pxr import Usd, UsdGeom
+
+from animtool import bake
+from animtool.edit.hang import hang
+from animtool.errors import FormatError, OptionError
+from animtool.maths import so3
+from animtool.rig.skeleton import Joint, JointType, Rig
+from animtool.scene.file import load_scene
+from animtool.take import Channel, Clock, Motion, Take
+from animtool.units import UpAxis
+
+FRAMES = 5
+RIG = Rig(
+    "crane",
+    (
+        Joint("arm", -1, JointType.BALL, (0, 2, 0)),
+        Joint("lamp", 0, JointType.FREE, (1, 0, 0), (0, 0, 0.6, 0.8)),
+        Joint("flame", 1, JointType.FIXED, (0, -0.1, 0)),
+    ),
+)
+SCENE = """\
+scene: animtool/1
+source: {{file: crane.clip.yaml}}
+passes:
+- hang: {options}
+systems:
+- rope:
+    name: rope
+    from: [0.5, 2, 0]
+    to: [0.5, 1.5, 0]
+    count: 6
+    mass: 0.1
+    springs: {{structural: {{axial_stiffness: 500, ratio: 0.1}}}}
+    pins: [{{particles: [start], joint: {{source: true, joint: arm}}}}]
+- cloth:
+    name: flag
+    resolution: [3, 3]
+    mass: 0.1
+    springs: {{structural: {{stiffness: 100}}}}
+"""
+RIG_FILE = """\
+rig: animtool/1
+name: crane
+up: {up}
+joints:
+- {{name: arm, type: ball}}
+- {{name: lamp, type: free, parent: arm, translate: [.5, 0, 0]}}
+- {{name: flame, type: fixed, parent: lamp, tips: [[0, 0, .1]]}}
+"""
+CLIP = """\
+clip: animtool/1
+rig: crane.rig.yaml
+fps: 24
+range: [1, 8]
+channels:
+- {target: joint/arm.rotation, euler: XYZ, interp: linear,
+   keys: [{t: 1, v: [0, 0, 0]}, {t: 8, v: [40, 30, -50]}]}
+"""
+
+
+def moving() -> Take:
+    """An arm that turns, and carries the lamp."""
+    vectors = 0.3 * np.sin(np.arange(FRAMES)[:, None] + [0.0, 1.0, 2.0])
+    rotations = np.tile(RIG.rest_rotations, (FRAMES, 1, 1))
+    rotations[:, 0] = so3.exp(vectors)
+    translations = np.tile(RIG.rest_translations, (FRAMES, 1, 1))
+    motion = Motion(Channel.from_dense(translations), Channel.from_dense(rotations))
+    return Take(RIG, Clock(Fraction(24), Fraction(1), Fraction(1), FRAMES), motion)
+
+
+def ends(seed: int = 3) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=(FRAMES, 2, 3))
+
+
+@pytest.mark.parametrize("axis", [None, (0.0, 0.0, 2.0)])
+def test_the_joint_is_on_the_end_with_its_axis_along_the_segment(axis) -> None:
+    segments = ends()
+    take = moving()
+    world = hang(take, "lamp", segments, axis).world()
+    assert_allclose(world.positions[:, 1], segments[:, 1], atol=1e-12)
+    own = axis
+    if axis is None:
+        # What points down at rest.
+        own = so3.rotate(so3.conjugate(RIG.rest_rotations[1]), [0, -1, 0])
+    along = world.linear[:, 1] @ np.array(own)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    way = segments[:, 1] - segments[:, 0]
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    assert_allclose(along, way, atol=1e-12)
+    offset = world.positions[:, 2] - world.positions[:, 1]
+    assert_allclose(np.linalg.norm(offset, axis=1), 0.1)
+    # The arm stays as it is.
+    assert_allclose(world.positions[:, 0], take.world().positions[:, 0])
+
+
+def test_no_axis_keeps_the_rotation_in_the_world() -> None:
+    take = moving()
+    found = hang(take, "lamp", ends(), (0, 0, 0)).world()
+    apart = so3.angle_between(found.rotations[:, 1], take.world().rotations[:, 1])
+    assert apart.max() < 1e-9
+
+
+def test_opposite_and_empty_segments_stay_finite() -> None:
+    segments = np.zeros((FRAMES, 2, 3))
+    segments[0, 1] = (0, 1, 0)
+    still = Take(RIG, moving().clock, moving().motion)
+    made = hang(still, "lamp", segments, (0, 1, 0)).motion
+    assert np.isfinite(made.rotations.dense()).all()
+
+
+@pytest.mark.parametrize(
+    ("joint", "axis", "where"),
+    [("lmp", None, "joint"), ("arm", None, "joint"), ("lamp", (1, 2), "axis")],
+)
+def test_what_cannot_hang(joint, axis, where) -> None:
+    with pytest.raises(OptionError) as caught:
+        hang(moving(), joint, ends(), axis)
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.where) == ("SIM192", where)
+
+
+def written(folder: Path, options: str, up: str = "Y") -> Path:
+    (folder / "crane.rig.yaml").write_text(RIG_FILE.format(up=up))
+    (folder / "crane.clip.yaml").write_text(CLIP)
+    (folder / "s.scene.yaml").write_text(SCENE.format(options=options))
+    return folder / "s.scene.yaml"
+
+
+@pytest.mark.parametrize("up", ["Y", "Z"])
+def test_a_joint_hangs_on_the_rope_that_is_written(tmp_path: Path, up: str) -> None:
+    scene = written(tmp_path, "{joint: lamp, system: rope}", up)
+    take = load_scene(scene).open().collect()
+    bake(scene, tmp_path / "s.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "s.usda"))
+    (rope,) = [prim for prim in stage.Traverse() if prim.GetName() == "rope"]
+    curve = UsdGeom.BasisCurves(rope)
+    world = take.world()
+    assert take.rig.up is UpAxis(up)
+    for k in range(take.clock.count):
+        points = np.array(curve.GetPointsAttr().Get(float(1 + k)))
+        place = UsdGeom.Xformable(rope).ComputeLocalToWorldTransform(float(1 + k))
+        last = place.Transform(tuple(map(float, points[-1])))
+        assert_allclose(world.positions[k, 1], last, atol=1e-6)
+    assert np.ptp(world.positions[:, 1], axis=0).max() > 0.01
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ("{joint: lamp, system: rop}", "'rop'"),
+        ("{joint: lamp, system: flag}", "'flag'"),
+        ("{joint: lamp, system: rope, particle: tip}", "'tip'"),
+        ("{joint: lamp, system: rope, particle: '9'}", "'9'"),
+        ("{joint: arm, system: rope}", "'arm'"),
+        ("{system: rope}", "joint"),
+    ],
+)
+def test_faults_are_at_their_key(tmp_path: Path, options: str, named: str) -> None:
+    with pytest.raises(FormatError) as caught:
+        load_scene(written(tmp_path, options)).open()
+    (fault,) = caught.value.faults
+    assert fault.code == "SIM192"
+    assert str(fault.where).startswith("passes[0].hang")
+    assert fault.lines == (4,)
+    assert named in fault.message
