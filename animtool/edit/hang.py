@@ -85,9 +85,9 @@ def hang(
         take,
         motion=replace(
             motion,
-            translations=motion.translations.put(at, places[:, None]),
-            rotations=motion.rotations.put(at, turns[:, None]),
-        ).map(lambda channel: channel.compact()),
+            translations=motion.translations.put(at, places[:, None]).compact(),
+            rotations=motion.rotations.put(at, turns[:, None]).compact(),
+        ),
     )
 
 

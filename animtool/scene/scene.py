@@ -7,11 +7,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from animtool._types import FloatArray
 from animtool.errors import AnimtoolError, Fault, FormatError, OptionError
 from animtool.passes import PassContext, apply_pass
+from animtool.plugins import load_object
 from animtool.scene.entries import (
     Place,
     SceneOutput,
@@ -234,10 +235,10 @@ class Scene:
     def _segments(
         self, take: Take, system: str, particle: str, progress: Progress
     ) -> FloatArray:
-        from animtool.scene.systems.segments import segments_of
-
-        own = self.path
-        return segments_of(self.systems, own, take, system, particle, progress)
+        # Loaded by name: systems open scenes themselves.
+        segments = load_object("animtool.scene.systems.segments:segments_of")
+        found = cast("Callable[..., FloatArray]", segments)
+        return found(self.systems, self.path, take, system, particle, progress)
 
     def _source(self, progress: Progress = None) -> TakeStream:
         """Return the source, counted by the meter."""

@@ -24,6 +24,7 @@ from animtool.passes import (
 )
 from animtool.rig.controls import Control
 from animtool.rig.parts import Shape
+from animtool.rig.skeleton import JointType
 from animtool.take import Channel, Motion, Take, TakeStream
 
 # Those of packages that are installed here are tested too, with their usual options.
@@ -50,9 +51,18 @@ def targets_of(take: Take, folder: Path) -> Path:
     return path
 
 
+def rope_of(take: Take, *_: object) -> np.ndarray:
+    """Return the last segment of a rope that swings."""
+    swing = 0.1 * np.sin(np.arange(take.clock.count))[:, None, None]
+    return np.array([[0.0, 2.0, 0.0], [0.1, 1.5, 0.0]]) + swing * [0.0, 0.2, 1.0]
+
+
 def run(name: str, take: Take, /, blocks: int = 1, **options: Any) -> Take:
     """Return a take with a pass of the table applied, the other being itself."""
     with tempfile.TemporaryDirectory() as folder:
+        if name == "hang":
+            free = [j.name for j in take.rig.joints if j.type is JointType.FREE]
+            options = {"joint": free[0], "system": "rope", **options}
         if name == "ik":
             options = {"targets": targets_of(take, Path(folder)), **options}
         try:
@@ -64,7 +74,7 @@ def run(name: str, take: Take, /, blocks: int = 1, **options: Any) -> Take:
 
 
 def applied(name: str, take: Take, blocks: int, options: dict[str, Any]) -> Take:
-    context = PassContext(lambda _: take, Path())
+    context = PassContext(lambda _: take, Path(), segments=rope_of)
     found = find_pass(name)
     stream = TakeStream.of(take)
     parts = np.array_split(np.arange(take.clock.count), blocks)
