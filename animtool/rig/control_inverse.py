@@ -140,7 +140,8 @@ def _solved_group(
         broken = problem.unexplained(values)
         loose = {name for name in free if problem.targets[name] & broken}
         if not loose:
-            return _readmitted(problem, values, released)
+            values, released = _readmitted(problem, values, released)
+            return _simplest(problem, values, start), released
         released |= loose
         free = [name for name in free if name not in loose]
         values |= {name: start[name] for name in loose}
@@ -160,6 +161,21 @@ def _readmitted(
             if not problem.targets[name] & broken:
                 values, left = trial, left - {name}
     return values, left
+
+
+def _simplest(
+    problem: _Problem, values: dict[str, FloatArray], start: dict[str, FloatArray]
+) -> dict[str, FloatArray]:
+    """Return values with controls back at their start that make no difference there.
+
+    Samples in float32 leave traces of rounding on controls that are still.
+    """
+    broken = problem.unexplained(values)
+    for name, value in start.items():
+        trial = {**values, name: value}
+        if (values[name] != value).any() and problem.unexplained(trial) <= broken:
+            values = trial
+    return values
 
 
 def _groups(controls: Sequence[Control]) -> list[set[str]]:

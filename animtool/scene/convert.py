@@ -223,7 +223,8 @@ def _to_clip(
     check_outputs(outputs, inputs, overwrite=overwrite)
     stream = opener(source, options, progress=progress)
     take = stream.collect()
-    refuse_warnings(stream.notices, strict=strict)
+    left_out = _left_out(take)
+    refuse_warnings([*stream.notices, *left_out], strict=strict)
     below = None
     if keys.base is not None:
         alike = keys.base.suffix.lower() == source.suffix.lower()
@@ -252,7 +253,7 @@ def _to_clip(
         FrameSpan(made.clip.first, made.clip.last, made.clip.fps),
         take.clock.count,
         len(rig.joints),
-        [*stream.notices, *made.notices, *_left_out(take)],
+        [*stream.notices, *left_out, *made.notices],
         made,
         files,
     )

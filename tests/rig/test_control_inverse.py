@@ -127,3 +127,17 @@ def test_where_an_expression_has_no_value_nothing_is_solved() -> None:
     )
     assert found.released == ("c",)
     assert np.isfinite(found.values["c"]).all()
+
+
+def test_rounding_moves_no_control_that_is_still() -> None:
+    controls = [
+        Control("a", -9, 9, 0, (drive("shape/s", "a"), drive("shape/t", "a"))),
+        Control("b", -9, 9, 0, (drive("shape/t", "b"), drive("shape/u", "b"))),
+    ]
+    rounded = RAMP.astype(np.float32).astype(float)
+    wanted = {"shape/s": RAMP, "shape/t": rounded, "shape/u": 0 * RAMP}
+    start = {"a": 0 * RAMP, "b": 0 * RAMP}
+    found = solve_controls(controls, wanted, dict.fromkeys(wanted, 1e-6), start)
+    assert not found.values["b"].any()
+    assert_allclose(found.values["a"], RAMP, atol=1e-6)
+    assert not found.released
