@@ -43,7 +43,6 @@ def test_what_is_not_of_the_kind(tmp_path: Path, suffix: str, text: str | None) 
 @pytest.mark.parametrize(
     ("suffix", "given"),
     [
-        (".bvh", {"rig": Path("a.rig.yaml")}),
         (".bvh", {"clamp": True}),
         (".bvh", {"prim_path": "/hero"}),
         (".usda", {"clamp": True}),

@@ -199,6 +199,8 @@ ELSEWHERE = {
     *("SCN073", "SCN074"),
     # That of tests/scene/systems/test_chosen.py.
     "SCN081",
+    # Those of tests/edit/test_mirror.py.
+    *("SCN082", "SCN083"),
 }
 
 

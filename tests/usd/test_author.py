@@ -184,7 +184,7 @@ def test_over_a_shot_that_holds_the_rig(take: Path, tmp_path: Path) -> None:
     report = bake(take, tmp_path / "over.usda", options)
     # The layer states what the shot states; its numbers are those of the skeleton.
     assert (report.result.first, report.up, report.meters_per_unit) == (1009, "Y", 0.01)
-    assert [n.code for n in report.notices] == ["USD110"]
+    assert [n.code for n in report.notices] == ["USD110", "TAKE006"]
     layer = Sdf.Layer.FindOrOpen(str(tmp_path / "over.usda"))
     root = layer.pseudoRoot
     assert (root.GetInfo("metersPerUnit"), root.GetInfo("upAxis")) == (1.0, "Z")
@@ -216,7 +216,7 @@ def test_joints_that_only_one_side_has(take: Path, tmp_path: Path) -> None:
     layer_over(take, tmp_path)
     options = BakeOptions(rig_layer=tmp_path / "rig.rig.usda")
     report = bake(path, tmp_path / "over.usda", options)
-    assert [n.code for n in report.notices] == ["USD102", "USD111"]
+    assert [n.code for n in report.notices] == ["USD102", "USD111", "TAKE006"]
     assert report.result.joints == 1
     none = tmp_path / "none.bvh"
     renamed = HEADER.replace("Spine", "Tail").replace("Hips", "Base")
