@@ -118,6 +118,9 @@ def write_copy(source: Path, content: Any, output: Path) -> Sequence[str]:
                 raise output_error(output, error) from error
         else:
             export_layer(layer, temporary, output, arguments)
+    held = Sdf.Layer.Find(str(output))
+    if held is not None:
+        held.Reload(force=True)
     return [f"rewrites {moved} relative asset paths for the new folder"] * bool(moved)
 
 

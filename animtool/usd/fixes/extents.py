@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from pxr import Sdf, Tf, Usd, UsdGeom, Vt
+from pxr import Sdf, Tf, Usd, UsdGeom, UsdSkel, Vt
 
 from animtool.errors import Fault, counted
 from animtool.usd.checks.extents import extent_sources
@@ -26,29 +27,48 @@ def computed(target: Target, fault: Fault) -> Edit:
     prim = target.prim(fault)
     if not prim.IsA(UsdGeom.Boundable):
         raise NotFixableError("the prim has no extent")
-    own = _own_spec(target, prim)
-    if own is None and _varies(prim):
+    if _own_spec(target, prim) is None and _varies(prim):
         raise NotFixableError("a variant decides what moves; author it in each variant")
 
     def edit() -> Change:
-        bounded = UsdGeom.Boundable(prim)
-        attr = bounded.GetExtentAttr()
-        subject = Subject(target.stage)
-        sources = extent_sources(subject, prim) or []
-        times = sorted({time for one in sources for time in subject.times(one)})
-        codes = [Usd.TimeCode(time) for time in times] or [Usd.TimeCode.Default()]
-        before = [attr.Get(code) for code in codes]
-        after = [_bounds(bounded, code) for code in codes]
-        spec = own or _over(target, prim)
-        with Sdf.ChangeBlock():
-            spec.ClearInfo("timeSamples")
-            for time, value in zip(times, after, strict=False):
-                target.layer.SetTimeSample(spec.path, time, value)
-            if not times:
-                spec.default = after[0]
-        return _change(before, after)
+        change = _author(target, prim)
+        for root in _roots_above(prim):
+            # What UsdSkel adds to the joints comes of the extents below.
+            if root.GetAttribute(NAME).HasAuthoredValue():
+                _author(target, root)
+        return change
 
     return edit
+
+
+def _author(target: Target, prim: Any) -> Change:
+    """Write the extent of a prim at every sample of what it follows."""
+    bounded, layer = UsdGeom.Boundable(prim), target.layer
+    attr, subject = bounded.GetExtentAttr(), Subject(target.stage)
+    sources = extent_sources(subject, prim) or []
+    times = sorted({time for one in sources for time in subject.times(one)})
+    codes = [Usd.TimeCode(time) for time in times] or [Usd.TimeCode.Default()]
+    before = [attr.Get(code) for code in codes]
+    after = [_bounds(bounded, code) for code in codes]
+    if before == after and attr.HasAuthoredValue():
+        return _change(before, after)
+    spec = _own_spec(target, prim) or _over(target, prim)
+    with Sdf.ChangeBlock():
+        spec.ClearInfo("timeSamples")
+        for time, value in zip(times, after, strict=False):
+            layer.SetTimeSample(spec.path, time, value)
+        if not times:
+            spec.default = after[0]
+    return _change(before, after)
+
+
+def _roots_above(prim: Any) -> Iterator[Any]:
+    """Yield the SkelRoots that a prim is in, the nearest first."""
+    above = prim.GetParent()
+    while above and not above.IsPseudoRoot():
+        if above.IsA(UsdSkel.Root):
+            yield above
+        above = above.GetParent()
 
 
 def _own_spec(target: Target, prim: Any) -> Any:

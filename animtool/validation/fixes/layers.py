@@ -43,10 +43,14 @@ class LayerDraft:
             return findings_in(open_file(self.path))
 
     def batch(self, cases: Sequence[Fault]) -> Sequence[Fault]:
-        """Return the findings of the code whose fix comes first."""
+        """Return the findings of the code whose fix comes first, the deepest first.
+
+        The extent of a prim depends on those below it.
+        """
         codes = {fault.code for fault in cases}
         first = next(code for code in EDITS if code in codes)
-        return [fault for fault in cases if fault.code == first]
+        chosen = (fault for fault in cases if fault.code == first)
+        return sorted(chosen, key=lambda fault: -(fault.where or "").count("/"))
 
     def step(self, faults: Sequence[Fault]) -> Step:
         """Return the layer with findings fixed, as far as they are its own."""

@@ -188,6 +188,22 @@ def test_extents_are_those_of_the_plugin_to_the_last_bit(tmp_path: Path) -> None
         assert bounded.GetExtentAttr().Get(code) == computed
 
 
+@pytest.mark.parametrize("roots", [[ROOT, MESH], [MESH]])
+def test_extents_of_meshes_come_before_those_of_their_skel_root(
+    roots: list[str], tmp_path: Path
+) -> None:
+    def plant(layer: Any) -> None:
+        attribute(layer, f"{MESH}.points").default = [(0, y, 3) for y in range(4)]
+        for path in roots:
+            drop(f"{path}.extent")(layer)
+
+    path = planted(tmp_path / "wrong.usdc", plant)
+    fixes = fix_copy(path, tmp_path / "new.usdc")
+    assert "USD250" in {fault.code for fault, _ in fixes.report.mended}
+    assert fixes.left == ()
+    assert [str(fault) for fault in fixes.report.findings] == []
+
+
 def test_signs_of_one_joint_change_alone(tmp_path: Path) -> None:
     path = planted(tmp_path / "wrong.usdc", flip_signs)
     fixes = fix_copy(path, tmp_path / "new.usdc")
@@ -294,7 +310,9 @@ def test_usd_files_stay_unless_they_may_be_replaced(tmp_path: Path) -> None:
     assert path.read_bytes() == before
     assert "1 finding can be fixed" in fixes.notes[0]
     assert [fault.code for fault in fixes.report.findings] == ["USD204"]
+    held = Sdf.Layer.FindOrOpen(str(path))
     fixes = fix_files([path], overwrite=True)
+    assert not held.dirty
     assert [fault.code for fault, _ in fixes.report.mended] == ["USD204"]
     assert fixes.report.findings == ()
     assert validate(path) == []
