@@ -15,6 +15,10 @@ from animtool.inputs import note_input
 __all__ = ["Config", "find_config", "project_roots"]
 
 
+# What tools of version control keep at the top of a checkout.
+VERSION_CONTROL = (".git", ".hg", ".svn", ".jj")
+
+
 @dataclass(frozen=True, slots=True)
 class Config:
     """What a project sets for every command.
@@ -101,9 +105,34 @@ def _config(path: Path, table: Any) -> Config:
 
 
 def project_roots(path: Path) -> tuple[Path, ...]:
-    """Return the folders that a file may refer into: its project's, else its own.
+    """Return the folders that a file may refer into.
+
+    They are those of its project's settings; without settings, the nearest folder
+    above it that is under version control; else its own folder.
 
     Raises:
         OptionError: The settings file is malformed.
     """
-    return find_config(path).roots or (path.resolve().parent,)
+    folder = path.resolve().parent
+    return find_config(path).roots or (_checkout(folder) or folder,)
+
+
+def _checkout(folder: Path) -> Path | None:
+    """Return the nearest folder under version control; None where there is none.
+
+    A home or the top of a disk under version control is no project: files below it
+    come from anywhere.
+    """
+    for above in (folder, *folder.parents):
+        if above == Path(above.anchor) or above == _home():
+            return None
+        if any((above / name).exists() for name in VERSION_CONTROL):
+            return above
+    return None
+
+
+def _home() -> Path | None:
+    try:
+        return Path.home().resolve()
+    except (OSError, RuntimeError):
+        return None

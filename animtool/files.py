@@ -2,11 +2,26 @@
 
 from __future__ import annotations
 
+import difflib
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
-__all__ = ["FoundFile", "Places", "files_meant", "seen_from"]
+from animtool.errors import Fault, FormatError
+
+__all__ = [
+    "FoundFile",
+    "Places",
+    "files_meant",
+    "nearest_file",
+    "seen_from",
+    "unreadable",
+]
+
+# More names than a person sees in a folder are not looked at.
+MAX_NAMES = 10_000
 
 _WILD = frozenset("*?[")
 
@@ -39,6 +54,46 @@ class Places:
         if folder not in self._folders:
             self._folders[folder] = folder.resolve()
         return self._folders[folder] / path.name
+
+
+def unreadable(path: Path, reason: OSError | str) -> FormatError:
+    """Return the error of a file that cannot be read (IO001).
+
+    Args:
+        path: The file, as the user named it.
+        reason: Why.
+    """
+    if isinstance(reason, OSError):
+        reason = reason.strerror or str(reason)
+    message = f"cannot be read: {reason}"
+    return FormatError(Fault("IO001", message, str(path), (), nearest_file(path)))
+
+
+def nearest_file(path: Path, folder: Path = Path()) -> str | None:
+    """Return a hint that names the file that was meant by one that does not exist.
+
+    It names the nearest name in the same folder, or the nearest of the folder that is
+    missing. None where the file exists, or no name is near.
+
+    Args:
+        path: The file.
+        folder: Where a relative path starts.
+    """
+    around = [path, *path.parents]
+    missing = next((p for p in reversed(around) if not (folder / p).exists()), None)
+    if missing is None or not missing.name:
+        return None
+    try:
+        with os.scandir(folder / missing.parent) as found:
+            names = sorted(entry.name for entry in islice(found, MAX_NAMES))
+    except OSError:
+        return None
+    folded = {name.casefold(): name for name in reversed(names)}
+    near = difflib.get_close_matches(missing.name.casefold(), sorted(folded), 1, 0.7)
+    if not near:
+        return None
+    meant = missing.with_name(folded[near[0]]).as_posix()
+    return f"did you mean {'' if missing is path else 'the folder '}{meant!r}?"
 
 
 def files_meant(text: str, suffixes: Sequence[str]) -> Iterator[FoundFile]:

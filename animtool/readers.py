@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
-from animtool.errors import Fault, FormatError, OptionError
+from animtool.errors import Fault, OptionError
+from animtool.files import unreadable
 from animtool.plugins import load_object, load_plugin, plugin_points
 
 __all__ = [
@@ -120,7 +121,7 @@ def find_reader(path: Path) -> Reader:
         return load_plugin(point, Reader, "IO003")
     if not path.is_file():
         reason = "is a folder" if path.is_dir() else "does not exist"
-        raise FormatError(Fault("IO001", f"cannot be read: {reason}", str(path)))
+        raise unreadable(path, reason)
     kind = f"suffix {path.suffix!r}" if suffix else "a name without suffix"
     message = f"{kind} is no format that animtool reads"
     allowed = ", ".join([*READERS, *(f".{name}" for name in sorted(found))])

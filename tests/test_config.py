@@ -72,6 +72,25 @@ def test_the_root_without_a_project(tmp_path: Path) -> None:
     assert project_roots(tmp_path / "x.rig.yaml") == (tmp_path,)
 
 
+def test_the_root_is_what_is_under_version_control(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clips = tmp_path / "show/clips"
+    clips.mkdir(parents=True)
+    path = clips / "walk.clip.yaml"
+    assert project_roots(path) == (clips,)
+    # Of a worktree it is a file.
+    (tmp_path / "show/.git").write_text("gitdir: elsewhere\n")
+    assert project_roots(path) == (tmp_path / "show",)
+    (clips / "animtool.toml").write_text("")
+    assert project_roots(path) == (clips,)
+    (clips / "animtool.toml").unlink()
+    # Files below a home come from anywhere.
+    monkeypatch.setenv("HOME", str(tmp_path / "show"))
+    monkeypatch.setenv("USERPROFILE", str(tmp_path / "show"))
+    assert project_roots(path) == (clips,)
+
+
 def test_the_root_without_settings(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("animtool.config.find_config", lambda _: Config())
     assert project_roots(Path("/a/b/x.rig.yaml")) == (Path("/a/b").resolve(),)

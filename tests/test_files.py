@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from animtool.files import files_meant
+from animtool.files import files_meant, nearest_file, unreadable
 
 
 @pytest.fixture
@@ -47,3 +47,30 @@ def test_a_name_with_wildcards_that_is_there_is_meant(tree: Path) -> None:
     (tree / "take[1].bvh").touch()
     (tree / "take1.bvh").touch()
     assert found(tree, "take[1].bvh") == [("take[1].bvh", "")]
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [
+        ("A.bvh", None if Path(__file__.upper()).exists() else "a.bvh"),
+        ("x/y/dd.bvh", "x/y/d.bvh"),
+        ("x/y/other.usda", None),
+        ("xx/../b.bvh", None),
+        ("a.bvh", None),
+    ],
+)
+def test_the_nearest_file(tree: Path, name: str, meant: str | None) -> None:
+    hint = nearest_file(Path(name), tree)
+    assert hint == (meant and f"did you mean {meant!r}?")
+
+
+def test_the_nearest_folder(tree: Path) -> None:
+    (tree / "takes").mkdir()
+    hint = nearest_file(tree / "take/a.bvh")
+    assert hint == f"did you mean the folder {(tree / 'takes').as_posix()!r}?"
+
+
+def test_every_file_that_is_missing_has_the_nearest_name(tree: Path) -> None:
+    error = unreadable(tree / "bb.bvh", "does not exist")
+    assert error.code == "IO001"
+    assert "b.bvh" in str(error.faults[0].hint)

@@ -18,7 +18,7 @@ from animtool.config import project_roots
 from animtool.documents.check import check_version, validated
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.names import is_variable_name
-from animtool.documents.references import referred
+from animtool.documents.references import missing_hint, referred
 from animtool.edit.frame_range import FrameRange
 from animtool.rates import parse_rate
 from animtool.scene.options import BakeOptions
@@ -162,7 +162,8 @@ class _Reader:
         """Return a file to read, which must be there."""
         found = referred(self.document, at, name, self.roots, "BAT003")
         if found is not None and not found.exists():
-            self.document.add("BAT003", at, f"{name!r} does not exist")
+            hint = missing_hint(self.document, name)
+            self.document.add("BAT003", at, f"{name!r} does not exist", hint)
         return Path(name) if found is None else found
 
 

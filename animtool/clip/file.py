@@ -17,7 +17,7 @@ from animtool.clip.units import ClipUnits
 from animtool.config import project_roots
 from animtool.documents.check import check_version, validated
 from animtool.documents.document import Document, Location, read_document
-from animtool.documents.references import referred
+from animtool.documents.references import missing_hint, referred
 from animtool.errors import Fault, FormatError, OptionError
 from animtool.rates import parse_rate
 from animtool.rig.skeleton import Rig
@@ -120,7 +120,9 @@ def load_rig_of(file: ClipFile, path: Path | None = None) -> Rig:
 def _note_missing(file: ClipFile) -> NoReturn:
     """Raise what is wrong with a clip whose rig is not there."""
     message = f"{file.model.rig!r} does not exist"
-    file.document.add("CLIP012", ("rig",), message, "give another rig with --rig")
+    near = missing_hint(file.document, file.model.rig or "")
+    hint = "; ".join(filter(None, [near, "--rig gives another rig"]))
+    file.document.add("CLIP012", ("rig",), message, hint)
     check_clip(file)
     raise AssertionError(message)
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from animtool.documents.yaml_values import read_values
 from animtool.errors import Fault, FormatError, Severity
+from animtool.files import unreadable
 from animtool.inputs import note_input
 
 __all__ = [
@@ -246,9 +247,7 @@ def read_text(path: Path) -> str:
         with path.open("rb") as file:
             data = file.read(MOST_BYTES + 1)
     except OSError as error:
-        reason = error.strerror or str(error)
-        fault = Fault("IO001", f"cannot be read: {reason}", str(path))
-        raise FormatError(fault) from error
+        raise unreadable(path, error) from error
     if len(data) > MOST_BYTES:
         message = f"is larger than {MOST_BYTES // 1_000_000} MB"
         hint = "arrays belong into npz files"

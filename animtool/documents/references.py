@@ -5,9 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from animtool.config import find_config
 from animtool.documents.document import Document, Location
+from animtool.files import nearest_file, seen_from
 
-__all__ = ["reference", "referred", "referred_input", "split_reference"]
+__all__ = [
+    "missing_hint",
+    "reference",
+    "referred",
+    "referred_input",
+    "split_reference",
+]
 
 
 def split_reference(text: str, default: str) -> tuple[str, str]:
@@ -42,6 +50,8 @@ def referred(
     name: str,
     roots: Sequence[Path],
     code: str,
+    *,
+    written: bool = False,
 ) -> Path | None:
     """Return the file that a document refers to; None, and a fault, where it may not.
 
@@ -51,13 +61,43 @@ def referred(
         name: As written.
         roots: Folders that references may lead into.
         code: Of the fault.
+        written: The file is to be written, and need not exist.
     """
+    folder = document.path.resolve().parent
     try:
-        return reference(document.path.resolve().parent, roots, name)
+        return reference(folder, roots, name)
     except ValueError as error:
-        hint = "roots in animtool.toml allows more folders"
-        document.add(code, location, str(error), hint)
+        document.add(code, location, str(error), _way_out(document.path, name, written))
         return None
+
+
+def _way_out(path: Path, name: str, written: bool) -> str:
+    """Return what to do about a reference that leads out of the project.
+
+    Args:
+        path: The file that it is in.
+        name: As written.
+        written: It is to be written.
+    """
+    folder = path.resolve().parent
+    try:
+        target = (folder / name).resolve()
+    except (OSError, RuntimeError):
+        return "name a file in the project"
+    settings = find_config(path).path
+    wanted = seen_from(target.parent, folder if settings is None else settings.parent)
+    line = f'roots = ["{wanted}"]'
+    if not (written or target.exists()):
+        return f"it does not exist either: copy {target.name} here, and name it so"
+    if settings is not None:
+        table = " under [tool.animtool]" if settings.name == "pyproject.toml" else ""
+        return f"to allow that folder, write {line} into {settings}{table}"
+    return f"to allow that folder, write {line} into {folder / 'animtool.toml'}"
+
+
+def missing_hint(document: Document, name: str) -> str | None:
+    """Return a hint that names the file that a name may mean; None without one."""
+    return nearest_file(Path(name), document.path.parent)
 
 
 def referred_input(
@@ -78,6 +118,7 @@ def referred_input(
     """
     path = referred(document, location, name, roots, codes[0])
     if path is not None and not path.exists():
-        document.add(codes[1], location, f"{name!r} does not exist")
+        message = f"{name!r} does not exist"
+        document.add(codes[1], location, message, missing_hint(document, name))
         return None
     return path

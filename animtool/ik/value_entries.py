@@ -16,7 +16,7 @@ from animtool.clip.schema import CurveModel
 from animtool.clip.units import ClipUnits
 from animtool.documents.arrays import Archives
 from animtool.documents.document import Document, Location
-from animtool.documents.references import referred, split_reference
+from animtool.documents.references import missing_hint, referred, split_reference
 from animtool.errors import AnimtoolError, counted
 from animtool.ik.schema import ValueModel
 from animtool.ik.values import (
@@ -157,7 +157,8 @@ class ValueReader:
         path = referred(self.document, place, model.file, self.roots, "TGT010")
         if path is not None and not path.is_file():
             wrong = "is a folder" if path.is_dir() else "does not exist"
-            self.document.add("TGT010", place, f"{model.file!r} {wrong}")
+            hint = missing_hint(self.document, model.file)
+            self.document.add("TGT010", place, f"{model.file!r} {wrong}", hint)
             return None
         return path
 

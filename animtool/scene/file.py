@@ -419,7 +419,9 @@ class _SceneReader:
         return Place(self.document.path, *self.document.place(at), spelled(at), keys)
 
     def _file(self, at: Location, name: str) -> Path:
-        found = referred(self.document, at, name, self.roots, "SCN004")
+        """Return a file to write."""
+        roots = self.roots
+        found = referred(self.document, at, name, roots, "SCN004", written=True)
         return Path(name) if found is None else found
 
     def _input(self, at: Location, name: str) -> Path:

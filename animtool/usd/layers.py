@@ -15,6 +15,7 @@ from typing import Any
 from pxr import Sdf, Tf, Work
 
 from animtool.errors import Fault, FormatError, OptionError, excerpt
+from animtool.files import unreadable
 from animtool.inputs import note_input
 from animtool.output import output_error, replacing
 from animtool.shot import Shot
@@ -105,9 +106,7 @@ def find_layer(path: Path) -> Any:
         with path.open("rb") as file:
             file.read(1)
     except OSError as error:
-        reason = error.strerror or str(error)
-        fault = Fault("IO001", f"cannot be read: {reason}", str(path))
-        raise FormatError(fault) from error
+        raise unreadable(path, error) from error
     with usd_errors(path):
         layer = Sdf.Layer.FindOrOpen(str(path))
     if layer is None:

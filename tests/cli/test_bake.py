@@ -245,6 +245,10 @@ def test_rates(take: Path, tmp_path: Path) -> None:
 def test_a_size_that_fits_another_unit(walk: Path, tmp_path: Path) -> None:
     done = animtool("bake", walk, "-o", tmp_path / "o.usda", "--units", "cm")
     assert "BVH109" not in done.stderr
+    for command in (["info", walk], ["bake", walk, "-o", tmp_path / "m.usda"]):
+        done = animtool(*command, "--units", "m")
+        assert done.code == 0
+        assert "which in m is no character, --units cm would make it" in done.stderr
     text = walk.read_text().splitlines()
     for i, line in enumerate(text):
         if line.strip().startswith("OFFSET"):

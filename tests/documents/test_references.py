@@ -4,7 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from animtool.documents.references import reference
+from animtool.config import project_roots
+from animtool.documents.document import document_of
+from animtool.documents.references import reference, referred, referred_input
 
 
 def test_references_stay_in_the_roots(tmp_path: Path) -> None:
@@ -16,3 +18,52 @@ def test_references_stay_in_the_roots(tmp_path: Path) -> None:
     for name in ("../x.npz", "/etc/passwd", "b/../../x", "way/x.npz", "../ab/x"):
         with pytest.raises(ValueError, match="leads out"):
             reference(folder, [folder], name)
+
+
+def refused(path: Path, name: str) -> str:
+    """Return the hint about a reference that leads out of the project."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    document = document_of(f"clip: animtool/1\nrig: {name}\n", path)
+    roots = project_roots(path)
+    assert referred(document, ("rig",), name, roots, "CLIP012") is None
+    (fault,) = document.faults
+    assert (fault.code, fault.lines) == ("CLIP012", (2,))
+    return str(fault.hint)
+
+
+def test_the_line_that_allows_a_folder_is_given(tmp_path: Path) -> None:
+    clip = tmp_path / "show/clips/walk.clip.yaml"
+    rig = tmp_path / "show/rigs/hero.rig.yaml"
+    rig.parent.mkdir(parents=True)
+    rig.touch()
+    hint = refused(clip, "../rigs/hero.rig.yaml")
+    assert hint.endswith(f'roots = ["../rigs"] into {clip.parent / "animtool.toml"}')
+    # The line does what it says.
+    (clip.parent / "animtool.toml").write_text('roots = ["../rigs"]\n')
+    document = document_of("clip: animtool/1\n", clip)
+    name = "../rigs/hero.rig.yaml"
+    assert referred(document, (), name, project_roots(clip), "CLIP012") == rig
+    (clip.parent / "animtool.toml").unlink()
+    settings = tmp_path / "show/clips/pyproject.toml"
+    settings.write_text("[tool.animtool]\n")
+    assert "under [tool.animtool]" in refused(clip, "../rigs/hero.rig.yaml")
+    settings.unlink()
+    (tmp_path / "show/.git").mkdir()
+    assert referred(document, (), name, project_roots(clip), "CLIP012") == rig
+    assert "copy x.rig.yaml here" in refused(clip, "../../x.rig.yaml")
+
+
+def test_a_file_of_a_nearly_right_name_is_named(tmp_path: Path) -> None:
+    (tmp_path / "rigs").mkdir()
+    (tmp_path / "rigs/hero.rig.yaml").touch()
+    document = document_of("clip: animtool/1\nrig: x\n", tmp_path / "a.clip.yaml")
+    codes = ("CLIP012", "CLIP012")
+    for name in ("rigs/heros.rig.yaml", "rig/hero.rig.yaml", "other.yaml"):
+        assert referred_input(document, ("rig",), name, [tmp_path], codes) is None
+    hints = [fault.hint for fault in document.faults]
+    file, folder = "rigs/hero.rig.yaml", "rigs"
+    assert hints == [
+        f"did you mean {file!r}?",
+        f"did you mean the folder {folder!r}?",
+        None,
+    ]

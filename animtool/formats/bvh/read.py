@@ -11,7 +11,8 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import FloatArray
-from animtool.errors import Fault, FormatError, Severity
+from animtool.errors import Fault, Severity
+from animtool.files import unreadable
 from animtool.formats.bvh.hierarchy import BvhHeader, BvhJoint, read_header
 from animtool.formats.bvh.lines import HeaderLines
 from animtool.formats.bvh.rows import RowReader, RowSource
@@ -67,10 +68,9 @@ def read_bvh(
             header, notices = read_header(lines, str(path))
             rows_start = file.tell() - len(lines.rest)
     except OSError as error:
-        raise _unreadable(path, error) from error
+        raise unreadable(path, error) from error
     rig = _rig(header, path.stem, unit or LengthUnit.CM, up)
-    if unit is None:
-        notices += _size_notice(rig, str(path))
+    notices += _size_notice(rig, unit, str(path))
     assert header.rate is not None
     stream = TakeStream(
         rig,
@@ -119,13 +119,15 @@ def read_bvh_rig(path: Path) -> Rig:
 _RATE_CODES = {"BVH105", "BVH106", "BVH107"}
 
 
-def _unreadable(path: Path, error: OSError) -> FormatError:
-    reason = error.strerror or str(error)
-    return FormatError(Fault("IO001", f"cannot be read: {reason}", str(path)))
+def _size_notice(rig: Rig, stated: LengthUnit | None, path: str) -> list[Fault]:
+    """Return a note about a skeleton whose size fits another unit better.
 
-
-def _size_notice(rig: Rig, path: str) -> list[Fault]:
-    """Point out a skeleton of a size that fits another unit better."""
+    Args:
+        rig: The skeleton.
+        stated: The unit that the user gave; None is centimetres. A size that fits no
+            unit is then meant so.
+        path: Of the file.
+    """
     size = rest_size(rig)
     low, high = LIKELY_METERS
     if len(rig.joints) < FEWEST_JOINTS or low <= size <= high:
@@ -133,7 +135,10 @@ def _size_notice(rig: Rig, path: str) -> list[Fault]:
     numbers = size / rig.meters_per_unit
     low, high = PERSON_METERS
     fitting = [unit for unit in LengthUnit if low <= numbers * unit.meters <= high]
-    message = f"the skeleton spans {numbers:.4g}, which in centimetres is no character"
+    if stated is not None and not fitting:
+        return []
+    unit = stated or LengthUnit.CM
+    message = f"the skeleton spans {numbers:.4g}, which in {unit} is no character"
     hint = "--units says what it is in"
     if fitting:
         hint = f"--units {fitting[0]} would make it {numbers * fitting[0].meters:.2g} m"

@@ -13,6 +13,7 @@ import numpy as np
 from animtool import _kernels
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, FormatError, Severity, counted, excerpt, listed
+from animtool.files import unreadable
 from animtool.formats.bvh.hierarchy import FLOAT32_MAX
 from animtool.formats.bvh.lines import CHUNK_BYTES
 
@@ -110,8 +111,7 @@ class RowReader:
                 file.seek(source.start)
                 yield from self._parse(file)
         except OSError as error:
-            message = f"cannot be read: {error.strerror or error}"
-            raise FormatError(Fault("IO001", message, self._path)) from error
+            raise unreadable(source.path, error) from error
 
     def _parse(self, file: BinaryIO) -> Iterator[tuple[FloatArray, IntArray]]:
         size = max(1, os.fstat(file.fileno()).st_size)

@@ -10,6 +10,7 @@ from typing import Any
 from animtool.config import project_roots
 from animtool.documents.document import document_of, read_document
 from animtool.errors import AnimtoolError
+from animtool.files import files_meant
 from animtool.readers import DOCUMENT, READERS
 from animtool.validation.subjects.open import DOCUMENT_SUFFIXES
 
@@ -72,9 +73,8 @@ def _texts(value: Any) -> Iterator[str]:
 
 def _documents(rig: Path) -> Iterator[Path]:
     for root in project_roots(rig):
-        for path in sorted(root.rglob("*")):
-            if path.name.lower().endswith(DOCUMENT_SUFFIXES):
-                yield path
+        for file in files_meant(str(root), DOCUMENT_SUFFIXES):
+            yield file.path
 
 
 def _may_mean(path: Path, value: Mapping[str, Any], rig: Path) -> bool:

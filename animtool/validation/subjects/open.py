@@ -8,7 +8,8 @@ from typing import cast
 
 from animtool.documents.document import Document, read_document
 from animtool.documents.versions import STEPS, version_of
-from animtool.errors import AnimtoolError, Fault, FormatError, OptionError
+from animtool.errors import AnimtoolError, Fault, OptionError
+from animtool.files import unreadable
 from animtool.plugins import load_object
 from animtool.readers import BVH, DOCUMENT, READERS, USD
 from animtool.validation.rule import Kind
@@ -51,7 +52,7 @@ def open_file(path: Path) -> Opened:
     if reader is BVH or reader is USD:
         return _open(Kind.BVH if reader is BVH else Kind.USD, path)
     if reader is None and not path.exists():
-        raise FormatError(Fault("IO001", "cannot be read: does not exist", str(path)))
+        raise unreadable(path, "does not exist")
     if reader is not DOCUMENT:
         hint = f"checked are {', '.join(READERS)}"
         message = "is of no kind that is checked"
