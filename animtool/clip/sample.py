@@ -19,7 +19,7 @@ from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.rig.targets import DRIVEN_PARTS, KEYED_PARTS, split_part
 from animtool.take import Channel, Motion
 
-__all__ = ["Sampled", "sample_channels", "sample_values"]
+__all__ = ["ClipNotice", "Sampled", "sample_channels", "sample_values"]
 
 # Beyond a limit by less is rounding [rad], [m], [1].
 LIMIT_TOLERANCE = 1e-9
@@ -29,18 +29,38 @@ Parts = dict[str, FloatArray]
 
 
 @dataclass(frozen=True, slots=True)
+class ClipNotice:
+    """A fault of a control or a joint.
+
+    Attributes:
+        fault: It, without a place.
+        target: ``control/NAME`` or ``joint/NAME``.
+        frame: Where it is worst; None where it is of all frames.
+    """
+
+    fault: Fault
+    target: str
+    frame: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Sampled:
     """A clip at some times.
 
     Attributes:
         motion: Joints, shapes and controls; what does not move is stored once.
-        notices: Controls out of range and limits exceeded, with frame and by how
+        targeted: Controls out of range and limits exceeded, with frame and by how
             much, the worst of each; joints that keys keep from following another, or
             from what a moving control adds.
     """
 
     motion: Motion
-    notices: list[Fault]
+    targeted: list[ClipNotice]
+
+    @property
+    def notices(self) -> list[Fault]:
+        """The faults of ``targeted``."""
+        return [notice.fault for notice in self.targeted]
 
 
 def sample_channels(
@@ -91,7 +111,7 @@ def sample_values(
         FormatError: An expression of the rig has no value at some frame (CLIP015).
     """
     count = len(times)
-    notices: list[Fault] = []
+    notices: list[ClipNotice] = []
     controls = {
         name.removeprefix("control/"): value[:, 0]
         for name, value in keyed.items()
@@ -131,7 +151,7 @@ def _refuse_undefined(driven: DrivenValues, times: FloatArray) -> None:
 
 def _range_notices(
     rig: Rig, driven: DrivenValues, times: FloatArray, *, clamp: bool
-) -> list[Fault]:
+) -> list[ClipNotice]:
     notices = []
     for control in rig.controls:
         if control.low is None or control.high is None:
@@ -148,9 +168,9 @@ def _range_notices(
             )
             message += ": clamped" if clamp else ""
             hint = None if clamp else _CLAMP
-            notices.append(
-                Fault("CLIP101", message, severity=Severity.WARNING, hint=hint)
-            )
+            fault = Fault("CLIP101", message, severity=Severity.WARNING, hint=hint)
+            target = f"control/{control.name}"
+            notices.append(ClipNotice(fault, target, float(frame)))
     return notices
 
 
@@ -173,7 +193,7 @@ def _parts_by_joint(
     return parts
 
 
-def _replace(parts: Mapping[str, Parts]) -> list[Fault]:
+def _replace(parts: Mapping[str, Parts]) -> list[ClipNotice]:
     """Take away what controls add where a channel holds the joint as a whole."""
     notices = []
     for name, part in parts.items():
@@ -186,7 +206,8 @@ def _replace(parts: Mapping[str, Parts]) -> list[Fault]:
                     f"joint {name!r} has keys of {local}, so no control turns or "
                     "moves it"
                 )
-                notices.append(Fault("CLIP105", message, severity=Severity.NOTE))
+                fault = Fault("CLIP105", message, severity=Severity.NOTE)
+                notices.append(ClipNotice(fault, f"joint/{name}"))
     return notices
 
 
@@ -204,7 +225,7 @@ _FOLLOWING = {
 }
 
 
-def _follow(rig: Rig, parts: dict[str, Parts], *, clamp: bool) -> list[Fault]:
+def _follow(rig: Rig, parts: dict[str, Parts], *, clamp: bool) -> list[ClipNotice]:
     """Give joints that follow another the coordinate that comes of it.
 
     Keys of its own take the place of what a joint follows, and a note says so.
@@ -219,7 +240,8 @@ def _follow(rig: Rig, parts: dict[str, Parts], *, clamp: bool) -> list[Fault]:
                 f"joint {joint.name!r} has keys, so it does not follow "
                 f"{joint.mimic.joint!r}"
             )
-            notices.append(Fault("CLIP103", message, severity=Severity.NOTE))
+            fault = Fault("CLIP103", message, severity=Severity.NOTE)
+            notices.append(ClipNotice(fault, f"joint/{joint.name}"))
             continue
         leader = parts.get(joint.mimic.joint, {})
         coordinate = np.zeros(1)
@@ -244,7 +266,7 @@ class _Joints:
     rig: Rig
     times: FloatArray
     clamp: bool
-    notices: list[Fault]
+    notices: list[ClipNotice]
     values: dict[str, dict[int, FloatArray]] = field(
         default_factory=lambda: {"translations": {}, "rotations": {}, "scales": {}}
     )
@@ -335,9 +357,9 @@ class _Joints:
         message = f"joint {joint.name!r} {said} at frame "
         message += f"{self.times[worst]:g}"
         hint = None if self.clamp else _CLAMP
-        self.notices.append(
-            Fault("CLIP102", message, severity=Severity.WARNING, hint=hint)
-        )
+        fault = Fault("CLIP102", message, severity=Severity.WARNING, hint=hint)
+        frame = float(self.times[worst])
+        self.notices.append(ClipNotice(fault, f"joint/{joint.name}", frame))
 
 
 def _sum(keyed: FloatArray | None, driven: FloatArray | None) -> FloatArray | None:

@@ -13,13 +13,16 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.clip.clip import Clip
 from animtool.clip.file import ClipFile, load_clip, load_rig_of, open_clip
-from animtool.clip.sample import sample_channels
+from animtool.clip.sample import ClipNotice, sample_channels
+from animtool.clip.schema import ChannelModel
 from animtool.clip.segments import curves_of
-from animtool.errors import FormatError
+from animtool.documents.document import Location, spelled
+from animtool.errors import Fault, FormatError
+from animtool.rig.skeleton import Rig
 from animtool.take import Motion, TakeStream
 from animtool.units import unit_name
 
-__all__ = ["open_clip_source"]
+__all__ = ["clip_stream", "open_clip_source"]
 
 
 def open_clip_source(
@@ -40,8 +43,7 @@ def open_clip_source(
     loaded = load_rig_of(file, rig)
     named = rig or file.needed_rig()
     clip = load_clip(file, loaded)
-    count = _frame_count(file, clip)
-    stream = TakeStream(loaded, clip.fps, clip.first, Fraction(1), iter(()))
+    stream = clip_stream(file, clip, loaded, clamp=clamp)
     stream.notices += [*loaded.notices, *clip.notices]
     stream.details = {
         "format": "clip",
@@ -49,23 +51,81 @@ def open_clip_source(
         "channels": len(clip.channels),
         "units": unit_name(loaded.meters_per_unit),
     }
-
-    def curve(times: FloatArray) -> Motion:
-        with _named(path):
-            sampled = sample_channels(clip.channels, loaded, times, clamp=clamp)
-        stream.notices += [replace(note, path=str(path)) for note in sampled.notices]
-        return sampled.motion
-
-    def blocks() -> Iterator[Motion]:
-        yield curve(float(clip.first) + np.arange(count, dtype=np.float64))
-
-    stream.blocks, stream.curve, stream.count = blocks(), curve, count
     stream.control_curves = {
         channel.target.removeprefix("control/"): curves_of([channel])
         for channel in clip.channels
         if channel.target.startswith("control/")
     }
     return stream
+
+
+def clip_stream(
+    file: ClipFile, clip: Clip, rig: Rig, *, clamp: bool = False
+) -> TakeStream:
+    """Return the frames of a clip, notices at the lines of its file.
+
+    Args:
+        file: The clip's file.
+        clip: What it holds.
+        rig: Its rig.
+        clamp: Bring controls into their ranges, and joints into their limits.
+
+    Raises:
+        FormatError: The range has no frame, or too many (CLIP006); the blocks may
+            raise it too.
+    """
+    path = file.document.path
+    count = _frame_count(file, clip)
+    stream = TakeStream(rig, clip.fps, clip.first, Fraction(1), iter(()))
+
+    def curve(times: FloatArray) -> Motion:
+        with _named(path):
+            sampled = sample_channels(clip.channels, rig, times, clamp=clamp)
+        stream.notices += [_located(file, rig, note) for note in sampled.targeted]
+        return sampled.motion
+
+    def blocks() -> Iterator[Motion]:
+        yield curve(float(clip.first) + np.arange(count, dtype=np.float64))
+
+    stream.blocks, stream.curve, stream.count = blocks(), curve, count
+    return stream
+
+
+def _located(file: ClipFile, rig: Rig, notice: ClipNotice) -> Fault:
+    """Return the fault of a notice at the key or the channel that it is due to."""
+    document = file.document
+    for i, channel in _causes(file, rig, notice.target):
+        at: Location = ("channels", i)
+        if notice.frame is not None:
+            before = [k for k, key in enumerate(channel.keys) if key.t <= notice.frame]
+            at = (*at, "keys", before[-1] if before else 0)
+        line, column = document.place(at)
+        return replace(
+            notice.fault,
+            path=str(document.path),
+            lines=(line,),
+            column=column,
+            where=spelled(at),
+        )
+    return replace(notice.fault, path=str(document.path))
+
+
+def _causes(
+    file: ClipFile, rig: Rig, target: str
+) -> Iterator[tuple[int, ChannelModel]]:
+    """Yield the channels of a target, then those of the controls that drive it."""
+    targets = [target]
+    for one in targets:
+        for i, channel in enumerate(file.model.channels):
+            if channel.target == one or channel.target.startswith(f"{one}."):
+                yield i, channel
+        for control in rig.controls:
+            driven = f"control/{control.name}"
+            if driven not in targets and any(
+                drive.target == one or drive.target.startswith(f"{one}.")
+                for drive in control.drives
+            ):
+                targets.append(driven)
 
 
 def _frame_count(file: ClipFile, clip: Clip) -> int:

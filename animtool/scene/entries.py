@@ -10,6 +10,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from animtool.documents.check import FileModel
+from animtool.documents.document import Document, Location, spelled
 from animtool.errors import Fault, FormatError, OptionError, Severity, ToleranceError
 from animtool.passes import Pass
 from animtool.scene.options import BakeOptions
@@ -28,6 +30,7 @@ __all__ = [
     "SceneSystem",
     "SceneThing",
     "kind_of",
+    "place_of_entry",
 ]
 
 
@@ -85,6 +88,15 @@ class Place:
             raise ToleranceError([self.put(fault) for fault in error.faults]) from error
         except OptionError as error:
             raise FormatError([self.put(fault) for fault in error.faults]) from error
+
+
+def place_of_entry(
+    document: Document, at: Location, model: FileModel | None = None
+) -> Place:
+    """Return a place in a document, with those of the keys that its model was given."""
+    names = () if model is None else sorted(model.model_fields_set)
+    keys = {name: document.place((*at, name)) for name in names}
+    return Place(document.path, *document.place(at), spelled(at), keys)
 
 
 @dataclass(frozen=True, slots=True)

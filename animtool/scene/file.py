@@ -13,7 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from animtool.config import project_roots
 from animtool.documents.check import FileModel, check_version, validated, wrong_values
-from animtool.documents.document import Document, Location, read_document, spelled
+from animtool.documents.document import Document, Location, read_document
 from animtool.documents.names import nearest
 from animtool.documents.references import referred, referred_input
 from animtool.documents.variables import resolve_variables
@@ -31,6 +31,7 @@ from animtool.scene.entries import (
     SceneSystem,
     SceneThing,
     kind_of,
+    place_of_entry,
 )
 from animtool.scene.options import BakeOptions, parse_offsets
 from animtool.scene.preroll import Preroll
@@ -414,9 +415,7 @@ class _SceneReader:
 
     def _place(self, at: Location, model: FileModel | None = None) -> Place:
         """Return a place, with those of the keys that its model was given."""
-        names = () if model is None else sorted(model.model_fields_set)
-        keys = {name: self.document.place((*at, name)) for name in names}
-        return Place(self.document.path, *self.document.place(at), spelled(at), keys)
+        return place_of_entry(self.document, at, model)
 
     def _file(self, at: Location, name: str) -> Path:
         """Return a file to write."""

@@ -12,6 +12,7 @@ from animtool.errors import AnimtoolError
 from animtool.rig.skeleton import Rig
 from animtool.scene.clips import open_clip_source
 from animtool.scene.sources import open_source
+from animtool.validation.run import validate
 
 CURL = """\
 - {target: control/curl, keys: [{t: 1, v: 0}, {t: 9, v: 2}]}
@@ -31,6 +32,32 @@ def test_blocks_and_curve_agree(tmp_path: Path) -> None:
         expected = sample_channels(clip.channels, rig, times).motion.rotations
         np.testing.assert_array_equal(motion.rotations.values, expected.values)
     assert {note.path for note in stream.notices} == {str(path)}
+
+
+def test_values_outside_limits_are_told_at_their_keys(tmp_path: Path) -> None:
+    rig = tmp_path / "pin.rig.yaml"
+    rig.write_text(
+        "rig: animtool/1\nname: pin\njoints:\n- {name: a, type: free}\n"
+        "- {name: b, parent: a, type: pin, axis: [0, 0, 1], limits: [0, 90]}\n"
+        "- {name: c, parent: b, type: pin, axis: [0, 0, 1], limits: [0, 10]}\n"
+        "controls:\n- {name: curl, range: [0, 1], "
+        "drives: [{joint: c.angle, expr: curl * 9}]}\n",
+        "utf-8",
+    )
+    path = tmp_path / "pin.clip.yaml"
+    path.write_text(
+        "clip: animtool/1\nrig: pin.rig.yaml\nfps: 24\nchannels:\n"
+        "- target: control/curl\n  keys:\n"
+        "  - {t: 1, v: 0}\n  - {t: 9, v: 2}\n"
+        "- target: joint/b.angle\n  keys:\n"
+        "  - {t: 1, v: 95}\n  - {t: 9, v: 0}\n",
+        "utf-8",
+    )
+    stream = open_clip_source(path)
+    list(stream.blocks)
+    wanted = {("CLIP101", (8,), 5), ("CLIP102", (11,), 5), ("CLIP102", (8,), 5)}
+    assert {(n.code, n.lines, n.column) for n in stream.notices} == wanted
+    assert {(n.code, n.lines, n.column) for n in validate(path)} >= wanted
 
 
 def test_a_clip_without_a_rig(tmp_path: Path) -> None:

@@ -221,7 +221,9 @@ def _on_joint(
     reader: EntryReader, at: Location, model: CarryingJointModel
 ) -> Carrier | None:
     path = reader.character(at, model)
-    return None if path is None else _there(reader, at, OnJoint(path, model.joint))
+    if path is None:
+        return None
+    return _there(reader, at, OnJoint(path, model.joint, reader.place(at, model)))
 
 
 def _on_vertex(
@@ -230,7 +232,9 @@ def _on_vertex(
     path = reader.character(at, model)
     if path is None:
         return None
-    return _there(reader, at, OnVertex(path, model.mesh, model.vertex))
+    return _there(
+        reader, at, OnVertex(path, model.mesh, model.vertex, reader.place(at, model))
+    )
 
 
 def _there(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeAlias
 
@@ -13,6 +13,7 @@ from animtool.errors import Fault, OptionError
 from animtool.maths import so3
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import surfaces_of
+from animtool.scene.entries import Place
 from animtool.scene.systems.character_motion import CharacterMotions
 from animtool.scene.systems.character_skin import CharacterSkin, no_mesh
 from animtool.sim.colliders import Poses, joint_poses
@@ -33,10 +34,12 @@ class OnJoint:
     Attributes:
         file: A clip or a scene.
         joint: Its name.
+        place: Of the entry that names it.
     """
 
     file: Path
     joint: str
+    place: Place | None = field(default=None, compare=False, repr=False)
 
     def fault(self, rig: Rig) -> Fault | None:
         """Return what is wrong with it, at its key; None where it is there."""
@@ -53,7 +56,7 @@ class OnJoint:
             OptionError: It is not there (SIM053).
         """
         found = characters.of(self.file)
-        _check(self.fault(found.rig))
+        _check(self.fault(found.rig), self.place)
         return joint_poses(found.world, found.rig.index(self.joint), found.times)
 
 
@@ -65,11 +68,13 @@ class OnVertex:
         file: A clip or a scene.
         mesh: Name of the mesh.
         vertex: Its number.
+        place: Of the entry that names it.
     """
 
     file: Path
     mesh: str
     vertex: int
+    place: Place | None = field(default=None, compare=False, repr=False)
 
     def fault(self, rig: Rig) -> Fault | None:
         """Return what is wrong with it, at its key; None where it is there."""
@@ -90,7 +95,7 @@ class OnVertex:
             OptionError: It is not there (SIM053).
         """
         found = characters.of(self.file)
-        _check(self.fault(found.rig))
+        _check(self.fault(found.rig), self.place)
         # The next block stands where the last one did.
         parts = [
             block.points[:, self.vertex].copy()
@@ -100,9 +105,9 @@ class OnVertex:
         return Poses(found.times, places, np.tile(so3.IDENTITY, (len(places), 1)))
 
 
-def _check(fault: Fault | None) -> None:
+def _check(fault: Fault | None, place: Place | None) -> None:
     if fault is not None:
-        raise OptionError(fault)
+        raise OptionError(fault if place is None else place.put(fault))
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,12 +12,13 @@ import numpy.typing as npt
 from pydantic import TypeAdapter, ValidationError
 
 from animtool.documents.arrays import load_array
-from animtool.documents.check import wrong_values
+from animtool.documents.check import FileModel, wrong_values
 from animtool.documents.document import Document, Location
 from animtool.documents.names import nearest
 from animtool.documents.references import referred_input, split_reference
 from animtool.errors import AnimtoolError, Fault
 from animtool.maths import so3
+from animtool.scene.entries import Place, place_of_entry
 from animtool.scene.particles.schema import EmitterModel
 from animtool.scene.systems.character_met import CharacterMet
 from animtool.scene.systems.collider_schema import (
@@ -74,6 +75,10 @@ class EntryReader:
         """Note a fault at a place."""
         self.sound = False
         self.document.add(fault.code, at, fault.message, fault.hint)
+
+    def place(self, at: Location, model: FileModel) -> Place:
+        """Return the place of an entry, with those of the keys that it was given."""
+        return place_of_entry(self.document, at, model)
 
     def checked(
         self, at: Location, make: Callable[[Location, Any], Record | None], model: Any

@@ -21,6 +21,7 @@ from animtool.clip.file import (
 from animtool.documents.document import Document, Location
 from animtool.errors import AnimtoolError, Fault, Severity
 from animtool.rig.skeleton import Rig
+from animtool.scene.clips import clip_stream
 from animtool.take import Take
 from animtool.validation.motion.subject import MotionSubject
 from animtool.validation.rule import Kind
@@ -104,9 +105,9 @@ def open_clip_document(document: Document) -> Opened:
     clip = load_clip(file, rig)
     path = document.path
     opened = Opened(Kind.CLIP, list(clip.notices))
-    take = _placed(path, lambda: clip.sample(rig), opened)
+    take = _placed(path, lambda: clip_stream(file, clip, rig).collect(), opened)
     if take is not None:
-        opened.faults += [_named(fault, path) for fault in take.notices]
+        opened.faults += take.notices
         subject = ClipSubject(document, clip, rig, take)
         motion = MotionSubject(take, subject.fault_at, meant=subject.cuts)
         opened.subject, opened.takes = subject, (motion,)

@@ -169,7 +169,12 @@ def test_a_joint_that_the_scenes_own_character_lacks(tmp_path: Path) -> None:
     with pytest.raises(FormatError) as error:
         bake(path, tmp_path / "o.usdc")
     (fault,) = error.value.faults
-    assert (fault.code, fault.where) == ("SIM053", "systems[0].rope")
+    assert (fault.code, fault.where) == (
+        "SIM053",
+        "systems[0].rope.pins[0].joint.joint",
+    )
+    text = path.read_text("utf-8").splitlines()
+    assert text[fault.lines[0] - 1][(fault.column or 0) - 1 :].startswith("hip,")
     assert not list(tmp_path.glob("o.*"))
     missing = lead(tmp_path, "offset: [0, 0, 1]", source=True)
     missing.write_text(missing.read_text("utf-8").replace(", offset: [0, 0, 0]}", "}"))
