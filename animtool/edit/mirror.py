@@ -12,6 +12,7 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.choices import chosen
 from animtool.edit.joint_names import joint_index
+from animtool.edit.mirror_controls import ControlMirror
 from animtool.errors import Fault, OptionError, Severity, listed, percent
 from animtool.maths import so3
 from animtool.passes import EVERY_PART, MOTION_PARTS, Pass, PassContext, Scope, TakePart
@@ -60,7 +61,9 @@ def mirror(
     What a joint does beyond its rest frame, in the world, its partner does
     mirrored; rest offsets stay each joint's own, so that a rig whose halves are
     framed differently works, and what is static stays so. A joint without partner
-    below one that has a partner keeps its own motion: a sword in the right hand. The
+    below one that has a partner keeps its own motion: a sword in the right hand. Values
+    of controls go to their partners, and change their sign where the mirror image of
+    what a control does is what its partner does the other way. The
     plane goes through the rest position of each root. Twice is the source again.
 
     Limits: where the rest poses of both sides are no mirror images, the result is not
@@ -112,8 +115,11 @@ def _mirrored(
         alone[list(pairs.strays)] = True
         context.notices.extend(_asymmetries(rig, partners, ~alone, axis))
     glass = _Glass.of(rig, partners, kept, axis)
-    order = [swaps[kind].partners for kind in others]
-    return replace(stream, blocks=_blocks(stream, glass, order))
+    shapes = swaps["shapes"].partners
+    controls = ControlMirror.of(
+        rig, swaps["controls"].partners, partners, shapes, glass.normal
+    )
+    return replace(stream, blocks=_blocks(stream, glass, shapes, controls))
 
 
 def _kept(rig: Rig, partners: IntArray) -> BoolArray:
@@ -247,7 +253,7 @@ class _Glass:
 
 
 def _blocks(
-    stream: TakeStream, glass: _Glass, swaps: list[IntArray]
+    stream: TakeStream, glass: _Glass, shapes: IntArray, controls: ControlMirror
 ) -> Iterator[Motion]:
     for block in stream.blocks:
         yield Motion(
@@ -256,16 +262,18 @@ def _blocks(
             None
             if block.scales is None
             else _seen(block.scales, glass.partners, glass.scales),
-            _swapped(block.weights, swaps[0]),
-            _swapped(block.controls, swaps[1]),
+            _swapped(block.weights, shapes, lambda values, _: values),
+            _swapped(block.controls, controls.partners, controls),
             block.track_times,
         )
 
 
-def _swapped(channel: Channel | None, partners: IntArray) -> Channel | None:
+def _swapped(
+    channel: Channel | None, partners: IntArray, look: _Look
+) -> Channel | None:
     if channel is None or len(partners) != len(channel.rest):
         return channel
-    return _seen(channel, partners, lambda values, _: values)
+    return _seen(channel, partners, look)
 
 
 def _seen(channel: Channel, partners: IntArray, look: _Look) -> Channel:

@@ -1,0 +1,88 @@
+"""Controls in a mirror."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+from animtool import Clip, Rig
+from animtool.edit.mirror import mirror
+from animtool.edit.mirror_controls import ControlMirror
+from animtool.rig.sides import pair_sides
+from animtool.take import Take
+
+RIG = """\
+rig: animtool/1
+name: bust
+joints:
+- {name: chest, type: free}
+- {name: head, parent: chest, type: ball, translate: [0, 1, 0]}
+- {name: arm_l, parent: chest, type: ball, translate: [1, 0, 0], mirror: arm_r}
+meshes: []
+controls:
+- name: turn
+  range: [-60, 60]
+  default: 5
+  drives: [{joint: head.rotation.y, expr: turn}]
+- {name: nod, range: [-30, 30], drives: [{joint: head.rotation.x, expr: nod}]}
+- {name: raise_l, range: [0, 90], drives: [{joint: arm_l.rotation.z, expr: raise_l}]}
+- {name: raise_r, range: [0, 90], drives: [{joint: arm_r.rotation.z, expr: -raise_r}]}
+- {name: swing_l, range: [-9, 9], drives: [{joint: arm_l.rotation.y, expr: swing_l}]}
+- {name: swing_r, range: [-9, 9], drives: [{joint: arm_r.rotation.y, expr: swing_r}]}
+"""
+NAMES = ["turn", "nod", "raise_l", "raise_r", "swing_l", "swing_r"]
+ENDS = [25, 8, 40, 10, 6, 0]
+
+
+def keyed(values: list[float], folder: Path) -> Take:
+    rig = folder / "bust.rig.yaml"
+    rig.write_text(RIG, "utf-8")
+    text = "clip: animtool/1\nrig: bust.rig.yaml\nfps: 24\nrange: [1, 3]\nchannels:\n"
+    for name, value in zip(NAMES, values, strict=True):
+        keys = f"[{{t: 1, v: 1}}, {{t: 3, v: {value}}}]"
+        text += f"- {{target: control/{name}, interp: linear, keys: {keys}}}\n"
+    (folder / "bust.clip.yaml").write_text(text, "utf-8")
+    return Clip.load(folder / "bust.clip.yaml").sample(Rig.load(rig))
+
+
+def test_mirrored_controls_drive_the_mirrored_pose(tmp_path: Path) -> None:
+    seen = mirror(keyed(ENDS, tmp_path))
+    assert seen.motion.controls is not None
+    values = seen.motion.controls.dense()[-1, :, 0].tolist()
+    # What turns about the middle changes its sign, what nods stays.
+    assert_allclose(values, [-25, 8, 10, 40, 0, -6], atol=1e-12)
+    again = keyed(values, tmp_path)
+    for i in range(2):
+        one, other = seen.motion.dense()[i], again.motion.dense()[i]
+        assert_allclose(one[-1], other[-1], atol=1e-12)
+
+
+def test_shapes_of_one_side_turn_a_control_round(root: Path) -> None:
+    rig = Rig.load(root / "rigs/head/head.rig.yaml")
+    clip = Clip.load(root / "samples/speech/speech.clip.yaml", rig)
+    take = clip.sample(rig)
+    seen = mirror(take)
+    assert take.motion.controls is not None
+    assert seen.motion.controls is not None
+    names = [control.name for control in rig.controls]
+    before, after = (one.motion.controls.dense() for one in (take, seen))
+    changed = {"turn": -1, "tilt": -1, "look_x": -1, "nod": 1, "look_y": 1, "jaw": 1}
+    for name, sign in changed.items():
+        i = names.index(name)
+        assert before[:, i].any()
+        np.testing.assert_allclose(after[:, i], sign * before[:, i], atol=1e-12)
+    found = ControlMirror.of(
+        rig,
+        pair_sides(names).partners,
+        pair_sides(rig.names, rig.parents).partners,
+        pair_sides([shape.name for shape in rig.shapes]).partners,
+        np.array([-1.0, 1.0, 1.0]),
+    )
+    assert found.signs[names.index("mouth_side")] == -1
+    twice = mirror(seen)
+    assert twice.motion.controls is not None
+    np.testing.assert_allclose(
+        twice.motion.controls.dense(), take.motion.controls.dense(), atol=1e-12
+    )
