@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from animtool.scene.options import BakeOptions as BakeOptions
     from animtool.scene.sources import SourceOptions as SourceOptions
     from animtool.scene.sources import open_source as open_source
+    from animtool.shot import Shot as Shot
     from animtool.take import Take as Take
     from animtool.take import TakeStream as TakeStream
     from animtool.validation.options import ValidateOptions as ValidateOptions
@@ -45,6 +46,7 @@ _PUBLIC = {
     "Joint": "animtool.rig.skeleton",
     "Rig": "animtool.rig.skeleton",
     "RunOptions": "animtool.batch.run",
+    "Shot": "animtool.shot",
     "SourceOptions": "animtool.scene.sources",
     "Take": "animtool.take",
     "TakeStream": "animtool.take",

@@ -7,12 +7,13 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from math import ceil, floor
+from math import ceil, floor, isfinite
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
 from animtool.batch.cut_metadata import CutMetadata, cut_metadata
+from animtool.clock import MOST_FRAMES
 from animtool.config import find_config
 from animtool.documents.names import nearest
 from animtool.errors import (
@@ -294,37 +295,27 @@ class _Reader:
         found = self.medium(clip, named)
         if found is None:
             return
-        own = self.metadata(clip, named)
         try:
             start, seconds, media_fps = _span(clip)
-            before, after = self.overlaps(clip, named)
+            transitions = self.overlaps(clip, named)
         except Exception as error:
-            message = f"{named} has no range: {excerpt(str(error), 120)}"
+            message = f"the range of {named} cannot be used: {excerpt(str(error), 120)}"
             self.fault("BAT041", message)
             return
-        speed = _speed(clip)
-        if speed <= 0:
-            message = f"{named} plays at {float(speed):g} times its speed"
+        if seconds <= 0:
+            self.fault("BAT041", f"{named} shows no frame of its media")
+            return
+        shot = self.shot(entry, start, seconds, transitions)
+        if shot.speed <= 0:
+            message = f"{named} plays at {float(shot.speed):g} times its speed"
             hint = "only forward motion is baked: render the clip's media as it plays, "
             hint += f"or leave it out with --exclude {found.path}"
             self.fault("BAT044", message, hint)
             return
-        handles = _first(self.options.handles, own.handles, self.own.handles, 0)
-        shot_start = _first(
-            self.options.start, own.start_frame, self.own.start_frame, self.project
-        )
-        cut_in = shot_start + handles
-        count = frames_within(seconds, self.fps) + before + after
-        shot = Shot(
-            cut_in,
-            cut_in + count - 1,
-            handles,
-            handles,
-            entry.name,
-            self.fps,
-            start - before * speed / self.fps,
-            speed,
-        )
+        if shot.end - shot.start >= MOST_FRAMES:
+            message = f"{named} has too many frames: {shot.end - shot.start + 1}"
+            self.fault("BAT041", message, f"a shot has up to {MOST_FRAMES}")
+            return
         names = {
             "shot": shot.name,
             "clip": clip.name or "",
@@ -333,6 +324,38 @@ class _Reader:
             **_media_names(shot, media_fps),
         }
         self.found.shots.append(Cut(found, names, shot))
+
+    def shot(
+        self,
+        entry: _Entry,
+        start: Fraction,
+        seconds: Fraction,
+        transitions: tuple[int, int],
+    ) -> Shot:
+        """Return the frames of a clip.
+
+        Args:
+            entry: The clip.
+            start: First time of its media that it shows, 0 at the media's first [s].
+            seconds: How long it lasts [s].
+            transitions: Frames that these show of it before and after.
+        """
+        own, given = self.metadata(entry.clip, entry.named), self.options
+        handles = _first(given.handles, own.handles, self.own.handles, 0)
+        begin = _first(given.start, own.start_frame, self.own.start_frame, self.project)
+        before, after = transitions
+        count = frames_within(seconds, self.fps) + before + after
+        speed = _speed(entry.clip)
+        return Shot(
+            begin + handles,
+            begin + handles + count - 1,
+            handles,
+            handles,
+            entry.name,
+            self.fps,
+            start - before * speed / self.fps,
+            speed,
+        )
 
     @property
     def project(self) -> int:
@@ -484,8 +507,10 @@ def _speed(clip: Any) -> Fraction:
     """Return how many times as fast as its media a clip plays."""
     speed = Fraction(1)
     for effect in clip.effects:
-        scalar = Fraction(float(getattr(effect, "time_scalar", 1.0)))
-        speed *= scalar.limit_denominator(_LARGEST_DENOMINATOR)
+        scalar = float(getattr(effect, "time_scalar", 1.0))
+        if not isfinite(scalar):
+            return Fraction(0)
+        speed *= Fraction(scalar).limit_denominator(_LARGEST_DENOMINATOR)
     return speed
 
 

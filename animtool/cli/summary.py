@@ -98,9 +98,14 @@ def _frames_text(report: BakeReport, take: TakeReport) -> str:
     return text
 
 
-def _shot_text(report: BakeReport) -> list[str]:
+def _shot_text(report: BakeReport | ConvertReport) -> list[str]:
     """Return the line of the shot that was written, if it is one."""
     return [] if report.shot is None else [f"  {report.shot.label}"]
+
+
+def _shot_json(report: BakeReport | ConvertReport) -> dict[str, object]:
+    """Return the shot that was written as plain values, if it is one."""
+    return {} if report.shot is None else {"shot": report.shot.as_dict()}
 
 
 def _rounded_to(take: TakeReport) -> str:
@@ -188,7 +193,7 @@ def bake_json(report: BakeReport) -> dict[str, object]:
         "units": unit_name(report.meters_per_unit),
         "up": report.up,
         "bytes": result.bytes,
-        **({} if report.shot is None else {"shot": report.shot.as_dict()}),
+        **_shot_json(report),
         "seconds": {name: round(value, 6) for name, value in report.seconds.items()},
         "megabytes_per_second": _speed(report),
         "error": _error_json(report, report.worst),
@@ -295,6 +300,7 @@ def convert_text(report: ConvertReport) -> list[str]:
     """Return the lines of a summary of a conversion."""
     frames, joints = counted(report.frames, "frame"), counted(report.joints, "joint")
     lines = [f"{report.output}: {frames}, {joints}", f"  {report.span}"]
+    lines += _shot_text(report)
     if report.reduction is not None:
         made = _reduction_text(report.reduction, report.frames)
         lines += [f"  {line}" for line in made]
@@ -337,6 +343,7 @@ def convert_json(report: ConvertReport) -> dict[str, object]:
         "fps": float(report.span.fps),
         "rate": str(report.span.fps),
         "joints": report.joints,
+        **_shot_json(report),
         **_reduction_json(report.reduction),
         **_channels_json(report),
         "notices": [notice.as_dict() for notice in report.notices],

@@ -21,6 +21,7 @@ from animtool.scene.sources import (
     is_usd,
     open_source,
 )
+from animtool.shot import Shot
 from animtool.take import Take
 
 if TYPE_CHECKING:
@@ -48,6 +49,7 @@ class ConvertReport:
         notices: Warnings and notes.
         keyed: The keys, where a clip was written, and how far they are off.
         files: Every file written, ``output`` last.
+        shot: The shot that was written; None is no shot.
     """
 
     output: Path
@@ -57,6 +59,7 @@ class ConvertReport:
     notices: list[Fault]
     keyed: KeyedTake | None = None
     files: list[Path] = field(default_factory=list)
+    shot: Shot | None = None
 
     @property
     def reduction(self) -> Reduction | None:

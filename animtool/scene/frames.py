@@ -81,7 +81,6 @@ def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
         OptionError: The take has no frame of the shot (SCN042), or of the range.
     """
     options = plan.options
-    notices = [] if options.shot is None else missing_frames(plan, options.shot, clock)
     times = plan_samples(
         clock,
         plan.fps,
@@ -91,8 +90,15 @@ def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
         keep_samples=options.keep_samples,
         hold=options.shot is not None,
     )
-    if options.shot is None:
+    wanted = options.frame_range
+    if options.shot is None or wanted is None:
         notices = _range_notice(plan, times)
+    else:
+        notices = missing_frames(plan, options.shot, clock)
+        # Also where samples are kept that are not on the first and the last frame.
+        first, last = Fraction(wanted.first), Fraction(wanted.last)
+        if options.keep_samples:
+            times = replace(times, first=first, last=last)
     plan.notices.extend([*notices, *_end_notices(plan, times)])
     return times
 

@@ -184,13 +184,16 @@ def _planned(
         message = f"a {_kind(output)} file has no place for {paths}"
         notices.append(output.place.fault("SCN112", message, None, Severity.NOTE))
         stream = TracksAside(stream).stream
+    fps = options.fps or stream.fps
+    if options.shot is not None:
+        options = replace(options, shot=replace(options.shot, fps=fps))
     return TakePlan(
         scene.path,
         "",
         stream,
         None,
         options,
-        options.fps or stream.fps,
+        fps,
         start_of(options, None, stream, scene.path),
         notices,
     )
@@ -206,7 +209,7 @@ def _converted(plan: TakePlan, path: Path) -> ConvertReport:
         details=plan.stream.details,
     )
     is_clip = kind_of(path) is OutputKind.CLIP
-    return convert(
+    report = convert(
         plan.source,
         path,
         overwrite=options.overwrite,
@@ -215,6 +218,7 @@ def _converted(plan: TakePlan, path: Path) -> ConvertReport:
         reduce_at=options.reduce_at if is_clip else (),
         opener=lambda *_, **__: stream,
     )
+    return replace(report, shot=options.shot)
 
 
 def _on_clock(plan: TakePlan) -> Take:

@@ -8,10 +8,12 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from support.batch import take_files, whole_outputs
 from support.cli import animtool
 
+from animtool import open_source
 from animtool.batch.cuts import SHOT_NAMES, CutOptions, read_cuts
 from animtool.errors import FormatError, OptionError
 from animtool.files import FoundFile
@@ -223,6 +225,40 @@ def test_motion_that_does_not_go_forward_is_refused(takes: Path) -> None:
     with pytest.raises(FormatError) as error:
         read_cuts(timeline(takes / "a.otio", back, still))
     assert [fault.code for fault in error.value.faults] == ["BAT044", "BAT044"]
+
+
+@pytest.mark.parametrize(
+    ("shown", "said"),
+    [
+        (span(0, 0), "shows no frame"),
+        (span(0, 1e9), "too many frames"),
+        (span(0, float("nan")), "cannot be used"),
+        (span(0, 4, 0), "cannot be used"),
+    ],
+)
+def test_ranges_that_cannot_be_used(takes: Path, shown: Any, said: str) -> None:
+    path = timeline(takes / "a.otio", clip("sh010", "takes/take000.bvh", shown))
+    with pytest.raises(FormatError, match=said) as error:
+        read_cuts(path)
+    assert error.value.code == "BAT041"
+
+
+def test_outputs_that_are_no_usd_have_the_frames_of_the_shot(takes: Path) -> None:
+    (takes / "shot.scene.yaml").write_text(
+        'scene: animtool/1\nsource: {file: "${input}"}\n'
+        "output:\n  - file: ${shot}.usda\n  - file: ${shot}.bvh\n"
+    )
+    made = clip("sh010", "takes/take000.bvh", span(12, 10), span(0, 40, 30))
+    timeline(takes / "edit.otio", made, rate=24)
+    words = ["--scene", "shot.scene.yaml", "--executor", "serial"]
+    done = animtool("batch", "edit.otio", *words, cwd=takes)
+    assert done.code == 0, done.stderr
+    one, other = (open_source(takes / f"sh010.{kind}") for kind in ("usda", "bvh"))
+    one, other = one.collect(), other.collect()
+    assert one.clock.count == other.clock.count == 10
+    assert one.clock.fps == other.clock.fps == 24
+    apart = one.world().positions - other.world().positions
+    assert np.abs(apart).max() < 1e-5
 
 
 def test_nested_clips_are_shots(takes: Path) -> None:

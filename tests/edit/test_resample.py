@@ -151,3 +151,41 @@ def test_a_rate_that_is_none_is_refused(fps: Any) -> None:
 @pytest.mark.parametrize("fps", [23.976, "23.976", "24000/1001"])
 def test_rates_are_taken_as_they_are_written(fps: float | str) -> None:
     assert resampled(spin(3, Fraction(30)), fps).clock.fps == Fraction(24000, 1001)
+
+
+@given(
+    st.fractions(-20, 20, max_denominator=1001),
+    st.sampled_from([Fraction(24), Fraction(30), NTSC]),
+    st.integers(-30, 30),
+    st.integers(0, 60),
+    st.integers(1, 5),
+)
+def test_a_range_of_a_take_that_begins_within_a_frame(
+    start: Fraction, fps: Fraction, first: int, more: int, step: int
+) -> None:
+    """Whole frames are sampled at their own time; what is missing is held."""
+    take = spin(121, Fraction(30))
+    wanted = FrameRange(first, first + more, step)
+    times = plan_samples(take.clock, fps, start, frame_range=wanted, hold=True)
+    assert times.codes.tolist() == list(range(first, first + more + 1, step))
+    motion = Motion.concatenate([motion for _, motion in sample(take, times)])
+    seconds = np.clip((times.codes - float(start)) / float(fps), 0, 120 / 30)
+    assert_allclose(motion.translations.dense()[:, 0, 0], seconds, atol=1e-12)
+    inside = [n for n in times.codes if start <= n <= start + 120 * fps / 30]
+    if not inside:
+        with pytest.raises(OptionError, match="CLI005"):
+            plan_samples(take.clock, fps, start, frame_range=wanted)
+        return
+    own = plan_samples(take.clock, fps, start, frame_range=wanted)
+    assert own.codes.tolist() == inside
+
+
+def test_samples_between_the_frames_of_a_range_are_counted() -> None:
+    wanted = FrameRange(1, 9)
+    for start, between in (
+        (Fraction(0), 32),
+        (Fraction(-1, 5), 32),
+        (Fraction(1, 7), 40),
+    ):
+        times = plan_samples(clock(400), Fraction(24), start, frame_range=wanted)
+        assert times.between == between

@@ -97,6 +97,7 @@ def expected(name: str, fps: float, *, own: bool) -> tuple[Fraction, int, Fracti
         (24, False, None),
         (24000 / 1001, True, None),
         (24, True, TRIM),
+        (24000 / 1001, True, TRIM),
         (24, True, CUT),
     ],
 )

@@ -125,6 +125,23 @@ def test_nothing_is_inside_of_what_is_written(tmp_path: Path) -> None:
     assert far[:, outside].min() > 0.2 - 1e-3
 
 
+def test_nothing_is_inside_where_a_shot_begins_before_its_take(tmp_path: Path) -> None:
+    shot = "shot: {start: 4, cut: [4, 9], handles: 3}\n"
+    report = bake(scene(tmp_path, shot), tmp_path / "o.usdc")
+    assert "SCN106" in [n.code for n in report.notices]
+    found = values(tmp_path / "o.usdc")
+    assert list(found) == list(range(1, 13))
+    world = open_source(tmp_path / "o.usdc").collect().world()
+    hips = world.positions[:, load_rig(tmp_path / "pair.rig.yaml").index("hips")]
+    np.testing.assert_allclose(hips[:3], hips[[3, 3, 3]], atol=1e-12)
+    away = np.stack(list(found.values())) / 100 - hips[:, None]
+    away[..., 1] -= np.clip(away[..., 1], -0.3, 0.3)
+    far = np.linalg.norm(away, axis=-1)
+    outside = far[0] > 0.2
+    assert outside.sum() > 100
+    assert far[:, outside].min() > 0.2 - 1e-3
+
+
 LEAD = """\
 systems:
 - rope:
