@@ -20,6 +20,7 @@ from animtool.rig.file import load_rig
 from animtool.scene.file import load_scene
 from animtool.scene.start import rest_take
 from animtool.scene.tracks import TrackNames
+from animtool.shot import Shot
 
 FROZEN = Path(__file__).parent / "frozen"
 
@@ -94,9 +95,9 @@ def test_scene_1_of_a_shot(tmp_path: Path) -> None:
         "01:00:00:02.5",
     ]
     assert scene.sources[1].tracks == TrackNames(("wrist_*",), ("jaw",), ("grin",))
-    assert (scene.bake.frame_range, scene.bake.cut) == (
+    assert (scene.bake.frame_range, scene.bake.shot) == (
         FrameRange(1003, 1010),
-        (1005, 1008),
+        Shot(1005, 1008, 2, 2),
     )
     assert len(scene.bake.samples) == 3
     assert [output.path and output.path.name for output in scene.outputs] == [
