@@ -13,7 +13,6 @@ from typing import Any
 from urllib.parse import unquote, urlsplit
 
 from animtool.batch.cut_metadata import CutMetadata, cut_metadata
-from animtool.clock import MOST_FRAMES
 from animtool.config import find_config
 from animtool.documents.names import nearest
 from animtool.errors import (
@@ -291,6 +290,9 @@ class _Reader:
 
     def clip(self, entry: _Entry) -> None:
         """Take a clip."""
+        # It imports numpy, and a batch of files is planned without.
+        from animtool.clock import MOST_FRAMES
+
         clip, named = entry.clip, entry.named
         found = self.medium(clip, named)
         if found is None:
