@@ -6,7 +6,7 @@ import math
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from animtool.cli.summary import channel_lines
+from animtool.cli.summary import channel_lines, channels_json
 from animtool.clock import frame_label
 from animtool.errors import counted, listed
 from animtool.ik.report import BEYOND, limit_counts, status_counts
@@ -129,8 +129,17 @@ def ik_json(report: IkReport) -> dict[str, object]:
             {"frame": float(clock.times[jump.frame]), "joint": jump.joint}
             for jump in solved.jumps
         ],
+        **_written_json(report),
         "notices": [notice.as_dict() for notice in report.notices],
     }
+
+
+def _written_json(report: IkReport) -> dict[str, object]:
+    """Return the channels of a clip that was written, nothing for other outputs."""
+    written: Any = report.written
+    return (
+        {} if written is None or hasattr(written, "result") else channels_json(written)
+    )
 
 
 def _finite(value: float) -> float | None:

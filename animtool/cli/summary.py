@@ -23,6 +23,8 @@ __all__ = [
     "bake_details",
     "bake_json",
     "bake_text",
+    "channel_lines",
+    "channels_json",
     "convert_json",
     "convert_text",
     "output_json",
@@ -30,6 +32,9 @@ __all__ = [
     "table_json",
     "table_text",
 ]
+
+# Errors of channels that are not worth a line, in their units.
+ROUNDING = 1e-9
 
 
 def _finite(value: float) -> float | None:
@@ -324,9 +329,9 @@ def channel_lines(report: ConvertReport) -> list[str]:
         if key not in worst or error.error > worst[key].error:
             worst[key] = error
     off = [
-        f"{error.error:.3g}{f' {error.unit}' if error.unit else ''} ({error.target})"
+        f"{' '.join([plain(error.error), error.unit]).strip()} ({error.target})"
         for error in worst.values()
-        if error.error > 0
+        if error.error > ROUNDING
     ]
     lines = [f"keys on {', '.join(counts)}"]
     return [*lines, f"largest errors of channels: {', '.join(off)}"] if off else lines
@@ -345,12 +350,12 @@ def convert_json(report: ConvertReport) -> dict[str, object]:
         "joints": report.joints,
         **_shot_json(report),
         **_reduction_json(report.reduction),
-        **_channels_json(report),
+        **channels_json(report),
         "notices": [notice.as_dict() for notice in report.notices],
     }
 
 
-def _channels_json(report: ConvertReport) -> dict[str, object]:
+def channels_json(report: ConvertReport) -> dict[str, object]:
     """Return the channels of a clip and their errors, nothing for other outputs."""
     if report.keyed is None:
         return {}
@@ -360,7 +365,7 @@ def _channels_json(report: ConvertReport) -> dict[str, object]:
                 "target": error.target,
                 "error": error.error,
                 "unit": error.unit or None,
-                "frame_index": error.frame,
+                "frame": error.frame,
             }
             for error in report.keyed.errors
         ]

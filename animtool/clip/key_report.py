@@ -14,6 +14,7 @@ from animtool.clip.tracks import Track
 from animtool.clip.units import ClipUnits
 from animtool.errors import Fault, Severity, listed
 from animtool.maths import so3
+from animtool.quantities import plain
 from animtool.rig.control_inverse import SolvedControls, keyed_values
 from animtool.rig.skeleton import JointType, Rig
 from animtool.rig.targets import KEYED_PARTS, split_part
@@ -33,13 +34,13 @@ class ChannelError:
         target: Of the channel.
         error: The largest, in ``unit``.
         unit: Of the clip's file: ``deg``, ``rad``, a length, or empty.
-        frame: Index of the frame where that is.
+        frame: Time code where that is.
     """
 
     target: str
     error: float
     unit: str
-    frame: int
+    frame: float
 
 
 def channel_errors(
@@ -93,7 +94,8 @@ def channel_errors(
     for channel in clip.channels:
         off, unit = errors(channel.target)
         frame = int(np.argmax(off))
-        made.append(ChannelError(channel.target, float(off[frame]), unit, frame))
+        code = float(take.clock.times[frame])
+        made.append(ChannelError(channel.target, float(off[frame]), unit, code))
     return tuple(made)
 
 
@@ -162,10 +164,10 @@ def _on_top(
             before = track.before
             assert before is not None
             most = so3.angle_between(turns, before).max() / units.angle
-            amount = f"{most:.4g} {angle}"
+            amount = f"{plain(most)} {angle}"
         elif track.part in {"slide", "translation"}:
             most = np.linalg.norm(track.samples, axis=1).max() / units.length
-            amount = f"{most:.4g} {unit_name(units.length)}"
+            amount = f"{plain(most)} {unit_name(units.length)}"
         else:
             continue
         joint = rig.joints[track.index].name
@@ -184,12 +186,14 @@ def _off_type(
         joint, motion = rig.joints[track.index], joints[track.index]
         if track.part == "local_rotation":
             does = "turns" if joint.type is not JointType.PIN else "turns off its axis"
-            amount = f"{motion.turn_off / units.angle:.4g} {angle}"
+            amount = f"{plain(motion.turn_off / units.angle)} {angle}"
         elif track.part == "local_translation":
             does = (
                 "moves off its axis" if joint.type is JointType.PRISMATIC else "moves"
             )
-            amount = f"{motion.shift_off / units.length:.4g} {unit_name(units.length)}"
+            amount = (
+                f"{plain(motion.shift_off / units.length)} {unit_name(units.length)}"
+            )
         else:
             continue
         message = f"joint {joint.name!r} of type {joint.type} {does}, by up to {amount}"

@@ -79,6 +79,28 @@ def test_the_report_in_json(place: Path) -> None:
     assert found["degrees_of_freedom"] > found["conditions"] > 0
 
 
+def test_a_clip_keeps_the_controls_of_the_poses_that_it_starts_from(
+    root: Path, tmp_path: Path
+) -> None:
+    stride, out = root / "samples/stride", tmp_path / "rail.clip.yaml"
+    done = animtool(
+        "ik", root / "rigs/biped/biped.rig.yaml", "-t", stride / "rail.targets.yaml",
+        "--clip", stride / "stride.clip.yaml", "-o", out, "--format", "json",
+    )  # fmt: skip
+    assert done.code == 0, done.stderr
+    channels = json.loads(done.stdout)["channels"]
+    targets = [channel["target"] for channel in channels]
+    text = out.read_text("utf-8")
+    assert targets == re.findall("^- target: (.*)$", text, re.M)
+    controls = [target for target in targets if target.startswith("control/")]
+    assert len(controls) == 4
+    assert "joint/elbow_r.angle" in targets
+    assert not [target for target in targets if ".local_" in target]
+    assert {channel["unit"] for channel in channels} == {None, "m", "deg"}
+    # The head looks at a sign beside what look_x makes it look at.
+    assert "CLIP116" in done.stderr
+
+
 def test_what_is_out_of_reach_is_named(place: Path) -> None:
     done = run(place, "-t", "far.targets.yaml", "-o", "far.usda")
     assert done.code == 0
