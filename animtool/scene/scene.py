@@ -238,7 +238,12 @@ class Scene:
         # Loaded by name: systems open scenes themselves.
         segments = load_object("animtool.scene.systems.segments:segments_of")
         found = cast("Callable[..., FloatArray]", segments)
-        return found(self.systems, self.path, take, system, particle, progress)
+        shot, lead = self.bake.shot, 0.0
+        if shot is not None and shot.places_media:
+            # Where a shot begins before its take, the take's first pose is held.
+            early = take.clock.start - shot.start
+            lead = max(0.0, float(early / take.clock.fps))
+        return found(self.systems, self.path, take, system, particle, progress, lead)
 
     def _source(self, progress: Progress = None) -> TakeStream:
         """Return the source, counted by the meter."""

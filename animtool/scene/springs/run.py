@@ -251,10 +251,10 @@ class SpringRun:
 def _by_motions(
     phase: Callable[[], Progress], begin: float, last: float
 ) -> Callable[[float], None]:
-    """Return what is told the times of motions, of which each is a phase."""
+    """Return a function of the time reached; each motion it sees is a phase."""
     span, before, tell = max(last - begin, 1e-9), np.inf, None
 
-    def told(t: float) -> None:
+    def show(t: float) -> None:
         nonlocal before, tell
         if t < before:
             tell = phase()
@@ -262,4 +262,4 @@ def _by_motions(
         if tell is not None:
             tell((t - begin) / span)
 
-    return told
+    return show

@@ -113,12 +113,12 @@ class SystemRun:
         """
         times = [float((code - first) / fps) for code in codes]
         self._foresee(times)
-        told = None if self._phases is None else self._phases.last()
-        self._frames = told
+        show = None if self._phases is None else self._phases.last()
+        self._frames = show
         for k, (code, t) in enumerate(zip(codes, times, strict=True)):
             yield float(code), [self._row(i, t) for i in self.written]
-            if told is not None:
-                told((k + 1) / len(codes))
+            if show is not None:
+                show((k + 1) / len(codes))
 
     def _foresee(self, times: Sequence[float]) -> None:
         """Let surfaces that may tear know where they will."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
@@ -37,6 +38,7 @@ def segments_of(
     name: str,
     particle: str,
     progress: Progress = None,
+    lead: float = 0.0,
 ) -> FloatArray:
     """Return a particle of a rope or strand, the one before it first ``(F, 2, 3)`` [m].
 
@@ -50,6 +52,7 @@ def segments_of(
         name: Of the system.
         particle: The name of a place with one particle, or a number.
         progress: Called with the share done, 0 to 1.
+        lead: How long the systems begin before the take, whose first pose is held [s].
 
     Raises:
         OptionError: There is no such system or particle, or the system is no rope and
@@ -59,9 +62,10 @@ def segments_of(
     """
     index = _index(systems, name)
     numbers = simulated_with(systems, [index])
-    times = np.arange(take.clock.count) * float(take.clock.step / take.clock.fps)
+    own = motion_of(path, take)
+    times = own.times + lead
     opened = open_systems(
-        [systems[i] for i in numbers], float(times[-1]), motion_of(path, take)
+        [systems[i] for i in numbers], float(times[-1]), replace(own, times=times)
     )
     running = _running(opened[numbers.index(index)], name)
     found = _particles(running, name, particle)
