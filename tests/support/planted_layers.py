@@ -190,6 +190,15 @@ def bind_scaled(factor: float) -> Edit:
     return bind(change)
 
 
+def shown_rate(rate: float) -> Edit:
+    return lambda stage: stage.SetFramesPerSecond(rate)
+
+
+def one_bind_moved(found: np.ndarray, _: np.ndarray) -> np.ndarray:
+    found[9, 3, 1] += 400.0
+    return found
+
+
 def bind_moved(found: np.ndarray, _: np.ndarray) -> np.ndarray:
     found[:, 3, 0] += 5000.0
     return found
@@ -325,6 +334,12 @@ LAYERS = [
     PlantedLayer("samples 1.25 time codes apart", "walk",
                  retimed(lambda t: 1.0 + (t - 1.0) * 1.25), "MOT207",
                  frozenset({"USD256"})),
+    PlantedLayer("25 frames a second stated beside 30", "walk", shown_rate(25.0),
+                 "MOT207"),
+    PlantedLayer("one sample astray", "walk",
+                 retimed(lambda t: t + 0.3 * (t == 20.0)), "MOT216",
+                 frozenset({"MOT205"})),
+    PlantedLayer("a bind transform far away", "stride", bind(one_bind_moved), "MOT220"),
     PlantedLayer("drifting samples", "walk",
                  retimed(lambda t: t + 1e-4 * (t - 1.0)), "MOT216"),
     PlantedLayer("samples half a frame off", "stride", retimed(lambda t: t + 0.5),

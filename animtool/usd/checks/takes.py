@@ -47,6 +47,7 @@ class AnimationTake:
             this take.
         has_rest: Whether the Skeleton is on the stage.
         influencing: Names of joints that move points; None without a skinned mesh.
+        shown_rate: framesPerSecond, where it is stated.
         bind: Joint positions of the bind pose, world ``(J, 3)`` [m].
     """
 
@@ -57,6 +58,7 @@ class AnimationTake:
     has_rest: bool
     influencing: frozenset[str] | None
     bind: FloatArray | None
+    shown_rate: float | None
 
 
 def animation_takes(subject: Subject, path: Path) -> list[AnimationTake]:
@@ -146,7 +148,16 @@ def _take(
         skeleton is not None,
         _influencing(subject, skeleton, found) if skeleton else None,
         _bind(skeleton, rig) if skeleton else None,
+        _shown_rate(subject.stage),
     )
+
+
+def _shown_rate(stage: Any) -> float | None:
+    """Return the frames a second that a stage states."""
+    if not stage.HasAuthoredMetadata("framesPerSecond"):
+        return None
+    rate = float(stage.GetFramesPerSecond())
+    return rate if rate > 0.0 else None
 
 
 def _rig(

@@ -25,6 +25,9 @@ TRAVEL = 0.2
 SLIDE_SPEED, SLIDE_SECONDS = 0.12, 0.1
 # Over this way at once, or over the lesser one so many times [size], [1].
 SLIDE_WAY, OFTEN_WAY, OFTEN = 0.08, 0.035, 3
+# Or it never stands: in four of five frames on the ground it moves at this speed
+# [size/s], which is twice that of the roughest capture, for so long in all [s].
+SKATE_SPEED, SKATE_SHARE, SKATE_SECONDS = 0.012, 0.2, 1.0
 # The speed is that over this time [s]: shorter, it is noise.
 SPEED_SECONDS = 0.1
 # A foot is sunk that is this far below its ground [size], for so long [s].
@@ -66,6 +69,7 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
         if way >= OFTEN_WAY * subject.size and seconds >= SLIDE_SECONDS:
             ways.append((way, first, last))
     if len(ways) < OFTEN and not any(w >= SLIDE_WAY * subject.size for w, *_ in ways):
+        yield from _skating(subject, contacts, slowest)
         return
     way, first, last = max(ways)
     foot = int(contacts.feet[int(speeds[first : last + 1].mean(axis=0).argmin())])
@@ -76,6 +80,28 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     )
     hint = "hold it with IK, or let a cycle stay on the spot"
     yield subject.fault("MOT208", foot, first, message, hint)
+
+
+def _skating(
+    subject: MotionSubject, contacts: Contacts, slowest: FloatArray
+) -> Iterator[Fault]:
+    """Yield that no foot ever stands still, though each slides a little alone."""
+    standing = np.flatnonzero(contacts.near.any(axis=1))
+    if len(standing) * subject.interval < SKATE_SECONDS:
+        return
+    speeds = slowest[standing]
+    if np.quantile(speeds, SKATE_SHARE) < SKATE_SPEED * subject.size:
+        return
+    usual = float(np.median(speeds))
+    frame = int(standing[int(np.abs(speeds - usual).argmin())])
+    foot = int(contacts.feet[int(contacts.near[frame].argmax())])
+    message = (
+        f"no foot stands still on the ground: the slowest moves at {usual:.2g} m/s in "
+        f"the middle of {len(standing)} frames, such as "
+        f"{subject.take.rig.joints[foot].name!r} at frame {subject.at(frame)}"
+    )
+    hint = "hold feet with IK while they stand"
+    yield subject.fault("MOT208", foot, frame, message, hint)
 
 
 def _travel(subject: MotionSubject) -> float:

@@ -15,10 +15,14 @@ __all__ = ["off_frame", "other_range"]
 ROUNDING = 1e-6
 # Further from it, a sample is one of its own, as for motion blur [time codes].
 OWN_SAMPLE = 0.05
+# Of unevenly spaced samples, so few off the frame are astray; more are of a grid of
+# their own [1].
+ASTRAY_SHARE = 0.25
 # A range may begin and end this far from the samples [time codes].
 RANGE_SLACK = 1.0
-# Share of the samples' span that a range must hold nothing in for it to be odd [1].
-EMPTY_SHARE = 0.1
+# Of the span of the samples, how far a range may begin before or end after them, where
+# a pose is held more often [1].
+EARLY_SHARE, LATE_SHARE = 0.02, 0.1
 
 
 def off_frame(subject: MotionSubject) -> Iterator[Fault]:
@@ -28,6 +32,9 @@ def off_frame(subject: MotionSubject) -> Iterator[Fault]:
         return
     off = codes - np.round(codes)
     drifting = (np.abs(off) > ROUNDING) & (np.abs(off) < OWN_SAMPLE)
+    astray = np.abs(off) > ROUNDING
+    if float(astray.mean()) < ASTRAY_SHARE:
+        drifting = astray
     if drifting.any():
         worst = int(np.where(drifting, np.abs(off), 0.0).argmax())
         message = (
@@ -55,8 +62,10 @@ def other_range(subject: MotionSubject) -> Iterator[Fault]:
     start, end = subject.frame_range
     first, last = float(subject.codes[0]), float(subject.codes[-1])
     early, late = first - start, end - last
-    slack = max(RANGE_SLACK, EMPTY_SHARE * (last - first))
-    if start > last or end < first or max(early, late) <= slack:
+    most = last - first
+    is_early = early > max(RANGE_SLACK, EARLY_SHARE * most)
+    is_late = late > max(RANGE_SLACK, LATE_SHARE * most)
+    if start > last or end < first or not (is_early or is_late):
         return
     message = (
         f"the range is {start:g} to {end:g}, and the samples are at {first:g} to "

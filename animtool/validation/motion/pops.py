@@ -10,7 +10,12 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, listed
-from animtool.validation.motion.steps import around, mean_around, surprises
+from animtool.validation.motion.steps import (
+    around,
+    changes,
+    mean_around,
+    surprises,
+)
 from animtool.validation.motion.subject import MotionSubject
 
 __all__ = ["joint_pops", "reference_pose", "root_pops"]
@@ -19,7 +24,7 @@ __all__ = ["joint_pops", "reference_pose", "root_pops"]
 LEAST_TURN = math.radians(18.5)
 # The same of moves, of the rig's size: of a joint against its parent, where rigs that
 # slide and stretch do so on purpose; and of a root, which is seen sooner [1].
-LEAST_SHIFT, LEAST_ROOT_SHIFT = 0.2, 0.03
+LEAST_SHIFT, LEAST_ROOT_SHIFT = 0.2, 0.02
 # No motion at the rates in use turns a joint so far in one frame [rad].
 FLIP = math.radians(120.0)
 # A pop is as many times rougher than the motion around: kicks, claps and landings at
@@ -31,9 +36,9 @@ TURN_NOISE, SHIFT_NOISE = math.radians(1.0), 0.002
 ABOVE_BESIDE = 5.5
 # Motion around: this long before and after, but some steps at least [s], [1].
 REACH_SECONDS, FEWEST_STEPS = 0.12, 12
-# A move is as many times what is done beside it: a ball that bounces turns its speed
-# round in one step, which is twice that [1].
-ABOVE_SPEED = 2.4
+# A move is as many times what the speed changes by: a ball that bounces turns its speed
+# round in one step, and that is the jump [1].
+ABOVE_CHANGE = 2.5
 # Steps beside a pop that it disturbs itself [1].
 GAP = 2
 # Fewer frames do not show what is usual in them.
@@ -138,7 +143,8 @@ def _turn_pops(subject: MotionSubject, columns: IntArray) -> _Pops:
     amounts = surprises(turns, _ignored(subject))
     flags = _stands_out(subject, amounts, LEAST_TURN, TURN_NOISE)
     # Where every other step is one, none is above what is around it.
-    flags |= (amounts > FLIP) & (amounts > 2.0 * np.median(amounts, axis=0))
+    flips = np.linalg.norm(turns, axis=2) > FLIP
+    flags |= flips & (amounts > LEAST_TURN + 2.0 * np.median(amounts, axis=0))
     return _Pops(joints, flags, amounts, "rad")
 
 
@@ -150,7 +156,7 @@ def _shift_pops(subject: MotionSubject, columns: IntArray, least: float) -> _Pop
     amounts = surprises(shifts, _ignored(subject))
     size = subject.size
     flags = _stands_out(subject, amounts, least * size, SHIFT_NOISE * size)
-    flags &= amounts > ABOVE_SPEED * around(np.linalg.norm(shifts, axis=2))
+    flags &= amounts > ABOVE_CHANGE * changes(shifts)
     return _Pops(joints, flags, amounts, "m")
 
 

@@ -222,18 +222,34 @@ def repeated_frames(subject: MotionSubject) -> Iterator[Fault]:
     yield from _odd_step(subject)
 
 
+def _is_multiple(ratio: float) -> bool:
+    """Return whether a positive ratio is a whole number, or one part of a whole.
+
+    >>> _is_multiple(2.0), _is_multiple(1 / 3), _is_multiple(1.25)
+    (True, True, False)
+    """
+    parts = ratio if ratio >= 1.0 else 1.0 / ratio
+    return abs(parts - round(parts)) < 0.02
+
+
 def _odd_step(subject: MotionSubject) -> Iterator[Fault]:
     """Yield that samples lie evenly, but neither on frames nor on parts of them."""
     if subject.codes is None or subject.frames < FEWEST_FRAMES:
         return
     gaps = np.diff(subject.codes)
     step = float(np.median(gaps))
-    if np.abs(gaps - step).max() > 0.02 * step:
-        return
-    parts = step if step >= 1.0 else 1.0 / step
-    if abs(parts - round(parts)) < 0.02 * parts / max(round(parts), 1):
-        return
     fps = float(subject.take.clock.fps)
+    shown = subject.shown_rate
+    if shown is not None and not _is_multiple(fps / shown):
+        message = (
+            f"the stage shows {shown:g} frames a second, and has {fps:g} time codes a "
+            "second: most frames fall between samples"
+        )
+        hint = "author framesPerSecond and timeCodesPerSecond alike"
+        yield subject.fault("MOT207", None, 0, message, hint)
+        return
+    if np.abs(gaps - step).max() > 0.02 * step or _is_multiple(step):
+        return
     message = (
         f"samples lie {step:.6g} time codes apart: {fps / step:.4g} a second in a "
         f"stage of {fps:g} time codes a second"

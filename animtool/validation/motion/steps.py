@@ -8,7 +8,7 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray
 
-__all__ = ["around", "mean_around", "runs", "surprises"]
+__all__ = ["around", "changes", "mean_around", "runs", "surprises"]
 
 
 def surprises(steps: FloatArray, cuts: BoolArray) -> FloatArray:
@@ -74,6 +74,23 @@ def around(values: FloatArray) -> FloatArray:
     comes_back = np.maximum(before, after2)
     came_back = np.maximum(before2, after)
     return np.asarray(np.minimum(stays, np.minimum(comes_back, came_back)))
+
+
+def changes(steps: FloatArray) -> FloatArray:
+    """Return how far the steps after each differ from those before ``(S, N)``.
+
+    A ball that bounces goes on another way, and a root that jumps goes on as before.
+    As in `around`, of the ways to leave out a neighbour the best one counts.
+
+    Args:
+        steps: Vectors ``(S, N, 3)``.
+    """
+    rows = np.pad(steps, ((2, 2), (0, 0), (0, 0)), mode="edge")
+    before2, before, after, after2 = rows[:-4], rows[1:-3], rows[3:-1], rows[4:]
+    pairs = ((before, after), (before, after2), (before2, after))
+    return np.asarray(
+        np.min([np.linalg.norm(late - early, axis=2) for early, late in pairs], axis=0)
+    )
 
 
 def runs(flags: BoolArray) -> Iterator[tuple[int, int]]:

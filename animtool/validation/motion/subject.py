@@ -40,6 +40,7 @@ class MotionSubject:
         has_units: Whether the file states its unit and up axis; a BVH does not.
         influencing: Joints that move points of a mesh, themselves or through a
             joint below; None where no skinned mesh is known.
+        shown_rate: Frames a second that the file states beside its time codes.
         bind: Positions of the joints in the bind pose, world ``(J, 3)`` [m].
     """
 
@@ -52,6 +53,7 @@ class MotionSubject:
     has_units: bool = True
     influencing: frozenset[str] | None = None
     bind: FloatArray | None = None
+    shown_rate: float | None = None
 
     def fault(
         self, code: str, joint: int | None, frame: int | None, message: str, hint: str

@@ -26,7 +26,7 @@ LARGEST_WEIGHT, SMALLEST_WEIGHT = 2.0, -1.0
 PERCENT = 10.0
 # Bones may differ by this factor between bind and rest; of this share of them, and
 # the bind pose may stand so many sizes away [1].
-OTHER_LENGTH, MOST_BONES, AWAY = 2.0, 0.5, 3.0
+OTHER_LENGTH, MOST_BONES, AWAY = 2.0, 0.5, 1.5
 SHORT = 0.02
 
 
@@ -112,30 +112,35 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
             "times as long as at rest"
         )
         yield subject.fault("MOT220", joint, None, message, hint)
-    elif away > AWAY * subject.size:
+        return
+    if away > AWAY * subject.size:
         message = (
             f"the bind pose stands {away:.3g} m from the rest pose, of a skeleton that "
             f"spans {subject.size:.3g} m"
         )
         yield subject.fault("MOT220", int(rig.roots[0]), None, message, hint)
+        return
+    apart = np.linalg.norm(bind - rest, axis=1)
+    joint = int(apart.argmax())
+    if apart[joint] > AWAY * subject.size:
+        message = (
+            f"{rig.joints[joint].name!r} is {apart[joint]:.3g} m from its rest in the "
+            f"bind pose, of a skeleton that spans {subject.size:.3g} m"
+        )
+        yield subject.fault("MOT220", joint, None, message, hint)
 
 
 def no_influence(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield the joints that move and carry no point of a mesh (MOT221)."""
+    """Yield the joints that carry no point of a mesh (MOT221)."""
     if subject.influencing is None:
         return
     rig = subject.take.rig
-    moves = set(subject.turning.tolist()) | set(subject.moving.tolist())
-    idle = [
-        rig.joints[j].name
-        for j in sorted(moves)
-        if rig.joints[j].name not in subject.influencing
-    ]
+    idle = [name for name in rig.names if name not in subject.influencing]
     if not idle:
         return
     message = (
         f"{counted(len(idle), 'joint')} of {len(rig.joints)} "
-        f"{'moves' if len(idle) == 1 else 'move'}, and no mesh: {listed(idle)}"
+        f"{'moves' if len(idle) == 1 else 'move'} no mesh: {listed(idle)}"
     )
     hint = "paint weights for them, or leave them out of the export"
     yield subject.fault("MOT221", rig.index(idle[0]), None, message, hint)

@@ -99,4 +99,5 @@ def _subject(path: Path, found: AnimationTake) -> MotionSubject:
         has_rest=found.has_rest,
         influencing=found.influencing,
         bind=found.bind,
+        shown_rate=found.shown_rate,
     )
