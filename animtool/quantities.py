@@ -7,7 +7,14 @@ import math
 __all__ = ["duration_text", "length_text", "plain", "size_text"]
 
 # Least number that a unit is used for, the unit, and its name.
-_LENGTHS = ((1.0, 1.0, "m"), (1e-6, 1e-3, "mm"), (0.0, 1e-6, "µm"))
+_LENGTHS = (
+    (1.0, 1.0, "m"),
+    (1e-6, 1e-3, "mm"),
+    (1e-9, 1e-6, "µm"),
+    (0.0, 1e-9, "nm"),
+)
+# Shorter lengths are what rounding in float64 leaves [m].
+LEAST_LENGTH = 1e-12
 _DURATIONS = ((1.0, 1.0, "s"), (1e-3, 1e-3, "ms"), (0.0, 1e-6, "µs"))
 _SIZES = ((1e9, 1e9, "GB"), (1e6, 1e6, "MB"), (1e3, 1e3, "kB"), (0.0, 1.0, "B"))
 
@@ -30,11 +37,13 @@ def plain(value: float, digits: int = 3) -> str:
 
 
 def length_text(meters: float, digits: int = 3) -> str:
-    """Return a length in metres, millimetres or, below one of these, micrometres.
+    """Return a length in metres, or in millimetres or less where it is shorter.
 
     >>> length_text(26.2), length_text(0.00012), length_text(4.1e-8), length_text(0)
     ('26.2 m', '0.12 mm', '0.041 µm', '0 mm')
     """
+    if 0 < abs(meters) < LEAST_LENGTH:
+        return "below 0.001 nm"
     return _text(meters, _LENGTHS, "mm", digits)
 
 

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from animtool.quantities import duration_text, length_text, plain, size_text
 
-NUMBERS = st.floats(1e-15, 1e12)
+NUMBERS = st.floats(1e-12, 1e12)
 FACTORS = {
-    length_text: {"m": 1.0, "mm": 1e-3, "µm": 1e-6},
+    length_text: {"m": 1.0, "mm": 1e-3, "µm": 1e-6, "nm": 1e-9},
     duration_text: {"s": 1.0, "ms": 1e-3, "µs": 1e-6},
     size_text: {"B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9},
 }
@@ -34,3 +34,4 @@ def test_zero_and_what_is_none() -> None:
     zeros = (length_text(0.0), duration_text(0.0), size_text(0))
     assert zeros == ("0 mm", "0 s", "0 B")
     assert length_text(float("inf")) == "inf m"
+    assert length_text(1e-16) == "below 0.001 nm"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Rig
 from animtool.scene.sources import SourceOptions, fitting_options, open_source
 from animtool.take import Take
+from animtool.units import unit_name
 
 # USD holds scales as 16-bit floats, which are 5e-4 apart near one.
 SCALE_TOLERANCE = 1e-3
@@ -99,7 +101,8 @@ def compare(
 ) -> TakeDifference:
     """Compare the takes of two files by time from the first frame, joints by name.
 
-    The second is stood on the up axis of the first. Other first time codes are noted.
+    The second is turned to the up axis of the first, and lengths are compared in
+    metres. Other units, up axes and first time codes are noted.
 
     Args:
         first: A file.
@@ -120,10 +123,23 @@ def compare(
     one, two = (open_source(path, own) for path, own in zip(paths, given, strict=True))
     found = compare_takes(one.collect(), reorient(two, one.rig.up).collect())
     found.notices.extend([*one.notices, *two.notices])
+    found.notes.extend(_space_notes(one.rig, two.rig))
     if None not in {one.start, two.start} and one.start != two.start:
         codes = f"{float(one.start or 0):g} against {float(two.start or 0):g}"
         found.notes.append(f"first time code {codes}; compared from there")
     return found
+
+
+def _space_notes(first: Rig, second: Rig) -> list[str]:
+    """Say in which units and up axes two files are, where these differ."""
+    notes = []
+    if first.up is not second.up:
+        ups = f"{first.up} up against {second.up} up"
+        notes.append(f"{ups}; compared with {first.up} up")
+    if not math.isclose(first.meters_per_unit, second.meters_per_unit, rel_tol=1e-6):
+        units = [unit_name(rig.meters_per_unit) for rig in (first, second)]
+        notes.append(f"lengths in {units[0]} against {units[1]}; compared in metres")
+    return notes
 
 
 def compare_takes(first: Take, second: Take) -> TakeDifference:

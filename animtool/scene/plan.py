@@ -249,7 +249,7 @@ def check_output(
     check_options(options, to_stdout=path is None, simulated=simulated)
     if path is None:
         return []
-    check_suffix(path)
+    check_suffix(path, source)
     layer = [options.rig_layer] if options.rig_layer else []
     outputs = output_files(path, options, simulated=simulated)
     library = form_of(options) is Form.LIBRARY

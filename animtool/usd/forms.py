@@ -10,6 +10,8 @@ from animtool.errors import Fault, OptionError
 __all__ = ["Form", "check_suffix", "output_paths"]
 
 SUFFIXES = (".usd", ".usda", ".usdc")
+# What `convert` writes, and outputs of scenes too.
+CONVERTED = (".bvh", ".yaml", ".yml")
 
 
 class Form(StrEnum):
@@ -37,10 +39,22 @@ def output_paths(output: Path, form: Form) -> list[Path]:
     ]
 
 
-def check_suffix(path: Path) -> None:
-    """Raise `OptionError` where a path is not that of a USD layer (OUT004)."""
-    if path.suffix.lower() not in SUFFIXES:
-        allowed = f"allowed: {', '.join(SUFFIXES)}"
-        kind = f"suffix {path.suffix!r}" if path.suffix else "a name without suffix"
-        message = f"{kind} is no kind of USD layer"
-        raise OptionError(Fault("OUT004", message, str(path), (), allowed))
+def check_suffix(path: Path, source: Path | str = "SOURCE") -> None:
+    """Refuse a path that is not that of a USD file.
+
+    Args:
+        path: Of an output.
+        source: What it is made from, for the command that writes other formats.
+
+    Raises:
+        OptionError: It is another (OUT004).
+    """
+    suffix = path.suffix.lower()
+    if suffix in SUFFIXES:
+        return
+    kind = f"suffix {path.suffix!r}" if path.suffix else "a name without suffix"
+    message = f"{kind} is not a USD extension"
+    hint = f"allowed: {', '.join(SUFFIXES)}"
+    if suffix in CONVERTED:
+        hint = f"write it with: animtool convert {source} {path}"
+    raise OptionError(Fault("OUT004", message, str(path), (), hint))

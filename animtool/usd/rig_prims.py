@@ -131,10 +131,14 @@ def skeleton_rig(skeleton: Any, path: Path) -> SkeletonRig:
     if not (np.abs(rest) <= LARGEST_REST).all():
         _fail("USD004", "a rest transform is not a finite float32", where)
     data = skeleton.GetPrim().GetCustomDataByKey("animtool") or {}
+    # What animtool wrote has names of its own.
+    named = () if data else array_value(skeleton.GetJointNamesAttr())
     model = skeleton.GetPrim().GetParent().GetParent() or skeleton.GetPrim()
     name = model.GetName() if model.GetName() != "/" else skeleton.GetPrim().GetName()
     meters, up = _own_units(skeleton.GetRestTransformsAttr(), stage)
-    return rig_from_tokens(tokens, rest, name, where, meters, up, data)
+    return rig_from_tokens(
+        tokens, rest, name, where, meters, up, data, [str(name) for name in named]
+    )
 
 
 def rig_from_tokens(
@@ -145,8 +149,13 @@ def rig_from_tokens(
     meters_per_unit: float,
     up: UpAxis,
     data: dict[str, Any],
+    named: Sequence[str] = (),
 ) -> SkeletonRig:
-    """Return the rig of joint paths and rest transforms ``(J, 4, 4)``, file units."""
+    """Return the rig of joint paths and rest transforms ``(J, 4, 4)``, file units.
+
+    Joints are called as their paths end. Their names in the source are those of
+    ``data``, else ``named``, the Skeleton's ``jointNames``, where these are usable.
+    """
     index = {token: i for i, token in enumerate(tokens)}
     if len(index) != len(tokens):
         twice = next(t for i, t in enumerate(tokens) if index[t] != i)
@@ -157,6 +166,7 @@ def rig_from_tokens(
         _fail("USD007", "customData animtool is malformed", where)
     extras = _extras(data, where)
     originals = dict(data.get("names", {}))
+    names = named if _are_names(named, len(tokens)) else [""] * len(tokens)
     translations, rotations, scales = decompose(rest)
     joints: list[Joint] = []
     used: set[str] = set()
@@ -179,13 +189,27 @@ def rig_from_tokens(
                 parent,
                 translation=(x, y, z),
                 rotation=(a, b, c, w),
-                source_name=str(originals.get(leaf, "" if unique == leaf else leaf)),
+                source_name=_source_name(originals.get(leaf), names[i], leaf, unique),
                 channels=own.get("channels"),
                 tips=own.get("tips", ()),
             )
         )
     rig = Rig(name, tuple(joints), meters_per_unit, up)
     return SkeletonRig(rig, list(tokens), scales)
+
+
+def _are_names(named: Sequence[str], joints: int) -> bool:
+    """Return whether there is a name for each joint, which files of text can hold."""
+    plain = all(name.strip() and name.isprintable() for name in named)
+    return plain and len(set(named)) == len(named) == joints
+
+
+def _source_name(original: Any, named: str, leaf: str, unique: str) -> str:
+    """Return what a joint's source calls it; empty where that is its own name."""
+    if original is not None:
+        return str(original)
+    found = named or leaf
+    return "" if found == unique else found
 
 
 def array_value(attr: Any, time: Any = None) -> Any:

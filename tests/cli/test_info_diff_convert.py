@@ -4,9 +4,10 @@ import json
 from pathlib import Path
 
 import pytest
-from pxr import Usd
+from pxr import Usd, UsdSkel
 from support.bvh import random_rows, small_bvh
 from support.cli import animtool
+from support.drifting import author_samples
 from support.skinned_rig import write_pair
 
 from animtool.cli.diff import diff
@@ -82,6 +83,74 @@ def test_bvh_to_usd_to_bvh_to_usd(takes: tuple[Path, Path], tmp_path: Path) -> N
     assert animtool("convert", a, tmp_path / "d.fbx").code == 2
     report = animtool("convert", a, b, "--overwrite", "--format", "json")
     assert json.loads(report.stdout)["frames"] == 6
+
+
+def test_names_with_dots_come_back_in_a_bvh(tmp_path: Path) -> None:
+    """They were lost where only ``jointNames`` has them."""
+    dotted = tmp_path / "dotted.bvh"
+    text = small_bvh(random_rows(4)).replace("Spine", "Spine.01")
+    dotted.write_text(text.replace("Hips", "Hips.L"))
+    ours, theirs = tmp_path / "ours.usda", tmp_path / "theirs.usda"
+    assert animtool("convert", dotted, ours).code == 0
+    stage = Usd.Stage.Open(str(ours))
+    prim = stage.GetPrimAtPath("/dotted/Rig/Skel")
+    prim.ClearCustomData()
+    UsdSkel.Skeleton(prim).CreateJointNamesAttr(["Hips.L", "Spine.01"])
+    stage.GetRootLayer().Export(str(theirs))
+    for source in (ours, theirs):
+        back = source.with_suffix(".bvh")
+        assert animtool("convert", source, back).code == 0
+        assert "ROOT Hips.L" in back.read_text()
+        assert "JOINT Spine.01" in back.read_text()
+
+
+def test_names_that_are_none_are_those_of_paths(tmp_path: Path) -> None:
+    source, back = tmp_path / "a.usda", tmp_path / "a.bvh"
+    author_samples(source, [1.0, 2.0, 3.0])
+    stage = Usd.Stage.Open(str(source))
+    skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath("/hero/Rig/Skel"))
+    for names in (["x", "x"], ["x"], ["x", ""], ["x", "y\nz"]):
+        skeleton.CreateJointNamesAttr(names)
+        stage.Save()
+        assert animtool("convert", source, back, "--overwrite").code == 0
+        assert "ROOT hips\n" in back.read_text()
+
+
+def test_diff_says_in_which_space_it_compares(
+    takes: tuple[Path, Path], tmp_path: Path
+) -> None:
+    other = tmp_path / "other.usda"
+    arguments = ("--to-up", "Z", "--to-units", "m")
+    assert animtool("bake", takes[0], "-o", other, *arguments).code == 0
+    done = animtool("diff", takes[0], other, "--tol", "0.001mm")
+    assert done.code == 0, done.stdout
+    assert "Y up against Z up; compared with Y up" in done.stdout
+    assert "lengths in cm against m; compared in metres" in done.stdout
+    assert "compared with" not in animtool("diff", *takes).stdout
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "code"),
+    [("20mm", 0), ("2cm", 0), ("0.02", 0), ("1mm", 1), ("1e-3", 1), ("1parsec", 2)],
+)
+def test_a_tolerance_may_have_a_unit(tmp_path: Path, tolerance: str, code: int) -> None:
+    one, two, rows = tmp_path / "one.bvh", tmp_path / "two.bvh", random_rows(4)
+    one.write_text(small_bvh(rows))
+    rows[2, 0] += 1.0  # cm
+    two.write_text(small_bvh(rows))
+    assert animtool("diff", one, two, "--tol", tolerance).code == code
+
+
+@pytest.mark.parametrize("suffix", ["bvh", "clip.yaml"])
+def test_bake_names_the_command_that_writes_other_formats(
+    takes: tuple[Path, Path], tmp_path: Path, suffix: str
+) -> None:
+    output = tmp_path / f"out.{suffix}"
+    done = animtool("bake", takes[0], "-o", output)
+    assert done.code == 2
+    command = f"animtool convert {takes[0]} {output}"
+    assert command in done.stderr
+    assert animtool(*command.split()[1:]).code == 0
 
 
 def test_what_a_usd_file_states_is_not_stated_again(takes: tuple[Path, Path]) -> None:
