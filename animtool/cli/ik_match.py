@@ -10,7 +10,6 @@ import click
 from animtool.cli.console import Console
 from animtool.cli.outputs import skipped
 from animtool.errors import counted
-from animtool.rates import rate_label
 
 if TYPE_CHECKING:
     from animtool.ik.tracks import GoalTrack
@@ -102,13 +101,8 @@ def _names(text: str | None) -> tuple[str, ...]:
 
 
 def _text(report: MatchReport) -> list[str]:
-    clock = report.clock
-    last = clock.start + clock.step * (clock.count - 1)
-    span = f"frames {float(clock.start):g} to {float(last):g}"
-    if clock.count == 1:
-        span = f"frame {float(clock.start):g}"
     chains = counted(len(report.tracks.goals), "chain")
-    lines = [f"{chains} matched, {span} at {rate_label(clock.fps)}"]
+    lines = [f"{chains} matched, {report.clock.span}"]
     lines += [
         f"  {goal.name}: {', '.join(_parts(goal))} of {goal.goal.joint!r}"
         for goal in report.tracks.goals

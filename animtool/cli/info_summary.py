@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from animtool.clock import frame_label
 from animtool.errors import counted, listed
+from animtool.quantities import plain
 from animtool.rates import rate_label
 
 if TYPE_CHECKING:
@@ -47,7 +49,7 @@ def rig_text(found: RigDescription) -> list[str]:
     lines = [
         f"{found.path}: rig {found.name!r}",
         f"  joints    {sum(found.joints.values())}: {types}; {found.limited} limited",
-        f"  size      {found.size:.4g} {found.units} at rest, {found.up} up",
+        f"  size      {plain(found.size, 4)} {found.units} at rest, {found.up} up",
     ]
     for mesh in found.meshes:
         skin = "follows no joint"
@@ -96,8 +98,8 @@ def take_text(found: TakeDescription) -> list[str]:
         *takes,
         f"  joints    {found.joints} below {roots}{channels}",
         f"  frames    {found.frames} at {rate_label(found.fps)}, "
-        f"{float(found.duration):.4g} s, time codes {float(found.start):g} to "
-        f"{float(found.end):g}{every}",
+        f"{plain(float(found.duration), 4)} s, time codes "
+        f"{frame_label(found.start)} to {frame_label(found.end)}{every}",
         f"  animated  {moving}; the rest never move",
         *shapes,
         *_prim_lines(found.points),
@@ -115,8 +117,8 @@ def points_text(found: PointsDescription) -> list[str]:
         f"{found.path}: {found.format} without a Skeleton",
         f"  prims     {types}",
         f"  frames    {found.frames} at {rate_label(found.fps)}, "
-        f"{float(found.duration):.4g} s, time codes {float(found.start):g} to "
-        f"{float(found.end):g}",
+        f"{plain(float(found.duration), 4)} s, time codes "
+        f"{frame_label(found.start)} to {frame_label(found.end)}",
         *_prim_lines(found.prims),
         f"  space     {found.units}, {found.up} up",
     ]
@@ -160,7 +162,7 @@ def _range(least: int, most: int, noun: str) -> str:
 
 
 def _corners(bounds: tuple[list[float], list[float]]) -> str:
-    return " to ".join("(" + ", ".join(f"{x:.4g}" for x in c) + ")" for c in bounds)
+    return " to ".join("(" + ", ".join(plain(x, 4) for x in c) + ")" for c in bounds)
 
 
 def scene_text(found: SceneDescription) -> list[str]:

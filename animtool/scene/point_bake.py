@@ -115,6 +115,7 @@ def run_point_bake(
     seconds["total"] = time.perf_counter() - began
     seconds["save"] = seconds["total"] - seconds["author"]
     report = _take_report(plan, character, result.takes[0], made.meshes, points, frames)
+    report.between = 0 if opened.times is None else opened.times.between
     notices = stream.notices + plan.notices
     if made.systems is not None:
         report.meshes += made.systems.reports
