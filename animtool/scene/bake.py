@@ -362,7 +362,7 @@ def _usd_places(plan: BakePlan, rig: Rig) -> tuple[UsdNames, list[str], RigPaths
     called = [take.stream.rig.name for take in plan.takes]
     paths = rig_paths(called, plan.target, plan.options, plan.output)
     if plan.target is not None:
-        return UsdNames(rig.names, {}, []), plan.target.skeleton.tokens, paths
+        return plan.target.names, plan.target.skeleton.tokens, paths
     names = joint_names(rig.joints, plan.options.strip_namespace)
     where = str(plan.takes[0].source)
     names = replace(

@@ -144,7 +144,16 @@ def _author_take(
         author_range(
             layer, paths.animation, take.source_name, written.first, written.last
         )
+    if job.form is Form.LAYER and job.names.originals:
+        _author_names(layer.GetPrimAtPath(paths.animation), job.names.originals)
     return _Part(writer, written, take.curves)
+
+
+def _author_names(animation: Any, originals: Mapping[str, str]) -> None:
+    """State names of joints in their source, for a reader that has no rig."""
+    held = dict(animation.GetInfo("customData") or {})
+    data = {**held.get("animtool", {}), "names": dict(originals)}
+    animation.SetInfo("customData", {**held, "animtool": data})
 
 
 def _written(job: UsdJob, take: UsdTake, writer: AnimationWriter) -> WrittenTake:

@@ -214,6 +214,7 @@ def _lost_motion(animation: Any, where: str) -> list[Fault]:
 def _rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
     tokens = [str(token) for token in array_value(animation.GetJointsAttr())]
     where = f"{path}<{animation.GetPath()}>"
+    data = animation.GetPrim().GetCustomDataByKey("animtool") or {}
     if not tokens:
         raise FormatError(Fault("USD002", "the SkelAnimation has no joints", where))
     matrices = np.tile(np.eye(4), (len(tokens), 1, 1))
@@ -228,7 +229,7 @@ def _rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
         where,
         UsdGeom.GetStageMetersPerUnit(stage),
         up_axis(stage),
-        {},
+        {"names": data["names"]} if "names" in data else {},
     )
     return replace(found, rig=replace(found.rig, has_rest=False))
 

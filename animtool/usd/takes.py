@@ -17,7 +17,7 @@ from animtool.usd.author import author, write_usd
 from animtool.usd.forms import Form, check_suffix, output_paths
 from animtool.usd.jobs import UsdJob, UsdResult, UsdTake
 from animtool.usd.layers import check_prim_path
-from animtool.usd.names import UsdNames, joint_names, legal_name
+from animtool.usd.names import joint_names, legal_name
 from animtool.usd.paths import RigPaths
 
 __all__ = ["write"]
@@ -142,7 +142,7 @@ def _layer_job(
         form=Form.LAYER,
         output=path,
         rig=mapping.rig,
-        names=UsdNames(mapping.rig.names, {}, []),
+        names=target.names,
         joints=target.skeleton.tokens,
         paths=target.paths,
         fps=clock.fps,

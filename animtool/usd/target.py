@@ -22,7 +22,7 @@ from animtool.rig.skeleton import Rig
 from animtool.take import Channel, Motion
 from animtool.units import UpAxis, unit_name
 from animtool.usd.layers import check_prim_path, usd_errors
-from animtool.usd.names import joint_names, legal_name
+from animtool.usd.names import UsdNames, joint_names, legal_name
 from animtool.usd.paths import RigPaths
 from animtool.usd.placement import holds_character
 from animtool.usd.rig_prims import (
@@ -81,6 +81,18 @@ class RigTarget:
     unit: float
     up: UpAxis
     notices: list[Fault]
+
+    @property
+    def names(self) -> UsdNames:
+        """Names of its joints, and those of their source where they are others."""
+        rig, tokens = self.skeleton.rig, self.skeleton.tokens
+        originals = {
+            leaf: joint.source_name
+            for joint, token in zip(rig.joints, tokens, strict=True)
+            if (leaf := token.rpartition("/")[2]) != joint.source_name
+            and joint.source_name
+        }
+        return UsdNames(rig.names, originals, [])
 
     def on_stage(self, path: str) -> str:
         """Return where the rig's own stage has a prim of a layer over it."""

@@ -97,7 +97,10 @@ def test_names_with_dots_come_back_in_a_bvh(tmp_path: Path) -> None:
     prim.ClearCustomData()
     UsdSkel.Skeleton(prim).CreateJointNamesAttr(["Hips.L", "Spine.01"])
     stage.GetRootLayer().Export(str(theirs))
-    for source in (ours, theirs):
+    # A layer alone, whose Skeleton is elsewhere.
+    alone = tmp_path / "alone.usda"
+    assert animtool("bake", dotted, "-o", alone, "--rig-layer", ours).code == 0
+    for source in (ours, theirs, alone):
         back = source.with_suffix(".bvh")
         assert animtool("convert", source, back).code == 0
         assert "ROOT Hips.L" in back.read_text()
