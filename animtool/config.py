@@ -12,7 +12,7 @@ from typing import Any
 from animtool.errors import Fault, OptionError
 from animtool.inputs import note_input
 
-__all__ = ["Config", "find_config", "project_roots"]
+__all__ = ["Config", "find_config", "project_around", "project_roots"]
 
 
 # What tools of version control keep at the top of a checkout.
@@ -124,11 +124,22 @@ def _checkout(folder: Path) -> Path | None:
     come from anywhere.
     """
     for above in (folder, *folder.parents):
-        if above == Path(above.anchor) or above == _home():
+        if not _may_be_project(above):
             return None
         if any((above / name).exists() for name in VERSION_CONTROL):
             return above
     return None
+
+
+def project_around(folder: Path, target: Path) -> Path | None:
+    """Return the innermost folder with two paths in it; None where it is no project."""
+    above = (up for up in (folder, *folder.parents) if target.is_relative_to(up))
+    found = next(above, None)
+    return found if found is not None and _may_be_project(found) else None
+
+
+def _may_be_project(folder: Path) -> bool:
+    return folder not in {Path(folder.anchor), _home()}
 
 
 def _home() -> Path | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from animtool.config import find_config
+from animtool.config import find_config, project_around
 from animtool.documents.document import Document, Location
 from animtool.files import nearest_file, seen_from
 
@@ -84,15 +84,22 @@ def _way_out(path: Path, name: str, written: bool) -> str:
         target = (folder / name).resolve()
     except (OSError, RuntimeError):
         return "name a file in the project"
+    if not (written or target.exists()):
+        return (
+            f"it does not exist either: copy {target.name}, and the files that it "
+            f"names, into {folder}, and write its name here"
+        )
     settings = find_config(path).path
+    if settings is None and (around := project_around(folder, target)) is not None:
+        return f"an empty {around / 'animtool.toml'} makes that folder the project"
     wanted = seen_from(target.parent, folder if settings is None else settings.parent)
     line = f'roots = ["{wanted}"]'
-    if not (written or target.exists()):
-        return f"it does not exist either: copy {target.name} here, and name it so"
-    if settings is not None:
-        table = " under [tool.animtool]" if settings.name == "pyproject.toml" else ""
-        return f"to allow that folder, write {line} into {settings}{table}"
-    return f"to allow that folder, write {line} into {folder / 'animtool.toml'}"
+    table = ""
+    if settings is None:
+        settings = folder / "animtool.toml"
+    elif settings.name == "pyproject.toml":
+        table = " under [tool.animtool]"
+    return f"to allow that folder, write {line} into {settings}{table}"
 
 
 def missing_hint(document: Document, name: str) -> str | None:

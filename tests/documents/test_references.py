@@ -37,20 +37,25 @@ def test_the_line_that_allows_a_folder_is_given(tmp_path: Path) -> None:
     rig.parent.mkdir(parents=True)
     rig.touch()
     hint = refused(clip, "../rigs/hero.rig.yaml")
-    assert hint.endswith(f'roots = ["../rigs"] into {clip.parent / "animtool.toml"}')
-    # The line does what it says.
-    (clip.parent / "animtool.toml").write_text('roots = ["../rigs"]\n')
+    settings = tmp_path / "show/animtool.toml"
+    assert hint == f"an empty {settings} makes that folder the project"
     document = document_of("clip: animtool/1\n", clip)
     name = "../rigs/hero.rig.yaml"
+    # It does what the hint says, and so does the line for settings that exist.
+    settings.touch()
     assert referred(document, (), name, project_roots(clip), "CLIP012") == rig
-    (clip.parent / "animtool.toml").unlink()
-    settings = tmp_path / "show/clips/pyproject.toml"
-    settings.write_text("[tool.animtool]\n")
-    assert "under [tool.animtool]" in refused(clip, "../rigs/hero.rig.yaml")
     settings.unlink()
+    own = clip.with_name("pyproject.toml")
+    own.write_text("[tool.animtool]\n")
+    line = 'roots = ["../rigs"]'
+    hint = refused(clip, name)
+    assert hint.endswith(f"write {line} into {own} under [tool.animtool]")
+    own.write_text(f"[tool.animtool]\n{line}\n")
+    assert referred(document, (), name, project_roots(clip), "CLIP012") == rig
+    own.unlink()
     (tmp_path / "show/.git").mkdir()
     assert referred(document, (), name, project_roots(clip), "CLIP012") == rig
-    assert "copy x.rig.yaml here" in refused(clip, "../../x.rig.yaml")
+    assert "copy x.rig.yaml," in refused(clip, "../../x.rig.yaml")
 
 
 def test_a_file_of_a_nearly_right_name_is_named(tmp_path: Path) -> None:
