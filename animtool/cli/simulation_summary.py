@@ -121,7 +121,7 @@ def _ending(row: TrialRow) -> str:
     if step == 0:
         text += "; no step is stable"
     elif step is not None and math.isfinite(step):
-        text += f"; steps up to {step:.3g} s are stable"
+        text += f"; steps up to {plain(step)} s are stable"
     return text
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from animtool.documents.document import Document, Location
 from animtool.documents.names import nearest
 from animtool.maths import so3
+from animtool.quantities import length_text
 from animtool.rig.joint_schema import (
     BallJointModel,
     BallLimitsModel,
@@ -220,7 +221,7 @@ def _note_off_middle(
     parent = made[joint.parent].name
     message = (
         f"{joint.name!r} mirrors {entry.source!r} in the world's plane x = 0, but both "
-        f"hang from {parent!r}, which is {abs(away):.4g} m off it"
+        f"hang from {parent!r}, which is {length_text(abs(away), 4)} off it"
     )
     hint = f"give {parent!r} a mirror, or write both joints without one"
     document.note("RIG101", ("joints", entry.index, "mirror"), message, hint)

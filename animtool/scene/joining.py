@@ -14,6 +14,7 @@ from animtool.edit.other_take import other_frames
 from animtool.edit.places import nearby_places
 from animtool.errors import Fault, OptionError, Severity, excerpt, listed
 from animtool.maths.curves import Curves
+from animtool.quantities import plain
 from animtool.rates import rate_label
 from animtool.reorient import reorient
 from animtool.scene.onto_rig import Noter, on_rig
@@ -304,7 +305,7 @@ class _Joining:
             yield note("SCN103", message, None, Severity.WARNING)
         beyond = (max(-begin, Fraction(0)) + max(end - last, Fraction(0))) / self._rate
         if beyond:
-            message = f"{float(beyond):.3g} s before and behind the first source"
+            message = f"{plain(float(beyond))} s before and behind the first source"
             yield note("SCN104", f"{message} are left out", None, Severity.NOTE)
 
     def _span(self, first: Fraction, last: Fraction) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 
 from animtool.errors import Fault, FormatError, Severity
 from animtool.maths import so3
+from animtool.quantities import length_text
 from animtool.rates import rate_label
 from animtool.rig.skeleton import Rig
 from animtool.scene.options import BakeOptions
@@ -162,7 +163,7 @@ def _rest_notice(first: Rig, other: Rig, path: str, source: str) -> list[Fault]:
     i = int(worse.argmax())
     message = (
         f"the rest pose is not that of {source}: joint {first.names[i]!r} is "
-        f"{apart[i]:.3g} m and {np.degrees(turned[i]):.3g} degrees from it"
+        f"{length_text(apart[i])} and {np.degrees(turned[i]):.3g} degrees from it"
     )
     hint = f"the library has the rest pose of {source}"
     return [Fault("USD130", message, path, (), hint, Severity.WARNING)]

@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.quantities import plain
 from animtool.sim.integrators.integrator import Step
 from animtool.sim.options import IntegrateOptions
 from animtool.sim.run import Run
@@ -73,7 +74,7 @@ def _too_small(trial: float, run: Run, target: float) -> bool:
 
 
 def _stopped(run: Run, trial: float) -> Status:
-    reason = f"the tolerance asks for a step of {trial:.3g} s"
+    reason = f"the tolerance asks for a step of {plain(trial)} s"
     suspect = run.equations.system.suspect(run.time, run.state)
     reason += f"; {suspect}" if suspect else ""
     return run.stop(Status.STEP_TOO_SMALL, reason)

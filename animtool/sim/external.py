@@ -12,6 +12,7 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.plugins import load_object
+from animtool.quantities import plain
 from animtool.sim.run import Run
 from animtool.sim.system import Matrix
 from animtool.sim.trajectory import Status
@@ -46,7 +47,7 @@ def advance(run: Run, target: float) -> Status:
         if go is not Status.OK:
             return go
         if h < run.options.floor and solver.t < run.end:
-            failure = f"the tolerance asks for a step of {h:.3g} s"
+            failure = f"the tolerance asks for a step of {plain(h)} s"
             return run.stop(Status.STEP_TOO_SMALL, _told(run, failure))
     run.time, run.state = target, _value(held, target).reshape(shape)
     return Status.OK

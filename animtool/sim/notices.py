@@ -7,6 +7,7 @@ from itertools import pairwise
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, Severity
+from animtool.quantities import plain
 from animtool.sim.division import divide
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Control, Integrator
@@ -45,7 +46,7 @@ def step_notices(
     limit = allowed_step(integrator, modes)
     if limit is None or longest <= limit:
         return []
-    message = f"{integrator.name} is not stable with steps of {longest:.3g} s"
+    message = f"{integrator.name} is not stable with steps of {plain(longest)} s"
     return [Fault("SIM101", message, hint=_advice(limit), severity=Severity.WARNING)]
 
 
@@ -70,4 +71,4 @@ def _advice(stable_step: float | None) -> str:
         return f"take a shorter step, or {STEADY}"
     if stable_step == 0:
         return f"no step of it is: take {STEADY}"
-    return f"steps up to {stable_step:.3g} s are stable"
+    return f"steps up to {plain(stable_step)} s are stable"

@@ -32,7 +32,7 @@ def test_a_pair_below_a_parent_off_the_middle_is_noted(tmp_path: Path) -> None:
     (note,) = rig.notices
     assert (note.code, note.severity) == ("RIG101", Severity.NOTE)
     assert (note.lines, note.where) == ((6,), "joints[1].mirror")
-    assert "0.2 m" in note.message
+    assert "200 mm" in note.message
     assert rig.joints[rig.index("lamp_r")].translation == pytest.approx((-0.5, 0, 0))
 
 

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, Severity, counted, percent
+from animtool.quantities import length_text, plain
 from animtool.scene.entries import SceneSystem
 from animtool.scene.progress import Progress
 from animtool.scene.springs.joins import join_pairs
@@ -191,7 +192,9 @@ class _Whole:
 
     def _say_apart(self, what: str, gap: float) -> None:
         if gap > APART:
-            message = f"{what} {gap:.3g} m from where they are built: springs pull"
+            message = (
+                f"{what} {length_text(gap)} from where they are built: springs pull"
+            )
             hint = "place them so that they fit, or give pins an offset"
             self._warn("SIM150", message, hint, "pins")
 
@@ -295,11 +298,11 @@ class RunningSprings:
         run = self.run
         parts = [
             f"{run.solver} ({run.reason})",
-            f"steps of {run.step:.3g} s and more",
+            f"steps of {plain(run.step)} s and more",
             f"springs up to {percent(run.stretch)} longer than at rest",
         ]
         if run.error is not None:
-            parts.append(f"error {run.error:.2g} m")
+            parts.append(f"error {length_text(run.error)}")
         if run.torn.any():
             parts.append(f"{counted(int(run.torn.sum()), 'spring')} torn")
         message = f"{self.member.name}: {', '.join(parts)}"

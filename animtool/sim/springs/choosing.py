@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from animtool._types import FloatArray
+from animtool.quantities import plain
 from animtool.sim.integrators import find_integrator
 from animtool.sim.modes import allowed_step
 from animtool.sim.springs.costs import COSTS, projected_rate
@@ -103,7 +104,7 @@ def choose(
 
 def _steady(options: SpringOptions, step: float, limit: float) -> tuple[Solver, str]:
     """Return what takes steps of one length."""
-    says = f"semi-implicit Euler is stable with steps up to {limit:.3g} s"
+    says = f"semi-implicit Euler is stable with steps up to {plain(limit)} s"
     if step <= SAFE * limit:
         return Solver.SYMPLECTIC_EULER, says
     if options.error is None:

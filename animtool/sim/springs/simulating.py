@@ -9,6 +9,7 @@ import numpy as np
 
 from animtool._types import ArrayLike, BoolArray, FloatArray
 from animtool.errors import Fault, OptionError, Severity, counted
+from animtool.quantities import length_text, plain
 from animtool.sim.checks import check_times
 from animtool.sim.options import IntegrateOptions
 from animtool.sim.springs.choosing import Choice, choose, explicit_limit
@@ -139,7 +140,8 @@ def _near_enough(
         coarse = replace(fine, stats=replace(fine.stats, error=said))
         if said <= error:
             return coarse
-    message = f"the error of positions is {said:.3g} m, and was to be {error:.3g} m"
+    message = f"the error of positions is {length_text(said)}, and the limit is "
+    message += length_text(error)
     hint = "take bdf2, or ask for less: motion after a fold or a contact is not smooth"
     notice = Fault("SIM142", message, hint=hint, severity=Severity.WARNING)
     return replace(coarse, notices=(*coarse.notices, notice))
@@ -310,11 +312,11 @@ def _notices(
     limit = choice.limit
     h = choice.cell / choice.substeps
     if choice.solver is Solver.SYMPLECTIC_EULER and h > limit:
-        message = f"{choice.solver} is not stable with steps of {h:.3g} s"
-        found.append(_warning("SIM101", message, f"up to {limit:.3g} s are"))
+        message = f"{choice.solver} is not stable with steps of {plain(h)} s"
+        found.append(_warning("SIM101", message, f"up to {plain(limit)} s are"))
     if stats.status is Status.UNSTABLE:
         message = f"{choice.solver} blew up at {stats.time:.6g} s: {stats.reason}"
-        hint = f"semi-implicit Euler is stable with steps up to {limit:.3g} s"
+        hint = f"semi-implicit Euler is stable with steps up to {plain(limit)} s"
         found.append(_warning("SIM102", message, hint))
     elif stats.status is Status.NOT_SOLVED:
         message = f"{choice.solver} stopped at {stats.time:.6g} s: {stats.reason}"

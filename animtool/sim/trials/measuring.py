@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from animtool.errors import Fault, OptionError, Severity
+from animtool.quantities import length_text
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.distances import (
@@ -239,7 +240,7 @@ def _sign(error: Distances, extent: float) -> str:
     if error.apart > MOST_APART:
         return f"it has other points, by {error.apart:.0%}"
     if not error.largest <= FAR * extent:
-        return f"it is off by {error.largest:.3g} m"
+        return f"it is off by {length_text(error.largest)}"
     return ""
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from animtool.errors import Fault
 from animtool.maths import so3
+from animtool.quantities import length_text
 from animtool.units import LengthUnit, unit_name
 from animtool.validation.subjects.rig import RigSubject
 
@@ -34,8 +35,8 @@ def nearly_rest(rig: RigSubject) -> Iterator[Fault]:
         turn = float(so3.angle_between(*rotations)[0])
         if away <= SLIP * rig.size and turn <= SLIP_ANGLE:
             message = (
-                f"the bind pose of {name!r} is its rest pose but for {away:.3g} m and "
-                f"{math.degrees(turn):.3g}\N{DEGREE SIGN}"
+                f"the bind pose of {name!r} is its rest pose but for "
+                f"{length_text(away)} and {math.degrees(turn):.3g}\N{DEGREE SIGN}"
             )
             hint = "leave it out, or write the pose that the skin was made in"
             yield rig.fault("RIG216", ("bind", name), message, hint)
@@ -68,6 +69,8 @@ def odd_size(rig: RigSubject) -> Iterator[Fault]:
         if low <= rig.size / own * unit.meters <= high and unit.meters != own
     ]
     at = ("units", "length") if "units" in rig.document.value else ("joints",)
-    message = f"the rig measures {rig.size:.3g} m, its lengths being {unit_name(own)}"
+    message = (
+        f"the rig measures {length_text(rig.size)}, its lengths being {unit_name(own)}"
+    )
     hint = f"length: {' or '.join(fitting)} fits better" if fitting else None
     yield rig.fault("RIG217", at, message, hint)
