@@ -96,14 +96,18 @@ def take_text(found: TakeDescription) -> list[str]:
     return [
         f"{found.path}: {found.format}",
         *takes,
-        f"  joints    {found.joints} below {roots}{channels}",
+        f"  joints    {found.joints} below {roots}{channels}"
+        if found.joints
+        else "  joints    none: blend shapes alone",
         f"  frames    {found.frames} at {rate_label(found.fps)}, "
         f"{plain(float(found.duration), 4)} s, time codes "
         f"{frame_label(found.start)} to {frame_label(found.end)}{every}",
         f"  animated  {moving}; the rest never move",
         *shapes,
         *_prim_lines(found.points),
-        f"  bounds    {_corners(found.bounds)} {found.units}, {found.up} up",
+        f"  bounds    {_corners(found.bounds)} {found.units}, {found.up} up"
+        if found.joints
+        else f"  space     {found.units}, {found.up} up",
         f"  odd       {notices if found.notices else 'nothing'}",
     ]
 

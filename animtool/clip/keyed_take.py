@@ -102,7 +102,8 @@ def keyed_take(
         FormatError: An expression of the rig has no value at some frame (CLIP015).
     """
     others = joint_tolerances or {}
-    same = _same(rig, float(joint_bounds(rig, tolerance, others).min()))
+    bounds = joint_bounds(rig, tolerance, others)
+    same = _same(rig, float(bounds.min()) if len(bounds) else tolerance)
     joints = joint_motions(rig, take.motion, same)
     solved = _solved(take, rig, joints, same, additive=base is not None)
     weights = own_weights_of(take, rig)
@@ -264,6 +265,9 @@ def _measured(
     bounds: FloatArray,
 ) -> Reduction:
     """Return a reduction with the errors of a motion that came of it."""
+    weight_error = _weight_error(take.motion.weights, found.weights)
+    if not take.rig.joints:
+        return replace(reduction, weight_error=weight_error)
     below = None if base is None else base.motion
     truth, made = (
         pose_of(take.rig, motion, below).world() for motion in (take.motion, found)
@@ -276,7 +280,7 @@ def _measured(
         joint=take.rig.joints[joint].name,
         frame=frame,
         held=bool((errors / bounds).max() <= 1 + ROUNDING),
-        weight_error=_weight_error(take.motion.weights, found.weights),
+        weight_error=weight_error,
     )
 
 

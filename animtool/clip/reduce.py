@@ -101,21 +101,24 @@ def reduce_motion(
     local = [t for t in tracks if t.kind is not ChannelKind.WEIGHT]
 
     below = None if base is None else base.motion
-    world = _World(rig, motion, below, shell, bounds)
-    if start is not None:
-        world.pose = pose_of(rig, start, below)
-    budgets = [Budget.of(t, world.first_tolerance(t)) for t in local if t.moves]
-    reached = _search(world, budgets)
+    budgets: list[Budget] = []
+    reached = _Reached([], np.zeros((motion.frames, 1)), 0.0, 0)
+    if rig.joints:
+        world = _World(rig, motion, below, shell, bounds)
+        if start is not None:
+            world.pose = pose_of(rig, start, below)
+        budgets = [Budget.of(t, world.first_tolerance(t)) for t in local if t.moves]
+        reached = _search(world, budgets)
     shapes = [Budget.of(track, weight_tolerance) for track in weights if track.moves]
 
-    frame, joint = divmod(int(np.argmax(reached.errors)), len(rig.joints))
+    frame, joint = divmod(int(np.argmax(reached.errors)), reached.errors.shape[1])
     return Reduction(
         clock=take.clock,
         rest=rest,
         channels=_channels(rig, local + weights, [*budgets, *shapes]),
         samples=motion.frames * sum(track.moves for track in tracks),
         error=float(reached.errors[frame, joint]),
-        joint=rig.joints[joint].name,
+        joint=rig.joints[joint].name if rig.joints else "",
         frame=frame,
         held=reached.ratio <= 1,
         weight_error=max((float(shape.errors.max()) for shape in shapes), default=0.0),
@@ -281,8 +284,8 @@ def _rest(rig: Rig, motion: Motion, *, additive: bool) -> Motion:
 
 
 def _check(take: Take, base: Take | None, shell: float) -> None:
-    if not take.motion.frames or not take.rig.joints:
-        raise ValueError("the take has no frame or no joint")
+    if not take.motion.frames:
+        raise ValueError("the take has no frame")
     if not (np.isfinite(shell) and shell > 0):
         raise ValueError(f"shell must be above 0 and finite, not {shell}")
     if base is not None and (

@@ -151,13 +151,15 @@ class _Measure:
     def ratios(self, kept: IntArray, frames: IntArray) -> FloatArray:
         """Return the largest error at each frame, over its tolerance ``(N,)``."""
         joints, weights = self.errors(kept, frames)
-        largest = (joints / self.bounds).max(axis=1)
+        largest = (joints / self.bounds).max(axis=1, initial=0.0)
         return np.asarray(np.maximum(largest, weights / self.weight_tolerance))
 
     def report(self, kept: IntArray) -> Thinned:
         """Return what came of it."""
         count = len(self.codes)
         joints, weights = self.errors(kept, np.arange(count))
+        if not joints.shape[1]:
+            joints = np.zeros((count, 1))
         frame, joint = divmod(int(np.argmax(joints)), joints.shape[1])
         return Thinned(
             count,

@@ -103,9 +103,11 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
     lows, highs = [], []
     for begin in range(0, motion.frames, FRAMES_AT_ONCE):
         block = motion.select(slice(begin, begin + FRAMES_AT_ONCE))
-        world = forward(rig, *block.dense())
-        lows.append(world.positions.min(axis=(0, 1)))
-        highs.append(world.positions.max(axis=(0, 1)))
+        positions = forward(rig, *block.dense()).positions
+        if not rig.joints:
+            positions = np.zeros((block.frames, 1, 3))
+        lows.append(positions.min(axis=(0, 1)))
+        highs.append(positions.max(axis=(0, 1)))
     meters = rig.meters_per_unit
     animated = {
         "translation": len(motion.translations.animated),

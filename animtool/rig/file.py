@@ -61,8 +61,10 @@ def rig_of_document(document: Document, above: tuple[Path, ...] = ()) -> Rig:
             if base is None
             else _overlaid(document, model, base, units)
         )
-    if not joints.joints and not joints.unnamed:
-        document.add("RIG004", ("joints",), "the rig has no joints")
+    shaped = model.shapes or (base is not None and base.shapes)
+    if not (joints.joints or joints.unnamed or shaped):
+        message = "the rig has no joints and no shapes"
+        document.add("RIG004", ("joints",), message)
     with Archives() as archives:
         reader = ArrayReader(document, roots, archives)
         parts = PartReader(document, model, units, joints, reader)

@@ -134,6 +134,8 @@ def bind_matrices(rig: Rig) -> FloatArray:
 
 
 def rest_size(rig: Rig) -> float:
-    """Return the diagonal of the joints' bounds at rest [m]."""
+    """Return the diagonal of the joints' bounds at rest [m]; 0 without joints."""
+    if not rig.joints:
+        return 0.0
     positions = rest_world(rig).positions[0]
     return float(np.linalg.norm(positions.max(axis=0) - positions.min(axis=0)))

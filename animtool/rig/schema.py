@@ -85,7 +85,8 @@ class RigModel(FileModel):
     )
     joints: list[JointModel] = Field(
         default=[],
-        description="In any order; at least one, here or in `from`.",
+        description="In any order; at least one, here or in `from`, but for a face of "
+        "shapes alone.",
         examples=[[{"name": "root", "type": "free"}]],
     )
     bind: dict[str, PoseModel] = Field(

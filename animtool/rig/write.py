@@ -44,7 +44,7 @@ def rig_text(rig: Rig) -> str:
         f"name: {text(rig.name)}",
         f"units: {{length: {units.name}, angle: {units.angle_name}}}",
         f"up: {rig.up}",
-        "joints:",
+        "joints:" if rig.joints else "joints: []",
     ]
     written: set[str] = set()
     for joint in rig.joints:

@@ -203,10 +203,10 @@ def moving_joints(plan: TakePlan, rig: Rig, motions: list[Motion]) -> BoolArray:
             moving[channel.animated] |= (channel.values != rest[channel.animated]).any(
                 axis=(0, 2)
             )
-    if plan.options.root_motion:
+    if plan.options.root_motion and rig.roots:
         # The SkelRoot carries it; with several roots the others are relative to it.
         moving[rig.roots[0]] = False
         moving[rig.roots[1:]] = True
-    if not moving.any():
+    if rig.roots and not moving.any():
         moving[rig.roots[0]] = True
     return moving

@@ -166,14 +166,16 @@ def on_rig_file(
     own = reorient(stream, rig.up)
     made, names = on_rig(own, rig, note)
     unmatched = left_out(names, own.rig, str(path))
-    _, differences = check_fit(
-        own.rig,
-        rig,
-        names.joints,
-        str(rig_path),
-        forced=forced,
-        unmatched=unmatched,
-    )
+    differences: list[Fault] = []
+    if own.rig.joints and rig.joints:
+        _, differences = check_fit(
+            own.rig,
+            rig,
+            names.joints,
+            str(rig_path),
+            forced=forced,
+            unmatched=unmatched,
+        )
     made.notices += [*notices, *unmatched, *differences]
     made.details["rig"] = str(rig_path)
     return made

@@ -311,6 +311,9 @@ def plan_output(
             reason = "no rig layer was named"
         up = options.to_up or streams[0].rig.up
         streams = [reorient(stream, up) for stream in streams]
+    if options.root_motion and not streams[0].rig.joints:
+        message = "--root-motion skelroot carries a joint's motion, and there is none"
+        raise OptionError(Fault("CLI002", message, str(sources[0])))
     names = [take_name(options, sources[0]) if library else ""]
     if len(sources) > 1:
         from animtool.scene.library import alike, rate_notice, take_names

@@ -87,7 +87,7 @@ def round_blocks(
         translations, rotations, scales = motion.dense()
         translations /= meters_per_unit
         root = None
-        if root_motion:
+        if root_motion and rig.roots:
             root = _move_root(rig, translations, rotations, meters_per_unit)
         written_t = np.clip(translations, -FLOAT32_MAX, FLOAT32_MAX).astype(np.float32)
         written_r = rotations.astype(np.float32)
@@ -199,20 +199,25 @@ class AnimationWriter:
         if self.chosen is not None:
             names = [n for n, keep in zip(names, self.chosen, strict=True) if keep]
         self._count = len(names)
-        attribute(spec, "joints", types.TokenArray, Vt.TokenArray(names), uniform=True)
-        self._translations = Samples(
-            spec, "translations", types.Float3Array, Vt.Vec3fArray.FromNumpy
-        )
-        self._rotations = Samples(
-            spec,
-            "rotations",
-            types.QuatfArray,
-            Vt.QuatfArray.FromNumpy,
-            quaternions=True,
-        )
-        self._scales = Samples(
-            spec, "scales", types.Half3Array, Vt.Vec3hArray.FromNumpy
-        )
+        self._transforms: dict[str, Samples] = {}
+        if names:
+            tokens = Vt.TokenArray(names)
+            attribute(spec, "joints", types.TokenArray, tokens, uniform=True)
+            self._transforms = {
+                "translations": Samples(
+                    spec, "translations", types.Float3Array, Vt.Vec3fArray.FromNumpy
+                ),
+                "rotations": Samples(
+                    spec,
+                    "rotations",
+                    types.QuatfArray,
+                    Vt.QuatfArray.FromNumpy,
+                    quaternions=True,
+                ),
+                "scales": Samples(
+                    spec, "scales", types.Half3Array, Vt.Vec3hArray.FromNumpy
+                ),
+            }
         self._weights: list[Float32Array] = []
         self._weight_samples: Samples | None = None
         self._codes: list[FloatArray] = []
@@ -222,10 +227,15 @@ class AnimationWriter:
     def add(self, block: WrittenBlock) -> None:
         """Write a block of frames."""
         keep = slice(None) if self.chosen is None else self.chosen
-        self._translations.add(block.codes, block.translations[:, keep])
-        self._rotations.add(block.codes, block.rotations[:, keep])
-        if block.scales is not None:
-            self._scales.add(block.codes, block.scales[:, keep])
+        arrays: dict[str, npt.NDArray[Any] | None] = {
+            "translations": block.translations,
+            "rotations": block.rotations,
+            "scales": block.scales,
+        }
+        for name, samples in self._transforms.items():
+            values = arrays[name]
+            if values is not None:
+                samples.add(block.codes, values[:, keep])
         if self.shapes and block.weights is not None:
             self._weights.append(block.weights)
         self._codes.append(block.codes)
@@ -237,12 +247,7 @@ class AnimationWriter:
     @property
     def sampled(self) -> list[str]:
         """Names of the attributes that change over time."""
-        named = {
-            "translations": self._translations,
-            "rotations": self._rotations,
-            "scales": self._scales,
-            "blendShapeWeights": self._weight_samples,
-        }
+        named = {**self._transforms, "blendShapeWeights": self._weight_samples}
         return [n for n, samples in named.items() if samples and samples.sampled]
 
     def finish(self, placing: list[str], *, replaces_motion: bool) -> None:
@@ -253,7 +258,7 @@ class AnimationWriter:
             replaces_motion: Whether it has others, which must no longer move it.
         """
         ones = np.ones((self._count, 3), np.float16)
-        for samples in (self._translations, self._rotations, self._scales):
+        for samples in self._transforms.values():
             samples.finish(ones)
         if self._weights:
             self._author_weights()
@@ -281,6 +286,11 @@ class AnimationWriter:
     def codes(self) -> list[FloatArray]:
         """Time codes of every sample, one array a block."""
         return self._codes
+
+    @property
+    def weights(self) -> list[Float32Array]:
+        """Weights of the shapes ``(F, S)``, one array a block; none where none move."""
+        return self._weights
 
     def _author_weights(self) -> None:
         """Write the weights of the shapes that are not zero in every frame."""

@@ -39,7 +39,7 @@ def author_extents(
         OutputError: UsdSkel would not resolve what was authored (USD011, USD032).
     """
     bare = job.target is None and not visible
-    if bare:
+    if bare and job.joints:
         with Sdf.ChangeBlock():
             for _, writer in writers:
                 writer.author_bounds(writer.padded_bounds(0.0))
@@ -51,7 +51,9 @@ def author_extents(
             _select(stage, job, name)
         if name or job.target is not None:
             _check_resolved(job, stage, writer.paths.animation, library=bool(name))
-        if not bare:
+        if not job.joints:
+            _author_shape_bounds(job, stage, writer)
+        elif not bare:
             _author_bounds(job, stage, writer)
         if name:
             from animtool.usd.library import check_variant
@@ -146,6 +148,23 @@ def _padding(job: UsdJob, stage: Any, root: Any) -> np.float32:
     extent = _computed(root, Usd.TimeCode.Default())
     session.subLayerPaths.remove(folded.identifier)
     return np.float32(extent[1].max())
+
+
+def _author_shape_bounds(job: UsdJob, stage: Any, writer: AnimationWriter) -> None:
+    """Write bounds of meshes that shapes alone move, where there are any.
+
+    Without joints, USD computes none. These hold every frame: the points at rest, and
+    as far around as the weights can move a point of the mesh.
+    """
+    from animtool.usd.shape_bounds import shape_bounds
+
+    root = stage.GetPrimAtPath(job.paths.root)
+    bounds = shape_bounds(root, writer.shapes, writer.weights)
+    if bounds is not None:
+        with Sdf.ChangeBlock():
+            writer.author_bounds(
+                [np.repeat(bounds[None], len(c), 0) for c in writer.codes]
+            )
 
 
 def _check_resolved(job: UsdJob, stage: Any, animation: str, *, library: bool) -> None:

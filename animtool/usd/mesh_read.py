@@ -27,7 +27,7 @@ from animtool.usd.skinned import (
     unique_name,
 )
 
-__all__ = ["bound_meshes", "read_meshes"]
+__all__ = ["bound_meshes", "bound_shapes", "read_meshes"]
 
 _METHODS = {"classicLinear": "linear", "dualQuaternion": "dual_quaternion"}
 
@@ -71,6 +71,17 @@ def bound_meshes(skeleton: Any) -> list[tuple[str, Any]]:
         (unique_name(prim_name(query.GetPrim()), used), query)
         for query in skinned_prims(skeleton, UsdGeom.Mesh)
     ]
+
+
+def bound_shapes(skeleton: Any) -> tuple[str, ...]:
+    """Return the names of the shapes that meshes of a Skeleton have."""
+    names = (
+        str(token)
+        for _, query in bound_meshes(skeleton)
+        if query.HasBlendShapes()
+        for token in query.GetBlendShapeOrder() or ()
+    )
+    return tuple(dict.fromkeys(names))
 
 
 def _bind(query: Any, skeleton: Any, at: str) -> tuple[float, ...] | None:
@@ -209,6 +220,9 @@ def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
     deltas = floats(shape.GetOffsetsAttr(), 3, at)
     vertices = np.array(array_value(shape.GetPointIndicesAttr()), np.int64)
     rows = len(vertices) or points
+    if not len(deltas) and len(array_value(shape.GetNormalOffsetsAttr())):
+        # It turns normals alone.
+        deltas = np.zeros((rows, 3))
     if len(deltas) != rows:
         _fail("USD017", f"{len(deltas)} offsets for {rows} points", at)
     if len(vertices) and not 0 <= vertices.min() <= vertices.max() < points:

@@ -28,10 +28,12 @@ from animtool.usd.animation_values import (
 from animtool.usd.carried_roots import carry_roots, moving_carriers
 from animtool.usd.layers import usd_errors
 from animtool.usd.library import TakeSet, find_take_set, select_take
+from animtool.usd.mesh_read import bound_shapes
 from animtool.usd.placement import MOST_NAMED, character_paths
 from animtool.usd.rig_prims import (
     SkeletonRig,
     array_value,
+    check_moves,
     composition_notices,
     find_skeletons,
     open_stage,
@@ -112,7 +114,7 @@ def _read_selected(stage: Any, path: Path, below: str) -> TakeStream:
         skeleton = _rig_of_animation(animation, path, stage)
         prim = None
     if animation is None:
-        stream = _resting(skeleton, stage, path)
+        stream = _resting(skeleton, stage, path, prim)
     else:
         stream = _read(stage, path, skeleton, animation, prim)
     if prim is None:
@@ -215,12 +217,10 @@ def _rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
     tokens = [str(token) for token in array_value(animation.GetJointsAttr())]
     where = f"{path}<{animation.GetPath()}>"
     data = animation.GetPrim().GetCustomDataByKey("animtool") or {}
-    if not tokens:
-        raise FormatError(Fault("USD002", "the SkelAnimation has no joints", where))
     matrices = np.tile(np.eye(4), (len(tokens), 1, 1))
     first = Usd.TimeCode.EarliestTime()
     positions = array_value(animation.GetTranslationsAttr(), first)
-    if len(positions) == len(tokens):
+    if tokens and len(positions) == len(tokens):
         matrices[:, 3, :3] = np.array(positions)
     found = rig_from_tokens(
         tokens,
@@ -234,13 +234,17 @@ def _rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
     return replace(found, rig=replace(found.rig, has_rest=False))
 
 
-def _resting(skeleton: SkeletonRig, stage: Any, path: Path) -> TakeStream:
+def _resting(skeleton: SkeletonRig, stage: Any, path: Path, prim: Any) -> TakeStream:
     """Return a rig without animation: one frame, at rest."""
+    shapes = () if skeleton.tokens else bound_shapes(UsdSkel.Skeleton(prim))
     rig = skeleton.rig
+    check_moves(len(rig.joints), len(shapes), f"{path}<{prim.GetPath()}>")
+    rig = replace(rig, shapes=tuple(Shape(name) for name in shapes))
     motion = Motion(
         Channel.from_dense(rig.rest_translations[None]),
         Channel.from_dense(rig.rest_rotations[None]),
         scale_channel(skeleton.rest_scales[None]),
+        Channel.from_dense(np.zeros((1, len(shapes), 1))) if shapes else None,
     )
     fps = rate_from_float(stage.GetTimeCodesPerSecond())
     start = time_fraction(stage.GetStartTimeCode())
@@ -260,8 +264,10 @@ def _read(
     stage: Any, path: Path, skeleton: SkeletonRig, animation: Any, prim: Any
 ) -> TakeStream:
     where = f"{path}<{animation.GetPath()}>"
-    attributes = _attributes(animation, where)
+    joints, notices = _joints(skeleton, animation, where)
+    attributes = _attributes(animation, joints, where, notices)
     shapes = animated_shapes(animation)
+    check_moves(len(skeleton.rig.joints), len(shapes), where)
     movers = moving_carriers(prim)
     sources = [*attributes.values(), *movers]
     sources += [animation.GetBlendShapeWeightsAttr()] if shapes else []
@@ -272,16 +278,16 @@ def _read(
     codes = clock.times.tolist()
 
     rig = skeleton.rig
-    joints, notices = _joints(skeleton, animation, where)
     notices += _grid_notices(grid, len(times), where)
     meters = rig.meters_per_unit
+    rests = {
+        "translations": rig.rest_translations / meters,
+        "rotations": rig.rest_rotations,
+        "scales": skeleton.rest_scales,
+    }
     translations, rotations, scales = (
-        joints.whole(attribute, rest, codes, where)
-        for attribute, rest in zip(
-            attributes.values(),
-            (rig.rest_translations / meters, rig.rest_rotations, skeleton.rest_scales),
-            strict=True,
-        )
+        joints.whole(attributes.get(name), rest, codes, where)
+        for name, rest in rests.items()
     )
     translations *= meters
     rotations = so3.align_signs(so3.normalize(rotations))
@@ -301,13 +307,26 @@ def _read(
     return stream
 
 
-def _attributes(animation: Any, where: str) -> dict[str, Any]:
-    """Return what an animation must have for UsdSkel to use it, by name."""
+def _attributes(
+    animation: Any, joints: _Joints, where: str, notices: list[Fault]
+) -> dict[str, Any]:
+    """Return what an animation must have for UsdSkel to use it, by name.
+
+    Nothing where it moves no joint: it has weights of shapes alone, or only names
+    joints, which then stay at rest.
+    """
     attributes = {
         "translations": animation.GetTranslationsAttr(),
         "rotations": animation.GetRotationsAttr(),
         "scales": animation.GetScalesAttr(),
     }
+    if not len(joints.places):
+        return {}
+    if not any(attribute.HasAuthoredValue() for attribute in attributes.values()):
+        message = "names joints and has no translations, rotations or scales"
+        hint = "the joints are read at rest, as UsdSkel poses them"
+        notices.append(Fault("USD150", message, where, (), hint, Severity.WARNING))
+        return {}
     for name, attribute in attributes.items():
         if not attribute.HasAuthoredValue():
             message = f"{name} has no value"
@@ -327,9 +346,11 @@ class _Joints:
     places: IntArray
 
     def whole(
-        self, attribute: Any, rest: FloatArray, codes: list[float], where: str
+        self, attribute: Any | None, rest: FloatArray, codes: list[float], where: str
     ) -> FloatArray:
         """Return an attribute for the Skeleton's joints, at rest if not animated."""
+        if attribute is None:
+            return np.repeat(rest[None], len(codes), axis=0)
         count, width = len(self.places), rest.shape[1]
         rows = sampled_values(attribute, codes, count, width, where)
         found = np.repeat(rest[None], len(codes), axis=0)

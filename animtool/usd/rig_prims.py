@@ -27,6 +27,7 @@ from animtool.usd.layers import (
 __all__ = [
     "SkeletonRig",
     "array_value",
+    "check_moves",
     "composition_notices",
     "decompose",
     "find_skeletons",
@@ -114,15 +115,15 @@ def decompose(matrices: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]
 def skeleton_rig(skeleton: Any, path: Path) -> SkeletonRig:
     """Return the rig of a Skeleton prim, in metres.
 
+    A character of blend shapes alone has no joints.
+
     Raises:
-        FormatError: It has no joints, or their order or rest transforms are wrong.
+        FormatError: The order of its joints or their rest transforms are wrong.
     """
     stage = skeleton.GetPrim().GetStage()
     where = f"{path}<{skeleton.GetPath()}>"
     tokens = [str(token) for token in array_value(skeleton.GetJointsAttr())]
-    if not tokens:
-        _fail("USD002", "the Skeleton has no joints", where)
-    matrices = array_value(skeleton.GetRestTransformsAttr())
+    matrices = array_value(skeleton.GetRestTransformsAttr()) if tokens else ()
     if len(matrices) != len(tokens):
         message = f"{counted(len(matrices), 'restTransform')}"
         message += f" for {counted(len(tokens), 'joint')}"
@@ -139,6 +140,16 @@ def skeleton_rig(skeleton: Any, path: Path) -> SkeletonRig:
     return rig_from_tokens(
         tokens, rest, name, where, meters, up, data, [str(name) for name in named]
     )
+
+
+def check_moves(joints: int, shapes: int, where: str) -> None:
+    """Refuse a character that has nothing to move.
+
+    Raises:
+        FormatError: It has neither joints nor blend shapes (USD002).
+    """
+    if not joints and not shapes:
+        _fail("USD002", "there are no joints and no blend shapes", where)
 
 
 def rig_from_tokens(
@@ -213,8 +224,13 @@ def _source_name(original: Any, named: str, leaf: str, unique: str) -> str:
 
 
 def array_value(attr: Any, time: Any = None) -> Any:
-    """Return an attribute's array; an empty one where it has none, or no array."""
+    """Return an attribute's array; an empty one where it has none, or no array.
+
+    Without a time, that is the default, else the first sample.
+    """
     value = attr.Get() if time is None else attr.Get(time)
+    if value is None and time is None:
+        value = attr.Get(Usd.TimeCode.EarliestTime())
     return value if isinstance(value, Sized) and not isinstance(value, str) else ()
 
 

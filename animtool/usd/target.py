@@ -342,10 +342,7 @@ def map_joints(
         source.append(found)
     missing = [j.name for i, j in enumerate(take.joints) if i not in used]
     if len(missing) == len(take.joints):
-        mine, theirs = excerpt(take.names[0]), excerpt(skeleton.rig.names[0])
-        message = f"no joint of the take ({mine} …) is in the rig ({theirs} …)"
-        hint = "--strip-namespace drops leading 'ns:' parts"
-        raise FormatError(Fault("USD010", message, str(target.path), (), hint))
+        _check_shapes(take, target)
     resting = [
         joint.name
         for joint, found in zip(skeleton.rig.joints, source, strict=True)
@@ -363,9 +360,12 @@ def map_joints(
         notices.append(naming("USD111", message, resting, where, hint, kind))
     shapes, said = match_shapes(target, [shape.name for shape in take.shapes])
     found_at = np.array(source, np.int64)
-    fit, differences = check_fit(
-        take, skeleton.rig, found_at, where, forced=force_fit, unmatched=notices
-    )
+    fit: Fit | None = None
+    differences: list[Fault] = []
+    if take.joints and skeleton.rig.joints:
+        fit, differences = check_fit(
+            take, skeleton.rig, found_at, where, forced=force_fit, unmatched=notices
+        )
     return JointMap(
         skeleton.rig,
         found_at,
@@ -374,6 +374,30 @@ def map_joints(
         shapes,
         fit,
     )
+
+
+def _check_shapes(take: Rig, target: RigTarget) -> None:
+    """Refuse a take that has no joint of a rig and is not one of its shapes alone.
+
+    Raises:
+        FormatError: It moves nothing there (USD010).
+    """
+    rig, known = target.skeleton.rig, _known_shapes(target)
+    names = [shape.name for shape in take.shapes]
+    shared = known is None or {arkit_name(n) or n for n in names} & {
+        arkit_name(n) or n for n in known
+    }
+    if names and shared and not (take.joints and rig.joints):
+        return
+    mine, theirs = (
+        f"{excerpt(one.names[0])} …" if one.joints else "none" for one in (take, rig)
+    )
+    message = f"no joint of the take ({mine}) is in the rig ({theirs})"
+    hint = "--strip-namespace drops leading 'ns:' parts"
+    if not (take.joints and rig.joints):
+        message += ", and no mesh there has a shape of it"
+        hint = "name the rig that the take is for"
+    raise FormatError(Fault("USD010", message, str(target.path), (), hint))
 
 
 def match_shapes(

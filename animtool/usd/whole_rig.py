@@ -18,6 +18,7 @@ from animtool.usd.rig_prims import (
     LARGEST_REST,
     SkeletonRig,
     array_value,
+    check_moves,
     composition_notices,
     decompose,
     find_skeletons,
@@ -67,6 +68,8 @@ def read_whole_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[
         found = skeleton_rig(skeletons[0], path)
         skeleton = skeletons[0]
         meshes, shapes, notices = read_meshes(skeleton, found, str(path))
+        where = f"{path}<{skeleton.GetPath()}>"
+        check_moves(len(found.rig.joints), len(shapes), where)
         notices += others_notice(skeletons, str(path), "--prim-path names one")
         notices += composition_notices(stage, str(path))
         bind, bind_scales = _bind_poses(skeleton, found)
@@ -101,7 +104,11 @@ def _bind_poses(
     matrices = array_value(skeleton.GetBindTransformsAttr())
     rig = found.rig
     world = np.array(matrices, np.float64).reshape(-1, 4, 4)
-    if len(world) != len(rig.joints) or not (np.abs(world) <= LARGEST_REST).all():
+    if (
+        not rig.joints
+        or len(world) != len(rig.joints)
+        or not (np.abs(world) <= LARGEST_REST).all()
+    ):
         return {}, np.ones((len(rig.joints), 3))
     above = np.where((rig.parents < 0)[:, None, None], np.eye(4), world[rig.parents])
     if (np.linalg.det(above) == 0).any():

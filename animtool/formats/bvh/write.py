@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import FloatArray
-from animtool.errors import Fault, Severity, listed
+from animtool.errors import Fault, OptionError, Severity, listed
 from animtool.maths.euler import axes_of
 from animtool.rates import rate_from_frame_time
 from animtool.rig.skeleton import Joint, Rig
@@ -53,7 +53,14 @@ def write_bvh(take: Take) -> BvhText:
     hold the motion; others get ``Zrotation Xrotation Yrotation``, roots and joints
     that move also positions. Angles are continuous along time. The start time
     code and scales have no place in the format; scales are named in the notices.
+
+    Raises:
+        OptionError: The rig has no joints (RIG044).
     """
+    if not take.rig.joints:
+        message = f"{take.rig.name!r} has no joints, and a BVH holds nothing else"
+        hint = "write USD, or keys in a .clip.yaml"
+        raise OptionError(Fault("RIG044", message, hint=hint))
     motion = take.motion
     translations = motion.translations.dense() / take.rig.meters_per_unit
     offsets = take.rig.rest_translations / take.rig.meters_per_unit

@@ -10,7 +10,7 @@ import numpy as np
 from pxr import UsdSkel
 
 from animtool._types import BoolArray
-from animtool.errors import Fault, counted, excerpt, listed
+from animtool.errors import Fault, Severity, counted, excerpt, listed
 from animtool.usd.checks.subject import AnyArray, Sampled, Subject, at_samples
 from animtool.usd.checks.table import finding
 
@@ -64,6 +64,12 @@ def _transforms(subject: Subject, animation: Any, joints: list[str]) -> Iterator
     missing = [
         name for name, (attr, _) in attributes.items() if not attr.HasAuthoredValue()
     ]
+    if len(missing) == len(attributes):
+        message = f"names {counted(len(joints), 'joint')} and moves none"
+        where = str(animation.GetPath())
+        hint = "author all three, or leave joints out"
+        yield Fault("USD150", message, None, (), hint, Severity.WARNING, where=where)
+        return
     if missing:
         message = f"no value of {listed(missing)}, for {counted(len(joints), 'joint')}"
         yield finding("USD201", animation.GetPath(), message)

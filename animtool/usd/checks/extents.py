@@ -48,7 +48,8 @@ def check_extents(subject: Subject) -> Iterator[Fault]:
             yield finding(
                 "USD250", prim.GetPath(), f"this {prim.GetTypeName()} has none"
             )
-        else:
+        elif not prim.IsA(UsdSkel.Root) or _joints_below(prim):
+            # Without joints, USD computes a point at the origin, or all of space.
             yield from _compare(subject, bounded, attr, source)
 
 
@@ -58,13 +59,15 @@ def extent_sources(subject: Subject, prim: Any) -> list[Any] | None:
     Where points or joints are no numbers, there is nothing to compare with.
     """
     if prim.IsA(UsdSkel.Root):
+        below = list(Usd.PrimRange(prim, Usd.TraverseInstanceProxies()))
+        skeletons = [found for found in below if found.IsA(UsdSkel.Skeleton)]
+        has_points = any(found.IsA(UsdGeom.PointBased) for found in below)
+        if not skeletons or not (has_points or _joints_below(prim)):
+            return None
         animations = [
             UsdSkel.BindingAPI(found).GetInheritedAnimationSource()
-            for found in Usd.PrimRange(prim, Usd.TraverseInstanceProxies())
-            if found.IsA(UsdSkel.Skeleton)
+            for found in skeletons
         ]
-        if not animations:
-            return None
         sources = [UsdSkel.Animation(found) for found in animations if found]
         return [
             attr
@@ -82,6 +85,15 @@ def extent_sources(subject: Subject, prim: Any) -> list[Any] | None:
         apart = prim.IsA(UsdGeom.Mesh) and bool(subject.times(attr))
         return [attr] if attr.HasAuthoredValue() and not apart else None
     return None
+
+
+def _joints_below(root: Any) -> bool:
+    """Return whether a Skeleton of a SkelRoot has joints."""
+    return any(
+        tokens(UsdSkel.Skeleton(prim).GetJointsAttr())
+        for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies())
+        if prim.IsA(UsdSkel.Skeleton)
+    )
 
 
 def _compare(

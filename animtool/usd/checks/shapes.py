@@ -64,13 +64,17 @@ def _shape(shape: Any, points: int | None) -> Iterator[Fault]:
     indices = np.array(shape.GetPointIndicesAttr().Get() or (), np.int64)
     wanted = len(indices) or points
     path = shape.GetOffsetsAttr().GetPath()
+    normals = _rows(shape.GetNormalOffsetsAttr())
+    if not len(offsets) and len(normals):
+        # A shape may turn normals alone.
+        offsets = np.zeros((len(normals) if wanted is None else wanted, 3))
     if wanted is not None and len(offsets) != wanted:
         things = "pointIndices" if len(indices) else "points"
         yield finding("USD240", path, f"{len(offsets)} offsets for {wanted} {things}")
     yield from _indices(shape, indices, points)
     yield from _finite(shape.GetOffsetsAttr(), offsets)
     inbetweens = list(shape.GetInbetweens())
-    moves = [offsets, *(_rows(step.GetAttr()) for step in inbetweens)]
+    moves = [offsets, normals, *(_rows(step.GetAttr()) for step in inbetweens)]
     if len(offsets) and not any(rows.any() for rows in moves):
         yield finding("USD246", path, f"all {len(offsets)} offsets are 0")
     count = wanted if wanted is not None else len(offsets)

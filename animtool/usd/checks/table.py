@@ -172,7 +172,7 @@ CODES: dict[str, Code] = {
         "skel:blendShapes and skel:blendShapeTargets of different numbers",
         "name one target a shape, each shape once",
     ),
-    "USD246": _warning("a shape that moves no point", "write its offsets, or drop it"),
+    "USD246": _warning("a shape that changes nothing", "write its offsets, or drop it"),
     # Stage
     "USD250": _warning(
         "no extent", "author it over time: viewers compute it else, or cull by a guess"

@@ -90,6 +90,8 @@ class RigSubject(DocumentSubject):
                 tips = np.array(joint.tips)
                 points.append(positions[i] + so3.rotate(rotations[i], tips))
         found = np.concatenate(points)
+        if not len(found):
+            return 0.0
         return float(np.linalg.norm(found.max(axis=0) - found.min(axis=0)))
 
     @cached_property

@@ -16,7 +16,7 @@ RULES = (
     Rule("RIG001", "a joint twice"),
     Rule("RIG002", "an unknown parent"),
     Rule("RIG003", "joints that are each other's parents"),
-    Rule("RIG004", "no joints"),
+    Rule("RIG004", "no joints and no shapes"),
     Rule("RIG005", "an axis without direction"),
     Rule("RIG006", "a quaternion without length"),
     Rule("RIG007", "limits reversed or beyond half a turn"),
@@ -67,6 +67,7 @@ RULES = (
         "joints of a rig that the source brought onto it lacks",
         Severity.NOTE,
     ),
+    Rule("RIG044", "a character without joints in a format that holds nothing else"),
     Rule(
         "RIG101",
         "a joint and its mirror hang from one parent that is off the plane x = 0",

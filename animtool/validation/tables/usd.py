@@ -10,7 +10,7 @@ __all__ = ["RULES"]
 
 RULES = (
     Rule("USD001", "not a USD layer, or it does not compose"),
-    Rule("USD002", "a Skeleton without joints"),
+    Rule("USD002", "a Skeleton without joints and without blend shapes"),
     Rule("USD003", "rest transforms of another count than the joints"),
     Rule("USD004", "rest transforms that are not finite"),
     Rule("USD005", "a joint of a Skeleton twice"),
@@ -127,5 +127,10 @@ RULES = (
     ),
     Rule("USD142", "prims that stop following their skeleton", Severity.WARNING),
     Rule("USD143", "normals that are not one a vertex are blocked", Severity.NOTE),
+    Rule(
+        "USD150",
+        "a SkelAnimation that names joints and has no value for any",
+        Severity.WARNING,
+    ),
     *(Rule(code, entry.title, entry.severity) for code, entry in CODES.items()),
 )
