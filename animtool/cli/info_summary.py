@@ -102,6 +102,7 @@ def take_text(found: TakeDescription) -> list[str]:
         f"  frames    {found.frames} at {rate_label(found.fps)}, "
         f"{plain(float(found.duration), 4)} s, time codes "
         f"{frame_label(found.start)} to {frame_label(found.end)}{every}",
+        *_shot_lines(found.shot),
         f"  animated  {moving}; the rest never move",
         *shapes,
         *_prim_lines(found.points),
@@ -109,6 +110,18 @@ def take_text(found: TakeDescription) -> list[str]:
         if found.joints
         else f"  space     {found.units}, {found.up} up",
         f"  odd       {notices if found.notices else 'nothing'}",
+    ]
+
+
+def _shot_lines(shot: dict[str, object] | None) -> list[str]:
+    """Return the line of the shot that a layer states."""
+    if shot is None:
+        return []
+    named = f"{shot['name']}, " if shot.get("name") else ""
+    return [
+        f"  shot      {named}frames {shot['start']} to {shot['end']}, "
+        f"cut {shot['cut_in']} to {shot['cut_out']}, "
+        f"handles {shot['head']} and {shot['tail']}"
     ]
 
 

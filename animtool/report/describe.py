@@ -49,6 +49,8 @@ class TakeDescription:
         take: The one described.
         points: Prims beside it whose points have samples, of a USD file.
         notices: What is odd.
+        shot: The shot that a USD layer states, as reports of bakes have it; None for
+            none.
     """
 
     path: str
@@ -72,6 +74,7 @@ class TakeDescription:
     take: str
     points: list[PointPrim]
     notices: list[Fault]
+    shot: dict[str, object] | None = None
 
     def as_dict(self) -> dict[str, object]:
         """Return plain values for a JSON report; rates also as exact text."""
@@ -143,7 +146,17 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
         str(stream.details.get("take", "")),
         _points(Path(path)),
         stream.notices,
+        _shot(Path(path)),
     )
+
+
+def _shot(path: Path) -> dict[str, object] | None:
+    """Return the shot that a USD file states."""
+    if not is_usd(path):
+        return None
+    from animtool.usd.layers import find_layer, layer_shot
+
+    return layer_shot(find_layer(path))
 
 
 def _points(path: Path) -> list[PointPrim]:

@@ -437,7 +437,7 @@ def _rate_apart(target: RigTarget | None, fps: Fraction) -> list[Fault]:
     if target is None or fps == target.fps:
         return []
     theirs = rate_label(target.fps)
-    message = f"--fps {float(fps):g} is not the rig layer's rate, {theirs}"
+    message = f"the output has {rate_label(fps)}, and the rig layer {theirs}"
     hint = "USD stretches time where a sublayer's rate is not its stage's"
     return [Fault("USD106", message, str(target.path), (), hint, Severity.WARNING)]
 

@@ -30,6 +30,7 @@ __all__ = [
     "export_layer",
     "find_layer",
     "forget_layers",
+    "layer_shot",
     "new_layer",
     "note_layers",
     "prim",
@@ -80,11 +81,32 @@ def author_metadata(layer: Any, metadata: StageMetadata) -> None:
         layer.customLayerData = data
 
 
+# Keys of reports, and as USD spells them.
+_SHOT_KEYS = {
+    "cut_in": "cutIn",
+    "cut_out": "cutOut",
+    "media_in": "mediaIn",
+    "media_out": "mediaOut",
+}
+
+
 def _shot(shot: Shot) -> dict[str, object]:
     """Return what ``animtool:shot`` in a layer's customLayerData says."""
-    camel = {"cut_in": "cutIn", "cut_out": "cutOut"}
-    camel |= {"media_in": "mediaIn", "media_out": "mediaOut"}
-    return {camel.get(key, key): value for key, value in shot.as_dict().items()}
+    return {_SHOT_KEYS.get(key, key): value for key, value in shot.as_dict().items()}
+
+
+def layer_shot(layer: Any) -> dict[str, object] | None:
+    """Return the shot that a layer states, as reports have it; None for none."""
+    data = layer.customLayerData.get("animtool")
+    found = data.get("shot") if isinstance(data, dict) else None
+    if not isinstance(found, dict):
+        return None
+    keys = {usd: key for key, usd in _SHOT_KEYS.items()}
+    shot: dict[str, object] = {
+        keys.get(str(name), str(name)): value for name, value in found.items()
+    }
+    frames = ("start", "end", "cut_in", "cut_out", "head", "tail")
+    return shot if all(isinstance(shot.get(key), int) for key in frames) else None
 
 
 def check_prim_path(text: str) -> None:

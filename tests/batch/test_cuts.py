@@ -413,7 +413,9 @@ def test_one_shot_is_baked_by_its_name(takes: Path) -> None:
     done = animtool("bake", "edit.otio", "--shot", "sh010", "--handles", 2, cwd=takes)
     assert done.code == 0, done.stderr
     assert "shot sh010: cut 1003 to 1010, handles 2 and 2, 24 fps" in done.stderr
-    assert (takes / "sh010.usdc").exists()
+    told = animtool("info", "sh010.usdc", cwd=takes).stdout
+    said = "  shot      sh010, frames 1001 to 1012, cut 1003 to 1010, handles 2 and 2"
+    assert said in told.splitlines()
     for words, said in (
         (["--shot", "sh01"], "did you mean 'sh010'? the shots are sh010, sh020"),
         ([], "has 2 shots: name one with --shot, the shots are sh010, sh020"),

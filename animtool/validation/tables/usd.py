@@ -64,7 +64,7 @@ RULES = (
         Severity.WARNING,
     ),
     Rule("USD105", "samples unevenly spaced", Severity.NOTE),
-    Rule("USD106", "`--fps` is not the rig layer's rate", Severity.WARNING),
+    Rule("USD106", "another rate than the rig layer has", Severity.WARNING),
     Rule("USD107", "several characters, of which one is taken", Severity.WARNING),
     Rule(
         "USD108",
