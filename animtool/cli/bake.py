@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from animtool.cli.bake_options import bake_options, bake_options_record
-from animtool.cli.bake_shot import shot_source
 from animtool.cli.bake_sources import (
     only_scene,
     opened_sources,
@@ -26,6 +25,7 @@ from animtool.cli.options import (
 )
 from animtool.cli.outputs import existing_options, goes_to_stdout, skipped
 from animtool.cli.plots import plot_option, refuse_alone
+from animtool.cli.shot_options import bake_shot
 
 if TYPE_CHECKING:
     from animtool.scene.scene import Scene
@@ -112,7 +112,7 @@ def bake(
     """
     to_stdout = goes_to_stdout(output, given)
     _check_usage(given)
-    sources, output = shot_source(console, sources, output, given)
+    sources, output = bake_shot(console, sources, output, given)
     if output is None and len(sources) > 1 and not given["table"]:
         raise click.UsageError("Several sources make one library: name it with -o.")
     opened = opened_sources(sources, dict(given["variables"]))

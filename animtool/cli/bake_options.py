@@ -21,6 +21,7 @@ from animtool.cli.options import (
     source_prim_option,
     take_option,
 )
+from animtool.cli.shot_options import SHOT_OPTIONS
 
 if TYPE_CHECKING:
     from animtool.scene.options import BakeOptions
@@ -113,18 +114,7 @@ _OPTIONS = (
         help="Time code of the first frame.  [default: the rig layer's, the "
         "project's, 1; of a shot the timeline's, the project's, 1001]",
     ),
-    click.option(
-        "--shot",
-        metavar="NAME",
-        help="Of a timeline: the shot to bake; needed where there are several.",
-    ),
-    click.option(
-        "--handles",
-        type=click.IntRange(0),
-        metavar="N",
-        help="Of a timeline: frames before and after the cut, at its rate.  [default: "
-        "as the timeline says, else 0]",
-    ),
+    *SHOT_OPTIONS,
     click.option(
         "--samples",
         type=_parsed("offsets"),

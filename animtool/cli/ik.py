@@ -15,6 +15,7 @@ from animtool.cli.options import (
     LENGTH,
     OUTPUT,
     TOLERANCE,
+    Command,
     Parsed,
     common_options,
     format_option,
@@ -26,6 +27,7 @@ from animtool.cli.options import (
 )
 from animtool.cli.outputs import existing_options, goes_to_stdout, skipped
 from animtool.cli.plots import check_plot, draw, plot_option, refuse_alone
+from animtool.cli.shot_options import SHOT_OPTIONS, timeline_shot
 
 __all__ = ["ik"]
 
@@ -78,6 +80,12 @@ class _Method(click.ParamType[Any]):
         return IkMethod(value)
 
 
+def _with_shot(command: Command) -> Command:
+    for option in reversed(SHOT_OPTIONS):
+        command = option(command)
+    return command
+
+
 @click.command(
     epilog="""\b
 Examples:
@@ -87,6 +95,8 @@ Examples:
   animtool ik hero.rig.yaml --targets feet.targets.yaml --clip walk.bvh -o walk.usdc
   animtool ik hero.usda --targets feet.targets.yaml --clip walk.usdc -o fix.usdc
       --rig-layer hero.usda
+  animtool ik hero.rig.yaml --targets feet.targets.yaml --clip edit.otio --shot sh010
+      -o sh010.usdc
   animtool ik hero.rig.yaml --targets reach.targets.yaml --strict --tol 0.1mm
   animtool ik hero.rig.yaml --targets reach.targets.yaml --table --plot reach.png
   animtool ik hero.rig.yaml --match --clip walk.bvh -o walk.targets.yaml"""
@@ -104,9 +114,10 @@ Examples:
     "start",
     type=INPUT,
     metavar="START",
-    help="Motion to start from, a clip, BVH or USD file: each frame stays near its "
-    "pose there.  [default: the rest pose]",
+    help="Motion to start from, a clip, BVH or USD file, or a shot of a timeline: each "
+    "frame stays near its pose there.  [default: the rest pose]",
 )
+@_with_shot
 @click.option(
     "--match",
     is_flag=True,
@@ -264,6 +275,9 @@ def ik(console: Console, /, **given: Any) -> None:
         match_command(console, given, _source(given))
         return
     _check(given)
+    cut = timeline_shot(console, given["start"], given, given["first_code"])
+    if cut is not None:
+        given |= {"start": cut.found.path, "shot": cut.shot, "first_code": None}
     as_json = given["report_format"] == "json"
     output = given["output"]
     to_stdout = goes_to_stdout(output, given)
@@ -302,9 +316,7 @@ def _check(given: dict[str, Any]) -> None:
 def _source(given: dict[str, Any]) -> Any:
     """Return what the start is."""
     return source_options_record(
-        given,
-        given["source_prim"],
-        take=given["take"],
+        given, given["source_prim"], take=given["take"], shot=given["shot"]
     )
 
 
@@ -406,6 +418,7 @@ def _bake_options(given: dict[str, Any], to_stdout: bool) -> Any:
         prim_path=given["prim_path"],
         start=given["first_code"],
         sparse=given["sparse"],
+        shot=given["shot"],
         reduce=given["reduce"],
         overwrite=given["overwrite"],
     )

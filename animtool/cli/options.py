@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from animtool.cli.console import Console
+
+if TYPE_CHECKING:
+    from animtool.shot import Shot
 
 __all__ = [
     "DISTANCE",
@@ -290,6 +293,7 @@ def source_options_record(
     *,
     clamp: bool = False,
     take: str | None = None,
+    shot: Shot | None = None,
 ) -> Any:
     """Return the record of `source_options`, and of what a command has beside them."""
     units, up = given["units"], given["up"]
@@ -304,4 +308,5 @@ def source_options_record(
         rig,
         clamp,
         take,
+        shot=shot,
     )

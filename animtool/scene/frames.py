@@ -17,10 +17,10 @@ from animtool.edit.resample import (
     plan_samples,
     sample,
 )
-from animtool.errors import Fault, Severity
+from animtool.errors import Fault, OptionError, Severity
 from animtool.rig.skeleton import Rig
-from animtool.scene.shots import missing_frames
 from animtool.scene.take_plan import TakePlan
+from animtool.shot import Shot, frame_spans
 from animtool.take import Clock, Motion, Take, TakeStream, time_codes
 
 __all__ = ["TimedTake", "moving_joints", "timed_blocks"]
@@ -94,13 +94,51 @@ def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
     if options.shot is None or wanted is None:
         notices = _range_notice(plan, times)
     else:
-        notices = missing_frames(plan, options.shot, clock)
+        notices = _missing_frames(plan, options.shot, clock)
         # Also where samples are kept that are not on the first and the last frame.
         first, last = Fraction(wanted.first), Fraction(wanted.last)
         if options.keep_samples:
             times = replace(times, first=first, last=last)
     plan.notices.extend([*notices, *_end_notices(plan, times)])
     return times
+
+
+def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
+    """Name the frames of a shot that a take lacks; their nearest pose is held.
+
+    The last frame of a take lasts until the next would begin.
+
+    Raises:
+        OptionError: The take has no frame of the shot (SCN042).
+    """
+    wanted, where = plan.options.frame_range, str(plan.source)
+    assert wanted is not None
+    asked = range(wanted.first, wanted.last + 1, wanted.step)
+    step = plan.fps / clock.rate
+    last = plan.start + (clock.count - 1) * step
+    missing = [n for n in asked if not plan.start <= n < last + step]
+    if not missing:
+        return []
+    named = f"shot {shot.name}: " if shot.name else ""
+    hint = f"the take has {float(plan.start):.7g} to {float(last):.7g}"
+    if len(missing) == len(asked):
+        message = f"{named}the take has no frame from {asked[0]} to {asked[-1]}"
+        at = None if shot.places_media else "shot.cut"
+        raise OptionError(Fault("SCN042", message, where, (), hint, where=at))
+    cut = [n for n in missing if shot.cut_in <= n <= shot.cut_out]
+    handles = [n for n in missing if n not in cut]
+    found = []
+    for code, what, key, frames in (
+        ("SCN074", "frames of the cut", "shot.cut", cut),
+        ("SCN106", "handle frames", "shot.handles", handles),
+    ):
+        if frames:
+            message = f"{named}the take lacks {what} {frame_spans(frames, wanted.step)}"
+            message += "; the nearest pose is held"
+            warning = Severity.WARNING
+            at = None if shot.places_media else key
+            found.append(Fault(code, message, where, (), hint, warning, where=at))
+    return found
 
 
 def _sampled(

@@ -11,7 +11,6 @@ from animtool.errors import AnimtoolError, Fault, Severity
 from animtool.scene.options import BakeOptions, merged
 from animtool.scene.progress import Progress, share_of
 from animtool.scene.scene import Scene
-from animtool.scene.shots import in_shot
 from animtool.scene.sources import (
     Opener,
     fitting_options,
@@ -81,9 +80,8 @@ class Reading:
                     streams.append(scene.open(progress=shown))
                     continue
                 own = fitting_options(options.source, path, self.files)
-                own = replace(own, force_fit=options.force_fit)
-                stream = opener(path, own, progress=shown)
-                streams.append(in_shot(stream, options.shot))
+                own = replace(own, force_fit=options.force_fit, shot=options.shot)
+                streams.append(opener(path, own, progress=shown))
             except AnimtoolError as error:
                 errors.append(error)
         if len(errors) == 1:

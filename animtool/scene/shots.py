@@ -1,19 +1,14 @@
-"""A take in a shot: where its samples stand, and which frames it lacks."""
+"""A take in a shot: where its samples stand."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, OptionError, Severity
-from animtool.shot import Shot, frame_spans
-from animtool.take import Clock, Motion, TakeStream
+from animtool.shot import Shot
+from animtool.take import Motion, TakeStream
 
-if TYPE_CHECKING:
-    from animtool.scene.take_plan import TakePlan
-
-__all__ = ["in_shot", "missing_frames"]
+__all__ = ["in_shot"]
 
 
 def in_shot(stream: TakeStream, shot: Shot | None) -> TakeStream:
@@ -44,41 +39,3 @@ def in_shot(stream: TakeStream, shot: Shot | None) -> TakeStream:
             for name, curves in stream.control_curves.items()
         },
     )
-
-
-def missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
-    """Name the frames of a shot that a take lacks; their nearest pose is held.
-
-    The last frame of a take lasts until the next would begin.
-
-    Raises:
-        OptionError: The take has no frame of the shot (SCN042).
-    """
-    wanted, where = plan.options.frame_range, str(plan.source)
-    assert wanted is not None
-    asked = range(wanted.first, wanted.last + 1, wanted.step)
-    step = plan.fps / clock.rate
-    last = plan.start + (clock.count - 1) * step
-    missing = [n for n in asked if not plan.start <= n < last + step]
-    if not missing:
-        return []
-    named = f"shot {shot.name}: " if shot.name else ""
-    hint = f"the take has {float(plan.start):.7g} to {float(last):.7g}"
-    if len(missing) == len(asked):
-        message = f"{named}the take has no frame from {asked[0]} to {asked[-1]}"
-        at = None if shot.places_media else "shot.cut"
-        raise OptionError(Fault("SCN042", message, where, (), hint, where=at))
-    cut = [n for n in missing if shot.cut_in <= n <= shot.cut_out]
-    handles = [n for n in missing if n not in cut]
-    found = []
-    for code, what, key, frames in (
-        ("SCN074", "frames of the cut", "shot.cut", cut),
-        ("SCN106", "handle frames", "shot.handles", handles),
-    ):
-        if frames:
-            message = f"{named}the take lacks {what} {frame_spans(frames, wanted.step)}"
-            message += "; the nearest pose is held"
-            warning = Severity.WARNING
-            at = None if shot.places_media else key
-            found.append(Fault(code, message, where, (), hint, warning, where=at))
-    return found

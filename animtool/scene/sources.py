@@ -13,6 +13,7 @@ from animtool.inputs import note_input
 from animtool.rates import rate_option
 from animtool.readers import READERS, USD, find_reader
 from animtool.scene.progress import Progress
+from animtool.shot import Shot
 from animtool.units import LengthUnit, UpAxis
 
 if TYPE_CHECKING:
@@ -35,7 +36,9 @@ Opener: TypeAlias = Callable[..., "TakeStream"]
 
 SCENE_SUFFIXES = (".scene.yaml", ".scene.yml", ".scene.json")
 # Options that apply to every source.
-ANY_SOURCE = frozenset({"rig", "force_fit"})
+ANY_SOURCE = frozenset({"rig", "force_fit", "shot"})
+# Those that no reader is given.
+BEYOND_READERS = frozenset({"force_fit", "shot"})
 # What OpenTimelineIO and its adapters read.
 TIMELINE_SUFFIXES = (
     ".otio",
@@ -73,6 +76,7 @@ class SourceOptions:
         force_fit: Take motion that does not fit the rig all the same.
         clamp: Bring a clip's controls into their ranges, and joints into limits.
         take: Which take of a clip library; None is the one that it selects.
+        shot: The shot that shows it, whose frames its time codes become; None is none.
 
     Raises:
         OptionError: fps is no rate (CLI006).
@@ -86,6 +90,7 @@ class SourceOptions:
     clamp: bool = False
     take: str | None = None
     force_fit: bool = False
+    shot: Shot | None = None
 
     def __post_init__(self) -> None:
         """Take the rate as it is written."""
@@ -181,6 +186,11 @@ def open_source(
         message = "is a scene, and no take is read from scenes"
         hint = "animtool bake bakes it; its source is a file that can be read"
         raise OptionError(Fault("IO002", message, str(path), (), hint))
+    if options.shot is not None:
+        from animtool.scene.shots import in_shot
+
+        own = replace(options, shot=None)
+        return in_shot(open_source(path, own, progress=progress), options.shot)
     reader = find_reader(path)
     if options.rig is not None and "rig" not in reader.options:
         own = replace(options, rig=None, force_fit=False)
@@ -193,7 +203,7 @@ def open_source(
     given = {
         field.name: value
         for field in fields(SourceOptions)
-        if field.name != "force_fit"
+        if field.name not in BEYOND_READERS
         and (value := getattr(options, field.name)) != getattr(usual, field.name)
     }
     refused = [name for name in given if name not in reader.options]

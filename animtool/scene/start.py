@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from animtool.scene.sources import (
     open_source,
     takes_option,
 )
+from animtool.shot import Shot
 from animtool.take import Channel, Clock, Motion, Take
 
 __all__ = ["open_start", "rest_take"]
@@ -60,11 +62,26 @@ def open_start(
         options = replace(options, rig=rig_path)
     stream = reorient(open_source(path, options, progress=progress), rig.up)
     notices = list(stream.notices)
-    take = stream.collect()
+    take = _within(stream.collect(), options.shot)
     if take.rig.names == rig.names and take.rig.controls == rig.controls:
         return replace(take, rig=rig, notices=tuple(notices))
     motion, odd = _mapped(take, rig, path)
     return Take(rig, take.clock, motion, (*notices, *odd))
+
+
+def _within(take: Take, shot: Shot | None) -> Take:
+    """Return the samples that the frames of a shot lie between."""
+    if shot is None:
+        return take
+    clock = take.clock
+    first = math.floor((shot.start - clock.start) / clock.step)
+    last = math.ceil((shot.end - clock.start) / clock.step)
+    kept = slice(max(first, 0), min(last, clock.count - 1) + 1)
+    if kept.start >= kept.stop:
+        return take
+    start = clock.start + kept.start * clock.step
+    clock = replace(clock, start=start, count=kept.stop - kept.start)
+    return replace(take, clock=clock, motion=take.motion.select(kept))
 
 
 def _mapped(take: Take, rig: Rig, path: Path) -> tuple[Motion, list[Fault]]:

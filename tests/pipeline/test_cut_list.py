@@ -163,6 +163,28 @@ def test_shots_become_layers_over_a_rig(tmp_path: Path) -> None:
     assert made == (tmp_path / "a.usdc").read_bytes()
 
 
+def test_a_shot_is_brought_to_targets(tmp_path: Path) -> None:
+    edit(tmp_path, 24, own=True)
+    (tmp_path / "level.targets.yaml").write_text(
+        "targets: animtool/1\nunits: {length: cm, angle: deg}\nfps: 24\n"
+        "goals: [{effector: hips, orientation: [1, 0, 0, 0]}]\n"
+    )
+    words = ["sh010_take.bvh", "-t", "level.targets.yaml", "--clip", "cut.otio"]
+    done = animtool("ik", *words, "--shot", "sh030", "-o", "a.usdc", cwd=tmp_path)
+    assert done.code == 0, done.stderr
+    assert "lacks handle frames" in done.stderr
+    begin, frames, last = expected("sh030", 24, own=True)
+    take = open_source(tmp_path / "a.usdc").collect()
+    assert (take.clock.start, take.clock.count) == (1001, frames + 2 * HANDLES)
+    shown = [min(begin + Fraction(i - HANDLES, 24), last) for i in range(frames + 16)]
+    found = take.world().positions[:, 0, 0]
+    np.testing.assert_allclose(found, np.array(shown, float), atol=1e-6)
+    shot = find_layer(tmp_path / "a.usdc").customLayerData["animtool"]["shot"]
+    assert (shot["cutIn"], shot["mediaIn"]) == (1009, float(begin))
+    refused = animtool("ik", *words, "--shot", "sh3", cwd=tmp_path)
+    assert (refused.code, "did you mean 'sh030'" in refused.stderr) == (2, True)
+
+
 def test_media_too_short_is_an_error_under_strict(tmp_path: Path) -> None:
     edit(tmp_path, 24, own=True)
     words = ["cut.otio", "-o", "out/{shot}.usdc", "--executor", "serial", "--strict"]

@@ -61,8 +61,10 @@ def baked(
     return Baked(open_source(sample).collect(), stages)
 
 
-def codes_of(stage: Any) -> list[float]:
-    return list(skeleton_query(stage).GetAnimQuery().GetJointTransformTimeSamples())
+def codes_of(baked: Baked, form: str) -> list[float]:
+    """Return the time codes of samples; of a take at rest, which has none, all."""
+    query = skeleton_query(baked.stages[form]).GetAnimQuery()
+    return list(query.GetJointTransformTimeSamples()) or baked.take.clock.times.tolist()
 
 
 FORMS = pytest.mark.parametrize("form", ["stage", "split", "layer"])
@@ -76,7 +78,7 @@ def test_it_is_valid(baked: Baked, form: str) -> None:
 @FORMS
 def test_usdskel_puts_joints_where_we_do(baked: Baked, form: str) -> None:
     take, stage = baked.take, baked.stages[form]
-    codes = codes_of(stage)
+    codes = codes_of(baked, form)
     assert len(codes) == take.clock.count
     translations, rotations, scales = take.motion.dense()
     if scales is not None:
@@ -103,7 +105,7 @@ def test_usdskel_puts_joints_where_we_do(baked: Baked, form: str) -> None:
 @FORMS
 def test_skeleton_space_is_placed_by_the_prim(baked: Baked, form: str) -> None:
     stage = baked.stages[form]
-    query, codes = skeleton_query(stage), codes_of(stage)
+    query, codes = skeleton_query(stage), codes_of(baked, form)
     placed = joint_transforms(stage, codes)
     for code, world in zip(codes, placed, strict=True):
         cache = UsdGeom.XformCache(Usd.TimeCode(code))
@@ -126,7 +128,7 @@ def test_shapes_have_our_weights(baked: Baked, form: str) -> None:
     assert not expected[:, ~np.array(kept)].any()
     expected = expected[:, kept]
     columns = [names.index(s.name) for s in take.rig.shapes if s.name in names]
-    for code, weights in zip(codes_of(stage), expected, strict=True):
+    for code, weights in zip(codes_of(baked, form), expected, strict=True):
         found = np.array(query.ComputeBlendShapeWeights(Usd.TimeCode(code)))
         np.testing.assert_allclose(found[columns], weights, rtol=0, atol=WEIGHTS)
 
