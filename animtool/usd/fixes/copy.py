@@ -22,7 +22,13 @@ from animtool.usd.fixes.target import Edit, NotFixableError, Target
 from animtool.usd.layers import export_layer, find_layer, usd_errors
 from animtool.usd.stderr import without_usd_warnings
 
-__all__ = ["EditedLayer", "check_copy", "edited_layer", "write_copy"]
+__all__ = [
+    "EditedLayer",
+    "check_copy",
+    "edited_layer",
+    "spare_composed_layers",
+    "write_copy",
+]
 
 # Raises NotFixableError where it would not be safe.
 Fix: TypeAlias = Callable[[Target, Fault], Edit]
@@ -88,6 +94,22 @@ def check_copy(source: Path, output: Path) -> None:
             raise OptionError(Fault("OUT004", message, str(path), (), hint))
 
 
+def spare_composed_layers(source: Path, output: Path) -> None:
+    """Refuse a copy in place of a layer that the source itself brings in.
+
+    Raises:
+        OptionError: It is one (OUT003): the copy would bring in itself.
+    """
+    if not output.exists():
+        return
+    with edited_layer(source) as edited:
+        used = [Path(layer.realPath) for layer in edited.target.stage.GetUsedLayers()]
+    if output.resolve() in {path.resolve() for path in used}:
+        message = f"is a layer of {source}"
+        hint = "name another -o, or fix that layer by itself"
+        raise OptionError(Fault("OUT003", message, str(output), (), hint))
+
+
 def write_copy(source: Path, content: Any, output: Path) -> Sequence[str]:
     """Write a layer's content to another file, in the format of its own.
 
@@ -120,7 +142,8 @@ def write_copy(source: Path, content: Any, output: Path) -> Sequence[str]:
             export_layer(layer, temporary, output, arguments)
     held = Sdf.Layer.Find(str(output))
     if held is not None:
-        held.Reload(force=True)
+        with without_usd_warnings():
+            held.Reload(force=True)
     return [f"rewrites {moved} relative asset paths for the new folder"] * bool(moved)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from pxr import Sdf
+from pxr import Sdf, Usd
 
 from animtool.errors import Fault, counted
 from animtool.usd.checks.subject import Subject
@@ -55,13 +55,15 @@ def _ranged(target: Target, *, widen: bool) -> Change:
         first = min(first, stage.GetStartTimeCode())
         last = max(last, stage.GetEndTimeCode())
     layer.startTimeCode, layer.endTimeCode = first, last
-    return Change(f"sets the range {before} to {first:g} to {last:g}")
+    return Change(f"sets the range to {first:g} to {last:g}{before}")
 
 
 def _stated(layer: Any) -> str:
+    if not (layer.HasStartTimeCode() or layer.HasEndTimeCode()):
+        return ""
     start = f"{layer.startTimeCode:g}" if layer.HasStartTimeCode() else "none"
     end = f"{layer.endTimeCode:g}" if layer.HasEndTimeCode() else "none"
-    return f"from {start} to {end}"
+    return f", which was {start} to {end}"
 
 
 def _span(stage: Any) -> tuple[float, float]:
@@ -78,7 +80,7 @@ def _span(stage: Any) -> tuple[float, float]:
     )
 
 
-def whole_frames(target: Target, _: Fault) -> Edit:
+def whole_frames(target: Target, fault: Fault) -> Edit:
     """Move samples that lie a little off a whole frame onto it.
 
     Samples between frames, as those of motion blur, stay.
@@ -90,6 +92,10 @@ def whole_frames(target: Target, _: Fault) -> Edit:
         if 0 < abs(time - round(time)) <= MAX_DRIFT
     }
     if not moved:
+        for attr in target.prim(fault).GetAttributes():
+            for spec in attr.GetPropertyStack(Usd.TimeCode.EarliestTime()):
+                if spec.layer.GetNumTimeSamplesForPath(spec.path):
+                    target.require_own(spec)
         raise NotFixableError("the samples of this layer are on whole frames")
     paths = _moving(layer)
     for path in paths:

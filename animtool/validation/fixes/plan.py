@@ -14,7 +14,7 @@ from animtool.validation.fixes.mend import has_fix
 from animtool.validation.options import ValidateOptions
 from animtool.validation.run import Report
 
-__all__ = ["FileMend", "is_layer", "plan_file", "with_fixable"]
+__all__ = ["FileMend", "is_layer", "is_package", "plan_file", "with_fixable"]
 
 
 @dataclass(slots=True)
@@ -76,7 +76,9 @@ def with_fixable(report: Report) -> Report:
     """Return a report that knows which of its findings have a safe remedy."""
     cases: dict[str, list[Fault]] = {}
     for fault in report.findings:
-        if has_fix(fault.code) and fault.path is not None:
+        if fault.path is None or is_package(Path(fault.path)):
+            continue
+        if has_fix(fault.code):
             cases.setdefault(fault.path, []).append(fault)
     fixable = (
         fault
@@ -93,6 +95,15 @@ def is_layer(path: Path) -> bool:
     (True, False)
     """
     return READERS.get(path.suffix.lower()) is USD
+
+
+def is_package(path: Path) -> bool:
+    """Return whether a file is a USD package, whose layers cannot be written.
+
+    >>> is_package(Path("shot.usdz")), is_package(Path("shot.usdc"))
+    (True, False)
+    """
+    return path.suffix.lower() == ".usdz"
 
 
 def _open_draft(path: Path) -> Draft:

@@ -9,7 +9,13 @@ from pathlib import Path
 from animtool.errors import Fault, counted
 from animtool.output import check_outputs
 from animtool.validation.fixes.mend import has_fix
-from animtool.validation.fixes.plan import FileMend, is_layer, plan_file, with_fixable
+from animtool.validation.fixes.plan import (
+    FileMend,
+    is_layer,
+    is_package,
+    plan_file,
+    with_fixable,
+)
 from animtool.validation.options import ValidateOptions
 from animtool.validation.run import Report, validate_files
 from animtool.validation.settings import settings_of
@@ -76,7 +82,7 @@ def fix_files(
         if plan.mended:
             plan.after.write(path)
         plans.append(plan)
-    notes = tuple(_kept(report, kept))
+    notes = (*_kept(report, kept), *_packed(report))
     if any(plan.mended for plan in plans):
         report = validate_files(files, options)
     mended = tuple(entry for plan in plans for entry in plan.mended)
@@ -102,15 +108,16 @@ def fix_copy(
 
     Raises:
         FormatError: The layer cannot be read.
-        OptionError: The copy exists (OUT001), is the layer (OUT003), or one of the two
-            is no plain layer (OUT004).
+        OptionError: The copy exists (OUT001), is the layer or one that it brings in
+            (OUT003), or one of the two is no plain layer (OUT004).
         OutputError: It cannot be written.
     """
-    from animtool.usd.fixes.copy import check_copy
+    from animtool.usd.fixes.copy import check_copy, spare_composed_layers
 
     options = options or ValidateOptions()
     check_copy(source, output)
     check_outputs([output], [source], overwrite=overwrite)
+    spare_composed_layers(source, output)
     plan = _plan(source, options)
     notes = plan.after.write(output)
     report = validate_files([output], options)
@@ -123,7 +130,17 @@ def _plan(path: Path, options: ValidateOptions) -> FileMend:
 
 def _having_fixes(report: Report) -> list[Path]:
     named = {fault.path for fault in report.findings if has_fix(fault.code)}
-    return [path for path in report.files if str(path) in named]
+    return [
+        path for path in report.files if str(path) in named and not is_package(path)
+    ]
+
+
+def _packed(report: Report) -> Iterator[str]:
+    """Yield which packages have findings that a fix is known for."""
+    named = {fault.path for fault in report.findings if has_fix(fault.code)}
+    for path in report.files:
+        if str(path) in named and is_package(path):
+            yield f"{path}: a package is not changed: unpack it, and fix its layers"
 
 
 def _kept(report: Report, paths: Sequence[Path]) -> Iterator[str]:

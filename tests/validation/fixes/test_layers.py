@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pxr import Sdf, Usd, UsdGeom, Vt
+from pxr import Sdf, Usd, UsdGeom, UsdUtils, Vt
 from support.clean_layer import (
     ANIMATION,
     MESH,
@@ -22,11 +22,13 @@ from support.clean_layer import (
 )
 from support.cli import animtool
 
+from animtool.errors import OptionError
 from animtool.report.compare import compare
 from animtool.usd.fixes.table import EDITS
+from animtool.validation.fixes.plan import with_fixable
 from animtool.validation.fixes.run import fix_copy, fix_files
 from animtool.validation.options import ValidateOptions
-from animtool.validation.run import validate
+from animtool.validation.run import validate, validate_files
 
 FRAMES = 12
 Plant = Callable[[Any], None]
@@ -350,3 +352,49 @@ def test_the_command_refuses_before_the_work(tmp_path: Path) -> None:
     assert done.code == 0
     assert validate(new) == []
     assert not list(tmp_path.glob(".animtool*"))
+
+
+def shot_over(rig: Path, path: Path) -> Path:
+    """Write a layer that has another as its sublayer, and return its path."""
+    path.write_text(f"#usda 1.0\n(\n    subLayers = [@./{rig.name}@]\n)\n", "utf-8")
+    return path
+
+
+def test_a_copy_never_replaces_a_layer_that_the_source_brings_in(
+    tmp_path: Path,
+) -> None:
+    rig = planted(tmp_path / "rig.usdc", flip_signs)
+    shot, before = shot_over(rig, tmp_path / "shot.usda"), rig.read_bytes()
+    with pytest.raises(OptionError) as caught:
+        fix_copy(shot, rig, overwrite=True)
+    assert caught.value.faults[0].code == "OUT003"
+    assert rig.read_bytes() == before
+
+
+def drift(layer: Any) -> None:
+    path = f"{ANIMATION}.rotations"
+    for code in (3, 4, 5):
+        value = layer.QueryTimeSample(path, code)
+        layer.EraseTimeSample(path, code)
+        layer.SetTimeSample(path, code + 0.004, value)
+
+
+def test_samples_of_a_sublayer_off_the_frames_name_its_file(tmp_path: Path) -> None:
+    rig = planted(tmp_path / "rig.usdc", drift)
+    shot = Sdf.Layer.CreateNew(str(tmp_path / "shot.usda"))
+    shot.subLayerPaths = ["./rig.usdc"]
+    shot.TransferContent(shot_of(shot, rig))
+    shot.Save()
+    fixes = fix_copy(tmp_path / "shot.usda", tmp_path / "new.usda")
+    assert [(f.code, "rig.usdc" in why) for f, why in fixes.left] == [("MOT216", True)]
+
+
+def test_a_package_is_no_layer_to_fix(tmp_path: Path) -> None:
+    path = planted(tmp_path / "wrong.usdc", flip_signs)
+    package = tmp_path / "wrong.usdz"
+    assert UsdUtils.CreateNewUsdzPackage(str(path), str(package))
+    before = package.read_bytes()
+    fixes = fix_files([package], overwrite=True)
+    assert "unpack it" in fixes.notes[0]
+    assert package.read_bytes() == before
+    assert with_fixable(validate_files([package])).fixable == frozenset()
