@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from fractions import Fraction
 from numbers import Rational
@@ -17,6 +18,7 @@ __all__ = [
     "Clock",
     "FrameSpan",
     "frame_label",
+    "span_label",
     "time_codes",
     "time_fraction",
 ]
@@ -136,12 +138,24 @@ class FrameSpan:
         return f"{word} {' to '.join(ends)} at {rate_label(self.fps)}"
 
 
-def frame_label(frame: Fraction) -> str:
-    """Return a time code as people read it.
+def span_label(first: Fraction | float, last: Fraction | float) -> str:
+    """Return the first and the last of a range of time codes.
 
-    >>> frame_label(Fraction(1001)), frame_label(Fraction(5, 3))
-    ('1001', '1.66667')
+    >>> span_label(1001.0, 1024.0)
+    '1001 to 1024'
     """
+    return f"{frame_label(first)} to {frame_label(last)}"
+
+
+def frame_label(frame: Fraction | float) -> str:
+    """Return a time code as people read it: all digits of the frame, no exponent.
+
+    >>> frame_label(Fraction(1001)), frame_label(Fraction(5, 3)), frame_label(2073600.5)
+    ('1001', '1.66667', '2073600.5')
+    """
+    if not math.isfinite(frame):
+        return f"{frame:g}"
+    frame = Fraction(frame)
     if frame.denominator == 1:
         return str(frame)
     digits = 5 + len(str(int(abs(frame))))

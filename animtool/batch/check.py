@@ -48,16 +48,27 @@ def _clashes(
             other = taken.setdefault(name, item)
             if other is not item:
                 message = f"would be written for both {other.label} and {item.label}"
-                hint = "{parent} in -o keeps the folders of inputs apart"
-                if other.found == item.found and item.values:
-                    name = next(iter(item.values))
-                    hint = f"{{{name}}} in -o, or ${{{name}}} in the scene's output, "
-                    hint += "keeps the variants apart"
+                hint = _apart(item, other)
                 yield Fault("BAT006", message, str(path), (), hint)
             elif name in own:
                 message = f"would be written twice for {item.label}"
                 yield Fault("BAT006", message, str(path))
             own.add(name)
+
+
+def _apart(item: Item, other: Item) -> str:
+    """Return what keeps the outputs of two items apart."""
+    if item.shot is not None and item.shot != other.shot:
+        return "{shot} in -o keeps the shots apart"
+    if item.found != other.found:
+        return "{parent} in -o keeps the folders of inputs apart"
+    differing = [k for k, v in item.values.items() if other.values.get(k) != v]
+    if not differing:
+        return "these values are given twice: leave one out"
+    name = differing[0]
+    return f"{{{name}}} in -o, or ${{{name}}} in the scene's output, " + (
+        "keeps the variants apart"
+    )
 
 
 def _closed(folders: Iterable[Path]) -> Iterator[Fault]:

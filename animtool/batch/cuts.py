@@ -148,7 +148,10 @@ def read_cut(path: Path, name: str | None, options: CutOptions) -> CutList:
 def _named(entries: Sequence[_Entry], name: str | None, path: Path) -> list[_Entry]:
     """Return the clip that is the shot of a name; without one the only clip."""
     names = [entry.name for entry in entries]
-    shots = f"the shots are {', '.join(names)}" if names else "it has no clip"
+    if not names:
+        message = "has no clip, so there is no shot to bake"
+        raise OptionError(Fault("BAT048", message, str(path)))
+    shots = f"the shots are {', '.join(names)}"
     if name is None:
         if len(names) == 1:
             return list(entries)
@@ -376,14 +379,16 @@ class _Reader:
         if path is not None and self.left_out(path):
             self.note("BAT043", f"{named} is left out, as asked: {path}")
             return None
-        if path is not None and path.exists():
+        if path is not None and path.is_file():
             return FoundFile(path, path.parent)
         for stem in (clip.name, None if path is None else source_stem(path)):
             if stem and stem.casefold() in self.media:
                 return self.media[stem.casefold()]
         if path is not None:
             hint = "give the folder that has it, or one of the clip's name, as INPUT"
-            self.fault("BAT042", f"the media of {named} is not there: {path}", hint)
+            problem = "a folder" if path.is_dir() else "not there"
+            shown = clip.media_reference.target_url if _is_remote(clip) else path
+            self.fault("BAT042", f"the media of {named} is {problem}: {shown}", hint)
         elif self.media:
             self.fault("BAT042", f"no media is called like {named}")
         else:
@@ -446,8 +451,8 @@ def _opened(path: Path) -> Any:
     except Exception as error:
         kind = type(error).__name__
         message = f"cannot be read as a timeline: {kind}: {excerpt(str(error), 200)}"
-        known = ", ".join(otio.adapters.suffixes_with_defined_adapters(read=True))
-        hint = f"there are adapters for {known}"
+        known = sorted(otio.adapters.suffixes_with_defined_adapters(read=True))
+        hint = f"there are adapters for {', '.join(known)}"
         raise FormatError(Fault("BAT041", message, str(path), (), hint)) from error
     if not isinstance(found, otio.schema.Timeline):
         message = f"is a {type(found).__name__}, and no timeline"
@@ -466,6 +471,11 @@ def _path(url: str, folder: Path) -> Path:
     if len(parts.scheme) > 1:
         return Path(url)
     return folder / (url if (folder / url).exists() else unquote(url))
+
+
+def _is_remote(clip: Any) -> bool:
+    """Return whether the media of a clip has an address that is no path."""
+    return "://" in clip.media_reference.target_url.removeprefix("file://")
 
 
 def _seconds(time: Any) -> Fraction:

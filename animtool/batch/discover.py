@@ -264,7 +264,8 @@ def _nothing(spec: BatchSpec) -> NothingFoundError:
     path = None if spec.path is None else str(spec.path)
     if spec.cuts is not None:
         message = "has no clip with media"
-        return NothingFoundError(Fault("BAT005", message, str(spec.cuts)))
+        hint = "a clip without media shows the INPUT of its name: give takes too"
+        return NothingFoundError(Fault("BAT005", message, str(spec.cuts), (), hint))
     suffixes = _suffixes(spec)
     message = f"no input in {listed(spec.inputs) or 'nothing'}"
     hint = f"folders are searched for {', '.join(suffixes)}"

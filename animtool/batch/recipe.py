@@ -59,8 +59,9 @@ class Item:
 
     @property
     def label(self) -> str:
-        """The input, and the values of a variant."""
-        return f"{self.found.path}{values_text(self.values)}"
+        """The input, and its shot and the values of a variant."""
+        shot = {} if self.shot is None else {"shot": self.shot.name}
+        return f"{self.found.path}{values_text({**shot, **self.values})}"
 
     @property
     def folders(self) -> list[Path]:

@@ -20,6 +20,7 @@ from animtool.cli.options import (
     source_options,
     source_options_record,
 )
+from animtool.clock import frame_label
 from animtool.quantities import length_text, plain
 
 if TYPE_CHECKING:
@@ -134,13 +135,13 @@ def _text(found: TakeDifference, *, same: bool) -> list[str]:
         largest = getattr(found, kind)
         line = f"  {kind:<12}{_size(kind, largest.value)}"
         if largest.value:
-            line += f"  joint {largest.joint!r}, time code {largest.code:g}"
+            line += f"  joint {largest.joint!r}, time code {frame_label(largest.code)}"
         lines.append(line)
     if found.shapes:
         weight = found.weight
         line = f"  {'weight':<12}{plain(weight.value)}"
         if weight.value:
-            line += f"  shape {weight.shape!r}, time code {weight.code:g}"
+            line += f"  shape {weight.shape!r}, time code {frame_label(weight.code)}"
         lines.append(line)
     lines += [f"  {text}" for text in found.mismatches]
     lines += [f"  note: {text}" for text in found.notes]

@@ -74,9 +74,9 @@ def _goal_text(goal: GoalReport) -> list[str]:
     for miss in goal.misses:
         sizes = [_size(miss.part, value) for value in (miss.mean, miss.p95, miss.max)]
         lines.append(
-            f"  {goal.name} {miss.part}: {sizes[2]} off at most (frame "
-            f"{miss.frame:g}), {sizes[1]} in 95 %, {sizes[0]} in the mean of "
-            f"{counted(miss.frames, 'frame')}"
+            f"  {goal.name} {miss.part}: {sizes[2]} off at most "
+            f"(frame {frame_label(miss.frame)}), {sizes[1]} in 95 %, "
+            f"{sizes[0]} in the mean of {counted(miss.frames, 'frame')}"
         )
     return lines
 

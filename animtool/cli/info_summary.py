@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from animtool.clock import frame_label
+from animtool.clock import span_label
 from animtool.errors import counted, listed
 from animtool.quantities import plain
 from animtool.rates import rate_label
@@ -34,10 +34,10 @@ def targets_text(found: TargetsDescription) -> list[str]:
     rate = f" at {found.fps}" if found.fps else ""
     lines = [
         f"{found.path}: targets, {counted(len(found.goals), 'goal')}",
-        f"  frames    {found.first:g} to {found.last:g}{rate}",
+        f"  frames    {span_label(found.first, found.last)}{rate}",
     ]
     for goal in found.goals:
-        spans = [f"{first:g} to {last:g}" for first, last in goal.held]
+        spans = [span_label(first, last) for first, last in goal.held]
         held = f", held {listed(spans)}" if spans else ""
         lines.append(f"  goal      {goal.effector}: {', '.join(goal.asks)}{held}")
     return lines
@@ -101,7 +101,7 @@ def take_text(found: TakeDescription) -> list[str]:
         else "  joints    none: blend shapes alone",
         f"  frames    {found.frames} at {rate_label(found.fps)}, "
         f"{plain(float(found.duration), 4)} s, time codes "
-        f"{frame_label(found.start)} to {frame_label(found.end)}{every}",
+        f"{span_label(found.start, found.end)}{every}",
         *_shot_lines(found.shot),
         f"  animated  {moving}; the rest never move",
         *shapes,
@@ -135,7 +135,7 @@ def points_text(found: PointsDescription) -> list[str]:
         f"  prims     {types}",
         f"  frames    {found.frames} at {rate_label(found.fps)}, "
         f"{plain(float(found.duration), 4)} s, time codes "
-        f"{frame_label(found.start)} to {frame_label(found.end)}",
+        f"{span_label(found.start, found.end)}",
         *_prim_lines(found.prims),
         f"  space     {found.units}, {found.up} up",
     ]
@@ -158,8 +158,8 @@ def _prim_line(prim: PointPrim) -> str:
     if prim.pieces:
         parts.append(_range(*prim.piece_count, prim.pieces.removesuffix("s")))
     moves = "never move"
-    if prim.samples:
-        span = f"time codes {prim.first:g} to {prim.last:g}"
+    if prim.first is not None and prim.last is not None:
+        span = f"time codes {span_label(prim.first, prim.last)}"
         moves = f"{counted(prim.samples, 'sample')}, {span}"
     parts.append(moves)
     beside = ("velocities", "widths", "ids", "normals")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from animtool.clock import frame_label
 from animtool.errors import counted
 from animtool.quantities import duration_text, length_text, size_text
 
@@ -41,7 +42,9 @@ def _line(mesh: MeshReport) -> str:
     written = mesh.written
     where = ""
     if written.error:
-        where = f" (vertex {written.error_vertex}, frame {written.error_code:g})"
+        where = (
+            f" (vertex {written.error_vertex}, frame {frame_label(written.error_code)})"
+        )
     moves = "still, no samples"
     if written.samples:
         moves = f"{counted(written.samples, 'frame')}, {size_text(written.bytes)}"

@@ -70,7 +70,10 @@ def timeline_shot(
     found = read_cut(path, given["shot"], options)
     console.faults(found.notices)
     if not found.shots:
-        raise click.UsageError(f"{path}: the shot has no media.")
+        from animtool.errors import Fault, FormatError
+
+        hint = f"animtool batch {path} TAKES finds media by the names of clips"
+        raise FormatError(Fault("BAT042", "the shot has no media", str(path), (), hint))
     return found.shots[0]
 
 

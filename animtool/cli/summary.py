@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from animtool.cli.mesh_summary import mesh_json, mesh_text
-from animtool.clock import FrameSpan
+from animtool.clock import FrameSpan, frame_label
 from animtool.errors import counted, listed
 from animtool.quantities import duration_text, length_text, plain, size_text
 from animtool.rates import rate_label
@@ -125,14 +125,16 @@ def _error_text(take: TakeReport, name: str = "") -> str:
     if not rounding.error:
         return text
     of = f"take {name!r}, " if name else ""
-    return f"{text} ({of}joint {take.error_joint!r}, frame {rounding.code:g})"
+    return (
+        f"{text} ({of}joint {take.error_joint!r}, frame {frame_label(rounding.code)})"
+    )
 
 
 def _extras_text(take: TakeReport) -> list[str]:
     """Return what only some bakes do to a take."""
     lines, thinned, curves = [], take.thinned, take.written.curves
     if thinned is not None:
-        where = f" (joint {take.thinned_joint!r}, frame {thinned.code:g})"
+        where = f" (joint {take.thinned_joint!r}, frame {frame_label(thinned.code)})"
         lines.append(
             f"{counted(thinned.samples, 'sample')} reduced to {len(thinned.kept)}: "
             f"largest error between them {length_text(thinned.error)}"

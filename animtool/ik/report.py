@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray
+from animtool.clock import frame_label, span_label
 from animtool.errors import Fault, Severity, counted, listed
 from animtool.ik.result import IkStatus
 from animtool.ik.take_ik import TakeIk
@@ -229,8 +230,8 @@ def span_notices(solved: TakeIk) -> list[Fault]:
             solved,
             "TGT104",
             i,
-            f"the span from {first:g} to {last:g}, to hold {track.name!r}, is in none "
-            f"of the frames {times[0]:g} to {times[-1]:g}",
+            f"the span from {span_label(first, last)}, to hold {track.name!r}, is "
+            f"in none of the frames {times[0]:g} to {times[-1]:g}",
         )
         for i, track in enumerate(solved.tracks.goals)
         for first, last in track.spans
@@ -247,7 +248,7 @@ def jump_notices(solved: TakeIk) -> list[Fault]:
     worst = max(solved.jumps, key=lambda jump: jump.size)
     frame = solved.take.clock.times[worst.frame]
     others = len(solved.jumps) - 1
-    message = f"joint {worst.joint!r} jumps at frame {frame:g}"
+    message = f"joint {worst.joint!r} jumps at frame {frame_label(frame)}"
     if others:
         message += f", and {counted(others, 'other')} elsewhere"
     hint = "no steadier way was found: others were looked for from new starts, up to "
@@ -321,7 +322,8 @@ def _missed(report: GoalReport) -> str:
     if worst.angle > 0:
         by.append(f"{plain(float(np.degrees(worst.angle)))}°")
     message = f"{report.name!r} is not reached at {where}: "
-    return f"{message}{' and '.join(by)} off at frame {worst.frame:g}, {worst.status}"
+    message += f"{' and '.join(by)} off at frame {frame_label(worst.frame)}"
+    return f"{message}, {worst.status}"
 
 
 def _length(meters: float) -> str:
@@ -333,8 +335,8 @@ def _length(meters: float) -> str:
 
 def _frames(span: MissedSpan) -> str:
     if span.first == span.last:
-        return f"frame {span.first:g}"
-    return f"frames {span.first:g} to {span.last:g}"
+        return f"frame {frame_label(span.first)}"
+    return f"frames {span_label(span.first, span.last)}"
 
 
 def status_counts(solved: TakeIk) -> dict[str, int]:

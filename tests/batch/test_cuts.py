@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from fractions import Fraction
 from pathlib import Path
@@ -435,3 +436,46 @@ def test_the_only_shot_needs_no_name(takes: Path) -> None:
     done = animtool("bake", *words, cwd=takes)
     assert done.code == 0, done.stderr
     assert "startTimeCode = 51\n" in (takes / "x.usda").read_text()
+
+
+def test_media_that_is_a_folder_is_refused_with_its_clip(takes: Path) -> None:
+    path = timeline(takes / "a.otio", clip("sh010", "takes", (0, 10), (0, 40)))
+    with pytest.raises(FormatError) as error:
+        read_cuts(path)
+    assert error.value.code == "BAT042"
+    assert "'sh010' of V1 is a folder" in error.value.faults[0].message
+
+
+def test_an_address_of_media_is_named_as_it_is(takes: Path) -> None:
+    url = "https://example.com/a.bvh"
+    path = timeline(takes / "a.otio", clip("sh010", url, (0, 10), (0, 40)))
+    with pytest.raises(FormatError) as error:
+        read_cuts(path)
+    assert url in error.value.faults[0].message
+
+
+def test_a_shot_without_media_and_a_timeline_without_clips(takes: Path) -> None:
+    alone = otio.schema.Clip("sh010", source_range=span(0, 10))
+    path = timeline(takes / "a.otio", alone)
+    done = animtool("bake", path, "--shot", "sh010", cwd=takes)
+    assert (done.code, "BAT042" in done.stderr) == (3, True)
+    done = animtool("batch", path, "-o", "out/{shot}.usdc", cwd=takes)
+    assert (done.code, "INPUT of its name" in done.stderr) == (5, True)
+    done = animtool("bake", timeline(takes / "b.otio"), cwd=takes)
+    assert (done.code, "there is no shot to bake" in done.stderr) == (2, True)
+
+
+def test_frames_of_time_of_day_are_printed_whole(takes: Path) -> None:
+    late = clip("sh010", "takes/take000.bvh", (0, 10), (0, 40))
+    late.metadata["animtool"] = {"start_frame": 2_073_600}
+    done = animtool("bake", timeline(takes / "a.otio", late), cwd=takes)
+    assert "frames 2073600 to 2073609" in done.stderr
+    assert re.search(r"frame 20736\d\d\)", done.stderr), done.stderr
+
+
+def test_two_shots_of_one_file_name_the_shots(takes: Path) -> None:
+    shots = [clip(name, "takes/take000.bvh", (0, 10), (0, 40)) for name in "ab"]
+    path = timeline(takes / "a.otio", *shots)
+    done = animtool("batch", path, "-o", "out/x.usdc", cwd=takes)
+    assert "take000.bvh (shot=a) and" in done.stderr
+    assert "{shot} in -o" in done.stderr

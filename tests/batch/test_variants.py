@@ -177,6 +177,13 @@ def test_outputs_of_variants_are_kept_apart(swing: Path) -> None:
     assert "{k}" in str(fault.hint)
 
 
+def test_the_same_values_twice_are_named_as_such(swing: Path) -> None:
+    table = variants_of_texts(["k=1,1"])
+    with pytest.raises(OptionError) as caught:
+        check_places(find_batch(BatchSpec((str(swing),), variants=table)))
+    assert "given twice" in str(caught.value.faults[0].hint)
+
+
 def test_names_of_variants_mean_nothing_else(swing: Path) -> None:
     for name, more in (("stem", {}), ("k", {"variables": {"k": "1"}})):
         table = variants_of_texts([f"{name}=1,2"])

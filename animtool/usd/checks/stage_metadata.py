@@ -8,6 +8,7 @@ from typing import Any
 
 from pxr import UsdGeom
 
+from animtool.clock import frame_label, span_label
 from animtool.errors import Fault
 from animtool.usd.checks.subject import Subject
 from animtool.usd.checks.table import finding
@@ -87,12 +88,14 @@ def check_range(subject: Subject) -> Iterator[Fault]:
     stage = subject.stage
     start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
     if not (math.isfinite(start) and math.isfinite(end)):
-        yield finding("USD254", ROOT, f"the range is {start:g} to {end:g}")
+        yield finding("USD254", ROOT, f"the range is {span_label(start, end)}")
         return
     names = ("startTimeCode", "endTimeCode")
     missing = [name for name in names if not stage.HasAuthoredMetadata(name)]
     if start > end and not missing:
-        yield finding("USD254", ROOT, f"start {start:g}, end {end:g}")
+        yield finding(
+            "USD254", ROOT, f"start {frame_label(start)}, end {frame_label(end)}"
+        )
         return
     spans = {
         str(attr.GetPath()): (times[0], times[-1])
@@ -104,7 +107,9 @@ def check_range(subject: Subject) -> Iterator[Fault]:
     first = min(span[0] for span in spans.values())
     last = max(span[1] for span in spans.values())
     if missing:
-        message = f"no {' and no '.join(missing)}; samples are at {first:g} to {last:g}"
+        message = (
+            f"no {' and no '.join(missing)}; samples are at {span_label(first, last)}"
+        )
         yield finding("USD255", ROOT, message)
         return
     # Samples of motion blur lie within a frame of either end.
@@ -116,10 +121,8 @@ def check_range(subject: Subject) -> Iterator[Fault]:
     if out:
         begin, finish = spans[out[0]]
         more = "" if len(out) == 1 else f", as are those of {len(out) - 1} more"
-        message = (
-            f"samples are at {begin:g} to {finish:g}, the stage's range is {start:g} "
-            f"to {end:g}{more}"
-        )
+        message = f"samples are at {span_label(begin, finish)}, the stage's range is "
+        message += f"{span_label(start, end)}{more}"
         yield finding("USD256", out[0], message)
 
 

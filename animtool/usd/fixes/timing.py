@@ -7,6 +7,7 @@ from typing import Any
 
 from pxr import Sdf, Usd
 
+from animtool.clock import frame_label, span_label
 from animtool.errors import Fault, counted
 from animtool.usd.checks.subject import Subject
 from animtool.usd.fixes.target import Change, Edit, NotFixableError, Target
@@ -55,14 +56,19 @@ def _ranged(target: Target, *, widen: bool) -> Change:
         first = min(first, stage.GetStartTimeCode())
         last = max(last, stage.GetEndTimeCode())
     layer.startTimeCode, layer.endTimeCode = first, last
-    return Change(f"sets the range to {first:g} to {last:g}{before}")
+    return Change(f"sets the range to {span_label(first, last)}{before}")
 
 
 def _stated(layer: Any) -> str:
     if not (layer.HasStartTimeCode() or layer.HasEndTimeCode()):
         return ""
-    start = f"{layer.startTimeCode:g}" if layer.HasStartTimeCode() else "none"
-    end = f"{layer.endTimeCode:g}" if layer.HasEndTimeCode() else "none"
+    start, end = (
+        frame_label(code) if stated else "none"
+        for code, stated in (
+            (layer.startTimeCode, layer.HasStartTimeCode()),
+            (layer.endTimeCode, layer.HasEndTimeCode()),
+        )
+    )
     return f", which was {start} to {end}"
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from animtool.clock import span_label
 from animtool.errors import Fault
 from animtool.validation.motion.subject import MotionSubject
 
@@ -68,8 +69,9 @@ def other_range(subject: MotionSubject) -> Iterator[Fault]:
     if start > last or end < first or not (is_early or is_late):
         return
     message = (
-        f"the range is {start:g} to {end:g}, and the samples are at {first:g} to "
-        f"{last:g}: the pose is held for {max(early, late):g} time codes"
+        f"the range is {span_label(start, end)}, and the samples are at "
+        f"{span_label(first, last)}: the pose is held for "
+        f"{max(early, late):g} time codes"
     )
     hint = "set startTimeCode and endTimeCode to the first and last sample"
     yield subject.fault("MOT217", None, 0, message, hint)
