@@ -94,8 +94,7 @@ def solve_controls(
     Args:
         controls: The rig's.
         wanted: What all controls are to add to each target ``(F,)`` [rad], [m], [1].
-    XX that are missing
-            here are unconstrained.
+            Targets that are missing here are unconstrained.
         tolerances: Largest error of each target > 0.
         start: Keyed value of every control ``(F,)``; not limited to the ranges.
         keyed: Targets that get keys of their own in any case, so that no control is

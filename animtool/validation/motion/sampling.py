@@ -160,14 +160,11 @@ def _still_steps(subject: MotionSubject) -> BoolArray | None:
     return np.asarray(speeds < STILL * np.median(moving))
 
 
-def _abrupt(subject: MotionSubject, first: int, last: int) -> bool:
-    """Return whether motion stops at once before a run of steps and goes on behind."""
-    speeds = subject.speeds
+def _abrupt(speeds: FloatArray, usual: float, first: int, last: int) -> bool:
+    """Return whether motion stops at once before a run of steps and goes on after."""
     if first == 0 or last == len(speeds) - 1:
         return False
-    usual = np.median(speeds[speeds > STILL * speeds.max()])
-    before, behind = speeds[first - 1], speeds[last + 1]
-    return bool(min(before, behind) > LEAST_PACE * usual)
+    return bool(min(speeds[first - 1], speeds[last + 1]) > LEAST_PACE * usual)
 
 
 def _repeats(subject: MotionSubject) -> tuple[BoolArray, bool]:
@@ -175,10 +172,12 @@ def _repeats(subject: MotionSubject) -> tuple[BoolArray, bool]:
     still = _still_steps(subject)
     if still is None:
         return np.zeros(0, bool), False
+    speeds = subject.speeds
+    usual_speed = float(np.median(speeds[speeds > STILL * speeds.max()]))
     kept = np.zeros(len(still), bool)
     starts = []
     for first, last in runs(still):
-        if _abrupt(subject, first, last):
+        if _abrupt(speeds, usual_speed, first, last):
             kept[first : last + 1] = True
             starts.append(first)
     gaps = np.diff(starts)

@@ -140,6 +140,8 @@ class MotionSubject:
     @cached_property
     def size(self) -> float:
         """Diagonal of the joints' bounds at rest [m]."""
+        if not len(self.rest):
+            return SMALLEST_SIZE
         span = self.rest.max(axis=0) - self.rest.min(axis=0)
         return max(float(np.linalg.norm(span)), SMALLEST_SIZE)
 

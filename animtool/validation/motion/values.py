@@ -40,7 +40,8 @@ def motionless(subject: MotionSubject) -> Iterator[Fault]:
         return
     message = f"nothing moves in {motion.frames} frames"
     hint = "export the take again; a pose is one frame"
-    yield subject.fault("MOT201", 0, None, message, hint)
+    joint = 0 if subject.take.rig.joints else None
+    yield subject.fault("MOT201", joint, None, message, hint)
 
 
 def zero_scale(subject: MotionSubject) -> Iterator[Fault]:

@@ -16,8 +16,11 @@ from animtool._types import FloatArray
 from animtool.edit.resample import resampled
 from animtool.errors import Fault, Severity
 from animtool.maths import so3
+from animtool.rig.parts import Shape
+from animtool.rig.skeleton import Rig
 from animtool.scene.sources import open_source
-from animtool.take import Take
+from animtool.take import Channel, Clock, Motion, Take
+from animtool.validation.motion.sampling import repeated_frames
 from animtool.validation.motion.subject import MotionSubject
 from animtool.validation.options import ValidateOptions
 from animtool.validation.run import findings_in, validate
@@ -210,3 +213,31 @@ def test_an_entry_of_ignore_may_have_an_earlier_code(tmp_path: Path) -> None:
     assert {fault.code for fault in validate(path)} == {"MOT203", "VAL001"}
     path.write_text(clip.replace("CLIP203", "MOT203"), "utf-8")
     assert validate(path) == []
+
+
+def test_a_take_without_joints_is_looked_at_by_every_rule() -> None:
+    rig = Rig("face", (), shapes=(Shape("smile"),))
+    weights = np.linspace(0.0, 1.0, 30)[:, None, None]
+    for values in (weights, 0.0 * weights):
+        motion = Motion(
+            Channel.from_dense(np.zeros((30, 0, 3))),
+            Channel.from_dense(np.zeros((30, 0, 4))),
+            weights=Channel.from_dense(values),
+        )
+        take = Take(rig, Clock(Fraction(24), Fraction(1), Fraction(1), 30), motion)
+        still = values is not weights
+        assert codes(take) == (["MOT201"] if still else [])
+
+
+def test_repeated_frames_of_a_long_take_are_found_in_one_look(
+    walking: Take, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    count = walking.motion.frames
+    twice = at_frames(walking, list(np.repeat(np.arange(count), 2)))
+    calls = []
+    median = np.median
+    monkeypatch.setattr(
+        np, "median", lambda values, axis=None: calls.append(1) or median(values, axis)
+    )
+    assert "MOT207" in [f.code for f in repeated_frames(subject(twice))]
+    assert len(calls) < 10
