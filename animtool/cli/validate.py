@@ -136,7 +136,6 @@ def validate(console: Console, /, paths: tuple[str, ...], **given: Any) -> None:
     from animtool.errors import Severity
     from animtool.validation.files import find_files
     from animtool.validation.options import ValidateOptions
-    from animtool.validation.profiles import load_profile
 
     options = ValidateOptions(
         tuple(code for codes in given["select"] for code in codes),
@@ -144,8 +143,7 @@ def validate(console: Console, /, paths: tuple[str, ...], **given: Any) -> None:
         {code: Severity(name) for code, name in given["severity"]},
         given["jobs"],
         given["profile"],
-        load_profile(given["profile"]) if given["profile"] else {},
-    )
+    ).resolved()
     _check_fix(given)
     files = find_files(_listed(paths))
     if given["diff"]:

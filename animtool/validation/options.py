@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError, Severity
-from animtool.validation.profiles import PROFILES
+from animtool.validation.profiles import PROFILES, load_profile
 from animtool.validation.tables import RULES, all_rules, current_codes
 
 __all__ = ["ValidateOptions", "check_codes"]
@@ -58,6 +58,16 @@ class ValidateOptions:
         best = _best(fault.code, self.levels)
         level = None if best is None else self.levels[best]
         return fault if level is None else replace(fault, severity=level)
+
+    def resolved(self) -> ValidateOptions:
+        """Return these options with the levels of the profile that they name.
+
+        Raises:
+            OptionError: The profile is missing or malformed (VAL005, VAL008, VAL009).
+        """
+        if not self.profile or self.levels:
+            return self
+        return replace(self, levels=load_profile(self.profile))
 
     def with_profile(self, own: str | None) -> ValidateOptions:
         """Return these options with the levels of the profile for a file.

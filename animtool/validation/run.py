@@ -18,7 +18,6 @@ from animtool.errors import (
 from animtool.validation.files import find_files
 from animtool.validation.ignores import Ignores
 from animtool.validation.options import ValidateOptions, check_codes
-from animtool.validation.profiles import load_profile
 from animtool.validation.rule import Rule
 from animtool.validation.settings import settings_of
 from animtool.validation.subjects.open import open_file
@@ -112,10 +111,8 @@ def validate_files(
 
     The same whatever the number of processes.
     """
-    options = options or ValidateOptions()
+    options = (options or ValidateOptions()).resolved()
     check_codes(options)
-    if options.profile and not options.levels:
-        options = replace(options, levels=load_profile(options.profile))
     files = tuple(dict.fromkeys(files))
     folders = {path.parent: path for path in files}
     projects = {folder: settings_of(path) for folder, path in folders.items()}

@@ -8,6 +8,7 @@ import pytest
 from support.cli import animtool
 
 from animtool.errors import OptionError, Severity
+from animtool.validation.fixes.run import fix_copy
 from animtool.validation.options import ValidateOptions
 from animtool.validation.profiles import PROFILES, load_profile
 from animtool.validation.run import validate
@@ -103,6 +104,25 @@ def test_a_layer_is_recognised(layer: Path) -> None:
     assert not {"USD258", "USD259"} & set(found)
     assert "USD200" in found
     assert {"USD258", "USD259"} <= set(severities(layer, "default"))
+
+
+def test_fixes_leave_what_the_profile_of_a_layer_leaves_out(layer: Path) -> None:
+    copy = layer.with_name("copy.usda")
+    fixes = fix_copy(layer, copy)
+    assert "USD259" not in {fault.code for fault, _ in fixes.report.mended}
+    assert "defaultPrim" not in copy.read_text("utf-8")
+    fixes = fix_copy(layer, copy, ValidateOptions(profile="default"), overwrite=True)
+    assert "USD259" in {fault.code for fault, _ in fixes.report.mended}
+
+
+def test_fixes_leave_what_a_profile_of_a_file_leaves_out(
+    layer: Path, tmp_path: Path
+) -> None:
+    profile = tmp_path / "own.yaml"
+    profile.write_text("severity: {USD259: off}\n", "utf-8")
+    options = ValidateOptions(profile=str(profile))
+    fixes = fix_copy(layer, tmp_path / "copy.usda", options)
+    assert "USD259" not in {fault.code for fault, _ in fixes.report.mended}
 
 
 def test_a_shot_must_state_its_time(stage: Path) -> None:

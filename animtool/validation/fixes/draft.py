@@ -8,12 +8,17 @@ from pathlib import Path
 from typing import Protocol
 
 from animtool.errors import Fault
+from animtool.validation.subjects.subject import Opened
 
 __all__ = ["Draft", "Step"]
 
 
 class Draft(Protocol):
     """Content of a file; a step returns another draft and leaves this one."""
+
+    @property
+    def opened(self) -> Opened:
+        """The content as rules look at it."""
 
     @property
     def found(self) -> Sequence[Fault]:

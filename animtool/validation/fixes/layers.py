@@ -13,6 +13,7 @@ from animtool.usd.fixes.table import EDITS
 from animtool.validation.fixes.draft import Step
 from animtool.validation.run import findings_in
 from animtool.validation.subjects.open import open_file
+from animtool.validation.subjects.subject import Opened
 
 if TYPE_CHECKING:
     from animtool.usd.fixes.copy import EditedLayer
@@ -35,12 +36,17 @@ class LayerDraft:
     edits: tuple[str, ...] = ()
 
     @cached_property
-    def found(self) -> Sequence[Fault]:
-        """Findings of the rules in it."""
+    def opened(self) -> Opened:
+        """The content as rules look at it."""
         from animtool.usd.fixes.copy import edited_layer
 
         with edited_layer(self.path, self.content):
-            return findings_in(open_file(self.path))
+            return open_file(self.path)
+
+    @cached_property
+    def found(self) -> Sequence[Fault]:
+        """Findings of the rules in it."""
+        return findings_in(self.opened)
 
     def batch(self, cases: Sequence[Fault]) -> Sequence[Fault]:
         """Return the findings of the code whose fix comes first, the deepest first.

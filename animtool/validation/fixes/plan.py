@@ -51,6 +51,7 @@ def plan_file(path: Path, options: ValidateOptions) -> FileMend:
         FormatError: It cannot be read, or is of no kind that is known.
     """
     plan = FileMend(path, _open_draft(path))
+    options = options.with_profile(plan.after.opened.profile)
     given_up: set[tuple[str, str | None, str]] = set()
     while cases := list(_open_cases(plan.after.found, options, given_up)):
         batch = plan.after.batch(cases)

@@ -50,6 +50,7 @@ def plan_files(report: Report, options: ValidateOptions) -> Iterator[FileMend]:
         report: Of `validate_files`, with the same options.
         options: Which codes count.
     """
+    options = options.resolved()
     for path in _having_fixes(report):
         yield _plan(path, options)
 
@@ -70,7 +71,7 @@ def fix_files(
     Raises:
         OutputError: A file cannot be written.
     """
-    options = options or ValidateOptions()
+    options = (options or ValidateOptions()).resolved()
     report = validate_files(files, options)
     named = _having_fixes(report)
     kept = [path for path in named if is_layer(path) and not overwrite]
@@ -114,7 +115,7 @@ def fix_copy(
     """
     from animtool.usd.fixes.copy import check_copy, spare_composed_layers
 
-    options = options or ValidateOptions()
+    options = (options or ValidateOptions()).resolved()
     check_copy(source, output)
     check_outputs([output], [source], overwrite=overwrite)
     spare_composed_layers(source, output)
