@@ -61,8 +61,8 @@ def hang(
         axis: As `HangOptions` has it.
 
     Raises:
-        OptionError: The joint is unknown or not free, or the axis is not finite
-            (SIM192).
+        OptionError: The joint is unknown, not free or below one that is scaled to 0,
+            or the axis is not finite (SIM192).
     """
     rig, motion = take.rig, take.motion
     _check_axis(axis)
@@ -74,6 +74,7 @@ def hang(
         message = f"joint {joint!r} is of type {rig.joints[j].type}, and cannot leave "
         raise _refusal(f"{message}its parent", "joint", "make it `type: free`")
     at, world = np.array([j]), take.world()
+    _check_scales(take, world, j)
     turn = world.rotations[:, j]
     down = _axis(take, j) if axis is None else np.asarray(axis, np.float64)
     if down.any():
@@ -129,6 +130,20 @@ def _local(
     local = np.einsum("fij,fj->fi", inverse, places - world.positions[:, parent])
     undo = so3.conjugate(world.rotations[:, parent])
     return np.ascontiguousarray(local), so3.multiply(undo, turns)
+
+
+def _check_scales(take: Take, world: WorldTransforms, joint: int) -> None:
+    """Refuse a joint below one that is scaled to 0: no value brings it anywhere."""
+    parent = take.rig.joints[joint].parent
+    if parent < 0:
+        return
+    gone = np.flatnonzero(np.linalg.det(world.linear[:, parent]) == 0.0)
+    if len(gone):
+        message = (
+            f"joint {take.rig.names[joint]!r} cannot hang: a joint above it is scaled "
+            f"to 0 at frame {take.clock.times[gone[0]]:g}"
+        )
+        raise _refusal(message, "joint", "give that joint another scale there")
 
 
 def _check_axis(axis: Sequence[float] | None) -> None:

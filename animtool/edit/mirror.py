@@ -155,6 +155,8 @@ def _asymmetries(
     rig: Rig, partners: IntArray, looked_at: BoolArray, axis: int
 ) -> Iterator[Fault]:
     """Yield a warning where the rest pose is not its own mirror image."""
+    if not looked_at.any():
+        return
     positions = rest_world(rig).positions[0]
     roots = np.arange(len(positions))
     for i, joint in enumerate(rig.joints):

@@ -193,3 +193,17 @@ def test_faults_are_at_their_key(tmp_path: Path, options: str, named: str) -> No
     assert str(fault.where).startswith("passes[0].hang")
     assert fault.lines == (4,)
     assert named in fault.message
+
+
+def test_a_joint_below_one_that_is_scaled_to_zero_is_refused() -> None:
+    count = len(RIG.joints)
+    scales = np.ones((FRAMES, count, 3))
+    scales[2, 0] = 0.0
+    moves = np.repeat(RIG.rest_translations[None], FRAMES, axis=0)
+    turns = np.repeat(RIG.rest_rotations[None], FRAMES, axis=0)
+    motion = Motion(*map(Channel.from_dense, (moves, turns, scales)))
+    clock = Clock(Fraction(24), Fraction(1), Fraction(1), FRAMES)
+    ends = np.tile([[0.0, 1.0, 0.0], [0.0, 0.5, 0.0]], (FRAMES, 1, 1))
+    with pytest.raises(OptionError, match="scaled to 0 at frame 3") as error:
+        hang(Take(RIG, clock, motion), "lamp", ends)
+    assert error.value.code == "SIM192"

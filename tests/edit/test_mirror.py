@@ -12,6 +12,7 @@ from animtool.errors import Fault, OptionError
 from animtool.formats.bvh import read_bvh
 from animtool.passes import PassContext, apply_pass
 from animtool.rig.kinematics import forward
+from animtool.rig.parts import Shape
 from animtool.rig.sides import pair_sides
 from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Channel, Clock, Motion, Take, TakeStream
@@ -134,3 +135,19 @@ def test_a_joint_of_one_side_alone_keeps_its_motion() -> None:
     assert_allclose(
         seen.motion.rotations.dense()[:, 6], take.motion.rotations.dense()[:, 6]
     )
+
+
+def test_a_take_without_joints_is_mirrored() -> None:
+    shapes = tuple(Shape(name) for name in ("smile_l", "smile_r"))
+    weights = np.array([[[0.0], [1.0]], [[0.25], [0.5]]])
+    motion = Motion(
+        Channel.from_dense(np.zeros((2, 0, 3))),
+        Channel.from_dense(np.zeros((2, 0, 4))),
+        weights=Channel.from_dense(weights),
+    )
+    clock = Clock(Fraction(24), Fraction(1), Fraction(1), 2)
+    take = Take(Rig("face", (), shapes=shapes), clock, motion)
+    seen, notices = mirrored(take)
+    assert seen.motion.weights is not None
+    assert_allclose(seen.motion.weights.dense(), weights[:, ::-1])
+    assert not notices
