@@ -69,7 +69,8 @@ def extract_root(
 
     Raises:
         OptionError: No joint is named so (SCN012); an axis is none, the root joint
-            is not above the hips, or its scale does not allow it (SCN020).
+            is not above the hips, its scale does not allow it, or the rig has no
+            joints (SCN020).
     """
     _check_axes(axes)
     rig = take.rig
@@ -129,6 +130,8 @@ def _hips(take: Take, root: str, hips: str) -> int:
     rig = take.rig
     if hips:
         return joint_index(rig, hips, "hips")
+    if not rig.joints:
+        raise _refusal("the rig has no joints, so nothing travels", "drop the pass")
     there = root in rig.names
     top = rig.index(root) if there else rig.roots[0]
     found = traveller(rig, take.motion, top, below=there)

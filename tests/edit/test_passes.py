@@ -116,6 +116,19 @@ def test_a_single_frame(name: str) -> None:
     assert run(name, small(1), **options).clock.count >= 1
 
 
+@pytest.mark.parametrize("name", sorted({*PASSES} - {"hang", "ik"}))
+def test_a_take_of_shapes_alone_is_edited_or_refused(name: str) -> None:
+    weights = Channel.from_dense(np.linspace(0.0, 1.0, 12)[:, None, None])
+    empty = [Channel.from_dense(np.zeros((12, 0, width))) for width in (3, 4)]
+    rig = replace(small().rig, joints=(), shapes=(Shape("smile"),))
+    take = replace(small(), rig=rig, motion=Motion(*empty, weights=weights))
+    if name in {"loop", "root_motion"}:
+        with pytest.raises(OptionError, match="joints"):
+            run(name, take)
+    else:
+        assert run(name, take).motion.weights is not None
+
+
 @pytest.mark.parametrize("name", [n for n in PASSES if n != "mirror"])
 def test_what_is_static_stays_static(name: str) -> None:
     found = run(name, small())
