@@ -6,13 +6,28 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from pxr import Usd, UsdSkel
+from pxr import Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError
 from animtool.usd.rig_prims import SkeletonRig, array_value
 
-__all__ = ["floats", "joint_names", "prim_name", "skinned_prims", "unique_name"]
+__all__ = [
+    "floats",
+    "is_shown_mesh",
+    "joint_names",
+    "prim_name",
+    "skinned_prims",
+    "unique_name",
+]
+
+
+def is_shown_mesh(prim: Any) -> bool:
+    """Return whether a prim is a mesh, and no guide as the bones of a skeleton are."""
+    return bool(
+        prim.IsA(UsdGeom.Mesh)
+        and UsdGeom.Imageable(prim).ComputePurpose() != UsdGeom.Tokens.guide
+    )
 
 
 def skinned_prims(skeleton: Any, schema: Any) -> list[Any]:

@@ -36,6 +36,7 @@ from animtool.usd.rig_prims import (
     skeleton_rig,
     up_axis,
 )
+from animtool.usd.skinned import is_shown_mesh
 
 __all__ = [
     "JointMap",
@@ -442,9 +443,7 @@ def _known_shapes(target: RigTarget) -> set[str] | None:
     meshes = [
         prim
         for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies())
-        if prim.IsA(UsdGeom.Mesh)
-        # Bones that only show the joints are no meshes of the character.
-        and UsdGeom.Imageable(prim).ComputePurpose() != UsdGeom.Tokens.guide
+        if is_shown_mesh(prim)
     ]
     if not meshes:
         return None

@@ -37,6 +37,12 @@ def test_a_skeleton_without_joints_is_read(tmp_path: Path) -> None:
     assert validate(face) == []
 
 
+def test_a_take_without_meshes_is_asked_for_none(tmp_path: Path) -> None:
+    out = tmp_path / "out.usda"
+    assert animtool("bake", write_face(tmp_path), "-o", out).code == 0
+    assert validate(out) == []
+
+
 def test_its_rig_goes_to_a_file_and_back(tmp_path: Path) -> None:
     face, out = write_face(tmp_path), tmp_path / "out.rig.yaml"
     assert animtool("convert", face, out).code == 0

@@ -13,6 +13,7 @@ from animtool._types import BoolArray
 from animtool.errors import Fault, Severity, counted, excerpt, listed
 from animtool.usd.checks.subject import AnyArray, Sampled, Subject, at_samples
 from animtool.usd.checks.table import finding
+from animtool.usd.skinned import is_shown_mesh
 
 __all__ = ["check_animations", "check_known_joints", "duplicates"]
 
@@ -169,7 +170,7 @@ def check_known_joints(subject: Subject) -> Iterator[Fault]:
     for path, source in bound.items():
         attr = UsdSkel.Animation(source).GetBlendShapesAttr()
         unknown = [name for name in tokens(attr) if name not in shapes[path]]
-        if unknown and not subject.alone:
+        if unknown and not subject.alone and any(map(is_shown_mesh, subject.prims)):
             message = f"{len(unknown)} shapes that no mesh has: {listed(unknown)}"
             yield finding("USD210", attr.GetPath(), message)
 
