@@ -48,14 +48,14 @@ LONGEST_NAME = 128
 
 @dataclass(frozen=True, slots=True)
 class Cuts:
-    """A cut list that the command line adds to a batch file.
+    """What the command line says of shots, on top of a batch file.
 
     Attributes:
-        path: The timeline.
-        handles: Frames wanted before and behind each cut; None is as the batch says.
+        path: The timeline; None is that of the batch file.
+        handles: Frames before and after each cut; None is as the batch says.
     """
 
-    path: Path
+    path: Path | None = None
     handles: int | None = None
 
 
@@ -126,18 +126,16 @@ def chunk_size(
     return max(1, min(items, round(wanted / max(seconds, 1e-6))))
 
 
-def batch_bundle(
-    batch: Batch, path: Path, chunk: int, cuts: Cuts | None = None
-) -> Bundle:
+def batch_bundle(batch: Batch, path: Path, chunk: int, cuts: Cuts = Cuts()) -> Bundle:
     """Return the bundle of a batch.
 
     Args:
         batch: The batch.
         path: The file that says it.
         chunk: How many items a task makes.
-        cuts: The cut list that its items are of, where that file does not say it.
+        cuts: What that file does not say of its shots.
     """
-    more = [] if cuts is None else _cut_words(cuts)
+    more = _cut_words(cuts)
     name = re.sub(r"[{}\x00-\x1f\x7f]", "_", f"animtool {batch.name}")
     template = {
         "specificationVersion": "jobtemplate-2023-09",
@@ -167,17 +165,17 @@ def batch_bundle(
         ],
     }
     values = {"BatchFile": str(path.absolute())}
-    if cuts is not None:
+    if cuts.path is not None:
         values["CutList"] = str(cuts.path.absolute())
     return Bundle(template, values, len(batch.items), chunk)
 
 
 def _cut_words(cuts: Cuts) -> list[str]:
-    words = ["--cut", "{{Param.CutList}}"]
+    words = [] if cuts.path is None else ["--cut", "{{Param.CutList}}"]
     return words if cuts.handles is None else [*words, "--handles", str(cuts.handles)]
 
 
-def _parameters(batch: Batch, chunk: int, cuts: Cuts | None) -> list[dict[str, Any]]:
+def _parameters(batch: Batch, chunk: int, cuts: Cuts) -> list[dict[str, Any]]:
     timeline = {
         "name": "CutList",
         "type": "PATH",
@@ -219,7 +217,7 @@ def _parameters(batch: Batch, chunk: int, cuts: Cuts | None) -> list[dict[str, A
             "default": "animtool",
             "description": "What starts animtool on the workers.",
         },
-        *([] if cuts is None else [timeline]),
+        *([] if cuts.path is None else [timeline]),
     ]
 
 

@@ -30,28 +30,36 @@ __all__ = ["batch_of_document", "load_batch"]
 Made = TypeVar("Made")
 
 
-def load_batch(path: Path | str) -> BatchSpec:
+def load_batch(path: Path | str, *, of_shots: bool = False) -> BatchSpec:
     """Return what a batch file asks for.
+
+    Args:
+        path: The file.
+        of_shots: Whether the command line names a timeline for it.
 
     Raises:
         FormatError: With every fault of the file, each with line and column.
         OptionError: The project's settings are malformed.
     """
-    return batch_of_document(read_document(Path(path)))
+    return batch_of_document(read_document(Path(path)), of_shots=of_shots)
 
 
-def batch_of_document(document: Document) -> BatchSpec:
+def batch_of_document(document: Document, *, of_shots: bool = False) -> BatchSpec:
     """Return what a document asks for; see `load_batch`."""
     check_version(document, "batch")
     model = validated(document, BatchModel)
-    spec = _Reader(document, model).spec()
+    spec = _Reader(document, model, of_shots=of_shots).spec()
     document.check()
     return spec
 
 
 class _Reader:
-    def __init__(self, document: Document, model: BatchModel) -> None:
+    def __init__(
+        self, document: Document, model: BatchModel, *, of_shots: bool
+    ) -> None:
         self.document, self.model = document, model
+        timeline = any(is_timeline(Path(text)) for text in model.inputs)
+        self.of_shots = of_shots or timeline or model.cut is not None
         self.roots = project_roots(document.path)
 
     def spec(self) -> BatchSpec:
@@ -60,7 +68,7 @@ class _Reader:
             message = "there are both a scene and options"
             hint = "write into the scene's output what the options say"
             self.document.add("BAT001", ("options",), message, hint)
-        if not (model.inputs or model.cut or (model.scene and model.variants)):
+        if not (model.inputs or self.of_shots or (model.scene and model.variants)):
             message = "key 'inputs' is missing"
             hint = "files, folders and globs; a scene alone can have variants"
             self.document.add("DOC021", (), message, hint)
@@ -88,11 +96,14 @@ class _Reader:
         """Return the table of values; None where there is none, or it is faulty."""
         given = self.model.variants
         if not given:
+            if "variants" in self.model.model_fields_set:
+                hint = "write {k: [1, 2]}, rows, or the name of a CSV file"
+                self.document.add("BAT061", ("variants",), "has no values", hint)
             return None
         if isinstance(given, str):
             path = self._file(("variants",), given)
             return read_variants(path) if path.is_file() else None
-        shots = () if self.model.cut is None else SHOT_NAMES
+        shots = SHOT_NAMES if self.of_shots else ()
         taken = {*INPUT_NAMES, *self.model.variables, *shots}
         return rows_of_document(self.document, given, taken)
 
@@ -105,7 +116,7 @@ class _Reader:
                 hint = "letters, digits and _ make one, and no digit begins it"
                 self.document.add("BAT002", ("variables", name), message, hint)
         known = {**model.variables, **dict.fromkeys(columns, "")}
-        if model.cut is not None or any(is_timeline(Path(t)) for t in model.inputs):
+        if self.of_shots:
             known |= dict.fromkeys(SHOT_NAMES, "")
         for message, hint in unknown_names(model.output or "", known):
             self.document.add("BAT004", ("output",), message, hint)

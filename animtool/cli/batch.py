@@ -278,7 +278,7 @@ def _spec(inputs: tuple[str, ...], given: dict[str, Any]) -> BatchSpec:
     if jobs:
         from animtool.batch.file import load_batch
 
-        spec = load_batch(Path(jobs[0]))
+        spec = load_batch(Path(jobs[0]), of_shots=given["cuts"] is not None)
     else:
         spec = BatchSpec(_listed(inputs))
     if given["path_mapping"] is not None:

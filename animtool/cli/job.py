@@ -85,14 +85,15 @@ def job(console: Console, /, batch_file: Path, **given: Any) -> None:
 
     if not is_batch(batch_file):
         raise click.UsageError(f"{batch_file} is no batch file: *.batch.yaml is one.")
-    found = find_batch(with_cuts(load_batch(batch_file), given))
+    spec = load_batch(batch_file, of_shots=given["cuts"] is not None)
+    found = find_batch(with_cuts(spec, given))
     console.faults(found.notices)
     check_places(found)
     costs = given["costs"]
     seconds = None if costs is None else mean_seconds(costs)
     count = len(found.items)
     chunk = given["chunk"] or chunk_size(count, seconds, given["task_seconds"])
-    cuts = None if given["cuts"] is None else Cuts(given["cuts"], given["handles"])
+    cuts = Cuts(given["cuts"], given["handles"])
     bundle = batch_bundle(found, batch_file, min(chunk, count), cuts)
     files = write_bundle(bundle, given["output"], overwrite=given["overwrite"])
     values = [f"{name}={value}" for name, value in bundle.values.items()]

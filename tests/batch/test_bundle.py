@@ -191,6 +191,28 @@ def test_a_batch_file_has_a_cut_list(edit: Path) -> None:
     assert "3 items, 2 a task, 2 tasks" in done.stderr
 
 
+def test_handles_of_the_command_line_go_into_the_job(edit: Path) -> None:
+    words = ("shots.batch.yaml", "-o", "j", "--handles", 4)
+    assert animtool("job", *words, cwd=edit).code == 0
+    template = yaml.safe_load((edit / "j/template.yaml").read_text())
+    for step in template["steps"]:
+        args = step["script"]["actions"]["onRun"]["args"]
+        assert args[args.index("--handles") + 1] == "4"
+        assert "--cut" not in args
+
+
+def test_the_output_of_a_batch_file_may_name_shots_of_the_command_line(
+    edit: Path,
+) -> None:
+    text = CUT_JOB.replace("cut: edit.otio\nhandles: 2\n", "")
+    (edit / "open.batch.yaml").write_text(text)
+    words = ("open.batch.yaml", "--cut", "edit.otio")
+    done = animtool("batch", *words, "-n", cwd=edit)
+    assert "make out/b.usda (new)" in done.stdout + done.stderr
+    assert animtool("job", *words, "-o", "j", cwd=edit).code == 0
+    assert "BAT004" in animtool("batch", "open.batch.yaml", cwd=edit).stderr
+
+
 def test_a_job_of_a_cut_list_runs_to_the_same_bytes(edit: Path, tmp_path: Path) -> None:
     pytest.importorskip("openjd.cli", reason="openjd-cli is not installed")
     cut = ("plain.batch.yaml", "--cut", "edit.otio", "--handles", 2)

@@ -426,7 +426,7 @@ def test_one_shot_is_baked_by_its_name(takes: Path) -> None:
         done = animtool("bake", "edit.otio", *words, cwd=takes)
         assert (done.code, said in done.stderr) == (2, True), done.stderr
     done = animtool("bake", "takes/take000.bvh", "--shot", "sh010", cwd=takes)
-    assert (done.code, "is for a SOURCE that is a timeline" in done.stderr) == (2, True)
+    assert (done.code, "is for motion of a timeline" in done.stderr) == (2, True)
 
 
 def test_the_only_shot_needs_no_name(takes: Path) -> None:

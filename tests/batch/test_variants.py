@@ -184,6 +184,15 @@ def test_the_same_values_twice_are_named_as_such(swing: Path) -> None:
     assert "given twice" in str(caught.value.faults[0].hint)
 
 
+@pytest.mark.parametrize("empty", ["[]", "{}"])
+def test_variants_without_values_are_refused(swing: Path, empty: str) -> None:
+    text = f"batch: animtool/1\ninputs: [{swing.name}]\nvariants: {empty}\n"
+    (swing.parent / "a.batch.yaml").write_text(text)
+    with pytest.raises(FormatError) as caught:
+        load_batch(swing.parent / "a.batch.yaml")
+    assert caught.value.code == "BAT061"
+
+
 def test_names_of_variants_mean_nothing_else(swing: Path) -> None:
     for name, more in (("stem", {}), ("k", {"variables": {"k": "1"}})):
         table = variants_of_texts([f"{name}=1,2"])
