@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["duration_text", "length_text", "plain", "size_text"]
+__all__ = ["angle_text", "duration_text", "length_text", "plain", "size_text"]
 
 # Least number that a unit is used for, the unit, and its name.
 _LENGTHS = (
@@ -15,6 +15,8 @@ _LENGTHS = (
 )
 # Shorter lengths are what rounding in float64 leaves [m].
 LEAST_LENGTH = 1e-12
+# Smaller angles are what rounding in float64 leaves [deg].
+LEAST_ANGLE = 1e-6
 _DURATIONS = ((1.0, 1.0, "s"), (1e-3, 1e-3, "ms"), (0.0, 1e-6, "µs"))
 _SIZES = ((1e9, 1e9, "GB"), (1e6, 1e6, "MB"), (1e3, 1e3, "kB"), (0.0, 1.0, "B"))
 
@@ -45,6 +47,17 @@ def length_text(meters: float, digits: int = 3) -> str:
     if 0 < abs(meters) < LEAST_LENGTH:
         return "below 0.001 nm"
     return _text(meters, _LENGTHS, "mm", digits)
+
+
+def angle_text(degrees: float, digits: int = 3) -> str:
+    """Return an angle in degrees.
+
+    >>> angle_text(26.25, 4), angle_text(0.000267), angle_text(8.8e-13), angle_text(0)
+    ('26.25°', '0.000267°', 'below 0.000001°', '0°')
+    """
+    if 0 < abs(degrees) < LEAST_ANGLE:
+        return f"below {plain(LEAST_ANGLE)}°"
+    return f"{plain(degrees, digits)}°"
 
 
 def duration_text(seconds: float, digits: int = 3) -> str:

@@ -18,6 +18,7 @@ __all__ = [
     "DOCUMENT",
     "PLUGIN_GROUP",
     "READERS",
+    "TIMELINE_SUFFIXES",
     "USD",
     "ListedReader",
     "Reader",
@@ -100,6 +101,18 @@ READERS: dict[str, Reader] = {
     ".json": DOCUMENT,
 }
 
+# What OpenTimelineIO and its adapters read.
+TIMELINE_SUFFIXES = (
+    ".otio",
+    ".otioz",
+    ".otiod",
+    ".edl",
+    ".fcpxml",
+    ".xml",
+    ".aaf",
+    ".xges",
+)
+
 
 def find_reader(path: Path) -> Reader:
     """Return the reader of a file by its suffix, those of plug-ins included.
@@ -125,7 +138,11 @@ def find_reader(path: Path) -> Reader:
     kind = f"suffix {path.suffix!r}" if suffix else "a name without suffix"
     message = f"{kind} is no format that animtool reads"
     allowed = ", ".join([*READERS, *(f".{name}" for name in sorted(found))])
-    raise OptionError(Fault("IO002", message, str(path), (), f"allowed: {allowed}"))
+    hint = f"allowed: {allowed}"
+    if suffix in TIMELINE_SUFFIXES:
+        message = "is a timeline, and no take is read from it"
+        hint = "animtool bake --shot NAME bakes one of its shots, animtool batch all"
+    raise OptionError(Fault("IO002", message, str(path), (), hint))
 
 
 def _opener(place: str, what: str, path: Path) -> Callable[..., Any]:

@@ -233,8 +233,11 @@ def read_variants(path: Path) -> Variants:
         hint = "the first line names the columns, each other line is a variant"
         raise FormatError(Fault("BAT061", message, str(path), (1,), hint))
     (_, names, places), *rows = lines
+    separate = None
+    if len(names) == 1 and (";" in names[0] or "\t" in names[0]):
+        separate = "separate columns by commas, or by tabs in a .tsv file"
     faults = [
-        Fault("BAT063", message, str(path), (lines[0][0],), column=places[i])
+        Fault("BAT063", message, str(path), (lines[0][0],), separate, column=places[i])
         for i, message in name_problems(names)
     ]
     if len(rows) > MAX_VARIANTS:

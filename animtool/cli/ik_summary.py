@@ -10,7 +10,7 @@ from animtool.cli.summary import channel_lines, channels_json
 from animtool.clock import frame_label
 from animtool.errors import counted, listed
 from animtool.ik.report import BEYOND, limit_counts, status_counts
-from animtool.quantities import duration_text, length_text, plain
+from animtool.quantities import angle_text, duration_text, length_text, plain
 
 if TYPE_CHECKING:
     from animtool.ik.report import GoalReport, Misses
@@ -28,7 +28,7 @@ def _size(part: str, value: float) -> str:
         if not math.isfinite(value):
             return f"over {BEYOND:g} m"
         return length_text(value)
-    return f"{plain(math.degrees(value))}°"
+    return angle_text(math.degrees(value))
 
 
 def ik_text(report: IkReport) -> list[str]:

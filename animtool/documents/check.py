@@ -135,7 +135,8 @@ class _Faults:
         if faults[0]["type"].startswith("union_tag"):
             location = (*location, faults[0]["ctx"]["discriminator"].strip("'"))
         if not self._of_another_kind(location):
-            self.document.add("DOC022", location, "; or ".join(texts))
+            hint = _entry_hint(location, faults[0])
+            self.document.add("DOC022", location, "; or ".join(texts), hint)
         self._stand_in(location)
 
     def _of_another_kind(self, location: Location) -> bool:
@@ -212,6 +213,16 @@ def _words(fault: Any) -> str:
     if kind in _KINDS:
         return f"{shown} is not {_KINDS[kind]}"
     return f"{shown}: {fault['msg'][0].lower()}{fault['msg'][1:]}"
+
+
+def _entry_hint(location: Location, fault: Any) -> str | None:
+    """Return how an entry of a list is written that is only a name, such as a pass."""
+    given, wanted = fault["input"], _KINDS.get(fault["type"])
+    if wanted != _KINDS["dict_type"] or not isinstance(location[-1], int):
+        return None
+    if not isinstance(given, str) or not given.isidentifier():
+        return None
+    return f"write '{given}: {{}}'"
 
 
 def _are(count: int) -> str:

@@ -13,7 +13,7 @@ from animtool.errors import Fault, Severity, counted, listed
 from animtool.ik.result import IkStatus
 from animtool.ik.take_ik import TakeIk
 from animtool.ik.tracks import PARTS
-from animtool.quantities import length_text, plain
+from animtool.quantities import angle_text, length_text
 
 __all__ = [
     "BEYOND",
@@ -320,7 +320,7 @@ def _missed(report: GoalReport) -> str:
     if worst.distance > 0:
         by.append(_length(worst.distance))
     if worst.angle > 0:
-        by.append(f"{plain(float(np.degrees(worst.angle)))}°")
+        by.append(angle_text(float(np.degrees(worst.angle))))
     message = f"{report.name!r} is not reached at {where}: "
     message += f"{' and '.join(by)} off at frame {frame_label(worst.frame)}"
     return f"{message}, {worst.status}"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.inputs import note_input
 from animtool.rates import rate_option
-from animtool.readers import READERS, USD, find_reader
+from animtool.readers import READERS, TIMELINE_SUFFIXES, USD, find_reader
 from animtool.scene.progress import Progress
 from animtool.shot import Shot
 from animtool.units import LengthUnit, UpAxis
@@ -39,17 +39,6 @@ SCENE_SUFFIXES = (".scene.yaml", ".scene.yml", ".scene.json")
 ANY_SOURCE = frozenset({"rig", "force_fit", "shot"})
 # Those that no reader is given.
 BEYOND_READERS = frozenset({"force_fit", "shot"})
-# What OpenTimelineIO and its adapters read.
-TIMELINE_SUFFIXES = (
-    ".otio",
-    ".otioz",
-    ".otiod",
-    ".edl",
-    ".fcpxml",
-    ".xml",
-    ".aaf",
-    ".xges",
-)
 # As the command line calls an option, and why a file may not take it.
 _REFUSALS = {
     "clamp": ("--clamp", "is for clips, and this is no clip"),

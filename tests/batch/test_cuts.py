@@ -479,3 +479,10 @@ def test_two_shots_of_one_file_name_the_shots(takes: Path) -> None:
     done = animtool("batch", path, "-o", "out/x.usdc", cwd=takes)
     assert "take000.bvh (shot=a) and" in done.stderr
     assert "{shot} in -o" in done.stderr
+
+
+def test_a_timeline_is_no_take_and_the_way_on_is_given(takes: Path) -> None:
+    made = clip("sh010", "takes/take000.bvh", (4, 8))
+    path = timeline(takes / "edit.otio", made)
+    done = animtool("convert", path, "x.bvh", cwd=takes)
+    assert (done.code, "animtool bake --shot NAME" in done.stderr) == (2, True)

@@ -184,6 +184,12 @@ def test_the_same_values_twice_are_named_as_such(swing: Path) -> None:
     assert "given twice" in str(caught.value.faults[0].hint)
 
 
+def test_a_table_of_another_separator_is_told_which_to_write(tmp_path: Path) -> None:
+    with pytest.raises(FormatError) as caught:
+        read_variants(written(tmp_path, "t.csv", "k;s\n1;2\n"))
+    assert "commas" in str(caught.value.faults[0].hint)
+
+
 @pytest.mark.parametrize("empty", ["[]", "{}"])
 def test_variants_without_values_are_refused(swing: Path, empty: str) -> None:
     text = f"batch: animtool/1\ninputs: [{swing.name}]\nvariants: {empty}\n"

@@ -323,3 +323,12 @@ def test_a_pass_over_a_clip_is_not_lost_at_another_rate(tmp_path: Path) -> None:
     take = open_source(tmp_path / "shot.usda").collect()
     moved = take.motion.translations.dense()[:, 0, 2]
     np.testing.assert_allclose(moved, np.arange(4, 8.5, 0.5), atol=1e-6)
+
+
+def test_a_pass_that_is_only_a_name_is_told_how_it_is_written(tmp_path: Path) -> None:
+    text = "scene: animtool/1\nsource: {file: a.bvh}\npasses:\n- mirror\n"
+    (tmp_path / "a.scene.yaml").write_text(text)
+    with pytest.raises(FormatError) as caught:
+        load_scene(tmp_path / "a.scene.yaml")
+    hints = [fault.hint for fault in caught.value.faults if fault.code == "DOC022"]
+    assert hints == ["write 'mirror: {}'"]
