@@ -61,6 +61,42 @@ class AnimationTake:
     shown_rate: float | None
 
 
+@dataclass(frozen=True, slots=True)
+class _Shared:
+    """What the animations of a stage are compared with, read once for all of them.
+
+    Attributes:
+        spans: First and last time code of the samples of each prim, by its path.
+        whole: Those of the stage; None without samples.
+        skins: Bindings with joint indices, and these, by the path of their Skeleton.
+    """
+
+    spans: dict[Any, tuple[float, float]]
+    whole: tuple[float, float] | None
+    skins: dict[Any, list[tuple[Any, Any]]]
+
+    @staticmethod
+    def of(subject: Subject) -> _Shared:
+        """Return what is shared by the animations of a stage."""
+        spans: dict[Any, tuple[float, float]] = {}
+        for attr in subject.attributes:
+            if times := subject.times(attr):
+                path = attr.GetPrimPath()
+                first, last = spans.get(path, (times[0], times[-1]))
+                spans[path] = min(first, times[0]), max(last, times[-1])
+        ends = list(zip(*spans.values(), strict=True))
+        skins: dict[Any, list[tuple[Any, Any]]] = {}
+        for prim in subject.prims:
+            binding = UsdSkel.BindingAPI(prim)
+            indices = binding.GetJointIndicesPrimvar()
+            if not (indices and indices.HasAuthoredValue()):
+                continue
+            if skeleton := binding.GetInheritedSkeleton():
+                skins.setdefault(skeleton.GetPath(), []).append((binding, indices))
+        whole = (min(ends[0]), max(ends[1])) if ends else None
+        return _Shared(spans, whole, skins)
+
+
 def animation_takes(subject: Subject, path: Path) -> list[AnimationTake]:
     """Return the animations of a stage that are sound enough to be looked at.
 
@@ -69,11 +105,12 @@ def animation_takes(subject: Subject, path: Path) -> list[AnimationTake]:
     """
     skeletons = list(subject.of_type(UsdSkel.Skeleton))
     bound = _bound(skeletons)
+    shared = _Shared.of(subject)
     found = []
     for animation in subject.of_type(UsdSkel.Animation):
         skeleton = bound.get(animation.GetPath()) or _nearest(animation, skeletons)
         try:
-            take = _take(subject, path, animation, skeleton)
+            take = _take(subject, path, animation, skeleton, shared)
         except AnimtoolError:
             continue
         if take is not None:
@@ -105,7 +142,7 @@ def _nearest(animation: Any, skeletons: list[Any]) -> Any:
 
 
 def _take(
-    subject: Subject, path: Path, animation: Any, skeleton: Any
+    subject: Subject, path: Path, animation: Any, skeleton: Any, shared: _Shared
 ) -> AnimationTake | None:
     where = f"{path}<{animation.GetPath()}>"
     joints = tokens(animation.GetJointsAttr())
@@ -144,9 +181,9 @@ def _take(
         str(animation.GetPath()),
         take,
         codes if len(codes) else None,
-        _range(subject, animation),
+        _range(subject, animation, shared),
         skeleton is not None,
-        _influencing(subject, skeleton, found) if skeleton else None,
+        _influencing(skeleton, found, shared) if skeleton else None,
         _bind(skeleton, rig) if skeleton else None,
         _shown_rate(subject.stage),
     )
@@ -259,7 +296,9 @@ def _clock(subject: Subject, codes: FloatArray) -> Clock:
     return Clock(fps, start, Fraction(step) or Fraction(1), max(len(codes), 1))
 
 
-def _range(subject: Subject, animation: Any) -> tuple[float, float] | None:
+def _range(
+    subject: Subject, animation: Any, shared: _Shared
+) -> tuple[float, float] | None:
     """Return the range that an animation states, or else its stage for all that moves.
 
     Where something else on the stage moves longer, the range is not about this one.
@@ -273,42 +312,26 @@ def _range(subject: Subject, animation: Any) -> tuple[float, float] | None:
         and stage.HasAuthoredMetadata("endTimeCode")
     ):
         return None
-    spans = [
-        (times[0], times[-1], attr.GetPrim() == animation.GetPrim())
-        for attr in subject.attributes
-        if (times := subject.times(attr))
-    ]
-    mine = [span for span in spans if span[2]]
-    if not mine or (
-        min(span[0] for span in mine) > min(span[0] for span in spans)
-        or max(span[1] for span in mine) < max(span[1] for span in spans)
-    ):
+    own_span = shared.spans.get(animation.GetPath())
+    if own_span is None or own_span != shared.whole:
         return None
     return float(stage.GetStartTimeCode()), float(stage.GetEndTimeCode())
 
 
 def _influencing(
-    subject: Subject, skeleton: Any, found: SkeletonRig
+    skeleton: Any, found: SkeletonRig, shared: _Shared
 ) -> frozenset[str] | None:
     """Return the joints that move points, or have one below that does."""
     used: set[int] = set()
-    meshes = 0
+    skins = shared.skins.get(skeleton.GetPath())
+    if not skins:
+        return None
     index = {token: i for i, token in enumerate(found.tokens)}
-    for prim in subject.prims:
-        binding = UsdSkel.BindingAPI(prim)
-        indices = binding.GetJointIndicesPrimvar()
-        if not (indices and indices.HasAuthoredValue()):
-            continue
-        held = binding.GetInheritedSkeleton()
-        if not held or held.GetPath() != skeleton.GetPath():
-            continue
-        meshes += 1
+    for binding, indices in skins:
         own = tokens(binding.GetJointsAttr()) or found.tokens
         used |= {
             index[own[i]] for i in _used(binding, indices, len(own)) if own[i] in index
         }
-    if not meshes:
-        return None
     for joint in sorted(used):
         parent = found.rig.joints[joint].parent
         while parent >= 0 and parent not in used:
