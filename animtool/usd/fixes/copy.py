@@ -14,7 +14,7 @@ from typing import Any, TypeAlias, cast
 
 from pxr import Sdf, Usd, UsdUtils
 
-from animtool.errors import Fault, OptionError
+from animtool.errors import Fault, OptionError, counted
 from animtool.output import output_error, replacing
 from animtool.plugins import load_object
 from animtool.usd.fixes.table import EDITS
@@ -144,7 +144,8 @@ def write_copy(source: Path, content: Any, output: Path) -> Sequence[str]:
     if held is not None:
         with without_usd_warnings():
             held.Reload(force=True)
-    return [f"rewrites {moved} relative asset paths for the new folder"] * bool(moved)
+    paths = counted(moved, "relative asset path")
+    return [f"rewrites {paths} for the new folder"] * bool(moved)
 
 
 def _format(path: Path) -> str:

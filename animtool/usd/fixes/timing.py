@@ -102,6 +102,9 @@ def whole_frames(target: Target, fault: Fault) -> Edit:
             for spec in attr.GetPropertyStack(Usd.TimeCode.EarliestTime()):
                 if spec.layer.GetNumTimeSamplesForPath(spec.path):
                     target.require_own(spec)
+        if any(time != round(time) for time in layer.ListAllTimeSamples()):
+            off = f"samples more than {MAX_DRIFT} off a whole frame"
+            raise NotFixableError(f"{off} may be intended")
         raise NotFixableError("the samples of this layer are on whole frames")
     paths = _moving(layer)
     for path in paths:

@@ -291,7 +291,7 @@ def test_relative_paths_lead_from_another_folder_too(tmp_path: Path) -> None:
     layer.TransferContent(shot_of(layer, tmp_path / "rig.usdc"))
     layer.Save()
     fixes = fix_copy(tmp_path / "shot.usda", tmp_path / "deep/new.usda")
-    assert "1 relative asset path" in fixes.notes[0]
+    assert fixes.notes[0].startswith("rewrites 1 relative asset path for")
     assert fixes.report.findings == ()
     assert "@../rig.usdc@" in (tmp_path / "deep/new.usda").read_text("utf-8")
 
@@ -387,6 +387,23 @@ def test_samples_of_a_sublayer_off_the_frames_name_its_file(tmp_path: Path) -> N
     shot.Save()
     fixes = fix_copy(tmp_path / "shot.usda", tmp_path / "new.usda")
     assert [(f.code, "rig.usdc" in why) for f, why in fixes.left] == [("MOT216", True)]
+
+
+def test_samples_far_off_the_frames_stay_and_the_reason_is_given(
+    tmp_path: Path,
+) -> None:
+    def shift(layer: Any) -> None:
+        path = f"{ANIMATION}.rotations"
+        for code in layer.ListTimeSamplesForPath(path):
+            value = layer.QueryTimeSample(path, code)
+            layer.EraseTimeSample(path, code)
+            layer.SetTimeSample(path, code + 0.3, value)
+
+    path = planted(tmp_path / "wrong.usdc", shift)
+    fixes = fix_copy(path, tmp_path / "new.usdc", ValidateOptions(select=("MOT216",)))
+    assert [(fault.code, why.partition(": ")[2]) for fault, why in fixes.left] == [
+        ("MOT216", "samples more than 0.05 off a whole frame may be intended")
+    ]
 
 
 def test_a_package_is_no_layer_to_fix(tmp_path: Path) -> None:
