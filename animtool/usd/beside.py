@@ -12,11 +12,10 @@ from pxr import Gf, Sdf
 
 from animtool._types import BoolArray, FloatArray
 from animtool.errors import Fault, OptionError, Severity
-from animtool.files import seen_from
 from animtool.take import Motion
 from animtool.transforms import Reference, Track, Transforms, turned_track
 from animtool.units import UpAxis, up_from_up
-from animtool.usd.layers import prim
+from animtool.usd.layers import asset_path, prim
 from animtool.usd.library import TAKE_SET
 from animtool.usd.paths import RigPaths
 from animtool.usd.samples import Samples
@@ -260,10 +259,7 @@ def _author_above(layer: Any, path: str, places: ThingPlaces) -> None:
 
 def _author_reference(spec: Any, reference: Reference, output: Path | None) -> None:
     folder = Path() if output is None else output.parent
-    name = seen_from(Path(reference.file), folder)
-    if not (name.startswith("../") or Path(name).is_absolute()):
-        # Else USD would search for it.
-        name = f"./{name}"
+    name = asset_path(Path(reference.file), folder)
     prim_path = Sdf.Path(reference.prim) if reference.prim else Sdf.Path()
     spec.referenceList.prependedItems.append(Sdf.Reference(name, prim_path))
 

@@ -15,7 +15,7 @@ from typing import Any
 from pxr import Sdf, Tf, Work
 
 from animtool.errors import Fault, FormatError, OptionError, excerpt
-from animtool.files import unreadable
+from animtool.files import seen_from, unreadable
 from animtool.inputs import note_input
 from animtool.output import output_error, replacing
 from animtool.shot import Shot
@@ -23,6 +23,7 @@ from animtool.units import UpAxis
 
 __all__ = [
     "StageMetadata",
+    "asset_path",
     "attribute",
     "author_metadata",
     "check_prim_path",
@@ -115,6 +116,19 @@ def check_prim_path(text: str) -> None:
     if not (path.IsAbsolutePath() and path.IsPrimPath()):
         message = f"--prim-path {excerpt(text)} is no path such as /World/hero"
         raise OptionError(Fault("CLI003", message))
+
+
+def asset_path(file: Path, folder: Path) -> str:
+    """Return the asset path of a file in layers of a folder, relative where possible.
+
+    >>> asset_path(Path("/show/tex/skin.png"), Path("/show"))
+    './tex/skin.png'
+    """
+    name = seen_from(file, folder)
+    if name.startswith("../") or Path(name).is_absolute():
+        return name
+    # Without a dot, USD would search for it.
+    return f"./{name}"
 
 
 def find_layer(path: Path) -> Any:

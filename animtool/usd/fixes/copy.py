@@ -19,7 +19,7 @@ from animtool.output import output_error, replacing
 from animtool.plugins import load_object
 from animtool.usd.fixes.table import EDITS
 from animtool.usd.fixes.target import Edit, NotFixableError, Target
-from animtool.usd.layers import export_layer, find_layer, usd_errors
+from animtool.usd.layers import asset_path, export_layer, find_layer, usd_errors
 from animtool.usd.stderr import without_usd_warnings
 
 __all__ = [
@@ -170,20 +170,7 @@ def _anchored(layer: Any, source: Path, output: Path) -> int:
         if not relative and not (old / bare).exists():
             return text
         count += 1
-        return f"{_relative((old / bare).resolve(), new)}{package}{rest}"
+        return f"{asset_path(old / bare, new)}{package}{rest}"
 
     UsdUtils.ModifyAssetPaths(layer, moved)
     return count
-
-
-def _relative(path: Path, folder: Path) -> str:
-    """Return a path as seen from a folder, both absolute; across drives as it is."""
-    if path.anchor != folder.anchor:
-        return path.as_posix()
-    shared = 0
-    for mine, theirs in zip(path.parts, folder.parts, strict=False):
-        if mine != theirs:
-            break
-        shared += 1
-    up = [".."] * (len(folder.parts) - shared) or ["."]
-    return "/".join([*up, *path.parts[shared:]])
