@@ -217,7 +217,8 @@ def _level(code: object, value: object, path: str) -> Severity | None:
 def _check_codes(levels: Levels, path: str) -> None:
     rules, _ = all_rules()
     for code in levels:
-        if not any(known.startswith(current_codes(code)) for known in rules):
+        known = code and any(rule.startswith(current_codes(code)) for rule in rules)
+        if not known:
             message = f"no code is or begins with {code!r}"
             raise OptionError(
                 Fault("VAL005", message, path, (), nearest(code, [*rules]))

@@ -183,6 +183,7 @@ def test_a_project_names_its_profile(stage: Path) -> None:
         ("profile: animtool/1\nseverity: [USD250]\n", "VAL008"),
         ("profile: animtool/1\nseverity: {USD250: bad}\n", "VAL008"),
         ("profile: animtool/1\nseverity: {USB250: note}\n", "VAL005"),
+        ("severity: {'': off}\n", "VAL005"),
         ("profile: [", "DOC001"),
     ],
 )
