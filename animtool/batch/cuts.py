@@ -4,15 +4,25 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from math import ceil, floor, isfinite
+from math import ceil, floor
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote, urlsplit
 
 from animtool.batch.cut_metadata import CutMetadata, cut_metadata
+from animtool.batch.timeline import (
+    NEAR,
+    is_remote,
+    media_path,
+    picture_rates,
+    read_timeline,
+    seconds_of,
+    shown_span,
+    speed_of,
+    transition_sides,
+)
 from animtool.config import find_config
 from animtool.documents.names import nearest
 from animtool.errors import (
@@ -51,10 +61,6 @@ SHOT_NAMES = (
 )
 # What names of files and of variables' users may hold everywhere.
 _LEGAL = re.compile(r"[^A-Za-z0-9_-]+")
-# Times are floats in timelines: this near to a frame, it is meant [frame].
-_NEAR = Fraction(1, 1_000_000)
-# Of parts of a frame; two rates that are used have a smaller one in common.
-_LARGEST_DENOMINATOR = 100_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,7 +214,7 @@ class _Reader:
         self, choose: Callable[[Sequence[_Entry]], Sequence[_Entry]] = list
     ) -> CutList:
         """Return its shots, or those of the clips that are chosen."""
-        timeline = _opened(self.path)
+        timeline = read_timeline(self.path)
         self.own = self.metadata(timeline, "the timeline", rate=True)
         self.fps = self.rate(timeline)
         for number, track in enumerate(timeline.tracks, 1):
@@ -260,7 +266,7 @@ class _Reader:
             return stated
         if asked is not None:
             return asked
-        rates = Counter(_rates(timeline.tracks))
+        rates = Counter(picture_rates(timeline.tracks))
         if not rates:
             return self.fps
         chosen = rates.most_common(1)[0][0]
@@ -301,7 +307,7 @@ class _Reader:
         if found is None:
             return
         try:
-            start, seconds, media_fps = _span(clip)
+            start, seconds, media_fps = shown_span(clip)
             transitions = self.overlaps(clip, named)
         except Exception as error:
             message = f"the range of {named} cannot be used: {excerpt(str(error), 120)}"
@@ -350,7 +356,7 @@ class _Reader:
         begin = _first(given.start, own.start_frame, self.own.start_frame, self.project)
         before, after = transitions
         count = frames_within(seconds, self.fps) + before + after
-        speed = _speed(entry.clip)
+        speed = speed_of(entry.clip)
         return Shot(
             begin + handles,
             begin + handles + count - 1,
@@ -371,7 +377,7 @@ class _Reader:
     def referred(self, clip: Any) -> Path | None:
         """Return the file that a clip refers to, which may be missing."""
         url = getattr(clip.media_reference, "target_url", None)
-        return None if not url else _path(str(url), self.path.parent)
+        return None if not url else media_path(str(url), self.path.parent)
 
     def medium(self, clip: Any, named: str) -> FoundFile | None:
         """Return the media of a clip; None where it has none, or it is missing."""
@@ -387,7 +393,7 @@ class _Reader:
         if path is not None:
             hint = "give the folder that has it, or one of the clip's name, as INPUT"
             problem = "a folder" if path.is_dir() else "not there"
-            shown = clip.media_reference.target_url if _is_remote(clip) else path
+            shown = clip.media_reference.target_url if is_remote(clip) else path
             self.fault("BAT042", f"the media of {named} is {problem}: {shown}", hint)
         elif self.media:
             self.fault("BAT042", f"no media is called like {named}")
@@ -399,8 +405,8 @@ class _Reader:
     def overlaps(self, clip: Any, named: str) -> tuple[int, int]:
         """Return the frames that transitions show before and after a clip's cut."""
         before, after = (
-            0 if side is None else ceil(_seconds(side) * self.fps - _NEAR)
-            for side in _sides(clip)
+            0 if side is None else ceil(seconds_of(side) * self.fps - NEAR)
+            for side in transition_sides(clip)
         )
         if before or after:
             more = f"{before} frames before its cut and {after} after it"
@@ -428,114 +434,9 @@ def _first(*given: int | None) -> int:
 def _media_names(shot: Shot, media_fps: Fraction) -> dict[str, str]:
     """Return the frames of its media that a cut shows, from 1 at the first."""
     shown = (shot.seconds_at(frame) for frame in (shot.cut_in, shot.cut_out))
-    first, last = (floor(seconds * media_fps + _NEAR) + 1 for seconds in shown)
+    first, last = (floor(seconds * media_fps + NEAR) + 1 for seconds in shown)
     return {
         "media_first": str(first),
         "media_last": str(last),
         "media_fps": str(media_fps),
     }
-
-
-def _opened(path: Path) -> Any:
-    try:
-        import opentimelineio as otio
-    except ModuleNotFoundError as error:
-        message = "cut lists need the package OpenTimelineIO"
-        hint = "pip install 'animtool[otio]'"
-        raise OptionError(Fault("BAT040", message, hint=hint)) from error
-    from animtool.inputs import note_input
-
-    note_input(path)
-    try:
-        found = otio.adapters.read_from_file(str(path))
-    except Exception as error:
-        kind = type(error).__name__
-        message = f"cannot be read as a timeline: {kind}: {excerpt(str(error), 200)}"
-        known = sorted(otio.adapters.suffixes_with_defined_adapters(read=True))
-        hint = f"there are adapters for {', '.join(known)}"
-        raise FormatError(Fault("BAT041", message, str(path), (), hint)) from error
-    if not isinstance(found, otio.schema.Timeline):
-        message = f"is a {type(found).__name__}, and no timeline"
-        raise FormatError(Fault("BAT041", message, str(path)))
-    return found
-
-
-def _path(url: str, folder: Path) -> Path:
-    """Return the file of a URL, or of a path seen from a folder."""
-    parts = urlsplit(url)
-    if parts.scheme == "file":
-        # It imports much, and most timelines are not asked for.
-        from urllib.request import url2pathname
-
-        return Path(url2pathname(parts.path))
-    if len(parts.scheme) > 1:
-        return Path(url)
-    return folder / (url if (folder / url).exists() else unquote(url))
-
-
-def _is_remote(clip: Any) -> bool:
-    """Return whether the media of a clip has an address that is no path."""
-    return "://" in clip.media_reference.target_url.removeprefix("file://")
-
-
-def _seconds(time: Any) -> Fraction:
-    """Return a time of a timeline, exact at its own rate [s]."""
-    exact = Fraction(time.value)
-    whole = Fraction(round(exact))
-    if abs(exact - whole) > _NEAR:
-        whole = exact.limit_denominator(_LARGEST_DENOMINATOR)
-    return whole / rate_from_float(time.rate)
-
-
-def _span(clip: Any) -> tuple[Fraction, Fraction, Fraction]:
-    """Return what a clip shows of its media.
-
-    Returns:
-        Time of its first frame, 0 at the media's first [s], how long it is shown [s],
-        and frames a second of the media, as far as the timeline knows.
-    """
-    span = clip.trimmed_range()
-    start, rate = _seconds(span.start_time), span.start_time.rate
-    if clip.media_reference.available_range is not None:
-        there = clip.media_reference.available_range
-        start -= _seconds(there.start_time)
-        rate = there.start_time.rate
-    return start, _seconds(span.duration), rate_from_float(rate)
-
-
-def _rates(composition: Any) -> Iterator[Fraction]:
-    """Yield the rate of every clip and gap on tracks of pictures."""
-    for child in composition:
-        if hasattr(child, "find_children"):
-            if getattr(child, "kind", "Video") == "Video":
-                yield from _rates(child)
-            continue
-        span = getattr(child, "source_range", None)
-        if span is not None and span.start_time.rate > 0:
-            yield rate_from_float(span.start_time.rate)
-
-
-def _speed(clip: Any) -> Fraction:
-    """Return how many times as fast as its media a clip plays."""
-    speed = Fraction(1)
-    for effect in clip.effects:
-        scalar = float(getattr(effect, "time_scalar", 1.0))
-        if not isfinite(scalar):
-            return Fraction(0)
-        speed *= Fraction(scalar).limit_denominator(_LARGEST_DENOMINATOR)
-    return speed
-
-
-def _sides(clip: Any) -> tuple[Any, Any]:
-    """Return how far transitions reach beyond the cuts of a clip; None for none."""
-    import opentimelineio as otio
-
-    kind = otio.schema.Transition
-    track = clip.parent()
-    if not isinstance(track, otio.schema.Track):
-        return None, None
-    before, behind = track.neighbors_of(clip)
-    return (
-        before.in_offset if isinstance(before, kind) else None,
-        behind.out_offset if isinstance(behind, kind) else None,
-    )

@@ -1,0 +1,141 @@
+"""A timeline as OpenTimelineIO has it: its clips, their media, times and speeds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from fractions import Fraction
+from math import isfinite
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote, urlsplit
+
+from animtool.errors import Fault, FormatError, OptionError, excerpt
+from animtool.rates import rate_from_float
+
+__all__ = [
+    "NEAR",
+    "is_remote",
+    "media_path",
+    "picture_rates",
+    "read_timeline",
+    "seconds_of",
+    "shown_span",
+    "speed_of",
+    "transition_sides",
+]
+
+# Times are floats in timelines: this near to a frame, it is meant [frame].
+NEAR = Fraction(1, 1_000_000)
+# Of parts of a frame; two rates that are used have a smaller one in common.
+LARGEST_DENOMINATOR = 100_000
+
+
+def read_timeline(path: Path) -> Any:
+    """Return a timeline as OpenTimelineIO has it.
+
+    Raises:
+        FormatError: It cannot be read (BAT041).
+        OptionError: OpenTimelineIO is missing (BAT040).
+    """
+    try:
+        import opentimelineio as otio
+    except ModuleNotFoundError as error:
+        message = "cut lists need the package OpenTimelineIO"
+        hint = "pip install 'animtool[otio]'"
+        raise OptionError(Fault("BAT040", message, hint=hint)) from error
+    from animtool.inputs import note_input
+
+    note_input(path)
+    try:
+        found = otio.adapters.read_from_file(str(path))
+    except Exception as error:
+        kind = type(error).__name__
+        message = f"cannot be read as a timeline: {kind}: {excerpt(str(error), 200)}"
+        known = sorted(otio.adapters.suffixes_with_defined_adapters(read=True))
+        hint = f"there are adapters for {', '.join(known)}"
+        raise FormatError(Fault("BAT041", message, str(path), (), hint)) from error
+    if not isinstance(found, otio.schema.Timeline):
+        message = f"is a {type(found).__name__}, and no timeline"
+        raise FormatError(Fault("BAT041", message, str(path)))
+    return found
+
+
+def media_path(url: str, folder: Path) -> Path:
+    """Return the file of a URL, or of a path seen from a folder."""
+    parts = urlsplit(url)
+    if parts.scheme == "file":
+        # It imports much, and most timelines are not asked for.
+        from urllib.request import url2pathname
+
+        return Path(url2pathname(parts.path))
+    if len(parts.scheme) > 1:
+        return Path(url)
+    return folder / (url if (folder / url).exists() else unquote(url))
+
+
+def is_remote(clip: Any) -> bool:
+    """Return whether the media of a clip has an address that is no path."""
+    return "://" in clip.media_reference.target_url.removeprefix("file://")
+
+
+def seconds_of(time: Any) -> Fraction:
+    """Return a time of a timeline, exact at its own rate [s]."""
+    exact = Fraction(time.value)
+    whole = Fraction(round(exact))
+    if abs(exact - whole) > NEAR:
+        whole = exact.limit_denominator(LARGEST_DENOMINATOR)
+    return whole / rate_from_float(time.rate)
+
+
+def shown_span(clip: Any) -> tuple[Fraction, Fraction, Fraction]:
+    """Return what a clip shows of its media.
+
+    Returns:
+        Time of its first frame, 0 at the media's first [s], how long it is shown [s],
+        and frames a second of the media, as far as the timeline knows.
+    """
+    span = clip.trimmed_range()
+    start, rate = seconds_of(span.start_time), span.start_time.rate
+    if clip.media_reference.available_range is not None:
+        there = clip.media_reference.available_range
+        start -= seconds_of(there.start_time)
+        rate = there.start_time.rate
+    return start, seconds_of(span.duration), rate_from_float(rate)
+
+
+def picture_rates(composition: Any) -> Iterator[Fraction]:
+    """Yield the rate of every clip and gap on tracks of pictures."""
+    for child in composition:
+        if hasattr(child, "find_children"):
+            if getattr(child, "kind", "Video") == "Video":
+                yield from picture_rates(child)
+            continue
+        span = getattr(child, "source_range", None)
+        if span is not None and span.start_time.rate > 0:
+            yield rate_from_float(span.start_time.rate)
+
+
+def speed_of(clip: Any) -> Fraction:
+    """Return how many times as fast as its media a clip plays."""
+    speed = Fraction(1)
+    for effect in clip.effects:
+        scalar = float(getattr(effect, "time_scalar", 1.0))
+        if not isfinite(scalar):
+            return Fraction(0)
+        speed *= Fraction(scalar).limit_denominator(LARGEST_DENOMINATOR)
+    return speed
+
+
+def transition_sides(clip: Any) -> tuple[Any, Any]:
+    """Return how far transitions reach beyond the cuts of a clip; None for none."""
+    import opentimelineio as otio
+
+    kind = otio.schema.Transition
+    track = clip.parent()
+    if not isinstance(track, otio.schema.Track):
+        return None, None
+    before, behind = track.neighbors_of(clip)
+    return (
+        before.in_offset if isinstance(before, kind) else None,
+        behind.out_offset if isinstance(behind, kind) else None,
+    )
