@@ -80,7 +80,8 @@ class Reading:
                     streams.append(scene.open(progress=shown))
                     continue
                 own = fitting_options(options.source, path, self.files)
-                own = replace(own, force_fit=options.force_fit, shot=options.shot)
+                shot = options.shot or own.shot
+                own = replace(own, force_fit=options.force_fit, shot=shot)
                 streams.append(opener(path, own, progress=shown))
             except AnimtoolError as error:
                 errors.append(error)

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from support.cli import animtool
 
-from animtool import open_source
+from animtool import BakeOptions, SourceOptions, bake, open_source
 from animtool.rates import rate_from_float
+from animtool.shot import Shot
 from animtool.usd.layers import find_layer
 
 otio = pytest.importorskip("opentimelineio", reason="no OpenTimelineIO (extra: otio)")
@@ -193,3 +194,15 @@ def test_media_too_short_is_an_error_under_strict(tmp_path: Path) -> None:
     assert "SCN106 shot sh030" in done.stderr
     names = sorted(path.name for path in (tmp_path / "out").glob("*.usdc"))
     assert names == ["sh010.usdc", "sh020.usdc"]
+
+
+def test_a_source_in_a_shot_has_its_frames(tmp_path: Path) -> None:
+    capture(tmp_path / "take.bvh", 30, 31)
+    shot = Shot(1001, 1012, fps=Fraction(24), media_in=Fraction(1, 2))
+    options = BakeOptions(source=SourceOptions(shot=shot), fps=24)  # type: ignore[arg-type]
+    bake(tmp_path / "take.bvh", tmp_path / "a.usdc", options)
+    take = open_source(tmp_path / "a.usdc").collect()
+    # The take begins half a second before the shot, and no range was asked for.
+    assert (take.clock.start, take.clock.count) == (1001 - 12, 25)
+    found = take.world().positions[:, 0, 0]
+    np.testing.assert_allclose(found, np.arange(25) / 24, atol=1e-6)

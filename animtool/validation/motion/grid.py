@@ -27,7 +27,7 @@ EARLY_SHARE, LATE_SHARE = 0.02, 0.1
 
 
 def off_frame(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield that samples lie beside the frames (MOT216)."""
+    """Yield that samples lie off the frames (MOT216)."""
     codes = subject.codes
     if codes is None or len(codes) < 2:
         return
@@ -39,7 +39,7 @@ def off_frame(subject: MotionSubject) -> Iterator[Fault]:
     if drifting.any():
         worst = int(np.where(drifting, np.abs(off), 0.0).argmax())
         message = (
-            f"{np.count_nonzero(drifting)} of {len(codes)} samples lie beside a frame, "
+            f"{np.count_nonzero(drifting)} of {len(codes)} samples lie off the frame, "
             f"by up to {abs(off[worst]):.3g} time codes, at {codes[worst]:.10g}"
         )
     else:

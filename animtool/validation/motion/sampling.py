@@ -115,7 +115,7 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     fast = pace > LEAST_PACE * np.median(pace)
     unlike = np.where(fast, np.abs(ratio - 1.0), 0.0)
     found = fast & (ratio > DOUBLE) & (ratio < MOST_LOST) & (astray < ASTRAY)
-    found &= ~(subject.cuts() | _beside_still(subject))[2:-2]
+    found &= ~(subject.cuts() | _next_to_still(subject))[2:-2]
     if found.any():
         found &= _uneven_around(unlike) < UNEVEN * unlike
         found &= _share(along, square) > MOST_JOINTS
@@ -123,7 +123,7 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     return ratios, lost
 
 
-def _beside_still(subject: MotionSubject) -> BoolArray:
+def _next_to_still(subject: MotionSubject) -> BoolArray:
     """Return the steps within a few of a repeated frame, where a pace says nothing."""
     still = subject.speeds < STILL * np.median(subject.speeds)
     windows = sliding_window_view(np.pad(still, GAP), 2 * GAP + 1)

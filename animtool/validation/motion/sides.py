@@ -132,7 +132,7 @@ def _exchanged(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator
     across = so3.angle_between(left[1:], right[:-1])
     across = np.maximum(across, so3.angle_between(right[1:], left[:-1]))
     swaps = (own > LEAST_EXCHANGE) & (across < EXCHANGED * own)
-    swaps &= _moves_beside(own, EXCHANGED * own) & ~subject.cuts()[:, None]
+    swaps &= _neighbor_moves(own, EXCHANGED * own) & ~subject.cuts()[:, None]
     far = np.where(swaps, own, 0.0).sum(axis=1) > LEAST_IN_ALL
     many = swaps.sum(axis=1) >= min(FEWEST_PAIRS, len(pairs))
     swaps &= (far & many)[:, None]
@@ -152,7 +152,7 @@ def _exchanged(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator
     yield subject.fault("MOT210", joint, step, message, hint)
 
 
-def _moves_beside(steps: FloatArray, most: FloatArray) -> BoolArray:
+def _neighbor_moves(steps: FloatArray, most: FloatArray) -> BoolArray:
     """Return where the steps before and after are motion, but small ``(F - 1, P)``.
 
     Poses of a library that are held, or take turns, exchange sides by intent.

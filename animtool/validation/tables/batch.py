@@ -45,6 +45,6 @@ RULES = (
     Rule("BAT061", "a table of variants without values"),
     Rule("BAT062", "a row of variants with other columns"),
     Rule("BAT063", "a column of variants that cannot be called so"),
-    Rule("BAT064", "a value of a variant that makes no sense"),
+    Rule("BAT064", "an invalid value of a variant"),
     Rule("BAT065", "too many variants, or none"),
 )

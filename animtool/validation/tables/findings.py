@@ -16,5 +16,5 @@ RULES = (
     Rule("VAL006", "no file to check"),
     Rule("VAL007", "a clip that names no rig", Severity.NOTE),
     Rule("VAL008", "a severity profile that is malformed"),
-    Rule("VAL009", "a severity profile that there is none of"),
+    Rule("VAL009", "an unknown severity profile"),
 )
