@@ -30,6 +30,7 @@ LAYERS = [
         "files",
         "junit",
         "lazy",
+        "signals",
     },
     {"plugins", "shot"},
     {"readers"},
