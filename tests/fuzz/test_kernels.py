@@ -1,0 +1,27 @@
+"""Each kernel has arguments to be fuzzed with, and these are valid."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fuzz.kernels import exported, makers
+from fuzz.targets.kernels import call
+
+SPRINGS = {
+    *("SpringNetwork", "SpringNetwork.lead", "SpringLayers", "SpringStrands"),
+    *("SpringLayers.least", "SpringLayers.least_of_edges", "follow_strands"),
+    *("part_springs", "pierced_edges", "spring_order", "spring_accelerations"),
+    *("spring_energy", "step_springs", "project_springs", "solve_springs"),
+}
+
+
+def test_every_kernel_is_fuzzed() -> None:
+    assert exported() - SPRINGS == set(makers()) - SPRINGS
+
+
+@pytest.mark.parametrize("name", sorted(makers()))
+def test_arguments_made_are_valid(name: str) -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        call(name, makers()[name](rng))
