@@ -15,14 +15,12 @@ from animtool._types import BoolArray, Float32Array, FloatArray
 from animtool.maths import so3
 from animtool.rig.skeleton import Rig
 from animtool.take import Motion
+from animtool.usd.finite import Labels, narrowed
 from animtool.usd.layers import attribute, prim
 from animtool.usd.paths import RigPaths
 from animtool.usd.samples import Samples
 
 __all__ = ["AnimationWriter", "Rounding", "WrittenBlock", "round_blocks"]
-
-FLOAT32_MAX = float(np.finfo(np.float32).max)
-FLOAT16_MAX = float(np.finfo(np.float16).max)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +80,9 @@ def round_blocks(
         meters_per_unit: Unit of the layer [m].
         root_motion: Move the first root joint's motion to the SkelRoot; the joint
             stays at rest.
+
+    Raises:
+        OutputError: USD holds a value as no finite number (USD170).
     """
     for codes, motion in blocks:
         translations, rotations, scales = motion.dense()
@@ -89,11 +90,15 @@ def round_blocks(
         root = None
         if root_motion and rig.roots:
             root = _move_root(rig, translations, rotations, meters_per_unit)
-        written_t = np.clip(translations, -FLOAT32_MAX, FLOAT32_MAX).astype(np.float32)
-        written_r = rotations.astype(np.float32)
+        names = rig.names
+        written_t = narrowed(
+            translations, "f", Labels("translations", "joint", names), codes
+        )
+        written_r = narrowed(rotations, "f", Labels("rotations", "joint", names), codes)
         written_s = None
         if scales is not None:
-            written_s = np.clip(scales, -FLOAT16_MAX, FLOAT16_MAX).astype(np.float16)
+            labels = Labels("scales", "joint", names)
+            written_s = narrowed(scales, "h", labels, codes)
         extents, error, frame, joint = _kernels.measure_rounding(
             rig.parents,
             translations,
@@ -103,7 +108,7 @@ def round_blocks(
             written_r,
             None if written_s is None else written_s.astype(np.float32),
         )
-        bounds = np.clip(extents, -FLOAT32_MAX, FLOAT32_MAX).astype(np.float32)
+        bounds = narrowed(extents, "f", Labels("extent"), codes)
         yield WrittenBlock(
             codes,
             written_t,
@@ -114,16 +119,17 @@ def round_blocks(
             error * meters_per_unit,
             float(codes[frame]),
             joint,
-            _weights(motion),
+            _weights(motion, rig, codes),
             scales is not None and bool((scales != written_s).any()),
         )
 
 
-def _weights(motion: Motion) -> Float32Array | None:
+def _weights(motion: Motion, rig: Rig, codes: FloatArray) -> Float32Array | None:
     if motion.weights is None:
         return None
     weights = motion.weights.dense()[..., 0]
-    return np.clip(weights, -FLOAT32_MAX, FLOAT32_MAX).astype(np.float32)
+    names = [shape.name for shape in rig.shapes]
+    return narrowed(weights, "f", Labels("weights", "shape", names), codes)
 
 
 def _move_root(
@@ -201,11 +207,16 @@ class AnimationWriter:
         self._count = len(names)
         self._transforms: dict[str, Samples] = {}
         if names:
+            joint: dict[str, Any] = {"of": "joint", "names": names}
             tokens = Vt.TokenArray(names)
             attribute(spec, "joints", types.TokenArray, tokens, uniform=True)
             self._transforms = {
                 "translations": Samples(
-                    spec, "translations", types.Float3Array, Vt.Vec3fArray.FromNumpy
+                    spec,
+                    "translations",
+                    types.Float3Array,
+                    Vt.Vec3fArray.FromNumpy,
+                    **joint,
                 ),
                 "rotations": Samples(
                     spec,
@@ -213,9 +224,14 @@ class AnimationWriter:
                     types.QuatfArray,
                     Vt.QuatfArray.FromNumpy,
                     quaternions=True,
+                    **joint,
                 ),
                 "scales": Samples(
-                    spec, "scales", types.Half3Array, Vt.Vec3hArray.FromNumpy
+                    spec,
+                    "scales",
+                    types.Half3Array,
+                    Vt.Vec3hArray.FromNumpy,
+                    **joint,
                 ),
             }
         self._weights: list[Float32Array] = []
@@ -270,7 +286,8 @@ class AnimationWriter:
     def padded_bounds(self, padding: float | np.float32) -> list[Float32Array]:
         """Return the bounds of the joints, padded: ``(F, 2, 3)``, one array a block."""
         pad = np.array([[-padding] * 3, [padding] * 3], np.float32)
-        return [extents + pad for extents in self._extents]
+        with np.errstate(over="ignore"):
+            return [extents + pad for extents in self._extents]
 
     def author_bounds(self, extents: list[Float32Array]) -> None:
         """Write the SkelRoot's bounds ``(F, 2, 3)``, one array a block."""

@@ -10,6 +10,7 @@ from pxr import Gf, Sdf, Vt
 from animtool._types import FloatArray, IntArray
 from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import Rig
+from animtool.usd.finite import Labels, narrowed
 from animtool.usd.layers import attribute, prim, relationship
 from animtool.usd.paths import RigPaths
 
@@ -56,7 +57,8 @@ def author_bones(layer: Any, rig: Rig, paths: RigPaths, meters_per_unit: float) 
     if not len(segments):
         return False
     corners, outwards = _octahedra(segments / meters_per_unit)
-    points = corners.reshape(-1, 3).astype(np.float32)
+    labels = Labels(f"{paths.root}/Bones.points", "point")
+    points = narrowed(corners.reshape(-1, 3), "f", labels)
     normals = Vt.Vec3fArray.FromNumpy(outwards.reshape(-1, 3).astype(np.float32))
     faces = (_FACES.reshape(1, -1) + 6 * np.arange(len(segments))[:, None]).reshape(-1)
     spec = prim(layer, f"{paths.root}/Bones", "Mesh")

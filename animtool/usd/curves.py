@@ -43,6 +43,7 @@ from pxr import Sdf, Ts
 from animtool._types import FloatArray
 from animtool.maths.curves import Curves, SegmentKind, evaluate
 from animtool.maths.extrapolation import Extrapolation
+from animtool.usd.finite import Labels, check_value
 from animtool.usd.layers import attribute
 from animtool.usd.names import distinct_names
 
@@ -144,29 +145,34 @@ def author_curve(
         start: Time code of the curve's time 0.
 
     Raises:
+        OutputError: A number of the spline is not finite (USD170).
         ValueError: There is not one curve with a key.
     """
     if len(curves.pre) != 1 or not len(curves.times):
         raise ValueError("one curve with a key is needed")
-    spline = Ts.Spline("double")
+    spline, where = Ts.Spline("double"), f"{prim_path}.{name}"
     pieces = [
         piece
         for i in range(len(curves.times) - 1)
         for piece in _pieces(curves, i, start)
     ]
     with Ts.AntiRegressionAuthoringSelector(Ts.AntiRegressionContain):
-        for knot in _knots(pieces, curves, start):
+        for knot in _knots(pieces, curves, start, where):
             spline.SetKnot(knot)
-        spline.SetPreExtrapolation(_extrapolation(curves.pre[0], curves, evaluate, -1))
-        spline.SetPostExtrapolation(_extrapolation(curves.post[0], curves, evaluate, 1))
+        outside = (curves.pre[0], -1), (curves.post[0], 1)
+        before, after = (
+            _extrapolation(mode, curves, evaluate, side, where)
+            for mode, side in outside
+        )
+        spline.SetPreExtrapolation(before)
+        spline.SetPostExtrapolation(after)
     spec = layer.GetPrimAtPath(prim_path)
     made = attribute(spec, name, Sdf.ValueTypeNames.Double)
     made.custom = True
     made.SetSpline(spline)
     difference, seam = _measure(spline, curves, evaluate, start)
-    knots = len(spline.GetKnots())
     split = len({piece.segment for piece in pieces if piece.part})
-    return CurveReport(name, knots, split, difference, seam)
+    return CurveReport(name, len(spline.GetKnots()), split, difference, seam)
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,8 +254,12 @@ def _split(points: FloatArray, u: float) -> list[FloatArray]:
     ]
 
 
-def _knots(pieces: list[_Piece], curves: Curves, start: float) -> list[Any]:
-    """Return the knots at the ends of all pieces."""
+def _knots(pieces: list[_Piece], curves: Curves, start: float, where: str) -> list[Any]:
+    """Return the knots at the ends of all pieces.
+
+    Raises:
+        OutputError: A number of one is not finite (USD170).
+    """
     ends = [(*(p.points[0] + [p.begin, 0.0]).tolist(), p) for p in pieces]
     last = (float(curves.times[-1] + start), float(curves.values[-1]), None)
     knots = []
@@ -264,6 +274,8 @@ def _knots(pieces: list[_Piece], curves: Curves, start: float) -> list[Any]:
             if piece.kind >= SegmentKind.CUBIC:
                 width, slope = _tangent(piece.points[1] - piece.points[0])
                 fields |= {"postTanWidth": width, "postTanSlope": slope}
+        numbers = [n for n in (time, value, *fields.values()) if isinstance(n, float)]
+        check_value(numbers, "d", Labels(where, f"the knot at {time:.10g}"))
         knots.append(Ts.Knot("double", time=time, value=value, **fields))
         before = piece
     return knots
@@ -276,7 +288,7 @@ def _tangent(handle: FloatArray) -> tuple[float, float]:
 
 
 def _extrapolation(
-    mode: Extrapolation, curves: Curves, evaluate: Evaluate, side: int
+    mode: Extrapolation, curves: Curves, evaluate: Evaluate, side: int, where: str
 ) -> Any:
     made = Ts.Extrapolation(_EXTRAPOLATION[mode])
     if mode is Extrapolation.LINEAR:
@@ -284,7 +296,9 @@ def _extrapolation(
         reach = max(1.0, abs(edge), float(np.ptp(curves.times)))
         far = edge + side * 1024.0 * reach
         at_edge, away = evaluate(np.array([edge, far])).tolist()
-        made.slope = (away - at_edge) / (far - edge)
+        slope = (away - at_edge) / (far - edge)
+        check_value(slope, "d", Labels(where, "the slope outside the keys"))
+        made.slope = slope
     return made
 
 

@@ -20,6 +20,7 @@ from animtool.inputs import note_input
 from animtool.output import output_error, replacing
 from animtool.shot import Shot
 from animtool.units import UpAxis
+from animtool.usd.finite import Labels, check_data, check_value, largest
 
 __all__ = [
     "StageMetadata",
@@ -66,15 +67,24 @@ class StageMetadata:
 
 
 def author_metadata(layer: Any, metadata: StageMetadata) -> None:
-    """State the rate, the range, the units, the up axis, the default prim, the shot."""
+    """State the rate, the range, the units, the up axis, the default prim, the shot.
+
+    Raises:
+        OutputError: A number is not finite (USD170).
+    """
     root = layer.pseudoRoot
+    numbers = {
+        "timeCodesPerSecond": float(metadata.fps),
+        "startTimeCode": float(metadata.first),
+        "endTimeCode": float(metadata.last),
+        "metersPerUnit": metadata.meters_per_unit,
+    }
+    check_data(numbers, "metadata")
     if metadata.default_prim:
         layer.defaultPrim = metadata.default_prim
-    layer.framesPerSecond = float(metadata.fps)
-    layer.timeCodesPerSecond = float(metadata.fps)
-    layer.startTimeCode = float(metadata.first)
-    layer.endTimeCode = float(metadata.last)
-    root.SetInfo("metersPerUnit", metadata.meters_per_unit)
+    layer.framesPerSecond = numbers["timeCodesPerSecond"]
+    for name, value in numbers.items():
+        root.SetInfo(name, value)
     root.SetInfo("upAxis", metadata.up.value)
     if metadata.shot is not None:
         data = dict(layer.customLayerData)
@@ -220,10 +230,16 @@ def attribute(
     uniform: bool = False,
     interpolation: str = "",
 ) -> Any:
-    """Return a new attribute of a prim, with a default where one is given."""
+    """Return a new attribute of a prim, with a default where one is given.
+
+    Raises:
+        OutputError: USD holds the default as no finite number (USD170).
+    """
     variability = Sdf.VariabilityUniform if uniform else Sdf.VariabilityVarying
     made = Sdf.AttributeSpec(spec, name, type_name, variability)
     if value is not None:
+        if letter := largest(type_name):
+            check_value(value, letter, Labels(str(made.path)))
         made.default = value
     if interpolation:
         made.SetInfo("interpolation", interpolation)

@@ -13,6 +13,7 @@ from animtool.errors import Fault, Severity
 from animtool.rig.parts import Subdivision
 from animtool.rig.surfaces import Surface, SurfaceShape, SurfaceSkin
 from animtool.skin.influences import InfluenceReport, Influences, read_influences
+from animtool.usd.finite import Labels, check_value, narrowed
 from animtool.usd.layers import attribute, prim
 from animtool.usd.names import distinct_names
 from animtool.usd.paths import RigPaths
@@ -99,16 +100,16 @@ def _mesh(layer: Any, path: str, surface: Surface, meters_per_unit: float) -> An
     spec = prim(layer, path, "Mesh")
     points = surface.points / meters_per_unit
     extent = np.stack([points.min(axis=0), points.max(axis=0)])
-    attribute(spec, "extent", _TYPES.Float3Array, _vec3f(extent))
+    attribute(spec, "extent", _TYPES.Float3Array, _vec3f(extent, f"{path}.extent"))
     counts, indices = (
         Vt.IntArray.FromNumpy(np.ascontiguousarray(values, np.int32))
         for values in (surface.counts, surface.indices)
     )
     attribute(spec, "faceVertexCounts", _TYPES.IntArray, counts)
     attribute(spec, "faceVertexIndices", _TYPES.IntArray, indices)
-    attribute(spec, "points", _TYPES.Point3fArray, _vec3f(points))
+    attribute(spec, "points", _TYPES.Point3fArray, _vec3f(points, f"{path}.points"))
     if surface.normals is not None:
-        normals = _vec3f(surface.normals)
+        normals = _vec3f(surface.normals, f"{path}.normals")
         attribute(
             spec, "normals", _TYPES.Normal3fArray, normals, interpolation="vertex"
         )
@@ -132,8 +133,9 @@ def _matrix(transform: FloatArray, meters_per_unit: float) -> Any:
     return Gf.Matrix4d(*rows.ravel().tolist())
 
 
-def _vec3f(values: FloatArray) -> Any:
-    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values, np.float32))
+def _vec3f(values: FloatArray, where: str) -> Any:
+    labels = Labels(where, "point")
+    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(narrowed(values, "f", labels)))
 
 
 def _skin(
@@ -216,25 +218,26 @@ def _shape(spec: Any, shape: SurfaceShape, meters_per_unit: float) -> None:
         spec,
         "offsets",
         _TYPES.Vector3fArray,
-        _vec3f(shape.deltas[rows] / meters_per_unit),
+        _vec3f(shape.deltas[rows] / meters_per_unit, f"{spec.path}.offsets"),
         uniform=True,
     )
     if shape.normals is not None:
-        normals = _vec3f(shape.normals[rows])
+        normals = _vec3f(shape.normals[rows], f"{spec.path}.normalOffsets")
         attribute(spec, "normalOffsets", _TYPES.Vector3fArray, normals, uniform=True)
     if vertices is not None:
         points = Vt.IntArray.FromNumpy(np.ascontiguousarray(vertices, np.int32))
         attribute(spec, "pointIndices", _TYPES.IntArray, points, uniform=True)
     for i, step in enumerate(shape.inbetweens):
         name = f"inbetweens:step_{i + 1}"
-        deltas = _vec3f(step.deltas[rows] / meters_per_unit)
+        deltas = _vec3f(step.deltas[rows] / meters_per_unit, f"{spec.path}.{name}")
         made = attribute(spec, name, _TYPES.Vector3fArray, deltas, uniform=True)
+        check_value(step.at, "f", Labels(f"{spec.path}.{name}", "the weight"))
         made.SetInfo("weight", step.at)
         if step.normals is not None:
             attribute(
                 spec,
                 f"{name}:normalOffsets",
                 _TYPES.Vector3fArray,
-                _vec3f(step.normals[rows]),
+                _vec3f(step.normals[rows], f"{spec.path}.{name}:normalOffsets"),
                 uniform=True,
             )

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Vt
 
-from animtool import _kernels
 from animtool._types import FloatArray, IntArray
+from animtool.usd.finite import Labels, narrowed
 from animtool.usd.layers import attribute, prim
 from animtool.usd.prim_writer import PrimWriter
 
@@ -58,16 +58,24 @@ class PointsWriter(PrimWriter):
 
     def add(self, layer: Any, code: float, row: PointsRow) -> None:
         """Write a frame."""
-        points, error, _, worst = _kernels.round_points(row.points[None], self.unit)
-        widths = (2 * row.radii / self.unit).astype(np.float32)
-        speeds = _kernels.round_points(row.velocities[None], self.unit)[0][0]
+        at = np.array([code])
+        points, error, _, worst = self.rounded("points", row.points, code)
+        path = self.report.path
+        widths, ages = (
+            narrowed(values[None], "f", Labels(f"{path}.{name}", "point"), at)[0]
+            for name, values in (
+                ("widths", 2 * row.radii / self.unit),
+                ("primvars:age", row.ages),
+            )
+        )
+        speeds = self.rounded("velocities", row.velocities, code)[0][0]
         extent = _extent(points[0], widths)
         for name, value in {
             "points": Vt.Vec3fArray.FromNumpy(points[0]),
             "velocities": Vt.Vec3fArray.FromNumpy(speeds),
             "ids": Vt.Int64Array.FromNumpy(row.ids),
             "widths": Vt.FloatArray.FromNumpy(widths),
-            "primvars:age": Vt.FloatArray.FromNumpy(row.ages.astype(np.float32)),
+            "primvars:age": Vt.FloatArray.FromNumpy(ages),
             "extent": Vt.Vec3fArray.FromNumpy(extent),
         }.items():
             self.put(layer, code, name, value)

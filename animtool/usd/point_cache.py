@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pxr import Sdf, Vt
 
-from animtool import _kernels
 from animtool._types import Float32Array, FloatArray
 from animtool.rig.strands import Strands
 from animtool.rig.surfaces import Surface
 from animtool.shot import Shot
 from animtool.skin.deform import Deformed
 from animtool.units import UpAxis
+from animtool.usd.finite import Labels, rounded
 from animtool.usd.layers import (
     StageMetadata,
     author_metadata,
@@ -176,6 +176,9 @@ def round_points(
         deformed: Its frames [m].
         meters_per_unit: Unit of the layer [m].
         space: Where they are written.
+
+    Raises:
+        OutputError: USD holds a value as no finite number (USD170).
     """
     points, extents = deformed.points, deformed.extents
     velocities, normals = deformed.velocities, deformed.normals
@@ -186,27 +189,32 @@ def round_points(
         extents = np.stack([points.min(axis=1), points.max(axis=1)], axis=1)
         velocities = None if velocities is None else velocities @ linear.T
         normals = None if normals is None else _turned(normals, linear)
-    rounded, error, frame, vertex = _kernels.round_points(points, meters_per_unit)
+    made, error, frame, vertex = rounded(
+        points, meters_per_unit, Labels("points", "point"), codes
+    )
+
+    def alike(name: str, values: FloatArray, unit: float) -> Float32Array:
+        return rounded(values, unit, Labels(name, "point"), codes)[0]
+
     return PointBlock(
         mesh,
         codes,
-        rounded,
-        _widened(_rounded(extents, meters_per_unit), space.margin),
-        None if normals is None else _rounded(normals, 1.0),
-        None if velocities is None else _rounded(velocities, meters_per_unit),
+        made,
+        _widened(alike("extent", extents, meters_per_unit), space.margin),
+        None if normals is None else alike("normals", normals, 1.0),
+        None
+        if velocities is None
+        else alike("velocities", velocities, meters_per_unit),
         error,
         float(codes[frame]),
         vertex,
     )
 
 
-def _rounded(values: FloatArray, unit: float) -> Float32Array:
-    return _kernels.round_points(values, unit)[0]
-
-
 def _widened(extents: Float32Array, margin: float) -> Float32Array:
     """Return bounds of what is drawn about points, as `UsdGeom.Curves` has them."""
-    return extents + np.array([[-margin], [margin]], np.float32)
+    with np.errstate(over="ignore"):
+        return extents + np.array([[-margin], [margin]], np.float32)
 
 
 def _turned(normals: FloatArray, linear: FloatArray) -> FloatArray:

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any
+from typing import Any, ClassVar
 
+import numpy as np
+
+from animtool._types import Float32Array, FloatArray
+from animtool.usd.finite import Labels, check_value, largest, rounded
 from animtool.usd.point_cache import CachedMesh
 
 __all__ = ["PrimWriter"]
@@ -15,16 +19,20 @@ class PrimWriter(ABC):
 
     Attributes:
         report: What was written so far.
+        of: What each value of an array is of, for messages.
 
     Args:
         path: Of the prim.
         meters_per_unit: Unit of the layer [m].
     """
 
+    of: ClassVar[str] = "point"
+
     def __init__(self, path: str, meters_per_unit: float) -> None:
         self.report = CachedMesh(path)
         self.unit = meters_per_unit
         self._last: dict[str, Any] = {}
+        self._letters: dict[str, str] = {}
 
     @abstractmethod
     def begin(self, layer: Any, row: Any) -> None:
@@ -46,12 +54,33 @@ class PrimWriter(ABC):
         """
 
     def put(self, layer: Any, code: float, name: str, value: Any) -> None:
-        """Write the value of an attribute at a time code; the first is its default."""
+        """Write the value of an attribute at a time code; the first is its default.
+
+        Raises:
+            OutputError: USD holds it as no finite number (USD170).
+        """
         path = f"{self.report.path}.{name}"
         if name not in self._last:
-            layer.GetAttributeAtPath(path).default = value
+            spec = layer.GetAttributeAtPath(path)
+            self._letters[name] = largest(spec.typeName)
+            spec.default = value
+        if letter := self._letters[name]:
+            check_value(value, letter, Labels(path, self.of), code)
         self._last[name] = value
         layer.SetTimeSample(path, code, value)
+
+    def rounded(
+        self, name: str, values: FloatArray, code: float
+    ) -> tuple[Float32Array, float, int, int]:
+        """Return the values of a frame as `animtool.usd.finite.rounded` does.
+
+        Args:
+            name: Of their attribute.
+            values: ``(N, 3)`` [m], or [m/s].
+            code: Time code.
+        """
+        labels = Labels(f"{self.report.path}.{name}", self.of)
+        return rounded(values[None], self.unit, labels, np.array([code]))
 
     def repeat(self, layer: Any, code: float) -> None:
         """Write the last frame into another layer too, which is not counted."""

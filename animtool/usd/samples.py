@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from animtool._types import FloatArray
 from animtool.maths import so3
+from animtool.usd.finite import Labels, check_rows, check_value, largest
 from animtool.usd.layers import attribute
 
 __all__ = ["Samples"]
@@ -35,11 +36,15 @@ class Samples:
         *,
         interpolation: str = "",
         quaternions: bool = False,
+        of: str = "",
+        names: Sequence[str] = (),
     ) -> None:
         self._attribute = attribute(spec, name, type_name, interpolation=interpolation)
         self._path = self._attribute.path
         self._set = spec.layer.SetTimeSample
         self._make = make
+        self._letter = largest(type_name)
+        self._labels = Labels(str(self._path), of, names)
         self._first: npt.NDArray[Any] | None = None
         self._quaternions = quaternions
         self._last: npt.NDArray[Any] | None = None
@@ -47,8 +52,14 @@ class Samples:
         self.sampled = False
 
     def add(self, codes: FloatArray, rows: npt.NDArray[Any]) -> None:
-        """Add frames of values ``(F, …)``."""
+        """Add frames of values ``(F, …)``.
+
+        Raises:
+            OutputError: USD holds one of them as no finite number (USD170).
+        """
         rows = np.ascontiguousarray(self._continued(rows))
+        if self._letter:
+            check_rows(rows, self._letter, self._labels, codes)
         if self._first is None:
             self._first = rows[0].copy()
         if not self.sampled:
@@ -92,4 +103,7 @@ class Samples:
         """Author the default of values that never changed, or never came."""
         if not self.sampled:
             first = otherwise if self._first is None else self._first
-            self._attribute.default = self._make(first)
+            value = self._make(first)
+            if self._letter:
+                check_value(value, self._letter, self._labels)
+            self._attribute.default = value

@@ -9,7 +9,6 @@ from typing import Any, ClassVar, Generic, TypeVar
 import numpy as np
 from pxr import Sdf, Vt
 
-from animtool import _kernels
 from animtool._types import Float32Array, FloatArray, IntArray
 from animtool.maths.faces import triangulated, vertex_normals
 from animtool.usd.layers import attribute, prim
@@ -91,8 +90,8 @@ class _MovedWriter(PrimWriter, Generic[Row]):
 
     def add(self, layer: Any, code: float, row: Row) -> None:
         """Write a frame; the shape too where it may change."""
-        points, error, _, worst = _kernels.round_points(row.points[None], self.unit)
-        speeds = _kernels.round_points(row.velocities[None], self.unit)[0][0]
+        points, error, _, worst = self.rounded("points", row.points, code)
+        speeds = self.rounded("velocities", row.velocities, code)[0][0]
         self.put(layer, code, "points", Vt.Vec3fArray.FromNumpy(points[0]))
         self.put(layer, code, "velocities", Vt.Vec3fArray.FromNumpy(speeds))
         extent = _extent(points[0], self.margin(row))

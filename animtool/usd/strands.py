@@ -10,6 +10,7 @@ from pxr import Sdf, UsdGeom, Vt
 
 from animtool._types import FloatArray
 from animtool.rig.strands import Strands
+from animtool.usd.finite import Labels, narrowed
 from animtool.usd.layers import attribute, prim
 from animtool.usd.names import distinct_names
 from animtool.usd.paths import RigPaths
@@ -63,7 +64,8 @@ def author_strands(
 
 def _curves(spec: Any, points: FloatArray, width: float) -> None:
     count, length = points.shape[:2]
-    flat = np.ascontiguousarray(points.reshape(-1, 3), np.float32)
+    labels = Labels(f"{spec.path}.points", "point")
+    flat = np.ascontiguousarray(narrowed(points.reshape(-1, 3), "f", labels))
     places, widths = Vt.Vec3fArray.FromNumpy(flat), Vt.FloatArray([width])
     extent = UsdGeom.Curves.ComputeExtent(places, widths)
     attribute(spec, "extent", _TYPES.Float3Array, extent)

@@ -132,5 +132,6 @@ RULES = (
         "a SkelAnimation that names joints and has no value for any",
         Severity.WARNING,
     ),
+    Rule("USD170", "a number that USD cannot hold"),
     *(Rule(code, entry.title, entry.severity) for code, entry in CODES.items()),
 )

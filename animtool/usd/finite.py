@@ -1,0 +1,215 @@
+"""The gate of numbers: what USD cannot hold as a finite number is never authored.
+
+Attributes are float16, float32 or float64. A number beyond the range of its type
+becomes infinite in the file without a word, so each is checked before it is written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from animtool import _kernels
+from animtool._types import Float32Array, FloatArray
+from animtool.errors import Fault, OutputError
+
+__all__ = [
+    "Labels",
+    "check_data",
+    "check_rows",
+    "check_value",
+    "largest",
+    "narrowed",
+    "rounded",
+]
+
+# Largest finite number of each type, by the letter that ends names of USD's types.
+_LIMITS = {
+    letter: float(np.finfo(dtype).max)
+    for letter, dtype in (("h", np.float16), ("f", np.float32), ("d", np.float64))
+}
+_NAMES = {"h": "float16", "f": "float32", "d": "float64"}
+_SCALARS = {"GfHalf": "h", "float": "f", "double": "d", "GfTimeCode": "d"}
+# Half of the distance of the largest float32 from the one below: what is within the
+# range is rounded by no more than this along an axis.
+_MOST_ROUNDED = 2.0**103
+
+
+@dataclass(frozen=True, slots=True)
+class Labels:
+    """What an attribute's values are of, for messages.
+
+    Attributes:
+        attribute: Its name or path.
+        of: What each value is of, such as ``joint``; or what the one value is.
+        names: Of those, where they have names.
+    """
+
+    attribute: str
+    of: str = ""
+    names: Sequence[str] = ()
+
+    def at(self, index: Sequence[int]) -> str:
+        """Return in words which value is meant."""
+        if not index or not self.of:
+            return self.of or "a value"
+        first = index[0]
+        name = repr(self.names[first]) if first < len(self.names) else str(first)
+        return f"{self.of} {name}"
+
+
+@cache
+def largest(type_name: Any) -> str:
+    """Return the letter of an attribute's type, h, f or d; empty if it has no floats.
+
+    Args:
+        type_name: One of ``Sdf.ValueTypeNames``.
+    """
+    name = str(type_name.scalarType.cppTypeName)
+    if name in _SCALARS:
+        return _SCALARS[name]
+    return name[-1] if name.startswith("Gf") and name[-1] in _LIMITS else ""
+
+
+def narrowed(
+    values: FloatArray,
+    letter: str,
+    labels: Labels,
+    codes: FloatArray | None = None,
+) -> npt.NDArray[Any]:
+    """Return values as float16 (``h``) or float32 (``f``).
+
+    Args:
+        values: ``(F, N, …)``, or ``(N, …)`` without codes.
+        letter: Of the type.
+        labels: What they are of.
+        codes: Time codes ``(F,)``.
+
+    Raises:
+        OutputError: One is NaN, infinite or beyond the type's range (USD170).
+    """
+    dtype = np.float16 if letter == "h" else np.float32
+    with np.errstate(over="ignore"):
+        made = values.astype(dtype)
+    if made.size and not _within(made, _LIMITS[letter]):
+        _refuse(values, made, letter, labels, codes)
+    return made
+
+
+def rounded(
+    points: FloatArray, unit: float, labels: Labels, codes: FloatArray
+) -> tuple[Float32Array, float, int, int]:
+    """Return points as `_kernels.round_points` does.
+
+    Args:
+        points: ``(F, V, 3)``.
+        unit: What they are divided by.
+        labels: What they are of.
+        codes: Time codes ``(F,)``.
+
+    Raises:
+        OutputError: One is NaN, infinite or beyond float32 (USD170).
+    """
+    made, error, frame, vertex = _kernels.round_points(points, unit)
+    # Beyond the range the error is larger than any rounding, so nothing more is read.
+    if not error < _MOST_ROUNDED * unit:
+        with np.errstate(all="ignore"):
+            whole = points / unit
+            narrow = whole.astype(np.float32)
+        _refuse(whole, narrow, "f", labels, codes)
+    return made, error, frame, vertex
+
+
+def check_rows(
+    rows: npt.NDArray[Any], letter: str, labels: Labels, codes: FloatArray
+) -> None:
+    """Raise `OutputError` where an attribute's type does not hold a value (USD170).
+
+    Args:
+        rows: ``(F, …)``.
+        letter: Of the type.
+        labels: What they are of.
+        codes: Time codes ``(F,)``.
+    """
+    if not np.isfinite(codes).all():
+        raise _error(labels, "a time code is not finite")
+    if rows.size and not _within(rows, _LIMITS[letter]):
+        _refuse(rows, rows, letter, labels, codes)
+
+
+def check_value(
+    value: Any, letter: str, labels: Labels, code: float | None = None
+) -> None:
+    """Raise `OutputError` where an attribute's type does not hold a value (USD170).
+
+    Args:
+        value: A number, or a vector, matrix, quaternion or array of USD's.
+        letter: Of the type.
+        labels: What it is of.
+        code: Time code; None is the default.
+    """
+    numbers = _numbers(value)
+    if numbers is None or not numbers.size or _within(numbers, _LIMITS[letter]):
+        return
+    codes = None if code is None else np.array([code])
+    rows = numbers if code is None else numbers[None]
+    _refuse(rows, rows, letter, labels, codes)
+
+
+def check_data(value: object, name: str) -> None:
+    """Raise `OutputError` where metadata hold a number that is not finite (USD170).
+
+    Args:
+        value: A number, text, list or mapping of such.
+        name: What it is, for messages.
+    """
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            check_data(item, f"{name}:{key}")
+    elif isinstance(value, float):
+        check_value(value, "d", Labels(name))
+
+
+def _numbers(value: Any) -> npt.NDArray[Any] | None:
+    """Return the floats of a value; None where it has none."""
+    if hasattr(value, "imaginary"):
+        value = [*value.imaginary, value.real]
+    elif hasattr(value, "GetValue"):
+        value = value.GetValue()
+    found = np.asarray(value)
+    return found if found.dtype.kind == "f" else None
+
+
+def _within(values: npt.NDArray[Any], limit: float) -> bool:
+    # NaN comes through both, and through neither comparison.
+    return bool(-limit <= values.min() and values.max() <= limit)
+
+
+def _refuse(
+    values: npt.NDArray[Any],
+    made: npt.NDArray[Any],
+    letter: str,
+    labels: Labels,
+    codes: FloatArray | None,
+) -> None:
+    """Name the first value whose number in the file would not be finite, if any is."""
+    limit = _LIMITS[letter]
+    bad = np.argwhere(~(np.abs(made) <= limit))
+    if not len(bad):
+        return
+    place = tuple(bad[0].tolist())
+    value = float(values[place])
+    rest = place if codes is None else place[1:]
+    when = "" if codes is None else f" at frame {codes[place[0]]:.10g}"
+    allowed = f"{_NAMES[letter]} holds finite numbers up to {limit:.6g}"
+    raise _error(labels, f"{labels.at(rest)}{when} is {value:.6g}; {allowed}")
+
+
+def _error(labels: Labels, message: str) -> OutputError:
+    hint = "nothing is written: check the numbers and units of the source"
+    return OutputError(Fault("USD170", message, hint=hint, where=labels.attribute))
