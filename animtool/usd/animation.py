@@ -108,6 +108,8 @@ def round_blocks(
             written_r,
             None if written_s is None else written_s.astype(np.float32),
         )
+        if not rig.joints:
+            extents = np.zeros_like(extents)
         bounds = narrowed(extents, "f", Labels("extent"), codes)
         yield WrittenBlock(
             codes,
