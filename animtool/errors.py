@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 from typing import ClassVar
 
+from animtool.printing import escaped
+
 __all__ = [
     "AnimtoolError",
     "ExitCode",
@@ -81,7 +83,8 @@ class Fault:
     def __str__(self) -> str:
         """Return ``file:line:column: CODE where: message, hint``, as far as known.
 
-        What is no error is said by its name, before the code.
+        What is no error is said by its name, before the code. It is one line, with
+        escapes as `escaped` writes them.
         """
         place = ""
         if self.path is not None:
@@ -90,7 +93,7 @@ class Fault:
         where = f"{self.where}: " if self.where else ""
         hint = f", {self.hint}" if self.hint else ""
         kind = "" if self.severity is Severity.ERROR else f"{self.severity}: "
-        return f"{place}{kind}{self.code} {where}{self.message}{hint}"
+        return escaped(f"{place}{kind}{self.code} {where}{self.message}{hint}")
 
     def as_dict(self) -> dict[str, object]:
         """Return the fault as plain values for a JSON report."""

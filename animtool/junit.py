@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Literal
 from xml.etree import ElementTree
 
-__all__ = ["JunitCase", "junit_xml"]
+from animtool.printing import escaped, escaped_lines
 
-# What XML 1.0 cannot hold.
-_FORBIDDEN = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+__all__ = ["JunitCase", "junit_xml"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +59,7 @@ def _add(suite: ElementTree.Element, case: JunitCase) -> None:
     path = PurePath(case.name)
     folder = path.parent.as_posix()
     element = ElementTree.SubElement(
-        suite, "testcase", classname=_clean(folder), name=_clean(path.name)
+        suite, "testcase", classname=escaped(folder), name=escaped(path.name)
     )
     if case.seconds is not None:
         element.set("time", f"{case.seconds:.3f}")
@@ -70,12 +68,8 @@ def _add(suite: ElementTree.Element, case: JunitCase) -> None:
         if case.code:
             entry.set("type", case.code)
         if case.message:
-            entry.set("message", _clean(case.message))
+            entry.set("message", escaped(case.message))
         if case.text:
-            entry.text = _clean(case.text)
+            entry.text = escaped_lines(case.text)
     if case.said:
-        ElementTree.SubElement(element, "system-out").text = _clean(case.said)
-
-
-def _clean(text: str) -> str:
-    return _FORBIDDEN.sub("\N{REPLACEMENT CHARACTER}", text)
+        ElementTree.SubElement(element, "system-out").text = escaped_lines(case.said)

@@ -29,6 +29,7 @@ LAYERS = [
         "inputs",
         "files",
         "junit",
+        "printing",
         "lazy",
         "signals",
     },

@@ -178,7 +178,7 @@ def _plan(
     if given["report_format"] == "json":
         console.result_json(steps_json(steps))
         return
-    console.result("\n".join(steps_text(steps)))
+    console.result(*steps_text(steps))
 
 
 def _one(

@@ -62,7 +62,7 @@ def _simulation_table(
     if given["report_format"] == "json":
         console.result_json(simulation_table_json(table))
     else:
-        console.result("\n".join(simulation_table_text(table)))
+        console.result(*simulation_table_text(table))
     return lambda: simulation_panels(table)
 
 
@@ -83,5 +83,5 @@ def _bake_table(
     if given["report_format"] == "json":
         console.result_json(table_json(table))
     else:
-        console.result("\n".join(table_text(table)))
+        console.result(*table_text(table))
     return lambda: bake_panels(table)

@@ -371,13 +371,11 @@ def _tell(
     if form == "json":
         console.result_json(report_json(report, repeat.command))
     elif form == "jsonl":
-        import json
-
         if given["dry_run"]:
             for entry in report.items:
-                console.result(json.dumps(entry.as_dict(), allow_nan=False))
+                console.result_json(entry.as_dict(), line=True)
         summary = {k: v for k, v in report.as_dict().items() if k != "items"}
-        console.result(json.dumps(summary, allow_nan=False))
+        console.result_json(summary, line=True)
     elif given["dry_run"]:
         for line in planned_text(report):
             console.result(line)

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from animtool.errors import AnimtoolError
+from animtool.printing import escaped
 
 if TYPE_CHECKING:
     from animtool.batch.recipe import Item
@@ -65,5 +66,5 @@ def openjd_failure(*, asked: bool) -> Iterator[None]:
 
 
 def _say(kind: str, text: str) -> None:
-    sys.stdout.write(f"openjd_{kind}: {' '.join(text.split())}\n")
+    sys.stdout.write(f"openjd_{kind}: {escaped(' '.join(text.split()))}\n")
     sys.stdout.flush()

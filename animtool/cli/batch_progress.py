@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -10,6 +9,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from animtool.cli.console import Console
+from animtool.printing import escaped, json_printed
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -116,12 +116,14 @@ def _table(*, lines: bool) -> tuple[Listener, Callable[[], RenderableType]]:
         head.add_row(bar, Text(told))
         rows = Table.grid(padding=(0, 1))
         for name, began in list(shown.running.values()):
-            rows.add_row(Text(f"{time.perf_counter() - began:6.1f} s"), Text(name))
+            rows.add_row(
+                Text(f"{time.perf_counter() - began:6.1f} s"), Text(escaped(name))
+            )
         return Group(head, rows)
 
     return shown, drawn
 
 
 def _write(report: ItemReport) -> None:
-    sys.stdout.write(json.dumps(report.as_dict(), allow_nan=False) + "\n")
+    sys.stdout.write(json_printed(report.as_dict(), ascii_only=True) + "\n")
     sys.stdout.flush()

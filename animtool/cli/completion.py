@@ -25,4 +25,4 @@ def completion(console: Console, shell: str) -> None:
     root = click.get_current_context().find_root().command
     kind = get_completion_class(shell)
     assert kind is not None
-    console.result(kind(root, {}, "animtool", "_ANIMTOOL_COMPLETE").source())
+    console.document(kind(root, {}, "animtool", "_ANIMTOOL_COMPLETE").source())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
@@ -11,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import TextIO
 
 from animtool.errors import Fault, Severity
+from animtool.printing import escaped, json_printed
 
 __all__ = ["Console"]
 
@@ -31,13 +31,19 @@ class Console:
     json_log: bool = False
     debug: bool = False
 
-    def result(self, text: str) -> None:
-        """Write a result to stdout."""
-        sys.stdout.write(text if text.endswith("\n") else text + "\n")
+    def result(self, *lines: str) -> None:
+        """Write lines of a result to stdout; what is in them makes no other line."""
+        sys.stdout.write("".join(f"{escaped(line)}\n" for line in lines))
 
-    def result_json(self, value: object) -> None:
-        """Write a result to stdout as JSON."""
-        self.result(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False))
+    def result_json(self, value: object, *, line: bool = False) -> None:
+        """Write a result to stdout as JSON, or as a line of JSON in ASCII."""
+        indent = None if line else 2
+        self.document(json_printed(value, indent=indent, ascii_only=line))
+        sys.stdout.flush()
+
+    def document(self, text: str) -> None:
+        """Write a whole text to stdout, whose format has its own escapes."""
+        sys.stdout.write(text if text.endswith("\n") else text + "\n")
 
     def say(self, text: str) -> None:
         """Write a line of the summary to stderr, unless quiet."""
@@ -53,17 +59,19 @@ class Console:
         """Write faults to stderr: errors and what ends the work always."""
         for fault in faults:
             if fatal or self.verbosity >= 0 or fault.severity is Severity.ERROR:
-                code = self._color(fault.code, _COLORS[fault.severity])
+                code = self._color(escaped(fault.code), _COLORS[fault.severity])
                 entry = {"level": str(fault.severity), **fault.as_dict()}
                 shown = fault
                 if fault.brief and self.verbosity <= 0:
                     shown = replace(fault, message=fault.brief)
-                self._line(entry, str(shown).replace(fault.code, code, 1))
+                self._write(entry, str(shown).replace(escaped(fault.code), code, 1))
 
-    def error(self, message: str) -> None:
-        """Write an error that has no code to stderr."""
+    def error(self, message: str, *more: str) -> None:
+        """Write an error that has no code to stderr, and further lines about it."""
         label = self._color("error", _COLORS[Severity.ERROR])
-        self._line({"level": "error", "message": message}, f"{label}: {message}")
+        lines = (f"{label}: {escaped(message)}", *map(escaped, more))
+        whole = "\n".join((message, *more))
+        self._write({"level": "error", "message": whole}, "\n".join(lines))
 
     def is_live(self) -> bool:
         """Return whether somebody looks at stderr while things change."""
@@ -86,14 +94,14 @@ class Console:
         from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
         bar = Progress(
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(),
             TextColumn("{task.percentage:3.0f} %"),
             TimeRemainingColumn(),
             console=RichConsole(stderr=True),
             transient=True,
         )
-        task = bar.add_task(label, total=1.0)
+        task = bar.add_task(escaped(label), total=1.0)
 
         def show(share: float) -> None:
             # Started late: what fails at once shows no bar.
@@ -107,8 +115,11 @@ class Console:
             bar.stop()
 
     def _line(self, entry: dict[str, object], text: str) -> None:
-        line = json.dumps(entry, ensure_ascii=False) if self.json_log else text
-        sys.stderr.write(line + "\n")
+        self._write(entry, escaped(text))
+
+    def _write(self, entry: dict[str, object], text: str) -> None:
+        """Write what is escaped, with colours of our own, or an entry as JSON."""
+        sys.stderr.write((json_printed(entry) if self.json_log else text) + "\n")
 
     def _color(self, text: str, code: str) -> str:
         return f"\x1b[{code}m{text}\x1b[0m" if _wants_color(sys.stderr) else text

@@ -101,7 +101,7 @@ def diff(console: Console, /, first: Path, second: Path, **given: Any) -> None:
         values = {**asdict(found), "notices": notices}
         console.result_json({"diff": "animtool/1", "same": same, **values})
     else:
-        console.result("\n".join(_text(found, same=same)))
+        console.result(*_text(found, same=same))
         console.faults(found.notices)
     click.get_current_context().exit(int(ExitCode.OK if same else ExitCode.FINDINGS))
 

@@ -8,6 +8,7 @@ import click
 
 from animtool.cli.console import Console
 from animtool.cli.options import common_options, format_option
+from animtool.printing import escaped_lines
 
 if TYPE_CHECKING:
     from animtool.validation.rule import Rule
@@ -44,7 +45,7 @@ def explain(console: Console, /, codes: tuple[str, ...], report_format: str) -> 
         return
     for rule in rules:
         if codes:
-            console.result(page(rule.code) or _bare_page(rule))
+            console.document(page(rule.code) or escaped_lines(_bare_page(rule)))
         else:
             console.result(f"{rule.code:8} {rule.severity:8} {rule.title}")
 

@@ -347,7 +347,7 @@ def _table(console: Console, given: dict[str, Any], *, as_json: bool) -> None:
     if as_json:
         console.result_json(ik_table_json(table))
     else:
-        console.result("\n".join(ik_table_text(table)))
+        console.result(*ik_table_text(table))
     draw(console, lambda: ik_panels(table, given["targets"].name), given["plot"])
 
 

@@ -64,7 +64,7 @@ def info(console: Console, /, files: tuple[Path, ...], **given: Any) -> None:
             continue
         described.append(found)
         if given["report_format"] == "text":
-            console.result("\n".join(said(found)))
+            console.result(*said(found))
             console.faults(found.notices)
     if given["report_format"] == "json":
         files_json = [found.as_dict() for found in described]

@@ -14,6 +14,7 @@ import click
 
 from animtool.cli.console import Console
 from animtool.errors import AnimtoolError, ExitCode, StrictError
+from animtool.printing import escaped
 
 __all__ = ["COMMANDS", "cli", "main"]
 
@@ -140,7 +141,7 @@ def run(arguments: Sequence[str]) -> int:
     console = Console(json_log=_logs_json(arguments))
     if hasattr(sys.stdout, "reconfigure") and not sys.stdout.isatty():
         # usda and JSON are UTF-8, whatever the locale.
-        sys.stdout.reconfigure(encoding="utf-8", errors="surrogateescape")
+        sys.stdout.reconfigure(encoding="utf-8", errors="backslashreplace")
     if hasattr(sys.stderr, "reconfigure"):
         sys.stderr.reconfigure(errors="backslashreplace")
     signal.signal(signal.SIGTERM, _on_terminate)
@@ -184,8 +185,8 @@ def _report(console: Console, error: BaseException) -> int:
             code = int(ExitCode.INTERNAL)
         case _:
             console.error(
-                f"internal error: {type(error).__name__}: {error}\n"
-                "This is a fault of animtool's. --debug shows where; please report it."
+                f"internal error: {type(error).__name__}: {error}",
+                "This is a fault of animtool's. --debug shows where; please report it.",
             )
             code = int(ExitCode.INTERNAL)
     return code
@@ -202,7 +203,11 @@ def _logs_json(arguments: Sequence[str]) -> bool:
 
 
 def _usage(console: Console, error: click.ClickException) -> None:
+    text = error.format_message()
     if console.json_log:
-        console.error(error.format_message())
+        console.error(text)
         return
-    error.show(file=sys.stderr)
+    # All but this repeat what was written on the command line.
+    if not isinstance(error, click.MissingParameter):
+        text = escaped(text)
+    click.UsageError(text, getattr(error, "ctx", None)).show(file=sys.stderr)

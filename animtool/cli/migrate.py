@@ -67,7 +67,7 @@ def _say(console: Console, plan: Migration, *, check: bool) -> None:
     steps = f"from animtool/{plan.version} {done} animtool/{plan.newest}"
     console.say(f"{plan.path}: {plan.kind}, {steps}")
     if check:
-        console.result("\n".join(plan.difference()))
+        console.result(*plan.difference())
 
 
 def _entry(plan: Migration, *, written: bool) -> dict[str, Any]:

@@ -225,7 +225,7 @@ def _show_difference(
     for plan in plan_files(report, options):
         if not plan.mended:
             continue
-        console.result(plan.difference())
+        console.result(*plan.difference().removesuffix("\n").split("\n"))
         for path in plan.after.outputs():
             console.say(f"{path} would be written")
         if code is ExitCode.OK and not given["exit_zero"]:
@@ -242,7 +242,7 @@ def _say(console: Console, report: Report, given: Mapping[str, Any]) -> None:
     console.faults(report.broken)
     text = written(report, given["report_format"], whole=console.verbosity > 0)
     if given["output_file"] is None:
-        console.result(text)
+        console.document(text)
     else:
         _write(given["output_file"], text)
     if given["output_file"] is not None or given["report_format"] != "text":

@@ -8,6 +8,8 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from animtool.printing import escaped_lines
+
 __all__ = ["without_usd_warnings", "without_version_warnings"]
 
 # Of its own writers, about every file with a spline or with time codes in metadata:
@@ -65,4 +67,5 @@ def _held(known: tuple[bytes, ...]) -> Iterator[None]:
             held.seek(0)
             for line in held:
                 if not any(text in line for text in known):
-                    os.write(2, line)
+                    text = line.decode("utf-8", "surrogateescape")
+                    os.write(2, escaped_lines(text).encode())

@@ -8,6 +8,7 @@ References:
 from __future__ import annotations
 
 from animtool.errors import Fault, Severity
+from animtool.printing import escaped
 from animtool.validation.run import Report
 
 __all__ = ["github_report"]
@@ -41,7 +42,7 @@ def _command(fault: Fault) -> str:
 
 
 def _data(text: str) -> str:
-    return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
+    return escaped(text).replace("%", "%25")
 
 
 def _property(value: object) -> str:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
-
 from animtool.errors import Severity
+from animtool.printing import json_printed
 from animtool.validation.run import Report
 
 __all__ = ["json_report"]
@@ -22,4 +21,4 @@ def json_report(report: Report) -> str:
         "mended": [{**fault.as_dict(), "done": done} for fault, done in report.mended],
         "summary": {str(kind): report.count(kind) for kind in Severity},
     }
-    return json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return json_printed(value, indent=2) + "\n"

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import TypeAlias
 
 from animtool.errors import Fault, Severity, counted
+from animtool.printing import escaped
 from animtool.validation.formats.source import Sources, cut
 from animtool.validation.run import Report
 
@@ -37,7 +38,7 @@ def text_report(report: Report, *, whole: bool = False) -> str:
             lines.append(
                 f"{fault}" + (f" ({more} more like it, see -v)" if more else "")
             )
-    return "\n".join([*lines, summary(report)]) + "\n"
+    return "".join(f"{escaped(line)}\n" for line in [*lines, summary(report)])
 
 
 def _kind(fault: Fault) -> _Kind:

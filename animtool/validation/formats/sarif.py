@@ -7,7 +7,6 @@ References:
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import re
 from collections.abc import Sequence
@@ -17,6 +16,7 @@ from typing import Any
 from urllib.parse import quote
 
 from animtool.errors import Fault, Severity
+from animtool.printing import json_printed
 from animtool.validation.formats.source import Sources
 from animtool.validation.rule import Rule
 from animtool.validation.run import Report
@@ -54,7 +54,7 @@ def sarif_report(report: Report) -> str:
         "columnKind": "unicodeCodePoints",
     }
     value = {"$schema": SCHEMA, "version": "2.1.0", "runs": [run]}
-    return json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return json_printed(value, indent=2) + "\n"
 
 
 def _rule(rule: Rule) -> dict[str, Any]:
