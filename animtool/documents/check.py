@@ -237,6 +237,7 @@ _KINDS = {
     "int_parsing": "a whole number",
     "int_from_float": "a whole number",
     "string_type": "text",
+    "string_pattern_mismatch": "a name on one line, without tabs",
     "bool_type": "true or false",
     "bool_parsing": "true or false",
     "path_type": "the name of a file",

@@ -9,7 +9,8 @@ from pydantic import Field
 
 __all__ = ["Name", "Pair", "Quaternion", "Vector"]
 
-Name = Annotated[str, Field(min_length=1)]
+# On one line: control characters are in no text that is read.
+Name = Annotated[str, Field(min_length=1, pattern=r"^[^\n\t]*$")]
 Pair = Annotated[list[float], Len(2, 2)]
 Vector = Annotated[list[float], Len(3, 3)]
 # w, x, y, z.

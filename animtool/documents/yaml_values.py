@@ -16,6 +16,7 @@ import yaml
 
 from animtool.documents.names import VARIABLE_NAME
 from animtool.errors import Fault, FormatError, excerpt
+from animtool.printing import CONTROL
 
 __all__ = ["ReadValues", "compose", "masked_variables", "plain_scalar", "read_values"]
 
@@ -42,6 +43,8 @@ _NAMED = {
     **dict.fromkeys(("-.inf", "-.Inf", "-.INF"), float("-inf")),
     **dict.fromkeys((".nan", ".NaN", ".NAN"), float("nan")),
 }
+# What a text may hold of them: ends of lines, and tabs.
+_CONTROL = re.compile(f"(?![\n\t])[{CONTROL}]")
 # A surrogate pair, or any other escape, so that "\\\\ud83d" stays a backslash.
 _PAIRS = re.compile(
     r"\\(?:u([dD][89abAB][0-9a-fA-F]{2})\\u([dD][c-fC-F][0-9a-fA-F]{2})|.)", re.DOTALL
@@ -253,6 +256,10 @@ class _Reader:
     def _scalar(self, event: Any, place: tuple[int, int]) -> Any:
         text: str = event.value
         if not event.implicit[0]:
+            # Only escapes within quotes can stand for one.
+            if found := _CONTROL.search(text):
+                message = f"a text holds the control character {found[0]!r}"
+                self.fault("DOC023", message, place, "leave it out")
             return text
         try:
             return plain_scalar(text)
@@ -302,6 +309,9 @@ class _Open:
             shown = "a collection" if isinstance(value, dict | list) else repr(value)
             reader.fault("DOC010", f"a key is {shown}, not text", place, "quote it")
             value = f"\0{place}"
+        elif "\n" in value or "\t" in value:
+            message = f"key {excerpt(value)} holds an end of a line or a tab"
+            reader.fault("DOC023", message, place, "leave it out")
         elif value in self.keys:
             message = f"key {excerpt(value)} stands twice"
             hint = f"first in line {self.keys[value]}"

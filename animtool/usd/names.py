@@ -34,6 +34,8 @@ def legal_name(name: str) -> str:
     >>> legal_name("rig:Arm.L"), legal_name("2nd")
     ('rig_Arm_L', '_2nd')
     """
+    # Names of files may hold bytes that are no text, which USD takes none of.
+    name = name.encode("utf-8", "replace").decode("utf-8")
     if Sdf.Path.IsValidIdentifier(name):
         return name
     legal = "".join(c if Sdf.Path.IsValidIdentifier("a" + c) else "_" for c in name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Sequence, Sized
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError, Severity, counted, excerpt, listed
 from animtool.maths import so3
+from animtool.printing import CONTROL
 from animtool.rig.skeleton import CHANNEL_NAMES, Joint, Rig
 from animtool.units import UpAxis
 from animtool.usd.layers import (
@@ -42,6 +44,7 @@ __all__ = [
 
 # Rates and units outside are no rates and units, and would overflow what they scale.
 SMALLEST_METADATA, LARGEST_METADATA = 1e-9, 1e9
+_CONTROL = re.compile(f"[{CONTROL}]")
 # Rest transforms are float32.
 LARGEST_REST = float(np.finfo(np.float32).max)
 
@@ -187,6 +190,9 @@ def rig_from_tokens(
             message = f"joint {excerpt(token)} stands before its parent"
             _fail("USD006", message, where, "UsdSkel wants parents first")
         leaf = token.rpartition("/")[2]
+        if found := _CONTROL.search(f"{leaf}{originals.get(leaf, '')}"):
+            message = f"joint {excerpt(token)} holds the control character {found[0]!r}"
+            _fail("DOC023", message, where)
         unique, number = leaf, 2
         while unique in used:
             unique, number = f"{leaf}_{number}", number + 1

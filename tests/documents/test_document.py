@@ -412,3 +412,10 @@ def test_any_text_is_read_or_refused(text: str) -> None:
         codes = [fault.code for fault in error.faults]
     assert isinstance(value, dict)
     assert all(code.startswith("DOC") for code in codes)
+
+
+@pytest.mark.parametrize(
+    "text", [r'a: "\e[2J"', r'"a\x9b": 1', r'"a\nb": 1', r'a: "\0"']
+)
+def test_control_characters_are_refused(tmp_path: Path, text: str) -> None:
+    assert refused(tmp_path, text) == [("DOC023", 1)]

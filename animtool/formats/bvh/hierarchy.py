@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from animtool.errors import Fault, Severity, counted, excerpt, listed
 from animtool.formats.bvh.lines import HeaderLines
+from animtool.printing import CONTROL
 from animtool.rates import RateChoice, RateKind, rate_from_frame_time, rate_label
 from animtool.rig.skeleton import CHANNEL_NAMES
 
@@ -22,6 +23,7 @@ FLOAT32_MAX = 3.4028234663852886e38
 
 _AFTER_OFFSET = {"{", "}", "CHANNELS", "JOINT", "END"}
 
+_CONTROL = re.compile(f"[{CONTROL}]")
 _WORDS = re.compile(r"[{}]|[^\s{}]+")
 
 
@@ -154,6 +156,9 @@ class _Hierarchy:
         if block is not None and block.is_end:
             self.lines.fail("BVH003", "a JOINT stands inside an End Site")
         name = self._take_name(words)
+        if _CONTROL.search(name):
+            message = f"the name {excerpt(name)} holds a control character"
+            self.lines.fail("BVH001", message, "leave it out")
         if not name:
             self.lines.fail("BVH003", f"{keyword} has no name")
         parent = block.joint if block else -1

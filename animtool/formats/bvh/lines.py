@@ -68,7 +68,8 @@ class HeaderLines:
         try:
             return line.decode("utf-8")
         except UnicodeDecodeError:
-            return line.decode("latin-1")
+            # Of Windows: it has letters where Latin-1 has control characters.
+            return line.decode("cp1252", "replace")
 
     def _fail_long(self) -> NoReturn:
         self.number += 1

@@ -207,6 +207,18 @@ def test_names_with_spaces_dots_and_letters_beyond_ascii(write) -> None:  # type
         assert read(write(text))[1].rig.names[1] == name
     latin = small_bvh(random_rows(2), header=HEADER.replace("Spine", "Bär"))
     assert read(write(latin.encode("latin-1")))[1].rig.names[1] == "Bär"
+    windows = small_bvh(random_rows(2), header=HEADER.replace("Spine", "Žar"))
+    assert read(write(windows.encode("cp1252")))[1].rig.names[1] == "Žar"
+
+
+@pytest.mark.parametrize("name", ["hip\x1b]0;mine\x07", "a\x9bb", "a\x7f"])
+def test_names_with_control_characters_are_refused(  # type: ignore[no-untyped-def]
+    write, name: str
+) -> None:
+    found = fault(
+        write(small_bvh(random_rows(2), header=HEADER.replace("Spine", name)))
+    )
+    assert (found.code, found.lines) == ("BVH001", (6,))
 
 
 def test_duplicates_are_kept_apart(write) -> None:  # type: ignore[no-untyped-def]
