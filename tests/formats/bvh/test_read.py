@@ -218,7 +218,7 @@ def test_names_with_control_characters_are_refused(  # type: ignore[no-untyped-d
     found = fault(
         write(small_bvh(random_rows(2), header=HEADER.replace("Spine", name)))
     )
-    assert (found.code, found.lines) == ("BVH001", (6,))
+    assert (found.code, found.faults[0].lines) == ("BVH001", (6,))
 
 
 def test_duplicates_are_kept_apart(write) -> None:  # type: ignore[no-untyped-def]
