@@ -19,6 +19,7 @@ from animtool.inputs import check_inputs, recorded_inputs
 
 __all__ = [
     "check_outputs",
+    "is_running",
     "once_named",
     "output_error",
     "remove_leftovers",
@@ -135,7 +136,7 @@ def remove_leftovers(folders: Iterable[Path], process: int | None = None) -> lis
             if found is None or found["host"] != _host():
                 continue
             number = int(found["process"])
-            if number == process or (process is None and not _lives(number)):
+            if number == process or (process is None and not is_running(number)):
                 with contextlib.suppress(OSError):
                     path.unlink()
                     removed.append(path)
@@ -148,7 +149,8 @@ def _temporary(folder: Path) -> list[Path]:
     return []
 
 
-def _lives(process: int) -> bool:
+def is_running(process: int) -> bool:
+    """Return whether a process of this host runs; where nothing says it, it does."""
     if os.name == "nt":
         # There, a signal of 0 would end the process.
         return True

@@ -10,13 +10,20 @@ References:
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from animtool.batch.checked import (
+    RecordError,
+    json_of_file,
+    list_in,
+    number_in,
+    object_of,
+    text_in,
+)
 from animtool.batch.discover import Batch
 from animtool.batch.outcome import Status
 from animtool.documents.yaml_text import yaml_text
@@ -44,6 +51,10 @@ CHUNK = 100
 NOTICE = 30
 TEMPLATE, VALUES = "template.yaml", "parameter_values.yaml"
 LONGEST_NAME = 128
+# Of a report of 100,000 items [bytes].
+MAX_REPORT = 64_000_000
+# Longer than anybody waits for an item.
+MAX_SECONDS = 1e9
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,24 +99,24 @@ def mean_seconds(path: Path) -> float:
         FormatError: It is no such report, or nothing was made (BAT037).
     """
     try:
-        report = json.loads(path.read_bytes())
+        items = list_in(json_of_file(path, MAX_REPORT), "items")
         made = [
-            float(item["seconds"])
-            for item in report["items"]
-            if item["status"] == Status.DONE
+            number_in(item, "seconds")
+            for item in map(object_of, items)
+            if text_in(item, "status") == Status.DONE
         ]
     except OSError as error:
         fault = Fault("BAT037", f"cannot be read: {error.strerror}", str(path))
         raise FormatError(fault) from error
-    except (ValueError, LookupError, TypeError) as error:
+    except RecordError as error:
         hint = "animtool batch JOB --items 1-20 --force --format json writes one"
-        fault = Fault("BAT037", "is no report of a batch", str(path), (), hint)
-        raise FormatError(fault) from error
+        message = f"is no report of a batch: {error}"
+        raise FormatError(Fault("BAT037", message, str(path), (), hint)) from error
     if not made:
         hint = "--force makes also what is up to date"
         fault = Fault("BAT037", "reports no item that was made", str(path), (), hint)
         raise FormatError(fault)
-    return sum(made) / len(made)
+    return min(sum(made) / len(made), MAX_SECONDS)
 
 
 def chunk_size(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import json
 import pickle
 import re
 import time
@@ -16,6 +15,7 @@ from threading import Thread
 from typing import Any
 from uuid import uuid4
 
+from animtool.batch.checked import RecordError, json_of_file, text_in
 from animtool.batch.executors import Work
 from animtool.batch.lane import Lane, Task
 from animtool.batch.outcome import Outcome, Status
@@ -32,6 +32,8 @@ GLANCE = 1.0
 # A nanny starts a lost worker anew within seconds, and clusters that grow by demand
 # start machines within minutes; what takes longer may never come [s].
 WORKERLESS = 300.0
+# A scheduler writes a kilobyte about itself, and some for each worker.
+MAX_SCHEDULER = 16_000_000
 ADDRESS = re.compile(r"([a-z]+://.+)|(.+:[0-9]+)")
 
 
@@ -65,9 +67,12 @@ def dask(work: Work) -> Iterator[Outcome]:
 def _address(path: Path) -> str:
     """Return the address that a scheduler has written to a file."""
     try:
-        return str(json.loads(path.read_bytes())["address"])
-    except (OSError, ValueError, LookupError, TypeError) as error:
+        found = text_in(json_of_file(path, MAX_SCHEDULER), "address", 1000)
+    except (OSError, RecordError) as error:
         raise _unreachable(str(path), error) from error
+    if not ADDRESS.fullmatch(found):
+        raise _unreachable(str(path), RecordError(f"{excerpt(found)} is no address"))
+    return found
 
 
 def _outcomes(work: Work, address: str) -> Iterator[Outcome]:

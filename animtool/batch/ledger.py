@@ -2,18 +2,22 @@
 
 A run of the whole batch holds `batch-NAME.lock`. Runs of some of its items each hold a
 lock and write files of their own, in `batch-NAME.d`, which the next whole run takes in.
+Locks are the system's, and end with the process that holds them; what `.owner` says of
+a run only names it to others.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from animtool.batch.checked import RecordError, json_of_file, text_in, whole_in
 from animtool.batch.failures import add_failure, read_failures, rewrite_failures
 from animtool.batch.manifest import (
     Manifest,
@@ -23,8 +27,9 @@ from animtool.batch.manifest import (
 )
 from animtool.batch.places import place_of
 from animtool.batch.records import ItemRecord
-from animtool.errors import Fault, OutputError
-from animtool.output import output_error
+from animtool.errors import Fault, OutputError, excerpt
+from animtool.inputs import FileState
+from animtool.output import is_running, output_error
 
 if TYPE_CHECKING:
     from filelock import FileLock
@@ -33,6 +38,9 @@ __all__ = ["History", "Ledger", "held_ledger", "read_history"]
 
 # A run of some items holds the lock of the whole for a moment, to see that it is free.
 PATIENCE = 5.0
+# The numbers of items that a part of a batch is called by.
+_PART = re.compile(r"([0-9]{1,9})-([0-9]{1,9})")
+MAX_OWNER = 4096
 
 
 @dataclass(slots=True)
@@ -42,10 +50,12 @@ class History:
     Attributes:
         made: By all of them.
         failed: Why items failed that were not made since, by key.
+        damaged: Warnings of lines that cannot be used.
     """
 
     made: Manifest = field(default_factory=Manifest)
     failed: dict[str, str] = field(default_factory=dict)
+    damaged: list[Fault] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +88,14 @@ class _Files:
         found = sorted(path.stem for path in self.parts.glob("*.lock"))
         return [_Files(self.folder, self.name, part) for part in found]
 
+    def overlaps(self, other: _Files) -> bool:
+        """Return whether two parts have items in common."""
+        ranges = [_PART.fullmatch(files.part) for files in (self, other)]
+        if not all(ranges):
+            return False
+        (a, b), (c, d) = (map(int, found.groups()) for found in ranges if found)
+        return a <= d and c <= b
+
 
 def read_history(folder: Path, name: str) -> History:
     """Return what earlier runs of a batch left, of parts of it too.
@@ -89,12 +107,30 @@ def read_history(folder: Path, name: str) -> History:
     Raises:
         FormatError: A file of it cannot be read (BAT011).
     """
-    files = _Files(folder, name)
-    history = History()
-    for source in (files, *files.others()):
-        history.made.join(read_manifest(source.named(".jsonl")))
-        history.failed |= read_failures(source.named(".failed.jsonl"))[0]
-    return history
+    return _read(_Files(folder, name))[0]
+
+
+@dataclass(frozen=True, slots=True)
+class _Own:
+    """What there is in the files that a run adds to."""
+
+    made: Manifest = field(default_factory=Manifest)
+    failures: int = 0
+
+
+def _read(files: _Files) -> tuple[History, _Own]:
+    """Return what earlier runs left, and what there is in these files."""
+    history, own = History(), _Own()
+    whole = files.whole()
+    for source in (whole, *whole.others()):
+        made = read_manifest(source.named(".jsonl"))
+        failures = read_failures(source.named(".failed.jsonl"))
+        history.made.join(made)
+        history.failed |= failures.why
+        history.damaged += [*made.damaged, *failures.damaged]
+        if source == files:
+            own = _Own(made, failures.length)
+    return history, own
 
 
 class Ledger:
@@ -107,13 +143,13 @@ class Ledger:
 
     def __init__(self, files: _Files, now: int) -> None:
         self.now, self._files = now, files
-        self._grown = False
-        self.history = read_history(files.folder, files.name)
-        own = read_manifest(files.named(".jsonl"))
+        self.history, own = _read(files)
+        # What is damaged is told once.
+        self._grown = bool(self.history.damaged)
         self._closing = ExitStack()
-        writer = ManifestWriter(files.named(".jsonl"), own)
+        writer = ManifestWriter(files.named(".jsonl"), own.made)
         self._writer = self._closing.enter_context(writer)
-        self._failed_length = read_failures(files.named(".failed.jsonl"))[1]
+        self._failed_length = own.failures
 
     def claim(self, names: Iterable[str]) -> None:
         """Say which files are about to be written.
@@ -169,16 +205,20 @@ class Ledger:
         made = self.history.made
         kept = [item for item in made.items.values() if wanted(item)]
         recorded = {output.path for item in kept for output in item.outputs}
-        begun = [
+        known = [
             name
-            for name in sorted(made.known - recorded)
-            if place_of(name, self._files.folder.parent).exists()
+            for name in sorted(made.known | recorded)
+            if name in recorded or self._exists(name)
         ]
-        rewrite_manifest(self._files.named(".jsonl"), kept, begun)
+        rewrite_manifest(self._files.named(".jsonl"), kept, known)
         rewrite_failures(self._files.named(".failed.jsonl"), self.history.failed)
         for part in others:
             part.named(".jsonl").unlink(missing_ok=True)
             part.named(".failed.jsonl").unlink(missing_ok=True)
+
+    def _exists(self, name: str) -> bool:
+        place = place_of(name, self._files.folder.parent)
+        return FileState.of(place) is not None
 
 
 @contextmanager
@@ -197,15 +237,21 @@ def held_ledger(folder: Path, name: str, part: str = "") -> Iterator[Ledger]:
     """
     files = _Files(folder, name, part)
     with ExitStack() as held:
-        _lock(held, files, 0.0)
         if part:
-            # Released at once: it says only that no run of the whole goes on.
+            # Released at once: no run of the whole goes on, and of parts that have
+            # items in common one comes first.
             with ExitStack() as moment:
                 _lock(moment, files.whole(), PATIENCE)
+                _lock(held, files, 0.0)
+                for other in files.others():
+                    if other != files and files.overlaps(other):
+                        _lock(moment, other, 0.0)
         else:
+            _lock(held, files, 0.0)
             for other in files.others():
                 _lock(held, other, 0.0)
-        ledger = Ledger(files, _sign(files))
+        now = _sign(files)
+        ledger = Ledger(files, now)
         try:
             yield ledger
         finally:
@@ -224,7 +270,8 @@ def _lock(held: ExitStack, files: _Files, patience: float) -> None:
         message = f"another run of this batch goes on: {_owner(files)}"
         hint = "wait for it to end, or end it"
         raise OutputError(Fault("BAT010", message, str(path), (), hint)) from error
-    except OSError as error:
+    except (OSError, NotImplementedError) as error:
+        # The second is of disks that have no locks.
         fault = output_error(path, error).faults[0]
         raise OutputError(Fault("BAT012", fault.message, str(path))) from error
 
@@ -234,17 +281,34 @@ def _sign(files: _Files) -> int:
     import platform
 
     path = files.named(".owner")
+    owner = json.dumps({"process": os.getpid(), "host": platform.node()})
+    # A link may lead to what is not ours, and a pipe nowhere.
+    flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
+    for name in ("O_NOFOLLOW", "O_NONBLOCK"):
+        flags |= getattr(os, name, 0)
     try:
-        path.write_text(json.dumps({"process": os.getpid(), "host": platform.node()}))
-        return path.stat().st_mtime_ns
+        handle = os.open(path, flags, 0o666)
+        try:
+            os.write(handle, owner.encode())
+            return os.fstat(handle).st_mtime_ns
+        finally:
+            os.close(handle)
     except OSError as error:
         fault = output_error(path, error).faults[0]
         raise OutputError(Fault("BAT012", fault.message, str(path))) from error
 
 
 def _owner(files: _Files) -> str:
+    """Return whose run it is, as far as that is known."""
+    import platform
+
+    unknown = "of a process that has not said which"
     try:
-        found = json.loads(files.named(".owner").read_text())
-        return f"process {found['process']} on {found['host']}"
-    except (OSError, ValueError, KeyError, TypeError):
-        return "of a process that has not said which"
+        found = json_of_file(files.named(".owner"), MAX_OWNER)
+        process, host = whole_in(found, "process", 1, 2**31), text_in(found, "host")
+    except (OSError, RecordError):
+        return unknown
+    if host == platform.node() and not is_running(process):
+        # One before it, or one whose number this process cannot see.
+        return unknown
+    return f"process {process} on {excerpt(host)}"

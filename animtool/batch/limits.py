@@ -5,7 +5,13 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-__all__ = ["Limits", "bytes_text", "parse_bytes"]
+from animtool.errors import excerpt
+
+__all__ = ["MAX_SECONDS", "Limits", "bytes_text", "parse_bytes", "parse_seconds"]
+
+# Beyond what anybody waits for, and within what systems can count.
+MAX_SECONDS = 1e9
+MAX_BYTES = 10**18
 
 _UNITS = {
     **{name: 1000**i for i, name in enumerate(("B", "KB", "MB", "GB", "TB"))},
@@ -37,10 +43,25 @@ def parse_bytes(text: str) -> int:
     (1500000000, 2048)
     """
     found = _SIZE.fullmatch(text.strip())
-    size = int(float(found[1]) * _UNITS[found[2]]) if found else 0
-    if not size:
-        raise ValueError(f"{text!r} is no size such as 2GB or 512MiB")
-    return size
+    size = float(found[1]) * _UNITS[found[2]] if found else 0.0
+    if not 1 <= size <= MAX_BYTES:
+        raise ValueError(f"{excerpt(text)} is no size such as 2GB or 512MiB")
+    return int(size)
+
+
+def parse_seconds(text: str) -> float:
+    """Return the time [s] of a text.
+
+    Raises:
+        ValueError: It is none that is above 0, and up to `MAX_SECONDS`.
+    """
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = 0.0
+    if not 0 < seconds <= MAX_SECONDS:
+        raise ValueError(f"{excerpt(text)} is no number of seconds above 0")
+    return seconds
 
 
 def bytes_text(size: int) -> str:

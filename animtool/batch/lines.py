@@ -1,27 +1,41 @@
-"""Files of JSON lines that only grow, and survive that their writer is killed."""
+"""Files of JSON lines that only grow, and survive that their writer is killed.
+
+Each line but the first ends with a checksum of the rest of it, so that one which was
+damaged is known as such. Lines of older versions have none, and come first.
+"""
 
 from __future__ import annotations
 
 import json
 import os
+import stat
+import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import IO, Any, Self
 
-from animtool.errors import Fault, FormatError, OutputError
+from animtool.batch.checked import RecordError, json_object
+from animtool.errors import Fault, FormatError, OutputError, Severity, counted
 from animtool.output import output_error
 
 __all__ = ["LineReader", "LineWriter"]
 
 Line = Mapping[str, Any]
 
+# An item of 50,000 outputs fits [bytes].
+MAX_LINE = 1 << 24
+_SUM = ',"crc":"'
+_SUM_LENGTH = len(_SUM) + len('01234567"}\n')
+
 
 class LineReader:
     """Reads such a file.
 
     Attributes:
-        length: Of what could be read so far [bytes].
+        length: Of the whole lines that were read so far [bytes].
+        number: Of the line that was read last, from 1.
+        damaged: Lines that cannot be used, by number, with what is wrong.
     """
 
     def __init__(self, path: Path, head: Line) -> None:
@@ -31,48 +45,112 @@ class LineReader:
             path: The file.
             head: Its first line, which says what it is.
         """
-        self.path, self.head, self.length = path, head, 0
+        self.path, self.head = path, head
+        self.length = self.number = 0
+        self.damaged: dict[int, str] = {}
+        self._summed = False
 
     def lines(self) -> Iterator[dict[str, Any]]:
-        """Yield every line but the first, up to one that a crash tore.
+        """Yield every line but the first; a last one that a crash tore is left out.
+
+        Lines that are no JSON, or not what was written, are `damaged`; whoever takes
+        a line adds what is wrong with its content.
 
         Raises:
             FormatError: It cannot be read, or is of another kind or version (BAT011).
         """
         try:
+            if not stat.S_ISREG(self.path.stat().st_mode):
+                raise self._unreadable("it is no file")
             with self.path.open("rb") as file:
-                for line in file:
-                    found = _parsed(line)
-                    if found is None:
-                        return
-                    if self.length:
-                        yield found
-                    elif found != self.head:
-                        raise self._foreign(found)
-                    self.length += len(line)
+                yield from self._lines(file)
         except FileNotFoundError:
             return
         except OSError as error:
-            message = f"cannot be read: {error.strerror or error}"
-            raise FormatError(Fault("BAT011", message, str(self.path))) from error
+            raise self._unreadable(error.strerror or str(error)) from error
+
+    def _lines(self, file: IO[bytes]) -> Iterator[dict[str, Any]]:
+        self._head(file)
+        while self.number:
+            line = file.readline(MAX_LINE + 1)
+            length = len(line)
+            while length > MAX_LINE and line and not line.endswith(b"\n"):
+                line = file.readline(MAX_LINE)
+                length += len(line)
+            if not line.endswith(b"\n"):
+                return
+            self.number += 1
+            self.length += length
+            try:
+                found = self._parsed(line, length)
+            except RecordError as error:
+                self.damaged[self.number] = str(error)
+            else:
+                yield found
+
+    def _head(self, file: IO[bytes]) -> None:
+        """Read the first line; of a file that has none, nothing is read."""
+        wanted = _text(self.head).encode()
+        line = file.readline(MAX_LINE)
+        # What a writer was killed in the middle of; other files are not written over.
+        if len(line) < len(wanted) and wanted.startswith(line):
+            return
+        try:
+            found = json_object(line)
+        except RecordError:
+            found = {}
+        if found != self.head or not line.endswith(b"\n"):
+            raise self._foreign(found)
+        self.length, self.number = len(line), 1
+
+    def _parsed(self, line: bytes, length: int) -> dict[str, Any]:
+        """Return what a line of a length says, without its checksum."""
+        if length > MAX_LINE:
+            raise RecordError(f"is longer than {MAX_LINE} bytes")
+        body, end = line[:-_SUM_LENGTH], line[-_SUM_LENGTH:]
+        summed = end == _ending(body)
+        found = json_object(line, unique=not summed)
+        self._summed |= summed
+        if not summed and (self._summed or "crc" in found):
+            raise RecordError("is not what was written")
+        found.pop("crc", None)
+        return found
+
+    def notice(self) -> Fault | None:
+        """Return a warning of lines that are damaged; None where none is."""
+        if not self.damaged:
+            return None
+        number, why = next(iter(self.damaged.items()))
+        count = counted(len(self.damaged), "line")
+        message = f"{count} of the record cannot be used: line {number} {why}"
+        hint = "the items that it described are made again"
+        lines = tuple(self.damaged)[:100]
+        return Fault("BAT070", message, str(self.path), lines, hint, Severity.WARNING)
+
+    def _unreadable(self, why: str) -> FormatError:
+        return FormatError(Fault("BAT011", f"cannot be read: {why}", str(self.path)))
 
     def _foreign(self, found: Line) -> FormatError:
         (kind, version), *_ = self.head.items()
         message = f"is no {kind} file of {version}"
-        if kind in found:
-            message = f"is of version {found[kind]!r}, and {version} is known"
+        said = found.get(kind)
+        if isinstance(said, str) and said != version:
+            message = f"is of version {said[:40]!r}, and {version} is known"
         hint = "remove it, and everything is made anew"
         return FormatError(Fault("BAT011", message, str(self.path), (1,), hint))
 
 
-def _parsed(line: bytes) -> dict[str, Any] | None:
-    if not line.endswith(b"\n"):
-        return None
-    try:
-        found = json.loads(line)
-    except ValueError:
-        return None
-    return found if isinstance(found, dict) else None
+def _ending(body: bytes) -> bytes:
+    return f'{_SUM}{zlib.crc32(body):08x}"}}\n'.encode()
+
+
+def _text(line: Line) -> str:
+    return json.dumps(line, separators=(",", ":"), allow_nan=False) + "\n"
+
+
+def _summed(line: Line) -> bytes:
+    body = _text(line).encode()[:-2]
+    return body + _ending(body)
 
 
 class LineWriter:
@@ -87,7 +165,7 @@ class LineWriter:
         """Open a file, making it and its folder where need be.
 
         Args:
-            path: The file.
+            path: The file; no link, which may lead to what is not ours.
             head: Its first line.
             length: Of what could be read of it [bytes]; the rest goes.
 
@@ -97,13 +175,14 @@ class LineWriter:
         self.path, self.length = path, length
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
+            flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND
+            flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
             self._handle = os.open(path, flags, 0o666)
             os.ftruncate(self._handle, length)
         except OSError as error:
             raise self._unwritable(error) from error
         if not length:
-            self.write([head])
+            self._write(_text(head).encode())
 
     def __enter__(self) -> Self:
         """Return itself."""
@@ -124,8 +203,9 @@ class LineWriter:
         Raises:
             OutputError: They cannot be written (BAT012).
         """
-        texts = [json.dumps(line, separators=(",", ":")) + "\n" for line in lines]
-        data = "".join(texts).encode()
+        self._write(b"".join(map(_summed, lines)))
+
+    def _write(self, data: bytes) -> None:
         try:
             written = os.write(self._handle, data)
         except OSError as error:

@@ -12,14 +12,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from animtool.batch.checked import RecordError, texts_in, whole_in
 from animtool.batch.lines import LineReader, LineWriter
 from animtool.batch.records import FileRecord, ItemRecord
-from animtool.errors import Fault, FormatError
+from animtool.errors import Fault
 from animtool.output import replacing
 
 __all__ = ["Manifest", "ManifestWriter", "read_manifest", "rewrite_manifest"]
 
 HEAD = {"manifest": "animtool/1"}
+MAX_FILES = 10**9
+# Names a line: one that is damaged takes few with it.
+CLAIMED = 100
 
 
 @dataclass(slots=True)
@@ -30,13 +34,17 @@ class Manifest:
         items: By key.
         known: Names of files that were made, or begun, by a run of the batch.
         files: The distinct files that items refer to, with their numbers.
+        next: The number of the next of them.
         length: Of what could be read [bytes].
+        damaged: Warnings of lines that cannot be used.
     """
 
     items: dict[str, ItemRecord] = field(default_factory=dict)
     known: set[str] = field(default_factory=set)
     files: dict[FileRecord, int] = field(default_factory=dict)
+    next: int = 0
     length: int = 0
+    damaged: list[Fault] = field(default_factory=list)
 
     def add(self, made: ItemRecord) -> None:
         """Note an item that was made; of two of one key the younger counts."""
@@ -50,46 +58,60 @@ class Manifest:
         for made in other.items.values():
             self.add(made)
         self.known |= other.known
+        self.damaged += other.damaged
 
 
 def read_manifest(path: Path) -> Manifest:
     """Return what a manifest says; an empty one where there is none.
 
+    A line that cannot be used is left out, and `Manifest.damaged` says so.
+
     Raises:
         FormatError: It cannot be read, or is of another kind or version (BAT011).
     """
-    manifest, files = Manifest(), list[FileRecord]()
-    # Few are distinct, and every item has one.
-    texts: dict[str, str] = {}
-    reader = LineReader(path, HEAD)
+    manifest, reader = Manifest(), LineReader(path, HEAD)
+    lines = _Lines(manifest)
     for line in reader.lines():
         try:
-            if "known" in line:
-                manifest.known.update(line["known"])
-            elif "file" in line:
-                files.append(FileRecord.from_dict(line))
-            else:
-                manifest.add(_item(line, files, texts))
-        except (KeyError, IndexError, TypeError) as error:
-            message = f"has a line that is none of a manifest: {error!r}"
-            hint = "remove it, and everything is made anew"
-            raise FormatError(Fault("BAT011", message, str(path), (), hint)) from error
-    manifest.files = {record: i for i, record in enumerate(files)}
+            lines.take(line)
+        except RecordError as error:
+            reader.damaged[reader.number] = str(error)
     manifest.length = reader.length
+    notice = reader.notice()
+    manifest.damaged += [] if notice is None else [notice]
     return manifest
 
 
-def _item(
-    line: Mapping[str, Any], files: list[FileRecord], texts: dict[str, str]
-) -> ItemRecord:
-    return ItemRecord(
-        line["item"],
-        line["how"],
-        texts.setdefault(line["versions"], line["versions"]),
-        tuple(files[i] for i in line["inputs"]),
-        tuple(FileRecord.from_dict(output) for output in line["outputs"]),
-        line["at"],
-    )
+class _Lines:
+    """Takes the lines of a manifest, one after another."""
+
+    def __init__(self, manifest: Manifest) -> None:
+        self.manifest = manifest
+        self.files: dict[int, FileRecord] = {}
+
+    def take(self, line: Mapping[str, Any]) -> None:
+        """Note what a line says.
+
+        Raises:
+            RecordError: It is none of a manifest.
+        """
+        if "known" in line:
+            self.manifest.known.update(texts_in(line, "known"))
+        elif "file" in line:
+            self._file(whole_in(line, "file", 0, MAX_FILES), FileRecord.from_dict(line))
+        elif "item" in line:
+            self.manifest.add(ItemRecord.from_dict(line, self.files))
+        else:
+            raise RecordError("is none of a manifest")
+
+    def _file(self, number: int, record: FileRecord) -> None:
+        manifest = self.manifest
+        manifest.next = max(manifest.next, number + 1)
+        if self.files.setdefault(number, record) != record:
+            # Which of the two an item means is not known.
+            manifest.files.pop(self.files.pop(number), None)
+            raise RecordError("has the number of another file")
+        manifest.files[record] = number
 
 
 class ManifestWriter(LineWriter):
@@ -105,7 +127,7 @@ class ManifestWriter(LineWriter):
         Raises:
             OutputError: It cannot be written (BAT012).
         """
-        self._files = dict(manifest.files)
+        self._files, self._next = dict(manifest.files), manifest.next
         super().__init__(path, HEAD, manifest.length)
 
     def claim(self, names: Iterable[str]) -> None:
@@ -115,8 +137,8 @@ class ManifestWriter(LineWriter):
             OutputError: It cannot be written (BAT012).
         """
         known = list(names)
-        if known:
-            self.write([{"known": known}])
+        some = (known[i : i + CLAIMED] for i in range(0, len(known), CLAIMED))
+        self.write({"known": part} for part in some)
 
     def add(self, made: ItemRecord) -> None:
         """Add an item.
@@ -125,33 +147,27 @@ class ManifestWriter(LineWriter):
             OutputError: It cannot be written (BAT012).
         """
         new = list(self._numbered(made.inputs))
-        line = {
-            "item": made.key,
-            "how": made.how,
-            "versions": made.versions,
-            "inputs": [self._files[record] for record in made.inputs],
-            "outputs": [record.as_dict() for record in made.outputs],
-            "at": made.at,
-        }
-        self.write([*new, line])
+        self.write([*new, made.as_dict(self._files)])
 
     def _numbered(self, records: Iterable[FileRecord]) -> Iterator[dict[str, object]]:
         """Give files numbers, and yield the lines of those that had none."""
         for record in records:
             if record not in self._files:
-                number = self._files[record] = len(self._files)
+                number = self._files[record] = self._next
+                self._next += 1
                 yield {"file": number, **record.as_dict()}
 
 
 def rewrite_manifest(
-    path: Path, items: Iterable[ItemRecord], begun: Iterable[str]
+    path: Path, items: Iterable[ItemRecord], known: Iterable[str]
 ) -> None:
     """Write a manifest anew, whole or not at all.
 
     Args:
         path: The file.
         items: All that it is to hold.
-        begun: Names of other files that runs of the batch wrote.
+        known: Names of the files that runs of the batch wrote, those of items too:
+            they may be replaced where the line of their item is damaged.
 
     Raises:
         OutputError: It cannot be written (OUT002, BAT012).
@@ -160,6 +176,6 @@ def rewrite_manifest(
         replacing(path) as temporary,
         ManifestWriter(temporary, Manifest()) as writer,
     ):
-        writer.claim(begun)
+        writer.claim(known)
         for made in items:
             writer.add(made)

@@ -7,13 +7,20 @@ References:
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePath, PurePosixPath, PureWindowsPath
+from typing import Any
 
+from animtool.batch.checked import (
+    RecordError,
+    json_of_file,
+    list_in,
+    object_of,
+    text_in,
+)
 from animtool.batch.spec import BatchSpec
-from animtool.errors import Fault, FormatError
+from animtool.errors import Fault, FormatError, excerpt
 
 __all__ = ["PathRule", "mapped_path", "mapped_spec", "read_rules"]
 
@@ -21,6 +28,10 @@ _KINDS: dict[str, type[PurePath]] = {
     "POSIX": PurePosixPath,
     "WINDOWS": PureWindowsPath,
 }
+
+
+# A rule takes some hundred bytes, and a farm has a few for each disk.
+MAX_BYTES = 4_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,20 +54,24 @@ def read_rules(path: Path) -> list[PathRule]:
         FormatError: It cannot be read, or is malformed (BAT038).
     """
     try:
-        found = json.loads(path.read_bytes())
-        return [
-            PathRule(
-                _KINDS[rule["source_path_format"]](rule["source_path"]),
-                str(rule["destination_path"]),
-            )
-            for rule in found.get("path_mapping_rules", [])
-        ]
+        found = json_of_file(path, MAX_BYTES)
+        key = "path_mapping_rules"
+        given = list_in(found, key) if key in found else ()
+        return [_rule(object_of(rule)) for rule in given]
     except OSError as error:
         fault = Fault("BAT038", f"cannot be read: {error.strerror}", str(path))
         raise FormatError(fault) from error
-    except (ValueError, LookupError, TypeError, AttributeError) as error:
-        message = "is no file of path mapping rules"
+    except RecordError as error:
+        message = f"is no file of path mapping rules: {error}"
         raise FormatError(Fault("BAT038", message, str(path))) from error
+
+
+def _rule(plain: Mapping[str, Any]) -> PathRule:
+    kind = text_in(plain, "source_path_format")
+    if kind not in _KINDS:
+        raise RecordError(f"{excerpt(kind)} is no 'source_path_format'")
+    source = _KINDS[kind](text_in(plain, "source_path"))
+    return PathRule(source, text_in(plain, "destination_path"))
 
 
 def mapped_path(text: str, rules: Sequence[PathRule]) -> str:

@@ -46,5 +46,6 @@ def place_of(name: str, root: Path) -> Path:
     steps = 0
     while steps < len(path.parts) and path.parts[steps] == UP:
         steps += 1
-    above = root.parents[steps - 1] if steps else root
+    # Above the uppermost folder is that itself.
+    above = (root, *root.parents)[min(steps, len(root.parents))]
     return above.joinpath(*path.parts[steps:])

@@ -26,7 +26,7 @@ from animtool.batch.outcome import Outcome, Status
 from animtool.batch.recipe import Item, Recipe
 from animtool.batch.work import Maker
 from animtool.batch.worker import READY, serve
-from animtool.errors import Fault
+from animtool.errors import Fault, OutputError
 from animtool.output import remove_leftovers
 
 __all__ = ["run_processes", "warm_up"]
@@ -49,6 +49,7 @@ ENVIRONMENT = {
 }
 # How often the memory of a process that has a limit is looked at [s].
 GLANCE = 0.05
+LONGEST_WAIT = 86_400.0
 # Processes that end in a row before they can take an item: then none can.
 MOST_STILLBORN = 3
 PATIENCE = 5.0
@@ -77,10 +78,11 @@ class _Worker:
             self.connection.send(item)
 
     def received(self) -> object:
-        """Return what it sent; None where it is gone."""
+        """Return what it sent; None where it is gone, or sent what makes no sense."""
         try:
             return self.connection.recv() if self.connection.poll() else None
-        except (EOFError, OSError):
+        except Exception:
+            # Unpickling raises anything, of bytes that something else wrote.
             return None
 
     def end(self, *, kill: bool) -> None:
@@ -123,8 +125,11 @@ class _Pool:
         here, there = context.Pipe()
         arguments = (there, self.maker, self.limits.memory)
         process = context.Process(target=serve, args=arguments, daemon=True)
-        with _environment():
-            process.start()
+        try:
+            with _environment():
+                process.start()
+        except (OSError, EOFError) as error:
+            raise _unstartable(str(error) or type(error).__name__) from error
         there.close()
         self.workers.append(_Worker(process, here))
 
@@ -155,16 +160,14 @@ class _Pool:
         sent = worker.received()
         if sent == READY:
             worker.ready, self.stillborn = True, 0
-        elif isinstance(sent, Outcome):
+        elif isinstance(sent, Outcome) and sent.number == _number(worker):
             yield from self._ended(worker, sent)
         elif not worker.ready:
             self.workers.remove(worker)
             worker.end(kill=True)
             self.stillborn += 1
             if self.stillborn == MOST_STILLBORN:
-                raise RuntimeError(
-                    f"processes cannot be started: {_how_it_ended(worker.process)}"
-                )
+                raise _unstartable(f"the last {_how_it_ended(worker.process)}")
         elif worker.item is None:
             self.workers.remove(worker)
             worker.end(kill=True)
@@ -233,7 +236,9 @@ class _Pool:
         if self.limits.seconds is None:
             return None
         first = min(worker.began for worker in busy)
-        return max(0.0, first + self.limits.seconds - time.perf_counter()) + GLANCE
+        left = first + self.limits.seconds - time.perf_counter()
+        # Systems wait for a few weeks at the most.
+        return min(max(0.0, left), LONGEST_WAIT) + GLANCE
 
     def end(self, *, kill: bool) -> None:
         for worker in list(self.workers):
@@ -276,7 +281,7 @@ def run_processes(
             come only then.
 
     Raises:
-        RuntimeError: Processes cannot be started.
+        OutputError: Processes cannot be started (BAT071).
     """
     pool, well = _Pool(maker, items, limits, ahead), False
     try:
@@ -319,6 +324,16 @@ def _environment() -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = value
+
+
+def _number(worker: _Worker) -> int | None:
+    return None if worker.item is None else worker.item.number
+
+
+def _unstartable(why: str) -> OutputError:
+    message = f"processes that make items cannot be started: {why}"
+    hint = "allow more memory, or fewer at a time with -j; what was made is recorded"
+    return OutputError(Fault("BAT071", message, hint=hint))
 
 
 def _how_it_ended(process: BaseProcess) -> str:

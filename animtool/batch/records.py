@@ -4,14 +4,26 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+import sys
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from animtool.batch.checked import (
+    RecordError,
+    list_in,
+    object_of,
+    text_in,
+    whole_in,
+)
 from animtool.inputs import FileState
 
 __all__ = ["FileRecord", "ItemRecord", "digest_of", "file_digest", "record_of"]
+
+# What names, digests and clocks can be.
+MAX_DIGEST = 200
+CLOCK = 2**63
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,11 +54,22 @@ class FileRecord:
 
     @classmethod
     def from_dict(cls, plain: Mapping[str, Any]) -> FileRecord:
-        """Return what `as_dict` wrote."""
-        if plain.get("absent"):
-            return cls(plain["path"], None)
-        state = FileState(plain["size"], plain["changed"], plain["inode"])
-        return cls(plain["path"], state, plain["sha256"])
+        """Return what `as_dict` wrote.
+
+        Raises:
+            RecordError: It is something else.
+        """
+        path = text_in(plain, "path")
+        if "absent" in plain:
+            if plain["absent"] is not True or "size" in plain:
+                raise RecordError("'absent' is not all there is")
+            return cls(path, None)
+        state = FileState(
+            whole_in(plain, "size"),
+            whole_in(plain, "changed", -CLOCK, CLOCK),
+            whole_in(plain, "inode"),
+        )
+        return cls(path, state, text_in(plain, "sha256", MAX_DIGEST))
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +92,61 @@ class ItemRecord:
     inputs: tuple[FileRecord, ...]
     outputs: tuple[FileRecord, ...]
     at: int
+
+    def as_dict(self, numbers: Mapping[FileRecord, int]) -> dict[str, object]:
+        """Return it as JSON has it.
+
+        Args:
+            numbers: Of the inputs.
+        """
+        return {
+            "item": self.key,
+            "how": self.how,
+            "versions": self.versions,
+            "inputs": [numbers[record] for record in self.inputs],
+            "outputs": [record.as_dict() for record in self.outputs],
+            "at": self.at,
+        }
+
+    @classmethod
+    def from_dict(
+        cls, plain: Mapping[str, Any], files: Mapping[int, FileRecord]
+    ) -> ItemRecord:
+        """Return what `as_dict` wrote.
+
+        Args:
+            plain: What it wrote.
+            files: The inputs, by number.
+
+        Raises:
+            RecordError: It is something else, or an input has no record.
+        """
+        outputs = list_in(plain, "outputs")
+        if not outputs:
+            raise RecordError("'outputs' is empty")
+        return cls(
+            text_in(plain, "item"),
+            text_in(plain, "how", MAX_DIGEST),
+            # Few are distinct, and every item has one.
+            sys.intern(text_in(plain, "versions", MAX_DIGEST)),
+            tuple(_numbered(list_in(plain, "inputs"), files)),
+            tuple(FileRecord.from_dict(object_of(output)) for output in outputs),
+            whole_in(plain, "at", -CLOCK, CLOCK),
+        )
+
+
+def _numbered(
+    numbers: Sequence[object], files: Mapping[int, FileRecord]
+) -> Iterator[FileRecord]:
+    """Yield the files of numbers."""
+    if not numbers:
+        raise RecordError("'inputs' is empty")
+    for number in numbers:
+        # A truth value, and a float, can be equal to an int.
+        found = files.get(number) if type(number) is int else None
+        if found is None:
+            raise RecordError("an input has no record")
+        yield found
 
 
 def digest_of(value: object) -> str:

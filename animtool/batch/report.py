@@ -106,11 +106,13 @@ class BatchReport:
         batch: The batch.
         items: Those that were looked at, in order.
         seconds: Wall time of all.
+        notices: Warnings of the records of earlier runs.
     """
 
     batch: Batch
     items: tuple[ItemReport, ...]
     seconds: float
+    notices: tuple[Fault, ...] = ()
 
     def count(self, status: Status) -> int:
         """Return of how many items something became."""
@@ -156,6 +158,9 @@ class BatchReport:
             "batch": "animtool/1",
             **{str(status).replace(" ", "_"): self.count(status) for status in Status},
             "seconds": round(self.seconds, 6),
+            **(
+                {"notices": [n.as_dict() for n in self.notices]} if self.notices else {}
+            ),
             "items": [report.as_dict() for report in self.items],
         }
 

@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from animtool.batch.check import check_overwrites, check_places
 from animtool.batch.discover import Batch, find_batch
@@ -96,13 +97,15 @@ def run_batch(
         history = read_history(batch.records, batch.name)
         planner = Planner(batch, history, verify=options.verify, force=options.force)
         planned = [_planned(decision) for decision in planner.decisions(items)]
-        return BatchReport(batch, tuple(planned), time.perf_counter() - began)
+        seconds = time.perf_counter() - began
+        return BatchReport(batch, tuple(planned), seconds, tuple(history.damaged))
     with held_ledger(batch.records, batch.name, _part(options)) as ledger:
         run = _Run(batch, options, listener, ledger)
         run.plan(items)
         run.make()
         ledger.settle(run.wanted)
-    return BatchReport(batch, tuple(run.reports()), time.perf_counter() - began)
+    seconds, damaged = time.perf_counter() - began, tuple(ledger.history.damaged)
+    return BatchReport(batch, tuple(run.reports()), seconds, damaged)
 
 
 def _chosen(batch: Batch, options: RunOptions) -> Sequence[Item]:
@@ -141,6 +144,7 @@ class _Run:
         )
         self.decisions: dict[int, Decision] = {}
         self.found: dict[int, ItemReport] = {}
+        self.begun: set[int] = set()
         self.failures = 0
 
     def plan(self, items: Sequence[Item]) -> None:
@@ -160,13 +164,12 @@ class _Run:
                 self.ledger.made(decision.refreshed)
         self._tidy()
         if not self.options.overwrite:
-            known = self.ledger.history.made.known
-            check_overwrites(
-                self.batch,
-                due,
-                lambda path: named_from(path, self.batch.root) in known,
-            )
+            check_overwrites(self.batch, due, self._is_known)
         self.listener.planned(len(due), len(self.decisions))
+
+    def _is_known(self, path: Path) -> bool:
+        """Return whether a run of the batch made a file, or began to."""
+        return named_from(path, self.batch.root) in self.ledger.history.made.known
 
     def _executor(self) -> tuple[Executor, str]:
         """Return what makes items, and what that is told."""
@@ -199,6 +202,11 @@ class _Run:
                 self._ended(outcome)
         finally:
             close()
+        for number in sorted(self.begun - self.found.keys()):
+            path = str(self.decisions[number].item.found.path)
+            message = "whatever made it has not said what became of it"
+            fault = Fault("BAT020", message, path)
+            self._ended(Outcome(number, Status.FAILED, 0.0, (fault,)))
         # A process of a run that was killed may have lived a moment longer.
         self._tidy()
 
@@ -208,12 +216,23 @@ class _Run:
         for item in due:
             if most is not None and self.failures >= most:
                 return
+            self.begun.add(item.number)
             paths = self.batch.outputs(item)
+            if not self.options.overwrite:
+                # Another batch, or a person, may have written it since the plan.
+                try:
+                    check_overwrites(self.batch, [item], self._is_known)
+                except OptionError as error:
+                    self._ended(Outcome(item.number, Status.FAILED, 0.0, error.faults))
+                    continue
             self.ledger.claim([named_from(path, self.batch.root) for path in paths])
             self.listener.began(item)
             yield item
 
     def _ended(self, outcome: Outcome) -> None:
+        if outcome.number not in self.begun or outcome.number in self.found:
+            # An executor of a plug-in said it twice, or of what it was not given.
+            return
         decision = self.decisions[outcome.number]
         item = decision.item
         report = ItemReport.of(item, decision.reason, decision.detail, outcome)

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from annotated_types import Ge, Gt, Len
+from annotated_types import Ge, Gt, Le, Len
 from pydantic import Field
 
+from animtool.batch.limits import MAX_SECONDS
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Name
 from animtool.documents.ignore import IgnoreModel
@@ -28,7 +29,7 @@ __all__ = ["BatchModel", "LimitsModel", "OptionsModel", "RangeModel"]
 class LimitsModel(FileModel):
     """What an item may take."""
 
-    seconds: Annotated[float, Gt(0)] | None = Field(
+    seconds: Annotated[float, Gt(0), Le(MAX_SECONDS)] | None = Field(
         default=None,
         description="How long an item may take. Not given: as long as it needs.",
         examples=[60],

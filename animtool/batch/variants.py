@@ -33,6 +33,9 @@ __all__ = [
 
 # More items than a person means; a slip of a step asks for millions.
 MAX_VARIANTS = 10_000
+# Of a table; a file without line ends has one line of millions of letters.
+MAX_COLUMNS = 1000
+MAX_LINE = 1_000_000
 # As many faults of a table as a person reads.
 MAX_FAULTS = 100
 TOO_MANY = f"at most {MAX_VARIANTS} variants can be made at a time"
@@ -128,6 +131,8 @@ def values_of_text(text: str) -> list[str]:
             values.append(part)
         else:
             values += range_values(found["first"], found["last"], found["step"] or "1")
+        if len(values) > MAX_VARIANTS:
+            raise ValueError(f"more values: {TOO_MANY}")
     return values
 
 
@@ -190,13 +195,16 @@ def name_problems(
         names: Of the columns.
         taken: Names that mean something else already.
     """
+    seen: set[str] = set()
     for i, name in enumerate(names):
+        twice = name in seen
+        seen.add(name)
         if not is_variable_name(name):
             shown = excerpt(name) if name else "a column without a name"
             yield i, f"{shown} is not a name of letters, digits and _"
         elif name in taken:
             yield i, f"{name!r} has another meaning here"
-        elif name in names[:i]:
+        elif twice:
             yield i, f"there are two columns {name!r}"
 
 
@@ -227,7 +235,9 @@ def read_variants(path: Path) -> Variants:
         FormatError: With every fault of the file, each with line and column.
     """
     separator = "\t" if path.suffix.lower() == ".tsv" else ","
-    lines = list(_lines(read_text(path), separator, path))
+    # One more than may be is enough to say so.
+    most = MAX_VARIANTS + 2
+    lines = list(itertools.islice(_lines(read_text(path), separator, path), most))
     if len(lines) < 2:
         message = "has no line of values" if lines else "is empty"
         hint = "the first line names the columns, each other line is a variant"
@@ -241,7 +251,7 @@ def read_variants(path: Path) -> Variants:
         for i, message in name_problems(names)
     ]
     if len(rows) > MAX_VARIANTS:
-        message = f"{counted(len(rows), 'row')}: {TOO_MANY}"
+        message = f"more rows: {TOO_MANY}"
         faults.append(Fault("BAT065", message, str(path), (rows[MAX_VARIANTS][0],)))
         raise FormatError(faults)
     for line, values, spots in rows:
@@ -270,18 +280,37 @@ def _lines(
     text: str, separator: str, path: Path
 ) -> Iterator[tuple[int, list[str], list[int]]]:
     """Yield the lines of a table that are not blank: number, values, and columns."""
-    for number, line in enumerate(text.replace("\r\n", "\n").split("\n"), 1):
+    for number, ended in enumerate(io.StringIO(text), 1):
+        line = ended.removesuffix("\n").removesuffix("\r")
         if not line.strip(f" {separator}"):
             continue
         try:
-            (values,) = csv.reader(io.StringIO(line), delimiter=separator, strict=True)
+            values = _values(line, separator)
         except (csv.Error, ValueError) as error:
             message = f"cannot be read as a table: {error}"
             hint = "a quote inside of quotes is written twice; values have no line ends"
             raise FormatError(
                 Fault("BAT061", message, str(path), (number,), hint, column=1)
             ) from error
-        yield number, [value.strip() for value in values], _spots(line, separator)
+        spots = _spots(line, separator)
+        # Of quotes in the middle of a value readers and this count differ.
+        spots += spots[-1:] * (len(values) - len(spots))
+        yield number, [value.strip() for value in values], spots
+
+
+def _values(line: str, separator: str) -> list[str]:
+    """Return the values of a line.
+
+    Raises:
+        ValueError: There are too many.
+        csv.Error: Quotes do not fit.
+    """
+    if len(line) > MAX_LINE:
+        raise ValueError(f"a line has up to {MAX_LINE} letters")
+    (values,) = csv.reader(io.StringIO(line), delimiter=separator, strict=True)
+    if len(values) > MAX_COLUMNS:
+        raise ValueError(f"there are {len(values)} columns, and up to {MAX_COLUMNS}")
+    return values
 
 
 def _spots(line: str, separator: str) -> list[int]:

@@ -75,6 +75,12 @@ def _size(text: str) -> int:
     return parse_bytes(text)
 
 
+def _seconds(text: str) -> float:
+    from animtool.batch.limits import parse_seconds
+
+    return parse_seconds(text)
+
+
 @click.command(
     epilog="""\b
 Examples:
@@ -161,7 +167,7 @@ Examples:
 )
 @click.option(
     "--time-limit",
-    type=click.FloatRange(0, min_open=True),
+    type=Parsed("seconds", _seconds),
     metavar="SECONDS",
     help="How long each may take.",
 )
@@ -379,6 +385,7 @@ def _tell(
     elif given["dry_run"]:
         for line in planned_text(report):
             console.result(line)
+    console.faults(report.notices)
     for entry in report.items:
         for notice in entry.notices:
             if notice.severity is Severity.NOTE:

@@ -45,7 +45,16 @@ def test_costs_are_those_of_a_report(takes: Path) -> None:
     assert mean_seconds(path) == sum(item["seconds"] for item in made) / 4
 
 
-@pytest.mark.parametrize("text", [None, "", "[]", '{"items": [{}]}', '{"items": []}'])
+@pytest.mark.parametrize(
+    "text",
+    [
+        *(None, "", "[]", '{"items": [{}]}', '{"items": []}', "[" * 100_000),
+        *(
+            f'{{"items": [{{"status": "done", "seconds": {seconds}}}]}}'
+            for seconds in ("NaN", "Infinity", "-1", "true", '"1"', "1e999", "9" * 999)
+        ),
+    ],
+)
 def test_what_reports_no_costs(tmp_path: Path, text: str | None) -> None:
     path = tmp_path / "costs.json"
     if text is not None:

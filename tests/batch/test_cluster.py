@@ -14,7 +14,7 @@ from support.batch import take_files, trouble_files, trouble_plug_in
 from support.cli import animtool
 from support.cluster import local_cluster, small_cluster
 
-from animtool.batch.cluster import _sent, dask
+from animtool.batch.cluster import _address, _sent, dask
 from animtool.batch.discover import find_batch
 from animtool.batch.executors import Work
 from animtool.batch.lane import Lane, Task
@@ -46,6 +46,21 @@ def work(folder: Path, argument: str, limits: Limits | None = None) -> Work:
     batch = find_batch(spec)
     maker = Maker(batch.recipe, batch.root)
     return Work(maker, iter(batch.items), limits or Limits(), 2, argument)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("", "[]", "{}", "[" * 100_000, '{"address": 7}', '{"address": "a b"}'),
+        *('{"address": "/dev/zero"}', '{"address": "tcp://a\\u0000b:1"}'),
+    ],
+)
+def test_what_is_no_file_of_a_scheduler(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "scheduler.json"
+    path.write_text(text)
+    with pytest.raises(OutputError) as error:
+        _address(path)
+    assert error.value.code == "BAT035"
 
 
 def test_a_crash_or_a_hang_costs_one_item(cluster: str, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from animtool.batch.file import load_batch
-from animtool.batch.limits import Limits, parse_bytes
+from animtool.batch.limits import Limits, parse_bytes, parse_seconds
 from animtool.errors import FormatError
 from animtool.units import LengthUnit, UpAxis
 
@@ -96,7 +96,23 @@ def test_a_batch_is_no_scene(tmp_path: Path) -> None:
     assert error.value.code == "DOC009"
 
 
-@pytest.mark.parametrize("text", ["", "2", "2 gigs", "-1GB", "1.GB", "GB", "nanGB"])
+@pytest.mark.parametrize("text", ["inf", "nan", "1e300", "0", "-1", "", "a", "9" * 99])
+def test_what_is_no_time(text: str) -> None:
+    with pytest.raises(ValueError, match="is no number of seconds"):
+        parse_seconds(text)
+
+
+@pytest.mark.parametrize("number", [0.5, 1e9])
+def test_a_time_as_long_as_one_may_ask_for(number: float) -> None:
+    assert parse_seconds(f"{number:g}") == number
+
+
+LARGE = ["9" * 400 + "TB", "9999999999999GB"]
+
+
+@pytest.mark.parametrize(
+    "text", ["", "2", "2 gigs", "-1GB", "1.GB", "GB", "nanGB", "0.1B", *LARGE]
+)
 def test_what_is_no_size(text: str) -> None:
     with pytest.raises(ValueError, match="is no size"):
         parse_bytes(text)

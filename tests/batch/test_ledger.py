@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
+import platform
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -26,6 +30,9 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
         ("1-2", "", True),
         ("1-2", "1-2", True),
         ("1-2", "3-4", False),
+        # Both would make item 2.
+        ("1-2", "2-4", True),
+        ("1-9", "3-4", True),
     ],
 )
 def test_who_may_run_beside_whom(
@@ -49,6 +56,91 @@ def refusal(folder: Path, name: str, part: str = "") -> OutputError | None:
         return error
     assert f"{part}.usdc" in read_history(folder, name).made.known
     return None
+
+
+OWNERS = [
+    b"",
+    b"\0" * 20,
+    b"[" * 100_000,
+    b"[1]",
+    b'{"process": 1',
+    b'{"process": "1", "host": "a"}',
+    b'{"process": true, "host": "a"}',
+    b'{"process": -1, "host": "a"}',
+    b'{"process": 1e999, "host": "a"}',
+    b'{"process": 12, "host": ["a"]}',
+    b'{"process": 12, "host": "' + b"a" * 10_000 + b'"}',
+    b'{"process": 12, "process": 13, "host": "a"}',
+    b'{"process": 12, "host": "\xff"}',
+]
+
+
+@pytest.mark.parametrize("data", OWNERS)
+def test_an_owner_that_cannot_be_read_is_not_named(tmp_path: Path, data: bytes) -> None:
+    owner = tmp_path / "batch-a.owner"
+    with held_ledger(tmp_path, "a"):
+        owner.write_bytes(data)
+        error = refusal(tmp_path, "a")
+    assert error is not None
+    assert error.code == "BAT010"
+    assert "not said which" in str(error)
+    # Locks end with their process, whatever the file says.
+    assert refusal(tmp_path, "a") is None
+
+
+def owned(process: int, host: str) -> str:
+    return json.dumps({"process": process, "host": host})
+
+
+def test_whose_run_it_is(tmp_path: Path) -> None:
+    with subprocess.Popen([sys.executable, "-c", ""]) as ended:
+        pass
+    here, owner = platform.node(), tmp_path / "batch-a.owner"
+    names = {
+        owned(os.getpid(), here): f"process {os.getpid()} on {here!r}",
+        owned(12, "other\x1b[2J"): "process 12 on 'other\\x1b[2J'",
+        owned(ended.pid, here): "a process that has not said which",
+    }
+    for text, name in names.items():
+        # What an earlier run left is no reason to wait.
+        owner.write_text(text)
+        with held_ledger(tmp_path, "a"):
+            owner.write_text(text)
+            assert name in str(refusal(tmp_path, "a"))
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX links and pipes")
+def test_an_owner_is_not_written_through_a_link(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("mine")
+    owner = tmp_path / "batch-a.owner"
+    owner.symlink_to("mine.txt")
+    error = refusal(tmp_path, "a")
+    assert error is not None
+    assert error.code == "BAT012"
+    assert (tmp_path / "mine.txt").read_text() == "mine"
+    owner.unlink()
+    os.mkfifo(owner)
+    error = refusal(tmp_path, "a")
+    assert error is not None
+    assert error.code == "BAT012"
+
+
+def test_damage_is_told_once_and_the_rest_stays(tmp_path: Path) -> None:
+    folder = tmp_path / ".animtool"
+    with held_ledger(folder, "a") as run:
+        for number in (1, 2):
+            run.made(item(number))
+        run.failed("3.usdc", "why")
+    made, failed = folder / "batch-a.jsonl", folder / "batch-a.failed.jsonl"
+    made.write_bytes(made.read_bytes().replace(b'"item":"2', b'"item":"3'))
+    failed.write_bytes(failed.read_bytes().replace(b"why", b"who"))
+    with held_ledger(folder, "a") as run:
+        assert [notice.code for notice in run.history.damaged] == ["BAT070"] * 2
+        assert set(run.history.made.items) == {"1.usdc"}
+        assert run.history.failed == {}
+        run.settle(lambda _: True)
+    history = read_history(folder, "a")
+    assert (set(history.made.items), history.damaged) == ({"1.usdc"}, [])
 
 
 def test_batches_of_other_names_run_beside_each_other(tmp_path: Path) -> None:

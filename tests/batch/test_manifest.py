@@ -16,7 +16,6 @@ from animtool.batch.manifest import (
 )
 from animtool.batch.places import named_from, place_of
 from animtool.batch.records import FileRecord, ItemRecord
-from animtool.errors import FormatError
 from animtool.inputs import FileState
 
 SHARED = FileRecord("../rig.yaml", FileState(3, 4, 5), "ab")
@@ -63,12 +62,74 @@ def test_writing_anew_keeps_what_was_begun(tmp_path: Path) -> None:
     assert list(found.items) == ["1.usdc"]
 
 
-def test_lines_of_something_else(tmp_path: Path) -> None:
+FILE = '{"file":0,"path":"a","size":1,"changed":2,"inode":3,"sha256":"ab"}'
+MADE = (
+    '{"item":"a","how":"h","versions":"v","inputs":[0],'
+    '"outputs":[{"path":"o","size":1,"changed":2,"inode":3,"sha256":"cd"}],"at":4}'
+)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("", ""),
+        ('"item":"a"', '"item":["a"]'),
+        ('"item":"a"', '"item":"a\\u0000"'),
+        ('"how":"h",', ""),
+        ('"versions":"v"', '"versions":{}'),
+        ("[0]", "[1]"),
+        ("[0]", "[true]"),
+        ("[0]", "[0.0]"),
+        ("[0]", "[]"),
+        ("[0]", "{}"),
+        ('"at":4', '"at":4.0'),
+        ('"at":4', f'"at":{10**30}'),
+        ('"at":4', '"at":true'),
+        ('[{"path":"o"', '["o",{"path":"o"'),
+        ('"changed":2,"inode":3,"sha256":"cd"', '"changed":null'),
+        ('"size":1', '"size":-1'),
+        ('"path":"o",', '"path":"o","absent":1,'),
+        ('"path":"o",', '"path":"o","absent":true,'),
+        ('"item":"a"', '"made":"a"'),
+        ('"item":"a"', '"known":[1],"item":"a"'),
+    ],
+)
+def test_lines_that_are_damaged_are_left_out(
+    tmp_path: Path, old: str, new: str
+) -> None:
     path = tmp_path / "a.jsonl"
-    path.write_text('{"manifest":"animtool/1"}\n{"item":"a"}\n')
-    with pytest.raises(FormatError) as error:
-        read_manifest(path)
-    assert error.value.code == "BAT011"
+    line = MADE.replace(old, new, 1) if old else MADE
+    path.write_text(f'{{"manifest":"animtool/1"}}\n{FILE}\n{line}\n')
+    found = read_manifest(path)
+    assert list(found.items) == ([] if old else ["a"])
+    assert [notice.code for notice in found.damaged] == (["BAT070"] if old else [])
+    assert not found.known - {"o"}
+
+
+def test_a_number_of_two_files_is_of_none(tmp_path: Path) -> None:
+    path = tmp_path / "a.jsonl"
+    other = FILE.replace('"path":"a"', '"path":"b"')
+    text = "\n".join(['{"manifest":"animtool/1"}', FILE, MADE, other, MADE, ""])
+    path.write_text(text)
+    found = read_manifest(path)
+    # Before the second, the number meant the first.
+    assert list(found.items) == ["a"]
+    assert found.damaged[0].lines == (4, 5)
+    assert (found.files, found.next) == ({}, 1)
+
+
+def test_a_damaged_item_may_be_made_again(tmp_path: Path) -> None:
+    path = tmp_path / "a.jsonl"
+    rewrite_manifest(path, [item(1)], ["1.usdc"])
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join(lines[:-1]) + lines[-1].replace(b"how", b"hov"))
+    found = read_manifest(path)
+    assert (found.items, found.known) == ({}, {"1.usdc"})
+    assert len(found.damaged) == 1
+
+
+def test_a_name_that_leads_above_everything() -> None:
+    assert place_of("../" * 9 + "a", Path("/job/out")) == Path("/a")
 
 
 NAMES = st.lists(st.sampled_from(["a", "b", "c d"]), max_size=5).map("/".join)

@@ -11,6 +11,10 @@ from animtool.batch.mapping import PathRule, mapped_path, mapped_spec, read_rule
 from animtool.batch.spec import BatchSpec
 from animtool.errors import FormatError
 
+RULE = (
+    '{"path_mapping_rules": [{"source_path_format": "POSIX", '
+    '"source_path": "/there", "destination_path": "/here"}]}'
+)
 OUTER = PathRule(PurePosixPath("/show"), "/mnt/show")
 INNER = PathRule(PurePosixPath("/show/takes"), "/fast")
 DRIVE = PathRule(PureWindowsPath("Z:\\show"), "/mnt/show")
@@ -57,7 +61,14 @@ def test_rules_of_a_file(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    [None, "", "[]", '{"path_mapping_rules": [{}]}', '{"path_mapping_rules": 1}'],
+    [
+        *(None, "", "[]", '{"path_mapping_rules": [{}]}', '{"path_mapping_rules": 1}'),
+        *("[" * 100_000, '{"a": NaN}', '{"path_mapping_rules": [], "a": 1, "a": 2}'),
+        RULE.replace('"/here"', '{"a": 1}'),
+        RULE.replace('"/here"', '"/he\\u0000re"'),
+        RULE.replace('"/there"', "7"),
+        RULE.replace('"POSIX"', '["POSIX"]'),
+    ],
 )
 def test_what_is_no_file_of_rules(tmp_path: Path, text: str | None) -> None:
     path = tmp_path / "rules.json"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,8 @@ import pytest
 from support.batch import take_files, whole_outputs
 
 import animtool
+from animtool.batch.executors import EXECUTORS, Executor, Work
+from animtool.batch.outcome import Outcome, Status
 from animtool.batch.recipe import Item
 from animtool.batch.report import BatchReport, ItemReport
 from animtool.batch.run import Listener, RunOptions, run_batch
@@ -113,6 +116,58 @@ def test_an_output_that_a_killed_run_left_is_replaced(
     report = run_batch(spec, SERIAL)
     assert statuses(report)[0] == "done"
     assert report.items[0].reason == "new"
+
+
+def test_a_file_that_came_since_the_plan_is_not_replaced(
+    spec: BatchSpec, tmp_path: Path
+) -> None:
+    class Other(Listener):
+        def planned(self, due: int, total: int) -> None:
+            del due, total
+            (tmp_path / "out").mkdir(exist_ok=True)
+            (tmp_path / "out/take002.usdc").write_text("of another batch")
+
+    report = run_batch(spec, SERIAL, Other())
+    assert report.items[2].faults[0].code == "OUT001"
+    assert (tmp_path / "out/take002.usdc").read_text() == "of another batch"
+    assert statuses(report) == ["done", "failed", "failed", "failed", "done"]
+
+
+def careless(work: Work) -> Iterator[Outcome]:
+    """Say nothing of the first item, and all else twice."""
+    outcomes = [work.maker.make(item) for item in work.items]
+    yield from outcomes[1:]
+    yield from outcomes[1:]
+    yield Outcome(99, Status.DONE, 0.0)
+
+
+def test_an_executor_that_is_careless(
+    spec: BatchSpec, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    executor = Executor("careless", "batch.test_run:careless")
+    monkeypatch.setitem(EXECUTORS, "careless", executor)
+    ended = []
+
+    class Told(Listener):
+        def ended(self, report: ItemReport) -> None:
+            ended.append(report.item.number)
+
+    report = run_batch(spec, RunOptions(executor="careless"), Told())
+    assert sorted(ended) == [1, 2, 3, 4, 5]
+    assert report.items[0].faults[0].code == "BAT020"
+    assert statuses(run_batch(spec, SERIAL))[2:] == ["skipped", "failed", "skipped"]
+
+
+def test_damaged_records_are_told(spec: BatchSpec, tmp_path: Path) -> None:
+    run_batch(spec, replace(SERIAL, most_failures=1))
+    path = tmp_path / "out/.animtool/batch-batch.jsonl"
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join([*lines[:-1], b"[" * 100_000, b"\n"]))
+    for options in (replace(SERIAL, dry_run=True), SERIAL):
+        report = run_batch(spec, options)
+        assert [notice.code for notice in report.notices] == ["BAT070"]
+        assert report.items[0].reason == "new"
+    assert run_batch(spec, SERIAL).notices == ()
 
 
 def test_whoever_listens_is_told(spec: BatchSpec) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -119,3 +120,60 @@ _CHANGES = (_flip, _byte, _remove, _repeat, _move, _word, _word, _number, _cut, 
 def pick(rng: np.random.Generator, seeds: Sequence[bytes]) -> bytes:
     """Return one of the valid inputs."""
     return seeds[int(rng.integers(len(seeds)))]
+
+
+# What stands where another value should.
+VALUES: list[object] = [
+    *(None, True, False, 0, 1, -1, 2**31, 2**63, 10**30, -(10**19)),
+    *(0.5, -0.0, 1e308, float("nan"), float("inf"), float("-inf")),
+    *("", "a", "0", "nan", "/", "..", "../" * 40 + "a", "/dev/zero", "a\0b", "\ud800"),
+    *("\x1b]0;title\x07", "\u202e\U0001f9b4", "a" * 5000, "file://host/a", "%00", "~"),
+    *([], {}, [[]], [None], [1, "a"], {"": 1}, {"a": {"b": []}}),
+]
+
+
+def spoil_values(rng: np.random.Generator, value: object, most: int = 4) -> object:
+    """Return plain values, as JSON has them, with up to ``most`` changes."""
+    for _ in range(int(min(rng.geometric(0.6), most))):
+        value = _spoilt(rng, value)
+    return value
+
+
+def _spoilt(rng: np.random.Generator, value: object) -> object:
+    pairs: list[tuple[Any, object]] = []
+    if isinstance(value, dict):
+        pairs = list(value.items())
+    elif isinstance(value, list):
+        pairs = list(enumerate(value))
+    if not pairs or rng.random() < 0.15:
+        return _odd(rng, value)
+    i = int(rng.integers(len(pairs)))
+    key, inner = pairs[i]
+    kind = rng.integers(8)
+    if kind == 0:
+        del pairs[i]
+    elif kind == 1:
+        pairs.insert(i, (_odd_value(rng), inner))
+    else:
+        pairs[i] = key, _spoilt(rng, inner)
+    if isinstance(value, dict):
+        return {str(k): v for k, v in pairs}
+    return [v for _, v in pairs]
+
+
+def _odd(rng: np.random.Generator, value: object) -> object:
+    """Return another value: of another kind, of another size, or deep inside."""
+    kind = rng.integers(6)
+    if kind == 0 and isinstance(value, int | float):
+        return value * float(rng.choice([-1.0, 0.0, 1e6, 1e-6, 1e300]))
+    if kind == 1:
+        for _ in range(int(rng.choice([2, 50, 200]))):
+            value = [value] if rng.integers(2) else {"a": value}
+        return value
+    if kind == 2 and isinstance(value, str):
+        return value + value[: int(rng.integers(len(value) + 1))]
+    return _odd_value(rng)
+
+
+def _odd_value(rng: np.random.Generator) -> object:
+    return VALUES[int(rng.integers(len(VALUES)))]

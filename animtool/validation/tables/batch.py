@@ -47,4 +47,6 @@ RULES = (
     Rule("BAT063", "a column of variants that cannot be called so"),
     Rule("BAT064", "an invalid value of a variant"),
     Rule("BAT065", "too many variants, or none"),
+    Rule("BAT070", "a record of earlier runs that is damaged", Severity.WARNING),
+    Rule("BAT071", "processes that cannot be started"),
 )
