@@ -23,6 +23,7 @@ __all__ = [
     "check_data",
     "check_rows",
     "check_value",
+    "floats_of",
     "largest",
     "narrowed",
     "rounded",
@@ -153,7 +154,7 @@ def check_value(
         labels: What it is of.
         code: Time code; None is the default.
     """
-    numbers = _numbers(value)
+    numbers = floats_of(value)
     if numbers is None or not numbers.size or _within(numbers, _LIMITS[letter]):
         return
     codes = None if code is None else np.array([code])
@@ -175,7 +176,7 @@ def check_data(value: object, name: str) -> None:
         check_value(value, "d", Labels(name))
 
 
-def _numbers(value: Any) -> npt.NDArray[Any] | None:
+def floats_of(value: Any) -> npt.NDArray[Any] | None:
     """Return the floats of a value; None where it has none."""
     if hasattr(value, "imaginary"):
         value = [*value.imaginary, value.real]

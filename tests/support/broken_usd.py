@@ -368,7 +368,7 @@ POINTS, VELOCITIES = f"{CACHE}.points", f"{CACHE}.velocities"
 NAMES = ("hips", "hips/chest", "hips/chest/arm", "post")
 CLIP_PLACE = f"{CLIPS}.clips:default"
 FLAT = Gf.Matrix4d(1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1)
-NAN, TINY = math.nan, 1e-5
+NAN, INF, TINY = math.nan, math.inf, 1e-5
 
 
 def _invert_bind(layer: Sdf.Layer) -> None:
@@ -424,6 +424,34 @@ def _without(*joints: int) -> Break:
 
 
 BROKEN = [
+    Case(
+        "USD171",
+        "an infinite extent",
+        rows(f"{RIG}.extent", cell((1, 1), INF), 3.0),
+        f"{RIG}.extent",
+    ),
+    Case(
+        "USD171",
+        "a default beside samples",
+        put(MOVE, Vt.Vec3fArray(4, Gf.Vec3f(NAN))),
+        MOVE,
+    ),
+    Case("USD171", "an attribute of no schema", fresh(RIG, "a", TYPES.Half, NAN)),
+    Case(
+        "USD171", "an infinite unit below", info(RIG, "customData", {"a": {"b": INF}})
+    ),
+    Case("USD171", "a layer's data", info("/", "customLayerData", {"a": NAN})),
+    Case(
+        "USD171",
+        "a force that is NaN",
+        fresh(HINGE, "physics:breakForce", TYPES.Float, NAN),
+    ),
+    Case(
+        "USD171",
+        "a matrix",
+        fresh(RIG, "xformOp:transform", TYPES.Matrix4d, Gf.Matrix4d(INF)),
+        f"{RIG}.xformOp:transform",
+    ),
     Case("USD200", "a rotation too few in one sample", rows(ROT, shorter, 4.0), ROT),
     Case(
         "USD200",
@@ -781,6 +809,12 @@ BROKEN = [
 ]
 
 NEAR = [
+    Case(
+        "USD171",
+        "an infinity that its schema has",
+        fresh(HINGE, "physics:breakForce", TYPES.Float, INF),
+    ),
+    Case("USD171", "large numbers", fresh(RIG, "a", TYPES.Float, 3.4e38)),
     Case(
         "USD200", "one value for all frames", put(SIZE, Vt.Vec3hArray(4, Gf.Vec3h(2)))
     ),

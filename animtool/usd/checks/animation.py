@@ -81,6 +81,8 @@ def _transforms(subject: Subject, animation: Any, joints: list[str]) -> Iterator
         yield from _counts("USD200", attr, sampled, len(joints), "joints")
         which, values = sampled.rows(len(joints), width)
         bad = np.asarray(~np.isfinite(values).all(axis=-1))
+        if len(which) == len(sampled.counts) and not bad.any():
+            subject.finite.add(attr.GetPath())
         if bad.any():
             yield _not_finite(attr, sampled, which, bad, joints)
         elif name == "rotations" and len(values):

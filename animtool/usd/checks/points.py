@@ -27,7 +27,7 @@ def check_points(subject: Subject) -> Iterator[Fault]:
         if not attr.HasAuthoredValue():
             continue
         points, bounds = _survey(subject, attr)
-        yield from _finite(attr, points, bounds)
+        yield from _finite(subject, attr, points, bounds)
         yield from _topology(subject, geometry, attr, points)
         yield from _velocities(subject, geometry, points)
         yield from _extent(subject, geometry, points, bounds)
@@ -51,12 +51,16 @@ def _survey(subject: Subject, attr: Any) -> tuple[Sampled, FloatArray]:
     return Sampled(np.array(times or [np.nan]), [], counts), bounds
 
 
-def _finite(attr: Any, sampled: Sampled, bounds: FloatArray) -> Iterator[Fault]:
+def _finite(
+    subject: Subject, attr: Any, sampled: Sampled, bounds: FloatArray
+) -> Iterator[Fault]:
     # NaN and infinity both come through min and max.
     bad = ~np.isfinite(bounds).all(axis=(1, 2)) & (sampled.counts > 0)
     if bad.any():
         message = f"points are not finite {at_samples(sampled, bad)}"
         yield finding("USD265", attr.GetPath(), message)
+    elif (sampled.counts >= 0).all():
+        subject.finite.add(attr.GetPath())
 
 
 def _topology(
@@ -97,7 +101,7 @@ def _velocities(subject: Subject, geometry: Any, points: Sampled) -> Iterator[Fa
     if not attr.HasAuthoredValue():
         return
     found, bounds = _survey(subject, attr)
-    yield from _finite(attr, found, bounds)
+    yield from _finite(subject, attr, found, bounds)
     index = {time: i for i, time in enumerate(points.times.tolist())}
     for i, time in enumerate(found.times.tolist()):
         wanted = points.counts[index.get(time, 0)]

@@ -14,6 +14,7 @@ from animtool.usd.checks.animation import check_animations, check_known_joints
 from animtool.usd.checks.bindings import check_bindings
 from animtool.usd.checks.composition import check_assets, check_composition
 from animtool.usd.checks.extents import check_extents
+from animtool.usd.checks.finite import ALREADY, check_finite
 from animtool.usd.checks.physics import check_physics
 from animtool.usd.checks.points import check_points
 from animtool.usd.checks.shapes import check_shapes, check_targets
@@ -114,7 +115,9 @@ def _faults(subject: Subject) -> list[Fault]:
     found = [fault for check in UNTIMED for fault in _run(check, subject)]
     if not _untimed(found):
         found += [fault for check in TIMED for fault in _run(check, subject)]
-    return found
+    known = {fault.where for fault in found if fault.code in ALREADY}
+    everywhere = _run(check_finite, subject)
+    return found + [fault for fault in everywhere if fault.where not in known]
 
 
 def _untimed(found: list[Fault]) -> bool:

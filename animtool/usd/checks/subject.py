@@ -73,9 +73,11 @@ class Subject:
 
     Attributes:
         stage: The stage.
+        finite: Paths of attributes whose samples were all found to be finite.
     """
 
     stage: Any
+    finite: set[Any] = field(default_factory=set)
     _sampled: dict[Any, Sampled] = field(default_factory=dict)
     _times: dict[Any, list[float]] = field(default_factory=dict)
 

@@ -36,6 +36,11 @@ def _warning(title: str, hint: str) -> Code:
 
 
 CODES: dict[str, Code] = {
+    # Any attribute
+    "USD171": _error(
+        "a number that is not finite",
+        "write finite numbers: readers take them as they are",
+    ),
     # Animation
     "USD200": _error(
         "a SkelAnimation array of another length than its joints",

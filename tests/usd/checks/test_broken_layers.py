@@ -99,3 +99,46 @@ def test_a_layer_that_cannot_be_read_is_one_finding(tmp_path: Path) -> None:
     assert [fault.code for fault in found] == ["USD001"]
     assert found[0].severity is Severity.ERROR
     assert [fault.code for fault in check_layer(tmp_path / "no.usda")] == ["IO001"]
+
+
+def test_all_layers_and_variants_are_searched_for_numbers(tmp_path: Path) -> None:
+    (tmp_path / "below.usda").write_text(
+        """#usda 1.0
+        def "A" (
+            prepend variantSets = "v"
+            customData = {
+                double[] a = [0, nan]
+            }
+        )
+        {
+            double x = 1
+            variantSet "v" = {
+                "one" {
+                    def "B"
+                    {
+                        float y.timeSamples = {
+                            1: 0,
+                            2: inf,
+                            3: nan,
+                        }
+                    }
+                }
+            }
+        }
+        """
+    )
+    values = "\n".join(f"float a{i} = nan" for i in range(9))
+    (tmp_path / "top.usda").write_text(
+        "#usda 1.0\n(subLayers = [@./below.usda@ (offset = nan)])\n"
+        f'over "A" {{\n double x = 2\n}}\ndef "Many" {{\n{values}\n}}'
+    )
+    found = [f for f in check_layer(tmp_path / "top.usda") if f.code == "USD171"]
+    said = {fault.where: fault.message for fault in found}
+    assert said["/A{v=one}B.y"] == (
+        "it is inf at time code 2, and in 1 more sample (in below.usda)"
+    )
+    assert said["/A"] == "its metadata customData:a is nan (in below.usda)"
+    assert said["/"] == "its metadata subLayerOffsets[0] is nan"
+    many = [where for where in said if str(where).startswith("/Many")]
+    assert len(many) == 5
+    assert said[many[-1]].endswith("so are 4 more values of this prim")

@@ -1,0 +1,185 @@
+"""A check on every number of every layer: attributes, samples and metadata.
+
+It reads layers, not the stage: what a stronger opinion hides, and the variants that are
+not selected, are in the file too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from pxr import Sdf
+
+from animtool.errors import Fault, counted
+from animtool.usd.checks.subject import Subject
+from animtool.usd.checks.table import finding
+from animtool.usd.finite import floats_of, largest
+
+__all__ = ["ALREADY", "check_finite"]
+
+# Codes that say the same of one kind of attribute.
+ALREADY = frozenset(
+    {"USD202", "USD225", "USD233", "USD235", "USD243", "USD265", "USD271", "USD272"}
+)
+# Of one prim, or of the metadata of a layer.
+MAX_FINDINGS = 5
+# What other rules look at in the root layer, and rates in all.
+RATES = frozenset({"framesPerSecond", "timeCodesPerSecond"})
+ROOT_ALREADY = frozenset({"startTimeCode", "endTimeCode", "metersPerUnit"})
+# Not metadata, or without numbers.
+NO_NUMBERS = frozenset(
+    {
+        "custom",
+        "default",
+        "specifier",
+        "spline",
+        "subLayerOffsets",
+        "timeSamples",
+        "typeName",
+        "variability",
+    }
+)
+
+
+def check_finite(subject: Subject) -> Iterator[Fault]:
+    """Check that no number in any layer of a stage is NaN or infinite.
+
+    An infinity that a schema itself has as its fallback, such as the limits of a
+    physics joint, is one that is meant.
+    """
+    root = subject.stage.GetRootLayer()
+    used = [layer for layer in subject.stage.GetUsedLayers() if layer != root]
+    for layer in (root, *sorted(used, key=lambda layer: str(layer.identifier))):
+        found = _of_layer(subject, layer, is_root=layer == root)
+        for _, group in groupby(found, key=lambda item: item[0].GetPrimPath()):
+            yield from _limited(list(group), "" if layer == root else _named(layer))
+
+
+def _named(layer: Any) -> str:
+    return f" (in {layer.GetDisplayName()})"
+
+
+def _limited(found: list[tuple[Any, str]], where: str) -> Iterator[Fault]:
+    """Yield the findings on one prim, the last of many with how many more there are."""
+    for i, (path, message) in enumerate(found[:MAX_FINDINGS], 1):
+        rest = len(found) - MAX_FINDINGS if i == MAX_FINDINGS else 0
+        more = f"; so are {rest} more values of this prim" if rest > 0 else ""
+        yield finding("USD171", path, f"{message}{where}{more}")
+
+
+def _of_layer(
+    subject: Subject, layer: Any, *, is_root: bool
+) -> Iterator[tuple[Any, str]]:
+    """Yield the paths of specs with numbers that are not finite, prim by prim."""
+    paths: list[Any] = []
+    layer.Traverse(Sdf.Path.absoluteRootPath, paths.append)
+    for path in sorted(paths, key=lambda path: (str(path.GetPrimPath()), str(path))):
+        spec = layer.GetObjectAtPath(path)
+        if spec is None:
+            continue
+        skipped = NO_NUMBERS
+        if path == Sdf.Path.absoluteRootPath:
+            skipped = skipped | RATES | (ROOT_ALREADY if is_root else set())
+            for i, offset in enumerate(layer.subLayerOffsets):
+                if said := _of_data(offset, f"subLayerOffsets[{i}]"):
+                    yield path, said
+        for key in spec.ListInfoKeys():
+            if key not in skipped and (said := _of_data(spec.GetInfo(key), key)):
+                yield path, said
+        floats = isinstance(spec, Sdf.AttributeSpec) and largest(spec.typeName)
+        if floats and (said := _of_attribute(subject, layer, spec)):
+            yield path, said
+
+
+def _of_data(value: Any, name: str) -> str:
+    """Return what is wrong with a number of metadata; empty for nothing."""
+    if isinstance(value, Mapping):
+        parts = (_of_data(item, f"{name}:{key}") for key, item in value.items())
+        return next(filter(None, parts), "")
+    if isinstance(value, Sdf.LayerOffset):
+        value = [value.offset, value.scale]
+    elif isinstance(value, (Sdf.ReferenceListOp, Sdf.PayloadListOp)):
+        value = [
+            number
+            for item in value.GetAddedOrExplicitItems()
+            for number in (item.layerOffset.offset, item.layerOffset.scale)
+        ]
+    elif isinstance(value, (str, bool, int)):
+        return ""
+    numbers = floats_of(value)
+    if numbers is None or _is_finite(numbers):
+        return ""
+    return f"its metadata {name} is {_worst(numbers)}"
+
+
+def _of_attribute(subject: Subject, layer: Any, spec: Any) -> str:
+    """Return what is wrong with values of an attribute; empty for nothing."""
+    default = floats_of(spec.default) if spec.HasDefaultValue() else None
+    said = []
+    if default is not None and not _is_allowed(subject, spec, default):
+        said.append(f"its default is {_worst(default)}{_element(default)}")
+    path = spec.path
+    times = [] if _is_known(subject, path) else layer.ListTimeSamplesForPath(path)
+    if not all(map(math.isfinite, times)):
+        said.append("the time of a sample is not finite")
+    query, bad, first = layer.QueryTimeSample, 0, ""
+    for time in times:
+        numbers = floats_of(query(path, time))
+        if numbers is None or _is_allowed(subject, spec, numbers):
+            continue
+        bad += 1
+        if not first:
+            element = _element(numbers)
+            first = f"it is {_worst(numbers)} at time code {time:.10g}{element}"
+    if bad > 1:
+        first += f", and in {counted(bad - 1, 'more sample')}"
+    return "; ".join(filter(None, (*said, first)))
+
+
+def _is_known(subject: Subject, path: Any) -> bool:
+    """Return whether another check read these samples, which are the only ones."""
+    if path not in subject.finite:
+        return False
+    stack = subject.stage.GetAttributeAtPath(path).GetPropertyStack()
+    counts = [spec.layer.GetNumTimeSamplesForPath(path) for spec in stack]
+    return sum(count > 0 for count in counts) == 1
+
+
+def _is_finite(numbers: npt.NDArray[Any]) -> bool:
+    if not numbers.size:
+        return True
+    # NaN comes through min and max, and through no comparison.
+    return bool(numbers.min() > -math.inf and numbers.max() < math.inf)
+
+
+def _is_allowed(subject: Subject, spec: Any, numbers: npt.NDArray[Any]) -> bool:
+    if _is_finite(numbers):
+        return True
+    if np.isnan(numbers).any():
+        return False
+    path = spec.path.StripAllVariantSelections()
+    prim = subject.stage.GetPrimAtPath(path.GetPrimPath())
+    if not prim:
+        return False
+    fallback = prim.GetPrimDefinition().GetAttributeFallbackValue(path.name)
+    own = None if fallback is None else floats_of(fallback)
+    return own is not None and not _is_finite(own)
+
+
+def _bad(numbers: npt.NDArray[Any]) -> Any:
+    return np.argwhere(~np.isfinite(numbers))[0]
+
+
+def _worst(numbers: npt.NDArray[Any]) -> str:
+    return f"{float(numbers[tuple(_bad(numbers))]):g}"
+
+
+def _element(numbers: npt.NDArray[Any]) -> str:
+    """Say at which place of an array the first number is that is not finite."""
+    place = _bad(numbers)
+    return f", element {place[0]}" if len(place) else ""
