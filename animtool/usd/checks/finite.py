@@ -146,7 +146,7 @@ def _is_known(subject: Subject, path: Any) -> bool:
     if path not in subject.finite:
         return False
     stack = subject.stage.GetAttributeAtPath(path).GetPropertyStack()
-    counts = [spec.layer.GetNumTimeSamplesForPath(path) for spec in stack]
+    counts: list[int] = [spec.layer.GetNumTimeSamplesForPath(path) for spec in stack]
     return sum(count > 0 for count in counts) == 1
 
 
