@@ -14,6 +14,7 @@ from typing import Any
 from animtool.batch.cut_metadata import CutMetadata, cut_metadata
 from animtool.batch.timeline import (
     NEAR,
+    exact_rate,
     is_remote,
     media_path,
     picture_rates,
@@ -32,9 +33,10 @@ from animtool.errors import (
     Severity,
     counted,
     excerpt,
+    listed,
 )
 from animtool.files import FoundFile
-from animtool.rates import rate_from_float, rate_label
+from animtool.rates import rate_label
 from animtool.scene.sources import source_stem
 from animtool.shot import SHOT_START, Shot, frames_within
 
@@ -60,6 +62,10 @@ SHOT_NAMES = (
     "media_fps",
 )
 # What names of files and of variables' users may hold everywhere.
+# What a person reads of a timeline of thousands of clips.
+MAX_FAULTS, MAX_NAMED = 100, 100
+# With what else a file's name has, within what disks allow.
+MAX_NAME = 120
 _LEGAL = re.compile(r"[^A-Za-z0-9_-]+")
 
 
@@ -157,7 +163,7 @@ def _named(entries: Sequence[_Entry], name: str | None, path: Path) -> list[_Ent
     if not names:
         message = "has no clip, so there is no shot to bake"
         raise OptionError(Fault("BAT048", message, str(path)))
-    shots = f"the shots are {', '.join(names)}"
+    shots = f"the shots are {listed(names, MAX_NAMED)}"
     if name is None:
         if len(names) == 1:
             return list(entries)
@@ -202,7 +208,8 @@ class _Reader:
         self.found = CutList()
         self.entries: list[_Entry] = []
         self.faults: list[Fault] = []
-        self.taken: set[str] = set()
+        # Names of shots, and up to which number each has others behind it.
+        self.taken: dict[str, int] = {}
         self.gaps = 0
         self.own = CutMetadata()
         self.fps = Fraction(24)
@@ -230,6 +237,10 @@ class _Reader:
             self.note("BAT043", f"left out gaps: {self.gaps}")
         for entry in choose(self.entries):
             self.clip(entry)
+        if len(self.faults) > MAX_FAULTS:
+            rest = f"{len(self.faults) - MAX_FAULTS} more faults are not shown"
+            rest_fault = Fault("DOC011", rest, str(self.path))
+            self.faults[MAX_FAULTS:] = [rest_fault]
         if self.faults:
             raise FormatError(self.faults)
         return self.found
@@ -255,7 +266,11 @@ class _Reader:
         stated = self.own.fps
         begin = timeline.global_start_time
         if stated is None and begin is not None and begin.rate > 0:
-            stated = rate_from_float(begin.rate)
+            try:
+                stated = exact_rate(begin.rate)
+            except ValueError as error:
+                self.fault("BAT041", f"its global start time: {error}")
+                return self.fps
         asked = self.options.fps
         if stated is not None:
             if asked not in {None, stated}:
@@ -309,6 +324,7 @@ class _Reader:
         try:
             start, seconds, media_fps = shown_span(clip)
             transitions = self.overlaps(clip, named)
+            speed = speed_of(clip)
         except Exception as error:
             message = f"the range of {named} cannot be used: {excerpt(str(error), 120)}"
             self.fault("BAT041", message)
@@ -316,7 +332,7 @@ class _Reader:
         if seconds <= 0:
             self.fault("BAT041", f"{named} shows no frame of its media")
             return
-        shot = self.shot(entry, start, seconds, transitions)
+        shot = self.shot(entry, start, seconds, transitions, speed)
         if shot.speed <= 0:
             message = f"{named} plays at {float(shot.speed):g} times its speed"
             hint = "only forward motion is baked: render the clip's media as it plays, "
@@ -342,6 +358,7 @@ class _Reader:
         start: Fraction,
         seconds: Fraction,
         transitions: tuple[int, int],
+        speed: Fraction,
     ) -> Shot:
         """Return the frames of a clip.
 
@@ -350,13 +367,13 @@ class _Reader:
             start: First time of its media that it shows, 0 at the media's first [s].
             seconds: How long it lasts [s].
             transitions: Frames that these show of it before and after.
+            speed: How many times as fast as its media it plays.
         """
         own, given = self.metadata(entry.clip, entry.named), self.options
         handles = _first(given.handles, own.handles, self.own.handles, 0)
         begin = _first(given.start, own.start_frame, self.own.start_frame, self.project)
         before, after = transitions
         count = frames_within(seconds, self.fps) + before + after
-        speed = speed_of(entry.clip)
         return Shot(
             begin + handles,
             begin + handles + count - 1,
@@ -385,14 +402,14 @@ class _Reader:
         if path is not None and self.left_out(path):
             self.note("BAT043", f"{named} is left out, as asked: {path}")
             return None
-        if path is not None and path.is_file():
+        if path is not None and _is_file(path):
             return FoundFile(path, path.parent)
         for stem in (clip.name, None if path is None else source_stem(path)):
             if stem and stem.casefold() in self.media:
                 return self.media[stem.casefold()]
         if path is not None:
             hint = "give the folder that has it, or one of the clip's name, as INPUT"
-            problem = "a folder" if path.is_dir() else "not there"
+            problem = "a folder" if _is_file(path) is False else "not there"
             shown = clip.media_reference.target_url if is_remote(clip) else path
             self.fault("BAT042", f"the media of {named} is {problem}: {shown}", hint)
         elif self.media:
@@ -415,15 +432,25 @@ class _Reader:
 
     def name(self, wanted: str, named: str) -> str:
         """Return a name that is legal, and of no shot before."""
-        legal = _LEGAL.sub("_", wanted).strip("_-") or "shot"
-        name, number = legal, 1
+        legal = _LEGAL.sub("_", wanted).strip("_-")[:MAX_NAME] or "shot"
+        name, number = legal, self.taken.get(legal.casefold(), 1)
         while name.casefold() in self.taken:
             number += 1
             name = f"{legal}_{number}"
-        self.taken.add(name.casefold())
+        self.taken[name.casefold()] = 1
+        self.taken[legal.casefold()] = number
         if name != wanted:
             self.note("BAT046", f"{named} is the shot {name}")
         return name
+
+
+def _is_file(path: Path) -> bool | None:
+    """Return whether a path is that of a file; None where nothing is there."""
+    try:
+        return path.is_file() or (False if path.exists() else None)
+    except (OSError, ValueError):
+        # A name that no disk can have.
+        return None
 
 
 def _first(*given: int | None) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from fractions import Fraction
 from math import isfinite
@@ -9,11 +10,14 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
+from animtool.batch.timeline_text import check_text
 from animtool.errors import Fault, FormatError, OptionError, excerpt
+from animtool.inputs import FileState, note_input
 from animtool.rates import rate_from_float
 
 __all__ = [
     "NEAR",
+    "exact_rate",
     "is_remote",
     "media_path",
     "picture_rates",
@@ -28,6 +32,12 @@ __all__ = [
 NEAR = Fraction(1, 1_000_000)
 # Of parts of a frame; two rates that are used have a smaller one in common.
 LARGEST_DENOMINATOR = 100_000
+# What media has, with room: frames a second, and seconds since 1970.
+LOWEST_RATE, HIGHEST_RATE = 0.001, 1e6
+LONGEST = 10**12
+FASTEST = 10**6
+# Hosts of URLs that mean this one.
+LOCAL = ("", "localhost")
 
 
 def read_timeline(path: Path) -> Any:
@@ -43,9 +53,8 @@ def read_timeline(path: Path) -> Any:
         message = "cut lists need the package OpenTimelineIO"
         hint = "pip install 'animtool[otio]'"
         raise OptionError(Fault("BAT040", message, hint=hint)) from error
-    from animtool.inputs import note_input
-
     note_input(path)
+    check_text(path)
     try:
         found = otio.adapters.read_from_file(str(path))
     except Exception as error:
@@ -61,30 +70,63 @@ def read_timeline(path: Path) -> Any:
 
 
 def media_path(url: str, folder: Path) -> Path:
-    """Return the file of a URL, or of a path seen from a folder."""
-    parts = urlsplit(url)
-    if parts.scheme == "file":
+    """Return the file of a URL, or of a path seen from a folder.
+
+    Of an address of another machine it is a path of that name, which is not there.
+    """
+    # No system has it in a name.
+    url = url.replace("\0", "%00")
+    try:
+        parts = urlsplit(url)
+    except ValueError:
+        return folder / url
+    if parts.scheme == "file" and (parts.netloc in LOCAL or os.name == "nt"):
         # It imports much, and most timelines are not asked for.
         from urllib.request import url2pathname
 
-        return Path(url2pathname(parts.path))
+        host = "" if parts.netloc in LOCAL else f"//{parts.netloc}"
+        return Path(_named(url2pathname(host + parts.path)))
     if len(parts.scheme) > 1:
         return Path(url)
-    return folder / (url if (folder / url).exists() else unquote(url))
+    there = FileState.of(folder / url) is not None
+    return folder / (url if there else _named(unquote(url)))
+
+
+def _named(path: str) -> str:
+    return path.replace("\0", "%00")
 
 
 def is_remote(clip: Any) -> bool:
     """Return whether the media of a clip has an address that is no path."""
-    return "://" in clip.media_reference.target_url.removeprefix("file://")
+    url = clip.media_reference.target_url
+    return "://" in url.removeprefix("file:///")
+
+
+def exact_rate(rate: float) -> Fraction:
+    """Return the rate that a timeline states.
+
+    Raises:
+        ValueError: No media has it.
+    """
+    if not LOWEST_RATE <= rate <= HIGHEST_RATE:
+        raise ValueError(f"{rate!r} is no rate of frames")
+    return rate_from_float(rate)
 
 
 def seconds_of(time: Any) -> Fraction:
-    """Return a time of a timeline, exact at its own rate [s]."""
+    """Return a time of a timeline, exact at its own rate [s].
+
+    Raises:
+        ValueError: It is none, or has no rate.
+    """
+    rate = exact_rate(time.rate)
+    if not abs(time.value) <= LONGEST * rate:
+        raise ValueError(f"{time.value!r} is no time at {float(rate):g} frames/s")
     exact = Fraction(time.value)
     whole = Fraction(round(exact))
     if abs(exact - whole) > NEAR:
         whole = exact.limit_denominator(LARGEST_DENOMINATOR)
-    return whole / rate_from_float(time.rate)
+    return whole / rate
 
 
 def shown_span(clip: Any) -> tuple[Fraction, Fraction, Fraction]:
@@ -100,7 +142,7 @@ def shown_span(clip: Any) -> tuple[Fraction, Fraction, Fraction]:
         there = clip.media_reference.available_range
         start -= seconds_of(there.start_time)
         rate = there.start_time.rate
-    return start, seconds_of(span.duration), rate_from_float(rate)
+    return start, seconds_of(span.duration), exact_rate(rate)
 
 
 def picture_rates(composition: Any) -> Iterator[Fraction]:
@@ -111,18 +153,24 @@ def picture_rates(composition: Any) -> Iterator[Fraction]:
                 yield from picture_rates(child)
             continue
         span = getattr(child, "source_range", None)
-        if span is not None and span.start_time.rate > 0:
+        if span is not None and LOWEST_RATE <= span.start_time.rate <= HIGHEST_RATE:
             yield rate_from_float(span.start_time.rate)
 
 
 def speed_of(clip: Any) -> Fraction:
-    """Return how many times as fast as its media a clip plays."""
+    """Return how many times as fast as its media a clip plays.
+
+    Raises:
+        ValueError: It is faster than anything plays.
+    """
     speed = Fraction(1)
     for effect in clip.effects:
         scalar = float(getattr(effect, "time_scalar", 1.0))
         if not isfinite(scalar):
             return Fraction(0)
         speed *= Fraction(scalar).limit_denominator(LARGEST_DENOMINATOR)
+        if abs(speed) > FASTEST:
+            raise ValueError(f"it plays at {scalar:g} times its speed")
     return speed
 
 
