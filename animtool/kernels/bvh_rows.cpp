@@ -1,11 +1,13 @@
 // The rows of numbers of a BVH file's MOTION block: text to float64 and back.
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <cstring>
-#include <stdexcept>
+#include <limits>
 #include <string>
 #include <vector>
 
+#include "checks.h"
 #include "kernels.h"
 #include "numbers.h"
 
@@ -34,17 +36,19 @@ BvhRows parse_bvh_rows(nb::bytes text, std::size_t columns, std::size_t limit, b
   int fault = kNone;
   std::string bad_token;
 
+  check::between("columns", columns, 0, std::numeric_limits<std::int32_t>::max());
   // No row is shorter than one digit and one separator a column, so the text
-  // itself bounds what is reserved.
+  // itself bounds what is reserved; a row with more columns is never whole.
+  const std::size_t room = std::min(columns, text.size() / 2 + 1);
   const std::size_t most = text.size() / (2 * (columns ? columns : 1)) + 1;
   const std::size_t capacity = limit < most ? limit : most;
-  Buffer<double> values(capacity * columns);
+  Buffer<double> values(capacity * room);
   Buffer<std::int64_t> row_lines(capacity);
   {
     nb::gil_scoped_release release;
     while (rows < capacity && p != end) {
       const char* const line = p;
-      double* row = values.get() + rows * columns;
+      double* row = values.get() + rows * room;
       found = 0;
       while (true) {
         while (is_blank(*p)) ++p;
@@ -58,7 +62,7 @@ BvhRows parse_bvh_rows(nb::bytes text, std::size_t columns, std::size_t limit, b
           bad_token.assign(token, static_cast<std::size_t>(p - token < 40 ? p - token : 40));
           break;
         }
-        if (found < columns) row[found] = value;
+        if (found < room) row[found] = value;
         ++found;
       }
       // A line that the text stops in is read again with what follows; so is one
@@ -91,7 +95,9 @@ BvhRows parse_bvh_rows(nb::bytes text, std::size_t columns, std::size_t limit, b
 
 nb::bytes format_bvh_rows(In<double, 2> values, In<std::int64_t, 1> decimals) {
   const std::size_t rows = values.shape(0), columns = values.shape(1);
-  if (decimals.shape(0) != columns) throw std::invalid_argument("one decimal count a column");
+  check::shape("values", values, {check::ANY, check::ANY});
+  check::shape("decimals", decimals, {columns});
+  check::indices("decimals", decimals, 0, 10);
   std::string text;
   {
     nb::gil_scoped_release release;
@@ -103,9 +109,7 @@ nb::bytes format_bvh_rows(In<double, 2> values, In<std::int64_t, 1> decimals) {
     for (std::size_t i = 0; i < rows; ++i) {
       for (std::size_t j = 0; j < columns; ++j, ++v) {
         if (j) text.push_back(' ');
-        const auto places = static_cast<int>(decimals.data()[j] < 0   ? 0
-                                             : decimals.data()[j] > 9 ? 9
-                                                                      : decimals.data()[j]);
+        const auto places = static_cast<int>(decimals.data()[j]);
         const double scaled = std::fabs(*v) * static_cast<double>(kScales[places]);
         if (!(scaled < 9e15)) {  // beyond exact integers: rare, so the C library does it
           const int n = std::snprintf(digits, sizeof digits, "%.17g", *v);

@@ -2,9 +2,9 @@
 #include "collide.h"
 
 #include <algorithm>
-#include <stdexcept>
 #include <vector>
 
+#include "checks.h"
 #include "kernels.h"
 #include "springs_contacts.h"
 
@@ -19,31 +19,77 @@ using collide::store;
 
 constexpr std::size_t SIZES = 7, MATERIALS = 4, POSE = 7;
 
+// Trees whose nodes name others behind them, each once, so that every way down ends, and
+// within the depth that a visit has room for.
+void check_nodes(const In<std::int32_t, 2>& nodes, std::size_t triangles) {
+  const std::int32_t* row = nodes.data();
+  const auto count = static_cast<std::int64_t>(nodes.shape(0));
+  std::vector<std::uint8_t> depths(nodes.shape(0), 0);
+  for (std::int64_t n = 0; n < count; ++n, row += 2) {
+    if (row[0] < 0) {
+      const std::int64_t first = -1 - static_cast<std::int64_t>(row[0]);
+      if (row[1] < 0 || first + row[1] > static_cast<std::int64_t>(triangles))
+        check::refuse("nodes", "leaf " + check::text(n) + " has triangles that there are not");
+      continue;
+    }
+    for (int side = 0; side < 2; ++side) {
+      const std::int64_t child = row[side];
+      if (child <= n || child >= count || depths[child])
+        check::refuse("nodes", "node " + check::text(n) + " has no child " + check::text(child));
+      depths[child] = static_cast<std::uint8_t>(depths[n] + 1);
+      if (depths[child] >= collide::DEEPEST)
+        check::refuse("nodes", "the tree is deeper than " + check::text(collide::DEEPEST - 1));
+    }
+  }
+}
+
+void check_arrays(const ColliderArrays& in) {
+  const auto& [kinds, sizes, materials, poses, points, triangles, corner_normals,
+               edge_normals, bounds, nodes] = in;
+  const std::size_t count = kinds.shape(0);
+  check::shape("kinds", kinds, {check::ANY, 3});
+  check::shape("sizes", sizes, {count, SIZES});
+  check::shape("materials", materials, {count, MATERIALS});
+  check::shape("poses", poses, {count, 2, POSE});
+  check::shape("points", points, {check::ANY, 3});
+  check::shape("triangles", triangles, {check::ANY, 3});
+  check::shape("corner_normals", corner_normals, {points.shape(0), 3});
+  check::shape("edge_normals", edge_normals, {triangles.shape(0), 3, 3});
+  check::shape("nodes", nodes, {check::ANY, 2});
+  check::shape("bounds", bounds, {nodes.shape(0), 6});
+  check::finite("sizes", sizes);
+  check::finite("materials", materials);
+  bool meshes = false;
+  for (std::size_t i = 0; i < count; ++i) {
+    const std::int64_t* kind = kinds.data() + 3 * i;
+    check::between("kinds", kind[0], 0, static_cast<std::int64_t>(collide::Shape::MESH));
+    if (kind[0] != static_cast<std::int64_t>(collide::Shape::MESH)) continue;
+    meshes = true;
+    check::indices("kinds", kind + 2, 1, 0, static_cast<std::int64_t>(nodes.shape(0)));
+  }
+  if (!meshes) return;
+  check::at_most("points", points.shape(0), check::MOST_ROWS);
+  check::at_most("triangles", triangles.shape(0), check::MOST_ROWS);
+  check::at_most("nodes", nodes.shape(0), check::MOST_ROWS);
+  check::indices("triangles", triangles, 0, static_cast<std::int64_t>(points.shape(0)));
+  check_nodes(nodes, triangles.shape(0));
+}
+
 // Colliders as the core has them, of arrays with one row each.
 std::vector<Collider> colliders_of(const ColliderArrays& in) {
   const auto& [kinds, sizes, materials, poses, points, triangles, corner_normals,
                edge_normals, bounds, nodes] = in;
+  check_arrays(in);
   const std::size_t count = kinds.shape(0);
-  if (kinds.shape(1) != 3 || sizes.shape(0) != count || sizes.shape(1) != SIZES ||
-      materials.shape(0) != count || materials.shape(1) != MATERIALS ||
-      poses.shape(0) != count || poses.shape(1) != 2 || poses.shape(2) != POSE)
-    throw std::invalid_argument(
-        "kinds are (C, 3), sizes (C, 7), materials (C, 4) and poses (C, 2, 7)");
-  if (bounds.shape(0) != nodes.shape(0) || points.shape(0) != corner_normals.shape(0) ||
-      triangles.shape(0) != edge_normals.shape(0))
-    throw std::invalid_argument("arrays of meshes fit each other");
   const collide::Mesh mesh{points.data(),       triangles.data(), corner_normals.data(),
                            edge_normals.data(), bounds.data(),    nodes.data()};
   std::vector<Collider> made(count);
   for (std::size_t i = 0; i < count; ++i) {
     const std::int64_t* kind = kinds.data() + 3 * i;
     Collider& c = made[i];
-    if (kind[0] < 0 || kind[0] > 4 || kind[2] < 0 ||
-        (kind[0] == 4 && kind[2] >= static_cast<std::int64_t>(nodes.shape(0))))
-      throw std::invalid_argument("kinds are 0 to 4, a mesh has a node");
     c.shape = static_cast<collide::Shape>(kind[0]);
     c.container = kind[1] != 0;
-    c.root = static_cast<std::int32_t>(kind[2]);
+    c.root = c.shape == collide::Shape::MESH ? static_cast<std::int32_t>(kind[2]) : 0;
     c.mesh = mesh;
     std::copy_n(sizes.data() + SIZES * i, SIZES, c.size);
     const double* material = materials.data() + MATERIALS * i;
@@ -61,10 +107,11 @@ Collided collide_particles(ColliderArrays colliders, In<double, 3> before,
                            In<double, 3> after, In<double, 1> radii,
                            In<double, 1> begins, double step) {
   const std::size_t count = before.shape(1);
-  if (before.shape(0) != 2 || before.shape(2) != 3 || after.shape(0) != 2 ||
-      after.shape(1) != count || after.shape(2) != 3 || radii.shape(0) != count ||
-      begins.shape(0) != count)
-    throw std::invalid_argument("states are (2, N, 3), radii and begins (N,)");
+  check::shape("before", before, {2, check::ANY, 3});
+  check::shape("after", after, {2, count, 3});
+  check::shape("radii", radii, {count});
+  check::shape("begins", begins, {count});
+  check::not_negative("step", step);
   const std::vector<Collider> made = colliders_of(colliders);
   Buffer<double> state(6 * count), normals(3 * count);
   Buffer<std::int64_t> touches(2 * count);
@@ -92,7 +139,9 @@ Collided collide_particles(ColliderArrays colliders, In<double, 3> before,
 ColliderSamples sample_colliders(ColliderArrays colliders, In<double, 2> points,
                                  double share, double step) {
   const std::size_t count = points.shape(0);
-  if (points.shape(1) != 3) throw std::invalid_argument("points are (N, 3)");
+  check::shape("points", points, {check::ANY, 3});
+  check::between("share", share, 0, 1);
+  check::not_negative("step", step);
   const std::vector<Collider> made = colliders_of(colliders);
   const std::size_t rows = made.size() * count;
   Buffer<double> distances(rows), normals(3 * rows), velocities(3 * rows);

@@ -2,9 +2,9 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
-#include <stdexcept>
 #include <vector>
 
+#include "checks.h"
 #include "collide_surface.h"
 #include "kernels.h"
 
@@ -145,12 +145,14 @@ MeshSides sides_of(const std::int32_t* corners, std::int32_t count, std::size_t 
 }
 
 void check_triangles(const In<double, 2>& points, const In<std::int32_t, 2>& triangles) {
-  if (points.shape(1) != 3 || triangles.shape(1) != 3 || triangles.shape(0) == 0)
-    throw std::invalid_argument("points are (P, 3), triangles are (T, 3), at least one");
-  for (std::size_t i = 0; i < 3 * triangles.shape(0); ++i)
-    if (triangles.data()[i] < 0 ||
-        triangles.data()[i] >= static_cast<std::int64_t>(points.shape(0)))
-      throw std::invalid_argument("corners of triangles are points");
+  check::shape("points", points, {check::ANY, 3});
+  check::shape("triangles", triangles, {check::ANY, 3});
+  if (!triangles.shape(0)) check::refuse("triangles", "the array is empty");
+  check::at_most("points", points.shape(0), check::MOST_ROWS);
+  check::at_most("triangles", triangles.shape(0), check::MOST_ROWS);
+  check::indices("triangles", triangles, 0, static_cast<std::int64_t>(points.shape(0)));
+  // What is not a number has no place in an order of boxes.
+  check::finite("points", points);
 }
 
 }  // namespace

@@ -1,8 +1,8 @@
 // Scalar curves: segments between keys, evaluated at many times.
 #include <algorithm>
 #include <cmath>
-#include <stdexcept>
 
+#include "checks.h"
 #include "kernels.h"
 
 namespace animtool {
@@ -199,27 +199,44 @@ void evaluate_curve(const Keys& keys, std::size_t begin, std::size_t end, const 
   }
 }
 
+// What would keep the search for a segment from its end: times out of order, or a segment
+// whose middle is no number. The last key of a curve begins no segment.
+void check_keys(const Keys& keys, const std::int64_t* first, std::size_t curves,
+                std::size_t count) {
+  check::indices("kinds", keys.kinds, count, kHold, kBezier + 1);
+  check::finite("times", keys.times, count);
+  for (std::size_t c = 0; c < curves; ++c) {
+    const std::int64_t begin = first[c], end = first[c + 1];
+    check::ascending("times", keys.times + begin, static_cast<std::size_t>(end - begin));
+    check::finite("times", keys.times[end - 1] - keys.times[begin]);
+  }
+  for (std::size_t k = 0; k + 1 < count; ++k) {
+    if (keys.kinds[k] != kBezier) continue;
+    if (std::isnan(keys.outs[2 * k])) check::refuse("outs", "a time is not a number");
+    if (std::isnan(keys.ins[2 * (k + 1)])) check::refuse("ins", "a time is not a number");
+  }
+}
+
 }  // namespace
 
 Out<double, 2> evaluate_curves(In<std::int64_t, 1> first, In<double, 1> times,
                                In<double, 1> values, In<std::int64_t, 1> kinds,
                                In<double, 2> ins, In<double, 2> outs, In<double, 2> at) {
   const std::size_t count = times.shape(0), rows = at.shape(0), frames = at.shape(1);
-  if (!first.shape(0) || first.data()[0] != 0 ||
-      first.data()[first.shape(0) - 1] != static_cast<std::int64_t>(count))
-    throw std::invalid_argument("first goes from 0 to the number of keys");
+  check::shape("first", first, {check::ANY});
+  check::shape("times", times, {check::ANY});
+  check::starts("first", first, count, 1);
   const std::size_t curves = first.shape(0) - 1;
-  for (std::size_t c = 0; c < curves; ++c)
-    if (first.data()[c + 1] <= first.data()[c])
-      throw std::invalid_argument("every curve has a key");
-  if (values.shape(0) != count || kinds.shape(0) != count || ins.shape(0) != count ||
-      ins.shape(1) != 2 || outs.shape(0) != count || outs.shape(1) != 2)
-    throw std::invalid_argument("values and kinds are (K,), ins and outs are (K, 2)");
-  if (rows != 1 && rows != curves) throw std::invalid_argument("at is (1, F) or (C, F)");
+  check::shape("values", values, {count});
+  check::shape("kinds", kinds, {count});
+  check::shape("ins", ins, {count, 2});
+  check::shape("outs", outs, {count, 2});
+  check::shape("at", at, {rows == 1 ? 1 : curves, check::ANY});
+  const Keys keys{times.data(), values.data(), kinds.data(), ins.data(), outs.data()};
+  check_keys(keys, first.data(), curves, count);
   Buffer<double> result(curves * frames);
   {
     nb::gil_scoped_release release;
-    const Keys keys{times.data(), values.data(), kinds.data(), ins.data(), outs.data()};
     for (std::size_t c = 0; c < curves; ++c)
       evaluate_curve(keys, static_cast<std::size_t>(first.data()[c]),
                      static_cast<std::size_t>(first.data()[c + 1]),

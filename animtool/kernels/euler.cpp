@@ -2,9 +2,9 @@
 #include <bit>
 #include <cmath>
 #include <cstring>
-#include <stdexcept>
 #include <vector>
 
+#include "checks.h"
 #include "kernels.h"
 
 namespace animtool {
@@ -65,13 +65,12 @@ void turn(double* q, int axis, double s, double c) {
 Out<double, 3> euler_to_quaternion(In<double, 2> values, In<std::int32_t, 2> columns,
                                    In<std::int32_t, 2> axes, In<double, 2> previous) {
   const std::size_t frames = values.shape(0), width = values.shape(1), joints = columns.shape(0);
-  if (columns.shape(1) != 3 || axes.shape(0) != joints || axes.shape(1) != 3 ||
-      previous.shape(0) != joints || previous.shape(1) != 4)
-    throw std::invalid_argument("columns and axes are (R, 3), previous is (R, 4)");
-  for (std::size_t k = 0; k < joints * 3; ++k)
-    if (columns.data()[k] >= static_cast<std::int32_t>(width) || axes.data()[k] < 0 ||
-        axes.data()[k] > 2)
-      throw std::invalid_argument("a column or an axis is out of range");
+  check::shape("values", values, {check::ANY, check::ANY});
+  check::shape("columns", columns, {check::ANY, 3});
+  check::shape("axes", axes, {joints, 3});
+  check::shape("previous", previous, {joints, 4});
+  check::indices("columns", columns, -1, static_cast<std::int64_t>(width));
+  check::indices("axes", axes, 0, 3);
   Buffer<double> result(frames * joints * 4);
   {
     nb::gil_scoped_release release;
@@ -111,12 +110,13 @@ Out<double, 3> euler_to_quaternion(In<double, 2> values, In<std::int32_t, 2> col
 
 Out<double, 3> quaternion_to_euler(In<double, 3> quaternions, In<std::int32_t, 2> axes) {
   const std::size_t frames = quaternions.shape(0), joints = quaternions.shape(1);
-  if (quaternions.shape(2) != 4 || axes.shape(0) != joints || axes.shape(1) != 3)
-    throw std::invalid_argument("quaternions are (F, R, 4), axes are (R, 3)");
+  check::shape("quaternions", quaternions, {check::ANY, check::ANY, 4});
+  check::shape("axes", axes, {joints, 3});
+  check::indices("axes", axes, 0, 3);
   for (std::size_t j = 0; j < joints; ++j) {
     const std::int32_t* a = axes.data() + 3 * j;
     if (((1 << a[0]) | (1 << a[1]) | (1 << a[2])) != 7)
-      throw std::invalid_argument("each order names X, Y and Z once");
+      check::refuse("axes", "row " + check::text(j) + " does not name X, Y and Z once each");
   }
   Buffer<double> result(frames * joints * 3);
   {

@@ -1,9 +1,9 @@
 // Sparse cubic segments through dense samples, within a bound at every sample.
 #include <algorithm>
 #include <cmath>
-#include <stdexcept>
 #include <vector>
 
+#include "checks.h"
 #include "kernels.h"
 
 namespace animtool {
@@ -254,13 +254,17 @@ class Fitter {
 FittedCubics fit_cubics(In<double, 2> values, In<double, 1> bounds,
                         In<std::int64_t, 1> anchors) {
   const std::size_t frames = values.shape(0), width = values.shape(1);
-  if (!frames || !width || bounds.shape(0) != frames)
-    throw std::invalid_argument("values are (F, D) with F, D > 0, bounds are (F,)");
+  check::shape("values", values, {check::ANY, check::ANY});
+  check::shape("bounds", bounds, {frames});
+  check::shape("anchors", anchors, {check::ANY});
+  if (!frames || !width) check::refuse("values", "the array is empty");
+  check::finite("values", values);
+  for (std::size_t i = 0; i < frames; ++i) check::positive("bounds", bounds.data()[i]);
   const std::int64_t* anchor = anchors.data();
-  for (std::size_t k = 0; k < anchors.shape(0); ++k)
-    if (anchor[k] <= (k ? anchor[k - 1] : 0) ||
-        anchor[k] >= static_cast<std::int64_t>(frames) - 1)
-      throw std::invalid_argument("anchors ascend, between the first frame and the last");
+  check::indices("anchors", anchors, 1, static_cast<std::int64_t>(frames) - 1);
+  for (std::size_t k = 1; k < anchors.shape(0); ++k)
+    if (anchor[k] <= anchor[k - 1])
+      check::refuse("anchors", "it does not ascend at index " + check::text(k));
   std::vector<Segment> segments;
   std::vector<char> smooth;
   bool rests;

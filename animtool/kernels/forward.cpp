@@ -1,9 +1,9 @@
 // Forward kinematics over all frames of a motion.
 #include <cmath>
 #include <limits>
-#include <stdexcept>
 #include <vector>
 
+#include "checks.h"
 #include "kernels.h"
 
 namespace animtool {
@@ -70,31 +70,27 @@ void forward_frame(const std::int64_t* parents, std::size_t joints, const T* t, 
     step<R>(world, parents[j], j, t + 3 * j, q + 4 * j, s ? s + 3 * j : nullptr);
 }
 
-void check_parents(In<std::int64_t, 1> parents) {
+void check_parents(const In<std::int64_t, 1>& parents) {
+  check::shape("parents", parents, {check::ANY});
   for (std::size_t j = 0; j < parents.shape(0); ++j)
-    if (parents.data()[j] >= static_cast<std::int64_t>(j))
-      throw std::invalid_argument("a parent stands before its children");
+    check::between("parents", parents.data()[j], -1, static_cast<std::int64_t>(j) - 1);
 }
 
-template <typename A, typename B>
-void check_shapes(std::size_t joints, const A& t, const B& q) {
-  if (t.shape(1) != joints || t.shape(2) != 3 || q.shape(0) != t.shape(0) ||
-      q.shape(1) != joints || q.shape(2) != 4)
-    throw std::invalid_argument("translations are (F, J, 3), rotations are (F, J, 4)");
-}
+// Names of translations, rotations and scales.
+struct Names {
+  const char *translations, *rotations, *scales;
+};
 
-template <typename A, typename B>
-void check_scales(const A& t, const std::optional<B>& s) {
-  if (s && (s->shape(0) != t.shape(0) || s->shape(1) != t.shape(1) || s->shape(2) != 3))
-    throw std::invalid_argument("scales are (F, J, 3)");
-}
+constexpr Names EXACT{"translations", "rotations", "scales"};
+constexpr Names WRITTEN{"written_translations", "written_rotations", "written_scales"};
 
-void check_results(std::size_t frames, std::size_t joints, const Filled<double, 3>& positions,
-                   const Filled<double, 4>& linear) {
-  if (positions.shape(0) != frames || positions.shape(1) != joints ||
-      positions.shape(2) != 3 || linear.shape(0) != frames || linear.shape(1) != joints ||
-      linear.shape(2) != 3 || linear.shape(3) != 3)
-    throw std::invalid_argument("positions are (F, J, 3), linear parts are (F, J, 3, 3)");
+template <typename T>
+void check_motion(const Names& names, std::size_t frames, std::size_t joints,
+                  const In<T, 3>& translations, const In<T, 3>& rotations,
+                  const std::optional<In<T, 3>>& scales) {
+  check::shape(names.translations, translations, {frames, joints, 3});
+  check::shape(names.rotations, rotations, {frames, joints, 4});
+  if (scales) check::shape(names.scales, *scales, {frames, joints, 3});
 }
 
 }  // namespace
@@ -104,9 +100,9 @@ void forward_kinematics(In<std::int64_t, 1> parents, In<double, 3> translations,
                         Filled<double, 3> positions, Filled<double, 4> linear) {
   const std::size_t joints = parents.shape(0), frames = translations.shape(0);
   check_parents(parents);
-  check_shapes(joints, translations, rotations);
-  check_scales(translations, scales);
-  check_results(frames, joints, positions, linear);
+  check_motion(EXACT, frames, joints, translations, rotations, scales);
+  check::shape("positions", positions, {frames, joints, 3});
+  check::shape("linear", linear, {frames, joints, 3, 3});
   nb::gil_scoped_release release;
   for (std::size_t f = 0; f < frames; ++f) {
     const std::size_t at = f * joints;
@@ -124,11 +120,9 @@ RoundingReport measure_rounding(In<std::int64_t, 1> parents, In<double, 3> trans
                                 std::optional<In<float, 3>> written_scales) {
   const std::size_t joints = parents.shape(0), frames = translations.shape(0);
   check_parents(parents);
-  check_shapes(joints, translations, rotations);
-  check_shapes(joints, written_translations, written_rotations);
-  check_scales(translations, scales);
-  check_scales(written_translations, written_scales);
-  if (written_translations.shape(0) != frames) throw std::invalid_argument("as many frames");
+  check_motion(EXACT, frames, joints, translations, rotations, scales);
+  check_motion(WRITTEN, frames, joints, written_translations, written_rotations,
+               written_scales);
   Buffer<double> extents(frames * 6);
   double largest = 0;
   std::size_t at_frame = 0, at_joint = 0;

@@ -2,8 +2,8 @@
 #include <chrono>
 #include <cmath>
 #include <memory>
-#include <stdexcept>
 
+#include "checks.h"
 #include "ik_ccd.h"
 #include "ik_fabrik.h"
 #include "ik_levels.h"
@@ -19,9 +19,22 @@ namespace {
 
 using namespace ik;
 
+// Goals of all parts have 9 rows, and a matrix of the rows is gone through with int.
+constexpr std::size_t MOST_GOALS = 46340 / 9;
+
+// Frames and gains are finite; limits, which may be infinite, are in order.
+void check_numbers(const Node& node, const double* values) {
+  check::finite("numbers", values, 14);
+  const double* l = values + 14;
+  const bool ball = node.kind == Kind::BALL;
+  const bool good = ball ? l[0] >= 0 && l[1] >= 0 && l[2] <= l[3] : l[0] <= l[1];
+  if (!good) check::refuse("numbers", "limits are not in order");
+}
+
 Chain read_chain(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers) {
-  if (nodes.shape(1) != 4 || numbers.shape(1) != 18 || nodes.shape(0) != numbers.shape(0))
-    throw std::invalid_argument("nodes are (N, 4), their numbers (N, 18)");
+  check::shape("nodes", nodes, {check::ANY, 4});
+  check::shape("numbers", numbers, {nodes.shape(0), 18});
+  check::at_most("nodes", nodes.shape(0), check::MOST_ROWS);
   Chain chain;
   int coordinates = 0, dofs = 0;
   std::vector<int> dof_of;
@@ -29,9 +42,10 @@ Chain read_chain(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers)
     const std::int64_t* row = nodes.data() + 4 * n;
     const double* values = numbers.data() + 18 * n;
     Node node{};
-    if (row[0] < 0 || row[0] > 2 || row[1] < -1 || row[1] >= static_cast<std::int64_t>(n))
-      throw std::invalid_argument("a node's parent precedes it");
+    check::between("nodes", row[0], 0, static_cast<std::int64_t>(Kind::BALL));
+    check::between("nodes", row[1], -1, static_cast<std::int64_t>(n) - 1);
     node.kind = static_cast<Kind>(row[0]);
+    check_numbers(node, values);
     node.parent = static_cast<int>(row[1]);
     node.follows = row[3] != 0;
     std::copy(values, values + 9, node.rest);
@@ -41,11 +55,12 @@ Chain read_chain(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers)
     if (node.kind == Kind::BALL) prepare(node);
     node.coordinate = static_cast<int>(row[2]);
     if (node.follows) {
-      if (row[2] < 0 || row[2] >= coordinates || dof_of[row[2]] < 0)
-        throw std::invalid_argument("a node follows one before it");
+      check::indices("nodes", row + 2, 1, 0, coordinates);
+      if (node.kind == Kind::BALL || dof_of[row[2]] < 0)
+        check::refuse("nodes", "coordinate " + check::text(row[2]) + " is none to follow");
       node.dof = dof_of[row[2]];
     } else {
-      if (row[2] != coordinates) throw std::invalid_argument("coordinates are in order");
+      check::between("nodes", row[2], coordinates, coordinates);
       const int size = node.kind == Kind::BALL ? 4 : 1;
       node.dof = dofs;
       dof_of.insert(dof_of.end(), size, -1);
@@ -63,9 +78,11 @@ Chain read_chain(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers)
 Task read_task(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
                const In<std::int64_t, 2>& goals, const In<double, 2>& goal_numbers,
                double rest_weight) {
-  if (goals.shape(1) != 4 || goal_numbers.shape(1) != 13 ||
-      goals.shape(0) != goal_numbers.shape(0))
-    throw std::invalid_argument("goals are (E, 4), their numbers (E, 13)");
+  check::shape("goals", goals, {check::ANY, 4});
+  check::shape("goal_numbers", goal_numbers, {goals.shape(0), 13});
+  check::at_most("goals", goals.shape(0), MOST_GOALS);
+  check::finite("goal_numbers", goal_numbers);
+  check::not_negative("rest_weight", rest_weight);
   Task task;
   task.chain = read_chain(nodes, numbers);
   task.rest_weight = rest_weight;
@@ -73,8 +90,11 @@ Task read_task(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
   for (std::size_t e = 0; e < goals.shape(0); ++e) {
     const std::int64_t* row = goals.data() + 4 * e;
     const double* values = goal_numbers.data() + 13 * e;
-    if (row[0] < 0 || row[0] >= count || row[1] >= count || row[2] >= count)
-      throw std::invalid_argument("a goal is on a node");
+    check::indices("goals", row, 1, 0, count);
+    check::indices("goals", row + 1, 2, -1, count);
+    check::indices("goals", row + 3, 1, 0, static_cast<std::int64_t>(goals.shape(0)));
+    for (int part = 0; part < PARTS; ++part)
+      check::not_negative("goal_numbers", values[9 + part]);
     Goal goal;
     goal.node = static_cast<int>(row[0]);
     goal.root = static_cast<int>(row[1]);
@@ -85,11 +105,9 @@ Task read_task(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
     std::copy(values + 6, values + 9, goal.aim_axis);
     std::copy(values + 9, values + 13, goal.weights);
     goal.level = static_cast<int>(row[3]);
-    if (row[3] < 0 || row[3] >= static_cast<std::int64_t>(goals.shape(0)))
-      throw std::invalid_argument("levels are counted from 0");
     task.levels = std::max(task.levels, goal.level + 1);
     if (goal.weights[3] > 0 && (row[1] < 0 || row[2] < 0))
-      throw std::invalid_argument("a pole needs a limb");
+      check::refuse("goals", "goal " + check::text(e) + " has a pole and no limb");
     goal.row = task.rows;
     for (int n = goal.node; n >= 0; n = task.chain.nodes[n].parent) goal.path.push_back(n);
     std::reverse(goal.path.begin(), goal.path.end());
@@ -99,14 +117,41 @@ Task read_task(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
   return task;
 }
 
-void check_batch(const Task& task, const In<double, 2>& starts, const In<double, 3>& targets,
-                 const In<double, 2>& rests) {
-  const std::size_t q = task.chain.coordinates, e = task.goals.size();
-  if (starts.shape(1) != q || rests.shape(1) != q || rests.shape(0) != starts.shape(0))
-    throw std::invalid_argument("starts and rests are (B, Q)");
-  if (targets.shape(0) != starts.shape(0) || targets.shape(1) != e ||
-      targets.shape(2) != TARGET_WIDTH)
-    throw std::invalid_argument("targets are (B, E, 17)");
+// Poses (B, Q) may be of any numbers: what comes to none is an outcome, as it is of targets.
+void check_poses(const char* name, const Task& task, std::size_t batch,
+                 const In<double, 2>& poses) {
+  check::shape(name, poses, {batch, static_cast<std::size_t>(task.chain.coordinates)});
+}
+
+// What weights of goals are multiplied by is no sign: rows that a goal has not would be
+// written.
+void check_targets(const char* name, const Task& task, std::size_t batch,
+                   const In<double, 3>& targets) {
+  check::shape(name, targets, {batch, task.goals.size(), TARGET_WIDTH});
+  for (std::size_t row = 0; row < batch * task.goals.size(); ++row)
+    for (int part = 0; part < PARTS; ++part) {
+      const double by = targets.data()[TARGET_WIDTH * row + 13 + part];
+      if (!(by >= 0)) check::refuse(name, "the share " + check::text(by) + " is not 0 or more");
+    }
+}
+
+void check_method(int method, const Chain& chain) {
+  check::between("method", method, 0, 4);
+  if (method != 4) return;
+  for (const Node& node : chain.nodes)
+    if (node.kind == Kind::SLIDE) check::refuse("method", "FABRIK turns joints, and one slides");
+}
+
+void check_tolerances(double length, double angle, double damping) {
+  check::not_negative("length_tolerance", length);
+  check::not_negative("angle_tolerance", angle);
+  check::not_negative("damping", damping);
+}
+
+// (F - 1, D) or more.
+void check_steps(const char* name, const In<double, 2>& steps, std::size_t frames, int dofs) {
+  const std::size_t count = std::max<std::size_t>(steps.shape(0), frames ? frames - 1 : 0);
+  check::shape(name, steps, {count, static_cast<std::size_t>(dofs)});
 }
 
 std::unique_ptr<Solver> make_solver(int method, Task& task, const Settings& settings) {
@@ -122,7 +167,7 @@ std::unique_ptr<Solver> make_solver(int method, Task& task, const Settings& sett
     case 4:
       return std::make_unique<Fabrik>(task, settings);
   }
-  throw std::invalid_argument("methods are 0 to 4");
+  check::refuse("method", check::text(method) + " is not between 0 and 4");
 }
 
 // A quaternion scaled first, so that neither tiny nor huge numbers leave the range.
@@ -140,8 +185,9 @@ void bring_to_unit(double* q) {
 
 void place_ik_targets(Filled<double, 3> targets, In<double, 2> frames, double length) {
   const std::size_t goals = targets.shape(1);
-  if (targets.shape(2) != TARGET_WIDTH || frames.shape(0) != goals || frames.shape(1) != 4)
-    throw std::invalid_argument("targets are (B, E, 17), frames (E, 4)");
+  check::shape("targets", targets, {check::ANY, check::ANY, TARGET_WIDTH});
+  check::shape("frames", frames, {goals, 4});
+  check::positive("length", length);
   for (std::size_t row = 0; row < targets.shape(0) * goals; ++row) {
     double* target = targets.data() + TARGET_WIDTH * row;
     const double* frame = frames.data() + 4 * (row % goals);
@@ -161,14 +207,21 @@ IkSolved solve_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers, In<std::int6
                   double seconds, bool ordered, bool warm, int method) {
   Task task = read_task(nodes, numbers, goals, goal_numbers, rest_weight);
   const Chain plain = task.chain;
-  check_batch(task, starts, targets, rests);
-  check_batch(task, starts, sought, rests);
+  const std::size_t batch = starts.shape(0), width = starts.shape(1), e = goals.shape(0);
+  check_poses("starts", task, batch, starts);
+  check_poses("rests", task, batch, rests);
+  check_targets("targets", task, batch, targets);
+  check_targets("sought", task, batch, sought);
+  check::shape("stretches", stretches, {batch, e});
+  check_tolerances(length_tolerance, angle_tolerance, damping);
+  constexpr int most = std::numeric_limits<int>::max();
+  check::between("iterations", iterations, 0, most);
+  check::between("restarts", restarts, 0, most);
+  check::between("seconds", seconds, 0, HUGE_VAL);
+  check_method(method, plain);
   const Settings settings{length_tolerance, angle_tolerance, damping, iterations,
                           restarts,         seed,            seconds,
                           ordered && !warm};
-  const std::size_t batch = starts.shape(0), width = starts.shape(1), e = goals.shape(0);
-  if (stretches.shape(0) != batch || stretches.shape(1) != e)
-    throw std::invalid_argument("stretches are (B, E)");
   Buffer<double> solved(batch * width), misses(batch * e * PARTS), taken(batch);
   Buffer<std::int64_t> reports(batch * 3);
   {
@@ -206,11 +259,11 @@ IkLinearized linearize_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
                           In<std::int64_t, 2> goals, In<double, 2> goal_numbers,
                           In<double, 2> starts, In<double, 3> targets, In<double, 2> steps) {
   const Task task = read_task(nodes, numbers, goals, goal_numbers, 0);
-  check_batch(task, starts, targets, starts);
   const std::size_t batch = starts.shape(0), width = starts.shape(1), d = task.chain.dofs;
   const std::size_t m = task.rows;
-  if (steps.shape(0) != batch || steps.shape(1) != d)
-    throw std::invalid_argument("steps are (B, D)");
+  check_poses("starts", task, batch, starts);
+  check_targets("targets", task, batch, targets);
+  check::shape("steps", steps, {batch, d});
   Buffer<double> moved(batch * width), residuals(batch * m), jacobians(batch * m * d),
       curvatures(batch * d);
   {
@@ -247,14 +300,20 @@ IkSmoothed smooth_ik(In<std::int64_t, 2> nodes, In<double, 2> numbers,
                      double angle_tolerance, double damping, int rounds) {
   Task task = read_task(nodes, numbers, goals, goal_numbers, 0);
   const Chain plain = task.chain;
-  check_batch(task, path, targets, path);
-  check_batch(task, path, sought, path);
   const std::size_t frames = path.shape(0), width = path.shape(1), e = goals.shape(0);
-  if (stretches.shape(0) != frames || stretches.shape(1) != e)
-    throw std::invalid_argument("stretches are (F, E)");
-  if (first > end || end > frames) throw std::invalid_argument("0 <= first <= end <= F");
-  if (drifts.shape(0) + 1 < frames || static_cast<int>(drifts.shape(1)) != task.chain.dofs)
-    throw std::invalid_argument("drifts are (F - 1, D)");
+  check_poses("path", task, frames, path);
+  check::at_most("path", frames, check::MOST_ROWS);
+  check_targets("targets", task, frames, targets);
+  check_targets("sought", task, frames, sought);
+  check::shape("stretches", stretches, {frames, e});
+  check_steps("drifts", drifts, frames, task.chain.dofs);
+  check::not_negative("anchor", anchor);
+  check::not_negative("speed", speed);
+  check::not_negative("acceleration", acceleration);
+  check::between("end", end, 0, frames);
+  check::between("first", first, 0, end);
+  check_tolerances(length_tolerance, angle_tolerance, damping);
+  check::between("rounds", rounds, 0, std::numeric_limits<int>::max());
   const Settings settings{length_tolerance, angle_tolerance, damping, 1, 0, 0, 0, false};
   const PathSettings over{{anchor, speed, acceleration},
                           static_cast<int>(first), static_cast<int>(end), rounds};
@@ -286,12 +345,12 @@ Out<std::int64_t, 1> cheapest_ik_path(In<std::int64_t, 2> nodes, In<double, 2> n
                                       bool closed) {
   const Chain chain = read_chain(nodes, numbers);
   const std::size_t count = paths.shape(0), length = paths.shape(1);
-  if (static_cast<int>(paths.shape(2)) != chain.coordinates || costs.shape(0) != count ||
-      costs.shape(1) != length)
-    throw std::invalid_argument("paths are (K, L, Q), costs (K, L)");
-  if (drifts.shape(0) + 1 < length || static_cast<int>(drifts.shape(1)) != chain.dofs)
-    throw std::invalid_argument("drifts are (L - 1, D)");
-  if (easy.shape(0) + 1 < length) throw std::invalid_argument("easy is (L - 1,)");
+  const auto width = static_cast<std::size_t>(chain.coordinates);
+  check::shape("paths", paths, {check::ANY, check::ANY, width});
+  if (!count) check::refuse("paths", "the array is empty");
+  check::shape("costs", costs, {count, length});
+  check_steps("drifts", drifts, length, chain.dofs);
+  check::shape("easy", easy, {std::max<std::size_t>(easy.shape(0), length ? length - 1 : 0)});
   Buffer<std::int64_t> chosen(length);
   {
     nb::gil_scoped_release release;

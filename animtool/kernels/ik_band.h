@@ -49,11 +49,11 @@ class TimeBand {
     const int frames = static_cast<int>(x.size()) / std::max(width, 1);
     for (int i = 0; i < count_; ++i) {
       const int t = first_ + i;
-      double* o = &out[static_cast<std::size_t>(t) * width];
+      double* o = out.data() + static_cast<std::size_t>(t) * width;
       std::fill(o, o + width, 0.0);
       for (int k = std::max(t - 2, 0); k <= std::min(t + 2, frames - 1); ++k) {
         const double factor = rows_[5 * t + 2 + k - t];
-        const double* from = &x[static_cast<std::size_t>(k) * width];
+        const double* from = x.data() + static_cast<std::size_t>(k) * width;
         for (int d = 0; d < width; ++d) o[d] += factor * from[d];
       }
     }
@@ -61,7 +61,7 @@ class TimeBand {
 
   // Solves P x = b in place over the frames that may move.
   void solve(std::vector<double>& x, int width) const {
-    const auto at = [&](int i) { return &x[static_cast<std::size_t>(first_ + i) * width]; };
+    const auto at = [&](int i) { return x.data() + static_cast<std::size_t>(first_ + i) * width; };
     for (int i = 1; i < count_; ++i)
       for (int k = 1; k <= std::min(i, 2); ++k) {
         const double factor = below_[2 * i + k - 1];

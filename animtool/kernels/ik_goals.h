@@ -177,7 +177,7 @@ inline void measure(const Task& task, const double* targets, State& state,
     double* point = &state.points[3 * e];
     double* miss = &state.misses[PARTS * e];
     double* weights = &state.weights[PARTS * e];
-    double* r = &state.residuals[goal.row];
+    double* r = state.residuals.data() + goal.row;
     for (int part = 0; part < PARTS; ++part) weights[part] = weight_of(goal, target, part);
     rotate(rotation, goal.offset, point);
     for (int i = 0; i < 3; ++i) point[i] += state.frames.origins[3 * goal.node + i];
@@ -248,7 +248,8 @@ inline void differentiate(const Task& task, const double* targets, const State& 
       const double* origin = &state.frames.origins[3 * n];
       for (int k = 0; k < node.width(); ++k) {
         const double* axis = &state.frames.axes[9 * n + 3 * k];
-        double* column = &columns[static_cast<std::size_t>(node.dof + k) * task.rows + goal.row];
+        double* column =
+            columns.data() + static_cast<std::size_t>(node.dof + k) * task.rows + goal.row;
         double linear[3], angular[3];
         velocity(node, axis, origin, point, linear, angular);
         const double gain = node.gain;
@@ -304,7 +305,7 @@ class Curvature {
            double* out) {
     const Goal& goal = task.goals[e];
     const double* point = &state.points[3 * e];
-    const double* residual = &state.residuals[goal.row];
+    const double* residual = state.residuals.data() + goal.row;
     const double* weights = &state.weights[PARTS * e];
     double force[3] = {0, 0, 0}, torque[3] = {0, 0, 0}, shrink = 0, axis[3] = {0, 0, 0};
     if (goal.weights[0] > 0) {

@@ -96,7 +96,7 @@ inline void linearize(const Task& task, const double* targets, const double* res
   rest_pull(task, state.q.data(), rest, task.rest_weight, out.pull.data());
   std::fill(out.gram.begin(), out.gram.end(), 0.0);
   for (int d = 0; d < task.chain.dofs; ++d) {
-    const double* column = &out.columns[static_cast<std::size_t>(d) * m];
+    const double* column = out.columns.data() + static_cast<std::size_t>(d) * m;
     double sum = out.pull[d];
     for (int i = out.first[d]; i < out.last[d]; ++i) {
       const double at = column[i];

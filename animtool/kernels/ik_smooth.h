@@ -96,15 +96,15 @@ class PathSmoother {
   }
 
   double* target(int t) {
-    return &targets_[static_cast<std::size_t>(t) * task_.goals.size() * TARGET_WIDTH];
+    return targets_.data() + static_cast<std::size_t>(t) * task_.goals.size() * TARGET_WIDTH;
   }
 
   double* frame(std::vector<double>& of, int t) {
-    return &of[static_cast<std::size_t>(t) * width_];
+    return of.data() + static_cast<std::size_t>(t) * width_;
   }
 
   double* pose(std::vector<double>& of, int t) {
-    return &of[static_cast<std::size_t>(t) * coordinates_];
+    return of.data() + static_cast<std::size_t>(t) * coordinates_;
   }
 
   void stretch_limbs(int t) { stretch(plain_, stretches_ + t * task_.goals.size(), task_); }

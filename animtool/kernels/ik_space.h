@@ -28,7 +28,7 @@ class GoalSpace {
     work.missing.assign(m, 0.0);
     step.assign(width_, 0.0);
     for (const Fixed& one : fixed) {
-      double* columns = &jacobian[static_cast<std::size_t>(one.dof) * m];
+      double* columns = jacobian.data() + static_cast<std::size_t>(one.dof) * m;
       for (int i = 0; i < m; ++i) {
         double along = 0;
         for (int k = 0; k < one.width; ++k) along += columns[k * m + i] * one.direction[k];
@@ -40,7 +40,7 @@ class GoalSpace {
     }
     basis_.resize(static_cast<std::size_t>(m) * width_);
     for (int d = 0; d < width_; ++d) {
-      const double* column = &jacobian[static_cast<std::size_t>(d) * m];
+      const double* column = jacobian.data() + static_cast<std::size_t>(d) * m;
       for (int i = 0; i < m; ++i) {
         basis_[static_cast<std::size_t>(i) * width_ + d] = column[i];
         if (column[i] == 0) continue;
@@ -77,12 +77,12 @@ class GoalSpace {
     const int m = rows_;
     for (int i = 0; i < m; ++i) {
       double* own = &work.gram[static_cast<std::size_t>(i) * m];
-      double* row = &basis_[static_cast<std::size_t>(i) * width_];
+      double* row = basis_.data() + static_cast<std::size_t>(i) * width_;
       for (int j = 0; j < i; ++j) {
         const double* other = &work.gram[static_cast<std::size_t>(j) * m];
         for (int k = 0; k < j; ++k) own[j] -= own[k] * other[k];
         own[j] *= other[j];
-        const double* done = &basis_[static_cast<std::size_t>(j) * width_];
+        const double* done = basis_.data() + static_cast<std::size_t>(j) * width_;
         for (int d = 0; d < width_; ++d) row[d] -= own[j] * done[d];
         work.missing[i] -= own[j] * work.missing[j];
       }
@@ -94,7 +94,7 @@ class GoalSpace {
       work.missing[i] *= own[i];
     }
     for (int i = 0; i < m; ++i) {
-      const double* row = &basis_[static_cast<std::size_t>(i) * width_];
+      const double* row = basis_.data() + static_cast<std::size_t>(i) * width_;
       for (int d = 0; d < width_; ++d) step[d] += work.missing[i] * row[d];
     }
   }

@@ -84,7 +84,7 @@ class Stepper {
     const int m = task_.rows;
     map(linear, v);
     for (int d = 0; d < task_.chain.dofs; ++d) {
-      const double* column = &linear.columns[static_cast<std::size_t>(d) * m];
+      const double* column = linear.columns.data() + static_cast<std::size_t>(d) * m;
       double sum = (damping + task_.rest_weight) * v[d];
       for (int i = linear.first[d]; i < linear.last[d]; ++i) sum += column[i] * image_[i];
       out[d] = sum;
@@ -121,7 +121,7 @@ class Stepper {
   void map(const Linearized& linear, const double* v) {
     std::fill(image_.begin(), image_.end(), 0.0);
     for (int d = 0; d < task_.chain.dofs; ++d) {
-      const double* column = &linear.columns[static_cast<std::size_t>(d) * task_.rows];
+      const double* column = linear.columns.data() + static_cast<std::size_t>(d) * task_.rows;
       for (int i = linear.first[d]; i < linear.last[d]; ++i) image_[i] += column[i] * v[d];
     }
   }
@@ -285,7 +285,7 @@ class Stepper {
       for (int d = 0; d < dofs; ++d) free_[d] = linear.pull[d] / diagonal;
       project(free_.data());
       for (int d = 0; d < dofs; ++d) {
-        const double* column = &linear.columns[static_cast<std::size_t>(d) * m];
+        const double* column = linear.columns.data() + static_cast<std::size_t>(d) * m;
         for (int i = linear.first[d]; i < linear.last[d]; ++i) right_[i] -= column[i] * free_[d];
       }
     }
@@ -293,7 +293,7 @@ class Stepper {
     if (!factor_cholesky(matrix_.data(), image_.data(), m)) return false;
     solve_factored(matrix_.data(), right_.data(), m);
     for (int d = 0; d < dofs; ++d) {
-      const double* column = &linear.columns[static_cast<std::size_t>(d) * m];
+      const double* column = linear.columns.data() + static_cast<std::size_t>(d) * m;
       double sum = drawn ? free_[d] : 0;
       for (int i = linear.first[d]; i < linear.last[d]; ++i) sum += column[i] * right_[i];
       out[d] = sum;
@@ -396,7 +396,7 @@ class Stepper {
     map(linear, rest_.data());
     solve_factored(matrix_.data(), image_.data(), m);
     for (int d = 0; d < task_.chain.dofs; ++d) {
-      const double* column = &linear.columns[static_cast<std::size_t>(d) * m];
+      const double* column = linear.columns.data() + static_cast<std::size_t>(d) * m;
       double sum = rest_[d];
       for (int i = linear.first[d]; i < linear.last[d]; ++i) sum -= column[i] * image_[i];
       free_[d] = sum / floor;

@@ -186,7 +186,7 @@ position, quaternion, point to aim at, pole, and what the four weights are multi
 ``sought``, the same or nearer by. ``stretches`` ``(B, E)`` scale the bones on the way to
 a goal. Lengths are shares of the chain's. ``warm`` starts each problem where the one
 before it ended. ``method``: 0 damped least squares, 1 gradient descent, 2 Newton, 3 CCD,
-4 FABRIK; only the first heeds levels, the last two no rest.
+4 FABRIK, without slides; only the first heeds levels, the last two no rest.
 
 Returns ``(coordinates, misses, reports, seconds)``: ``(B, Q)``; what each goal misses
 ``(B, E, 4)``; status (0 reached, 1 nearest, 2 budget, 3 not finite, 4 given way to harder

@@ -1,7 +1,7 @@
 // Swirling noise without divergence: the curl of three fields of gradient noise.
 #include <cmath>
-#include <stdexcept>
 
+#include "checks.h"
 #include "kernels.h"
 
 namespace animtool {
@@ -63,8 +63,8 @@ void add_swirls(const std::int64_t* cell, const double* inside, const Fade* fade
 
 Out<double, 2> curl_noise(In<double, 2> points, In<double, 1> times, std::uint64_t seed) {
   const std::size_t count = points.shape(0);
-  if (points.shape(1) != 3 || times.shape(0) != count)
-    throw std::invalid_argument("points are (N, 3), times (N,)");
+  check::shape("points", points, {check::ANY, 3});
+  check::shape("times", times, {count});
   Buffer<double> result(3 * count);
   {
     nb::gil_scoped_release release;

@@ -1,8 +1,8 @@
 // How far points that joints carry are from where they were.
 #include <algorithm>
 #include <cmath>
-#include <stdexcept>
 
+#include "checks.h"
 #include "kernels.h"
 
 namespace animtool {
@@ -12,14 +12,11 @@ Out<double, 2> point_errors(In<double, 3> points, In<double, 3> true_positions,
                             In<double, 4> linear) {
   const std::size_t joints = points.shape(0), count = points.shape(1);
   const std::size_t frames = positions.shape(0);
-  const auto fits = [&](const auto& origins, const auto& axes) {
-    return origins.shape(0) == frames && origins.shape(1) == joints && origins.shape(2) == 3 &&
-           axes.shape(0) == frames && axes.shape(1) == joints && axes.shape(2) == 3 &&
-           axes.shape(3) == 3;
-  };
-  if (points.shape(2) != 3 || !fits(true_positions, true_linear) || !fits(positions, linear))
-    throw std::invalid_argument(
-        "points are (J, P, 3), positions are (F, J, 3), linear parts are (F, J, 3, 3)");
+  check::shape("points", points, {check::ANY, check::ANY, 3});
+  check::shape("true_positions", true_positions, {frames, joints, 3});
+  check::shape("true_linear", true_linear, {frames, joints, 3, 3});
+  check::shape("positions", positions, {frames, joints, 3});
+  check::shape("linear", linear, {frames, joints, 3, 3});
   Buffer<double> result(frames * joints);
   {
     nb::gil_scoped_release release;

@@ -2,8 +2,8 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <stdexcept>
 
+#include "checks.h"
 #include "kernels.h"
 
 namespace animtool {
@@ -57,8 +57,8 @@ double largest_sum(const double* s, std::size_t vertices) {
 
 RoundedPoints round_points(In<double, 3> points, double unit) {
   const std::size_t frames = points.shape(0), vertices = points.shape(1);
-  if (points.shape(2) != 3) throw std::invalid_argument("points are (F, V, 3)");
-  if (!(unit > 0)) throw std::invalid_argument("the unit must be positive");
+  check::shape("points", points, {check::ANY, check::ANY, 3});
+  check::positive("unit", unit);
   Buffer<float> rounded(frames * vertices * 3);
   double largest = 0;
   std::size_t at = 0;

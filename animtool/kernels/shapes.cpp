@@ -1,9 +1,9 @@
 // Sums of sparse blend shapes over frames, and the bounds of points.
 #include <algorithm>
 #include <limits>
-#include <stdexcept>
 #include <vector>
 
+#include "checks.h"
 #include "kernels.h"
 #include "pair.h"
 
@@ -14,20 +14,18 @@ namespace {
 // Frames worked on at once: what keeps the sums of a vertex in registers.
 constexpr std::size_t LANES = 4;
 
-void check_shapes(In<double, 3> points, In<double, 2> weights, In<std::int64_t, 1> first,
-                  In<std::int32_t, 1> columns, In<double, 2> offsets) {
-  const std::size_t rows = first.shape(0), count = columns.shape(0);
-  if (points.shape(2) != 3 || (points.shape(0) != 1 && points.shape(0) != weights.shape(0)))
-    throw std::invalid_argument("points are (F or 1, V, 3)");
-  if (rows != points.shape(1) + 1 || offsets.shape(0) != count || offsets.shape(1) != 3 ||
-      first.data()[0] != 0 || first.data()[rows - 1] != static_cast<std::int64_t>(count))
-    throw std::invalid_argument("first counts the columns and offsets from 0");
-  for (std::size_t v = 1; v < rows; ++v)
-    if (first.data()[v] < first.data()[v - 1]) throw std::invalid_argument("first ascends");
-  for (std::size_t k = 0; k < count; ++k)
-    if (columns.data()[k] < 0 ||
-        columns.data()[k] >= static_cast<std::int64_t>(weights.shape(1)))
-      throw std::invalid_argument("columns are those of the weights");
+void check_offsets(const In<double, 3>& points, const In<double, 2>& weights,
+                   const In<std::int64_t, 1>& first, const In<std::int32_t, 1>& columns,
+                   const In<double, 2>& offsets) {
+  const std::size_t frames = weights.shape(0), count = columns.shape(0);
+  check::shape("weights", weights, {check::ANY, check::ANY});
+  check::shape("points", points, {points.shape(0) == 1 ? 1 : frames, check::ANY, 3});
+  check::shape("first", first, {points.shape(1) + 1});
+  check::shape("columns", columns, {check::ANY});
+  check::shape("offsets", offsets, {count, 3});
+  check::starts("first", first, count);
+  check::at_most("weights", weights.shape(1), check::MOST_ROWS);
+  check::indices("columns", columns, 0, static_cast<std::int64_t>(weights.shape(1)));
 }
 
 void add_frames(std::size_t vertices, const std::int64_t* first, const std::int32_t* columns,
@@ -55,11 +53,10 @@ void add_frames(std::size_t vertices, const std::int64_t* first, const std::int3
 void add_sparse(In<double, 3> points, In<double, 2> weights, In<std::int64_t, 1> first,
                 In<std::int32_t, 1> columns, In<double, 2> offsets,
                 Filled<double, 3> out) {
-  check_shapes(points, weights, first, columns, offsets);
+  check_offsets(points, weights, first, columns, offsets);
   const std::size_t frames = weights.shape(0), shapes = weights.shape(1);
   const std::size_t vertices = points.shape(1), row = vertices * 3;
-  if (out.shape(0) != frames || out.shape(1) != vertices || out.shape(2) != 3)
-    throw std::invalid_argument("out is (F, V, 3), for as many points");
+  check::shape("out", out, {frames, vertices, 3});
   {
     nb::gil_scoped_release release;
     const std::size_t stride = points.shape(0) == 1 ? 0 : row;
@@ -85,7 +82,7 @@ void add_sparse(In<double, 3> points, In<double, 2> weights, In<std::int64_t, 1>
 
 Out<double, 3> point_extents(In<double, 3> points) {
   const std::size_t frames = points.shape(0), vertices = points.shape(1);
-  if (points.shape(2) != 3) throw std::invalid_argument("points are (F, V, 3)");
+  check::shape("points", points, {check::ANY, check::ANY, 3});
   Buffer<double> result(frames * 6);
   {
     nb::gil_scoped_release release;

@@ -1,10 +1,10 @@
 // Skinning: linear blend and dual quaternions, several frames at a time.
 #include <algorithm>
 #include <cmath>
-#include <stdexcept>
 #include <vector>
 
 #include "blend.h"
+#include "checks.h"
 #include "kernels.h"
 #include "pair.h"
 
@@ -12,29 +12,23 @@ namespace animtool {
 
 namespace {
 
-Influences influences_of(In<std::int64_t, 1> first, In<std::int32_t, 1> joints,
-                         In<double, 1> weights, std::size_t joint_count) {
-  const std::size_t rows = first.shape(0), count = joints.shape(0);
-  if (rows == 0 || weights.shape(0) != count || first.data()[0] != 0 ||
-      first.data()[rows - 1] != static_cast<std::int64_t>(count))
-    throw std::invalid_argument("first counts the joints and weights from 0");
-  for (std::size_t v = 1; v < rows; ++v)
-    if (first.data()[v] < first.data()[v - 1])
-      throw std::invalid_argument("first ascends");
-  for (std::size_t k = 0; k < count; ++k)
-    if (joints.data()[k] < 0 || joints.data()[k] >= static_cast<std::int64_t>(joint_count))
-      throw std::invalid_argument("joints are those that have a transform");
-  return {rows - 1, first.data(), joints.data(), weights.data()};
+Influences influences_of(const In<std::int64_t, 1>& first, const In<std::int32_t, 1>& joints,
+                         const In<double, 1>& weights, std::size_t joint_count) {
+  const std::size_t count = joints.shape(0);
+  check::shape("first", first, {check::ANY});
+  check::shape("joints", joints, {check::ANY});
+  check::shape("weights", weights, {count});
+  check::starts("first", first, count);
+  check::indices("joints", joints, 0, static_cast<std::int64_t>(joint_count));
+  return {first.shape(0) - 1, first.data(), joints.data(), weights.data()};
 }
 
 // Points that stand still, or points of each frame.
 class Points {
  public:
-  Points(In<double, 3> points, std::size_t frames, std::size_t vertices)
+  Points(const In<double, 3>& points, std::size_t frames, std::size_t vertices)
       : data_(points.data()), stride_(points.shape(0) == 1 ? 0 : vertices * 3) {
-    if ((points.shape(0) != 1 && points.shape(0) != frames) ||
-        points.shape(1) != vertices || points.shape(2) != 3)
-      throw std::invalid_argument("points are (F or 1, V, 3)");
+    check::shape("points", points, {points.shape(0) == 1 ? 1 : frames, vertices, 3});
   }
   const double* frame(std::size_t f) const { return data_ + f * stride_; }
 
@@ -143,23 +137,18 @@ void dual_frames(const Influences& in, const Pair* palette, const Pair* stretche
   }
 }
 
-void check_out(const Filled<double, 3>& out, std::size_t frames, std::size_t vertices) {
-  if (out.shape(0) != frames || out.shape(1) != vertices || out.shape(2) != 3)
-    throw std::invalid_argument("out is (F, V, 3)");
-}
-
 }  // namespace
 
 void skin_linear(In<double, 3> points, In<std::int64_t, 1> first,
                  In<std::int32_t, 1> joints, In<double, 1> weights,
                  In<double, 4> transforms, bool normalize, Filled<double, 3> out) {
   const std::size_t frames = transforms.shape(0), count = transforms.shape(1);
-  if (transforms.shape(2) != 3 || transforms.shape(3) != 4)
-    throw std::invalid_argument("transforms are (F, U, 3, 4)");
+  check::shape("transforms", transforms, {check::ANY, check::ANY, 3, 4});
+  check::at_most("transforms", count, check::MOST_ROWS);
   const Influences in = influences_of(first, joints, weights, count);
   const Points source(points, frames, in.vertices);
   const std::size_t row = in.vertices * 3, width = count * 12;
-  check_out(out, frames, in.vertices);
+  check::shape("out", out, {frames, in.vertices, 3});
   double* const result = out.data();
   {
     nb::gil_scoped_release release;
@@ -188,16 +177,14 @@ void skin_dual_quaternion(In<double, 3> points, In<std::int64_t, 1> first,
                           std::optional<In<double, 4>> stretches, bool normalize,
                           Filled<double, 3> out) {
   const std::size_t frames = rotations.shape(0), count = rotations.shape(1);
-  if (rotations.shape(2) != 4 || translations.shape(0) != frames ||
-      translations.shape(1) != count || translations.shape(2) != 3)
-    throw std::invalid_argument("rotations are (F, U, 4), translations are (F, U, 3)");
-  if (stretches && (stretches->shape(0) != frames || stretches->shape(1) != count ||
-                    stretches->shape(2) != 3 || stretches->shape(3) != 3))
-    throw std::invalid_argument("stretches are (F, U, 3, 3)");
+  check::shape("rotations", rotations, {check::ANY, check::ANY, 4});
+  check::at_most("rotations", count, check::MOST_ROWS);
+  check::shape("translations", translations, {frames, count, 3});
+  if (stretches) check::shape("stretches", *stretches, {frames, count, 3, 3});
   const Influences in = influences_of(first, joints, weights, count);
   const Points source(points, frames, in.vertices);
   const std::size_t row = in.vertices * 3, width = count * 8;
-  check_out(out, frames, in.vertices);
+  check::shape("out", out, {frames, in.vertices, 3});
   double* const result = out.data();
   {
     nb::gil_scoped_release release;

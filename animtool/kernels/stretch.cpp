@@ -1,7 +1,7 @@
 // Linear maps as a rotation after a stretch.
 #include <cmath>
-#include <stdexcept>
 
+#include "checks.h"
 #include "kernels.h"
 
 namespace animtool {
@@ -94,8 +94,7 @@ void split(const double* a, double* q, double* s) {
 
 Stretched split_stretch(In<double, 4> linear) {
   const std::size_t frames = linear.shape(0), joints = linear.shape(1);
-  if (linear.shape(2) != 3 || linear.shape(3) != 3)
-    throw std::invalid_argument("linear parts are (F, J, 3, 3)");
+  check::shape("linear", linear, {check::ANY, check::ANY, 3, 3});
   Buffer<double> rotations(frames * joints * 4), stretches(frames * joints * 9);
   {
     nb::gil_scoped_release release;

@@ -83,8 +83,10 @@ def _near(rng: np.random.Generator, array: Any) -> Any:
     """Move a number a little: indices just beyond, times out of order."""
     changed = array.copy()
     if array.size:
+        at = rng.integers(array.size)
         with np.errstate(over="ignore"):
-            changed.reshape(-1)[rng.integers(array.size)] += rng.choice([-2, -1, 1, 2])
+            by = rng.choice([-2, -1, 1, 2]).astype(array.dtype)
+            changed.reshape(-1)[at : at + 1] += by
     return changed
 
 

@@ -86,7 +86,7 @@ BAD_INFLUENCES = [
     ("name", "value"), [*BAD_INFLUENCES, ("transforms", np.ones((3, 2, 4, 4)))]
 )
 def test_linear_refuses_bad_arrays(name: str, value: object) -> None:
-    with pytest.raises(ValueError, match=r"first|joints|points|transforms|out"):
+    with pytest.raises(ValueError, match=rf"^{name}: "):
         _kernels.skin_linear(**{**LINEAR, name: value})
 
 
@@ -100,9 +100,7 @@ def test_linear_refuses_bad_arrays(name: str, value: object) -> None:
     ],
 )
 def test_dual_quaternions_refuse_bad_arrays(name: str, value: object) -> None:
-    with pytest.raises(
-        ValueError, match=r"first|joints|points|rotations|stretches|out"
-    ):
+    with pytest.raises(ValueError, match=rf"^{name}: "):
         _kernels.skin_dual_quaternion(**{**DUAL, name: value})
 
 
@@ -119,7 +117,7 @@ def test_dual_quaternions_refuse_bad_arrays(name: str, value: object) -> None:
     ],
 )
 def test_sparse_refuses_bad_arrays(name: str, value: object) -> None:
-    with pytest.raises(ValueError, match=r"first|columns|points|out"):
+    with pytest.raises(ValueError, match=r"^(first|columns|points|offsets|out): "):
         _kernels.add_sparse(**{**SPARSE, name: value})
 
 
