@@ -3,34 +3,33 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import os
-import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from functools import cache
-from hashlib import sha256
 from pathlib import Path
-from uuid import uuid4
 
 from animtool.errors import Fault, OptionError, OutputError
 from animtool.inputs import check_inputs, recorded_inputs
+from animtool.leftovers import new_temporary, take_back
+from animtool.output_names import name_key
+from animtool.placing import Target, Whole, output_error, place_files, target
+from animtool.signals import deferred_signals
 
 __all__ = [
+    "ahead",
     "check_outputs",
-    "is_running",
     "once_named",
     "output_error",
-    "remove_leftovers",
     "replacing",
     "size_of",
     "sparing_inputs",
-    "temporary_prefix",
     "together",
 ]
 
-_OWNER = re.compile(r"\.animtool-(?P<host>[0-9a-f]{8})-(?P<process>[0-9]+)-")
+# Final paths that were free when they were checked, and may not be replaced: who else
+# writes one meanwhile wins.
+_FREE: set[Path] = set()
 
 
 def check_outputs(
@@ -40,34 +39,26 @@ def check_outputs(
 
     Raises:
         OptionError: An output exists and overwrite is off, with a fault for each
-            that does; or one is also an input.
-        OutputError: Its folder does not exist or may not be written to.
+            that does (OUT001); or one is also an input (OUT003), or two are one file
+            (OUT007).
+        OutputError: Its folder does not exist or may not be written to (OUT002), or it
+            leads to something else than a file (OUT005).
     """
-    _refuse_inputs(outputs, inputs)
-    there: list[Path] = []
+    targets: list[Target] = []
     for path in outputs:
-        if path.is_dir():
-            raise OutputError(
-                Fault("OUT002", "is a folder", str(path), (), "name a file")
-            )
-        folder = path.parent
-        try:
-            exists = path.exists()
-        except OSError as error:
-            raise output_error(path, error) from error
-        if not folder.is_dir():
-            reason = "is no folder" if folder.exists() else "does not exist"
-            message = f"cannot be written: {str(folder)!r} {reason}"
-            hint = "make the folder first"
-            raise OutputError(Fault("OUT002", message, str(path), (), hint))
-        if not os.access(folder, os.W_OK | os.X_OK):
-            message = f"cannot be written: no permission in {str(folder)!r}"
-            raise OutputError(Fault("OUT002", message, str(path)))
-        if exists and overwrite and not os.access(path, os.W_OK):
-            message = "cannot be written: it is read-only"
-            raise OutputError(Fault("OUT002", message, str(path)))
-        if exists and not overwrite:
-            there.append(path)
+        _check_folder(path.parent, path)
+        targets.append(target(path))
+    _refuse_inputs(targets, inputs)
+    _refuse_twice(targets)
+    there: list[Path] = []
+    for found in targets:
+        take_back(found.final.parent)
+        if found.path.exists():
+            if not overwrite:
+                there.append(found.path)
+            elif not os.access(found.path, os.W_OK):
+                message = "cannot be written: it is read-only"
+                raise OutputError(Fault("OUT002", message, str(found.path)))
     if there:
         hint = "--overwrite replaces it"
         if len(there) == len(outputs):
@@ -75,6 +66,22 @@ def check_outputs(
         raise OptionError(
             [Fault("OUT001", "already exists", str(p), (), hint) for p in there]
         )
+    finals = [found.final for found in targets]
+    _FREE.difference_update(finals)
+    if not overwrite:
+        _FREE.update(finals)
+
+
+def _check_folder(folder: Path, path: Path) -> None:
+    """Refuse an output in a folder that does not exist or may not be written to."""
+    if not folder.is_dir():
+        reason = "is no folder" if folder.exists() else "does not exist"
+        message = f"cannot be written: {str(folder)!r} {reason}"
+        hint = "make the folder first"
+        raise OutputError(Fault("OUT002", message, str(path), (), hint))
+    if not os.access(folder, os.W_OK | os.X_OK):
+        message = f"cannot be written: no permission in {str(folder)!r}"
+        raise OutputError(Fault("OUT002", message, str(path)))
 
 
 @contextlib.contextmanager
@@ -89,128 +96,40 @@ def sparing_inputs(outputs: Sequence[Path]) -> Iterator[None]:
     """
     with recorded_inputs() as inputs:
         yield
-    _refuse_inputs(outputs, inputs.opened)
+    _refuse_inputs([target(path) for path in outputs], inputs.opened)
 
 
-def _refuse_inputs(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
-    taken = {path.resolve() for path in inputs}
-    for path in outputs:
-        if path.resolve() in taken:
+def _refuse_inputs(targets: Iterable[Target], inputs: Iterable[Path]) -> None:
+    taken: dict[str, Path] = {}
+    for path in inputs:
+        # What leads nowhere is said when it is read.
+        with contextlib.suppress(OSError, RuntimeError, ValueError):
+            taken[name_key(path.resolve())] = path
+    for found in targets:
+        other = taken.get(name_key(found.final))
+        if other is not None and _is_one(found.final, other):
             message = "is an input of this very command"
-            raise OptionError(
-                Fault("OUT003", message, str(path), (), "name another -o")
-            )
+            hint = "name another -o"
+            raise OptionError(Fault("OUT003", message, str(found.path), (), hint))
 
 
-def output_error(path: Path, error: BaseException | str) -> OutputError:
-    """Return the error of an output that could not be written."""
-    reason = error if isinstance(error, str) else str(error)
-    if isinstance(error, OSError):
-        reason = error.strerror or str(error)
-    hint = "free some space" if getattr(error, "errno", 0) == errno.ENOSPC else None
-    return OutputError(
-        Fault("OUT002", f"cannot be written: {reason}", str(path), (), hint)
-    )
+def _refuse_twice(targets: Iterable[Target | Whole]) -> None:
+    """Refuse two outputs that are one file, on this disk or on others."""
+    names: dict[str, Path] = {}
+    for found in targets:
+        first = names.setdefault(name_key(found.final), found.path)
+        if first is not found.path:
+            message = f"and {str(first)!r} would be one file"
+            fault = Fault("OUT007", message, str(found.path), (), "rename one")
+            raise OptionError(fault)
 
 
-def temporary_prefix(process: int | None = None) -> str:
-    """Return how the names begin of the files that a process of this host writes.
-
-    Args:
-        process: Its number; None is this one.
-    """
-    return f".animtool-{_host()}-{process or os.getpid()}-"
-
-
-def remove_leftovers(folders: Iterable[Path], process: int | None = None) -> list[Path]:
-    """Remove what killed processes of this host began to write; return what that was.
-
-    Args:
-        folders: Where outputs go; those that are not there are passed over.
-        process: One that is dead; None is all that are.
-    """
-    removed = []
-    for folder in dict.fromkeys(folders):
-        for path in _temporary(folder):
-            found = _OWNER.match(path.name)
-            if found is None or found["host"] != _host():
-                continue
-            number = int(found["process"])
-            if number == process or (process is None and not is_running(number)):
-                with contextlib.suppress(OSError):
-                    path.unlink()
-                    removed.append(path)
-    return removed
-
-
-def _temporary(folder: Path) -> list[Path]:
-    with contextlib.suppress(OSError), os.scandir(folder) as entries:
-        return [Path(e.path) for e in entries if e.name.startswith(".animtool-")]
-    return []
-
-
-def is_running(process: int) -> bool:
-    """Return whether a process of this host runs; where nothing says it, it does."""
-    if os.name == "nt":
-        # There, a signal of 0 would end the process.
-        return True
+def _is_one(path: Path, other: Path) -> bool:
+    """Return whether two paths that may be one file are one."""
     try:
-        os.kill(process, 0)
-    except ProcessLookupError:
+        return path == other.resolve() or path.samefile(other)
+    except OSError:
         return False
-    except OSError:
-        return True
-    # One that ended stays in the table until its parent asks; some containers never do.
-    return _state(process) != "Z"
-
-
-def _state(process: int) -> str:
-    """Return the state of a process as Linux names it; empty where nothing says it."""
-    try:
-        said = Path(f"/proc/{process}/stat").read_text("utf-8", "replace")
-    except OSError:
-        return ""
-    return said.rpartition(")")[2].split()[0]
-
-
-@cache
-def _host() -> str:
-    import platform
-
-    return sha256(platform.node().encode()).hexdigest()[:8]
-
-
-@dataclass(frozen=True, slots=True)
-class _Whole:
-    """A file that is written.
-
-    Attributes:
-        temporary: Where it is.
-        final: Where it belongs.
-        path: What the user calls that.
-    """
-
-    temporary: Path
-    final: Path
-    path: Path
-
-    def rename(self) -> None:
-        """Give it its name.
-
-        Raises:
-            OutputError: It cannot be renamed.
-        """
-        try:
-            self.temporary.replace(self.final)
-        except OSError as error:
-            raise output_error(self.path, error) from error
-        with contextlib.suppress(OSError):
-            _flush(self.final.parent)
-
-    def remove(self) -> None:
-        """Remove it, if it has not got its name."""
-        with contextlib.suppress(OSError):
-            self.temporary.unlink(missing_ok=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,10 +139,12 @@ class _Block:
     Attributes:
         files: Those that are whole, and wait for their names.
         after: What is to be done when they have them.
+        ahead: New files that have theirs already.
     """
 
-    files: list[_Whole] = field(default_factory=list)
+    files: list[Whole] = field(default_factory=list)
     after: list[Callable[[], object]] = field(default_factory=list)
+    ahead: list[Path] = field(default_factory=list)
 
 
 _waiting: ContextVar[_Block | None] = ContextVar("_waiting", default=None)
@@ -242,26 +163,30 @@ def replacing(path: Path) -> Iterator[Path]:
         OutputError: It cannot be flushed or renamed.
     """
     # A link stays one: what it leads to is replaced.
-    final = path.resolve()
-    # Unique over threads, processes and hosts that share a folder.
-    temporary = final.with_name(f"{temporary_prefix()}{uuid4().hex[:12]}{final.suffix}")
-    whole, waiting = _Whole(temporary, final, path), _waiting.get()
+    final = target(path).final
+    whole, waiting = Whole(path, final, new_temporary(final)), _waiting.get()
     done = False
     try:
-        yield temporary
+        yield whole.temporary
         check_inputs()
-        try:
-            _flush(temporary)
-        except OSError as error:
-            raise output_error(path, error) from error
+        whole.seal()
         if waiting is None:
-            whole.rename()
+            _place([whole])
         else:
             waiting.files.append(whole)
         done = True
     finally:
         if waiting is None or not done:
             whole.remove()
+
+
+def _place(files: Sequence[Whole]) -> None:
+    finals = {file.final for file in files}
+    _refuse_twice(files)
+    try:
+        place_files(files, frozenset(finals & _FREE))
+    finally:
+        _FREE.difference_update(finals)
 
 
 def size_of(path: Path) -> int:
@@ -295,15 +220,45 @@ def together() -> Iterator[None]:
     token = _waiting.set(waiting)
     try:
         yield
-        check_inputs()
-        for whole in waiting.files:
-            whole.rename()
+        # A signal between the names would leave some without the others.
+        with deferred_signals():
+            check_inputs()
+            _place(waiting.files)
+            for action in waiting.after:
+                action()
+    except BaseException:
+        _remove(waiting.ahead)
+        raise
     finally:
         _waiting.reset(token)
         for whole in waiting.files:
             whole.remove()
-    for action in waiting.after:
-        action()
+
+
+@contextlib.contextmanager
+def ahead(paths: Sequence[Path]) -> Iterator[None]:
+    """Let new files that a block makes get their names in it, ahead of others.
+
+    That is for files that are read again before those that name them are written. They
+    are removed where the block does not end well, or `together` around it.
+    """
+    waiting = _waiting.get()
+    token = _waiting.set(None)
+    try:
+        yield
+    except BaseException:
+        _remove(paths)
+        raise
+    finally:
+        _waiting.reset(token)
+    if waiting is not None:
+        waiting.ahead.extend(paths)
+
+
+def _remove(paths: Iterable[Path]) -> None:
+    for path in paths:
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
 
 
 def once_named(action: Callable[[], object]) -> None:
@@ -316,13 +271,3 @@ def once_named(action: Callable[[], object]) -> None:
         action()
     else:
         waiting.after.append(action)
-
-
-def _flush(path: Path) -> None:
-    if path.is_dir() and os.name == "nt":
-        return  # Windows has no handle on a folder to flush.
-    handle = os.open(path, os.O_RDWR if path.is_file() else os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

@@ -9,14 +9,13 @@ import pytest
 
 from animtool.errors import AnimtoolError, OptionError, OutputError
 from animtool.inputs import note_input
+from animtool.leftovers import remove_leftovers, temporary_prefix
 from animtool.output import (
     check_outputs,
     once_named,
-    remove_leftovers,
     replacing,
     size_of,
     sparing_inputs,
-    temporary_prefix,
     together,
 )
 

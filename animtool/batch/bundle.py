@@ -28,7 +28,7 @@ from animtool.batch.discover import Batch
 from animtool.batch.outcome import Status
 from animtool.documents.yaml_text import yaml_text
 from animtool.errors import Fault, FormatError
-from animtool.output import check_outputs, output_error, replacing
+from animtool.output import check_outputs, output_error, replacing, together
 
 __all__ = [
     "CHUNK",
@@ -261,10 +261,11 @@ def write_bundle(
     except OSError as error:
         raise output_error(folder, error) from error
     check_outputs(list(texts), [], overwrite=overwrite)
-    for path, text in texts.items():
-        with replacing(path) as temporary:
-            try:
-                temporary.write_text(text, "utf-8", newline="")
-            except OSError as error:
-                raise output_error(path, error) from error
+    with together():
+        for path, text in texts.items():
+            with replacing(path) as temporary:
+                try:
+                    temporary.write_text(text, "utf-8", newline="")
+                except OSError as error:
+                    raise output_error(path, error) from error
     return list(texts)

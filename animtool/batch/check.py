@@ -10,6 +10,7 @@ from animtool.batch.discover import Batch
 from animtool.batch.recipe import Item
 from animtool.errors import Fault, OptionError, OutputError
 from animtool.files import Places
+from animtool.output_names import name_key
 
 __all__ = ["check_overwrites", "check_places"]
 
@@ -20,8 +21,9 @@ def check_places(batch: Batch) -> None:
     """Refuse outputs that are one file, or an input, or in no folder to write to.
 
     Raises:
-        OptionError: Two items write one file, or files whose names differ in case only
-            (BAT006); or an output is an input (OUT003).
+        OptionError: Two items write one file, or files that are one on some disks, as
+            their names differ only in case or in how accents are encoded (BAT006); or
+            an output is an input (OUT003).
         OutputError: A folder cannot be made or written to (OUT002).
     """
     place = Places()
@@ -44,7 +46,7 @@ def _clashes(
             if where in inputs:
                 message = "is an input of this very batch"
                 yield Fault("OUT003", message, str(path), (), "name another -o")
-            name = os.fspath(where).casefold()
+            name = name_key(where)
             other = taken.setdefault(name, item)
             if other is not item:
                 message = f"would be written for both {other.label} and {item.label}"

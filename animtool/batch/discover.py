@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,8 @@ from animtool.batch.effects import check_columns, check_effects, sample_source
 from animtool.batch.limits import Limits
 from animtool.batch.names import (
     INPUT_NAMES,
+    NamedOutputs,
+    UnsafeNameError,
     file_pattern,
     input_names,
     output_root,
@@ -25,6 +27,7 @@ from animtool.batch.variants import file_name, variant_pattern
 from animtool.documents.names import check_given
 from animtool.errors import Fault, NothingFoundError, OptionError, listed
 from animtool.files import FoundFile, Places, files_meant
+from animtool.output_names import inside
 from animtool.readers import BVH, DOCUMENT, READERS
 from animtool.scene.sources import is_scene, is_timeline, source_stem
 from animtool.usd.forms import check_suffix
@@ -45,6 +48,7 @@ SCENES = tuple(
 )
 # Where records stand, below the folder of all outputs.
 RECORDS = ".animtool"
+MAX_FAULTS = 50
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,8 +101,9 @@ def find_batch(spec: BatchSpec) -> Batch:
         OptionError: The output has a name that there is none of (BAT004), or a
             variable that nothing uses is given (SCN031), or both the batch and its
             scene name outputs (SCN044), or outputs are of no kind of USD layer
-            (OUT004); or the items of a scene would be the same (BAT060), or a variant
-            has a name of another meaning (BAT063).
+            (OUT004), or leave the folder that the pattern or the project states
+            (OUT006, BAT003); or the items of a scene would be the same (BAT060), or a
+            variant has a name of another meaning (BAT063).
     """
     spec = _with_timeline(spec)
     if spec.output is not None:
@@ -127,7 +132,8 @@ def find_batch(spec: BatchSpec) -> Batch:
             recipe.refuse_several(sample)
     _check_variables(spec, recipe, sample)
     check_effects(spec, recipe, shots)
-    items = tuple(_items(spec, recipe, shots, sample))
+    items = _Items(spec, recipe, shots, sample).made()
+    _check_roots(spec, items)
     options = spec.options
     table = None if spec.variants is None else spec.variants.path
     given = [spec.scene, options.rig_layer, options.source.rig, spec.path, spec.cuts]
@@ -181,31 +187,103 @@ def _check_variables(spec: BatchSpec, recipe: Recipe, sample: Source | None) -> 
     check_given(given, used - taken)
 
 
-def _items(
-    spec: BatchSpec,
-    recipe: Recipe,
-    shots: Sequence[Cut],
-    sample: Source | None,
-) -> Iterator[Item]:
-    """Yield the items, each with its output: the pattern's, its scene's, or beside."""
-    named_by_scene = getattr(sample, "output", None) is not None
-    made = itertools.product(shots, spec.rows)
-    for number, (shot, row) in enumerate(made, 1):
-        file, own = shot.found, {**shot.names, **row}
-        parts = {name: file_name(value) for name, value in row.items()}
+@dataclass(slots=True)
+class _Items:
+    """The items, each with its output: the pattern's, its scene's, or beside."""
+
+    spec: BatchSpec
+    recipe: Recipe
+    shots: Sequence[Cut]
+    sample: Source | None
+    faults: list[Fault] = field(default_factory=list)
+
+    def made(self) -> tuple[Item, ...]:
+        """Return the items.
+
+        Raises:
+            OptionError: Outputs have unsafe names (OUT006).
+        """
+        spec = self.spec
+        outputs = None
         if spec.output is not None:
-            names = {**spec.variables, **input_names(file), **shot.names, **parts}
-            output = spec.folder / spec.output.format(**names)
-            yield Item(number, file, output, own, values=row, shot=shot.shot)
-            continue
+            paths = frozenset({"parent", *spec.variables})
+            outputs = NamedOutputs(spec.output, spec.folder, paths)
+        made = itertools.product(self.shots, spec.rows)
+        items = [
+            self._item(number, shot, row, outputs)
+            for number, (shot, row) in enumerate(made, 1)
+        ]
+        if self.faults:
+            raise OptionError(self.faults[:MAX_FAULTS])
+        return tuple(items)
+
+    def _item(
+        self,
+        number: int,
+        shot: Cut,
+        row: Mapping[str, str],
+        outputs: NamedOutputs | None,
+    ) -> Item:
+        spec, file, own = self.spec, shot.found, {**shot.names, **row}
+        parts = {name: file_name(value) for name, value in row.items()}
         more = "".join(f"_{part}" for part in parts.values())
-        beside = file.path.with_name(f"{source_stem(file.path)}{more}.usdc")
+        output = file.path.with_name(f"{source_stem(file.path)}{more}.usdc")
         if spec.cuts is not None:
-            beside = spec.cuts.with_name(f"{shot.names['shot']}{more}.usdc")
-        item = Item(number, file, beside, own, values=row, shot=shot.shot)
-        if named_by_scene or (spec.scene is None and is_scene(file.path)):
-            item = recipe.named(item)
-        yield item
+            output = spec.cuts.with_name(f"{shot.names['shot']}{more}.usdc")
+        if outputs is not None:
+            names = {**spec.variables, **input_names(file), **shot.names, **parts}
+            try:
+                output = outputs.path(names)
+            except UnsafeNameError as error:
+                self._refuse(shot, row, error)
+        item = Item(number, file, output, own, values=row, shot=shot.shot)
+        named_by_scene = getattr(self.sample, "output", None) is not None
+        if outputs is None and (
+            named_by_scene or (spec.scene is None and is_scene(file.path))
+        ):
+            item = self.recipe.named(item)
+        return item
+
+    def _refuse(
+        self, shot: Cut, row: Mapping[str, str], error: UnsafeNameError
+    ) -> None:
+        """Note an output with an unsafe name, at the file that states the name."""
+        spec, name = self.spec, error.name
+        source: Path | None = shot.found.path
+        hint = "rename the input, or leave the name out of -o"
+        if name in shot.names:
+            source = spec.cuts
+            hint = "rename it in the edit, or write {shot}, which is always legal"
+        elif name in row:
+            source = None if spec.variants is None else spec.variants.path or spec.path
+            hint = "give it another value"
+        elif name in spec.variables:
+            source, hint = spec.path, "give it another value"
+        place = None if source is None else str(source)
+        fault = Fault("OUT006", f"the output {error}", place, (), hint)
+        if fault not in self.faults:
+            self.faults.append(fault)
+
+
+def _check_roots(spec: BatchSpec, items: Sequence[Item]) -> None:
+    """Refuse outputs outside of the folders that a batch file may write to.
+
+    Raises:
+        OptionError: With a fault for each folder (BAT003).
+    """
+    if not spec.roots:
+        return
+    folders = dict.fromkeys(folder for item in items for folder in item.folders)
+    shown = listed([str(root) for root in spec.roots])
+    hint = "give -o, or add the folder to roots in animtool.toml"
+    faults = [
+        Fault("BAT003", f"{str(folder)!r} is outside of {shown}", place, (), hint)
+        for folder in folders
+        if not any(inside(folder, root) for root in spec.roots)
+        for place in [None if spec.path is None else str(spec.path)]
+    ]
+    if faults:
+        raise OptionError(faults[:MAX_FAULTS])
 
 
 def _cuts(spec: BatchSpec) -> CutList:

@@ -90,6 +90,7 @@ class _Reader:
             None if model.cut is None else self._file(("cut",), model.cut),
             model.handles,
             variants,
+            self.roots,
         )
 
     def _variants(self) -> Variants | None:

@@ -98,9 +98,12 @@ def mapped_spec(spec: BatchSpec, rules: Sequence[PathRule]) -> BatchSpec:
     if not rules:
         return spec
     output = spec.output
+    mapped = None if output is None else mapped_path(output, rules)
     return replace(
         spec,
+        # Who maps paths says where outputs go.
+        roots=spec.roots if mapped == output else (),
         inputs=tuple(mapped_path(text, rules) for text in spec.inputs),
         exclude=tuple(mapped_path(text, rules) for text in spec.exclude),
-        output=None if output is None else mapped_path(output, rules),
+        output=mapped,
     )

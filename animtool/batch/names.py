@@ -3,17 +3,31 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator, Mapping
-from pathlib import PurePath
+from dataclasses import dataclass, field
+from pathlib import Path, PurePath
 from string import Formatter
 
 from animtool.documents.names import nearest
+from animtool.errors import excerpt
 from animtool.files import FoundFile
+from animtool.output_names import inside, name_problem
 from animtool.scene.sources import source_stem
 
-__all__ = ["INPUT_NAMES", "file_pattern", "input_names", "output_root", "unknown_names"]
+__all__ = [
+    "INPUT_NAMES",
+    "NamedOutputs",
+    "UnsafeNameError",
+    "file_pattern",
+    "input_names",
+    "output_root",
+    "unknown_names",
+]
 
 INPUT_NAMES = ("input", "folder", "name", "parent", "stem")
+# These are paths that a pattern begins with, to write where the inputs are.
+_PLACES = frozenset({"input", "folder"})
 
 
 def input_names(found: FoundFile) -> dict[str, str]:
@@ -76,3 +90,81 @@ def output_root(pattern: str) -> PurePath:
     parts = PurePath(pattern).parent.parts
     fixed = next((i for i, part in enumerate(parts) if "{" in part), len(parts))
     return PurePath(*parts[:fixed])
+
+
+@dataclass(slots=True)
+class NamedOutputs:
+    """The outputs of a pattern, none of which leaves the folder that it states.
+
+    Attributes:
+        pattern: The files to write.
+        folder: Where a relative one starts.
+        paths: Names whose values may lead into folders, as ``a/b`` does.
+    """
+
+    pattern: str
+    folder: Path
+    paths: frozenset[str]
+    _inside: dict[tuple[Path, Path], bool] = field(default_factory=dict)
+
+    def path(self, values: Mapping[str, str]) -> Path:
+        """Return the output that the pattern is for some values.
+
+        Args:
+            values: Of its names.
+
+        Raises:
+            UnsafeNameError: The output would leave the folder, or has no legal name.
+        """
+        root, path = self.folder, self.folder
+        below = False
+        for part in PurePath(self.pattern).parts:
+            names = [name for _, name, *_ in Formatter().parse(part) if name]
+            text = part.format(**values)
+            if set(names) - _PLACES:
+                below = True
+                self._check(text, names, values)
+            path /= text
+            root = root if below else path
+        if below and not self._stays(path.parent, root):
+            message = f"a link in {str(root)!r} leads out of it: {str(path.parent)!r}"
+            raise UnsafeNameError("", message)
+        return path
+
+    def _check(self, text: str, names: list[str], values: Mapping[str, str]) -> None:
+        """Refuse a part of a path that is not one name, or some in folders."""
+        for name in names:
+            value = values[name]
+            wrong = re.search(r"[\x00-\x1f\x7f\\]", value)
+            if name not in self.paths:
+                wrong = wrong or re.search("/", value)
+            if wrong is not None:
+                message = f"{{{name}}} is {excerpt(value)}, which has {wrong[0]!r}"
+                raise UnsafeNameError(name, message)
+        for piece in text.split("/"):
+            problem = None if piece == "." else name_problem(piece)
+            if problem is not None:
+                value = excerpt(values[names[-1]])
+                message = f"{{{names[-1]}}} is {value}: the name {excerpt(piece)} "
+                raise UnsafeNameError(names[-1], message + problem)
+
+    def _stays(self, folder: Path, root: Path) -> bool:
+        key = folder, root
+        if key not in self._inside:
+            try:
+                self._inside[key] = inside(folder, root)
+            except OSError:
+                self._inside[key] = False
+        return self._inside[key]
+
+
+class UnsafeNameError(ValueError):
+    """A name of an output leaves its folder, or is not legal everywhere.
+
+    Attributes:
+        name: That of the pattern whose value it is; empty is none.
+    """
+
+    def __init__(self, name: str, message: str) -> None:
+        super().__init__(message)
+        self.name = name

@@ -27,7 +27,7 @@ from animtool.batch.recipe import Item, Recipe
 from animtool.batch.work import Maker
 from animtool.batch.worker import READY, serve
 from animtool.errors import Fault, OutputError
-from animtool.output import remove_leftovers
+from animtool.leftovers import remove_leftovers
 
 __all__ = ["run_processes", "warm_up"]
 

@@ -111,7 +111,7 @@ class Recipe:
             return path
         from animtool.scene.file import load_scene
 
-        scene = load_scene(path, self.names(item))
+        scene = load_scene(path, self.names(item), parts=item.names.keys())
         if item.shot is not None:
             scene = scene.of_shot(item.shot)
         for output in scene.outputs:

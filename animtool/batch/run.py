@@ -21,7 +21,7 @@ from animtool.batch.report import BatchReport, ItemReport
 from animtool.batch.spec import BatchSpec
 from animtool.batch.work import Maker
 from animtool.errors import Fault, OptionError
-from animtool.output import remove_leftovers
+from animtool.leftovers import remove_leftovers
 
 __all__ = ["Listener", "RunOptions", "run_batch"]
 

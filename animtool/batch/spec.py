@@ -37,6 +37,8 @@ class BatchSpec:
             says, else 0.
         variants: A table of values of which each row makes an item of each input; None
             makes one.
+        roots: Folders that outputs may be in, as a batch file is of a project; empty is
+            any.
     """
 
     inputs: tuple[str, ...]
@@ -53,6 +55,7 @@ class BatchSpec:
     cuts: Path | None = None
     handles: int | None = None
     variants: Variants | None = None
+    roots: tuple[Path, ...] = ()
 
     @property
     def rows(self) -> Sequence[Mapping[str, str]]:

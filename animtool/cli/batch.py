@@ -298,7 +298,7 @@ def _spec(inputs: tuple[str, ...], given: dict[str, Any]) -> BatchSpec:
             # A path has no slash at its end, which says that it is a folder.
             slash = "/" if output.endswith("/") else ""
             output = f"{here / output}{slash}"
-        spec = replace(spec, output=output)
+        spec = replace(spec, output=output, roots=())
     if given["scene"] is not None:
         spec = replace(spec, scene=given["scene"])
     spec = with_variants(with_cuts(spec, given), given)

@@ -20,7 +20,7 @@ from animtool.errors import (
     Severity,
     refuse_warnings,
 )
-from animtool.output import check_outputs, output_error, replacing
+from animtool.output import check_outputs, output_error, replacing, together
 
 __all__ = ["Migration", "migrate", "plan_migration"]
 
@@ -117,7 +117,7 @@ def migrate(
     strict: bool = False,
     table: Mapping[str, Steps] = STEPS,
 ) -> list[Migration]:
-    """Rewrite files of older versions, in place, each whole or not at all.
+    """Rewrite files of older versions, in place, all of them or none.
 
     All are read and checked before the first is written.
 
@@ -136,7 +136,9 @@ def migrate(
     """
     plans = _plans(paths, table)
     refuse_warnings([note for p in plans for note in p.notices], strict=strict)
-    needed = [plan for plan in plans if plan.needed]
+    # A file and a link to it are one.
+    own = {plan.path.resolve(): plan for plan in reversed(plans) if plan.needed}
+    needed = list(reversed(own.values()))
     if check or not needed:
         return plans
     if not overwrite:
@@ -146,12 +148,13 @@ def migrate(
             [Fault("OUT001", message, str(plan.path), (), hint) for plan in needed]
         )
     check_outputs([plan.path for plan in needed], [], overwrite=True)
-    for plan in needed:
-        with replacing(plan.path) as temporary:
-            try:
-                temporary.write_text(plan.after, "utf-8", newline="")
-            except OSError as error:
-                raise output_error(plan.path, error) from error
+    with together():
+        for plan in needed:
+            with replacing(plan.path) as temporary:
+                try:
+                    temporary.write_text(plan.after, "utf-8", newline="")
+                except OSError as error:
+                    raise output_error(plan.path, error) from error
     return plans
 
 

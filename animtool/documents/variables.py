@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,6 +13,8 @@ from animtool.documents.document import Document, Location
 from animtool.documents.mend import annotation_at, replaced, stand_in, takes_no_text
 from animtool.documents.names import VARIABLE_NAME, is_variable_name, nearest
 from animtool.documents.yaml_values import plain_scalar
+from animtool.errors import excerpt
+from animtool.output_names import name_problem
 
 __all__ = [
     "Variables",
@@ -24,6 +26,8 @@ __all__ = [
 DEFAULTS = "variables"
 # Where a document says where its result goes.
 OUTPUT = "output"
+# First and last key of where it names files to write.
+WRITTEN = frozenset({(OUTPUT, "file"), ("passes", "save")})
 # Two dollars stand for one, and what follows is text.
 _USE = re.compile(rf"\$(?P<kept>\$)?\{{(?:(?P<name>{VARIABLE_NAME})\}})?")
 
@@ -44,7 +48,10 @@ class Variables:
 
 
 def resolve_variables(
-    document: Document, model: type[BaseModel], given: Mapping[str, str]
+    document: Document,
+    model: type[BaseModel],
+    given: Mapping[str, str],
+    parts: Collection[str] = (),
 ) -> Variables:
     """Put the values of variables into the text of a document; keys stay.
 
@@ -52,14 +59,17 @@ def resolve_variables(
     may become a number, and so is a variable in quotes where no text may be. A default
     may use those that stand above it, and those given. Faults are noted: a name that
     is not known (SCN030), a ``${`` without name and ``}``, or a name that is none
-    (SCN032). Something stands in for the value there.
+    (SCN032), or a part of the name of a file to write that is no such part (OUT006).
+    Something stands in for the value there.
 
     Args:
         document: Changed in place.
         model: What the document should be.
         given: Values by name; they come before the document's own.
+        parts: Those of them that are a part of one name, where they name what is
+            written.
     """
-    resolver = _Resolver(document, model, dict(given))
+    resolver = _Resolver(document, model, dict(given), parts=set(parts))
     resolver.defaults()
     for location, text in list(_texts(document.value, ())):
         if location[0] != DEFAULTS:
@@ -130,6 +140,8 @@ class _Resolver:
         uses: Names of those that texts use, by key of the document; in values of
             variables by name of the variable too.
         faulty: Names of those whose own value is faulty.
+        parts: Names of those whose values, or what these are made of, other files
+            state.
     """
 
     document: Document
@@ -138,6 +150,7 @@ class _Resolver:
     stated: set[str] = field(default_factory=set)
     uses: dict[Location, set[str]] = field(default_factory=dict)
     faulty: set[str] = field(default_factory=set)
+    parts: set[str] = field(default_factory=set)
 
     def defaults(self) -> None:
         """Learn the values that the document gives, each with those above it."""
@@ -158,6 +171,8 @@ class _Resolver:
                 self.faulty.add(name)
             else:
                 self.values[name] = text
+                if self.uses.get(location, set()) & self.parts:
+                    self.parts.add(name)
 
     def effective(self) -> frozenset[str]:
         """Return the variables that decide more than the output."""
@@ -177,6 +192,8 @@ class _Resolver:
     def put(self, location: Location, text: str) -> None:
         """Put the values of variables into a text of the document."""
         found = self.resolved(location, text)
+        if found is not None and (location[0], location[-1]) in WRITTEN:
+            found = self.named(location, text, found)
         value: Any = found
         if found is not None and self.is_typed(location, text):
             try:
@@ -189,6 +206,21 @@ class _Resolver:
             value = stand_in(annotation)
             self.document.doubts.add(location)
         replaced(self.document.value, location, value)
+
+    def named(self, location: Location, text: str, found: str) -> str | None:
+        """Return the name of a file to write; None, and a fault, for an unsafe one."""
+        for piece in text.split("/"):
+            used = {match["name"] for match in _USE.finditer(piece) if match["name"]}
+            if not used & self.parts:
+                continue
+            name = self.resolved(location, piece) or ""
+            problem = name_problem(name)
+            if problem is not None:
+                message = f"{excerpt(piece)} is {excerpt(name)}, which {problem}"
+                hint = "a value from another file is a part of one name"
+                self.document.add("OUT006", location, message, hint)
+                return None
+        return found
 
     def is_typed(self, location: Location, text: str) -> bool:
         """Return whether a text may become a number or a truth value.

@@ -15,7 +15,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.errors import Fault, Severity, refuse_warnings
 from animtool.maths.curves import Curves
-from animtool.output import size_of
+from animtool.output import size_of, together
 from animtool.prefetch import prefetch
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
@@ -76,8 +76,10 @@ def bake(
         OutputError: The output cannot be written.
         StrictError: There were warnings, and ``strict`` is on.
     """
-    plan = plan_bake(source, output, options, progress=progress, opener=opener)
-    return run_bake(plan, progress=progress)
+    # Passes may keep states as soon as a source is opened.
+    with together():
+        plan = plan_bake(source, output, options, progress=progress, opener=opener)
+        return run_bake(plan, progress=progress)
 
 
 def run_bake(plan: BakePlan, *, progress: Progress = None) -> BakeReport:
@@ -93,6 +95,11 @@ def run_bake(plan: BakePlan, *, progress: Progress = None) -> BakeReport:
         OutputError: The output cannot be written.
         StrictError: There were warnings, and ``strict`` is on.
     """
+    with together():
+        return _run_bake(plan, progress)
+
+
+def _run_bake(plan: BakePlan, progress: Progress) -> BakeReport:
     if plan.systems is not None:
         from animtool.scene.systems.bake import run_system_bake
 

@@ -12,7 +12,7 @@ from animtool.clock import Clock, FrameSpan
 from animtool.documents.versions import KINDS
 from animtool.errors import Fault, OptionError, Severity, listed, refuse_warnings
 from animtool.files import seen_from
-from animtool.output import check_outputs, output_error, replacing
+from animtool.output import check_outputs, output_error, replacing, together
 from animtool.rig.skeleton import JointType, Rig
 from animtool.scene.progress import Progress
 from animtool.scene.sources import (
@@ -243,12 +243,13 @@ def _to_clip(
     made = keyed_take(
         take, rig, stem, keys.tolerance, joint_tolerances=keys.tolerances, base=below
     )
-    if arrays:
-        write_arrays(arrays_path, arrays)
-    if keys.rig_file is None:
-        _write(rig_path, [rig_text(rig).encode()])
     text = clip_text(made.clip, rig, seen_from(rig_path, output.parent))
-    _write(output, [text.encode()])
+    with together():
+        if arrays:
+            write_arrays(arrays_path, arrays)
+        if keys.rig_file is None:
+            _write(rig_path, [rig_text(rig).encode()])
+        _write(output, [text.encode()])
     files = [arrays_path] if arrays else []
     files += [output] if keys.rig_file is not None else [rig_path, output]
     return ConvertReport(

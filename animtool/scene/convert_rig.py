@@ -20,6 +20,7 @@ from animtool.output import (
     output_error,
     replacing,
     sparing_inputs,
+    together,
 )
 from animtool.rig.skeleton import Rig
 from animtool.rig.store import StoredArrays, with_file
@@ -140,13 +141,14 @@ def _to_file(
     outputs = [arrays_path, output] if arrays else [output]
     check_outputs(outputs, [source, *inputs.opened], overwrite=overwrite)
     refuse_warnings(notices, strict=strict)
-    if arrays:
-        write_arrays(arrays_path, arrays)
-    with replacing(output) as temporary:
-        try:
-            temporary.write_text(rig_text(rig), "utf-8")
-        except OSError as error:
-            raise output_error(output, error) from error
+    with together():
+        if arrays:
+            write_arrays(arrays_path, arrays)
+        with replacing(output) as temporary:
+            try:
+                temporary.write_text(rig_text(rig), "utf-8")
+            except OSError as error:
+                raise output_error(output, error) from error
     return _report(rig, outputs, notices)
 
 
@@ -199,8 +201,9 @@ def _to_usd(
     from animtool.usd.rig_layer import write_physics_layer, write_rig_layer
 
     refuse_warnings(notices, strict=strict)
-    _, more = write_rig_layer(rig, output)
     made = None
-    if physics:
-        _, made = write_physics_layer(rig, outputs[1], output)
+    with together():
+        _, more = write_rig_layer(rig, output)
+        if physics:
+            _, made = write_physics_layer(rig, outputs[1], output)
     return _report(rig, outputs, notices + more, made)

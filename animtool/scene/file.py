@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import fields, replace
 from fractions import Fraction
 from pathlib import Path
@@ -48,7 +48,12 @@ from animtool.units import LengthUnit, UpAxis, parse_length
 __all__ = ["load_scene", "scene_of_document", "stated_rate"]
 
 
-def load_scene(path: Path | str, variables: Mapping[str, str] | None = None) -> Scene:
+def load_scene(
+    path: Path | str,
+    variables: Mapping[str, str] | None = None,
+    *,
+    parts: Collection[str] = (),
+) -> Scene:
     """Return the scene of a scene file.
 
     Args:
@@ -56,23 +61,31 @@ def load_scene(path: Path | str, variables: Mapping[str, str] | None = None) -> 
         variables: Values of ``${name}`` in it, which come before those that it gives
             itself; it need not use them all, see `Scene.variables`. Files below an
             absolute path among them may be read, wherever that is.
+        parts: Those of them that other files state, such as names of clips. In names
+            of files to write they are a part of one name.
 
     Raises:
         FormatError: With every fault of the file, each with line and column.
     """
-    return scene_of_document(read_document(Path(path)), variables)
+    return scene_of_document(read_document(Path(path)), variables, parts=parts)
 
 
 def scene_of_document(
-    document: Document, variables: Mapping[str, str] | None = None
+    document: Document,
+    variables: Mapping[str, str] | None = None,
+    *,
+    parts: Collection[str] = (),
 ) -> Scene:
     """Return the scene of a document; see `load_scene`."""
     given = variables or {}
     check_version(document, "scene")
-    found = resolve_variables(document, SceneModel, given)
+    found = resolve_variables(document, SceneModel, given, parts)
     model = validated(document, SceneModel)
-    named = [Path(text) for text in given.values() if Path(text).is_absolute()]
-    reader = _SceneReader(document, model, named)
+    named = {
+        name: Path(text) for name, text in given.items() if Path(text).is_absolute()
+    }
+    written = [path for name, path in named.items() if name not in parts]
+    reader = _SceneReader(document, model, list(named.values()), written)
     scene = replace(
         reader.scene(),
         variables=found.names,
@@ -103,10 +116,15 @@ def _meet(one: str, other: str) -> bool:
 
 class _SceneReader:
     def __init__(
-        self, document: Document, model: SceneModel, named: list[Path]
+        self,
+        document: Document,
+        model: SceneModel,
+        named: list[Path],
+        written: list[Path],
     ) -> None:
         self.document, self.model = document, model
-        self.roots = (*project_roots(document.path), *named)
+        roots = project_roots(document.path)
+        self.roots, self.output_roots = (*roots, *named), (*roots, *written)
 
     def scene(self) -> Scene:
         model, shot = self.model, self.model.shot
@@ -419,7 +437,7 @@ class _SceneReader:
 
     def _file(self, at: Location, name: str) -> Path:
         """Return a file to write."""
-        roots = self.roots
+        roots = self.output_roots
         found = referred(self.document, at, name, roots, "SCN004", written=True)
         return Path(name) if found is None else found
 
@@ -484,3 +502,5 @@ class _SceneReader:
             value = getattr(options, field.name)
             if isinstance(value, Path):
                 self._input((*at, field.name), str(value))
+        for name in getattr(options, "writes", ()):
+            self._file(at, str(name))

@@ -19,6 +19,7 @@ from animtool.output import (
     output_error,
     replacing,
     sparing_inputs,
+    together,
 )
 from animtool.rig.store import StoredArrays
 from animtool.scene.convert_rig import write_arrays
@@ -117,11 +118,12 @@ def run_match(job: MatchJob, *, progress: Progress = None) -> MatchReport:
     made = targets_text(tracks, ClipUnits.of_rig(rig))
     matched = time.perf_counter()
     outputs = [job.output]
-    if made.arrays:
-        outputs.insert(0, arrays_of(job.output))
-        check_outputs(outputs, inputs, overwrite=job.overwrite)
-        write_arrays(outputs[0], _named(made.arrays))
-    _write(job.output, made.text)
+    with together():
+        if made.arrays:
+            outputs.insert(0, arrays_of(job.output))
+            check_outputs(outputs, inputs, overwrite=job.overwrite)
+            write_arrays(outputs[0], _named(made.arrays))
+        _write(job.output, made.text)
     seconds = {
         "read": read - began,
         "match": matched - read,

@@ -10,6 +10,8 @@ from typing import TypeAlias
 
 from animtool.errors import AnimtoolError, Fault, OptionError, Severity, listed
 from animtool.output import check_outputs, sparing_inputs, together
+from animtool.output_names import name_key
+from animtool.placing import target
 from animtool.scene.bake import run_bake
 from animtool.scene.convert import ConvertReport, convert, convert_outputs
 from animtool.scene.entries import OutputKind, SceneOutput, kind_of
@@ -72,10 +74,11 @@ def bake_scene(
     """
     given = options or BakeOptions()
     _check(scene, given)
-    plans = _plans(scene, given, share_of(progress, 0, 2) if scene.sources else None)
+    opening = share_of(progress, 0, 2) if scene.sources else None
     writing = share_of(progress, 1, 2) if scene.sources else progress
+    reports: list[OutputReport] = []
     with together():
-        reports: list[OutputReport] = []
+        plans = _plans(scene, given, opening)
         for i, (plan, output) in enumerate(zip(plans, scene.outputs, strict=True)):
             shown = share_of(writing, i, len(plans))
             if isinstance(plan, BakePlan):
@@ -135,8 +138,7 @@ def _check(scene: Scene, options: BakeOptions) -> None:
     owners: dict[str, SceneOutput] = {}
     for output in scene.outputs:
         for path in _files(scene, output, options):
-            # Of names that differ in capitals, some systems make one file.
-            first = owners.setdefault(str(path.resolve()).casefold(), output)
+            first = owners.setdefault(name_key(target(path).final), output)
             if first is not output:
                 message = f"{str(path)!r} is written by {first.place.where} too"
                 faults.append(output.place.fault("SCN040", message, "name another"))

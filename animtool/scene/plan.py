@@ -140,7 +140,7 @@ def plan_bake(
     inputs, first = reading.inputs, reading.files[0]
     outputs = check_output(path, options, inputs, first, simulated=bool(simulated))
     kept = [path for scene in written for path in scene.kept]
-    check_outputs(kept, inputs, overwrite=options.overwrite)
+    check_outputs(kept, [*inputs, *outputs], overwrite=options.overwrite)
     if simulated and len(given) > 1:
         message = "what is simulated is no take of a library"
         raise OptionError(Fault("SCN062", message, str(simulated[0].path)))

@@ -12,6 +12,7 @@ from pxr import Sdf
 
 from animtool.errors import Fault
 from animtool.maths.curves import Curves
+from animtool.output import together
 from animtool.rig.surfaces import surfaces_of
 from animtool.usd.animation import AnimationWriter
 from animtool.usd.extents import author_extents
@@ -222,7 +223,7 @@ def write_usd(
         root.subLayerPaths = [f"./{path.name}" for path in result.outputs[1::-1]]
         author_metadata(root, _metadata(job, result.takes))
         layers = [authored.rig, authored.animation, root]
-    with _quietly(result):
+    with _quietly(result), together():
         for layer, path in zip(layers, result.outputs, strict=True):
             own = save if layer is authored.animation else save_layer
             result.bytes += own(layer, path)

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias, cast
 from pxr import Sdf, Usd, UsdUtils
 
 from animtool.errors import Fault, OptionError, counted
-from animtool.output import output_error, replacing
+from animtool.output import once_named, output_error, replacing
 from animtool.plugins import load_object
 from animtool.usd.fixes.table import EDITS
 from animtool.usd.fixes.target import Edit, NotFixableError, Target
@@ -140,12 +140,17 @@ def write_copy(source: Path, content: Any, output: Path) -> Sequence[str]:
                 raise output_error(output, error) from error
         else:
             export_layer(layer, temporary, output, arguments)
-    held = Sdf.Layer.Find(str(output))
+    once_named(lambda: _reload(output))
+    paths = counted(moved, "relative asset path")
+    return [f"rewrites {paths} for the new folder"] * bool(moved)
+
+
+def _reload(path: Path) -> None:
+    """Read a layer again that somebody has open."""
+    held = Sdf.Layer.Find(str(path))
     if held is not None:
         with without_usd_warnings():
             held.Reload(force=True)
-    paths = counted(moved, "relative asset path")
-    return [f"rewrites {paths} for the new folder"] * bool(moved)
 
 
 def _format(path: Path) -> str:

@@ -1,4 +1,4 @@
-"""Mended files, written: each whole or not at all."""
+"""Mended files, written: all of them or none."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from animtool.errors import Fault, counted
-from animtool.output import check_outputs
+from animtool.output import check_outputs, together
 from animtool.validation.fixes.mend import has_fix
 from animtool.validation.fixes.plan import (
     FileMend,
@@ -75,14 +75,15 @@ def fix_files(
     report = validate_files(files, options)
     named = _having_fixes(report)
     kept = [path for path in named if is_layer(path) and not overwrite]
-    changed = [path for path in named if path not in kept]
+    # A file and a link to it are one.
+    own = {path.resolve(): path for path in reversed(named) if path not in kept}
+    changed = list(reversed(own.values()))
     check_outputs(changed, [], overwrite=True)
-    plans = []
-    for path in changed:
-        plan = _plan(path, options)
-        if plan.mended:
-            plan.after.write(path)
-        plans.append(plan)
+    plans = [_plan(path, options) for path in changed]
+    with together():
+        for plan in plans:
+            if plan.mended:
+                plan.after.write(plan.path)
     notes = (*_kept(report, kept), *_packed(report))
     if any(plan.mended for plan in plans):
         report = validate_files(files, options)

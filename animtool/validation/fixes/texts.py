@@ -15,7 +15,7 @@ import numpy.typing as npt
 from animtool.documents.document import document_of, read_text
 from animtool.documents.edit import EditError, edited
 from animtool.errors import AnimtoolError, Fault
-from animtool.output import output_error, replacing
+from animtool.output import ahead, output_error, replacing, together
 from animtool.scene.convert_rig import write_arrays
 from animtool.validation.fixes.draft import Step
 from animtool.validation.fixes.mend import Mend, NotMendedError, fix_of
@@ -130,15 +130,12 @@ class TextDraft:
 
     def write(self, output: Path) -> Sequence[str]:
         """Write the text to a file, its new arrays before it."""
-        try:
-            for path, arrays in self.arrays.items():
-                write_arrays(path, dict(arrays))
-            self._check_arrays()
+        with together():
+            with ahead(list(self.arrays)):
+                for path, arrays in self.arrays.items():
+                    write_arrays(path, dict(arrays))
+                self._check_arrays()
             _write_text(output, self.text)
-        except BaseException:
-            for path in self.arrays:
-                path.unlink(missing_ok=True)
-            raise
         return ()
 
     def _check_arrays(self) -> None:

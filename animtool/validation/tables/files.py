@@ -51,4 +51,7 @@ RULES = (
     Rule("OUT002", "an output that cannot be written"),
     Rule("OUT003", "an output that is also an input"),
     Rule("OUT004", "an output of an unknown kind"),
+    Rule("OUT005", "an output that is not a file"),
+    Rule("OUT006", "an unsafe name in an output"),
+    Rule("OUT007", "two outputs that are one file"),
 )
