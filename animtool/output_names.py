@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 import unicodedata
 from collections.abc import Iterator
 from pathlib import Path, PurePath
 
-__all__ = ["inside", "name_key", "name_problem"]
+__all__ = ["inside", "is_text", "name_key", "name_problem"]
 
 # Of a name in a folder, on nearly every disk [byte].
 LONGEST_NAME = 255
@@ -43,9 +44,19 @@ def _problems(name: str) -> Iterator[tuple[bool, str]]:
     yield bool(controls), f"has the control character {''.join(controls[:1])!r}"
     yield name[-1:] in {".", " "}, "ends with a dot or a space"
     yield size > LONGEST_NAME, f"has more than {LONGEST_NAME} bytes"
+    yield not is_text(name), "has bytes that are no UTF-8"
     device = name.partition(".")[0].rstrip().casefold() in _DEVICES
     yield device, "is the name of a device on Windows"
     yield name.casefold().startswith(_OWN), f"begins with {_OWN!r}, as records do"
+
+
+def is_text(name: str) -> bool:
+    r"""Return whether a name is text in UTF-8: names of files may be other bytes.
+
+    >>> is_text("walk"), is_text("walk\udcff")
+    (True, False)
+    """
+    return re.search("[\ud800-\udfff]", name) is None
 
 
 def name_key(path: PurePath | str) -> str:

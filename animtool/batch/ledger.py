@@ -29,7 +29,8 @@ from animtool.batch.places import place_of
 from animtool.batch.records import ItemRecord
 from animtool.errors import Fault, OutputError, excerpt
 from animtool.inputs import FileState
-from animtool.output import is_running, output_error
+from animtool.leftovers import is_running
+from animtool.output import output_error
 
 if TYPE_CHECKING:
     from filelock import FileLock

@@ -31,6 +31,7 @@ from animtool.usd.layers import (
     prim,
     save_layer,
 )
+from animtool.usd.names import plain_text
 from animtool.usd.skeleton import author_binding, author_rig
 from animtool.usd.stderr import without_version_warnings
 
@@ -143,7 +144,11 @@ def _author_take(
         from animtool.usd.library import author_range
 
         author_range(
-            layer, paths.animation, take.source_name, written.first, written.last
+            layer,
+            paths.animation,
+            plain_text(take.source_name),
+            written.first,
+            written.last,
         )
     if job.form is Form.LAYER and job.names.originals:
         _author_names(layer.GetPrimAtPath(paths.animation), job.names.originals)

@@ -6,6 +6,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from animtool.errors import Fault, OptionError
+from animtool.output_names import is_text
 
 __all__ = ["Form", "check_suffix", "output_paths"]
 
@@ -47,10 +48,13 @@ def check_suffix(path: Path, source: Path | str = "SOURCE") -> None:
         source: What it is made from, for the command that writes other formats.
 
     Raises:
-        OptionError: It is another (OUT004).
+        OptionError: It is another (OUT004), or USD could not open it (OUT006).
     """
     suffix = path.suffix.lower()
     if suffix in SUFFIXES:
+        if not is_text(str(path.absolute())):
+            message = "has bytes in its path that are no UTF-8, which USD cannot open"
+            raise OptionError(Fault("OUT006", message, str(path), (), "rename it"))
         return
     kind = f"suffix {path.suffix!r}" if path.suffix else "a name without suffix"
     message = f"{kind} is not a USD extension"

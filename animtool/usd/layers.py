@@ -66,6 +66,10 @@ class StageMetadata:
     shot: Shot | None = None
 
 
+# Why USD opens no file whose path has other bytes.
+NO_TEXT = "its path has bytes that are no UTF-8"
+
+
 def author_metadata(layer: Any, metadata: StageMetadata) -> None:
     """State the rate, the range, the units, the up axis, the default prim, the shot.
 
@@ -195,6 +199,8 @@ def usd_errors(path: Path) -> Iterator[None]:
         yield
     except Tf.ErrorException as error:
         raise FormatError(Fault("USD001", usd_reason(error), str(path))) from error
+    except UnicodeEncodeError as error:
+        raise unreadable(path, NO_TEXT) from error
 
 
 def usd_reason(error: Tf.ErrorException) -> str:
@@ -288,5 +294,7 @@ def export_layer(
         done = layer.Export(str(temporary), args=dict(arguments or {}))
     except Tf.ErrorException as error:
         raise output_error(path, usd_reason(error)) from error
+    except UnicodeEncodeError as error:
+        raise output_error(path, NO_TEXT) from error
     if not done:
         raise output_error(path, "USD could not write it")

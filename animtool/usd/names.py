@@ -10,7 +10,7 @@ from pxr import Sdf
 from animtool.errors import Fault, Severity, excerpt
 from animtool.rig.skeleton import Joint
 
-__all__ = ["UsdNames", "distinct_names", "joint_names", "legal_name"]
+__all__ = ["UsdNames", "distinct_names", "joint_names", "legal_name", "plain_text"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,14 +28,24 @@ class UsdNames:
     notices: list[Fault]
 
 
+def plain_text(name: str) -> str:
+    r"""Return a text that USD takes: bytes that are no text are replaced.
+
+    Names of files may have such bytes.
+
+    >>> plain_text("walk\udcff")
+    'walk?'
+    """
+    return name.encode("utf-8", "replace").decode("utf-8")
+
+
 def legal_name(name: str) -> str:
     """Return the name with every character that USD forbids made ``_``.
 
     >>> legal_name("rig:Arm.L"), legal_name("2nd")
     ('rig_Arm_L', '_2nd')
     """
-    # Names of files may hold bytes that are no text, which USD takes none of.
-    name = name.encode("utf-8", "replace").decode("utf-8")
+    name = plain_text(name)
     if Sdf.Path.IsValidIdentifier(name):
         return name
     legal = "".join(c if Sdf.Path.IsValidIdentifier("a" + c) else "_" for c in name)
