@@ -1,9 +1,13 @@
 """The entry of the command line, and of ``python -m animtool``."""
 
-import gc
-import os
+from __future__ import annotations
+
+import signal
 import sys
-from typing import NoReturn
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import NoReturn
 
 # Objects made before the youngest are looked through for circles: loading makes many,
 # of which hardly any is let go.
@@ -11,7 +15,14 @@ YOUNGEST = 200_000
 
 
 def main() -> NoReturn:
-    """Run the command line; an interrupt while it is loaded ends it like any other."""
+    """Run the command line; a signal while it is loaded ends it like any other."""
+    if hasattr(signal, "pthread_sigmask"):
+        # Until there is somebody to obey them.
+        signals = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
+        signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+    import gc
+    import os
+
     gc.set_threshold(YOUNGEST)
     # Plug-ins of pydantic have no say in what files mean: none is searched for.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
@@ -20,11 +31,7 @@ def main() -> NoReturn:
     except KeyboardInterrupt:
         sys.stderr.write("interrupted\n")
         sys.exit(130)
-    try:
-        run()
-    finally:
-        # What is left is not looked through for circles once more at the very end.
-        gc.freeze()
+    run()
 
 
 if __name__ == "__main__":

@@ -44,6 +44,7 @@ class ExitCode(IntEnum):
     NOTHING_MATCHED = 5
     INTERNAL = 70
     INTERRUPTED = 130
+    TERMINATED = 143
 
 
 class Severity(StrEnum):

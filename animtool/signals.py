@@ -1,21 +1,141 @@
-"""Signals that ask a process to end, held back where an end would do harm."""
+"""Signals that ask the process to end: obeyed once, and where an end does no harm."""
 
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from types import FrameType
+from typing import NoReturn
 
-__all__ = ["deferred_signals"]
+__all__ = [
+    "ENDING",
+    "TerminatedError",
+    "deferred_signals",
+    "ending",
+    "interrupt",
+    "obey_signals",
+    "obeyed_signals",
+    "outlast_signals",
+    "receive_signals",
+]
 
-_ENDING = (signal.SIGINT, signal.SIGTERM)
+# A terminal that is closed asks as SIGTERM does.
+_NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
+ENDING = tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, name))
+# When an end that Python swallowed is asked for again [s].
+_AGAIN = 0.005
+
+
+class TerminatedError(BaseException):
+    """The process was asked to end (SIGTERM, or SIGHUP)."""
+
+
+@dataclass(slots=True)
+class _Obeyed:
+    """How far the process is with its end.
+
+    Attributes:
+        number: The signal that is obeyed; 0 is none so far.
+        late: Whether all is written, so that signals come too late.
+        installed: Whether this module's handler is in place.
+    """
+
+    number: int = 0
+    late: bool = False
+    installed: bool = False
+
+
+_obeyed = _Obeyed()
+
+
+def ending() -> int:
+    """Return the signal that the process obeys by ending; 0 is none."""
+    return _obeyed.number
+
+
+def interrupt() -> NoReturn:
+    """Raise again what the obeyed signal raised, where that was swallowed."""
+    if _obeyed.number == signal.SIGINT:
+        raise KeyboardInterrupt
+    raise TerminatedError
+
+
+def _obey(signum: int, frame: FrameType | None) -> None:
+    """Raise at the first signal; a further one would interrupt the cleaning up."""
+    del frame
+    if _obeyed.late or _obeyed.number:
+        return
+    _obeyed.number = signum
+    interrupt()
+
+
+def _obey_again(signum: int, frame: FrameType | None) -> None:
+    del signum, frame
+    if _obeyed.number and not _obeyed.late:
+        interrupt()
+
+
+def _swallowed(unraisable: sys.UnraisableHookArgs) -> None:
+    """Ask again for an end that was raised where Python ignores what is raised."""
+    ended = isinstance(unraisable.exc_value, KeyboardInterrupt | TerminatedError)
+    if not (ended and _obeyed.number):
+        sys.__unraisablehook__(unraisable)
+    elif hasattr(signal, "setitimer"):
+        signal.signal(signal.SIGALRM, _obey_again)
+        signal.setitimer(signal.ITIMER_REAL, _AGAIN)
+
+
+def obey_signals() -> None:
+    """Let the first SIGINT, SIGTERM or SIGHUP raise, and none after it, from now on.
+
+    What is raised is `KeyboardInterrupt` or `TerminatedError`. Signals that are ignored
+    stay so.
+    """
+    for number in ENDING:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _obey)
+    sys.unraisablehook = _swallowed
+    _obeyed.number, _obeyed.late, _obeyed.installed = 0, False, True
+
+
+@contextmanager
+def obeyed_signals() -> Iterator[None]:
+    """Obey signals inside of the block as `obey_signals` says, unless done already."""
+    main_thread = threading.current_thread() is threading.main_thread()
+    if _obeyed.installed or not main_thread:
+        yield
+        return
+    handlers = {number: signal.getsignal(number) for number in ENDING}
+    hook = sys.unraisablehook
+    obey_signals()
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            if handler is not None:
+                signal.signal(number, handler)
+        sys.unraisablehook = hook
+        _obeyed.number, _obeyed.late, _obeyed.installed = 0, False, False
+
+
+def receive_signals() -> None:
+    """Let signals come that were held back since the process began."""
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
+
+
+def outlast_signals() -> None:
+    """Let signals come too late from now on: all is written, and only to be told."""
+    _obeyed.late = True
 
 
 @contextmanager
 def deferred_signals() -> Iterator[None]:
-    """Hold back SIGINT and SIGTERM inside of the block, and obey the first at its end.
+    """Hold back SIGINT, SIGTERM and SIGHUP inside of the block; obey the first then.
 
     For steps of milliseconds that must not end halfway: the import of a library that
     swallows exceptions, the renaming of files that belong together. Only the main
@@ -32,7 +152,7 @@ def deferred_signals() -> Iterator[None]:
         held.append(signum)
 
     # None is a handler that Python did not set and cannot put back.
-    handlers = {number: signal.getsignal(number) for number in _ENDING}
+    handlers = {number: signal.getsignal(number) for number in ENDING}
     taken = {n: h for n, h in handlers.items() if h not in {None, signal.SIG_IGN}}
     for number in taken:
         signal.signal(number, note)

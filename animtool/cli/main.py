@@ -4,17 +4,32 @@ from __future__ import annotations
 
 import importlib
 import os
-import signal
 import sys
 from collections.abc import Sequence
-from types import FrameType
+from pathlib import Path
 from typing import NoReturn
 
 import click
 
 from animtool.cli.console import Console
-from animtool.errors import AnimtoolError, ExitCode, StrictError
+from animtool.errors import AnimtoolError, ExitCode, FormatError, StrictError
 from animtool.printing import escaped
+from animtool.signals import (
+    TerminatedError,
+    ending,
+    interrupt,
+    obey_signals,
+    obeyed_signals,
+    outlast_signals,
+    receive_signals,
+)
+from animtool.supervisor import (
+    Crash,
+    can_supervise,
+    crash_fault,
+    leave,
+    supervise,
+)
 
 __all__ = ["COMMANDS", "cli", "main"]
 
@@ -118,22 +133,39 @@ def cli() -> None:
 
     Results go to stdout, everything else to stderr. Exit codes: 0 done, 1 findings,
     2 usage, 3 malformed input or unwritable output, 4 a tolerance missed, 5 nothing
-    matched, 70 internal error, 130 interrupted.
+    matched, 70 internal error, 130 interrupted (SIGINT), 143 terminated (SIGTERM).
     """
+
+
+# Those that may read USD: a child does their work, in case it crashes.
+SUPERVISED = {"bake", "batch", "convert", "diff", "ik", "info", "job", "validate"}
+HELP = {"-h", "--help"}
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit with its code."""
-    sys.exit(run(sys.argv[1:] if arguments is None else arguments))
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if SUPERVISED.isdisjoint(given[:1]) or HELP & {*given} or not can_supervise():
+        obey_signals()
+        leave(run(given))
+
+    def refuse(crash: Crash) -> int:
+        error: AnimtoolError | _CrashError = _CrashError(crash.name)
+        if crash.path:
+            error = FormatError(crash_fault(crash.path, crash.name))
+        return _report(Console(json_log=_logs_json(given)), error)
+
+    os._exit(supervise(lambda: run(given), refuse, _remove_leftovers))
 
 
-class _TerminatedError(BaseException):
-    """The process was asked to end."""
+class _CrashError(Exception):
+    """The process that did the work crashed, over no file that is known."""
 
 
-def _on_terminate(signum: int, frame: FrameType | None) -> NoReturn:
-    del signum, frame
-    raise _TerminatedError
+def _remove_leftovers(folders: Sequence[str], process: int) -> None:
+    from animtool.output import remove_leftovers
+
+    remove_leftovers(map(Path, folders), process)
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -144,14 +176,30 @@ def run(arguments: Sequence[str]) -> int:
         sys.stdout.reconfigure(encoding="utf-8", errors="backslashreplace")
     if hasattr(sys.stderr, "reconfigure"):
         sys.stderr.reconfigure(errors="backslashreplace")
-    signal.signal(signal.SIGTERM, _on_terminate)
+    with obeyed_signals():
+        try:
+            return _run(arguments, console)
+        except (KeyboardInterrupt, TerminatedError) as error:
+            return _report(console, error)
+
+
+def _run(arguments: Sequence[str], console: Console) -> int:
+    """Run the command line; raises what signals do, once, and errors to debug."""
     try:
+        receive_signals()
         code = cli.main(list(arguments), "animtool", standalone_mode=False, obj=console)
         sys.stdout.flush()
-    except (Exception, KeyboardInterrupt, click.Abort, _TerminatedError) as error:
+        if ending():
+            interrupt()
+        outlast_signals()
+    except (Exception, click.Abort) as error:
+        if ending():
+            # What the signal raised was swallowed, or became an error of another kind.
+            interrupt()
         if console.debug:
             raise
-        return _report(console, error)
+        code = _report(console, error)
+        outlast_signals()
     return int(code or 0)
 
 
@@ -169,9 +217,15 @@ def _report(console: Console, error: BaseException) -> int:
         case KeyboardInterrupt() | click.Abort():
             console.error("interrupted")
             code = int(ExitCode.INTERRUPTED)
-        case _TerminatedError():
+        case TerminatedError():
             console.error("terminated")
-            code = 128 + signal.SIGTERM
+            code = int(ExitCode.TERMINATED)
+        case _CrashError():
+            console.error(
+                f"internal error: the process crashed ({error})\n"
+                "This is a fault of animtool's or of a library. Please report it."
+            )
+            code = int(ExitCode.INTERNAL)
         case BrokenPipeError():
             # Whoever read stdout has gone, which is no fault; nor may Python's own
             # flush at exit complain.

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import sys
+from importlib.abc import Loader
+from importlib.machinery import ModuleSpec, PathFinder
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 from animtool.lazy import lazy_names
+from animtool.signals import deferred_signals
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from animtool.usd.takes import write as write
 
 _PUBLIC = {"write": "animtool.usd.takes"}
@@ -14,3 +21,49 @@ _PUBLIC = {"write": "animtool.usd.takes"}
 __all__ = sorted(_PUBLIC)  # noqa: PLE0605 - the table above is the list
 
 __getattr__, __dir__ = lazy_names(__name__, _PUBLIC)
+
+
+class _PxrFinder:
+    """Finds modules of pxr, whose import is not interrupted.
+
+    USD's loader in C++ imports the modules that a module needs, and goes on where an
+    interrupt ends one of them: what follows would work with half of USD.
+    """
+
+    @staticmethod
+    def find_spec(
+        name: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Return the spec of a module of pxr; None for any other."""
+        if name.partition(".")[0] != "pxr":
+            return None
+        spec = PathFinder.find_spec(name, path, target)
+        if spec is not None and spec.loader is not None:
+            spec.loader = _WholeLoader(spec.loader)
+        return spec
+
+
+class _WholeLoader(Loader):
+    """Runs a module to its end before a signal is obeyed."""
+
+    def __init__(self, loader: Any) -> None:
+        self._loader = loader
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._loader, name)
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType | None:
+        """Return the new module, as its own loader makes it."""
+        module: ModuleType | None = self._loader.create_module(spec)
+        return module
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Run a module; it keeps its own loader."""
+        spec = module.__spec__
+        assert spec is not None
+        spec.loader = module.__loader__ = self._loader
+        with deferred_signals():
+            self._loader.exec_module(module)
+
+
+sys.meta_path.insert(0, _PxrFinder)
