@@ -14,7 +14,8 @@ from animtool.inputs import check_inputs, recorded_inputs
 from animtool.leftovers import new_temporary, take_back
 from animtool.output_names import name_key
 from animtool.placing import Target, Whole, output_error, place_files, target
-from animtool.signals import deferred_signals
+from animtool.signals import deferred_signals, ending, interrupt
+from animtool.supervisor import note_folder, note_said
 
 __all__ = [
     "ahead",
@@ -165,9 +166,13 @@ def replacing(path: Path) -> Iterator[Path]:
     # A link stays one: what it leads to is replaced.
     final = target(path).final
     whole, waiting = Whole(path, final, new_temporary(final)), _waiting.get()
-    done = False
+    note_folder(final.parent)
+    done, cleaning = False, ending()
     try:
         yield whole.temporary
+        if ending() and not cleaning:
+            # A library swallowed what the signal raised.
+            interrupt()
         check_inputs()
         whole.seal()
         if waiting is None:
@@ -183,6 +188,7 @@ def replacing(path: Path) -> Iterator[Path]:
 def _place(files: Sequence[Whole]) -> None:
     finals = {file.final for file in files}
     _refuse_twice(files)
+    note_said()
     try:
         place_files(files, frozenset(finals & _FREE))
     finally:

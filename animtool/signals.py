@@ -21,6 +21,7 @@ __all__ = [
     "obeyed_signals",
     "outlast_signals",
     "receive_signals",
+    "without_interrupts",
 ]
 
 # A terminal that is closed asks as SIGTERM does.
@@ -126,6 +127,23 @@ def receive_signals() -> None:
     """Let signals come that were held back since the process began."""
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
+
+
+@contextmanager
+def without_interrupts() -> Iterator[None]:
+    """Let processes that are started inside of the block be told of no SIGINT.
+
+    A terminal sends it to all of a command's processes; the one that started them
+    ends them.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def outlast_signals() -> None:

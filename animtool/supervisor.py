@@ -32,6 +32,7 @@ __all__ = [
     "Crash",
     "can_supervise",
     "crash_fault",
+    "follow_parent",
     "has_crashed",
     "leave",
     "note_folder",
@@ -73,13 +74,14 @@ class Crash:
             return f"signal {self.number}"
 
 
-def crash_fault(path: str, name: str) -> Fault:
+def crash_fault(path: str, number: int) -> Fault:
     """Return the fault of a file that crashed what read it.
 
     Args:
         path: The file.
-        name: Name of the signal.
+        number: The signal.
     """
+    name = signal.Signals(number).name
     message = f"USD crashes while it reads this file or one that it refers to ({name})"
     hint = "export it again; do not open it in other programs"
     if name == "SIGKILL":
@@ -145,13 +147,13 @@ class _State:
 
     Attributes:
         notes: Where it notes; None is nowhere: nobody supervises it.
-        crashed: Files that crashed a child, and the names of the signals.
+        crashed: Files that crashed a child, and the signals that ended it.
         read: Files that are being read, the latest last.
         listener: Told of the file that is being read; None: nobody wants to know.
     """
 
     notes: _Notes | None = None
-    crashed: dict[str, str] = field(default_factory=dict)
+    crashed: dict[str, int] = field(default_factory=dict)
     read: list[str] = field(default_factory=list)
     listener: Callable[[str], object] | None = None
 
@@ -172,9 +174,9 @@ def reading(path: Path) -> Iterator[None]:
         yield
         return
     named = str(path)
-    name = _state.crashed.get(str(path.absolute()))
-    if name is not None:
-        raise FormatError(crash_fault(named, name))
+    number = _state.crashed.get(str(path.absolute()))
+    if number is not None:
+        raise FormatError(crash_fault(named, number))
     with _lock:
         _state.read.append(named)
         listener(named)
@@ -220,16 +222,36 @@ def note_folder(folder: Path) -> None:
 def stdin_lines() -> list[str]:
     """Return the lines on stdin, which a second run after a crash gets too."""
     notes = _state.notes
-    if notes is None:
-        return sys.stdin.read().splitlines()
-    data = _got(notes.listed)
-    if data is None:
-        data = sys.stdin.read().encode("utf-8", "surrogateescape")
-        if len(data) < LISTED - _LENGTH:
-            _put(notes.listed, data)
+    noted = None if notes is None else _got(notes.listed)
+    if noted is None:
+        text = sys.stdin.read()
+        noted = text.encode("utf-8", "surrogateescape")
+        if notes is not None and len(noted) < LISTED - _LENGTH:
+            _put(notes.listed, noted)
         else:
             note_said()
-    return data.decode("utf-8", "surrogateescape").splitlines()
+    text = noted.decode("utf-8", "surrogateescape")
+    return [line.rstrip("\r") for line in text.split("\n")]
+
+
+def follow_parent() -> None:
+    """Let this process, which another one of ours started, end with that.
+
+    What an interrupt from the keyboard means, the other one says.
+    """
+    from multiprocessing import parent_process
+    from multiprocessing.connection import wait
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    parent = parent_process()
+
+    def end() -> None:
+        if parent is not None:
+            wait([parent.sentinel])
+            os._exit(1)
+
+    threading.Thread(target=end, daemon=True).start()
 
 
 def can_supervise() -> bool:
@@ -271,7 +293,7 @@ def supervise(
         crash = Crash(-code, notes.path)
         if not crash.path or notes.said or crash.name == "SIGKILL":
             return refuse(crash)
-        _state.crashed[str(Path(crash.path).absolute())] = crash.name
+        _state.crashed[str(Path(crash.path).absolute())] = crash.number
 
 
 def _waited() -> set[int]:

@@ -2,10 +2,19 @@ from __future__ import annotations
 
 import signal
 import threading
+from contextlib import suppress
+from pathlib import Path
 
 import pytest
 
-from animtool.signals import deferred_signals
+from animtool.output import replacing
+from animtool.signals import (
+    TerminatedError,
+    deferred_signals,
+    ending,
+    obeyed_signals,
+    outlast_signals,
+)
 
 
 def test_an_interrupt_is_obeyed_at_the_end_of_the_block() -> None:
@@ -63,3 +72,57 @@ def test_other_threads_hold_back_nothing() -> None:
     thread.start()
     thread.join()
     assert handlers == [signal.default_int_handler]
+
+
+def test_the_first_signal_raises_and_none_after_it() -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    steps = []
+
+    def work() -> None:
+        with obeyed_signals():
+            try:
+                signal.raise_signal(signal.SIGTERM)
+            finally:
+                signal.raise_signal(signal.SIGINT)
+                signal.raise_signal(signal.SIGTERM)
+                steps.append("cleaned up")
+
+    with pytest.raises(TerminatedError):
+        work()
+    assert steps == ["cleaned up"]
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_signals_come_too_late_once_all_is_written() -> None:
+    with obeyed_signals():
+        outlast_signals()
+        signal.raise_signal(signal.SIGINT)
+        assert not ending()
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="POSIX timers")
+def test_an_interrupt_that_python_ignores_comes_again() -> None:
+    class Lost:
+        def __del__(self) -> None:
+            signal.raise_signal(signal.SIGINT)
+
+    def work() -> None:
+        with obeyed_signals():
+            del lost[0]
+            signal.pause()
+
+    lost = [Lost()]
+    with pytest.raises(KeyboardInterrupt):
+        work()
+
+
+def test_an_output_gets_no_name_after_a_swallowed_interrupt(tmp_path: Path) -> None:
+    def work() -> None:
+        with obeyed_signals(), replacing(tmp_path / "o.txt") as temporary:
+            temporary.write_text("whole")
+            with suppress(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert list(tmp_path.iterdir()) == []

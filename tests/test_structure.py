@@ -35,6 +35,7 @@ LAYERS = [
         "printing",
         "lazy",
         "signals",
+        "supervisor",
     },
     {"plugins", "shot"},
     {"readers"},

@@ -25,9 +25,11 @@ from animtool.batch.needs import needed_modules
 from animtool.batch.outcome import Outcome, Status
 from animtool.batch.recipe import Item, Recipe
 from animtool.batch.work import Maker
-from animtool.batch.worker import READY, serve
+from animtool.batch.worker import READY, Reading, serve
 from animtool.errors import Fault, OutputError
 from animtool.leftovers import remove_leftovers
+from animtool.signals import without_interrupts
+from animtool.supervisor import CRASHES, crash_fault
 
 __all__ = ["run_processes", "warm_up"]
 
@@ -67,6 +69,7 @@ class _Worker:
     ready: bool = False
     item: Item | None = None
     began: float = 0.0
+    path: str = ""
 
     def waits_for_item(self) -> bool:
         return self.ready and self.item is None
@@ -78,12 +81,21 @@ class _Worker:
             self.connection.send(item)
 
     def received(self) -> object:
-        """Return what it sent; None where it is gone, or sent what makes no sense."""
+        """Return what it sent; None where it is gone, or sent what makes no sense.
+
+        What it reads is kept: where that ends it, nothing else is sent.
+        """
+        sent: object = None
         try:
-            return self.connection.recv() if self.connection.poll() else None
+            while self.connection.poll():
+                sent = self.connection.recv()
+                if not isinstance(sent, Reading):
+                    return sent
+                self.path = sent.path
         except Exception:
             # Unpickling raises anything, of bytes that something else wrote.
             return None
+        return sent
 
     def end(self, *, kill: bool) -> None:
         if kill:
@@ -160,6 +172,8 @@ class _Pool:
         sent = worker.received()
         if sent == READY:
             worker.ready, self.stillborn = True, 0
+        elif isinstance(sent, Reading):
+            pass
         elif isinstance(sent, Outcome) and sent.number == _number(worker):
             yield from self._ended(worker, sent)
         elif not worker.ready:
@@ -173,8 +187,12 @@ class _Pool:
             worker.end(kill=True)
         else:
             worker.process.join(PATIENCE)
+            code = worker.process.exitcode or 0
+            if worker.path and -code in CRASHES:
+                yield self._lost(worker, crash_fault(worker.path, -code))
+                return
             message = f"the process that made it {_how_it_ended(worker.process)}"
-            hint = _HINTS.get(worker.process.exitcode or 0)
+            hint = _HINTS.get(code)
             if self.limits.memory is not None:
                 hint = hint and "its limit of memory may be too small"
             yield self._lost(worker, Fault("BAT020", message, hint=hint))
@@ -210,7 +228,8 @@ class _Pool:
         assert worker.item is not None
         item, seconds = worker.item, time.perf_counter() - worker.began
         self.drop(worker)
-        named = Fault(fault.code, fault.message, str(item.found.path), hint=fault.hint)
+        path = fault.path or str(item.found.path)
+        named = Fault(fault.code, fault.message, path, hint=fault.hint)
         return Outcome(item.number, Status.FAILED, seconds, (named,))
 
     def drop(self, worker: _Worker) -> None:
@@ -317,7 +336,8 @@ def _environment() -> Iterator[None]:
     before = {name: os.environ.get(name) for name in ENVIRONMENT}
     os.environ.update(ENVIRONMENT)
     try:
-        yield
+        with without_interrupts():
+            yield
     finally:
         for name, value in before.items():
             if value is None:

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import sys
-import threading
-from multiprocessing import parent_process
-from multiprocessing.connection import Connection, wait
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
 
 from animtool.batch.needs import import_needed
 from animtool.batch.work import Maker
+from animtool.supervisor import follow_parent, report_reading
 
-__all__ = ["READY", "serve"]
+__all__ = ["READY", "Reading", "serve"]
 
 # What a worker sends once it can take items.
 READY = "ready"
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """Names the file that USD reads in a worker; empty when it was read."""
+
+    path: str
 
 
 def serve(connection: Connection, maker: Maker, memory: int | None) -> None:
@@ -27,11 +33,8 @@ def serve(connection: Connection, maker: Maker, memory: int | None) -> None:
         maker: What makes them.
         memory: What this process may have [bytes]; None is any.
     """
-    # The run itself says what an interrupt from the keyboard means.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    follow_parent()
     # What is imported before the first item takes none of its time.
     import_needed(maker.recipe)
     from animtool.usd.layers import compute_alone
@@ -41,19 +44,12 @@ def serve(connection: Connection, maker: Maker, memory: int | None) -> None:
         _limit_memory(memory)
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         connection.send(READY)
+        report_reading(lambda path: connection.send(Reading(path)))
         while (item := connection.recv()) is not None:
             outcome = maker.make(item)
             connection.send(outcome)
             if outcome.worn:
                 return
-
-
-def _end_with_parent() -> None:
-    """End this process when the run is gone, in the middle of an item too."""
-    parent = parent_process()
-    if parent is not None:
-        wait([parent.sentinel])
-        os._exit(1)
 
 
 def _limit_memory(memory: int) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shlex
-import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,6 +27,8 @@ from animtool.cli.options import (
     set_option,
 )
 from animtool.errors import Severity
+from animtool.signals import TerminatedError
+from animtool.supervisor import stdin_lines
 
 if TYPE_CHECKING:
     from animtool.batch.report import BatchReport, ItemReport
@@ -265,7 +266,7 @@ def batch(console: Console, /, inputs: tuple[str, ...], **given: Any) -> None:
         ):
             told = openjd_lines(listener) if openjd else listener
             report = run_batch(found, options, told)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, TerminatedError):
         console.say("what was made is recorded; the same command goes on with the rest")
         raise
     _tell(console, report, given, _Repeat(inputs, given))
@@ -327,7 +328,7 @@ def _listed(inputs: tuple[str, ...]) -> tuple[str, ...]:
     found: list[str] = []
     for text in inputs:
         if text == "-":
-            found += [name for line in sys.stdin if (name := line.rstrip("\r\n"))]
+            found += filter(None, stdin_lines())
         else:
             found.append(text)
     return tuple(found)

@@ -11,6 +11,7 @@ from typing import TextIO
 
 from animtool.errors import Fault, Severity
 from animtool.printing import escaped, json_printed
+from animtool.supervisor import note_said
 
 __all__ = ["Console"]
 
@@ -34,6 +35,7 @@ class Console:
     def result(self, *lines: str) -> None:
         """Write lines of a result to stdout; what is in them makes no other line."""
         sys.stdout.write("".join(f"{escaped(line)}\n" for line in lines))
+        note_said()
 
     def result_json(self, value: object, *, line: bool = False) -> None:
         """Write a result to stdout as JSON, or as a line of JSON in ASCII."""
@@ -44,6 +46,7 @@ class Console:
     def document(self, text: str) -> None:
         """Write a whole text to stdout, whose format has its own escapes."""
         sys.stdout.write(text if text.endswith("\n") else text + "\n")
+        note_said()
 
     def say(self, text: str) -> None:
         """Write a line of the summary to stderr, unless quiet."""
@@ -120,6 +123,7 @@ class Console:
     def _write(self, entry: dict[str, object], text: str) -> None:
         """Write what is escaped, with colours of our own, or an entry as JSON."""
         sys.stderr.write((json_printed(entry) if self.json_log else text) + "\n")
+        note_said()
 
     def _color(self, text: str, code: str) -> str:
         return f"\x1b[{code}m{text}\x1b[0m" if _wants_color(sys.stderr) else text

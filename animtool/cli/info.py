@@ -50,25 +50,26 @@ def info(console: Console, /, files: tuple[Path, ...], **given: Any) -> None:
     """
     from animtool.errors import AnimtoolError
 
-    described: list[Any] = []
+    described: list[tuple[Any, Callable[[Any], list[str]]]] = []
+    errors: list[AnimtoolError] = []
     used: set[str] = set()
-    code = 0
     for path in files:
         try:
-            found, said = _described(path, given, used)
+            described.append(_described(path, given, used))
         except AnimtoolError as error:
             if console.debug:
                 raise
-            console.faults(error.faults)
-            code = max(code, int(error.exit_code))
-            continue
-        described.append(found)
-        if given["report_format"] == "text":
+            errors.append(error)
+    if given["report_format"] == "json":
+        files_json = [found.as_dict() for found, _ in described]
+        console.result_json({"info": "animtool/1", "files": files_json})
+    else:
+        for found, said in described:
             console.result(*said(found))
             console.faults(found.notices)
-    if given["report_format"] == "json":
-        files_json = [found.as_dict() for found in described]
-        console.result_json({"info": "animtool/1", "files": files_json})
+    for one in errors:
+        console.faults(one.faults)
+    code = max((int(one.exit_code) for one in errors), default=0)
     if given["variables"] and not code:
         from animtool.documents.names import check_given
 

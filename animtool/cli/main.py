@@ -152,7 +152,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     def refuse(crash: Crash) -> int:
         error: AnimtoolError | _CrashError = _CrashError(crash.name)
         if crash.path:
-            error = FormatError(crash_fault(crash.path, crash.name))
+            error = FormatError(crash_fault(crash.path, crash.number))
         return _report(Console(json_log=_logs_json(given)), error)
 
     os._exit(supervise(lambda: run(given), refuse, _remove_leftovers))
@@ -163,7 +163,7 @@ class _CrashError(Exception):
 
 
 def _remove_leftovers(folders: Sequence[str], process: int) -> None:
-    from animtool.output import remove_leftovers
+    from animtool.leftovers import remove_leftovers
 
     remove_leftovers(map(Path, folders), process)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +10,7 @@ import click
 
 from animtool.cli.console import Console
 from animtool.cli.options import Command, Parsed, common_options
+from animtool.supervisor import stdin_lines
 
 if TYPE_CHECKING:
     from animtool.validation.options import ValidateOptions
@@ -257,10 +257,7 @@ def _listed(paths: tuple[str, ...]) -> Iterator[str]:
         if path != "-":
             yield path
             continue
-        for line in sys.stdin:
-            name = line.rstrip("\r\n")
-            if name:
-                yield name
+        yield from filter(None, stdin_lines())
 
 
 def _write(path: Path, text: str) -> None:

@@ -19,6 +19,7 @@ from animtool.files import seen_from, unreadable
 from animtool.inputs import note_input
 from animtool.output import output_error, replacing
 from animtool.shot import Shot
+from animtool.supervisor import note_said, reading
 from animtool.units import UpAxis
 from animtool.usd.finite import Labels, check_data, check_value, largest
 
@@ -194,13 +195,18 @@ def compute_alone() -> None:
 
 @contextmanager
 def usd_errors(path: Path) -> Iterator[None]:
-    """Turn what USD itself raises about a file into a `FormatError`."""
-    try:
-        yield
-    except Tf.ErrorException as error:
-        raise FormatError(Fault("USD001", usd_reason(error), str(path))) from error
-    except UnicodeEncodeError as error:
-        raise unreadable(path, NO_TEXT) from error
+    """Turn what USD itself raises about a file into a `FormatError`.
+
+    Raises:
+        FormatError: USD raised (USD001), or crashed before over it (USD160).
+    """
+    with reading(path):
+        try:
+            yield
+        except Tf.ErrorException as error:
+            raise FormatError(Fault("USD001", usd_reason(error), str(path))) from error
+        except UnicodeEncodeError as error:
+            raise unreadable(path, NO_TEXT) from error
 
 
 def usd_reason(error: Tf.ErrorException) -> str:
@@ -269,6 +275,7 @@ def save_layer(layer: Any, path: Path | None) -> int:
     if path is None:
         text = layer.ExportToString()
         sys.stdout.write(text)
+        note_said()
         sys.stdout.flush()
         return len(text.encode())
     with replacing(path) as temporary:

@@ -366,7 +366,8 @@ class _Sampler:
     def _values(self, codes: FloatArray) -> tuple[Any, ...]:
         found: list[Any] = []
         for attribute, about in zip(self.attributes, self.described, strict=True):
-            rows = [attribute.Get(Usd.TimeCode(code)) for code in codes.tolist()]
+            with usd_errors(Path(self.where)):
+                rows = [attribute.Get(Usd.TimeCode(code)) for code in codes.tolist()]
             if about.width:
                 values = np.array(rows, np.float64).reshape(len(codes), about.width)
                 self._check(values)

@@ -15,6 +15,8 @@ from animtool.errors import (
     Severity,
     excerpt,
 )
+from animtool.signals import without_interrupts
+from animtool.supervisor import follow_parent, has_crashed
 from animtool.validation.files import find_files
 from animtool.validation.ignores import Ignores
 from animtool.validation.options import ValidateOptions, check_codes
@@ -133,16 +135,32 @@ def _processes(jobs: int | None, files: int) -> int:
 def _all(
     files: Sequence[Path], settings: Sequence[ValidateOptions], processes: int
 ) -> Iterator[list[Fault]]:
-    if processes == 1:
-        yield from map(_check, files, settings)
-        return
-    from concurrent.futures import ProcessPoolExecutor
+    found = None
+    # What crashed before is known in this process alone.
+    if processes > 1 and not has_crashed():
+        found = _shared(files, settings, processes)
+    yield from map(_check, files, settings) if found is None else found
+
+
+def _shared(
+    files: Sequence[Path], settings: Sequence[ValidateOptions], processes: int
+) -> list[list[Fault]] | None:
+    """Return what counts in each file, found by several processes.
+
+    None where one of them ended: done again here, it is known over which file.
+    """
+    from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
     from multiprocessing import get_context
 
     # Fresh processes: a fork of one with threads may stop for ever.
     context = get_context("spawn")
-    with ProcessPoolExecutor(processes, context) as pool:
-        yield from pool.map(_check, files, settings, chunksize=CHUNK)
+    try:
+        with ProcessPoolExecutor(processes, context, follow_parent) as pool:
+            with without_interrupts():
+                results = pool.map(_check, files, settings, chunksize=CHUNK)
+            return list(results)
+    except BrokenExecutor:
+        return None
 
 
 def _check(path: Path, options: ValidateOptions) -> list[Fault]:

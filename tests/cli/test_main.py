@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -9,10 +8,10 @@ from pathlib import Path
 import pytest
 from support.cli import animtool, animtool_process
 
-from animtool.cli import main as main_module
 from animtool.cli.console import Console
 from animtool.cli.main import COMMANDS
 from animtool.errors import ExitCode, Fault, Severity
+from animtool.signals import TerminatedError
 
 
 def test_version_names_what_matters() -> None:
@@ -65,7 +64,7 @@ def test_usage_errors(arguments: list[str], said: str) -> None:
         (KeyboardInterrupt(), 130),
         (MemoryError(), 70),
         (ZeroDivisionError("oh"), 70),
-        (main_module._TerminatedError(), 128 + signal.SIGTERM),
+        (TerminatedError(), 143),
     ],
 )
 def test_what_ends_a_command(
