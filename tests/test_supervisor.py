@@ -115,8 +115,8 @@ def child():
 def test_a_signal_goes_on_to_the_child_and_only_the_first_counts() -> None:
     child = """
 def child():
-    os.kill(os.getppid(), signal.SIGTERM)
     try:
+        os.kill(os.getppid(), signal.SIGTERM)
         while True:
             signal.pause()
     finally:
@@ -145,8 +145,8 @@ def test_a_child_ends_with_its_parent(tmp_path: Path) -> None:
     path = tmp_path / "ended"
     child = f"""
 def child():
-    os.kill(os.getppid(), signal.SIGKILL)
     try:
+        os.kill(os.getppid(), signal.SIGKILL)
         while True:
             signal.pause()
     finally:
