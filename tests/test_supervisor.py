@@ -118,7 +118,7 @@ def child():
     try:
         os.kill(os.getppid(), signal.SIGTERM)
         while True:
-            signal.pause()
+            pass
     finally:
         signal.raise_signal(signal.SIGTERM)
         signal.raise_signal(signal.SIGINT)
@@ -135,7 +135,7 @@ def child():
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         os.kill(os.getppid(), signal.SIGINT)
         while True:
-            signal.pause()
+            pass
 """
     assert run(child, before="supervisor.GRACE = .05") == (130, "")
     assert list(tmp_path.iterdir()) == []
@@ -148,7 +148,7 @@ def child():
     try:
         os.kill(os.getppid(), signal.SIGKILL)
         while True:
-            signal.pause()
+            pass
     finally:
         Path({str(path)!r}).touch()
 """
