@@ -251,9 +251,9 @@ the surface. With Coulomb's
 coefficient of ``friction``; the ``speed`` with which what is nearer comes apart.)")
       .def(nb::init<const SpringNetwork&, In<double, 2>, double, double, double>(),
            "network"_a, "rest"_a, "thickness"_a, "friction"_a, "speed"_a)
-      .def("least", &SpringLayers::least, "triangle"_a, "particle"_a,
+      .def("least", &SpringLayers::checked_least, "triangle"_a, "particle"_a,
            R"(Return the distance that a particle keeps, 0 from triangles that it is a corner of.)")
-      .def("least_of_edges", &SpringLayers::least_of_edges, "first"_a, "second"_a,
+      .def("least_of_edges", &SpringLayers::checked_least_of_edges, "first"_a, "second"_a,
            R"(Return the distance that edges keep, 0 of those that share a particle.
 
 Edges are pairs of particles, the lower first, in order.)");

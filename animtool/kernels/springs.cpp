@@ -4,23 +4,33 @@
 #include <algorithm>
 #include <array>
 #include <utility>
-#include <stdexcept>
+
+#include "checks.h"
 
 namespace animtool {
 
 namespace {
 
-std::int32_t particle(std::int64_t index, std::size_t count) {
-  if (index < 0 || index >= static_cast<std::int64_t>(count))
-    throw std::invalid_argument("particles are counted from 0, and are those with a mass");
-  return static_cast<std::int32_t>(index);
+std::vector<std::int32_t> particles_of(const char* name, const std::int64_t* values,
+                                       std::size_t size, std::size_t particles) {
+  check::indices(name, values, size, 0, static_cast<std::int64_t>(particles));
+  return {values, values + size};
 }
 
-Track track_of(In<double, 3> path, std::size_t points, std::size_t knots) {
-  if (path.shape(1) != points || path.shape(2) != 3 ||
-      (path.shape(0) != 1 && path.shape(0) != knots))
-    throw std::invalid_argument("a path is (K or 1, P, 3)");
+Track track_of(const char* name, const In<double, 3>& path, std::size_t points,
+               std::size_t knots) {
+  check::shape(name, path, {path.shape(0) == 1 ? 1 : knots, points, 3});
+  check::finite(name, path);
   return {{path.data(), path.data() + path.size()}, points, path.shape(0) == 1};
+}
+
+// Rows of length at rest, stiffness, damping, and the length of tearing, infinite of none.
+void check_numbers(const In<double, 2>& numbers, std::size_t springs) {
+  check::shape("numbers", numbers, {springs, 4});
+  for (const double *row = numbers.data(), *end = row + numbers.size(); row != end; row += 4) {
+    for (std::size_t k = 0; k < 3; ++k) check::not_negative("numbers", row[k]);
+    if (!(row[3] >= 0)) check::refuse("numbers", check::text(row[3]) + " is not 0 or more");
+  }
 }
 
 }  // namespace
@@ -34,41 +44,55 @@ SpringNetwork::SpringNetwork(In<double, 1> masses, In<double, 1> slowing,
     : inverse_masses(masses.data(), masses.data() + masses.size()),
       drags(slowing.data(), slowing.data() + slowing.size()),
       knots(times.data(), times.data() + times.size()) {
-  const std::size_t count = inverse_masses.size();
-  if (drags.size() != count) throw std::invalid_argument("drags are (N,)");
-  if (ends.shape(1) != 2 || numbers.shape(0) != ends.shape(0) || numbers.shape(1) != 4)
-    throw std::invalid_argument("ends are (S, 2), numbers (S, 4)");
-  if (faces.shape(1) != 3) throw std::invalid_argument("triangles are (T, 3)");
-  if (field.shape(0) != 5) throw std::invalid_argument("the field is (5,)");
-  if (knots.empty()) throw std::invalid_argument("there is at least one knot");
-  if (anchor_numbers.shape(0) != tied.shape(0) || anchor_numbers.shape(1) != 2)
-    throw std::invalid_argument("numbers of anchors are (A, 2)");
-  for (std::size_t s = 0; s < ends.shape(0); ++s) {
+  const std::size_t count = inverse_masses.size(), springs = ends.shape(0);
+  check::shape("inverse_masses", masses, {count});
+  check::at_most("inverse_masses", count, check::MOST_ROWS);
+  for (const double inverse : inverse_masses) check::not_negative("inverse_masses", inverse);
+  check::shape("drags", slowing, {count});
+  check::finite("drags", slowing);
+  check::shape("ends", ends, {check::ANY, 2});
+  check::at_most("ends", springs, check::MOST_ROWS);
+  check::indices("ends", ends, 0, static_cast<std::int64_t>(count));
+  check_numbers(numbers, springs);
+  check::shape("triangles", faces, {check::ANY, 3});
+  check::at_most("triangles", faces.shape(0), check::MOST_ROWS);
+  check::shape("field", field, {5});
+  check::finite("field", field);
+  check::shape("knots", times, {check::ANY});
+  if (knots.empty()) check::refuse("knots", "there is none");
+  check::finite("knots", times);
+  check::ascending("knots", knots.data(), knots.size());
+  check::shape("held", pins, {check::ANY});
+  check::shape("anchors", tied, {check::ANY});
+  check::shape("anchor_numbers", anchor_numbers, {tied.shape(0), 2});
+  check::finite("anchor_numbers", anchor_numbers);
+  for (std::size_t s = 0; s < springs; ++s) {
+    const std::int64_t* pair = ends.data() + 2 * s;
     const double* n = numbers.data() + 4 * s;
-    lines.springs.push_back({particle(ends.data()[2 * s], count),
-                       particle(ends.data()[2 * s + 1], count), n[0], n[1], n[2], n[3]});
+    lines.springs.push_back({static_cast<std::int32_t>(pair[0]),
+                             static_cast<std::int32_t>(pair[1]), n[0], n[1], n[2], n[3]});
     lines.numbers.push_back(static_cast<std::int32_t>(s));
   }
   lines.line_up(count);
-  for (std::size_t k = 0; k < faces.size(); ++k)
-    triangles.push_back(particle(faces.data()[k], count));
+  triangles = particles_of("triangles", faces.data(), faces.size(), count);
   std::copy_n(field.data(), 3, gravity);
   air_drag = field.data()[3];
   air_lift = field.data()[4];
-  for (std::size_t p = 0; p < pins.size(); ++p) held.push_back(particle(pins.data()[p], count));
-  held_track = track_of(held_path, held.size(), knots.size());
+  held = particles_of("held", pins.data(), pins.size(), count);
+  held_track = track_of("held_path", held_path, held.size(), knots.size());
+  anchors = particles_of("anchors", tied.data(), tied.size(), count);
   for (std::size_t a = 0; a < tied.size(); ++a) {
-    anchors.push_back(particle(tied.data()[a], count));
     anchor_stiffness.push_back(anchor_numbers.data()[2 * a]);
     anchor_damping.push_back(anchor_numbers.data()[2 * a + 1]);
   }
-  anchor_track = track_of(anchor_path, anchors.size(), knots.size());
-  wind_track = track_of(winds, 1, knots.size());
+  anchor_track = track_of("anchor_path", anchor_path, anchors.size(), knots.size());
+  wind_track = track_of("winds", winds, 1, knots.size());
 }
 
 void SpringNetwork::lead(In<double, 3> held_path, In<double, 3> anchor_path) {
-  held_track = track_of(held_path, held.size(), knots.size());
-  anchor_track = track_of(anchor_path, anchors.size(), knots.size());
+  Track holds = track_of("held_path", held_path, held.size(), knots.size());
+  anchor_track = track_of("anchor_path", anchor_path, anchors.size(), knots.size());
+  held_track = std::move(holds);
 }
 
 Spot spot_of(const std::vector<double>& knots, double t) {

@@ -2,7 +2,8 @@
 #include "springs_contacts.h"
 
 #include <algorithm>
-#include <stdexcept>
+
+#include "checks.h"
 
 namespace animtool {
 
@@ -126,11 +127,14 @@ MovingColliders::MovingColliders(const std::optional<SpringColliders>& colliders
   if (!colliders) return;
   const auto& [arrays, poses, radius, depths, tolerance, surfaces] = *colliders;
   colliders_ = read_colliders(arrays);
-  if (poses.shape(0) != static_cast<std::size_t>(cells) ||
-      poses.shape(1) != colliders_.size() || poses.shape(2) != 2 || poses.shape(3) != 7)
-    throw std::invalid_argument("poses are (cells, C, 2, 7)");
-  if (depths && (depths->shape(0) != colliders_.size() || depths->shape(1) != particles))
-    throw std::invalid_argument("depths are (C, N)");
+  check::shape("colliders.poses", poses, {static_cast<std::size_t>(cells), colliders_.size(), 2, 7});
+  check::finite("colliders.poses", poses);
+  check::not_negative("colliders.radius", radius);
+  check::not_negative("colliders.tolerance", tolerance);
+  if (depths) {
+    check::shape("colliders.depths", *depths, {colliders_.size(), particles});
+    check::finite("colliders.depths", *depths);
+  }
   poses_ = poses.data();
   radius_ = radius;
   if (depths) depths_ = depths->data();

@@ -29,8 +29,10 @@ void NearMotion::build(const std::vector<double>& x, double width) {
   cells_.clear();
   for (std::size_t n = 0; n < x.size(); n += ROW) {
     Cell at;
-    for (std::size_t k = 0; k < 3; ++k)
-      at[k] = static_cast<std::int32_t>(std::min((x[n + k] - low[k]) / width, MOST_CELLS));
+    for (std::size_t k = 0; k < 3; ++k) {
+      const double cell = (x[n + k] - low[k]) / width;
+      at[k] = static_cast<std::int32_t>(cell < MOST_CELLS ? cell : MOST_CELLS);
+    }
     const auto number = static_cast<std::uint32_t>(numbers.size());
     cells_.push_back(numbers.insert({at, number}).first->second);
   }

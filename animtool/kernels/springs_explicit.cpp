@@ -1,7 +1,7 @@
 // Semi-implicit Euler steps of networks of springs.
 #include <algorithm>
-#include <stdexcept>
 
+#include "checks.h"
 #include "springs_steps.h"
 
 namespace animtool {
@@ -9,11 +9,24 @@ namespace animtool {
 SpringRun begin_springs(const SpringNetwork& network, const In<double, 3>& state,
                         const In<std::uint8_t, 1>& torn) {
   const std::size_t count = network.particles();
-  if (state.shape(0) != 2 || state.shape(1) != count || state.shape(2) != 3)
-    throw std::invalid_argument("the state is (2, N, 3)");
-  if (torn.shape(0) != network.lines.springs.size())
-    throw std::invalid_argument("torn is (S,)");
+  check::shape("state", state, {2, count, 3});
+  check::shape("torn", torn, {network.lines.springs.size()});
+  check::indices("torn", torn, 0, 2);
   return {network, state.data(), state.data() + 3 * count, torn.data()};
+}
+
+void check_cells(const Cells& cells, std::int64_t substeps) {
+  check::finite("origin", cells.origin);
+  check::between("first", cells.first, -FARTHEST_CELL, FARTHEST_CELL);
+  check::positive("cell", cells.cell);
+  check::between("substeps", substeps, 1, MOST_SUBSTEPS);
+  check::between("cells", cells.count, 0, MOST_STEPS / substeps);
+  // Speeds are ways over the length of a step.
+  const double h = cells.cell / static_cast<double>(substeps);
+  if (!std::isfinite(1 / h) || !std::isfinite(cells.start(0)) ||
+      !std::isfinite(cells.start(cells.count)))
+    check::refuse("cell", check::text(cells.cell) + " in " + check::text(substeps) +
+                              " steps is beyond what numbers can tell apart");
 }
 
 Out<double, 3> ended_state(const SpringRun& run) {
@@ -36,6 +49,8 @@ Out<std::uint8_t, 1> ended_torn(const SpringRun& run) {
 
 Out<double, 2> spring_accelerations(const SpringNetwork& network, double t, double h,
                                     In<double, 3> state, In<std::uint8_t, 1> torn) {
+  check::finite("t", t);
+  check::positive("h", h);
   SpringRun run = begin_springs(network, state, torn);
   Buffer<double> result(3 * network.particles());
   {
@@ -51,10 +66,10 @@ Out<double, 2> spring_accelerations(const SpringNetwork& network, double t, doub
 }
 
 Out<std::int64_t, 1> spring_order(In<std::int64_t, 2> ends, std::size_t particles) {
-  if (ends.shape(1) != 2) throw std::invalid_argument("ends are (S, 2)");
-  for (std::size_t k = 0; k < ends.size(); ++k)
-    if (ends.data()[k] < 0 || ends.data()[k] >= static_cast<std::int64_t>(particles))
-      throw std::invalid_argument("particles are counted from 0");
+  check::between("particles", particles, 0, check::MOST_ROWS);
+  check::shape("ends", ends, {check::ANY, 2});
+  check::at_most("ends", ends.shape(0), check::MOST_ROWS);
+  check::indices("ends", ends, 0, static_cast<std::int64_t>(particles));
   Buffer<std::int64_t> result(ends.shape(0));
   {
     nb::gil_scoped_release release;
@@ -67,8 +82,7 @@ Out<std::int64_t, 1> spring_order(In<std::int64_t, 2> ends, std::size_t particle
 
 std::tuple<double, double> spring_energy(const SpringNetwork& network,
                                          In<double, 2> positions) {
-  if (positions.shape(0) != network.particles() || positions.shape(1) != 3)
-    throw std::invalid_argument("positions are (N, 3)");
+  check::shape("positions", positions, {network.particles(), 3});
   double energy = 0, longest = 0;
   for (const Spring& spring : network.lines.springs) {
     const double* p = positions.data() + 3 * static_cast<std::size_t>(spring.i);
@@ -199,8 +213,10 @@ SpringsStepped step_springs(const SpringNetwork& network, In<double, 3> state,
                             In<std::uint8_t, 1> torn, double origin, std::int64_t first,
                             double cell, std::int64_t cells, int substeps,
                             const std::optional<SpringColliders>& colliders) {
-  SpringRun run = begin_springs(network, state, torn);
   const Cells grid{origin, first, cell, cells};
+  check_cells(grid, substeps);
+  check::finite("state", state);
+  SpringRun run = begin_springs(network, state, torn);
   SpringContacts contacts(colliders, network.particles(), cells);
   {
     nb::gil_scoped_release release;

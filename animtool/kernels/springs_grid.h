@@ -2,7 +2,6 @@
 #pragma once
 
 #include <algorithm>
-#include <cmath>
 #include <cstdint>
 #include <vector>
 
@@ -29,8 +28,9 @@ class PointGrid {
     return static_cast<std::size_t>((key * 0x9e3779b97f4a7c15u) >> 32) & mask_;
   }
   std::int64_t cell_of(double place, std::size_t axis) const {
-    const double cell = std::floor((place - low_[axis]) * over_);
-    return static_cast<std::int64_t>(std::clamp(cell, 0.0, double(MOST_CELLS)));
+    // What is no number is in the first.
+    const double cell = (place - low_[axis]) * over_;
+    return cell > 0 ? static_cast<std::int64_t>(std::min(cell, double(MOST_CELLS))) : 0;
   }
 
   // Cells are counted to this from the first in each direction.

@@ -4,8 +4,8 @@
 #include <algorithm>
 #include <limits>
 #include <queue>
-#include <stdexcept>
 
+#include "checks.h"
 #include "springs_shapes.h"
 
 namespace animtool {
@@ -88,8 +88,11 @@ SpringLayers::SpringLayers(const SpringNetwork& network, In<double, 2> rest,
       particles_(network.particles()),
       corners_(network.triangles),
       beside_starts_{0} {
-  if (rest.shape(0) != particles_ || rest.shape(1) != 3)
-    throw std::invalid_argument("what is at rest is (N, 3)");
+  check::shape("rest", rest, {particles_, 3});
+  check::finite("rest", rest);
+  check::positive("thickness", thickness);
+  check::not_negative("friction", friction);
+  check::not_negative("speed", speed);
   rest_.resize(ROW * particles_);
   for (std::size_t n = 0; n < particles_; ++n)
     std::copy_n(rest.data() + 3 * n, 3, rest_.data() + ROW * n);
@@ -133,6 +136,18 @@ double SpringLayers::least(std::size_t triangle, std::int32_t particle) const {
   const double apart = shapes::Triangle(of, rest_.data()).distance(row_of(rest_.data(), particle));
   if (!(apart < NEIGHBOURS * thickness)) return thickness;
   return kept(apart, std::any_of(of, of + 3, [&](std::int32_t n) { return joined(n, particle); }));
+}
+
+double SpringLayers::checked_least(std::int64_t triangle, std::int64_t particle) const {
+  check::indices("triangle", &triangle, 1, 0, static_cast<std::int64_t>(triangles()));
+  check::indices("particle", &particle, 1, 0, static_cast<std::int64_t>(particles_));
+  return least(static_cast<std::size_t>(triangle), static_cast<std::int32_t>(particle));
+}
+
+double SpringLayers::checked_least_of_edges(std::int64_t first, std::int64_t second) const {
+  check::indices("first", &first, 1, 0, static_cast<std::int64_t>(edges()));
+  check::indices("second", &second, 1, 0, static_cast<std::int64_t>(edges()));
+  return least_of_edges(static_cast<std::size_t>(first), static_cast<std::size_t>(second));
 }
 
 double SpringLayers::most_of_edges() const { return EDGES * thickness; }

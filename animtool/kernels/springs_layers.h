@@ -28,6 +28,9 @@ class SpringLayers {
   double least(std::size_t triangle, std::int32_t particle) const;
   double least_of_edges(std::size_t first, std::size_t second) const;
   double most_of_edges() const;
+  // The same for callers who may name what there is not.
+  double checked_least(std::int64_t triangle, std::int64_t particle) const;
+  double checked_least_of_edges(std::int64_t first, std::int64_t second) const;
 
   const double thickness, friction, speed;
 

@@ -2,7 +2,8 @@
 #include "springs_meshes.h"
 
 #include <algorithm>
-#include <stdexcept>
+
+#include "checks.h"
 
 namespace animtool {
 
@@ -23,6 +24,8 @@ MeshPatches::Found MeshPatches::look(const Mesh& mesh, std::int32_t root, std::s
   }
   if (patch.count == 0) return {{patch.distance - went, {0, 1, 0}}, -1};
   const Nearest best = nearest(patch, mesh, p, went);
+  // Of what is so far that its square is no number.
+  if (best.triangle < 0) return {{collide::FAR, {0, 1, 0}}, -1};
   return {collide::sample_nearest(mesh, best, p), best.triangle};
 }
 
@@ -93,20 +96,25 @@ void MeshPatches::collect(Patch& patch, const Mesh& mesh, std::int32_t root, Vec
   if (4 * count < MOST) patch.fine *= 1.5;
 }
 
+// Cells that a knot lasts, at most.
+constexpr std::int64_t MOST_LASTING = std::int64_t{1} << 40;
+
 MovingSurface::MovingSurface(const SpringSurface& surface, std::int64_t cells)
     : surface_(std::get<0>(surface)),
       points_(std::get<1>(surface)),
       numbers_(std::get<2>(surface)),
       lasts_(std::get<3>(surface)),
       first_(std::get<4>(surface)) {
-  if (lasts_ < 1 || first_ < 0 || first_ >= lasts_)
-    throw std::invalid_argument("knots of a surface last at least one cell");
+  if (!surface_) check::refuse("colliders.surfaces", "a surface is None");
+  check::between("colliders.surfaces", lasts_, 1, MOST_LASTING);
+  check::between("colliders.surfaces", first_, 0, lasts_ - 1);
   const std::int64_t knots = (first_ + cells + lasts_ - 1) / lasts_ + 1;
-  if (points_.shape(0) != static_cast<std::size_t>(knots) ||
-      points_.shape(1) != surface_->points() || points_.shape(2) != 3)
-    throw std::invalid_argument("points of a surface are (knots, P, 3)");
+  check::shape("colliders.surfaces", points_, {static_cast<std::size_t>(knots), surface_->points(), 3});
+  check::finite("colliders.surfaces", points_);
+  check::finite("colliders.surfaces", numbers_.data(), numbers_.size());
   ways_.resize(3 * surface_->points());
   surface_->fit(points_.data(), points_.data(), bounds_);
+  if (bounds_.empty()) check::refuse("colliders.surfaces", "a surface has no triangle");
 }
 
 bool MovingSurface::enter(std::int64_t cell, double length) {

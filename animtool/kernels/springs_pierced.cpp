@@ -1,9 +1,9 @@
 // Edges that go through triangles.
 #include <algorithm>
-#include <stdexcept>
 #include <utility>
 #include <vector>
 
+#include "checks.h"
 #include "springs_grid.h"
 #include "springs_shapes.h"
 #include "springs_steps.h"
@@ -77,18 +77,15 @@ std::int64_t count_pierced(const std::vector<double>& x,
 
 std::int64_t pierced_edges(In<double, 2> positions, In<std::int64_t, 2> triangles) {
   const std::size_t count = positions.shape(0);
-  if (positions.shape(1) != 3 || triangles.shape(1) != 3)
-    throw std::invalid_argument("positions are (N, 3), and triangles (T, 3)");
+  check::shape("positions", positions, {check::ANY, 3});
+  check::at_most("positions", count, check::MOST_ROWS);
+  check::shape("triangles", triangles, {check::ANY, 3});
+  check::at_most("triangles", triangles.shape(0), check::MOST_ROWS);
+  check::indices("triangles", triangles, 0, static_cast<std::int64_t>(count));
   std::vector<double> x(ROW * count);
   for (std::size_t n = 0; n < count; ++n)
     std::copy_n(positions.data() + 3 * n, 3, x.data() + ROW * n);
-  std::vector<std::int32_t> corners;
-  for (std::size_t k = 0; k < triangles.size(); ++k) {
-    const std::int64_t n = triangles.data()[k];
-    if (n < 0 || n >= static_cast<std::int64_t>(count))
-      throw std::invalid_argument("triangles are of particles that there are");
-    corners.push_back(static_cast<std::int32_t>(n));
-  }
+  const std::vector<std::int32_t> corners(triangles.data(), triangles.data() + triangles.size());
   nb::gil_scoped_release release;
   return count_pierced(x, corners);
 }

@@ -4,8 +4,8 @@
 // Physics Simulation, 2019.
 #include <algorithm>
 #include <limits>
-#include <stdexcept>
 
+#include "checks.h"
 #include "springs_self.h"
 #include "springs_steps.h"
 
@@ -176,8 +176,15 @@ SpringsProjected project_springs(const SpringNetwork& network, In<double, 3> sta
                                  int least, int most, double stretch,
                                  const std::optional<SpringColliders>& colliders,
                                  const SpringLayers* layers, In<std::int64_t, 2> crossed) {
-  SpringRun run = begin_springs(network, state, torn);
   const Cells grid{origin, first, cell, cells};
+  check::between("most", most, 1, static_cast<int>(MOST_SUBSTEPS));
+  check::between("least", least, 1, static_cast<int>(MOST_SUBSTEPS));
+  check_cells(grid, substeps);
+  check_cells(grid, std::max(substeps, most));
+  check::between("calm", calm, 0, std::numeric_limits<int>::max() / 2);
+  if (!(stretch >= 0)) check::refuse("stretch", check::text(stretch) + " is not 0 or more");
+  check::finite("state", state);
+  SpringRun run = begin_springs(network, state, torn);
   SpringContacts contacts(colliders, network.particles(), cells);
   SelfContacts self(layers, network, crossed);
   double worst = 0;

@@ -4,8 +4,8 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
-#include <stdexcept>
 
+#include "checks.h"
 #include "springs_steps.h"
 
 namespace animtool {
@@ -24,6 +24,12 @@ constexpr double PICK_AHEAD = 6, LEAST_PICK = 0.03, MOST_PICK = 0.5;
 // Width of cells that hold what may come near [longest edge, thickness].
 constexpr double CELL_EDGES = 4, CELL = 8;
 
+void check_layers(const SpringLayers& layers, const SpringNetwork& network) {
+  if (layers.particles() == network.particles()) return;
+  check::refuse("layers", check::text(layers.particles()) + " particles are not the " +
+                              check::text(network.particles()) + " of the network");
+}
+
 }  // namespace
 
 SelfContacts::SelfContacts(const SpringLayers& layers, const SpringNetwork& network)
@@ -32,9 +38,8 @@ SelfContacts::SelfContacts(const SpringLayers& layers, const SpringNetwork& netw
 SelfContacts::SelfContacts(const SpringLayers* layers, const SpringNetwork& network,
                            const In<std::int64_t, 2>& crossed)
     : layers_(layers), network_(network) {
-  if (layers_ && layers_->particles() != network.particles())
-    throw std::invalid_argument("layers are of as many particles as there are");
-  if (crossed.shape(1) != 3) throw std::invalid_argument("passages are (C, 3)");
+  if (layers_) check_layers(*layers_, network);
+  check::shape("crossed", crossed, {check::ANY, 3});
   read(crossed);
 }
 
@@ -43,14 +48,15 @@ void SelfContacts::read(const In<std::int64_t, 2>& crossed) {
     return n >= 0 && n < static_cast<std::int64_t>(count);
   };
   for (std::size_t c = 0; c < crossed.size(); c += 3) {
-    const std::int64_t *one = crossed.data() + c,
-                       edge = layers_ ? one[0] - std::int64_t(layers_->particles()) : 0;
-    const bool edges = layers_ && within(edge, layers_->edges()) && edge < one[1] &&
-                       within(one[1], layers_->edges());
+    const std::int64_t* one = crossed.data() + c;
     const bool corner = layers_ && within(one[0], layers_->particles()) &&
                         within(one[1], layers_->triangles());
-    if (!(edges || corner) || std::abs(one[2]) != 1)
-      throw std::invalid_argument("passages are of particles, triangles, and 1 or -1");
+    const std::int64_t edge =
+        layers_ && one[0] >= 0 ? one[0] - std::int64_t(layers_->particles()) : -1;
+    const bool edges = layers_ && within(edge, layers_->edges()) && edge < one[1] &&
+                       within(one[1], layers_->edges());
+    if (!(edges || corner) || (one[2] != 1 && one[2] != -1))
+      check::refuse("crossed", "row " + check::text(c / 3) + " is no passage of the layers");
     const auto second = static_cast<std::int32_t>(one[1]), side = static_cast<std::int32_t>(one[2]);
     if (edges)
       edges_.crossed.push_back({static_cast<std::int32_t>(edge), second, side});
@@ -116,7 +122,7 @@ void SelfContacts::list(double h, const std::vector<double>& before,
 }
 
 void SelfContacts::keep_apart(double h, std::vector<double>& before, std::vector<double>& x) {
-  if (!layers_) return;
+  if (!layers_ || x.empty()) return;
   corners_.forget();
   edges_.forget();
   // Of what has blown up nothing is known any more.
@@ -168,9 +174,10 @@ void SelfContacts::note_through() {
 Out<double, 3> part_springs(const SpringNetwork& network, const SpringLayers& layers,
                             In<double, 2> before, In<double, 3> after, double h) {
   const std::size_t count = network.particles();
-  if (before.shape(0) != count || before.shape(1) != 3 || after.shape(0) != 2 ||
-      after.shape(1) != count || after.shape(2) != 3)
-    throw std::invalid_argument("positions are (N, 3), and a state (2, N, 3)");
+  check_layers(layers, network);
+  check::shape("before", before, {count, 3});
+  check::shape("after", after, {2, count, 3});
+  check::positive("h", h);
   std::vector<double> from(ROW * count), x(ROW * count);
   for (std::size_t n = 0; n < count; ++n) {
     std::copy_n(before.data() + 3 * n, 3, &from[ROW * n]);

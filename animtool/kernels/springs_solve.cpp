@@ -5,8 +5,8 @@
 // Stable but Responsive Cloth, 2002 (what a pressed spring takes from the stiffness across
 // it is left out, so that the matrix stays positive).
 #include <algorithm>
-#include <stdexcept>
 
+#include "checks.h"
 #include "springs_steps.h"
 
 namespace animtool {
@@ -309,11 +309,16 @@ SpringsSolved solve_springs(const SpringNetwork& network, In<double, 3> state,
                             std::int64_t cells, int substeps, bool two_steps,
                             double tolerance,
                             const std::optional<SpringColliders>& colliders) {
-  SpringRun run = begin_springs(network, state, torn);
-  if (earlier && (earlier->shape(0) != 2 || earlier->shape(1) != network.particles() ||
-                  earlier->shape(2) != 3))
-    throw std::invalid_argument("the state before is (2, N, 3)");
   const Cells grid{origin, first, cell, cells};
+  check::between("substeps", substeps, 1, static_cast<int>(MOST_SUBSTEPS >> MOST_SPLITS));
+  check_cells(grid, substeps << MOST_SPLITS);
+  check::positive("tolerance", tolerance);
+  check::finite("state", state);
+  SpringRun run = begin_springs(network, state, torn);
+  if (earlier) {
+    check::shape("before", *earlier, {2, network.particles(), 3});
+    check::finite("before", *earlier);
+  }
   SpringContacts contacts(colliders, network.particles(), cells);
   Crossing crossing(run, contacts, tolerance, two_steps);
   crossing.before = {run.x, run.v};

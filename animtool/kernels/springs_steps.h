@@ -26,6 +26,14 @@ struct Cells {
   }
 };
 
+// Steps of a cell and of a call, at most, and cells from the origin.
+constexpr std::int64_t MOST_SUBSTEPS = std::int64_t{1} << 20;
+constexpr std::int64_t MOST_STEPS = std::int64_t{1} << 24;
+constexpr std::int64_t FARTHEST_CELL = std::int64_t{1} << 52;
+
+// Refuses what has no steps, none that can be told apart, or so many that it is a mistake.
+void check_cells(const Cells& cells, std::int64_t substeps);
+
 // states (2, N, 3), torn, particles left inside colliders
 using SpringsStepped = std::tuple<Out<double, 3>, Out<std::uint8_t, 1>, std::int64_t>;
 // states, torn, steps a cell, cells that went well since, largest stretch, steps taken,

@@ -3,9 +3,11 @@
 #include "springs_strands.h"
 
 #include <algorithm>
-#include <stdexcept>
 #include <system_error>
 #include <thread>
+
+#include "checks.h"
+#include "springs_steps.h"
 
 namespace animtool {
 
@@ -231,11 +233,16 @@ double give(double stiffness, double damping, double weight, double h) {
 SpringStrands::SpringStrands(In<double, 2> rests, In<double, 2> folds, In<double, 1> field,
                              In<double, 1> numbers)
     : strands_(rests.shape(0)), points_(rests.shape(1) + 1) {
-  if (strands_ == 0) throw std::invalid_argument("there is at least one strand");
-  if (folds.shape(0) != strands_ || folds.shape(1) != points_ - std::min<std::size_t>(points_, 2))
-    throw std::invalid_argument("rests are (S, P - 1), folds (S, P - 2)");
-  if (field.shape(0) != 4) throw std::invalid_argument("the field is (4,)");
-  if (numbers.shape(0) != 5) throw std::invalid_argument("numbers are (5,)");
+  check::shape("rests", rests, {check::ANY, check::ANY});
+  if (strands_ == 0) check::refuse("rests", "there is no strand");
+  check::at_most("rests", points_, check::MOST_ROWS / strands_);
+  for (std::size_t k = 0; k < rests.size(); ++k) check::not_negative("rests", rests.data()[k]);
+  check::shape("folds", folds, {strands_, points_ - std::min<std::size_t>(points_, 2)});
+  for (std::size_t k = 0; k < folds.size(); ++k) check::not_negative("folds", folds.data()[k]);
+  check::shape("field", field, {4});
+  check::finite("field", field);
+  check::shape("numbers", numbers, {5});
+  for (std::size_t k = 0; k < 5; ++k) check::not_negative("numbers", numbers.data()[k]);
   std::copy_n(field.data(), 4, field_);
   stiffness_ = numbers.data()[0];
   fold_ = numbers.data()[1];
@@ -270,15 +277,18 @@ StrandsFollowed follow_strands(const SpringStrands& strands, In<double, 3> targe
                                const std::optional<SpringColliders>& colliders,
                                std::size_t threads) {
   const std::size_t count = strands.strands() * strands.points();
-  if (state.shape(0) != 2 || state.shape(1) != count || state.shape(2) != 3)
-    throw std::invalid_argument("a state is (2, N, 3)");
-  if (targets.shape(0) < 2 || targets.shape(1) != count || targets.shape(2) != 3)
-    throw std::invalid_argument("targets are (cells + 1, N, 3)");
-  if (threads < 1) throw std::invalid_argument("there is at least one thread");
-  if (substeps < 1) throw std::invalid_argument("a cell has at least one step");
+  check::shape("state", state, {2, count, 3});
+  check::finite("state", state);
+  check::shape("targets", targets, {check::ANY, count, 3});
+  if (targets.shape(0) < 2) check::refuse("targets", "there is no cell between two of them");
+  check::finite("targets", targets);
+  if (threads < 1) check::refuse("threads", "0 is none");
   if (colliders && !std::get<5>(*colliders).empty())
-    throw std::invalid_argument("strands meet no mesh whose points move");
+    check::refuse("colliders", "strands meet no mesh whose points move");
   const std::size_t cells = targets.shape(0) - 1;
+  check::positive("span", span);
+  check_cells({0, 0, span / static_cast<double>(cells), static_cast<std::int64_t>(cells)},
+              substeps);
   const MovingColliders moving(colliders, count, static_cast<std::int64_t>(cells));
   Buffer<double> out(6 * count);
   std::int64_t touched = 0, inside = 0;

@@ -27,8 +27,8 @@ class SpringStrands {
   // What does not change over a frame of cells of so many steps.
   StrandSteps plan(std::size_t cells, std::size_t substeps, double span) const;
 
-  const double* rests(std::size_t bundle) const { return &rests_[bundle * WIDE * springs()]; }
-  const double* folds(std::size_t bundle) const { return &folds_[bundle * WIDE * points_]; }
+  const double* rests(std::size_t bundle) const { return rests_.data() + bundle * WIDE * springs(); }
+  const double* folds(std::size_t bundle) const { return folds_.data() + bundle * WIDE * points_; }
 
  private:
   std::size_t springs() const { return points_ - 1; }

@@ -64,11 +64,11 @@ def test_knots_are_as_many_as_cells_ask_for(
     if fits:
         assert np.isfinite(stepped(made, paths, NUMBERS, lasts, over)[0]).all()
         return
-    with pytest.raises(ValueError, match="knots"):
+    with pytest.raises(ValueError, match="surfaces"):
         stepped(made, paths, NUMBERS, lasts, over)
 
 
 def test_knots_have_the_points_of_the_mesh() -> None:
     made = _kernels.MeshSurface(POINTS, FACES)
-    with pytest.raises(ValueError, match="knots"):
+    with pytest.raises(ValueError, match="surfaces"):
         stepped(made, np.zeros((5, 4, 3)), NUMBERS, 1, 0)

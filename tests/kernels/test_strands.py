@@ -226,7 +226,7 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
                 ready, np.ascontiguousarray(targets),
                 np.ascontiguousarray(given_state), SPAN, substeps, None,
             )  # fmt: skip
-    with pytest.raises(ValueError, match="rests"):
+    with pytest.raises(ValueError, match="folds"):
         _kernels.SpringStrands(
             np.ones((2, 3)), np.ones((2, 3)), np.zeros(4), np.zeros(5)
         )
