@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from animtool.errors import Fault, OptionError
+from animtool.errors import Fault, FormatError, OptionError
+from animtool.files import MAX_TEXT_BYTES, read_input
 from animtool.inputs import note_input
 
 __all__ = ["Config", "find_config", "project_around", "project_roots"]
@@ -17,6 +18,10 @@ __all__ = ["Config", "find_config", "project_around", "project_roots"]
 
 # What tools of version control keep at the top of a checkout.
 VERSION_CONTROL = (".git", ".hg", ".svn", ".jj")
+
+
+# A petabyte.
+MAX_ARRAY_MB = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,12 +33,15 @@ class Config:
         roots: Folders that files of the project may refer into: the one that the
             settings are in, and those they name.
         validate: What `animtool validate` makes of it, as written.
+        max_array_mb: The most that is read of one archive of arrays [MB]; None is
+            1000.
         path: The file that says so; None where there is none.
     """
 
     start: Fraction | None = None
     roots: tuple[Path, ...] = ()
     validate: Mapping[str, Any] = field(default_factory=dict)
+    max_array_mb: int | None = None
     path: Path | None = None
 
 
@@ -61,8 +69,11 @@ def find_config(path: Path) -> Config:
 
 def _table(path: Path) -> dict[str, Any]:
     try:
-        return _parsed(path.read_text("utf-8"))
-    except (OSError, ValueError) as error:
+        return _parsed(read_input(path, MAX_TEXT_BYTES).decode("utf-8"))
+    except FormatError as error:
+        fault = replace(error.faults[0], code="CFG001")
+        raise OptionError(fault) from error
+    except ValueError as error:
         raise OptionError(
             Fault("CFG001", f"cannot be read: {error}", str(path))
         ) from error
@@ -101,7 +112,13 @@ def _config(path: Path, table: Any) -> Config:
     if not isinstance(validate, dict):
         message = f"validate is {validate!r}, not a table of settings"
         raise OptionError(Fault("CFG003", message, str(path)))
-    return Config(None if start is None else Fraction(start), folders, validate, path)
+    most = table.get("max_array_mb")
+    whole = isinstance(most, int) and not isinstance(most, bool)
+    if most is not None and not (whole and 0 < most <= MAX_ARRAY_MB):
+        message = f"max_array_mb is {most!r}, not a whole number from 1 to "
+        raise OptionError(Fault("CFG003", f"{message}{MAX_ARRAY_MB}", str(path)))
+    begin = None if start is None else Fraction(start)
+    return Config(begin, folders, validate, most, path)
 
 
 def project_roots(path: Path) -> tuple[Path, ...]:

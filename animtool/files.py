@@ -1,22 +1,32 @@
-"""Which files names, folders and globs mean."""
+"""Which files names, folders and globs mean, and the one way to open them."""
 
 from __future__ import annotations
 
 import difflib
+import io
 import os
+import stat
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 from animtool.errors import Fault, FormatError
+from animtool.inputs import FileState, changed_error, note_input
 
 __all__ = [
+    "MAX_INPUT_BYTES",
     "FoundFile",
+    "InputFile",
     "Places",
     "files_meant",
+    "is_there",
     "nearest_file",
+    "open_input",
+    "read_input",
     "seen_from",
+    "too_large",
     "unreadable",
 ]
 
@@ -24,6 +34,21 @@ __all__ = [
 MAX_NAMES = 10_000
 
 _WILD = frozenset("*?[")
+
+# No file is read into memory as a whole that is larger.
+MAX_INPUT_BYTES = 1_000_000_000
+# Text that a person writes: a rig of thousands of joints has a few MB.
+MAX_TEXT_BYTES = 32_000_000
+# A FIFO that nobody writes to must not stop whoever opens it, and no terminal may
+# become the process's own.
+_FLAGS = os.O_RDONLY | sum(
+    getattr(os, name, 0) for name in ("O_BINARY", "O_CLOEXEC", "O_NONBLOCK", "O_NOCTTY")
+)
+_KINDS = {
+    stat.S_IFDIR: "is a folder",
+    stat.S_IFIFO: "is a pipe, not a file",
+    stat.S_IFSOCK: "is a socket, not a file",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +94,140 @@ def unreadable(path: Path, reason: OSError | str) -> FormatError:
     return FormatError(Fault("IO001", message, str(path), (), nearest_file(path)))
 
 
+class InputFile(io.FileIO):
+    """A file open to be read, as long as it was when it was opened.
+
+    Attributes:
+        path: As the user named it.
+        state: What it was when it was opened.
+    """
+
+    def __init__(self, path: Path, handle: int, state: FileState) -> None:
+        """Take a descriptor, which is closed with this."""
+        super().__init__(handle, "rb")
+        self.path, self.state = path, state
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Return the next bytes, at most ``size``; none after the end."""
+        left = max(0, self.state.size - self.tell())
+        size = left if size is None or size < 0 else min(size, left)
+        return super().read(size) or b""
+
+    def readall(self) -> bytes:
+        """Return all that is left."""
+        parts = []
+        while part := self.read():
+            parts.append(part)
+        return b"".join(parts)
+
+    def readinto(self, buffer: Any, /) -> int:
+        """Put the next bytes into a buffer; return how many."""
+        view = memoryview(buffer).cast("B")
+        data = self.read(len(view))
+        view[: len(data)] = data
+        return len(data)
+
+    def whole(self) -> bytes:
+        """Return all that is left of a file that stays as it is meanwhile.
+
+        Raises:
+            FormatError: It cannot be read (IO001), or changed (IO004).
+        """
+        try:
+            data = self.readall()
+        except OSError as error:
+            raise unreadable(self.path, error) from error
+        self.check()
+        return data
+
+    def check(self) -> None:
+        """Raise `FormatError` where it changed since it was opened (IO004)."""
+        if FileState.of_stat(os.fstat(self.fileno())) != self.state:
+            raise changed_error(self.path)
+
+
+def open_input(
+    path: Path, max_bytes: int | None = MAX_INPUT_BYTES, *, noted: bool = True
+) -> InputFile:
+    """Open a file that a user or another file names: the one way to do so.
+
+    What is looked at is what is read: the descriptor, once it is open.
+
+    Args:
+        path: The file.
+        max_bytes: The most that it may hold; None is any size, for what is read piece
+            by piece.
+        noted: Whether it is an input of the work (`note_input`).
+
+    Raises:
+        FormatError: It is not there, may not be read, is a folder, a device, a pipe or
+            a socket (IO001), or is too large (IO010).
+    """
+    try:
+        # To open a device may already do something.
+        _check_regular(path, path.stat())
+        handle = os.open(path, _FLAGS)
+    except (OSError, ValueError) as error:
+        if noted:
+            note_input(path)
+        reason = error if isinstance(error, OSError) else str(error)
+        raise unreadable(path, reason) from error
+    try:
+        found = os.fstat(handle)
+        _check_regular(path, found)
+        _check_size(path, found, max_bytes)
+        file = InputFile(path, handle, FileState.of_stat(found))
+    except BaseException:
+        os.close(handle)
+        raise
+    if noted:
+        note_input(path, file.state)
+    return file
+
+
+def read_input(
+    path: Path, max_bytes: int = MAX_INPUT_BYTES, *, noted: bool = True
+) -> bytes:
+    """Return the content of a file; see `open_input`.
+
+    Raises:
+        FormatError: As `open_input` does, or it changed meanwhile (IO004).
+    """
+    with open_input(path, max_bytes, noted=noted) as file:
+        return file.whole()
+
+
+def too_large(
+    path: Path, size: int, limit: int, hint: str | None = None
+) -> FormatError:
+    """Return the error of a file that is too large to be read (IO010).
+
+    Args:
+        path: The file.
+        size: Of it [bytes].
+        limit: The most that is read [bytes].
+        hint: What to do about it.
+    """
+    message = f"is {size / 1e6:,.6g} MB, and at most {limit / 1e6:,.6g} MB are read"
+    return FormatError(Fault("IO010", message, str(path), (), hint))
+
+
+def _check_regular(path: Path, found: os.stat_result) -> None:
+    kind = stat.S_IFMT(found.st_mode)
+    if kind != stat.S_IFREG:
+        raise unreadable(path, _KINDS.get(kind, "is a device, not a file"))
+
+
+def _check_size(path: Path, found: os.stat_result, limit: int | None) -> None:
+    if limit is not None and found.st_size > limit:
+        raise too_large(path, found.st_size, limit)
+
+
+def is_there(path: Path) -> bool:
+    """Return whether something has a name; not of a name that nothing can have."""
+    return FileState.of(path) is not None
+
+
 def nearest_file(path: Path, folder: Path = Path()) -> str | None:
     """Return a hint that names the file that was meant by one that does not exist.
 
@@ -80,7 +239,7 @@ def nearest_file(path: Path, folder: Path = Path()) -> str | None:
         folder: Where a relative path starts.
     """
     around = [path, *path.parents]
-    missing = next((p for p in reversed(around) if not (folder / p).exists()), None)
+    missing = next((p for p in reversed(around) if not is_there(folder / p)), None)
     if missing is None or not missing.name:
         return None
     try:

@@ -6,6 +6,7 @@ too: that it comes may change what the work makes.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -14,7 +15,14 @@ from pathlib import Path
 
 from animtool.errors import Fault, FormatError
 
-__all__ = ["FileState", "Inputs", "check_inputs", "note_input", "recorded_inputs"]
+__all__ = [
+    "FileState",
+    "Inputs",
+    "changed_error",
+    "check_inputs",
+    "note_input",
+    "recorded_inputs",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,9 +43,13 @@ class FileState:
     def of(cls, path: Path) -> FileState | None:
         """Return the state of a file; None where there is none."""
         try:
-            found = path.stat()
+            return cls.of_stat(path.stat())
         except (OSError, ValueError):
             return None
+
+    @classmethod
+    def of_stat(cls, found: os.stat_result) -> FileState:
+        """Return the state that the system reports of a file, or of a descriptor."""
         return cls(found.st_size, found.st_mtime_ns, found.st_ino)
 
 
@@ -48,34 +60,45 @@ class Inputs:
     Attributes:
         states: By absolute path, what the file was when it was first looked at.
         opened: Those of them that were not only brought in by a USD layer.
+        replaced: Those of them that were another file when they were looked at again.
     """
 
     states: dict[Path, FileState | None] = field(default_factory=dict)
     opened: set[Path] = field(default_factory=set)
+    replaced: set[Path] = field(default_factory=set)
 
-    def note(self, path: Path, *, composed: bool = False) -> None:
-        """Note a file that is about to be read; ``composed`` is as in `note_input`."""
+    def note(
+        self, path: Path, state: FileState | None = None, *, composed: bool = False
+    ) -> None:
+        """Note a file that is about to be read; the arguments are `note_input`'s."""
         where = path.absolute()
         if not composed:
             self.opened.add(where)
         if where not in self.states:
-            self.states[where] = FileState.of(where)
+            self.states[where] = FileState.of(where) if state is None else state
+        elif state is not None and state != self.states[where]:
+            self.replaced.add(where)
 
     def changed(self) -> list[Path]:
         """Return the files that are no longer what they were."""
         return [
-            path for path, state in self.states.items() if FileState.of(path) != state
+            path
+            for path, state in self.states.items()
+            if path in self.replaced or FileState.of(path) != state
         ]
 
     def check(self) -> None:
         """Raise `FormatError` where files changed since they were looked at (IO004)."""
         changed = self.changed()
         if changed:
-            message = "changed while it was being read"
-            hint = "run it again when nobody writes to it"
-            raise FormatError(
-                [Fault("IO004", message, str(path), (), hint) for path in changed]
-            )
+            raise changed_error(*changed)
+
+
+def changed_error(*paths: Path) -> FormatError:
+    """Return the error of files that changed while they were read (IO004)."""
+    message = "changed while it was being read"
+    hint = "run it again when nobody writes to it"
+    return FormatError([Fault("IO004", message, str(path), (), hint) for path in paths])
 
 
 _RECORDED: ContextVar[tuple[Inputs, ...]] = ContextVar("recorded_inputs", default=())
@@ -100,15 +123,18 @@ def recorded_inputs() -> Iterator[Inputs]:
         _RECORDED.reset(token)
 
 
-def note_input(path: Path, *, composed: bool = False) -> None:
+def note_input(
+    path: Path, state: FileState | None = None, *, composed: bool = False
+) -> None:
     """Note that a file is about to be read, or was looked for.
 
     Args:
         path: The file.
+        state: What it is, of its descriptor where it is open; None looks at the path.
         composed: A USD layer brings it in; nobody named it.
     """
     for inputs in _RECORDED.get():
-        inputs.note(path, composed=composed)
+        inputs.note(path, state, composed=composed)
 
 
 def check_inputs() -> None:

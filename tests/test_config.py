@@ -22,13 +22,15 @@ def test_the_nearest_settings(tmp_path: Path, name: str, text: str) -> None:
     folder.mkdir(parents=True)
     (folder.parent / "pyproject.toml").write_text("[project]\nname = 'other'")
     found = find_config(folder / "take.bvh")
-    assert found == Config(Fraction(1001), (tmp_path,), {}, tmp_path / name)
+    assert found == Config(Fraction(1001), (tmp_path,), {}, None, tmp_path / name)
 
 
 def test_no_settings(tmp_path: Path) -> None:
     (tmp_path / "animtool.toml").write_text("")
     path = tmp_path / "animtool.toml"
-    assert find_config(tmp_path / "take.bvh") == Config(None, (tmp_path,), {}, path)
+    assert find_config(tmp_path / "take.bvh") == Config(
+        None, (tmp_path,), {}, None, path
+    )
 
 
 @pytest.mark.parametrize(

@@ -105,9 +105,6 @@ def mean_seconds(path: Path) -> float:
             for item in map(object_of, items)
             if text_in(item, "status") == Status.DONE
         ]
-    except OSError as error:
-        fault = Fault("BAT037", f"cannot be read: {error.strerror}", str(path))
-        raise FormatError(fault) from error
     except RecordError as error:
         hint = "animtool batch JOB --items 1-20 --force --format json writes one"
         message = f"is no report of a batch: {error}"

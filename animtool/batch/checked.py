@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-import stat
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from animtool.errors import excerpt
+from animtool.errors import FormatError, excerpt
+from animtool.files import read_input
 
 __all__ = [
     "RecordError",
@@ -73,15 +73,12 @@ def json_of_file(path: Path, most: int) -> dict[str, Any]:
     """Return the JSON object in a file of at most so many bytes.
 
     Raises:
-        OSError: It cannot be read.
-        RecordError: It is too large, no file, or as in `json_object`.
+        RecordError: It cannot be read, is too large, or as in `json_object`.
     """
-    if not stat.S_ISREG(path.stat().st_mode):
-        raise RecordError("is no file")
-    with path.open("rb") as file:
-        data = file.read(most + 1)
-    if len(data) > most:
-        raise RecordError(f"is larger than {most // 1000} kB")
+    try:
+        data = read_input(path, most, noted=False)
+    except FormatError as error:
+        raise RecordError(error.faults[0].message) from error
     return json_object(data)
 
 

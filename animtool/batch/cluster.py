@@ -68,7 +68,7 @@ def _address(path: Path) -> str:
     """Return the address that a scheduler has written to a file."""
     try:
         found = text_in(json_of_file(path, MAX_SCHEDULER), "address", 1000)
-    except (OSError, RecordError) as error:
+    except RecordError as error:
         raise _unreachable(str(path), error) from error
     if not ADDRESS.fullmatch(found):
         raise _unreachable(str(path), RecordError(f"{excerpt(found)} is no address"))

@@ -18,7 +18,7 @@ from animtool.config import project_roots
 from animtool.documents.check import check_version, validated
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.names import is_variable_name
-from animtool.documents.references import missing_hint, referred
+from animtool.documents.references import referred_input
 from animtool.edit.frame_range import FrameRange
 from animtool.rates import parse_rate
 from animtool.scene.options import BakeOptions
@@ -102,8 +102,8 @@ class _Reader:
                 self.document.add("BAT061", ("variants",), "has no values", hint)
             return None
         if isinstance(given, str):
-            path = self._file(("variants",), given)
-            return read_variants(path) if path.is_file() else None
+            path = self._input(("variants",), given)
+            return None if path is None else read_variants(path)
         shots = SHOT_NAMES if self.of_shots else ()
         taken = {*INPUT_NAMES, *self.model.variables, *shots}
         return rows_of_document(self.document, given, taken)
@@ -172,11 +172,13 @@ class _Reader:
 
     def _file(self, at: Location, name: str) -> Path:
         """Return a file to read, which must be there."""
-        found = referred(self.document, at, name, self.roots, "BAT003")
-        if found is not None and not found.exists():
-            hint = missing_hint(self.document, name)
-            self.document.add("BAT003", at, f"{name!r} does not exist", hint)
+        found = self._input(at, name)
         return Path(name) if found is None else found
+
+    def _input(self, at: Location, name: str) -> Path | None:
+        """Return a file to read; None, and a fault, where it is refused or missing."""
+        codes = "BAT003", "BAT003"
+        return referred_input(self.document, at, name, self.roots, codes)
 
 
 def _range(given: list[int]) -> FrameRange:

@@ -307,7 +307,7 @@ def _owner(files: _Files) -> str:
     try:
         found = json_of_file(files.named(".owner"), MAX_OWNER)
         process, host = whole_in(found, "process", 1, 2**31), text_in(found, "host")
-    except (OSError, RecordError):
+    except RecordError:
         return unknown
     if host == platform.node() and not is_running(process):
         # One before it, or one whose number this process cannot see.

@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import json
 import os
-import stat
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from io import BufferedReader
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Self
 
 from animtool.batch.checked import RecordError, json_object
 from animtool.errors import Fault, FormatError, OutputError, Severity, counted
+from animtool.files import open_input
 from animtool.output import output_error
 
 __all__ = ["LineReader", "LineWriter"]
@@ -60,12 +62,14 @@ class LineReader:
             FormatError: It cannot be read, or is of another kind or version (BAT011).
         """
         try:
-            if not stat.S_ISREG(self.path.stat().st_mode):
-                raise self._unreadable("it is no file")
-            with self.path.open("rb") as file:
+            raw = open_input(self.path, None, noted=False)
+        except FormatError as error:
+            if isinstance(error.__cause__, FileNotFoundError):
+                return
+            raise FormatError(replace(error.faults[0], code="BAT011")) from error
+        try:
+            with BufferedReader(raw) as file:
                 yield from self._lines(file)
-        except FileNotFoundError:
-            return
         except OSError as error:
             raise self._unreadable(error.strerror or str(error)) from error
 

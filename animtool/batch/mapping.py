@@ -58,9 +58,6 @@ def read_rules(path: Path) -> list[PathRule]:
         key = "path_mapping_rules"
         given = list_in(found, key) if key in found else ()
         return [_rule(object_of(rule)) for rule in given]
-    except OSError as error:
-        fault = Fault("BAT038", f"cannot be read: {error.strerror}", str(path))
-        raise FormatError(fault) from error
     except RecordError as error:
         message = f"is no file of path mapping rules: {error}"
         raise FormatError(Fault("BAT038", message, str(path))) from error

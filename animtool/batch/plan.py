@@ -13,6 +13,7 @@ from animtool.batch.places import named_from, place_of
 from animtool.batch.recipe import Item
 from animtool.batch.records import FileRecord, ItemRecord, digest_of, file_digest
 from animtool.batch.versions import made_by
+from animtool.errors import FormatError
 from animtool.inputs import FileState
 
 __all__ = ["Decision", "Planner", "Reason"]
@@ -161,7 +162,7 @@ class Planner:
         if path not in self._digests:
             try:
                 self._digests[path] = file_digest(place_of(path, self._batch.root))
-            except OSError:
+            except FormatError:
                 # Whoever makes the item says why it cannot be read.
                 self._digests[path] = "unreadable"
         return self._digests[path]

@@ -17,6 +17,7 @@ from animtool.batch.checked import (
     text_in,
     whole_in,
 )
+from animtool.files import open_input
 from animtool.inputs import FileState
 
 __all__ = ["FileRecord", "ItemRecord", "digest_of", "file_digest", "record_of"]
@@ -160,21 +161,23 @@ def digest_of(value: object) -> str:
 
 
 def file_digest(path: Path) -> str:
-    """Return the SHA-256 of a file's content; empty where it is no file.
+    """Return the SHA-256 of a file's content; empty of a folder, a device or a pipe.
 
     Raises:
-        OSError: It cannot be read.
+        FormatError: It cannot be read, or changed meanwhile.
     """
-    if path.is_dir():
+    if path.exists() and not path.is_file():
         return ""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    with open_input(path, None, noted=False) as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+        file.check()
+    return digest
 
 
 def record_of(path: Path, name: str, state: FileState | None) -> FileRecord:
     """Return the record of a file whose state is known, its content read.
 
     Raises:
-        OSError: It cannot be read.
+        FormatError: It cannot be read, or changed meanwhile.
     """
     return FileRecord(name, state, "" if state is None else file_digest(path))

@@ -12,7 +12,7 @@ from urllib.parse import unquote, urlsplit
 
 from animtool.batch.timeline_text import check_text
 from animtool.errors import Fault, FormatError, OptionError, excerpt
-from animtool.inputs import FileState, note_input
+from animtool.inputs import FileState
 from animtool.rates import rate_from_float
 
 __all__ = [
@@ -53,10 +53,11 @@ def read_timeline(path: Path) -> Any:
         message = "cut lists need the package OpenTimelineIO"
         hint = "pip install 'animtool[otio]'"
         raise OptionError(Fault("BAT040", message, hint=hint)) from error
-    note_input(path)
     check_text(path)
     try:
         found = otio.adapters.read_from_file(str(path))
+    except MemoryError:
+        raise
     except Exception as error:
         kind = type(error).__name__
         message = f"cannot be read as a timeline: {kind}: {excerpt(str(error), 200)}"

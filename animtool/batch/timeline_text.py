@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import json
 import re
-import stat
+from dataclasses import replace
 from itertools import accumulate
 from pathlib import Path
 from zipfile import ZipFile
 
 from animtool.errors import Fault, FormatError, excerpt
+from animtool.files import open_input
 
 __all__ = ["check_text"]
 
@@ -36,6 +37,8 @@ def check_text(path: Path) -> None:
     """
     try:
         problem = _problem(path)
+    except FormatError as error:
+        raise FormatError(replace(error.faults[0], code="BAT041")) from error
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or excerpt(str(error), 200)
         problem = f"cannot be read as a timeline: {why}"
@@ -47,21 +50,19 @@ def _problem(path: Path) -> str | None:
     kind = path.suffix.lower()
     if kind == ".otiod":
         path = path / CONTENT
-    state = path.stat()
-    if not stat.S_ISREG(state.st_mode):
-        return "cannot be read: it is no file"
-    if state.st_size > MAX_BYTES and kind != ".otioz":
-        return f"is larger than {MAX_BYTES // 1_000_000} MB"
     text = b"null"
-    if kind in {".otio", ".otiod"}:
-        text = path.read_bytes()
-    elif kind == ".otioz":
-        try:
-            with ZipFile(path) as file, file.open(CONTENT) as content:
-                text = content.read(MAX_BYTES + 1)
-        except Exception as error:
-            # Of archives that are damaged, the library raises almost anything.
-            return f"cannot be read: {excerpt(str(error), 200)}"
+    with open_input(path, None if kind == ".otioz" else MAX_BYTES) as file:
+        if kind in {".otio", ".otiod"}:
+            text = file.whole()
+        elif kind == ".otioz":
+            try:
+                with ZipFile(file) as archive, archive.open(CONTENT) as content:
+                    text = content.read(MAX_BYTES + 1)
+            except MemoryError:
+                raise
+            except Exception as error:
+                # Of archives that are damaged, the library raises almost anything.
+                return f"cannot be read: {excerpt(str(error), 200)}"
         if len(text) > MAX_BYTES:
             return f"holds more than {MAX_BYTES // 1_000_000} MB"
     if nesting(text) > MAX_NESTING:

@@ -19,6 +19,7 @@ from animtool.documents.check import check_version, validated
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.references import missing_hint, referred
 from animtool.errors import Fault, FormatError, OptionError
+from animtool.files import is_there
 from animtool.rates import parse_rate
 from animtool.rig.skeleton import Rig
 from animtool.rig.targets import split_part
@@ -105,7 +106,7 @@ def load_rig_of(file: ClipFile, path: Path | None = None) -> Rig:
         OptionError: No rig is named (CLIP011).
     """
     named = file.needed_rig() if path is None else path
-    if path is None and not named.exists():
+    if path is None and not is_there(named):
         _note_missing(file)
     try:
         return Rig.load(named)

@@ -9,8 +9,7 @@ from typing import Any
 
 from animtool.documents.yaml_values import read_values
 from animtool.errors import Fault, FormatError, Severity
-from animtool.files import unreadable
-from animtool.inputs import note_input
+from animtool.files import MAX_TEXT_BYTES, open_input
 
 __all__ = [
     "Document",
@@ -23,8 +22,6 @@ __all__ = [
 
 Location = tuple[str | int, ...]
 
-# A rig of thousands of joints has a few; more is data, which belongs into npz.
-MOST_BYTES = 32_000_000
 MOST_FAULTS = 100
 # What a file says that it is, in its name too.
 _KINDS = frozenset({"batch", "clip", "rig", "scene", "targets"})
@@ -240,18 +237,15 @@ def read_text(path: Path) -> str:
     """Return the text of a file.
 
     Raises:
-        FormatError: It cannot be read, is too large, or no UTF-8.
+        FormatError: It cannot be read, is too large, changes meanwhile, or is no
+            UTF-8.
     """
-    note_input(path)
-    try:
-        with path.open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
-    except OSError as error:
-        raise unreadable(path, error) from error
-    if len(data) > MOST_BYTES:
-        message = f"is larger than {MOST_BYTES // 1_000_000} MB"
-        hint = "arrays belong into npz files"
-        raise FormatError(Fault("DOC006", message, str(path), (), hint))
+    with open_input(path, None) as file:
+        if file.state.size > MAX_TEXT_BYTES:
+            message = f"is larger than {MAX_TEXT_BYTES // 1_000_000} MB"
+            hint = "arrays belong into npz files"
+            raise FormatError(Fault("DOC006", message, str(path), (), hint))
+        data = file.whole()
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:

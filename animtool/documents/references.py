@@ -7,7 +7,7 @@ from pathlib import Path
 
 from animtool.config import find_config, project_around
 from animtool.documents.document import Document, Location
-from animtool.files import nearest_file, seen_from
+from animtool.files import is_there, nearest_file, seen_from
 
 __all__ = [
     "missing_hint",
@@ -36,7 +36,7 @@ def reference(folder: Path, roots: Sequence[Path], name: str) -> Path:
     """
     try:
         path = (folder / name).resolve()
-    except (OSError, RuntimeError) as error:
+    except (OSError, RuntimeError, ValueError) as error:
         raise ValueError(f"{name!r} leads nowhere: {error}") from error
     if not any(path.is_relative_to(root.resolve()) for root in roots):
         shown = ", ".join(str(root) for root in roots)
@@ -82,9 +82,9 @@ def _way_out(path: Path, name: str, written: bool) -> str:
     folder = path.resolve().parent
     try:
         target = (folder / name).resolve()
-    except (OSError, RuntimeError):
+    except (OSError, RuntimeError, ValueError):
         return "name a file in the project"
-    if not (written or target.exists()):
+    if not (written or is_there(target)):
         return (
             f"it does not exist either: copy {target.name}, and the files that it "
             f"names, into {folder}, and write its name here"
@@ -124,7 +124,7 @@ def referred_input(
         codes: Of faults: one that leads out of them, and one that is not there.
     """
     path = referred(document, location, name, roots, codes[0])
-    if path is not None and not path.exists():
+    if path is not None and not is_there(path):
         message = f"{name!r} does not exist"
         document.add(codes[1], location, message, missing_hint(document, name))
         return None

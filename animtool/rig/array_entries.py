@@ -13,7 +13,7 @@ import numpy.typing as npt
 from animtool.documents.arrays import Archives
 from animtool.documents.document import Document, Location
 from animtool.documents.references import referred, split_reference
-from animtool.rig.parts import ArrayRef
+from animtool.rig.parts import ArrayRef, ArraySource, HeldArray
 
 __all__ = ["ArrayReader"]
 
@@ -25,6 +25,8 @@ _COUNTING = frozenset({"faces", "indices", "pins", "vertices"})
 _KEYS = {"strands": "points"}
 # What fills a triangle among quadrangles, and so on.
 NO_CORNER = -1
+# Stands for an array whose file is refused: nothing leads to that.
+NO_ARRAY = HeldArray(np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +47,7 @@ class ArrayReader:
 
     def array(
         self, at: Location, text: str, role: str, shape: Shape, count: int | None = None
-    ) -> ArrayRef:
+    ) -> ArraySource:
         """Return a reference, and note what is wrong with where it leads.
 
         Args:
@@ -61,7 +63,7 @@ class ArrayReader:
         path = self.paths.get(name)
         path = path or referred(self.document, at, name, self.roots, "RIG021")
         if path is None:
-            return ArrayRef(text, Path(name), key)
+            return NO_ARRAY
         self.paths[name] = path
         ref = ArrayRef(text, path, key)
         try:
@@ -74,13 +76,15 @@ class ArrayReader:
             self.document.add(code, at, str(error))
         return ref
 
-    def rows(self, ref: ArrayRef) -> int | None:
+    def rows(self, ref: ArraySource) -> int | None:
         """Return the length of an array; None where it cannot be read."""
         shape = self.shape(ref)
         return shape[0] if shape else None
 
-    def shape(self, ref: ArrayRef) -> tuple[int, ...] | None:
+    def shape(self, ref: ArraySource) -> tuple[int, ...] | None:
         """Return the shape of an array; None where it cannot be read."""
+        if isinstance(ref, HeldArray):
+            return None if ref is NO_ARRAY else ref.values.shape
         try:
             return self.archives.header(ref.path, ref.key).shape
         except ValueError:

@@ -21,7 +21,7 @@ from animtool.rig.controls import (
 from animtool.rig.expressions import FUNCTIONS, Expression, parse_expression
 from animtool.rig.joint_entries import FileJoints, FileUnits, unit_vector
 from animtool.rig.parts import (
-    ArrayRef,
+    ArraySource,
     Attachment,
     Capsule,
     Collider,
@@ -246,9 +246,7 @@ class PartReader:
         """Return the number of points of a mesh; None where it cannot be read."""
         if mesh.name in self.vertices:
             return self.vertices[mesh.name]
-        if isinstance(mesh.points, ArrayRef):
-            return self.arrays.rows(mesh.points)
-        return len(mesh.points.load())
+        return self.arrays.rows(mesh.points)
 
     def colliders(self, inherited: Sequence[Collider] = ()) -> tuple[Collider, ...]:
         """Return the colliders.
@@ -313,7 +311,7 @@ class PartReader:
 
     def _maybe(
         self, at: Location, text: str | None, key: str, shape: tuple[int | None, ...]
-    ) -> ArrayRef | None:
+    ) -> ArraySource | None:
         return None if text is None else self.arrays.array(at, text, key, shape)
 
     def _control(self, at: Location, model: ControlModel, shapes: list[str]) -> Control:

@@ -15,8 +15,8 @@ from typing import Any
 from pxr import Sdf, Tf, Work
 
 from animtool.errors import Fault, FormatError, OptionError, excerpt
-from animtool.files import seen_from, unreadable
-from animtool.inputs import note_input
+from animtool.files import open_input, seen_from, too_large, unreadable
+from animtool.inputs import FileState, changed_error, note_input
 from animtool.output import output_error, replacing
 from animtool.shot import Shot
 from animtool.supervisor import note_said, reading
@@ -34,6 +34,7 @@ __all__ = [
     "find_layer",
     "forget_layers",
     "layer_shot",
+    "layer_state",
     "new_layer",
     "note_layers",
     "prim",
@@ -42,6 +43,12 @@ __all__ = [
     "usd_errors",
     "usd_reason",
 ]
+
+
+# USD maps binary layers into memory, and reads those of text whole.
+MAX_LAYER_BYTES = 1_000_000_000_000
+MAX_TEXT_LAYER_BYTES = 4_000_000_000
+CRATE = b"PXR-USDC"
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,22 +154,38 @@ def asset_path(file: Path, folder: Path) -> str:
 
 
 def find_layer(path: Path) -> Any:
-    """Open a layer.
+    """Open a layer; USD opens it by its path.
 
     Raises:
-        FormatError: The file does not exist or is no USD layer.
+        FormatError: It is no file that can be read (IO001), too large (IO010), no USD
+            layer, or changed while it was opened (IO004).
     """
-    note_input(path)
-    try:
-        with path.open("rb") as file:
-            file.read(1)
-    except OSError as error:
-        raise unreadable(path, error) from error
+    state = layer_state(path, noted=True)
     with usd_errors(path):
         layer = Sdf.Layer.FindOrOpen(str(path))
+    if FileState.of(path) != state:
+        raise changed_error(path)
     if layer is None:
         raise FormatError(Fault("USD001", "is no USD layer", str(path)))
     return layer
+
+
+def layer_state(path: Path, *, noted: bool = False) -> FileState:
+    """Return what a file is that USD may open.
+
+    Args:
+        path: The file.
+        noted: Whether a user or a document names it as an input.
+
+    Raises:
+        FormatError: It is no file that can be read (IO001), or too large (IO010).
+    """
+    with open_input(path, None, noted=noted) as file:
+        binary = file.read(len(CRATE)) == CRATE or path.suffix.lower() == ".usdz"
+        limit = MAX_LAYER_BYTES if binary else MAX_TEXT_LAYER_BYTES
+        if file.state.size > limit:
+            raise too_large(path, file.state.size, limit)
+        return file.state
 
 
 def forget_layers() -> None:

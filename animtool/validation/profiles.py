@@ -10,6 +10,7 @@ from typing import Any
 from animtool.documents.document import read_document
 from animtool.documents.names import nearest
 from animtool.errors import Fault, FormatError, OptionError, Severity
+from animtool.files import MAX_TEXT_BYTES, read_input
 from animtool.validation.tables import all_rules, current_codes
 
 __all__ = ["OFF", "PROFILES", "Levels", "Profile", "load_profile"]
@@ -166,8 +167,10 @@ def _toml(path: Path) -> Mapping[str, Any]:
     import tomllib
 
     try:
-        table = tomllib.loads(path.read_text("utf-8"))
-    except (OSError, ValueError) as error:
+        table = tomllib.loads(read_input(path, MAX_TEXT_BYTES).decode("utf-8"))
+    except FormatError as error:
+        raise _malformed(error.faults[0].message, str(path)) from error
+    except ValueError as error:
         raise _malformed(f"cannot be read: {error}", str(path)) from error
     own = table.get("validate")
     if isinstance(own, dict):

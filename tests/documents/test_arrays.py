@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
+from animtool.documents import archive as archives_module
 from animtool.documents.arrays import (
     MOST_OPEN,
     Archives,
@@ -16,6 +17,7 @@ from animtool.documents.arrays import (
     load_array,
 )
 from animtool.documents.references import reference
+from animtool.errors import FormatError
 
 
 def saved(folder: Path) -> Path:
@@ -121,7 +123,17 @@ def test_no_numbers(tmp_path: Path, descr: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "shape", ["(1000000000000,)", "(10**12,)", "(4, 3)", "(-1, 3)", "('a',)", "5"]
+    "shape",
+    [
+        *("(True, 3)", "(1e3,)", "(0, 10000000000000)", "(1, " * 9 + ")" * 9),
+        *("(0,)" + "0" * 12000, "(" + "1, " * 70 + ")", "[1]", "(" * 5000, "(1)"),
+        "(1000000000000,)",
+        "(10**12,)",
+        "(4, 3)",
+        "(-1, 3)",
+        "('a',)",
+        "5",
+    ],
 )
 def test_a_header_that_lies_allocates_nothing(tmp_path: Path, shape: str) -> None:
     path = archive(tmp_path, header(shape))
@@ -149,7 +161,7 @@ def test_an_encrypted_member(tmp_path: Path) -> None:
     data[spot + 8] |= 1
     data[6] |= 1
     path.write_bytes(data)
-    with pytest.raises(ValueError, match="cannot be read"):
+    with pytest.raises(ValueError, match="is encrypted"):
         array_header(path, "points")
 
 
@@ -208,3 +220,136 @@ def test_few_archives_are_open_at_once(tmp_path: Path) -> None:
                 assert archives.load(path, "x").tolist() == [i, i]
         assert len(archives._open) == MOST_OPEN
     assert not archives._open
+
+
+def test_structures_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "s.npz"
+    np.savez(path, x=np.zeros(2, [("a", "f4"), ("b", "i4")]))
+    with pytest.raises(ValueError, match="structures"):
+        load_array(path, "x")
+
+
+def test_an_array_that_stands_twice(tmp_path: Path) -> None:
+    path = saved(tmp_path)
+    with zipfile.ZipFile(path) as old:
+        data = old.read("points.npy")
+    with (
+        pytest.warns(UserWarning, match="Duplicate"),
+        zipfile.ZipFile(path, "a") as made,
+    ):
+        made.writestr("points.npy", data)
+    with pytest.raises(ValueError, match="holds 'points' twice"):
+        load_array(path, "points")
+    assert load_array(path, "faces").shape == (2, 3)
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_other_compressions(tmp_path: Path, method: int) -> None:
+    path = archive(tmp_path, header("(1,)"), data=b"12345678")
+    with zipfile.ZipFile(path) as old:
+        data = old.read("x.npy")
+    with zipfile.ZipFile(path, "w", method) as made:
+        made.writestr("x.npy", data)
+    with pytest.raises(ValueError, match="compressed by method"):
+        load_array(path, "x")
+
+
+def bomb(folder: Path, count: int) -> Path:
+    """Return an archive of zeros that expand a thousandfold."""
+    text = header(f"({count},)").encode().ljust(117) + b"\n"
+    path = folder / "bomb.npz"
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as made,
+        made.open("x.npy", "w") as file,
+    ):
+        file.write(b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text)
+        for _ in range(count // 125_000):
+            file.write(bytes(1_000_000))
+    return path
+
+
+def test_zeros_that_expand_a_thousandfold_are_not_expanded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(archives_module, "SMALL_BYTES", 1_000_000)
+    monkeypatch.setattr(archives_module, "MAX_BYTES", 3_000_000)
+    path = bomb(tmp_path, 250_000)
+    assert array_header(path, "x").shape == (250_000,)
+    with pytest.raises(ValueError, match=r"takes 3 MB .* 100 times .* max_array_mb"):
+        load_array(path, "x")
+    (tmp_path / "animtool.toml").write_text("max_array_mb = 3")
+    assert load_array(path, "x").shape == (250_000,)
+    (tmp_path / "animtool.toml").write_text("max_array_mb = 1")
+    with pytest.raises(ValueError, match="and 1 are allowed"):
+        load_array(path, "x")
+    monkeypatch.setenv("ANIMTOOL_MAX_ARRAY_MB", "4")
+    assert load_array(path, "x").shape == (250_000,)
+    monkeypatch.setenv("ANIMTOOL_MAX_ARRAY_MB", "much")
+    with pytest.raises(ValueError, match="not a number of MB"):
+        load_array(path, "x")
+
+
+def test_the_arrays_of_an_archive_are_bounded_together(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(archives_module, "MAX_BYTES", 3_000)
+    path = tmp_path / "many.npz"
+    np.savez(path, a=np.ones(150), b=np.ones(150), c=np.ones(150))
+    with Archives() as archives:
+        for key in "aabb":
+            archives.load(path, key)
+        with pytest.raises(ValueError, match="with what was read before"):
+            archives.load(path, "c")
+
+
+def test_narrow_numbers_count_as_what_they_become(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(archives_module, "MAX_BYTES", 3_000)
+    np.savez(tmp_path / "n.npz", x=np.ones(1000, bool))
+    with pytest.raises(ValueError, match="takes 1 MB"):
+        load_array(tmp_path / "n.npz", "x")
+
+
+def test_a_member_that_is_longer_than_it_says(tmp_path: Path) -> None:
+    path = tmp_path / "l.npz"
+    np.savez_compressed(path, x=np.zeros(100_000))
+    data = path.read_bytes()
+    real = struct.pack("<I", 800_128)
+    assert data.count(real) == 2
+    # Its size in the list, and in front of it; the array says another shape then.
+    path.write_bytes(data.replace(real, struct.pack("<I", 1_128)))
+    with pytest.raises(ValueError, match=r"cannot be read: Bad CRC"):
+        load_array(path, "x")
+
+
+def test_a_list_of_members_is_bounded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(archives_module, "MAX_LIST_BYTES", 1_000)
+    path = tmp_path / "many.npz"
+    np.savez(path, **{f"a{i}": np.ones(1) for i in range(20)})
+    with pytest.raises(ValueError, match="list of arrays"):
+        load_array(path, "a1")
+
+
+def test_no_memory_is_not_called_a_damaged_archive(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_given: object) -> None:
+        raise MemoryError
+
+    path = saved(tmp_path)
+    monkeypatch.setattr(np, "frombuffer", full)
+    with pytest.raises(MemoryError):
+        load_array(path, "points")
+
+
+def test_an_archive_that_changes_is_found(tmp_path: Path) -> None:
+    path = saved(tmp_path)
+    with Archives() as archives:
+        archives.header(path, "points")
+        with path.open("ab") as file:
+            file.write(b"x")
+        with pytest.raises(FormatError, match="IO004"):
+            archives.load(path, "points")

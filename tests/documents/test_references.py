@@ -2,11 +2,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from animtool.cli.main import run
 from animtool.config import project_roots
 from animtool.documents.document import document_of
 from animtool.documents.references import reference, referred, referred_input
+from animtool.inputs import recorded_inputs
 
 
 def test_references_stay_in_the_roots(tmp_path: Path) -> None:
@@ -72,3 +75,63 @@ def test_a_file_of_a_nearly_right_name_is_named(tmp_path: Path) -> None:
         f"did you mean the folder {folder!r}?",
         None,
     ]
+
+
+RIG = "rig: animtool/1\nname: r\njoints: [{name: a}]\n"
+TARGETS = "targets: animtool/1\nfps: 24\nrange: [1, 4]\n"
+SCENE = "scene: animtool/1\nsource: {file: i.bvh}\noutput: {file: q.usdc}\n"
+SYSTEMS = (
+    "scene: animtool/1\nfps: 24\nrange: [1, 4]\noutput: {file: q.usdc}\nsystems:\n- "
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.rig.yaml", RIG + "meshes: [{name: m, points: OUT.npz, faces: OUT.npz}]\n"),
+        ("a.rig.yaml", "rig: animtool/1\nname: r\nfrom: OUT.rig.yaml\n"),
+        ("a.rig.yaml", "rig: animtool/1\nname: r\nfrom: OUT.usda\n"),
+        ("a.clip.yaml", "clip: animtool/1\nrig: OUT.rig.yaml\nfps: 24\nchannels: []\n"),
+        ("a.targets.yaml", TARGETS + "goals: [{effector: a, position: OUT.npz}]\n"),
+        (
+            "a.targets.yaml",
+            TARGETS + "goals: [{effector: a, position: {file: OUT.usda, prim: /A}}]\n",
+        ),
+        ("a.scene.yaml", SCENE.replace("i.bvh", "OUT.bvh")),
+        ("a.scene.yaml", SCENE + "rig: OUT.rig.yaml\n"),
+        ("a.scene.yaml", SCENE + "passes: [{layer: {take: OUT.bvh}}]\n"),
+        ("a.scene.yaml", SCENE + "passes: [{ik: {targets: OUT.targets.yaml}}]\n"),
+        (
+            "a.scene.yaml",
+            SYSTEMS + "cloth: {name: c, points: OUT.npz, faces: OUT.npz, mass: 1}\n",
+        ),
+        (
+            "a.scene.yaml",
+            SYSTEMS + "cloth: {name: c, mass: 1, meshes: [{file: OUT.usda, prim: /A}]}",
+        ),
+        (
+            "a.batch.yaml",
+            "batch: animtool/1\ninputs: [i.bvh]\nvariants: OUT.csv\noutput: x\n",
+        ),
+        (
+            "a.batch.yaml",
+            "batch: animtool/1\ninputs: [i.bvh]\nscene: OUT.scene.yaml\noutput: x\n",
+        ),
+    ],
+)
+def test_what_is_refused_is_not_opened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, text: str
+) -> None:
+    inside, outside = tmp_path / "in", tmp_path / "out"
+    inside.mkdir()
+    outside.mkdir()
+    np.savez(outside / "o.npz", points=np.eye(3), faces=np.array([[0, 1, 2]]))
+    for kind in ("rig.yaml", "targets.yaml", "scene.yaml", "bvh", "usda", "csv"):
+        (outside / f"o.{kind}").write_text("k\n1\n")
+    (inside / "i.bvh").write_text("HIERARCHY")
+    (inside / name).write_text(text.replace("OUT", "../out/o"))
+    # A name that is not followed must not be taken from where the user is, either.
+    monkeypatch.chdir(inside)
+    with recorded_inputs() as inputs:
+        assert run(["validate", name]) == 1
+    assert not [path for path in inputs.states if path.match("o.*")]

@@ -12,11 +12,10 @@ import numpy as np
 from animtool import _kernels
 from animtool._types import FloatArray
 from animtool.errors import Fault, Severity
-from animtool.files import unreadable
+from animtool.files import open_input, unreadable
 from animtool.formats.bvh.hierarchy import BvhHeader, BvhJoint, read_header
 from animtool.formats.bvh.lines import HeaderLines
 from animtool.formats.bvh.rows import RowReader, RowSource
-from animtool.inputs import note_input
 from animtool.maths.so3 import IDENTITY
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Joint, JointType, Rig
@@ -61,14 +60,13 @@ def read_bvh(
             when they are reached.
     """
     path = Path(path)
-    note_input(path)
-    try:
-        with path.open("rb", buffering=0) as file:
+    with open_input(path, None) as file:
+        try:
             lines = HeaderLines(file, path)
             header, notices = read_header(lines, str(path))
             rows_start = file.tell() - len(lines.rest)
-    except OSError as error:
-        raise unreadable(path, error) from error
+        except OSError as error:
+            raise unreadable(path, error) from error
     rig = _rig(header, path.stem, unit or LengthUnit.CM, up)
     notices += _size_notice(rig, unit, str(path))
     assert header.rate is not None
@@ -96,6 +94,7 @@ def read_bvh(
     ]
     source = RowSource(
         path,
+        file.state,
         rows_start,
         lines.number,
         names,

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
 from animtool import _kernels
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, FormatError, Severity, counted, excerpt, listed
-from animtool.files import unreadable
+from animtool.files import InputFile, open_input, unreadable
 from animtool.formats.bvh.hierarchy import FLOAT32_MAX
 from animtool.formats.bvh.lines import CHUNK_BYTES
+from animtool.inputs import FileState, changed_error
 
 __all__ = ["RowReader", "RowSource"]
 
@@ -37,6 +36,7 @@ class RowSource:
 
     Attributes:
         path: The file.
+        state: What it was when its header was read.
         start: Byte at which they start.
         line: Lines before the rows.
         channels: What each column is called, ``joint.Xposition``.
@@ -46,6 +46,7 @@ class RowSource:
     """
 
     path: Path
+    state: FileState
     start: int
     line: int
     channels: list[str]
@@ -76,8 +77,9 @@ class RowReader:
         """Yield the rows of the file.
 
         Raises:
-            FormatError: A row is malformed, there is none, or a channel has too
-                many values that are not finite.
+            FormatError: The file changed since its header was read (IO004), a row is
+                malformed, there is none, or a channel has too many values that are
+                not finite.
         """
         held: list[FloatArray] = []
         for rows, lines in self._parsed():
@@ -106,15 +108,18 @@ class RowReader:
     def _parsed(self) -> Iterator[tuple[FloatArray, IntArray]]:
         """Yield rows and their line numbers."""
         source = self.source
-        try:
-            with source.path.open("rb", buffering=0) as file:
+        with open_input(source.path, None) as file:
+            if file.state != source.state:
+                raise changed_error(source.path)
+            try:
                 file.seek(source.start)
                 yield from self._parse(file)
-        except OSError as error:
-            raise unreadable(source.path, error) from error
+            except OSError as error:
+                raise unreadable(source.path, error) from error
+            file.check()
 
-    def _parse(self, file: BinaryIO) -> Iterator[tuple[FloatArray, IntArray]]:
-        size = max(1, os.fstat(file.fileno()).st_size)
+    def _parse(self, file: InputFile) -> Iterator[tuple[FloatArray, IntArray]]:
+        size = max(1, file.state.size)
         limit = max(1, BLOCK_VALUES // self._width)
         longest = CHUNK_BYTES + LONGEST_NUMBER_BYTES * self._width
         text, line, final, starved = b"", self.source.line + 1, False, True

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from animtool._types import FloatArray
+from animtool.documents.arrays import Archives
 from animtool.errors import Fault, FormatError, OptionError
 from animtool.output import output_error, replacing
 from animtool.sim.attach.stepping import State, nowhere
@@ -17,6 +18,9 @@ from animtool.sim.attach.stepping import State, nowhere
 __all__ = ["Saved", "read_states", "write_states"]
 
 FORMAT = "animtool-simulate/1"
+# What a simulation of any size has.
+MAX_STEPS = 1_000_000
+MAX_INDEX = 1 << 31
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,27 +74,72 @@ def read_states(path: Path, sizes: Mapping[str, int]) -> Saved:
         OptionError: It is of other attachments (SIM035).
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            if "format" not in file or str(file["format"]) != FORMAT:
-                message = "is no file of states that simulate saved"
-                raise FormatError(Fault("SIM035", message, str(path)))
-            arrays = {name: file[name] for name in file.files}
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
+        with Archives() as archives:
+            return _latest(_SavedArrays(path, archives), sizes)
+    except ValueError as error:
         raise FormatError(Fault("SIM035", f"{error}", str(path))) from error
-    frames = arrays["frames"].tolist()
+
+
+@dataclass(frozen=True, slots=True)
+class _SavedArrays:
+    """The arrays of a file of states."""
+
+    path: Path
+    archives: Archives
+
+    def load(self, name: str, shape: tuple[int | None, ...]) -> FloatArray:
+        """Return an array of finite numbers.
+
+        Raises:
+            ValueError: There is none, or its shape is another; None is any length.
+        """
+        values = self.archives.load(self.path, name)
+        fits = len(values.shape) == len(shape) and all(
+            want in (None, n) for want, n in zip(shape, values.shape, strict=True)
+        )
+        if not fits:
+            raise ValueError(f"{name} has shape {values.shape}")
+        return values
+
+    def has(self, name: str) -> bool:
+        return self.archives.has(self.path, name)
+
+
+def _latest(arrays: _SavedArrays, sizes: Mapping[str, int]) -> Saved:
+    """Return the states of the latest frame; see `read_states`."""
+    path = str(arrays.path)
+    known = arrays.has("format")
+    if not known or arrays.archives.text(arrays.path, "format") != FORMAT:
+        message = "is no file of states that simulate saved"
+        raise FormatError(Fault("SIM035", message, path))
+    frames = arrays.load("frames", (None,)).tolist()
     if not frames:
-        raise OptionError(Fault("SIM035", "it has no state of any frame", str(path)))
+        raise OptionError(Fault("SIM035", "it has no state of any frame", path))
     latest = max(range(len(frames)), key=lambda i: frames[i])
     states, steps, faults = {}, {}, []
     for name, size in sizes.items():
-        found = arrays.get(f"{latest}/{name}")
-        if found is None or found.shape != (2, size, 3):
+        key = f"{latest}/{name}"
+        try:
+            found = arrays.load(key, (2, size, 3))
+            count = float(arrays.load(f"{key}/steps", ()))
+        except ValueError as error:
             message = f"it has no state of {name!r} with {size} particles"
-            faults.append(Fault("SIM035", message, str(path)))
+            faults.append(Fault("SIM035", message, path, (), str(error)))
             continue
-        passages = arrays.get(f"{latest}/{name}/passages", nowhere())
+        if not 1 <= count <= MAX_STEPS:
+            message = f"{key}/steps is {count:g}"
+            faults.append(Fault("SIM035", message, path))
+            continue
+        passages = nowhere()
+        if arrays.has(f"{key}/passages"):
+            stored = arrays.load(f"{key}/passages", (None, passages.shape[1]))
+            if (np.abs(stored) > MAX_INDEX).any() or (stored[:, 0] >= size).any():
+                message = f"{key}/passages has an index that no cloth has"
+                faults.append(Fault("SIM035", message, path))
+                continue
+            passages = stored.astype(np.int64)
         states[name] = State(found[0].copy(), found[1].copy(), passages)
-        steps[name] = int(arrays[f"{latest}/{name}/steps"])
+        steps[name] = int(count)
     if faults:
         raise OptionError(faults)
     return Saved(frames[latest], steps, states)

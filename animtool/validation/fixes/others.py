@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from animtool.config import project_roots
-from animtool.documents.document import document_of, read_document
-from animtool.errors import AnimtoolError
+from animtool.documents.document import document_of, read_document, read_text
+from animtool.errors import AnimtoolError, FormatError
 from animtool.files import files_meant
 from animtool.readers import DOCUMENT, READERS
 from animtool.validation.subjects.open import DOCUMENT_SUFFIXES
@@ -29,8 +29,8 @@ def naming(rig: Path, names: Sequence[str]) -> Iterator[tuple[Path, str]]:
         if path.resolve() == own:
             continue
         try:
-            text = path.read_text("utf-8-sig")
-        except (OSError, UnicodeDecodeError):
+            text = read_text(path)
+        except FormatError:
             continue
         if not any(name in text for name in names):
             continue

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from animtool.documents.document import document_of, read_text
 from animtool.documents.edit import EditError, edited
 from animtool.errors import AnimtoolError, Fault
+from animtool.files import read_input
 from animtool.output import ahead, output_error, replacing, together
 from animtool.scene.convert_rig import write_arrays
 from animtool.validation.fixes.draft import Step
@@ -156,7 +157,7 @@ class TextDraft:
 
 
 def _write_text(path: Path, text: str) -> None:
-    mark = path.read_bytes().startswith(codecs.BOM_UTF8)
+    mark = read_input(path).startswith(codecs.BOM_UTF8)
     with replacing(path) as temporary:
         try:
             encoding = "utf-8-sig" if mark else "utf-8"

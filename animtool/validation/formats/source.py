@@ -7,6 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from animtool.errors import FormatError
+from animtool.files import read_input
+
 __all__ = ["Sources", "cut"]
 
 # What YAML takes for the end of a line.
@@ -39,10 +42,9 @@ class Sources:
 
 def _lines(path: Path) -> list[str]:
     try:
-        if path.stat().st_size > MOST_BYTES:
-            return []
-        return _ENDS.split(path.read_bytes().decode("utf-8-sig"))
-    except (OSError, UnicodeDecodeError):
+        data = read_input(path, MOST_BYTES, noted=False)
+        return _ENDS.split(data.decode("utf-8-sig"))
+    except (FormatError, UnicodeDecodeError):
         return []
 
 

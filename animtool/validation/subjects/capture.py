@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from io import BufferedReader, TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from animtool.errors import Fault
+from animtool.files import open_input
 from animtool.scene.sources import open_source
 from animtool.take import Take
 from animtool.validation.motion.subject import MotionSubject
@@ -49,7 +51,8 @@ class TakeSubject:
     def _lines(self) -> dict[str, int]:
         """Where joints begin, by name; those that the reader gave theirs have none."""
         found: dict[str, int] = {}
-        with self.path.open(encoding="utf-8", errors="replace") as file:
+        raw = open_input(self.path, None)
+        with TextIOWrapper(BufferedReader(raw), "utf-8", "replace") as file:
             for number, line in enumerate(file, 1):
                 keyword, _, name = line.strip().partition(" ")
                 if keyword.upper() == "MOTION":

@@ -47,6 +47,7 @@ RULES = (
     Rule("IO002", "a file of a kind that is not read"),
     Rule("IO003", "a plug-in reader that cannot be loaded"),
     Rule("IO004", "a file that changed while it was read"),
+    Rule("IO010", "a file that is too large"),
     Rule("OUT001", "an output that exists"),
     Rule("OUT002", "an output that cannot be written"),
     Rule("OUT003", "an output that is also an input"),

@@ -1,0 +1,235 @@
+"""An archive of arrays, an npz file, read without trust in what it claims."""
+
+from __future__ import annotations
+
+import math
+import os
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from animtool.config import find_config
+from animtool.documents.npy import MAGIC, ArrayError, StoredArray, read_head
+from animtool.errors import FormatError
+from animtool.files import InputFile, open_input
+
+__all__ = ["ARRAY_LIMIT", "Archive", "reading"]
+
+# The most that is read of an archive; a setting and a variable of the environment
+# say otherwise.
+MAX_BYTES = 1_000_000_000
+ARRAY_LIMIT = "ANIMTOOL_MAX_ARRAY_MB"
+# Zeros shrink a thousandfold; arrays that are worked with are less than half zeros.
+# What stays small may be all zeros.
+MAX_RATIO = 100
+SMALL_BYTES = 64_000_000
+# The list of what an archive holds: some hundred thousand arrays.
+MAX_LIST_BYTES = 8_000_000
+MAX_SHOWN = 12
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_ENCRYPTED = 0x1
+# What Python's reader of archives raises about damaged ones. That there is no memory
+# left is none of it.
+_DAMAGE = (
+    OSError,
+    ValueError,
+    LookupError,
+    EOFError,
+    RuntimeError,
+    OverflowError,
+    struct.error,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Make an `ArrayError` of what an archive and reading it raise.
+
+    Raises:
+        FormatError: The file changed while it was read (IO004).
+    """
+    try:
+        yield
+    except ArrayError:
+        raise
+    except FormatError as error:
+        if error.code == "IO004":
+            raise
+        raise ArrayError(f"{path.name} {error.faults[0].message}") from error
+    except _DAMAGE as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ArrayError(f"{path.name} cannot be read: {reason}") from error
+
+
+class Archive:
+    """An open archive, and what is known of its arrays."""
+
+    def __init__(self, path: Path) -> None:
+        """Open a file and read what it holds; to be called within `reading`."""
+        self._path = path
+        self._file = open_input(path, None)
+        try:
+            if self._file.read(len(MAGIC)) == MAGIC:
+                message = f"{path.name} is a single array, as numpy.save writes, not "
+                message += "an archive of named ones, as numpy.savez does"
+                raise ArrayError(message)  # noqa: TRY301
+            bounded = _Bounded(self._file)
+            self._zip = zipfile.ZipFile(cast(Any, bounded))
+            bounded.limit = None
+            self._members, self._twice = self._listed()
+        except BaseException:
+            self._file.close()
+            raise
+        self._heads: dict[str, StoredArray] = {}
+        self._read: dict[str, int] = {}
+        self._total = 0
+
+    def close(self) -> None:
+        """Close the file."""
+        self._zip.close()
+        self._file.close()
+
+    def has(self, key: str) -> bool:
+        """Return whether there is an array of a name."""
+        return key in self._members
+
+    def head(self, key: str, kinds: str = "fiub") -> StoredArray:
+        """Return how an array stands in the archive, its length checked.
+
+        Args:
+            key: Its name.
+            kinds: Of numpy's types that it may have; else those of numbers.
+        """
+        if key not in self._heads:
+            info = self._member(key)
+            where = f"{self._path.name}#{key}"
+            with self._zip.open(info) as file:
+                head = read_head(file, where)
+            self._file.check()
+            if head.dtype.kind not in kinds:
+                raise ArrayError(f"{where} holds {head.dtype}, not numbers")
+            # A dimension of 0 hides another that no array has.
+            most = max(info.file_size, SMALL_BYTES)
+            empty = not head.count and math.prod(max(n, 1) for n in head.shape) > most
+            if head.begin + head.size > info.file_size or empty:
+                raise ArrayError(f"{where} is shorter than its shape {head.shape}")
+            self._heads[key] = head
+        return self._heads[key]
+
+    def values(self, key: str) -> npt.NDArray[Any]:
+        """Return an array of numbers, not to be written to."""
+        return self._values(key, self.head(key))
+
+    def text(self, key: str) -> str:
+        """Return a text that is stored as an array without dimensions."""
+        head = self.head(key, "fiubU")
+        if head.dtype.kind != "U" or head.shape:
+            raise ArrayError(f"{self._path.name}#{key} is no text")
+        return str(self._values(key, head))
+
+    def _values(self, key: str, head: StoredArray) -> npt.NDArray[Any]:
+        info = self._member(key)
+        # Numbers of any width are worked with as float64.
+        self._check_size(key, info, max(info.file_size, 8 * head.count))
+        with self._zip.open(info) as file:
+            file.read(head.begin)
+            data = file.read(info.file_size - head.begin)
+        self._file.check()
+        if len(data) < head.size:
+            raise ArrayError(f"{self._path.name}#{key} breaks off")
+        if not head.count:
+            return np.zeros(head.shape, head.dtype)
+        flat = np.frombuffer(data, head.dtype, head.count)
+        return np.require(flat.reshape(head.shape, order=head.order), requirements="A")
+
+    def _listed(self) -> tuple[dict[str, zipfile.ZipInfo], set[str]]:
+        """Return the arrays by name, and names that stand twice."""
+        members: dict[str, zipfile.ZipInfo] = {}
+        twice = set()
+        for info in self._zip.infolist():
+            if info.filename.endswith(".npy"):
+                key = info.filename.removesuffix(".npy")
+                if key in members:
+                    twice.add(key)
+                members[key] = info
+        return members, twice
+
+    def _member(self, key: str) -> zipfile.ZipInfo:
+        name, info = self._path.name, self._members.get(key)
+        if info is None:
+            names = [known[:40] for known in list(self._members)[:MAX_SHOWN]]
+            shown = ", ".join(names) or "nothing"
+            raise ArrayError(f"{name} has no array {key!r}; it holds {shown}")
+        if key in self._twice:
+            raise ArrayError(f"{name} holds {key!r} twice")
+        if info.flag_bits & _ENCRYPTED:
+            raise ArrayError(f"{name}#{key} is encrypted")
+        if info.compress_type not in _METHODS:
+            message = f"{name}#{key} is compressed by method {info.compress_type}, "
+            raise ArrayError(f"{message}and numpy.savez uses 0 and 8")
+        return info
+
+    def _check_size(self, key: str, info: zipfile.ZipInfo, size: int) -> None:
+        """Refuse an array that would take more memory than is allowed."""
+        others = self._total - self._read.get(key, 0)
+        dense = size <= max(SMALL_BYTES, MAX_RATIO * info.compress_size)
+        if others + size > MAX_BYTES or not dense:
+            stated = _stated_limit(self._path)
+            if stated is None or others + size > stated:
+                raise self._too_large(key, others + size, stated, dense)
+        self._read[key], self._total = size, others + size
+
+    def _too_large(
+        self, key: str, size: int, stated: int | None, dense: bool
+    ) -> ArrayError:
+        needed = math.ceil(size / 1e6)
+        message = f"{self._path.name}#{key} takes {needed} MB of memory"
+        if stated is None and not dense:
+            message += f", more than {MAX_RATIO} times what it takes in the file"
+        else:
+            limit = MAX_BYTES if stated is None else stated
+            message += f" with what was read before, and {limit // 1_000_000} are "
+            message += "allowed"
+        return ArrayError(
+            f"{message}; max_array_mb = {needed} in animtool.toml, or "
+            f"{ARRAY_LIMIT}={needed}, allows it"
+        )
+
+
+def _stated_limit(path: Path) -> int | None:
+    """Return the most bytes that may be read of an archive; None where none is stated.
+
+    Raises:
+        ArrayError: The variable of the environment is no number.
+    """
+    given = os.environ.get(ARRAY_LIMIT)
+    if given:
+        if not (given.isascii() and given.isdecimal() and len(given) < 10):
+            raise ArrayError(f"{ARRAY_LIMIT} is {given[:40]!r}, not a number of MB")
+        return int(given) * 1_000_000
+    stated = find_config(path).max_array_mb
+    return None if stated is None else stated * 1_000_000
+
+
+class _Bounded:
+    """A file of which the list of an archive is read, no longer than is allowed."""
+
+    def __init__(self, file: InputFile) -> None:
+        self.file = file
+        self.limit: int | None = MAX_LIST_BYTES
+        self.seek, self.tell, self.seekable = file.seek, file.tell, file.seekable
+
+    def read(self, size: int = -1) -> bytes:
+        if self.limit is not None and size > self.limit:
+            message = f"its list of arrays takes {size} bytes, and {self.limit} are "
+            raise zipfile.BadZipFile(f"{message}read")
+        return self.file.read(size)
