@@ -85,13 +85,20 @@ inline void not_negative(const char* name, double value) {
     refuse(name, text(value) + " is not 0 or more and finite");
 }
 
-// All numbers of an array; without branches, so that the processor looks at several at once.
+// How many of an array are not as they should be: counted without branches, in numbers of the
+// same width, so that the processor looks at several at once.
+template <class T, class Good>
+bool all(const T* values, std::size_t begin, std::size_t end, Good good) {
+  using Count = std::conditional_t<sizeof(T) == 4, std::uint32_t, std::uint64_t>;
+  Count bad = 0;
+  for (std::size_t i = begin; i < end; ++i) bad |= static_cast<Count>(!good(values + i));
+  return !bad;
+}
+
 template <class T>
 void finite(const char* name, const T* values, std::size_t count) {
   constexpr T most = std::numeric_limits<T>::max();
-  bool all = true;
-  for (std::size_t i = 0; i < count; ++i) all &= std::fabs(values[i]) <= most;
-  if (all) return;
+  if (all(values, 0, count, [](const T* at) { return std::fabs(*at) <= most; })) return;
   for (std::size_t i = 0; i < count; ++i)
     if (!std::isfinite(values[i]))
       refuse(name, text(values[i]) + " at index " + text(i) + " is not finite");
@@ -106,11 +113,12 @@ void finite(const char* name, const Array& array) {
 template <class T>
 void indices(const char* name, const T* values, std::size_t count, std::int64_t low,
              std::int64_t end) {
-  bool all = true;
-  for (std::size_t i = 0; i < count; ++i) all &= (values[i] >= low) & (values[i] < end);
-  if (all) return;
+  constexpr std::int64_t most = std::numeric_limits<T>::max();
+  const T least = static_cast<T>(low), last = static_cast<T>(end - 1 < most ? end - 1 : most);
+  const auto good = [&](const T* at) { return (*at >= least) & (*at <= last); };
+  if (all(values, 0, count, good)) return;
   for (std::size_t i = 0; i < count; ++i) {
-    if (values[i] >= low && values[i] < end) continue;
+    if (good(values + i)) continue;
     if (end <= low) refuse(name, text(values[i]) + " where nothing can be named");
     refuse(name, text(values[i]) + " is not between " + text(low) + " and " + text(end - 1));
   }
@@ -121,31 +129,25 @@ void indices(const char* name, const Array& array, std::int64_t low, std::int64_
   indices(name, array.data(), array.size(), low, end);
 }
 
-// Where the rows of a ragged array begin: from 0 to its length, each row `least` long or more.
+// Each number at least as large as the one before it; NaN is not.
+template <class T>
+void ascending(const char* name, const T* values, std::size_t count) {
+  if (!count) return;
+  const auto good = [](const T* at) { return at[0] >= at[-1]; };
+  if (values[0] == values[0] && all(values, 1, count, good)) return;
+  for (std::size_t i = 0; i < count; ++i)
+    if (!(i ? good(values + i) : values[0] == values[0]))
+      refuse(name, "it does not ascend at index " + text(i));
+}
+
+// Where the rows of a ragged array begin: from 0 to its length. Rows may be empty.
 template <class Array>
-void starts(const char* name, const Array& first, std::size_t length, std::int64_t least = 0) {
+void starts(const char* name, const Array& first, std::size_t length) {
   const auto* at = first.data();
   const std::size_t rows = first.size();
   if (!rows || at[0] != 0 || at[rows - 1] != static_cast<std::int64_t>(length))
     refuse(name, "it does not go from 0 to " + text(length));
-  for (std::size_t i = 1; i < rows; ++i) {
-    if (at[i] < at[i - 1]) refuse(name, "it does not ascend at index " + text(i));
-    // It has gone up so far, hence the difference is no larger than the length.
-    if (at[i] > static_cast<std::int64_t>(length) || at[i] - at[i - 1] < least)
-      refuse(name, "row " + text(i - 1) + " is not between " + text(least) + " and " +
-                       text(length) + " long");
-  }
-}
-
-// Each number at least as large as the one before it; NaN is not.
-template <class T>
-void ascending(const char* name, const T* values, std::size_t count) {
-  bool all = !count || values[0] == values[0];
-  for (std::size_t i = 1; i < count; ++i) all &= values[i] >= values[i - 1];
-  if (all) return;
-  for (std::size_t i = 0; i < count; ++i)
-    if (!(i ? values[i] >= values[i - 1] : values[i] == values[i]))
-      refuse(name, "it does not ascend at index " + text(i));
+  ascending(name, at, rows);
 }
 
 }  // namespace animtool::check

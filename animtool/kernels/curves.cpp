@@ -203,13 +203,20 @@ void evaluate_curve(const Keys& keys, std::size_t begin, std::size_t end, const 
 // whose middle is no number. The last key of a curve begins no segment.
 void check_keys(const Keys& keys, const std::int64_t* first, std::size_t curves,
                 std::size_t count) {
-  check::indices("kinds", keys.kinds, count, kHold, kBezier + 1);
-  check::finite("times", keys.times, count);
+  for (std::size_t c = 0; c < curves; ++c)
+    if (first[c] == first[c + 1])
+      check::refuse("first", "curve " + check::text(c) + " has no key");
+  std::uint64_t bits = 0;
+  for (std::size_t k = 0; k < count; ++k) bits |= static_cast<std::uint64_t>(keys.kinds[k]);
+  if (bits > kBezier) check::indices("kinds", keys.kinds, count, kHold, kBezier + 1);
   for (std::size_t c = 0; c < curves; ++c) {
     const std::int64_t begin = first[c], end = first[c + 1];
-    check::ascending("times", keys.times + begin, static_cast<std::size_t>(end - begin));
-    check::finite("times", keys.times[end - 1] - keys.times[begin]);
+    const double* times = keys.times + begin;
+    check::ascending("times", times, static_cast<std::size_t>(end - begin));
+    // Those between are finite if the ends are, and no segment is longer than the curve.
+    check::finite("times", times[end - begin - 1] - times[0]);
   }
+  if (bits < kBezier) return;
   for (std::size_t k = 0; k + 1 < count; ++k) {
     if (keys.kinds[k] != kBezier) continue;
     if (std::isnan(keys.outs[2 * k])) check::refuse("outs", "a time is not a number");
@@ -225,7 +232,7 @@ Out<double, 2> evaluate_curves(In<std::int64_t, 1> first, In<double, 1> times,
   const std::size_t count = times.shape(0), rows = at.shape(0), frames = at.shape(1);
   check::shape("first", first, {check::ANY});
   check::shape("times", times, {check::ANY});
-  check::starts("first", first, count, 1);
+  check::starts("first", first, count);
   const std::size_t curves = first.shape(0) - 1;
   check::shape("values", values, {count});
   check::shape("kinds", kinds, {count});
