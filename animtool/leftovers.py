@@ -164,7 +164,7 @@ class Journal:
         try:
             entries = json.loads((folder / self.name).read_bytes())["files"]
             return [_placed(folder, entry) for entry in entries]
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, RecursionError):
             # It was not complete, so that no file had its name.
             return []
 
@@ -225,7 +225,7 @@ def _undo(path: Path) -> bool:
 def _folders(content: bytes) -> list[Path]:
     try:
         return [Path(name) for name in json.loads(content)["folders"]]
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         return []
 
 

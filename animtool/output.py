@@ -30,7 +30,7 @@ __all__ = [
 
 # Final paths that were free when they were checked, and may not be replaced: who else
 # writes one meanwhile wins.
-_FREE: set[Path] = set()
+_free: ContextVar[frozenset[Path]] = ContextVar("_free", default=frozenset())
 
 
 def check_outputs(
@@ -67,17 +67,20 @@ def check_outputs(
         raise OptionError(
             [Fault("OUT001", "already exists", str(p), (), hint) for p in there]
         )
-    finals = [found.final for found in targets]
-    _FREE.difference_update(finals)
-    if not overwrite:
-        _FREE.update(finals)
+    finals = {found.final for found in targets}
+    _free.set(_free.get() - finals if overwrite else _free.get() | finals)
 
 
 def _check_folder(folder: Path, path: Path) -> None:
     """Refuse an output in a folder that does not exist or may not be written to."""
-    if not folder.is_dir():
-        reason = "is no folder" if folder.exists() else "does not exist"
-        message = f"cannot be written: {str(folder)!r} {reason}"
+    try:
+        missing = "" if folder.is_dir() else "does not exist"
+        if missing and folder.exists():
+            missing = "is no folder"
+    except OSError as error:
+        raise output_error(path, error) from error
+    if missing:
+        message = f"cannot be written: {str(folder)!r} {missing}"
         hint = "make the folder first"
         raise OutputError(Fault("OUT002", message, str(path), (), hint))
     if not os.access(folder, os.W_OK | os.X_OK):
@@ -190,9 +193,9 @@ def _place(files: Sequence[Whole]) -> None:
     _refuse_twice(files)
     note_said()
     try:
-        place_files(files, frozenset(finals & _FREE))
+        place_files(files, _free.get() & finals)
     finally:
-        _FREE.difference_update(finals)
+        _free.set(_free.get() - finals)
 
 
 def size_of(path: Path) -> int:
@@ -213,10 +216,13 @@ def together() -> Iterator[None]:
     """Let the files that `replacing` makes in a block get their names at its end.
 
     They get them in the order made, or none does where the block does not end well. A
-    block within another leaves them to that.
+    block within another leaves them to that. What the block reads must not change in
+    it.
 
     Raises:
-        FormatError: Inputs are recorded, and one changed since it was read (IO004).
+        FormatError: An input changed since it was read (IO004).
+        OptionError: Another process wrote one meanwhile (OUT001), or two are one file
+            (OUT007).
         OutputError: One cannot be renamed.
     """
     if _waiting.get() is not None:
@@ -225,10 +231,11 @@ def together() -> Iterator[None]:
     waiting = _Block()
     token = _waiting.set(waiting)
     try:
-        yield
+        with recorded_inputs():
+            yield
+            check_inputs()
         # A signal between the names would leave some without the others.
         with deferred_signals():
-            check_inputs()
             _place(waiting.files)
             for action in waiting.after:
                 action()

@@ -161,7 +161,7 @@ class Whole:
 
 
 def _inherit(handle: int, found: os.stat_result) -> None:
-    """Give an open file the owner and the mode of another, as far as permitted."""
+    """Give an open file the mode of another, and its owner as far as permitted."""
     own = os.fstat(handle)
     if (own.st_uid, own.st_gid) != (found.st_uid, found.st_gid):
         with contextlib.suppress(OSError):
@@ -169,8 +169,7 @@ def _inherit(handle: int, found: os.stat_result) -> None:
     # Whoever runs a file with a setuid bit runs what its owner wrote: never this.
     mode = stat.S_IMODE(found.st_mode) & 0o777
     if stat.S_IMODE(own.st_mode) != mode:
-        with contextlib.suppress(OSError):
-            os.fchmod(handle, mode)
+        os.fchmod(handle, mode)
 
 
 def _rename_new(temporary: Path, final: Path) -> None:
@@ -189,8 +188,9 @@ def _rename_new(temporary: Path, final: Path) -> None:
         if isinstance(error, FileExistsError) or error.errno not in _NO_LINKS:
             raise
         # Without hard links the name is taken first. A kill right now leaves it empty.
-        final.touch(exist_ok=False)
+        handle = os.open(final, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
         try:
+            os.close(handle)
             temporary.replace(final)
         except BaseException:
             final.unlink()

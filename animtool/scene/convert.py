@@ -120,12 +120,25 @@ def convert(
             raise OptionError(Fault("CLI004", message, str(output), (), hint))
     if is_usd(output):
         return _to_usd(source, output, options, overwrite, strict, progress, opener)
-    if to_clip:
-        tolerance = REDUCTION if reduce is None else reduce
-        keys = _Keys(tolerance, dict(reduce_at), base, rig_file)
-        return _to_clip(
-            source, output, options, keys, overwrite, strict, progress, opener
-        )
+    with together():
+        if to_clip:
+            tolerance = REDUCTION if reduce is None else reduce
+            keys = _Keys(tolerance, dict(reduce_at), base, rig_file)
+            return _to_clip(
+                source, output, options, keys, overwrite, strict, progress, opener
+            )
+        return _to_bvh(source, output, options, overwrite, strict, progress, opener)
+
+
+def _to_bvh(
+    source: Path,
+    output: Path,
+    options: SourceOptions | None,
+    overwrite: bool,
+    strict: bool,
+    progress: Progress,
+    opener: Opener,
+) -> ConvertReport:
     check_outputs([output], [source], overwrite=overwrite)
     from animtool.edit.resample import resampled
     from animtool.formats.bvh import write_bvh
@@ -244,12 +257,11 @@ def _to_clip(
         take, rig, stem, keys.tolerance, joint_tolerances=keys.tolerances, base=below
     )
     text = clip_text(made.clip, rig, seen_from(rig_path, output.parent))
-    with together():
-        if arrays:
-            write_arrays(arrays_path, arrays)
-        if keys.rig_file is None:
-            _write(rig_path, [rig_text(rig).encode()])
-        _write(output, [text.encode()])
+    if arrays:
+        write_arrays(arrays_path, arrays)
+    if keys.rig_file is None:
+        _write(rig_path, [rig_text(rig).encode()])
+    _write(output, [text.encode()])
     files = [arrays_path] if arrays else []
     files += [output] if keys.rig_file is not None else [rig_path, output]
     return ConvertReport(

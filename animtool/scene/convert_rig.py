@@ -103,9 +103,11 @@ def convert_rig(
         if physics:
             message = "--physics is for a USD file, and this is none"
             raise OptionError(Fault("CLI004", message, str(output)))
-        return _to_file(source, output, prim_path, overwrite, strict)
+        with together():
+            return _to_file(source, output, prim_path, overwrite, strict)
     if output.suffix.lower() in {".usd", ".usda", ".usdc"}:
-        return _to_usd(source, output, prim_path, physics, overwrite, strict)
+        with together():
+            return _to_usd(source, output, prim_path, physics, overwrite, strict)
     message = f"suffix {output.suffix!r} holds no rig"
     hint = "allowed: .rig.yaml, .usd, .usda, .usdc"
     raise OptionError(Fault("OUT004", message, str(output), (), hint))
@@ -141,14 +143,13 @@ def _to_file(
     outputs = [arrays_path, output] if arrays else [output]
     check_outputs(outputs, [source, *inputs.opened], overwrite=overwrite)
     refuse_warnings(notices, strict=strict)
-    with together():
-        if arrays:
-            write_arrays(arrays_path, arrays)
-        with replacing(output) as temporary:
-            try:
-                temporary.write_text(rig_text(rig), "utf-8")
-            except OSError as error:
-                raise output_error(output, error) from error
+    if arrays:
+        write_arrays(arrays_path, arrays)
+    with replacing(output) as temporary:
+        try:
+            temporary.write_text(rig_text(rig), "utf-8")
+        except OSError as error:
+            raise output_error(output, error) from error
     return _report(rig, outputs, notices)
 
 
@@ -201,9 +202,8 @@ def _to_usd(
     from animtool.usd.rig_layer import write_physics_layer, write_rig_layer
 
     refuse_warnings(notices, strict=strict)
+    _, more = write_rig_layer(rig, output)
     made = None
-    with together():
-        _, more = write_rig_layer(rig, output)
-        if physics:
-            _, made = write_physics_layer(rig, outputs[1], output)
+    if physics:
+        _, made = write_physics_layer(rig, outputs[1], output)
     return _report(rig, outputs, notices + more, made)

@@ -100,6 +100,11 @@ def run_match(job: MatchJob, *, progress: Progress = None) -> MatchReport:
         message = "is no name of a targets file"
         hint = "allowed: .targets.yaml, .targets.yml"
         raise OptionError(Fault("OUT004", message, str(job.output), (), hint))
+    with together():
+        return _run_match(job, progress)
+
+
+def _run_match(job: MatchJob, progress: Progress) -> MatchReport:
     inputs = [job.rig, job.take]
     check_outputs([job.output], inputs, overwrite=job.overwrite)
     began = time.perf_counter()
@@ -118,12 +123,11 @@ def run_match(job: MatchJob, *, progress: Progress = None) -> MatchReport:
     made = targets_text(tracks, ClipUnits.of_rig(rig))
     matched = time.perf_counter()
     outputs = [job.output]
-    with together():
-        if made.arrays:
-            outputs.insert(0, arrays_of(job.output))
-            check_outputs(outputs, inputs, overwrite=job.overwrite)
-            write_arrays(outputs[0], _named(made.arrays))
-        _write(job.output, made.text)
+    if made.arrays:
+        outputs.insert(0, arrays_of(job.output))
+        check_outputs(outputs, inputs, overwrite=job.overwrite)
+        write_arrays(outputs[0], _named(made.arrays))
+    _write(job.output, made.text)
     seconds = {
         "read": read - began,
         "match": matched - read,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,6 +14,8 @@ import pytest
 from pxr import Sdf
 from support.bvh import random_rows, small_bvh
 from support.cli import animtool, killable
+
+from animtool.leftovers import take_back
 
 TRIES = 20
 
@@ -30,27 +33,42 @@ def test_a_bake_killed_at_any_moment(tmp_path: Path) -> None:
     take = tmp_path / "short.bvh"
     take.write_text(small_bvh(random_rows(500)))
 
+    def files(folder: Path) -> dict[str, bytes]:
+        return {
+            path.name: path.read_bytes()
+            for path in folder.iterdir()
+            if not path.name.startswith(".animtool-")
+        }
+
     with killable(tmp_path) as run:
-        whole = tmp_path / "whole.usdc"
-        done = run(0, "bake", take, "-o", whole)
+        words = ("bake", take, "-o", "o.usda", "--split", "--overwrite")
+        template = tmp_path / "before"
+        template.mkdir()
+        animtool(
+            "bake", take, "-o", "o.usda", "--split", "--range", "1-3", cwd=template
+        )
+        before = files(template)
+        assert len(before) == 3
+        whole = shutil.copytree(template, tmp_path / "whole")
+        done = run(0, *words, cwd=whole)
         assert done.code == 0, done.stderr
-        content, calls = whole.read_bytes(), int(done.stdout)
+        content, calls = files(whole), int(done.stdout)
         rng = np.random.default_rng(0)
         # Most of the calls author samples; the moments about the end matter as much.
         moments = [
             *rng.integers(1, calls, TRIES // 2),
-            *(calls - np.arange(TRIES // 2) * 3),
+            *(calls - np.linspace(500, 2500, TRIES // 2)),
         ]
         whole_ones = 0
         for i, moment in enumerate(moments):
-            folder = tmp_path / str(i)
-            folder.mkdir()
-            output = folder / "o.usdc"
-            done = run(int(moment), "bake", take, "-o", output)
+            folder = shutil.copytree(template, tmp_path / str(i))
+            done = run(int(moment), *words, cwd=folder)
             assert done.code in {0, -signal.SIGKILL}
-            if output.exists():
-                whole_ones += 1
-                assert output.read_bytes() == content
+            # The next command that writes to the folder does so.
+            take_back(folder)
+            found = files(folder)
+            assert found in (before, content)
+            whole_ones += found == content
     assert 0 < whole_ones < TRIES
 
 

@@ -9,7 +9,8 @@ import numpy.typing as npt
 
 from animtool.documents.edit import Put
 from animtool.documents.references import split_reference
-from animtool.errors import Fault
+from animtool.errors import Fault, excerpt
+from animtool.output_names import name_problem
 from animtool.rig.parts import ArrayRef
 from animtool.validation.fixes.mend import Mend, NotMendedError
 from animtool.validation.fixes.places import place_of
@@ -42,7 +43,14 @@ def summed(opened: Opened, fault: Fault) -> Mend:
 
 
 def _free(path: Path, key: str) -> Path:
-    """Return a file beside another that is not there yet."""
+    """Return a file beside another that is not there yet.
+
+    Raises:
+        NotMendedError: The key cannot be a part of its name.
+    """
+    problem = name_problem(f"{path.stem}_{key}.npz")
+    if problem is not None:
+        raise NotMendedError(f"the name of the array, {excerpt(key)}, {problem}")
     number, found = 2, path.with_name(f"{path.stem}_{key}.npz")
     while found.exists():
         found = path.with_name(f"{path.stem}_{key}_{number}.npz")

@@ -1,0 +1,93 @@
+"""Inputs that change while they are read, and clocks that jump."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.bvh import random_rows, small_bvh
+from support.cli import animtool
+
+from animtool import convert, open_source
+from animtool.errors import FormatError
+
+FAULTS = "fault | what happened | what was lost"
+Record = Callable[[str, object], None]
+
+
+def replaced(path: Path) -> None:
+    other = path.with_name("other.bvh")
+    shutil.copy(path, other)
+    other.replace(path)
+
+
+def truncated(path: Path) -> None:
+    with path.open("r+b") as file:
+        file.truncate(path.stat().st_size - 20)
+
+
+def grown(path: Path) -> None:
+    with path.open("ab") as file:
+        file.write(b"0 0 0\n")
+
+
+def removed(path: Path) -> None:
+    path.unlink()
+
+
+CHANGES = [replaced, truncated, grown, removed]
+
+
+@pytest.mark.parametrize("output", ["o.usda", "o.bvh", "o.clip.yaml"])
+@pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
+def test_an_input_changes_while_it_is_read(
+    change: Callable[[Path], None], output: str, disk: Path, record_property: Record
+) -> None:
+    take, made = disk / "take.bvh", disk / output
+    take.write_text(small_bvh(random_rows(8)), "utf-8")
+    made.write_text("before", "utf-8")
+
+    def opener(path: Path, *arguments: Any, **more: Any) -> Any:
+        stream = open_source(path, *arguments, **more)
+        change(take)
+        return stream
+
+    with pytest.raises(FormatError) as caught:
+        convert(take, made, overwrite=True, opener=opener)
+    assert caught.value.code in {"IO004", "IO001"} | {f"BVH{i:03}" for i in range(99)}
+    assert made.read_text("utf-8") == "before"
+    names = {"take.bvh", output} - ({"take.bvh"} if change is removed else set())
+    assert {path.name for path in disk.iterdir()} == names
+    row = f"an input is {change.__name__} while {output} is made of it"
+    record_property(FAULTS, f"{row} | {caught.value.code} | nothing")
+
+
+YEAR = 365 * 86_400 * 10**9
+
+
+@pytest.mark.parametrize("years", [-60, -5, 5, 200])
+def test_a_clock_jumps_between_runs(
+    years: int, disk: Path, record_property: Record
+) -> None:
+    take, made = disk / "takes/take.bvh", disk / "out/take.usdc"
+    take.parent.mkdir()
+
+    def run(seed: int, changed: int) -> bytes:
+        take.write_text(small_bvh(random_rows(4, seed=seed)), "utf-8")
+        os.utime(take, ns=(changed, changed))
+        command = ("batch", "takes", "-o", "out/{stem}.usdc", "--executor", "serial")
+        done = animtool(*command, cwd=disk)
+        assert done.code == 0, done.stderr
+        return made.read_bytes()
+
+    now = disk.stat().st_mtime_ns
+    first = run(0, now + years * YEAR)
+    # The clock is right again, and the file is another, of the same size or not.
+    assert run(1, now) != first
+    assert run(0, now + years * YEAR) == first
+    row = f"an input is of a time {years} years off; the next run"
+    record_property(FAULTS, f"{row} | makes it again | nothing")
