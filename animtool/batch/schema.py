@@ -12,7 +12,7 @@ from pydantic import Field
 
 from animtool.batch.limits import MAX_SECONDS
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name
+from animtool.documents.fields import Frame, Name, Real, Whole, WholeFrame
 from animtool.documents.ignore import IgnoreModel
 from animtool.scene.output_fields import (
     Bones,
@@ -29,7 +29,7 @@ __all__ = ["BatchModel", "LimitsModel", "OptionsModel", "RangeModel"]
 class LimitsModel(FileModel):
     """What an item may take."""
 
-    seconds: Annotated[float, Gt(0), Le(MAX_SECONDS)] | None = Field(
+    seconds: Annotated[Real, Gt(0), Le(MAX_SECONDS)] | None = Field(
         default=None,
         description="How long an item may take. Not given: as long as it needs.",
         examples=[60],
@@ -60,7 +60,7 @@ class OptionsModel(FileModel):
         description="Of BVH files: their up axis. Not given: Y.",
         examples=["Z"],
     )
-    source_fps: float | str | None = Field(
+    source_fps: Real | str | None = Field(
         default=None,
         description="Of BVH files: their true frame rate. Not given: what the frame "
         "time of each stands for.",
@@ -72,19 +72,19 @@ class OptionsModel(FileModel):
         "limits.",
         examples=[True],
     )
-    fps: float | str | None = Field(
+    fps: Real | str | None = Field(
         default=None,
         description="Frames a second of the outputs. Not given: the rig layer's, or "
         "each source's.",
         examples=[24],
     )
-    range: Annotated[list[int], Len(2, 2)] | None = Field(
+    range: Annotated[list[WholeFrame], Len(2, 2)] | None = Field(
         default=None,
         description="First and last frame to write, as the outputs number them. Not "
         "given: all.",
         examples=[[1001, 1040]],
     )
-    start: float | None = Field(
+    start: Frame | None = Field(
         default=None,
         description="Time code of the first frame. Not given: as `bake` has it.",
         examples=[1001],
@@ -126,16 +126,16 @@ class OptionsModel(FileModel):
 class RangeModel(FileModel):
     """Values from one number to another."""
 
-    start: float = Field(description="The first value.", examples=[0])
-    stop: float = Field(
+    start: Real = Field(description="The first value.", examples=[0])
+    stop: Real = Field(
         description="The last value, where the steps lead to it.", examples=[1]
     )
-    step: float = Field(
+    step: Real = Field(
         default=1, description="From each value to the next.", examples=[0.25]
     )
 
 
-Value = str | float | bool
+Value = str | Real | bool
 Column = str | list[Value] | RangeModel
 
 
@@ -170,7 +170,7 @@ class BatchModel(FileModel):
         "timeline among `inputs` is the same.",
         examples=["edit.otio"],
     )
-    handles: Annotated[int, Ge(0)] | None = Field(
+    handles: Annotated[WholeFrame, Ge(0)] | None = Field(
         default=None,
         description="Shot frames before and after each cut of the timeline. Not "
         "given: as its `metadata.animtool` says, else 0.",
@@ -206,7 +206,7 @@ class BatchModel(FileModel):
         description="What each may take.",
         examples=[{"seconds": 60, "memory": "2GB"}],
     )
-    jobs: Annotated[int, Ge(1)] | Literal["auto"] = Field(
+    jobs: Annotated[Whole, Ge(1), Le(1024)] | Literal["auto"] = Field(
         default="auto",
         description="How many processes make them; `auto` is one for each processor.",
         examples=[4],

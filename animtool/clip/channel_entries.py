@@ -10,12 +10,13 @@ from animtool._types import FloatArray
 from animtool.clip.channels import ClipChannel, Interp, Parametrization, Tangent
 from animtool.clip.schema import CurveModel, KeyModel
 from animtool.documents.document import Document, Location
+from animtool.documents.fields import MAX_FRAME
 from animtool.errors import counted
 from animtool.maths import so3
 from animtool.maths.extrapolation import Extrapolation
 from animtool.rig.joint_entries import UNIT_LENGTH
 
-__all__ = ["FARTHEST_FRAME", "ChannelReader", "file_quaternions"]
+__all__ = ["ChannelReader", "file_quaternions"]
 
 _ROTATING = frozenset({Interp.STEP, Interp.SLERP, Interp.SQUAD, Interp.SPLINE})
 _SCALAR = frozenset(Interp) - {Interp.SLERP, Interp.SQUAD, Interp.SPLINE}
@@ -26,10 +27,6 @@ _WIDTHS = {
     **dict.fromkeys(("control", "shape", "angle", "slide"), 1),
     **dict.fromkeys(("translation", "rotation", "scale"), 3),
 }
-# Beyond, frames are no longer exact in float64 with fractions of a thousandth.
-FARTHEST_FRAME = 1e9
-# Beyond, differences of values and their slopes leave float64.
-LARGEST_VALUE = 1e100
 # Shorter, a quaternion is a slip and not a rotation.
 SHORTEST = 1e-9
 
@@ -119,8 +116,8 @@ class ChannelReader:
         return not wrong
 
     def _check_times(self, at: Location, times: FloatArray) -> None:
-        for k in np.flatnonzero(np.abs(times) > FARTHEST_FRAME).tolist():
-            message = f"frame {times[k]:g} is beyond {FARTHEST_FRAME:.0e}"
+        for k in np.flatnonzero(np.abs(times) > MAX_FRAME).tolist():
+            message = f"frame {times[k]:g} is beyond {MAX_FRAME:.0e}"
             self.document.add("CLIP004", (*at, "keys", k, "t"), message)
         for k, before in self.document.descents((*at, "keys"), times.tolist(), "t"):
             same = times[k] == times[before]
@@ -197,9 +194,6 @@ class ChannelReader:
                 message = f"{counted(len(row), 'number')} where {wanted} wanted"
                 self.document.add("CLIP007", place, message)
                 continue
-            if max(map(abs, row)) > LARGEST_VALUE:
-                message = f"a value is beyond {LARGEST_VALUE:.0e}"
-                self.document.add("CLIP007", (*at, "keys", k, "v"), message)
             rows.append(row)
         if len(rows) < len(model.keys):
             return None
@@ -226,9 +220,6 @@ class ChannelReader:
                 continue
             dt, dv = given
             values = dv if isinstance(dv, list) else [dv]
-            if max(map(abs, [0.0, *values])) > LARGEST_VALUE:
-                message = f"a value is beyond {LARGEST_VALUE:.0e}"
-                self.document.add("CLIP007", (*at, name), message)
             if width == 3 and len(values) == 1 and even:
                 values = values * 3
             if isinstance(dt, list) or len(values) != width:

@@ -8,7 +8,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import NoReturn
 
-from animtool.clip.channel_entries import FARTHEST_FRAME, ChannelReader
+from animtool.clip.channel_entries import ChannelReader
 from animtool.clip.channels import ClipChannel
 from animtool.clip.clip import Clip
 from animtool.clip.schema import ChannelModel, ClipModel
@@ -17,6 +17,7 @@ from animtool.clip.units import ClipUnits
 from animtool.config import project_roots
 from animtool.documents.check import check_version, validated
 from animtool.documents.document import Document, Location, read_document
+from animtool.documents.fields import MAX_FRAME
 from animtool.documents.references import missing_hint, referred
 from animtool.errors import Fault, FormatError, OptionError
 from animtool.files import is_there
@@ -210,8 +211,8 @@ class _ClipReader:
             message = f"the range from {first:g} to {last:g} is reversed"
             hint = f"write [{last:g}, {first:g}]"
             self.document.add("CLIP006", ("range",), message, hint)
-        if max(abs(first), abs(last)) > FARTHEST_FRAME:
-            message = f"a frame is beyond {FARTHEST_FRAME:.0e}"
+        if max(abs(first), abs(last)) > MAX_FRAME:
+            message = f"a frame is beyond {MAX_FRAME:.0e}"
             self.document.add("CLIP006", ("range",), message)
         return Fraction(first), Fraction(last)
 

@@ -11,7 +11,7 @@ from annotated_types import Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name, Pair, Vector
+from animtool.documents.fields import Name, Pair, Real, Vector
 from animtool.documents.ignore import IgnoreModel
 
 __all__ = ["ChannelModel", "ClipModel", "CurveModel", "JoinModel", "KeyModel"]
@@ -29,7 +29,7 @@ Interp = Literal[
     "spline",
 ]
 Extrapolated = Literal["hold", "linear", "cycle", "cycle_offset", "oscillate"]
-Handle = Annotated[list[float | list[float]], Len(2, 2)]
+Handle = Annotated[list[Real | list[Real]], Len(2, 2)]
 Order = Literal["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX"]
 
 
@@ -52,11 +52,11 @@ class ClipUnitsModel(FileModel):
 class KeyModel(FileModel):
     """A key: time [frames], value, and how the curve leaves and meets it."""
 
-    t: float = Field(
+    t: Real = Field(
         description="Frame at the file's `fps`, fractions allowed; keys ascend.",
         examples=[12.5],
     )
-    v: float | list[float] = Field(
+    v: Real | list[Real] = Field(
         description="The value: one number, three, or a quaternion [w, x, y, z], as "
         "the target has them.",
         examples=[80.0],
@@ -164,7 +164,7 @@ class ClipModel(FileModel):
         description="Units of the numbers in the file.",
         examples=[{"angle": "deg"}],
     )
-    fps: float | str = Field(
+    fps: Real | str = Field(
         description="Frames a second: a number, or a fraction as text.",
         examples=["24000/1001"],
     )

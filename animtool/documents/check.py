@@ -212,6 +212,17 @@ def _words(fault: Any) -> str:
         return f"{tag} is not one of {allowed}"
     if kind in _KINDS:
         return f"{shown} is not {_KINDS[kind]}"
+    return _told(shown, fault)
+
+
+def _told(shown: str, fault: Any) -> str:
+    """Return what is wrong with a value of the right kind."""
+    context, kind = fault.get("ctx", {}), fault["type"]
+    bound = context.get(_BOUNDS.get(kind))
+    if bound is not None and abs(bound) >= LARGE:
+        return f"{shown} is beyond {bound:g}"
+    if kind == "value_error":
+        return str(context["error"])
     return f"{shown}: {fault['msg'][0].lower()}{fault['msg'][1:]}"
 
 
@@ -229,6 +240,9 @@ def _are(count: int) -> str:
     return f"{count} is" if count == 1 else f"{count} are"
 
 
+# A bound at least this large is none of the key's own.
+LARGE = 1e9
+_BOUNDS = {"less_than_equal": "le", "greater_than_equal": "ge"}
 _KINDS = {
     "float_type": "a number",
     "float_parsing": "a number",

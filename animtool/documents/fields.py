@@ -2,16 +2,80 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any
 
 from annotated_types import Len
 from pydantic import Field
 
-__all__ = ["Name", "Pair", "Quaternion", "Vector"]
+__all__ = [
+    "MAX_FRAME",
+    "MAX_NUMBER",
+    "MAX_WHOLE",
+    "Frame",
+    "Name",
+    "Pair",
+    "Quaternion",
+    "Real",
+    "Vector",
+    "Whole",
+    "WholeFrame",
+    "check_numbers",
+]
 
+# The largest number in a file, in its own unit. The square of one is held by float32,
+# which USD has, in any unit; the product of sixteen by float64.
+MAX_NUMBER = 1e18
+# A year at 30 frames a second; time codes there are still apart by 1e-7.
+MAX_FRAME = 1e9
+# Whole numbers up to here are the same as floats.
+MAX_WHOLE = 2**53
+
+Real = Annotated[float, Field(ge=-MAX_NUMBER, le=MAX_NUMBER)]
+Whole = Annotated[int, Field(ge=-MAX_WHOLE, le=MAX_WHOLE)]
+Frame = Annotated[float, Field(ge=-MAX_FRAME, le=MAX_FRAME)]
+WholeFrame = Annotated[int, Field(ge=-int(MAX_FRAME), le=int(MAX_FRAME))]
 # On one line: control characters are in no text that is read.
 Name = Annotated[str, Field(min_length=1, pattern=r"^[^\n\t]*$")]
-Pair = Annotated[list[float], Len(2, 2)]
-Vector = Annotated[list[float], Len(3, 3)]
+Pair = Annotated[list[Real], Len(2, 2)]
+Vector = Annotated[list[Real], Len(3, 3)]
 # w, x, y, z.
-Quaternion = Annotated[list[float], Len(4, 4)]
+Quaternion = Annotated[list[Real], Len(4, 4)]
+
+
+def check_numbers(value: Any) -> Any:
+    """Return options as they are, where no number in them is beyond `MAX_NUMBER`.
+
+    Raises:
+        ValueError: One is, or is not finite.
+
+    >>> check_numbers({"drag": [{"linear": 1e39}]})
+    Traceback (most recent call last):
+    ValueError: drag.linear is 1e+39, not a finite number up to 1e+18
+    """
+    for keys, number in _numbers(value, ()):
+        if not -MAX_NUMBER <= number <= MAX_NUMBER:
+            name = ".".join(keys)
+            shown = f"{number:g}" if isinstance(number, float) else _digits(number)
+            allowed = f"a finite number up to {MAX_NUMBER:g}"
+            raise ValueError(f"{name} is {shown}, not {allowed}")
+    return value
+
+
+def _digits(number: int) -> str:
+    # The text of a very long number in decimals takes as long as the square of it.
+    return f"{number:#x}"[:20] + "…"
+
+
+def _numbers(
+    value: Any, keys: tuple[str, ...]
+) -> Iterator[tuple[tuple[str, ...], float]]:
+    """Yield the numbers in mappings and lists, each with the keys that lead to it."""
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            yield from _numbers(item, (*keys, str(key)))
+    elif isinstance(value, list):
+        for item in value:
+            yield from _numbers(item, keys)
+    elif isinstance(value, (int, float)) and not isinstance(value, bool):
+        yield keys, value

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool.clip.channel_entries import FARTHEST_FRAME
 from animtool.clip.schema import CurveModel
 from animtool.clip.units import ClipUnits
 from animtool.config import project_roots
 from animtool.documents.arrays import Archives
 from animtool.documents.check import check_version, validated
 from animtool.documents.document import Document, Location, read_document
+from animtool.documents.fields import MAX_FRAME
 from animtool.documents.names import nearest
 from animtool.ik.goals import Goal
 from animtool.ik.schema import GoalModel, TargetsModel, WeightsModel
@@ -136,8 +136,8 @@ class _Reader:
             message = f"the range from {first:g} to {last:g} is reversed"
             hint = f"write [{last:g}, {first:g}]"
             self.document.add("TGT003", ("range",), message, hint)
-        if max(abs(first), abs(last)) > FARTHEST_FRAME:
-            message = f"a frame is beyond {FARTHEST_FRAME:.0e}"
+        if max(abs(first), abs(last)) > MAX_FRAME:
+            message = f"a frame is beyond {MAX_FRAME:.0e}"
             self.document.add("TGT003", ("range",), message)
         return Fraction(first), Fraction(last)
 
@@ -244,8 +244,8 @@ class _Reader:
                 hint = f"write [{last:g}, {first:g}]"
                 self.document.add("TGT005", (*at, i), message, hint)
                 continue
-            if max(abs(first), abs(last)) > FARTHEST_FRAME:
-                message = f"a frame is beyond {FARTHEST_FRAME:.0e}"
+            if max(abs(first), abs(last)) > MAX_FRAME:
+                message = f"a frame is beyond {MAX_FRAME:.0e}"
                 self.document.add("TGT005", (*at, i), message)
                 continue
             found.append((first, last, i))

@@ -12,12 +12,12 @@ from pydantic import Field
 
 from animtool.clip.schema import CurveModel, JoinModel, KeyModel
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name, Pair, Quaternion, Vector
+from animtool.documents.fields import Name, Pair, Quaternion, Real, Vector, Whole
 from animtool.documents.ignore import IgnoreModel
 
 __all__ = ["AimModel", "GoalModel", "TargetsModel", "ValueModel", "WeightsModel"]
 
-Weight = Annotated[float, Field(ge=0)]
+Weight = Annotated[Real, Field(ge=0)]
 
 
 class TargetUnitsModel(FileModel):
@@ -156,12 +156,12 @@ class GoalModel(FileModel):
         "one for each part.",
         examples=[{"position": 10.0}],
     )
-    priority: Annotated[int, Field(ge=0)] = Field(
+    priority: Annotated[Whole, Field(ge=0)] = Field(
         default=0,
         description="0 is hard; goals of higher numbers give way to those of lower.",
         examples=[1],
     )
-    soft: Annotated[float, Field(ge=0, lt=1)] = Field(
+    soft: Annotated[Real, Field(ge=0, lt=1)] = Field(
         default=0.0,
         description="Share of the limb's reach over which its extension eases out, so "
         "that it does not snap straight. It wants a `root` that no goal moves.",
@@ -185,7 +185,7 @@ class GoalModel(FileModel):
         "of these and their `ease` it is as free as without the goal. Not given: all.",
         examples=[[[20.0, 80.0]]],
     )
-    ease: Annotated[float, Field(ge=0)] = Field(
+    ease: Annotated[Real, Field(ge=0)] = Field(
         default=4.0,
         description="Frames before and behind a span of `hold` or `during` in which it "
         "comes to its place and leaves it, without a jump in speed; less where spans "
@@ -206,7 +206,7 @@ class TargetsModel(FileModel):
         description="Units of the numbers in the file.",
         examples=[{"length": "cm"}],
     )
-    fps: float | str | None = Field(
+    fps: Real | str | None = Field(
         default=None,
         description="Frames a second that times count: a number, or a fraction as "
         "text. Not given: the start clip's; 24 without one.",

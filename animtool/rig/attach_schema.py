@@ -8,7 +8,7 @@ from annotated_types import Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name, Vector
+from animtool.documents.fields import Name, Real, Vector
 
 __all__ = [
     "AttachModel",
@@ -56,10 +56,10 @@ class AttachModel(FileModel):
 class CapsuleModel(FileModel):
     """A cylinder with round ends, in the frame of its joint."""
 
-    radius: Annotated[float, Field(gt=0)] = Field(
+    radius: Annotated[Real, Field(gt=0)] = Field(
         description="Of the cylinder and its round ends.", examples=[0.08]
     )
-    length: Annotated[float, Field(ge=0)] = Field(
+    length: Annotated[Real, Field(ge=0)] = Field(
         default=0.0,
         description="Between the centres of the round ends; 0 makes a ball.",
         examples=[0.3],

@@ -8,7 +8,7 @@ from annotated_types import Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name, Pair
+from animtool.documents.fields import Name, Pair, Real
 
 __all__ = [
     "ControlModel",
@@ -59,7 +59,7 @@ class ControlModel(FileModel):
         "with `--clamp` brought inside. Not given: any.",
         examples=[[0.0, 1.0]],
     )
-    default: float = Field(
+    default: Real = Field(
         default=0.0, description="Its value where no key sets it.", examples=[0.25]
     )
     drives: list[DriveModel] = Field(

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name, Pair, Quaternion, Vector
+from animtool.documents.fields import Name, Pair, Quaternion, Real, Vector
 from animtool.rig.skeleton import ChannelName
 
 __all__ = [
@@ -26,7 +26,7 @@ __all__ = [
 class BallLimitsModel(FileModel):
     """Cone half-angle, or two, and range of twist."""
 
-    swing: float | Pair | None = Field(
+    swing: Real | Pair | None = Field(
         default=None,
         description="Half angle of the cone in which the twist axis may swing, or two, "
         "about the two other axes. Not given: any.",
@@ -53,13 +53,13 @@ class MimicModel(FileModel):
         description="A pin or prismatic joint that follows none itself.",
         examples=["crank"],
     )
-    gain: float = Field(
+    gain: Real = Field(
         default=1.0,
         description="How far this joint goes for one unit of the other, each in the "
         "file's own unit: cm a degree for a prismatic joint that follows a pin.",
         examples=[-0.5],
     )
-    offset: float = Field(
+    offset: Real = Field(
         default=0.0,
         description="Added to it, in this joint's unit.",
         examples=[10.0],

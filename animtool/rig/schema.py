@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name, Vector
+from animtool.documents.fields import Name, Real, Vector
 from animtool.documents.ignore import IgnoreModel
 from animtool.rig.attach_schema import AttachModel, ColliderModel
 from animtool.rig.control_schema import ControlModel
@@ -54,7 +54,7 @@ class IkModel(FileModel):
         "parent; of any length. Not given: open.",
         examples=[[0.0, 0.0, -1.0]],
     )
-    stretch: Annotated[float, Field(ge=0)] = Field(
+    stretch: Annotated[Real, Field(ge=0)] = Field(
         default=0.0,
         description="Share of its length that it may grow by; 0.1 is a tenth.",
         examples=[0.1],

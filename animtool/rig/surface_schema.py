@@ -8,7 +8,7 @@ from annotated_types import Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name
+from animtool.documents.fields import Name, Real
 
 __all__ = [
     "InbetweenModel",
@@ -18,7 +18,7 @@ __all__ = [
 ]
 
 
-Matrix = Annotated[list[float], Len(16, 16)]
+Matrix = Annotated[list[Real], Len(16, 16)]
 
 
 class SkinModel(FileModel):
@@ -89,7 +89,7 @@ class MeshModel(FileModel):
 class InbetweenModel(FileModel):
     """The deltas of a shape on its way."""
 
-    at: float = Field(
+    at: Real = Field(
         description="The weight, ascending in the list; neither 0 nor 1.",
         examples=[0.5],
     )

@@ -8,10 +8,17 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Len
-from pydantic import Discriminator, Field, Tag
+from pydantic import AfterValidator, Discriminator, Field, Tag
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name
+from animtool.documents.fields import (
+    Frame,
+    Name,
+    Real,
+    Whole,
+    WholeFrame,
+    check_numbers,
+)
 from animtool.documents.ignore import IgnoreModel
 from animtool.scene.output_fields import (
     Bones,
@@ -53,7 +60,7 @@ class SourceModel(FileModel):
         description="Of a BVH: its up axis. Not given: Y.",
         examples=["Z"],
     )
-    fps: float | str | None = Field(
+    fps: Real | str | None = Field(
         default=None,
         description="Of a BVH: its true frame rate. Not given: what its frame time "
         "stands for.",
@@ -88,7 +95,7 @@ class SourceModel(FileModel):
         "given, for none: first frames coincide.",
         examples=["01:00:00:00"],
     )
-    timecode_fps: float | str | None = Field(
+    timecode_fps: Real | str | None = Field(
         default=None,
         description="Frames a second that the time code counts. Not given: those of "
         "the source.",
@@ -111,7 +118,7 @@ class BesideModel(FileModel):
         "from `/` on, in the world of the stage. Not given: the name of the prim.",
         examples=["Props/box"],
     )
-    frame: float | None = Field(
+    frame: Frame | None = Field(
         default=None,
         description="Time code of its file that comes with the first frame of the "
         "source. Not given: the number of that frame, by `start` of the shot or as the "
@@ -146,24 +153,24 @@ def _one_or_several(value: Any) -> str:
 class ShotModel(FileModel):
     """Where a scene stands in a shot; frames are those of the output."""
 
-    start: float | None = Field(
+    start: Frame | None = Field(
         default=None,
         description="Time code of the first frame of the take. Not given: as for an "
         "output without `start`; of a timeline's shot, where that has it.",
         examples=[1001],
     )
-    cut: Annotated[list[int], Len(2, 2)] = Field(
+    cut: Annotated[list[WholeFrame], Len(2, 2)] = Field(
         description="First and last frame of the cut; those that the take lacks are "
         "held and named.",
         examples=[[1009, 1090]],
     )
-    handles: Annotated[int, Ge(0)] = Field(
+    handles: Annotated[WholeFrame, Ge(0)] = Field(
         default=0,
         description="Frames to write before and after the cut; those that the take "
         "lacks are held and named.",
         examples=[8],
     )
-    preroll: Annotated[int, Ge(0)] = Field(
+    preroll: Annotated[WholeFrame, Ge(0)] = Field(
         default=0,
         description="Frames before the handles that passes with a state of their own "
         "begin in; they are not written.",
@@ -202,13 +209,13 @@ class OutputModel(FileModel):
         "where the rig layer has it.",
         examples=["/World/hero"],
     )
-    start: float | None = Field(
+    start: Frame | None = Field(
         default=None,
         description="Time code of the first frame. Not given: the rig layer's, the "
         "source's, the project's, or 1.",
         examples=[1001],
     )
-    samples: list[float] = Field(
+    samples: list[Frame] = Field(
         default=[],
         description="Samples around each frame, in frames, for motion blur. Not given: "
         "one on the frame.",
@@ -250,7 +257,7 @@ class OutputModel(FileModel):
         "these need them. Not given: all.",
         examples=[["flag", "rope"]],
     )
-    chunk: Annotated[int, Ge(1)] | None = Field(
+    chunk: Annotated[Whole, Ge(1)] | None = Field(
         default=None,
         description="Of `deform` and of systems: a file for every so many samples. Not "
         "given: one file.",
@@ -265,7 +272,7 @@ class SceneModel(FileModel):
         description="What the file is, and the version of its format.",
         examples=["animtool/1"],
     )
-    variables: dict[str, str | float | bool] = Field(
+    variables: dict[str, str | Real | bool] = Field(
         default={},
         description="What `${name}` stands for in the texts of the file; `--set` of "
         "the command line comes first.",
@@ -277,13 +284,13 @@ class SceneModel(FileModel):
         "names, else the joints of the first source.",
         examples=["hero.rig.yaml"],
     )
-    fps: float | str | None = Field(
+    fps: Real | str | None = Field(
         default=None,
         description="Frames a second of the output. Not given: the rig layer's, or the "
         "source's.",
         examples=[24],
     )
-    range: Annotated[list[int], Len(2, 2)] | None = Field(
+    range: Annotated[list[WholeFrame], Len(2, 2)] | None = Field(
         default=None,
         description="First and last frame to write, as the output numbers them. Not "
         "given: all.",
@@ -313,7 +320,11 @@ class SceneModel(FileModel):
         "part in every change of time and are written with it.",
         examples=[[{"from": "props.usda", "prim": "/Set/box", "path": "Props/box"}]],
     )
-    passes: list[Annotated[dict[str, dict[str, Any] | None], Len(1, 1)]] = Field(
+    passes: list[
+        Annotated[
+            dict[str, dict[str, Any] | None], Len(1, 1), AfterValidator(check_numbers)
+        ]
+    ] = Field(
         default=[],
         description="What is done to it, in order: the name of a pass, and its "
         "options.",

@@ -220,7 +220,7 @@ def test_another_up_axis_turns_the_curve(
     assert compare(upright, back).within(meters=1e-6, degrees=1e-3)
 
 
-@pytest.mark.parametrize("value", ["1.0e+308", "1.0e+101"])
+@pytest.mark.parametrize("value", ["1.0e+308", "1.1e+18"])
 def test_a_value_beyond_reason_is_refused(tmp_path: Path, rig: Rig, value: str) -> None:
     clip = write_clip(
         tmp_path,
@@ -228,7 +228,7 @@ def test_a_value_beyond_reason_is_refused(tmp_path: Path, rig: Rig, value: str) 
     )
     done = animtool("bake", clip, "-o", tmp_path / "o.usda")
     assert done.code == 3
-    assert "CLIP007" in done.stderr
+    assert "DOC022 channels[0].keys[0].v: " in done.stderr
     assert rig.controls
 
 

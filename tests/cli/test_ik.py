@@ -294,7 +294,8 @@ def test_arrays_of_another_length(place: Path) -> None:
 
 
 def test_targets_beyond_numbers_are_missed_by_words(place: Path) -> None:
-    text = REACH.replace("[-10, 20, 20]", "[-1.0e+202, 20, 20]")
+    np.savez(place / "far.npz", p=np.tile([-1.0e202, 20, 20], (12, 1)))
+    text = REACH.replace("[-10, 20, 20]", "far.npz#p")
     assert text != REACH
     (place / "far.targets.yaml").write_text(text)
     done = run(place, "-t", "far.targets.yaml")
@@ -364,7 +365,8 @@ def test_what_runs_out_of_time_is_told_what_to_do(place: Path) -> None:
 
 
 def test_a_target_beyond_all_numbers(place: Path) -> None:
-    text = REACH.replace("[-10, 20, 20]", "[1e300, 0, 0]")
+    np.savez(place / "huge.npz", p=np.tile([1e300, 0, 0], (12, 1)))
+    text = REACH.replace("[-10, 20, 20]", "huge.npz#p")
     (place / "huge.targets.yaml").write_text(text)
     done = run(place, "-t", "huge.targets.yaml", "-o", "h.usda", "--format", "json")
     assert done.code == 0, done.stderr
@@ -560,12 +562,13 @@ def test_names_of_what_holds_no_motion(place: Path) -> None:
         assert not (place / name).exists()
 
 
-def test_weights_beyond_all_bounds_warn_of_nothing_else(place: Path) -> None:
-    text = REACH.replace("[-10, 20, 20]", "[-10, 20, 20], weight: 1e200")
-    (place / "heavy.targets.yaml").write_text(text)
-    done = run(place, "-t", "heavy.targets.yaml")
-    assert done.code == 0, done.stderr
-    assert "RuntimeWarning" not in done.stderr
+def test_weights_are_bounded_and_large_ones_warn_of_nothing_else(place: Path) -> None:
+    for weight, code in ("1e18", 0), ("1e200", 3):
+        text = REACH.replace("[-10, 20, 20]", f"[-10, 20, 20], weight: {weight}")
+        (place / "heavy.targets.yaml").write_text(text)
+        done = run(place, "-t", "heavy.targets.yaml", "--overwrite")
+        assert done.code == code, done.stderr
+        assert "RuntimeWarning" not in done.stderr
 
 
 def test_a_folder_is_no_stage(place: Path) -> None:

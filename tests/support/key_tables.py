@@ -22,6 +22,8 @@ from animtool.documents.check import FileModel
 PAGE = Path(__file__).parents[2] / "animtool/docs/formats.md"
 _MARK = re.compile(r"(<!-- keys: (\w+) (.+?) -->\n)(?:\n(?:\|.*\n)+)?")
 _HEAD = "| key | value | usually | meaning | example |\n|---|---|---|---|---|\n"
+# Bounds that all numbers have are not in the tables.
+LARGE = 1e9
 _WORDS = {
     "string": "text",
     "boolean": "true or false",
@@ -153,7 +155,7 @@ def _value(spec: dict[str, Any]) -> str:
     if isinstance(named, dict) and ("$ref" in named or named.get("type")):
         return f"{_value(named)}, by name"
     word = _WORDS.get(spec.get("type", "object"), "keys")
-    if "minimum" in spec:
+    if abs(spec.get("minimum", LARGE)) < LARGE:
         word += f", {spec['minimum']:g} or more"
     elif "exclusiveMinimum" in spec:
         word += " above 0"

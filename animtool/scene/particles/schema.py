@@ -8,7 +8,7 @@ from annotated_types import Gt, Le, Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Pair, Vector
+from animtool.documents.fields import Pair, Real, Vector, Whole
 from animtool.scene.systems.collider_schema import (
     CharacterModel,
     MovingMeshModel,
@@ -34,18 +34,18 @@ class EmitterModel(PlacedModel):
         description="Where they are born: `point`, `disc`, `sphere`, `box` or `mesh`.",
         examples=[{"disc": {"radius": 0.2}}],
     )
-    rate: float = Field(default=0.0, description="Particles a second.", examples=[200])
+    rate: Real = Field(default=0.0, description="Particles a second.", examples=[200])
     bursts: list[Pair] = Field(
         default=[],
         description="Seconds from the first frame on, and how many at once.",
         examples=[[[0, 50], [1.5, 50]]],
     )
-    start: float | None = Field(
+    start: Real | None = Field(
         default=None,
         description="Second that the rate begins in. Not given: the first.",
         examples=[0.5],
     )
-    end: float | None = Field(
+    end: Real | None = Field(
         default=None,
         description="Second that the rate ends in. Not given: never.",
         examples=[2.5],
@@ -56,37 +56,37 @@ class EmitterModel(PlacedModel):
         "outwards.",
         examples=[[1, 1, 0]],
     )
-    spread: float = Field(
+    spread: Real = Field(
         default=0.0,
         description="Half the angle of the cone about it [deg]; 180 is all around.",
         examples=[20],
     )
-    speed: float = Field(default=0.0, description="Speed [m/s].", examples=[3])
-    speed_spread: float = Field(
+    speed: Real = Field(default=0.0, description="Speed [m/s].", examples=[3])
+    speed_spread: Real = Field(
         default=0.0, description="Most that it differs by [m/s].", examples=[0.5]
     )
-    inherit: float = Field(
+    inherit: Real = Field(
         default=1.0,
         description="Share of the emitter's velocity that they have too.",
         examples=[0.5],
     )
-    lifetime: float | None = Field(
+    lifetime: Real | None = Field(
         default=None,
         description="How long they live [s]. Not given: for ever.",
         examples=[2.5],
     )
-    lifetime_spread: float = Field(
+    lifetime_spread: Real = Field(
         default=0.0, description="Most that it differs by [s].", examples=[0.5]
     )
-    radius: float = Field(
+    radius: Real = Field(
         default=0.005, description="Their radius [m].", examples=[0.01]
     )
-    radius_spread: float = Field(
+    radius_spread: Real = Field(
         default=0.0, description="Most that it differs by [m].", examples=[0.005]
     )
-    mass: float = Field(default=0.001, description="Their mass [kg].", examples=[0.1])
-    charge: float = Field(default=0.0, description="Their charge [C].", examples=[1e-6])
-    seed: int = Field(
+    mass: Real = Field(default=0.001, description="Their mass [kg].", examples=[0.1])
+    charge: Real = Field(default=0.0, description="Their charge [C].", examples=[1e-6])
+    seed: Whole = Field(
         default=0, description="Of what is random about them.", examples=[7]
     )
 
@@ -146,17 +146,17 @@ class ParticlesModel(FileModel):
     method: str = Field(
         default="midpoint", description="An integrator.", examples=["rk4"]
     )
-    step: float = Field(
+    step: Real = Field(
         default=0.01,
         description="Step of the simulation [s], whatever the frame rate is.",
         examples=[0.005],
     )
-    tolerance: float | None = Field(
+    tolerance: Real | None = Field(
         default=None,
         description="Of integrators that choose their steps: most error of each.",
         examples=[1e-5],
     )
     preroll: Preroll = 0.0
-    most: Annotated[int, Gt(0), Le(10**8)] = Field(
+    most: Annotated[Whole, Gt(0), Le(10**8)] = Field(
         default=1_000_000, description="Particles at once.", examples=[5000]
     )

@@ -8,6 +8,7 @@ from annotated_types import Ge, Gt
 from pydantic import Field
 
 from animtool.documents.check import FileModel
+from animtool.documents.fields import Real
 
 __all__ = [
     "SelfContactField",
@@ -18,15 +19,15 @@ __all__ = [
 class SelfContactModel(FileModel):
     """How a surface keeps apart from itself, in folds and layers."""
 
-    thickness: Annotated[float, Gt(0)] = Field(
+    thickness: Annotated[Real, Gt(0)] = Field(
         description="Least distance of its particles from its faces [m], such as half "
         "the length of an edge.",
         examples=[0.01],
     )
-    friction: Annotated[float, Ge(0)] = Field(
+    friction: Annotated[Real, Ge(0)] = Field(
         default=0.2, description="Coulomb's coefficient.", examples=[0.4]
     )
-    speed: Annotated[float, Gt(0)] = Field(
+    speed: Annotated[Real, Gt(0)] = Field(
         default=0.2,
         description="What is nearer at the start comes apart this fast [m/s].",
         examples=[0.1],

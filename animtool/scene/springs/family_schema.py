@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from animtool.documents.check import FileModel
+from animtool.documents.fields import Real
 
 __all__ = [
     "ClothSpringsModel",
@@ -21,27 +22,25 @@ __all__ = [
 class FamilyModel(FileModel):
     """What springs of a family have in common."""
 
-    stiffness: float = Field(
-        description="Force over lengthening [N/m].", examples=[1e4]
-    )
-    damping: float = Field(
+    stiffness: Real = Field(description="Force over lengthening [N/m].", examples=[1e4])
+    damping: Real = Field(
         default=0.0,
         description="Along the spring: force over speed [N s/m].",
         examples=[0.5],
     )
-    ratio: float = Field(
+    ratio: Real = Field(
         default=0.0,
         description="More of it, as a share of what one spring on its ends is "
         "critical with.",
         examples=[0.1],
     )
-    rest: float = Field(
+    rest: Real = Field(
         default=1.0,
         description="Length at rest over the distance of the ends as built; 0 draws "
         "them together.",
         examples=[0.9],
     )
-    tear: float | None = Field(
+    tear: Real | None = Field(
         default=None,
         description="Lengthening over the length at rest beyond which a spring tears. "
         "Not given: never.",
@@ -52,13 +51,13 @@ class FamilyModel(FileModel):
 class LineFamilyModel(FamilyModel):
     """Springs along ropes and strands."""
 
-    stiffness: float | None = Field(  # type: ignore[assignment]
+    stiffness: Real | None = Field(  # type: ignore[assignment]
         default=None,
         description="Force over lengthening of each spring [N/m]. Not given: "
         "`axial_stiffness` is.",
         examples=[1e4],
     )
-    axial_stiffness: float | None = Field(
+    axial_stiffness: Real | None = Field(
         default=None,
         description="In place of `stiffness`: force over strain [N], the same however "
         "many particles there are. A spring gets it divided by its length at rest.",

@@ -8,7 +8,7 @@ from annotated_types import Ge, Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name, Vector
+from animtool.documents.fields import Name, Real, Vector, Whole
 from animtool.scene.systems.fields import CharacterFile, OwnCharacter, TimedVector
 from animtool.scene.systems.placed_schema import FollowedPrimModel
 
@@ -44,7 +44,7 @@ class CarryingVertexModel(_FramedModel):
     file: CharacterFile = None
     source: OwnCharacter = False
     mesh: Name = Field(description="Name of the rig's mesh.", examples=["body"])
-    vertex: Annotated[int, Ge(0)] = Field(description="Its number.", examples=[120])
+    vertex: Annotated[Whole, Ge(0)] = Field(description="Its number.", examples=[120])
 
 
 class CarryingPrimModel(FollowedPrimModel, _FramedModel):
@@ -55,7 +55,7 @@ class JoinedModel(FileModel):
     """Particles of another system."""
 
     system: Name = Field(description="Its name.", examples=["flag"])
-    particles: Annotated[list[str | int], Len(1)] = Field(
+    particles: Annotated[list[str | Whole], Len(1)] = Field(
         description="Particles of it, one for each or one for all, as `particles` of "
         "a pin.",
         examples=[["top_left"]],
@@ -65,7 +65,7 @@ class JoinedModel(FileModel):
 class PinModel(FileModel):
     """Particles that are held, drawn, or joined to others."""
 
-    particles: Annotated[list[str | int], Len(1)] = Field(
+    particles: Annotated[list[str | Whole], Len(1)] = Field(
         description="Which: names of places, numbers from 0 on (-1 is the last), or "
         "an array of numbers, such as cape.npz#pins.",
         examples=[["start"], ["top_left", 40]],
@@ -97,13 +97,13 @@ class PinModel(FileModel):
         "move each other.",
         examples=[{"system": "flag", "particles": ["top_left"]}],
     )
-    stiffness: float | None = Field(
+    stiffness: Real | None = Field(
         default=None,
         description="They are drawn there by springs of no length and this stiffness "
         "[N/m]. Not given: they are held.",
         examples=[200],
     )
-    damping: float = Field(
+    damping: Real = Field(
         default=0.0,
         description="Of such springs: force over speed [N s/m].",
         examples=[1],

@@ -8,7 +8,7 @@ from annotated_types import Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name, Vector
+from animtool.documents.fields import Name, Real, Vector, Whole
 from animtool.scene.springs.contact_schema import SelfContactField
 from animtool.scene.springs.family_schema import (
     ClothSpringsModel,
@@ -38,7 +38,7 @@ __all__ = [
 class SpringsModel(FileModel):
     """What ropes, strands, cloth and volumes have in common."""
 
-    mass: float = Field(description="Mass of the whole [kg].", examples=[0.5])
+    mass: Real = Field(description="Mass of the whole [kg].", examples=[0.5])
     pins: list[PinModel] = Field(
         default=[],
         description="What holds it, and joins it to other systems.",
@@ -49,12 +49,12 @@ class SpringsModel(FileModel):
         description="Acceleration of all particles [m/s²].",
         examples=[[0, -1.62, 0]],
     )
-    drag: float = Field(
+    drag: Real = Field(
         default=0.0,
         description="What slows all motion, over mass and speed [1/s].",
         examples=[0.5],
     )
-    radius: float = Field(
+    radius: Real = Field(
         default=0.005,
         description="Half its thickness: what it keeps from colliders, and of curves "
         "half their width [m].",
@@ -75,7 +75,7 @@ class SpringsModel(FileModel):
         description="Meshes of USD files that it runs into, whose points may move.",
         examples=[[{"file": "beast.usdc", "prim": "/beast/body", "closed": True}]],
     )
-    speed_limit: float = Field(
+    speed_limit: Real = Field(
         default=200.0,
         description="Pins that go faster were put elsewhere, and take along what hangs "
         "on them [m/s].",
@@ -89,18 +89,18 @@ class SpringsModel(FileModel):
             examples=["xpbd"],
         )
     )
-    step: float | None = Field(
+    step: Real | None = Field(
         default=None,
         description="The longest step [s]. Not given: what the solver needs.",
         examples=[0.002],
     )
-    error: float | None = Field(
+    error: Real | None = Field(
         default=None,
         description="Most error of positions [m]: steps are halved until two motions "
         "agree. Not given: it is not asked for.",
         examples=[0.001],
     )
-    stretch: float = Field(
+    stretch: Real = Field(
         default=0.01,
         description="Of `xpbd`: most that springs may be longer than at rest, where "
         "this is not their own give.",
@@ -125,8 +125,8 @@ class RopeModel(SpringsModel):
     end: Vector = Field(
         alias="to", description="Where it ends [m].", examples=[[1.5, 2, 0]]
     )
-    count: int = Field(description="Number of particles.", examples=[31])
-    tip_mass: float | None = Field(
+    count: Whole = Field(description="Number of particles.", examples=[31])
+    tip_mass: Real | None = Field(
         default=None,
         description="Mass of the last particle [kg]. Not given: as the others.",
         examples=[2],
@@ -188,7 +188,7 @@ class ClothModel(SpringsModel):
         description="From there along the whole height [m].",
         examples=[[0, 0, -1]],
     )
-    resolution: Annotated[list[int], Len(2, 2)] = Field(
+    resolution: Annotated[list[Whole], Len(2, 2)] = Field(
         default=[20, 20],
         description="Particles across and up.",
         examples=[[31, 21]],
@@ -232,7 +232,7 @@ class VolumeModel(SpringsModel):
         description="Along x, y and z [m].",
         examples=[[0.5, 0.5, 0.5]],
     )
-    resolution: Annotated[list[int], Len(3, 3)] = Field(
+    resolution: Annotated[list[Whole], Len(3, 3)] = Field(
         default=[6, 6, 6],
         description="Particles along x, y and z.",
         examples=[[8, 4, 8]],

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Vector
+from animtool.documents.fields import Real, Vector
 from animtool.scene.systems.fields import TimedVector
 
 __all__ = [
@@ -36,13 +36,13 @@ class WindModel(FileModel):
 class FaceWindModel(WindModel):
     """The air that faces bear."""
 
-    density: float = Field(
+    density: Real = Field(
         default=1.2, description="Of the air [kg/m³].", examples=[0.9]
     )
-    drag: float = Field(
+    drag: Real = Field(
         default=1.0, description="Coefficient along the flow.", examples=[1.5]
     )
-    lift: float = Field(default=0.5, description="Coefficient across it.", examples=[0])
+    lift: Real = Field(default=0.5, description="Coefficient across it.", examples=[0])
 
 
 FaceWindField = Annotated[

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name
+from animtool.documents.fields import Name, Real
 from animtool.scene.systems.fields import CharacterFile, Margin, Named, OwnCharacter
 from animtool.scene.systems.placed_schema import FollowedPrimModel, PlacedModel
 
@@ -18,12 +18,12 @@ __all__ = [
 
 
 class _MaterialModel(FileModel):
-    restitution: float = Field(
+    restitution: Real = Field(
         default=0.0,
         description="Share of the speed into the surface that comes back, 0 to 1.",
         examples=[0.4],
     )
-    friction: float = Field(
+    friction: Real = Field(
         default=0.0, description="Coulomb's coefficient.", examples=[0.3]
     )
 
@@ -42,12 +42,12 @@ class SystemColliderModel(PlacedModel, _MaterialModel):
         examples=[True],
     )
     margin: Margin = 0.0
-    depenetration: float = Field(
+    depenetration: Real = Field(
         default=1.0,
         description="How fast those that begin inside are moved out [m/s].",
         examples=[0.5],
     )
-    speed_limit: float = Field(
+    speed_limit: Real = Field(
         default=200.0,
         description="What moves faster was put elsewhere, and hits nothing [m/s].",
         examples=[500],
@@ -84,7 +84,7 @@ class SystemSurfaceModel(_MaterialModel):
 class MovingMeshModel(FollowedPrimModel, _MaterialModel):
     """A mesh of a USD file that particles run into, as it moves and changes shape."""
 
-    radius: float = Field(
+    radius: Real = Field(
         default=0.005, description="Half its thickness [m].", examples=[0.01]
     )
     closed: bool = Field(

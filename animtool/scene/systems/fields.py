@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from annotated_types import Ge, Len
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
-from animtool.documents.fields import Name
+from animtool.documents.fields import Name, Real, check_numbers
 
 __all__ = [
     "CharacterFile",
@@ -22,9 +22,11 @@ __all__ = [
 ]
 
 # One name of a table, and its options.
-Named = Annotated[dict[str, dict[str, Any] | None], Len(1, 1)]
+Named = Annotated[
+    dict[str, dict[str, Any] | None], Len(1, 1), AfterValidator(check_numbers)
+]
 # Seconds from the first frame on, and a vector.
-TimedVector = Annotated[list[float], Len(4, 4)]
+TimedVector = Annotated[list[Real], Len(4, 4)]
 
 PrimName = Annotated[str, Field(description="Name of the prim.")]
 UsdFile = Annotated[Name, Field(description="The USD file.")]
@@ -45,10 +47,10 @@ OwnCharacter = Annotated[
     ),
 ]
 Margin = Annotated[
-    float, Field(description="Distance that they keep [m].", examples=[0.01])
+    Real, Field(description="Distance that they keep [m].", examples=[0.01])
 ]
 Preroll = Annotated[
-    float,
+    Real,
     Ge(0),
     Field(
         description="Seconds before the first frame that it begins in.", examples=[2]

@@ -8,7 +8,7 @@ from annotated_types import Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Quaternion, Vector
+from animtool.documents.fields import Frame, Quaternion, Real, Vector
 from animtool.scene.systems.fields import PrimPath, TimedVector, UsdFile
 
 __all__ = ["FollowedPrimModel", "PlacedModel"]
@@ -19,7 +19,7 @@ class FollowedPrimModel(FileModel):
 
     file: UsdFile = Field(examples=["props.usda"])
     prim: PrimPath = Field(examples=["/Set/hook"])
-    frame: float | None = Field(
+    frame: Frame | None = Field(
         default=None,
         description="Time code of its file that comes at 0 s. Not given: the first.",
         examples=[101],
@@ -45,7 +45,7 @@ class PlacedModel(FileModel):
         "frame on and three coordinates [m]. Not given: it stays.",
         examples=[[[0, 0, 0, 0], [2, 4, 0, 0]]],
     )
-    turns: list[Annotated[list[float], Len(5, 5)]] = Field(
+    turns: list[Annotated[list[Real], Len(5, 5)]] = Field(
         default=[],
         description="How it is turned over time, after `rotate`: rows of seconds from "
         "the first frame on and a quaternion w, x, y, z; it turns the short way from "
