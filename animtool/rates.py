@@ -8,11 +8,12 @@ from enum import StrEnum
 from fractions import Fraction
 from numbers import Rational
 
-from animtool.errors import Fault, OptionError
+from animtool.errors import Fault, OptionError, excerpt
 
 __all__ = [
     "RateChoice",
     "RateKind",
+    "exact_number",
     "parse_rate",
     "rate_from_float",
     "rate_from_frame_time",
@@ -30,6 +31,7 @@ FRAME_TIME_EXPONENTS = (-9, 6)
 LOWEST_WRITTEN_RATE, HIGHEST_WRITTEN_RATE = Fraction(1, 1000), Fraction(100_000)
 HIGHEST_RATE = 1000
 # Taken first where a time is printed so coarsely that several integers fit.
+MOST_DIGITS = 100
 USUAL_RATES = frozenset({12, 24, 25, 30, 48, 50, 60, 90, 100, 120, 200, 240})
 
 
@@ -159,6 +161,23 @@ _BROADCAST = {
 }
 
 
+def exact_number(text: str) -> Fraction:
+    """Return the number that a text writes: ``24``, ``23.976``, ``24000/1001``.
+
+    Raises:
+        ValueError: It is none, or has more digits than a number that anybody writes.
+
+    >>> exact_number("1e-3")
+    Fraction(1, 1000)
+    """
+    text = text.strip()
+    exponent = text.lower().partition("e")[2]
+    # What has millions of digits takes hours to work out.
+    if len(text) > MOST_DIGITS or len(exponent) > len("-300"):
+        raise ValueError(f"{excerpt(text)} has too many digits")
+    return Fraction(text)
+
+
 def parse_rate(text: str | float | Fraction) -> Fraction:
     """Return the rate that a person wrote: ``24``, ``23.976`` or ``24000/1001``.
 
@@ -176,13 +195,14 @@ def parse_rate(text: str | float | Fraction) -> Fraction:
     if text in _BROADCAST:
         return _BROADCAST[text]
     try:
-        rate = Fraction(text)
+        rate = exact_number(text)
     except (ValueError, ArithmeticError) as error:
         raise ValueError(
-            f"{text!r} is not a frame rate such as 24, 23.976 or 24000/1001"
+            f"{excerpt(text)} is not a frame rate such as 24, 23.976 or 24000/1001"
         ) from error
     if not LOWEST_WRITTEN_RATE <= rate <= HIGHEST_WRITTEN_RATE:
-        raise ValueError(f"a frame rate is between 0.001 and 100000, not {text}")
+        shown = excerpt(text).strip("'")
+        raise ValueError(f"a frame rate is between 0.001 and 100000, not {shown}")
     return rate
 
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from animtool.rates import (
     RateKind,
+    exact_number,
     parse_rate,
     rate_from_float,
     rate_from_frame_time,
@@ -121,3 +122,11 @@ def test_what_people_should_not_write(text: str) -> None:
 
 def test_label_of_an_odd_rate() -> None:
     assert rate_label(Fraction(10000, 353)) == "10000/353 (28.329) fps"
+
+
+@pytest.mark.parametrize("text", ["1e99999999", "1e-99999999", "1" * 101, "1E+99999/3"])
+def test_a_number_of_too_many_digits_is_refused_at_once(text: str) -> None:
+    with pytest.raises(ValueError, match="is not a frame rate"):
+        parse_rate(text)
+    with pytest.raises(ValueError, match="too many digits"):
+        exact_number(text)

@@ -30,6 +30,8 @@ MAX_NUMBER = 1e18
 MAX_FRAME = 1e9
 # Whole numbers up to here are the same as floats.
 MAX_WHOLE = 2**53
+# Whole numbers among options, where a seed has 64 bits.
+MAX_SEED = 2**64
 
 Real = Annotated[float, Field(ge=-MAX_NUMBER, le=MAX_NUMBER)]
 Whole = Annotated[int, Field(ge=-MAX_WHOLE, le=MAX_WHOLE)]
@@ -54,10 +56,11 @@ def check_numbers(value: Any) -> Any:
     ValueError: drag.linear is 1e+39, not a finite number up to 1e+18
     """
     for keys, number in _numbers(value, ()):
-        if not -MAX_NUMBER <= number <= MAX_NUMBER:
+        most = MAX_NUMBER if isinstance(number, float) else MAX_SEED
+        if not -most <= number <= most:
             name = ".".join(keys)
             shown = f"{number:g}" if isinstance(number, float) else _digits(number)
-            allowed = f"a finite number up to {MAX_NUMBER:g}"
+            allowed = f"a finite number up to {most:g}"
             raise ValueError(f"{name} is {shown}, not {allowed}")
     return value
 

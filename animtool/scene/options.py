@@ -8,8 +8,8 @@ from fractions import Fraction
 from pathlib import Path
 
 from animtool.edit.frame_range import FrameRange
-from animtool.errors import Fault, OptionError
-from animtool.rates import rate_label, rate_option
+from animtool.errors import Fault, OptionError, excerpt
+from animtool.rates import exact_number, rate_label, rate_option
 from animtool.scene.sources import SourceOptions
 from animtool.shot import Shot
 from animtool.units import LengthUnit, UpAxis
@@ -159,9 +159,9 @@ def parse_offsets(text: str) -> tuple[Fraction, ...]:
     offsets: list[Fraction] = []
     for part in text.split(","):
         try:
-            offset = Fraction(part.strip())
+            offset = exact_number(part)
         except (ValueError, ArithmeticError) as error:
-            message = f"{text!r} is not a list of offsets such as -.25,0,.25"
+            message = f"{excerpt(text)} is not a list of offsets such as -.25,0,.25"
             raise ValueError(message) from error
         if not -1 < offset < 1:
             raise ValueError(f"offset {part.strip()} is not within a frame")
@@ -181,9 +181,9 @@ def parse_frame(text: str) -> Fraction:
     Fraction(2001, 2)
     """
     try:
-        frame = Fraction(text.strip())
+        frame = exact_number(text)
     except (ValueError, ArithmeticError) as error:
-        raise ValueError(f"{text!r} is not a frame such as 1001") from error
+        raise ValueError(f"{excerpt(text)} is not a frame such as 1001") from error
     if abs(frame) > LARGEST_FRAME:
         raise ValueError(f"frame {text!r} is beyond {LARGEST_FRAME}")
     return frame

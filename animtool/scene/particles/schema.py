@@ -34,7 +34,9 @@ class EmitterModel(PlacedModel):
         description="Where they are born: `point`, `disc`, `sphere`, `box` or `mesh`.",
         examples=[{"disc": {"radius": 0.2}}],
     )
-    rate: Real = Field(default=0.0, description="Particles a second.", examples=[200])
+    rate: Annotated[Real, Le(1e9)] = Field(
+        default=0.0, description="Particles a second.", examples=[200]
+    )
     bursts: list[Pair] = Field(
         default=[],
         description="Seconds from the first frame on, and how many at once.",
@@ -157,6 +159,6 @@ class ParticlesModel(FileModel):
         examples=[1e-5],
     )
     preroll: Preroll = 0.0
-    most: Annotated[Whole, Gt(0), Le(10**8)] = Field(
+    most: Annotated[Whole, Gt(0), Le(10**7)] = Field(
         default=1_000_000, description="Particles at once.", examples=[5000]
     )

@@ -143,7 +143,8 @@ def check_grid(
     if min(resolution) < 2 or math.prod(resolution) > MOST:
         *first, last = resolution
         given = f"{listed(first)} and {last}"
-        message = f"{what} has 2 particles or more each way, not {given}"
+        message = f"{what} has 2 particles or more each way, and {MOST} at most"
+        message += f", not {given}"
         reader.note((*at, "resolution"), Fault("SIM050", message))
 
 

@@ -40,6 +40,7 @@ class SystemSetup(Protocol):
         reads: What acts on it, in words.
         makes: What becomes of it, in words.
         facts: What it is made of, in numbers.
+        preroll: Time before 0 s that it begins in [s].
     """
 
     @property
@@ -65,6 +66,10 @@ class SystemSetup(Protocol):
     @property
     def facts(self) -> SystemFacts:
         """What it is made of, in numbers."""
+
+    @property
+    def preroll(self) -> float:
+        """Time before 0 s that it begins in [s]."""
 
 
 # Where faults are noted, place and keys of the entry, and folders files may be in.

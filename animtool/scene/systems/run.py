@@ -9,8 +9,9 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from animtool.errors import Fault, refuse_warnings
+from animtool.errors import Fault, FormatError, refuse_warnings
 from animtool.output import once_named, together
+from animtool.quantities import plain
 from animtool.scene.entries import SceneSystem
 from animtool.scene.progress import Phases, Progress, TimeProgress
 from animtool.scene.report import MeshReport
@@ -29,6 +30,11 @@ from animtool.usd.point_cache import CachedMesh
 from animtool.usd.simulated import SimulatedJob, chunk_simulated, grow_simulated
 
 __all__ = ["Save", "SystemRun", "WrittenSystems", "write_systems"]
+
+# Steps of one system, from its pre-roll to the last frame; more take hours.
+MAX_STEPS = 10_000_000
+# Where a solver chooses its steps, none is longer [s].
+LONGEST_STEP = 1 / 240
 
 # Writes a layer to a file, or as text to stdout; returns the bytes.
 Save: TypeAlias = Callable[[Any, Path | None], int]
@@ -59,8 +65,10 @@ class SystemRun:
             progress: Called with the share done, 0 to 1.
 
         Raises:
-            FormatError: Something makes no sense, at the place of its system.
+            FormatError: Something makes no sense, at the place of its system, or one
+                takes too many steps (SCN091).
         """
+        _check_steps(systems, last)
         self.systems = systems
         self.seconds = [0.0] * len(systems)
         self.written = [i for i, system in enumerate(systems) if system.written]
@@ -158,6 +166,21 @@ class SystemRun:
             )
             for i, found in zip(self.written, written, strict=True)
         ]
+
+
+def _check_steps(systems: Sequence[SceneSystem], last: float) -> None:
+    """Refuse systems that would take hours, by their steps (SCN091)."""
+    faults = []
+    for system in systems:
+        step = system.setup.facts.step or LONGEST_STEP
+        seconds = max(last, 0.0) + system.setup.preroll
+        if seconds / step > MAX_STEPS:
+            message = f"{plain(seconds)} s in steps of {plain(step)} s are "
+            message += f"{seconds / step:.3g} steps, and {MAX_STEPS} are run at most"
+            hint = "take longer steps, a shorter pre-roll or fewer frames"
+            faults.append(system.place.fault("SCN091", message, hint))
+    if faults:
+        raise FormatError(faults)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,8 @@ __all__ = ["Births", "Emitter"]
 
 # Keys of what bursts make, apart from those of the steady rate.
 _BURST = 1 << 40
+# Of a burst, so that numbers of all bursts are apart.
+MOST_AT_ONCE = 10**12
 _CHANCES = 8
 # Over which the motion of an emitter is measured [s].
 _BRIEF = 1e-4
@@ -31,10 +33,12 @@ class Births:
     Attributes:
         times: When ``(N,)`` [s].
         keys: Which of the emitter's they are ``(N,)``.
+        missed: How many more there would be, for which there is no room.
     """
 
     times: FloatArray
     keys: IntArray
+    missed: int = 0
 
 
 @dataclass(frozen=True)
@@ -86,29 +90,37 @@ class Emitter:
     charge: float = 0.0
     seed: int = 0
 
-    def births(self, begin: float, after: float | None, until: float) -> Births:
+    def births(
+        self, begin: float, after: float | None, until: float, room: int
+    ) -> Births:
         """Return who is born after a time, up to another.
 
         Args:
             begin: When the simulation begins [s]: the rate holds from then on.
             after: [s]; None is from the beginning on, that time included.
             until: [s]; included.
+            room: How many there may be; the first ones are.
         """
         start = max(self.start, begin)
         first = 0 if after is None else self._made(start, after)
-        numbers = np.arange(first, self._made(start, until), dtype=np.int64)
+        last = self._made(start, until)
+        made, kept = last - first, min(last - first, room)
+        numbers = np.arange(first, first + kept, dtype=np.int64)
         times = [start + (numbers + 0.5) / self.rate] if len(numbers) else []
         keys = [numbers] if len(numbers) else []
         for i, (when, count) in enumerate(self.bursts):
             late = begin <= when if after is None else after < when
             if late and when <= until:
-                times.append(np.full(count, float(when)))
-                keys.append(_BURST * (i + 1) + np.arange(count, dtype=np.int64))
+                made, some = made + count, min(count, room)
+                times.append(np.full(some, float(when)))
+                keys.append(_BURST * (i + 1) + np.arange(some, dtype=np.int64))
+                kept += some
         if not times:
-            return Births(np.zeros(0), np.zeros(0, np.int64))
+            return Births(np.zeros(0), np.zeros(0, np.int64), made)
         when_all, key_all = np.concatenate(times), np.concatenate(keys)
         order = np.argsort(when_all, kind="stable")
-        return Births(np.clip(when_all[order], begin, until), key_all[order])
+        times_all = np.clip(when_all[order], begin, until)
+        return Births(times_all, key_all[order], made - kept)
 
     def _made(self, start: float, t: float) -> int:
         """Return how many the rate has made up to a time."""
@@ -193,8 +205,9 @@ class Emitter:
             message = "its direction must be three finite numbers, not all 0"
             found.append(("direction", message))
         for i, (when, count) in enumerate(self.bursts):
-            if not math.isfinite(when) or count < 0:
+            if not math.isfinite(when) or not 0 <= count <= MOST_AT_ONCE:
                 message = f"burst {i} must be at a finite time, of 0 particles or more"
+                message += f" and {MOST_AT_ONCE:g} at most"
                 found.append(("bursts", message))
         return found
 

@@ -166,13 +166,14 @@ class ParticleRun:
         self, state: ParticleState, after: float | None, now: float, until: float
     ) -> ParticleState:
         """Return a state with those who are born in a step, at its end."""
-        cloud, born = self._born(after, until, state.born)
         room = max(self.setup.most - len(state.cloud), 0)
-        made, missed = len(cloud), max(len(cloud) - room, 0)
+        cloud, born, beyond = self._born(after, until, state.born, room)
+        made = len(cloud) + beyond
+        missed = max(made - room, 0)
         if missed and not state.missed:
             self._say_full(until)
         state = replace(state, born=state.born + made, missed=state.missed + missed)
-        cloud, born = cloud.select(np.arange(made)[:room]), born[:, :room]
+        cloud, born = cloud.select(np.arange(len(cloud))[:room]), born[:, :room]
         if not len(cloud):
             return state
         if until > now:
@@ -186,12 +187,17 @@ class ParticleRun:
         )
 
     def _born(
-        self, after: float | None, until: float, first: int
-    ) -> tuple[Cloud, FloatArray]:
-        """Return who is born, with ids in the order of births, and how."""
-        clouds, states = [], []
+        self, after: float | None, until: float, first: int, room: int
+    ) -> tuple[Cloud, FloatArray, int]:
+        """Return who is born, with ids in the order of births, and how.
+
+        Of each emitter no more are made than there is room for; last is how many more
+        there would be.
+        """
+        clouds, states, beyond = [], [], 0
         for emitter in self.setup.emitters:
-            births = emitter.births(self.begin, after, until)
+            births = emitter.births(self.begin, after, until, room)
+            beyond += births.missed
             x, v, lifetimes, radii = emitter.drawn(births)
             count = len(x)
             clouds.append(
@@ -212,7 +218,7 @@ class ParticleRun:
         order = np.argsort(cloud.births, kind="stable")
         cloud, state = cloud.select(order), state[:, order]
         ids = first + np.arange(len(cloud), dtype=np.int64)
-        return replace(cloud, ids=ids), state
+        return replace(cloud, ids=ids), state, beyond
 
     def _say_held(self, cloud: Cloud, t: float) -> None:
         """Say once that particles stay inside colliders."""

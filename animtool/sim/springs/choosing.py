@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from animtool._types import FloatArray
+from animtool.errors import Fault, OptionError
 from animtool.quantities import plain
 from animtool.sim.integrators import find_integrator
 from animtool.sim.modes import allowed_step
@@ -22,6 +23,8 @@ __all__ = ["SAFE", "Choice", "choose", "explicit_limit"]
 # Cells of time where nothing else is said [s]: whole numbers of them are frames of 24,
 # 30, 48, 60 and 120 a second.
 CELL = 1 / 240
+# Explicit steps in a cell; more take hours for a second.
+MOST_STEPS = 1e6
 # Of the limit of explicit steps, what is taken.
 SAFE = 0.8
 # Time for each second of motion that is short enough for explicit steps anyway [s].
@@ -79,7 +82,7 @@ def choose(
 
     Raises:
         OptionError: The one that is wanted does not keep a surface apart from itself
-            (SIM046).
+            (SIM046), or needs more steps than are taken (SIM004).
     """
     limit = explicit_limit(system, t, state)
     rate = 0.0 if math.isinf(limit) else 1 / (SAFE * limit)
@@ -97,6 +100,10 @@ def choose(
     if options.step is not None:
         return Choice(solver, options.step, 1, reason, limit)
     if solver is Solver.SYMPLECTIC_EULER:
+        if not CELL * rate <= MOST_STEPS:
+            message = f"{solver} would need {rate:.3g} steps a second"
+            hint = "take xpbd or auto, less stiffness or more mass"
+            raise OptionError(Fault("SIM004", message, where="solver", hint=hint))
         steps = max(1, math.ceil(CELL * rate))
         return Choice(solver, CELL, steps, reason, limit)
     return Choice(solver, CELL, FIRST[solver], reason, limit)

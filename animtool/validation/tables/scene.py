@@ -77,6 +77,7 @@ RULES = (
         "SCN083", "a mirrored take whose rest pose is not symmetric", Severity.WARNING
     ),
     Rule("SCN090", "a system whose name another has", Severity.WARNING),
+    Rule("SCN091", "a simulation of more steps or frames than are run"),
     Rule(
         "SCN101",
         "a loop whose ends differ by more than a fifth of what it moves",
