@@ -67,6 +67,8 @@ def read_timeline(path: Path) -> Any:
     if not isinstance(found, otio.schema.Timeline):
         message = f"is a {type(found).__name__}, and no timeline"
         raise FormatError(Fault("BAT041", message, str(path)))
+    if found.tracks is None:
+        raise FormatError(Fault("BAT041", "has no tracks", str(path)))
     return found
 
 

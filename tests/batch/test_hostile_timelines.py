@@ -115,6 +115,10 @@ def test_an_archive_that_unpacks_to_more_than_fits(
     assert code(path) == "BAT041"
 
 
+def test_a_timeline_without_tracks(takes: Path) -> None:
+    assert code(spoilt(takes, "Timeline", tracks=None)) == "BAT041"
+
+
 NUMBERS = [0, -24, 1e-9, 1e300, -1e300, float("nan"), float("inf"), -float("inf")]
 
 
