@@ -52,6 +52,8 @@ ENVIRONMENT = {
 # How often the memory of a process that has a limit is looked at [s].
 GLANCE = 0.05
 LONGEST_WAIT = 86_400.0
+# Imports take seconds, over a slow network minutes [s].
+LONGEST_START = 900.0
 # Processes that end in a row before they can take an item: then none can.
 MOST_STILLBORN = 3
 PATIENCE = 5.0
@@ -68,7 +70,7 @@ class _Worker:
     connection: Connection
     ready: bool = False
     item: Item | None = None
-    began: float = 0.0
+    began: float = field(default_factory=time.perf_counter)
     path: str = ""
 
     def waits_for_item(self) -> bool:
@@ -164,6 +166,9 @@ class _Pool:
         for worker in dict.fromkeys(watched[cast(Any, key)] for key in told):
             yield from self._heard(worker)
         for worker in list(self.workers):
+            waited = time.perf_counter() - worker.began
+            if not worker.ready and waited > LONGEST_START:
+                self._failed_to_start(worker)
             fault = self._beyond(worker)
             if fault is not None:
                 yield self._lost(worker, fault)
@@ -177,11 +182,7 @@ class _Pool:
         elif isinstance(sent, Outcome) and sent.number == _number(worker):
             yield from self._ended(worker, sent)
         elif not worker.ready:
-            self.workers.remove(worker)
-            worker.end(kill=True)
-            self.stillborn += 1
-            if self.stillborn == MOST_STILLBORN:
-                raise _unstartable(f"the last {_how_it_ended(worker.process)}")
+            self._failed_to_start(worker)
         elif worker.item is None:
             self.workers.remove(worker)
             worker.end(kill=True)
@@ -196,6 +197,21 @@ class _Pool:
             if self.limits.memory is not None:
                 hint = hint and "its limit of memory may be too small"
             yield self._lost(worker, Fault("BAT020", message, hint=hint))
+
+    def _failed_to_start(self, worker: _Worker) -> None:
+        """End a process that takes no item.
+
+        Raises:
+            OutputError: It is one of several in a row (BAT071).
+        """
+        self.workers.remove(worker)
+        if worker.process.is_alive():
+            worker.process.join(GLANCE)
+        why = _how_it_ended(worker.process)
+        worker.end(kill=True)
+        self.stillborn += 1
+        if self.stillborn == MOST_STILLBORN:
+            raise _unstartable(f"the last {why}")
 
     def _ended(self, worker: _Worker, outcome: Outcome) -> Iterator[Outcome]:
         worker.item = None
@@ -248,16 +264,16 @@ class _Pool:
     def _patience(self) -> float | None:
         """Return how long nothing but a message or an end need be looked for [s]."""
         busy = [worker for worker in self.workers if worker.item is not None]
-        if not busy:
-            return None
-        if self.limits.memory is not None:
+        if busy and self.limits.memory is not None:
             return GLANCE
-        if self.limits.seconds is None:
+        ends = [w.began + LONGEST_START for w in self.workers if not w.ready]
+        if self.limits.seconds is not None:
+            ends += [worker.began + self.limits.seconds for worker in busy]
+        if not ends:
             return None
-        first = min(worker.began for worker in busy)
-        left = first + self.limits.seconds - time.perf_counter()
         # Systems wait for a few weeks at the most.
-        return min(max(0.0, left), LONGEST_WAIT) + GLANCE
+        left = max(0.0, min(ends) - time.perf_counter())
+        return min(left, LONGEST_WAIT) + GLANCE
 
     def end(self, *, kill: bool) -> None:
         for worker in list(self.workers):
@@ -359,7 +375,7 @@ def _unstartable(why: str) -> OutputError:
 def _how_it_ended(process: BaseProcess) -> str:
     code = process.exitcode
     if code is None:
-        return "cannot be reached"
+        return "does not answer"
     if code >= 0:
         return f"ended with {code}"
     try:

@@ -5,13 +5,16 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib.metadata import EntryPoint
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import pytest
 from support.batch import take_files
 from support.cluster import local_cluster
 
+from animtool.batch import pool
 from animtool.batch.discover import find_batch
 from animtool.batch.executors import (
     EXECUTORS,
@@ -25,7 +28,8 @@ from animtool.batch.outcome import Status
 from animtool.batch.recipe import Item
 from animtool.batch.spec import BatchSpec
 from animtool.batch.work import Maker
-from animtool.errors import OptionError
+from animtool.batch.worker import READY
+from animtool.errors import OptionError, OutputError
 
 OTHER = Executor("another", "animtool.batch.executors:serial")
 NUMBER = 1
@@ -124,6 +128,56 @@ def test_serial_keeps_no_limits(tmp_path: Path) -> None:
     with pytest.raises(OptionError) as error:
         find_executor("serial").load()(work(tmp_path, 1, limits=Limits(1.0)))
     assert error.value.code == "BAT031"
+
+
+def serve_nothing(connection: Connection, maker: Maker, memory: int | None) -> None:
+    """Take no item, and do not end."""
+    del maker, memory
+    connection.recv()
+
+
+def serve_and_end(connection: Connection, maker: Maker, memory: int | None) -> None:
+    """End before an item can be taken."""
+    del connection, maker, memory
+    sys.exit(9)
+
+
+@pytest.mark.parametrize(
+    ("serve", "said"), [(serve_nothing, "does not answer"), (serve_and_end, "with 9")]
+)
+def test_processes_that_do_not_begin_end_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, serve: object, said: str
+) -> None:
+    monkeypatch.setattr(pool, "serve", serve)
+    limit = 0.2 if serve is serve_nothing else 60.0
+    monkeypatch.setattr(pool, "LONGEST_START", limit)
+    with pytest.raises(OutputError, match=said) as error:
+        list(find_executor("processes").load()(work(tmp_path, 1, jobs=1)))
+    assert error.value.code == "BAT071"
+
+
+def serve_garbage(connection: Connection, maker: Maker, memory: int | None) -> None:
+    """Answer each item by what is no outcome of it."""
+    del memory
+    connection.send(READY)
+    item = connection.recv()
+    outcome = maker.make(item)
+    if item.number == 1:
+        connection.send_bytes(b"\x80\x04garbage")
+    else:
+        connection.send(replace(outcome, number=item.number + 1))
+    connection.recv()
+
+
+def test_answers_that_make_no_sense_cost_their_items(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pool, "serve", serve_garbage)
+    monkeypatch.setattr(pool, "PATIENCE", 0.1)
+    outcomes = list(find_executor("processes").load()(work(tmp_path, 2, jobs=1)))
+    assert [o.number for o in outcomes] == [1, 2]
+    assert [o.faults[0].code for o in outcomes] == ["BAT020", "BAT020"]
+    assert not list((tmp_path / "out").glob(".animtool-*"))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc")
