@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -26,6 +27,53 @@ from support.bvh import random_rows, small_bvh
 from animtool.batch.manifest import read_manifest
 
 SEED = 0
+# How often the processes of a run are looked at [s].
+LOOKED = 0.1
+
+
+@dataclass
+class Going:
+    """A run that goes on.
+
+    Attributes:
+        process: The leader of its processes.
+        began: When.
+        peaks: The most memory that each of its processes had [bytes].
+        spent: Time of processors that each took [s].
+    """
+
+    process: subprocess.Popen[bytes]
+    began: float = field(default_factory=time.perf_counter)
+    peaks: dict[int, float] = field(default_factory=dict)
+    spent: dict[int, float] = field(default_factory=dict)
+
+    def watch(self, until: Callable[[], bool]) -> None:
+        """Look at its processes until something is so."""
+        looked = 0.0
+        while not until():
+            if time.perf_counter() - looked > LOOKED:
+                self._look()
+                looked = time.perf_counter()
+            time.sleep(0.01)
+
+    def _look(self) -> None:
+        for place in Path("/proc").glob("[0-9]*"):
+            try:
+                stat = (place / "stat").read_text("utf-8").rpartition(")")[2].split()
+                lines = (place / "status").read_text("utf-8").splitlines()
+            except OSError:
+                continue
+            if int(stat[2]) != self.process.pid:
+                continue
+            number, ticks = int(place.name), int(stat[11]) + int(stat[12])
+            self.spent[number] = ticks / os.sysconf("SC_CLK_TCK")
+            found = [line for line in lines if line.startswith("VmHWM:")]
+            if found:
+                self.peaks[number] = 1024.0 * int(found[0].split()[1])
+
+    def has_ended(self) -> bool:
+        """Return whether it has."""
+        return self.process.poll() is not None
 
 
 @dataclass
@@ -47,20 +95,21 @@ class Folder:
     made: list[set[str]] = field(default_factory=list)
     rows: list[Row] = field(default_factory=list)
 
-    def start(self, *options: str) -> subprocess.Popen[bytes]:
+    def start(self, *options: str) -> Going:
         """Begin a run in a process group of its own."""
         command = [sys.executable, "-m", "animtool", "batch", str(self.takes)]
         command += ["-o", str(self.out / "{stem}.usdc"), "-j", str(self.jobs), "-q"]
         (self.out.parent / "said").mkdir(exist_ok=True)
         name = self.out.parent / f"said/{len(self.rows)}-{time.monotonic_ns()}"
         with name.open("wb") as said, Path(f"{name}.err").open("wb") as errors:
-            return subprocess.Popen(
+            process = subprocess.Popen(
                 [*command, "--format", "jsonl", *options],
                 stdin=subprocess.DEVNULL,
                 stdout=said,
                 stderr=errors,
                 start_new_session=True,
             )
+        return Going(process)
 
     def recorded(self) -> set[str]:
         """Return the items that are recorded as made."""
@@ -75,23 +124,16 @@ class Folder:
         with os.scandir(self.out) as entries:
             return sum(entry.name.endswith(".usdc") for entry in entries)
 
-    def ended(
-        self, step: str, process: subprocess.Popen[bytes], began: float, code: int
-    ) -> None:
+    def ended(self, step: str, going: Going, code: int) -> None:
         """Wait for a run, and note what it took."""
-        ended, peak = 0, 0.0
-        while not ended:
-            # What the system counts for a child begins with what its parent has.
-            peak = max(peak, _peak(process.pid))
-            time.sleep(0.01)
-            ended, status, usage = os.wait4(process.pid, os.WNOHANG)
-        seconds = time.perf_counter() - began
-        process.returncode = os.waitstatus_to_exitcode(status)
-        assert process.returncode == code, (step, process.returncode)
+        going.watch(going.has_ended)
+        seconds = time.perf_counter() - going.began
+        assert going.process.returncode == code, (step, going.process.returncode)
         before = self.made[-1] if self.made else set()
         now = self.recorded()
         self.made.append(now)
-        spent = usage.ru_utime + usage.ru_stime
+        spent = sum(going.spent.values())
+        peak = max(going.peaks.values(), default=0.0)
         self.rows += [
             Row(self.section, step, "whole [s]", [seconds]),
             Row(self.section, step, "of processors [s]", [spent]),
@@ -108,62 +150,41 @@ class Folder:
 
     def run(self, step: str, *options: str) -> None:
         """Run to the end."""
-        began = time.perf_counter()
-        self.ended(step, self.start(*options), began, 0)
-
-    def kill(self, step: str, process: subprocess.Popen[bytes], began: float) -> None:
-        """End a run, and all of its processes, at once."""
-        os.killpg(process.pid, signal.SIGKILL)
-        self.ended(step, process, began, -signal.SIGKILL)
-
-
-def _peak(process: int) -> float:
-    """Return the most memory that a process had [bytes]; 0 where it is gone."""
-    try:
-        text = Path(f"/proc/{process}/status").read_text("utf-8")
-    except OSError:
-        return 0.0
-    found = [line for line in text.splitlines() if line.startswith("VmHWM:")]
-    return 1024.0 * int(found[0].split()[1]) if found else 0.0
+        self.ended(step, self.start(*options), 0)
 
 
 def killed(here: Folder, seconds: float) -> None:
-    """Kill a run early, in a plan that takes so long, and one at half."""
-    rng = np.random.default_rng(SEED)
-    began = time.perf_counter()
-    process = here.start()
-    time.sleep(float(rng.uniform(0.4, 0.9)) * seconds)
-    here.kill("killed early", process, began)
-    began = time.perf_counter()
-    process = here.start()
-    while here.size() < here.count // 2:
-        time.sleep(0.02)
-    here.kill("killed at half", process, began)
+    """Kill all processes of a run early, in a plan that takes so long, and at half."""
+    moment = float(np.random.default_rng(SEED).uniform(0.4, 0.9)) * seconds
+    going = here.start()
+    going.watch(lambda: time.perf_counter() - going.began > moment)
+    os.killpg(going.process.pid, signal.SIGKILL)
+    here.ended("killed early", going, -signal.SIGKILL)
+    half = here.start()
+    half.watch(lambda: here.size() >= here.count // 2)
+    os.killpg(half.process.pid, signal.SIGKILL)
+    here.ended("killed at half", half, -signal.SIGKILL)
 
 
 def interrupted(here: Folder) -> None:
     """Interrupt a run as Ctrl-C does, and note how long it takes to end."""
-    began = time.perf_counter()
-    process, wanted = here.start(), here.size() + here.count // 10
-    while here.size() < wanted:
-        time.sleep(0.02)
+    going, wanted = here.start(), here.size() + here.count // 10
+    going.watch(lambda: here.size() >= wanted)
     asked = time.perf_counter()
-    os.killpg(process.pid, signal.SIGINT)
-    here.ended("interrupted", process, began, 130)
+    os.killpg(going.process.pid, signal.SIGINT)
+    here.ended("interrupted", going, 130)
     took = time.perf_counter() - asked
     here.rows.append(Row(here.section, "interrupted", "to its end [s]", [took]))
 
 
 def at_once(here: Folder) -> None:
     """Run twice at a time: one is refused, and the other makes the rest."""
-    began = time.perf_counter()
-    first, second = here.start(), here.start()
-    while first.poll() is None and second.poll() is None:
-        time.sleep(0.02)
-    refused, other = (first, second) if first.poll() is not None else (second, first)
-    told = time.perf_counter() - began
-    assert refused.returncode == 3
-    here.ended("two at once", other, began, 0)
+    both = [here.start(), here.start()]
+    both[0].watch(lambda: any(going.has_ended() for going in both))
+    told = time.perf_counter() - both[0].began
+    both.sort(key=lambda going: not going.has_ended())
+    assert both[0].process.returncode == 3
+    here.ended("two at once", both[1], 0)
     here.rows.append(Row(here.section, "two at once", "one refused [s]", [told]))
 
 
@@ -225,6 +246,8 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--csv", type=Path, default=HERE / "results/batch_killed.csv")
     given = parser.parse_args()
+    # Shells let what they start in the background ignore it, and so would the runs.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     about = machine((sys.executable, ["animtool", "numpy", "usd-core", "filelock"]))
     with tempfile.TemporaryDirectory(prefix="animtool-bench-") as temporary:
         rows = measured(Path(temporary), given.takes, given.jobs)

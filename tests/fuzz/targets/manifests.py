@@ -14,6 +14,7 @@ from support.bvh import random_rows, small_bvh
 from animtool.batch.bundle import chunk_size, mean_seconds
 from animtool.batch.cluster import _address
 from animtool.batch.discover import find_batch
+from animtool.batch.file import load_batch
 from animtool.batch.ledger import _Files, _owner, held_ledger, read_history
 from animtool.batch.mapping import mapped_path, read_rules
 from animtool.batch.outcome import Status
@@ -41,6 +42,8 @@ def make(folder: Path) -> Run:
         _other(folder / "report.json", REPORT, _mean),
         _other(folder / "scheduler.json", ADDRESS, _address),
         _other(folder / "table.csv", TABLE, read_variants),
+        _other(folder / "a.batch.json", BATCH, load_batch),
+        _other(folder / "a.batch.yaml", BATCH_TEXT, load_batch),
     ]
 
     def run(rng: np.random.Generator) -> str:
@@ -203,5 +206,25 @@ REPORT = json.dumps(
         ],
     }
 ).encode()
+BATCH = json.dumps(
+    {
+        "batch": "animtool/1",
+        "inputs": ["batch/takes/*.bvh"],
+        "exclude": ["old/*.bvh"],
+        "output": "out/{parent}/{stem}_{k}.usdc",
+        "variables": {"shot": "sh010"},
+        "variants": {"k": [1, 2], "s": "0..1/0.25", "t": {"start": 0, "stop": 1}},
+        "options": {"reduce": "0.5mm", "range": [1, 4], "fps": 24},
+        "limits": {"seconds": 60, "memory": "2GB"},
+        "jobs": 2,
+    }
+).encode()
+BATCH_TEXT = b"""batch: animtool/1
+inputs: [batch/takes/*.bvh]
+output: out/{stem}_{k}_{s}.usdc
+variants: {k: 1..20/0.5, s: {start: 0, stop: 1, step: 1e-1}}
+options: {source_fps: 30000/1001, reduce_at: {hand: 1mm}}
+limits: {seconds: 1e3, memory: 512MiB}
+"""
 ADDRESS = b'{"type": "Scheduler", "id": "s", "address": "tcp://127.0.0.1:8786"}'
 TABLE = b'k,s,name\n1,0.5,"a, b"\n2,0.25,c\n\n3,1e-3,d\n'
