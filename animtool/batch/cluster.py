@@ -224,11 +224,13 @@ def _sent(name: str) -> Callable[[bytes], Outcome]:
 
 def _outcome(future: Any, item: Item) -> Outcome:
     try:
-        outcome: Outcome = future.result()
+        outcome: object = future.result()
     except Exception as error:
         why = f"{type(error).__name__}: {excerpt(str(error), 200)}"
     else:
-        return outcome
+        if isinstance(outcome, Outcome) and outcome.number == item.number:
+            return outcome
+        why = "what it returned is no outcome of it"
     message = f"no worker of the cluster made it: {why}"
     return _failed(item, Fault("BAT020", message, str(item.found.path)))
 

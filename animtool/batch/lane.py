@@ -61,7 +61,10 @@ class Lane:
                 self._process = self._started()
             self._send(item)
             return cast(Outcome, pickle.load(self._pipe(self._process.stdout)))
-        except (EOFError, pickle.UnpicklingError) as error:
+        except OSError:
+            raise
+        except Exception as error:
+            # Unpickling raises anything, of bytes that something else wrote.
             raise ConnectionError("the program that makes items ended") from error
 
     def end(self) -> None:

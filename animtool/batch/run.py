@@ -199,7 +199,9 @@ class _Run:
         close: Callable[[], None] = getattr(outcomes, "close", lambda: None)
         try:
             for outcome in outcomes:
-                self._ended(outcome)
+                # Executors of plug-ins may yield anything.
+                if isinstance(outcome, Outcome):
+                    self._ended(outcome)
         finally:
             close()
         for number in sorted(self.begun - self.found.keys()):

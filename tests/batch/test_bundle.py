@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from support.batch import take_files, whole_outputs
 from support.cli import animtool
 
+from animtool.batch import bundle
 from animtool.batch.bundle import chunk_size, mean_seconds
 from animtool.errors import FormatError
 
@@ -62,6 +63,16 @@ def test_what_reports_no_costs(tmp_path: Path, text: str | None) -> None:
     with pytest.raises(FormatError) as error:
         mean_seconds(path)
     assert error.value.code == "BAT037"
+
+
+def test_a_report_that_is_too_large_is_not_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bundle, "MAX_REPORT", 1000)
+    path = tmp_path / "costs.json"
+    path.write_text('{"items": [' + " " * 1000 + "]}")
+    with pytest.raises(FormatError, match="larger than 1 kB"):
+        mean_seconds(path)
 
 
 def test_a_bundle(takes: Path) -> None:
