@@ -1,5 +1,10 @@
 """
 Loops that numpy cannot vectorise. C-contiguous arrays in, new arrays out.
+
+Shapes, indices, counts and settings are checked: what is wrong is a ValueError that begins
+with the argument's name. NaN and infinity in coordinates, rotations, weights and values go
+through to the results, but where a function says otherwise: keys' times, samples to fit,
+points of a mesh, and frames and limits of a chain are finite.
 """
 
 from collections.abc import Sequence
@@ -38,7 +43,8 @@ def evaluate_curves(first: Annotated[NDArray[numpy.int64], dict(shape=(None,), o
     Curve c has the keys ``first[c]`` to ``first[c + 1]``, times ascending. ``kinds`` is
     0 hold, 1 linear, 2 cubic, 3 Bezier. ``ins`` and ``outs`` are handles ``(K, 2)``: time
     and value from the key. ``at`` is ``(1, F)``, or ``(C, F)`` with times of each curve's
-    own; ascending times are the quickest.
+    own; ascending times are the quickest. Times of keys are finite and no handle's time is
+    NaN; values may be anything.
     """
 
 def euler_to_quaternion(values: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], columns: Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)], axes: Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)], previous: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')]:
@@ -80,6 +86,8 @@ def fit_cubics(values: Annotated[NDArray[numpy.float64], dict(shape=(None, None)
     The Euclidean error at sample i is at most ``bounds[i]``. There is a key on each
     of the frames ``anchors``, ascending, first and last excluded. Handles lie at
     thirds of a segment in time.
+
+    Values are finite, bounds above 0.
 
     Returns ``(frames, ins, outs)``: int64 ``(K,)``, and the offsets of the control
     values before and behind each key ``(K, D)``. One key where all samples are within
@@ -137,7 +145,8 @@ def round_points(points: Annotated[NDArray[numpy.float64], dict(shape=(None, Non
     Points ``(F, V, 3)`` over ``unit``, as float32, and what the rounding moved.
 
     Returns ``(rounded, error, frame, vertex)``: what is beyond float32 is its largest
-    number; the largest distance of a point from where it was, times ``unit``, and where.
+    number, and NaN stays NaN with an infinite error; the largest distance of a point from where
+    it was, times ``unit``, and where.
     """
 
 def build_mesh_tree(points: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], triangles: Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C')]]:

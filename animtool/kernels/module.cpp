@@ -9,7 +9,12 @@ using namespace nanobind::literals;
 NB_MODULE(_kernels, m) {
   // A command ends without collecting what is left, which is no leak.
   nb::set_leak_warnings(false);
-  m.doc() = "Loops that numpy cannot vectorise. C-contiguous arrays in, new arrays out.";
+  m.doc() = R"(Loops that numpy cannot vectorise. C-contiguous arrays in, new arrays out.
+
+Shapes, indices, counts and settings are checked: what is wrong is a ValueError that begins
+with the argument's name. NaN and infinity in coordinates, rotations, weights and values go
+through to the results, but where a function says otherwise: keys' times, samples to fit,
+points of a mesh, and frames and limits of a chain are finite.)";
 
   m.def("parse_bvh_rows", &parse_bvh_rows, "text"_a, "columns"_a, "limit"_a, "final"_a,
         R"(Read rows of numbers from the text of a BVH MOTION block.
@@ -36,7 +41,8 @@ Column c is rounded to ``decimals[c]`` places (0 to 9), trailing zeros dropped.)
 Curve c has the keys ``first[c]`` to ``first[c + 1]``, times ascending. ``kinds`` is
 0 hold, 1 linear, 2 cubic, 3 Bezier. ``ins`` and ``outs`` are handles ``(K, 2)``: time
 and value from the key. ``at`` is ``(1, F)``, or ``(C, F)`` with times of each curve's
-own; ascending times are the quickest.)");
+own; ascending times are the quickest. Times of keys are finite and no handle's time is
+NaN; values may be anything.)");
 
   m.def("euler_to_quaternion", &euler_to_quaternion, "values"_a, "columns"_a, "axes"_a,
         "previous"_a,
@@ -72,6 +78,8 @@ world position in float64 and in the values written, and where it is.)");
 The Euclidean error at sample i is at most ``bounds[i]``. There is a key on each
 of the frames ``anchors``, ascending, first and last excluded. Handles lie at
 thirds of a segment in time.
+
+Values are finite, bounds above 0.
 
 Returns ``(frames, ins, outs)``: int64 ``(K,)``, and the offsets of the control
 values before and behind each key ``(K, D)``. One key where all samples are within
@@ -122,7 +130,8 @@ stretch.)");
         R"(Points ``(F, V, 3)`` over ``unit``, as float32, and what the rounding moved.
 
 Returns ``(rounded, error, frame, vertex)``: what is beyond float32 is its largest
-number; the largest distance of a point from where it was, times ``unit``, and where.)");
+number, and NaN stays NaN with an infinite error; the largest distance of a point from where
+it was, times ``unit``, and where.)");
 
   m.def("build_mesh_tree", &build_mesh_tree, "points"_a, "triangles"_a,
         R"(A tree of boxes over triangles ``(T, 3)`` of points ``(P, 3)``, for distances.
