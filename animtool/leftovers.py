@@ -12,6 +12,7 @@ import contextlib
 import json
 import os
 import re
+import stat
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -35,6 +36,8 @@ _OWNER = re.compile(r"\.animtool-(?P<host>[0-9a-f]{8})-(?P<process>[0-9]+)-")
 _JOURNAL = ".set"
 # A longer suffix is no file type, and would make the temporary name too long.
 _LONGEST_SUFFIX = 16
+# A journal is a few hundred bytes for each file.
+_MOST_BYTES = 100_000_000
 
 
 def temporary_prefix(process: int | None = None) -> str:
@@ -212,13 +215,18 @@ def _taken_back(folder: str, process: int) -> None:
 def _undo(path: Path) -> bool:
     """Undo the set of a journal; return whether nothing is left to undo."""
     try:
+        if not stat.S_ISREG(path.lstat().st_mode):
+            return True
         with path.open("rb") as file:
             if not _locked(file.fileno()):
                 return False
-            folders = _folders(file.read())
+            folders = _folders(file.read(_MOST_BYTES))
             Journal(path.name, (*folders, path.parent)).take_back()
     except OSError:
         return not path.exists()
+    except ValueError:
+        # A name with a NUL: no process of animtool wrote it.
+        return True
     return True
 
 

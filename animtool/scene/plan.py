@@ -254,7 +254,7 @@ def check_output(
     outputs = output_files(path, options, simulated=simulated)
     library = form_of(options) is Form.LIBRARY
     # A library is added to; what may be replaced is one of its takes.
-    overwrite = options.overwrite or library
+    overwrite = options.overwrite or (library and path.exists())
     check_outputs(outputs, inputs + layer, overwrite=overwrite)
     if library and path.exists():
         from animtool.usd.library_merge import check_library

@@ -163,6 +163,9 @@ def find_layer(path: Path) -> Any:
     state = layer_state(path, noted=True)
     with usd_errors(path):
         layer = Sdf.Layer.FindOrOpen(str(path))
+        # One that is open already may be older than its file.
+        if layer is not None and not layer.dirty:
+            layer.Reload()
     if FileState.of(path) != state:
         raise changed_error(path)
     if layer is None:

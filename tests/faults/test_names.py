@@ -76,7 +76,9 @@ def test_a_clip_of_a_cut_list(name: str, show: Path, record_property: Record) ->
     lines = scene.replace("source", "variables: {v: '${clip}'}\nsource")
     (show / "s.scene.yaml").write_text(lines % "out/${v}/o.usdc", "utf-8")
     refused(show, "OUT006", *cut, "--scene", "s.scene.yaml")
-    record_property(FAULTS, f"{{clip}} of a cut list is {name} | OUT006 | nothing")
+    if name == "up":
+        row = f"a clip of a cut list has one of {len(UNSAFE)} unsafe names"
+        record_property(FAULTS, f"{row} | OUT006 | nothing")
 
 
 def test_a_shot_is_always_legal(show: Path) -> None:

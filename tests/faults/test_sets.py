@@ -153,9 +153,10 @@ def test_a_call_fails(
         if name != "unlink":
             assert hidden(folder) == [], f"{name}, call {i}"
     assert refused
-    what = f"{writer.__name__}, {'replaced' if before else 'new'}"
-    row = f"{what}: each of {len(stage.calls)} calls fails"
-    record_property(FAULTS, f"{row} | {refused} typed errors, else written | nothing")
+    if before:
+        row = f"{writer.__name__}: each of {len(stage.calls)} calls fails"
+        said = f"{refused} typed errors, else written"
+        record_property(FAULTS, f"{row} | {said} | nothing")
 
 
 def ended(number: int) -> None:
@@ -188,9 +189,9 @@ def test_the_process_is_killed(
         found.append(files == stage.new)
         remove_leftovers([folder])
         assert hidden(folder) == []
-    what = f"{writer.__name__}, {'replaced' if before else 'new'}"
-    row = f"{what}: SIGKILL at each of {len(found)} calls"
-    record_property(FAULTS, f"{row} | whole {sum(found)}, else as before | nothing")
+    if before:
+        row = f"{writer.__name__}: SIGKILL at each of {len(found)} calls"
+        record_property(FAULTS, f"{row} | {sum(found)} whole, else as before | nothing")
 
 
 @posix
@@ -217,8 +218,8 @@ def test_the_process_is_asked_to_end(
         assert files_in(folder) in (stage.old, stage.new)
         assert hidden(folder) == []
         whole += files_in(folder) == stage.new
-    row = f"three_files, replaced: {number.name} at each of {len(stage.calls)} calls"
-    record_property(FAULTS, f"{row} | whole {whole}, else as before | nothing")
+    row = f"three_files: {number.name} at each of {len(stage.calls)} calls"
+    record_property(FAULTS, f"{row} | {whole} whole, else as before | nothing")
 
 
 def test_an_undo_that_fails_is_done_by_the_next(disk: Path) -> None:
@@ -241,6 +242,7 @@ def test_an_undo_that_fails_is_done_by_the_next(disk: Path) -> None:
         assert files_in(folder) == stage.old
 
 
+@posix
 def test_a_journal_of_others_reaches_no_other_files(disk: Path) -> None:
     dead = temporary_prefix(in_child_number())
     mine, folder = disk / "mine.txt", disk / "theirs"
@@ -257,12 +259,18 @@ def test_a_journal_of_others_reaches_no_other_files(disk: Path) -> None:
         json.dumps({"folders": [str(folder)], "files": [entry]}),
         json.dumps({"folders": [str(folder)], "files": [{**entry, "final": ".."}]}),
         json.dumps({"folders": 3, "files": "x"}),
+        json.dumps({"folders": ["a\0b"], "files": []}),
+        json.dumps({"folders": [], "files": [{**entry, "final": "a\0b"}]}),
         "[" * 100_000,
     ):
         (folder / f"{dead}2.set").write_text(text, "utf-8")
         remove_leftovers([folder])
         assert mine.read_text("utf-8") == "mine"
         assert hidden(folder) == []
+    os.mkfifo(folder / f"{dead}2.set")
+    take_back(folder)
+    remove_leftovers([folder])
+    assert hidden(folder) == []
 
 
 def in_child_number() -> int:
