@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 from enum import StrEnum
 from typing import TypeVar
 
 from animtool.errors import Fault, OptionError, excerpt
+from animtool.similar import similar
 
 __all__ = ["chosen"]
 
@@ -29,6 +29,6 @@ def chosen(choices: type[Choice], given: str, option: str) -> Choice:
     except ValueError as error:
         words = [str(choice) for choice in choices]
         message = f"{option} is {excerpt(str(given))}; it is one of {', '.join(words)}"
-        near = difflib.get_close_matches(str(given), words, 1)
-        hint = f"did you mean {near[0]}?" if near else None
+        near = similar(str(given), words)
+        hint = f"did you mean {near}?" if near else None
         raise OptionError(Fault("SCN025", message, hint=hint)) from error

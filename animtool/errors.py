@@ -20,6 +20,7 @@ __all__ = [
     "Severity",
     "StrictError",
     "ToleranceError",
+    "circle",
     "counted",
     "excerpt",
     "listed",
@@ -205,6 +206,22 @@ def counted(count: int, noun: str, plural: str = "") -> str:
     ('1 joint', '3 joints', '2 meshes')
     """
     return f"{count} {noun}" if count == 1 else f"{count} {plural or noun + 's'}"
+
+
+def circle(names: Sequence[str]) -> str:
+    """Return names that lead back to the first one, which is the last too.
+
+    >>> circle(["a", "b", "a"])
+    'a → b → a'
+    """
+    shown = list(names)
+    if len(shown) > MAX_NAMED:
+        shown = [
+            *shown[: MAX_NAMED - 2],
+            f"… {len(names) - MAX_NAMED} more",
+            *shown[-1:],
+        ]
+    return " → ".join(shown)
 
 
 def percent(share: float) -> str:

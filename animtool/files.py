@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import io
 import os
 import stat
@@ -14,6 +13,7 @@ from typing import Any
 
 from animtool.errors import Fault, FormatError
 from animtool.inputs import FileState, changed_error, note_input
+from animtool.similar import similar
 
 __all__ = [
     "MAX_INPUT_BYTES",
@@ -248,10 +248,10 @@ def nearest_file(path: Path, folder: Path = Path()) -> str | None:
     except OSError:
         return None
     folded = {name.casefold(): name for name in reversed(names)}
-    near = difflib.get_close_matches(missing.name.casefold(), sorted(folded), 1, 0.7)
+    near = similar(missing.name.casefold(), sorted(folded), 0.7)
     if not near:
         return None
-    meant = missing.with_name(folded[near[0]]).as_posix()
+    meant = missing.with_name(folded[near]).as_posix()
     return f"did you mean {'' if missing is path else 'the folder '}{meant!r}?"
 
 

@@ -6,7 +6,6 @@ names both. The table holds the passes by name; they are imported when used.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -17,6 +16,7 @@ from typing import Any, TypeAlias, cast
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError, excerpt
 from animtool.plugins import load_object, load_plugin, plugin_points
+from animtool.similar import similar
 from animtool.take import Take, TakeStream
 from animtool.tracks_aside import TracksAside, checked_tracks
 
@@ -209,8 +209,8 @@ def find_pass(name: str) -> Pass:
     if name in found:
         return load_plugin(found[name], Pass, "SCN011")
     allowed = sorted({*PASSES, *found})
-    near = difflib.get_close_matches(name, allowed, 1)
-    hint = f"did you mean {near[0]}?" if near else None
+    near = similar(name, allowed)
+    hint = f"did you mean {near}?" if near else None
     message = f"no pass is named {excerpt(name)}; there are {', '.join(allowed)}"
     raise OptionError(Fault("SCN010", message, hint=hint))
 

@@ -36,6 +36,7 @@ LAYERS = [
         "lazy",
         "signals",
         "supervisor",
+        "similar",
     },
     {"plugins", "shot"},
     {"readers"},

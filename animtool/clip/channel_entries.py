@@ -162,8 +162,9 @@ class ChannelReader:
 
         Handles before the first key and behind the last wait for keys to come.
         """
+        inner = interps[:-1]
         for k, key in enumerate(model.keys):
-            before, behind = interps[:k][-1:], interps[k:-1][:1]
+            before, behind = interps[max(k - 1, 0) : k], inner[k : k + 1]
             for name, given, beside, wanted in (
                 ("in", key.in_, before, _HANDLED),
                 ("out", key.out, behind, _HANDLED),

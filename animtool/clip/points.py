@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from difflib import get_close_matches
 from fnmatch import fnmatchcase
 
 import numpy as np
@@ -14,6 +13,7 @@ from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError, excerpt
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
+from animtool.similar import similar
 
 __all__ = ["SHELL", "carried_points", "joint_bounds", "point_errors", "reach"]
 
@@ -48,8 +48,8 @@ def joint_bounds(rig: Rig, tolerance: float, others: Mapping[str, float]) -> Flo
         found = [j for j, name in enumerate(rig.names) if fnmatchcase(name, pattern)]
         bounds[found] = value
         if not found:
-            near = get_close_matches(pattern, rig.names, 1)
-            hint = f"did you mean {near[0]!r}?" if near else None
+            near = similar(pattern, rig.names)
+            hint = f"did you mean {near!r}?" if near else None
             message = f"{rig.name!r} has no joint {excerpt(pattern)}"
             faults.append(Fault("CLIP020", message, hint=hint))
     if faults:

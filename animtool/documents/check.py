@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -21,8 +21,12 @@ from animtool.documents.mend import (
 from animtool.documents.names import nearest
 from animtool.documents.versions import STEPS, newest, version_of
 from animtool.errors import counted, excerpt
+from animtool.similar import similar
 
 __all__ = ["FileModel", "check_version", "validated", "wrong_values"]
+
+# Faulty values that something stands in for, before the rest is not looked at.
+MOST_MENDED = 200
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -67,11 +71,12 @@ def validated(document: Document, model: type[Model]) -> Model:
 
 def wrong_values(value: Any, error: ValidationError) -> list[tuple[Location, str]]:
     """Return what is wrong in a value that is of no model, and where."""
-    merged = _by_place(value, error)
+    merged = _by_place(value, error.errors(include_url=False)[:MOST_MENDED])
+    inner = {place[:depth] for place, _ in merged for depth in range(len(place))}
     return [
         (place, "; or ".join(dict.fromkeys(map(_words, faults))))
         for (place, _), faults in merged.items()
-        if not any(_is_below(other, place) for other, _ in merged)
+        if place not in inner
     ]
 
 
@@ -91,7 +96,9 @@ class _Faults:
 
     def mend(self, error: ValidationError) -> None:
         """Note what an attempt to read the value found, and mend it."""
-        merged = _by_place(self.value, error)
+        found = error.errors(include_url=False)
+        merged = _by_place(self.value, found[:MOST_MENDED])
+        inner = {place[:depth] for place, _ in merged for depth in range(len(place))}
         by_kind: dict[str, list[tuple[Location, str]]] = {}
         for key, faults in merged.items():
             by_kind.setdefault(faults[0]["type"], []).append(key)
@@ -102,8 +109,10 @@ class _Faults:
             self._missing_key(location, missing)
         for key in [key for keys in by_kind.values() for key in keys]:
             # Of a type that may be several, the one that comes farthest was meant.
-            if not any(_is_below(other, key[0]) for other, _ in merged):
+            if key[0] not in inner:
                 self._wrong_value(key[0], merged[key])
+        if len(found) > MOST_MENDED:
+            self.document.check()
 
     def _unknown_key(self, location: Location) -> None:
         *outer, key = location
@@ -117,10 +126,10 @@ class _Faults:
             return
         message = f"unknown key {excerpt(str(key))}"
         self.document.add("DOC020", location, message, nearest(str(key), names))
-        meant = get_close_matches(str(key), names, 1)
-        if meant and meant[0] not in node:
-            node[meant[0]] = left
-            self.document.spellings[*around, meant[0]] = str(key)
+        meant = similar(str(key), names)
+        if meant and meant not in node:
+            node[meant] = left
+            self.document.spellings[*around, meant] = str(key)
 
     def _missing_key(self, around: Location, key: str) -> None:
         place = (*around, key)
@@ -162,11 +171,11 @@ class _Faults:
 
 
 def _by_place(
-    value: Any, error: ValidationError
+    value: Any, found: Sequence[Any]
 ) -> dict[tuple[Location, str], list[Any]]:
     """Return faults by where they are, and by the key that is missing there."""
     merged: dict[tuple[Location, str], list[Any]] = {}
-    for fault in error.errors(include_url=False):
+    for fault in found:
         missing = str(fault["loc"][-1]) if fault["type"] == "missing" else ""
         merged.setdefault((_within(value, fault), missing), []).append(fault)
     return merged
@@ -184,10 +193,6 @@ def _within(value: Any, fault: Any) -> Location:
     return tuple(found)
 
 
-def _is_below(location: Location, other: Location) -> bool:
-    return len(location) > len(other) and location[: len(other)] == other
-
-
 def _lacking(last: int | str, given: Any) -> str:
     """Return what is missing: a key, or an item behind those that are there."""
     if isinstance(last, str):
@@ -199,9 +204,10 @@ def _words(fault: Any) -> str:
     """Return what is wrong, with the value."""
     given, context, kind = fault["input"], fault.get("ctx", {}), fault["type"]
     shown = excerpt(given) if isinstance(given, str) else _shown(given)
-    if kind in {"too_short", "too_long"}:
+    if kind in {"too_short", "too_long", "string_too_long"}:
         wanted = context.get("min_length", context.get("max_length"))
-        return f"{counted(len(given), 'item')} where {_are(wanted)} wanted"
+        noun = "letter" if isinstance(given, str) else "item"
+        return f"{counted(len(given), noun)} where {_are(wanted)} wanted"
     if kind == "missing":
         return _lacking(fault["loc"][-1], given)
     if kind == "union_tag_not_found":

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from animtool.documents.yaml_values import MOST_FAULTS as MOST_COLLECTED
 from animtool.documents.yaml_values import read_values
 from animtool.errors import Fault, FormatError, Severity
 from animtool.files import MAX_TEXT_BYTES, open_input
@@ -138,9 +139,15 @@ class Document:
     def add(
         self, code: str, location: Location, message: str, hint: str | None = None
     ) -> None:
-        """Note a fault at a location, unless something stands in for what is there."""
+        """Note a fault at a location, unless something stands in for what is there.
+
+        Raises:
+            FormatError: There are so many that the rest is not looked at.
+        """
         if not self.doubtful(location):
             self.faults.append(self.fault(code, location, message, hint))
+            if len(self.faults) >= MOST_COLLECTED:
+                self.check()
 
     def warn(
         self, code: str, location: Location, message: str, hint: str | None = None
@@ -260,4 +267,6 @@ def _cut(faults: Sequence[Fault]) -> Sequence[Fault]:
     if len(faults) <= MOST_FAULTS:
         return faults
     rest = f"{len(faults) - MOST_FAULTS} more faults are not shown"
+    if len(faults) >= MOST_COLLECTED:
+        rest = f"{rest}, and what follows was not looked at"
     return [*faults[:MOST_FAULTS], Fault("DOC011", rest, faults[0].path)]

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from difflib import get_close_matches
+from itertools import islice
 
 from animtool.errors import Fault, OptionError
+from animtool.similar import similar
 
 __all__ = ["UNKNOWN", "VARIABLE_NAME", "check_given", "is_variable_name", "nearest"]
 
 # What stands in for a name that is missing, and is none.
 UNKNOWN = "?"
+# Valid names that a hint is looked for among.
+MOST_NAMES = 2000
 # Of variables: a regular expression.
 VARIABLE_NAME = r"[A-Za-z_][A-Za-z0-9_]*"
 
@@ -25,19 +28,20 @@ def is_variable_name(text: str) -> bool:
     return re.fullmatch(VARIABLE_NAME, text) is not None
 
 
-def nearest(name: str, names: list[str]) -> str:
+def nearest(name: str, names: Iterable[str]) -> str:
     """Return a hint that names the nearest valid name, or the valid ones.
 
     >>> nearest("ebow", ["elbow", "hand"])
     "did you mean 'elbow'?"
     """
-    names = [known for known in dict.fromkeys(names) if known != UNKNOWN]
-    near = get_close_matches(name, names, 1)
+    known = list(dict.fromkeys(islice(names, MOST_NAMES)))
+    known = [one for one in known if one != UNKNOWN]
+    near = similar(name, known)
     if near:
-        return f"did you mean {near[0]!r}?"
-    if not names:
+        return f"did you mean {near!r}?"
+    if not known:
         return "there is none"
-    return f"allowed: {', '.join(names[:12])}" + (" …" if len(names) > 12 else "")
+    return f"allowed: {', '.join(known[:12])}" + (" …" if len(known) > 12 else "")
 
 
 def check_given(given: Iterable[str], used: Iterable[str]) -> None:

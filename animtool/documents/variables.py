@@ -28,6 +28,8 @@ DEFAULTS = "variables"
 OUTPUT = "output"
 # First and last key of where it names files to write.
 WRITTEN = frozenset({(OUTPUT, "file"), ("passes", "save")})
+# Of a text: no path and no number is as long.
+LONGEST = 10_000
 # Two dollars stand for one, and what follows is text.
 _USE = re.compile(rf"\$(?P<kept>\$)?\{{(?:(?P<name>{VARIABLE_NAME})\}})?")
 
@@ -238,9 +240,14 @@ class _Resolver:
     def resolved(self, location: Location, text: str) -> str | None:
         """Return a text with values in place; None where that cannot be."""
         parts: list[str] = []
-        whole, end = True, 0
+        whole, end, length = True, 0, 0
         for found in _USE.finditer(text):
             part = self._value(location, found)
+            length += len(part or "")
+            if length > LONGEST:
+                message = f"variables make a text of more than {LONGEST} letters"
+                self.document.add("DOC025", location, message)
+                return None
             whole &= part is not None
             parts += [text[end : found.start()], part or ""]
             end = found.end()

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 
 from animtool.errors import Fault, OptionError, excerpt, listed
 from animtool.rig.skeleton import Rig
+from animtool.similar import similar
 
 __all__ = ["joint_index", "joints_matching"]
 
@@ -55,7 +55,7 @@ def joints_matching(
 
 
 def _unknown(rig: Rig, name: str, option: str) -> OptionError:
-    near = difflib.get_close_matches(name, rig.names, 1)
+    near = similar(name, rig.names)
     message = f"{option}: no joint is {excerpt(name)}; there are {listed(rig.names)}"
-    hint = f"did you mean {near[0]}?" if near else None
+    hint = f"did you mean {near}?" if near else None
     return OptionError(Fault("SCN012", message, hint=hint))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -11,6 +10,7 @@ from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, OptionError, counted, excerpt
 from animtool.rig.parts import Vector
 from animtool.rig.skeleton import Rig
+from animtool.similar import similar
 
 __all__ = ["Goal", "Targets", "rows_of"]
 
@@ -107,8 +107,8 @@ def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
     """Return what is wrong with a goal by itself."""
     faults = []
     if goal.joint not in rig.names:
-        near = difflib.get_close_matches(goal.joint, rig.names, 1)
-        hint = f"did you mean {near[0]}?" if near else None
+        near = similar(goal.joint, rig.names)
+        hint = f"did you mean {near}?" if near else None
         message = f"no joint of {rig.name!r} is {excerpt(goal.joint)}"
         faults.append(Fault("IK001", message, where=where, hint=hint))
     faults += _root_faults(goal, rig, where)

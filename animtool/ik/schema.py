@@ -218,7 +218,7 @@ class TargetsModel(FileModel):
         "the start clip, or of the keys, spans and arrays, which begin at 1.",
         examples=[[1.0, 48.0]],
     )
-    goals: Annotated[list[GoalModel], Len(1)] = Field(
+    goals: Annotated[list[GoalModel], Len(1, 1000)] = Field(
         description="At least one.",
         examples=[[{"effector": "leg_l", "hold": [[1.0, 12.0]]}]],
     )

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 
 from animtool.documents.document import Document, Location
 from animtool.documents.names import nearest
 from animtool.rig.array_entries import ArrayReader
 from animtool.rig.attach_schema import AttachModel
 from animtool.rig.parts import AttachKind, Attachment
+from animtool.similar import similar
 
 __all__ = ["AttachmentReader"]
 
@@ -79,7 +79,7 @@ class AttachmentReader:
         if entry.kind not in _KEYS:
             kinds = [str(kind) for kind in AttachKind]
             hint = nearest(entry.kind, kinds)
-            if get_close_matches(entry.kind, kinds, 1, SLIP):
+            if similar(entry.kind, kinds, SLIP):
                 message = f"no known kind of attachment is called {entry.kind!r}"
                 self.document.warn("RIG102", (*at, "kind"), message, hint)
         for key in wants:

@@ -9,6 +9,7 @@ from graphlib import CycleError, TopologicalSorter
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.errors import circle
 from animtool.rig.expressions import Expression
 
 __all__ = [
@@ -76,7 +77,7 @@ class ControlCycleError(ValueError):
 
     def __init__(self, cycle: list[str]) -> None:
         self.cycle = cycle
-        super().__init__(" → ".join(cycle))
+        super().__init__(circle(cycle))
 
 
 def evaluation_order(controls: Sequence[Control]) -> list[str]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 from animtool.documents.document import Document, Location
 from animtool.documents.names import nearest
+from animtool.errors import circle
 from animtool.maths import so3
 from animtool.quantities import length_text
 from animtool.rig.joint_schema import (
@@ -181,30 +182,32 @@ def _parents_first(document: Document, entries: dict[str, _Entry]) -> Iterator[s
     for start in entries:
         trail: list[str] = []
         name: str | None = start
-        pending = [start]
+        # In order, and to be found at once.
+        pending = {start: None}
         while pending:
-            name = pending[-1]
+            name = next(reversed(pending))
             entry = entries[name]
             needs = [entry.parent] if entry.parent is not None else []
             needs += [entry.source] if entry.mirrored else []
             missing = next((need for need in needs if need not in done), None)
             if name in done or missing is None:
-                pending.pop()
+                del pending[name]
                 if name not in done:
                     done.add(name)
                     yield name
                 continue
             if missing in pending:
-                trail = [*pending[pending.index(missing) :], missing]
-                shown = " → ".join(reversed(trail))
+                waiting = list(pending)
+                trail = [*waiting[waiting.index(missing) :], missing]
+                shown = circle(trail[::-1])
                 message = f"joints are each other's parents: {shown}"
                 document.add("RIG003", ("joints", entry.index), message)
                 entry.parent, entry.adrift = None, True
                 if entry.mirrored and missing == entry.source:
-                    pending.pop()
+                    del pending[name]
                     done.add(name)
                 continue
-            pending.append(missing)
+            pending[missing] = None
 
 
 def _note_off_middle(

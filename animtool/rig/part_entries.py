@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import keyword
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 from animtool.documents.document import Document, Location
 from animtool.documents.names import nearest
@@ -65,7 +64,7 @@ class PartReader:
     arrays: ArrayReader
     vertices: dict[str, int] = field(default_factory=dict)
     joints: dict[str, Joint] = field(init=False)
-    names: list[str] = field(default_factory=list, init=False)
+    names: dict[str, None] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         """Index the joints."""
@@ -88,8 +87,10 @@ class PartReader:
             inherited: Names of the shapes that the rig has already.
         """
         self._distinct("shapes", "shape")
-        names = [*inherited, *(shape.name for shape in self.model.shapes)]
-        meshes = list(meshes)
+        names = dict.fromkeys(
+            [*inherited, *(shape.name for shape in self.model.shapes)]
+        )
+        meshes = dict.fromkeys(meshes)
         made = []
         for i, shape in enumerate(self.model.shapes):
             at = ("shapes", i)
@@ -147,9 +148,10 @@ class PartReader:
                 takes the place of its own.
         """
         self._distinct("controls", "control")
-        known, own = list(shapes), [control.name for control in self.model.controls]
+        own = {control.name: i for i, control in enumerate(self.model.controls)}
+        known = dict.fromkeys(shapes)
         kept = [control for control in inherited if control.name not in own]
-        self.names = [*(control.name for control in kept), *own]
+        self.names = dict.fromkeys([*(control.name for control in kept), *own])
         for control in kept:
             self._still_drives(control)
         made = (
@@ -164,7 +166,7 @@ class PartReader:
         except ControlCycleError as error:
             first = next(name for name in error.cycle if name in own)
             message = f"controls drive each other in a circle: {error}"
-            self.document.add("RIG014", ("controls", own.index(first)), message)
+            self.document.add("RIG014", ("controls", own[first]), message)
         return made
 
     def _still_drives(self, control: Control) -> None:
@@ -314,7 +316,9 @@ class PartReader:
     ) -> ArraySource | None:
         return None if text is None else self.arrays.array(at, text, key, shape)
 
-    def _control(self, at: Location, model: ControlModel, shapes: list[str]) -> Control:
+    def _control(
+        self, at: Location, model: ControlModel, shapes: Collection[str]
+    ) -> Control:
         name = model.name
         taken = name in FUNCTIONS or name == "pi" or keyword.iskeyword(name)
         if not name.isidentifier() or taken:
@@ -338,7 +342,7 @@ class PartReader:
         return Control(name, low, high, model.default, tuple(filter(None, drives)))
 
     def _drive(
-        self, at: Location, model: DriveModel, shapes: list[str]
+        self, at: Location, model: DriveModel, shapes: Collection[str]
     ) -> Drive | None:
         given = [
             k for k in ("shape", "joint", "control") if getattr(model, k) is not None
@@ -376,7 +380,7 @@ class PartReader:
         return expression
 
     def _target(
-        self, at: Location, kind: str, model: DriveModel, shapes: list[str]
+        self, at: Location, kind: str, model: DriveModel, shapes: Collection[str]
     ) -> tuple[str, float]:
         name = str(getattr(model, kind))
         if kind != "joint":
@@ -413,8 +417,9 @@ class PartReader:
                 self.document.add("RIG011", (key, i, "name"), message, hint)
             seen.setdefault(entry.name, i)
 
-    def _known(self, at: Location, name: str, names: Iterable[Any], kind: str) -> bool:
-        names = list(names)
+    def _known(
+        self, at: Location, name: str, names: Collection[str], kind: str
+    ) -> bool:
         if name in names:
             return True
         unnamed = self.document.unnamed(_LISTS[kind])

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from graphlib import CycleError, TopologicalSorter
 
 from animtool._types import FloatArray
+from animtool.errors import circle
 from animtool.rig.parts import Shape
 
 __all__ = [
@@ -25,7 +26,7 @@ class ShapeCycleError(ValueError):
 
     def __init__(self, cycle: list[str]) -> None:
         self.cycle = cycle
-        super().__init__(" → ".join(cycle))
+        super().__init__(circle(cycle))
 
 
 def combination_order(shapes: Sequence[Shape]) -> list[Shape]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -26,6 +25,7 @@ from animtool.rig.parts import (
     Shape,
     Vector,
 )
+from animtool.similar import similar
 from animtool.units import UpAxis, unit_name
 
 __all__ = [
@@ -209,8 +209,8 @@ class Rig:
         1
         """
         if name not in self._index:
-            near = difflib.get_close_matches(name, self._index, 1)
-            hint = f"did you mean {near[0]}?" if near else None
+            near = similar(name, self._index)
+            hint = f"did you mean {near}?" if near else None
             message = f"no joint of {self.name!r} is {excerpt(name)}"
             raise OptionError(Fault("RIG008", message, hint=hint))
         return self._index[name]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from difflib import get_close_matches
 
 from animtool.rig.skeleton import JointType
+from animtool.similar import LONGEST, similar
 
 __all__ = ["DRIVEN_PARTS", "KEYED_PARTS", "nearest_part", "split_part"]
 
@@ -37,11 +37,11 @@ def nearest_part(text: str, parts: Iterable[str]) -> str | None:
     >>> nearest_part("elbow_l.angel", KEYED_PARTS)
     "did you mean '.angle'?"
     """
-    words = text.split(".")
+    words = text[-LONGEST:].split(".")
     tails = [".".join(words[i:]) for i in range(1, len(words))]
     names = list(parts)
-    near = [name for tail in tails for name in get_close_matches(tail, names, 1)]
-    return f"did you mean '.{near[0]}'?" if near else None
+    near = next(filter(None, (similar(tail, names) for tail in tails)), None)
+    return f"did you mean '.{near}'?" if near else None
 
 
 def split_part(text: str, parts: Iterable[str]) -> tuple[str, str]:

@@ -314,23 +314,28 @@ class SceneModel(FileModel):
         "put tracks in its place.",
         examples=[{"file": "walk.bvh"}],
     )
-    beside: list[BesideModel] = Field(
+    beside: Annotated[list[BesideModel], Len(0, 1000)] = Field(
         default=[],
         description="Props, cameras and attributes next to the character, which take "
         "part in every change of time and are written with it.",
         examples=[[{"from": "props.usda", "prim": "/Set/box", "path": "Props/box"}]],
     )
-    passes: list[
-        Annotated[
-            dict[str, dict[str, Any] | None], Len(1, 1), AfterValidator(check_numbers)
-        ]
+    passes: Annotated[
+        list[
+            Annotated[
+                dict[str, dict[str, Any] | None],
+                Len(1, 1),
+                AfterValidator(check_numbers),
+            ]
+        ],
+        Len(0, 1000),
     ] = Field(
         default=[],
         description="What is done to it, in order: the name of a pass, and its "
         "options.",
         examples=[[{"mirror": {}}, {"trim": {"first": 5, "last": 60}}]],
     )
-    systems: list[SystemModel] = Field(
+    systems: Annotated[list[SystemModel], Len(0, 1000)] = Field(
         default=[],
         description="What is simulated: beside the source, or without one for the "
         "frames of `range`.",

@@ -11,7 +11,6 @@ these stands outside of the variants, where it would be stronger than they are.
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
@@ -19,6 +18,7 @@ from typing import Any
 from pxr import Sdf, Usd
 
 from animtool.errors import Fault, OptionError, OutputError, excerpt, listed
+from animtool.similar import similar
 from animtool.usd.paths import RigPaths
 
 __all__ = [
@@ -140,8 +140,8 @@ def select_take(takes: TakeSet | None, name: str, where: str) -> TakeSet:
         hint = f"a library has a variant set {TAKE_SET!r}"
         raise OptionError(Fault("USD031", message, where, (), hint))
     if name not in takes.names:
-        near = difflib.get_close_matches(name, takes.names, 1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
+        near = similar(name, takes.names)
+        hint = f"did you mean {near!r}? " if near else ""
         hint += f"the takes: {listed(takes.names, 40)}"
         message = f"there is no take {excerpt(name)}"
         raise OptionError(Fault("USD031", message, where, (), hint))

@@ -9,6 +9,7 @@ from pxr import Sdf
 
 from animtool.errors import Fault, Severity, excerpt
 from animtool.rig.skeleton import Joint
+from animtool.similar import distinct
 
 __all__ = ["UsdNames", "distinct_names", "joint_names", "legal_name", "plain_text"]
 
@@ -80,11 +81,9 @@ def distinct_names(
     originals: dict[str, str] = {}
     first: dict[str, str] = {}
     notices: list[Fault] = []
-    for name, text, source in zip(named, wanted, sources, strict=True):
-        legal = legal_name(text)
-        unique, number = legal, 2
-        while unique in first:
-            unique, number = f"{legal}_{number}", number + 1
+    legals = list(map(legal_name, wanted))
+    rows = zip(named, legals, distinct(legals), sources, strict=True)
+    for name, legal, unique, source in rows:
         if unique != legal:
             notices.append(
                 Fault(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from difflib import get_close_matches
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError, excerpt
 from animtool.maths import so3
 from animtool.rig.skeleton import Rig
+from animtool.similar import similar
 from animtool.units import up_from_up
 from animtool.usd.layers import usd_errors
 from animtool.usd.rig_prims import decompose, open_stage, up_axis
@@ -114,5 +114,5 @@ def nearest_prim(stage: Any, name: str) -> str | None:
     """Return a hint that names the prim whose path is most like one."""
     all_of_them = islice(stage.Traverse(), MOST_COMPARED)
     names = [str(prim.GetPath()) for prim in all_of_them]
-    near = get_close_matches(name, names, 1)
-    return f"did you mean {near[0]}?" if near else None
+    near = similar(name, names)
+    return f"did you mean {near}?" if near else None

@@ -18,6 +18,7 @@ from animtool.errors import Fault, FormatError, Severity, counted, excerpt, list
 from animtool.maths import so3
 from animtool.printing import CONTROL
 from animtool.rig.skeleton import CHANNEL_NAMES, Joint, Rig
+from animtool.similar import distinct
 from animtool.units import UpAxis
 from animtool.usd.layers import (
     check_prim_path,
@@ -183,7 +184,7 @@ def rig_from_tokens(
     names = named if _are_names(named, len(tokens)) else [""] * len(tokens)
     translations, rotations, scales = decompose(rest)
     joints: list[Joint] = []
-    used: set[str] = set()
+    uniques = distinct(token.rpartition("/")[2] for token in tokens)
     for i, token in enumerate(tokens):
         parent = _parent(token, index)
         if parent >= i:
@@ -193,10 +194,7 @@ def rig_from_tokens(
         if found := _CONTROL.search(f"{leaf}{originals.get(leaf, '')}"):
             message = f"joint {excerpt(token)} holds the control character {found[0]!r}"
             _fail("DOC023", message, where)
-        unique, number = leaf, 2
-        while unique in used:
-            unique, number = f"{leaf}_{number}", number + 1
-        used.add(unique)
+        unique = uniques[i]
         own = extras.get(leaf, {})
         x, y, z = (translations[i] * meters_per_unit).tolist()
         a, b, c, w = rotations[i].tolist()

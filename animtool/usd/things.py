@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from animtool.clock import time_fraction
 from animtool.errors import Fault, FormatError, OptionError, excerpt
 from animtool.maths import so3
 from animtool.rates import rate_from_float
+from animtool.similar import similar
 from animtool.transforms import Attribute, Reference, Track, Transforms
 from animtool.units import UpAxis, up_from_up
 from animtool.usd.layers import usd_errors
@@ -218,8 +218,8 @@ def _attributes(prim: Any, wanted: Wanted) -> list[Any]:
             faults.append(Fault("SCN049", message, hint="leave it out"))
         elif not attribute or not attribute.HasValue():
             names = [a.GetName() for a in prim.GetAttributes() if a.HasValue()]
-            near = get_close_matches(name, names, 1)
-            hint = f"did you mean {near[0]}?" if near else None
+            near = similar(name, names)
+            hint = f"did you mean {near}?" if near else None
             message = f"{wanted.prim} has no value of {excerpt(name)}"
             faults.append(Fault("SCN049", message, hint=hint))
         elif _kind(attribute) not in {*_WIDTHS, *_HELD}:

@@ -321,9 +321,9 @@ def test_a_file_is_numbered_once_for_many_faults(
 
     monkeypatch.setattr(Document, "_number", counted)
     for i in range(20_000):
-        document.add("DOC022", ("a", i, "n"), "x")
+        document.warn("DOC022", ("a", i, "n"), "x")
     assert len(calls) == 2 + 2 * 20_000
-    assert document.faults[19_999].lines == (20_001,)
+    assert document.notices[19_999].lines == (20_001,)
 
 
 def locations(node: Any, here: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:

@@ -19,6 +19,7 @@ from animtool.formats.bvh.rows import RowReader, RowSource
 from animtool.maths.so3 import IDENTITY
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Joint, JointType, Rig
+from animtool.similar import distinct
 from animtool.take import Channel, Motion, TakeStream
 from animtool.units import LengthUnit, UpAxis
 
@@ -145,13 +146,9 @@ def _size_notice(rig: Rig, stated: LengthUnit | None, path: str) -> list[Fault]:
 
 
 def _rig(header: BvhHeader, name: str, unit: LengthUnit, up: UpAxis) -> Rig:
-    used: set[str] = set()
     joints = []
-    for joint in header.joints:
-        unique, number = joint.name, 2
-        while unique in used:
-            unique, number = f"{joint.name}_{number}", number + 1
-        used.add(unique)
+    names = distinct(joint.name for joint in header.joints)
+    for joint, unique in zip(header.joints, names, strict=True):
         made = _joint(joint, unit.meters)
         source_name = joint.name if unique != joint.name else ""
         joints.append(replace(made, name=unique, source_name=source_name))

@@ -25,6 +25,7 @@ from animtool.validation.tables import all_rules, page
 __all__ = ["sarif_report"]
 
 SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
+LONGEST_SNIPPET = 1000
 _LEVELS = {
     Severity.ERROR: "error",
     Severity.WARNING: "warning",
@@ -96,7 +97,8 @@ def _region(fault: Fault, line: str | None) -> dict[str, Any]:
     region: dict[str, Any] = {"startLine": fault.lines[0]}
     if fault.column is not None:
         region["startColumn"] = fault.column
-    if line is not None:
+    # Of a file on one line, every finding would hold the whole.
+    if line is not None and len(line) <= LONGEST_SNIPPET:
         region["snippet"] = {"text": line}
     return region
 

@@ -54,11 +54,12 @@ def cut(line: str, column: int) -> Iterator[str]:
     >>> list(cut("joints: []", 9))
     ['joints: []', '        ^']
     """
-    shown = "".join(c if c.isprintable() else " " for c in line).rstrip()
+    shown = line.rstrip()
     start = 0
     if len(shown) > WIDTH:
         start = max(0, min(column - 1 - BEFORE, len(shown) - WIDTH))
     part = shown[start : start + WIDTH]
+    part = "".join(c if c.isprintable() else " " for c in part)
     if start:
         part = "\N{HORIZONTAL ELLIPSIS}" + part[1:]
     if start + WIDTH < len(shown):

@@ -16,6 +16,9 @@ from animtool.validation.subjects.targets import TargetsSubject
 
 __all__ = ["idle_holds", "outside_range", "twice", "weightless"]
 
+# Of many goals that ask the same, the first pairs say all.
+MOST_PAIRS = 1000
+
 
 def outside_range(subject: TargetsSubject) -> Iterator[Fault]:
     """Yield keys and spans outside the range of the file (TGT201)."""
@@ -41,11 +44,15 @@ def outside_range(subject: TargetsSubject) -> Iterator[Fault]:
 
 def twice(subject: TargetsSubject) -> Iterator[Fault]:
     """Yield goals that ask the same of an effector as another (TGT202)."""
-    goals = list(enumerate(subject.targets.goals))
-    for (_, one), (i, two) in combinations(goals, 2):
-        same = _effector(one) == _effector(two)
+    goals = subject.targets.goals
+    alike: dict[tuple[object, ...], list[int]] = {}
+    for i, goal in enumerate(goals):
+        alike.setdefault(_effector(goal), []).append(i)
+    pairs = [pair for group in alike.values() for pair in combinations(group, 2)]
+    for first, i in sorted(pairs)[:MOST_PAIRS]:
+        one, two = goals[first], goals[i]
         parts = [part for part in PARTS if _asks(one, part) and _asks(two, part)]
-        if not same or not parts or not _meet(one.during, two.during):
+        if not parts or not _meet(one.during, two.during):
             continue
         if all(_equal(one.values, two.values, part) for part in parts):
             message = f"asks the {listed(parts)} of {two.name!r} a second time"

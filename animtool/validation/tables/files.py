@@ -42,6 +42,8 @@ RULES = (
     Rule("DOC021", "a key missing"),
     Rule("DOC022", "a value of the wrong type, length or range"),
     Rule("DOC023", "a control character, or a key of several lines"),
+    Rule("DOC024", "more values than are read"),
+    Rule("DOC025", "a text or a key that is too long"),
     Rule("DOC101", "comments that `migrate` does not keep", Severity.WARNING),
     Rule("IO001", "a file that cannot be read"),
     Rule("IO002", "a file of a kind that is not read"),

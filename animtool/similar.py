@@ -1,0 +1,60 @@
+"""Names that are nearly or wholly alike, told apart in a time that grows with them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+from itertools import islice
+
+__all__ = ["LONGEST", "distinct", "similar"]
+
+# Names that are looked at, and of them those that are compared letter by letter.
+MAX_NAMES, MAX_COMPARED = 2000, 40
+# Nobody misspells a longer one.
+LONGEST = 120
+
+
+def similar(name: str, names: Iterable[str], cutoff: float = 0.6) -> str | None:
+    """Return the name that is most like another one; None where none is.
+
+    Of many names the first 2000 are looked at, and of these the 40 that share most
+    pairs of letters.
+
+    Args:
+        name: What was written; of more than 120 letters it is like no other.
+        names: The valid ones.
+        cutoff: How like they are at least, from 0 to 1.
+
+    >>> similar("ebow", ["hand", "elbow"]), similar("ebow", ["hip"])
+    ('elbow', None)
+    """
+    if len(name) > LONGEST:
+        return None
+    near = [known for known in islice(names, MAX_NAMES) if len(known) <= LONGEST]
+    if len(near) > MAX_COMPARED:
+        pairs = _pairs(name)
+        near.sort(key=lambda known: len(pairs & _pairs(known)), reverse=True)
+    found = get_close_matches(name, near[:MAX_COMPARED], 1, cutoff)
+    return found[0] if found else None
+
+
+def distinct(names: Iterable[str]) -> list[str]:
+    """Return names of which no two are the same: later ones get a number behind them.
+
+    >>> distinct(["a", "b", "a", "a_2", "a"])
+    ['a', 'b', 'a_2', 'a_2_2', 'a_3']
+    """
+    taken: dict[str, None] = {}
+    numbers: dict[str, int] = {}
+    for name in names:
+        unique = name
+        while unique in taken:
+            # All lower numbers are taken, and stay so.
+            numbers[name] = numbers.get(name, 1) + 1
+            unique = f"{name}_{numbers[name]}"
+        taken[unique] = None
+    return list(taken)
+
+
+def _pairs(text: str) -> set[str]:
+    return {text[i : i + 2] for i in range(len(text) - 1)}
