@@ -23,7 +23,7 @@ from animtool.cli.options import (
     format_option,
     strict_option,
 )
-from animtool.cli.outputs import existing_options, goes_to_stdout, skipped
+from animtool.cli.outputs import all_named, existing_options, goes_to_stdout, skipped
 from animtool.cli.plots import plot_option, refuse_alone
 from animtool.cli.shot_options import bake_shot
 
@@ -198,7 +198,8 @@ def _one(
     options = bake_options_record(given)
     names = [s.name if isinstance(s, Path) else s.path.name for s in opened]
     label = names[0] if len(names) == 1 else f"{len(names)} takes"
-    with console.progress(f"bake {label}", stdout=path is None) as progress:
+    shown = console.progress(f"bake {label}", stdout=path is None)
+    with all_named(), shown as progress:
         report = run_bake(opened, path, options, progress=progress)
     scene = only_scene(opened)
     stages = [] if scene is None else scene.meter.stages
@@ -229,7 +230,7 @@ def _several(
     options = bake_options_record(given)
     if skipped(console, "bake", given, scene.path, lambda: scene_files(scene, options)):
         return
-    with console.progress(f"bake {scene.path.name}") as progress:
+    with all_named(), console.progress(f"bake {scene.path.name}") as progress:
         reports = bake_scene(scene, options, progress=progress)
     from animtool.cli.bake_report import say_outputs
 

@@ -19,7 +19,7 @@ from animtool.cli.options import (
     strict_option,
     take_option,
 )
-from animtool.cli.outputs import existing_options, skipped
+from animtool.cli.outputs import all_named, existing_options, skipped
 
 __all__ = ["convert"]
 
@@ -90,7 +90,7 @@ def convert(console: Console, /, source: Path, output: Path, **given: Any) -> No
         given["prim_path"],
         take=given["take"],
     )
-    with console.progress(f"convert {source.name}") as progress:
+    with all_named(), console.progress(f"convert {source.name}") as progress:
         report = run_convert(
             source,
             output,
@@ -120,14 +120,15 @@ def _rig(console: Console, source: Path, output: Path, given: dict[str, Any]) ->
         if given[name]:
             option = f"--{name.replace('_', '-')}"
             raise click.UsageError(f"{option} is for motion, not for a rig.")
-    report = convert_rig(
-        source,
-        output,
-        prim_path=given["prim_path"],
-        physics=given["physics"],
-        overwrite=given["overwrite"],
-        strict=given["strict"],
-    )
+    with all_named():
+        report = convert_rig(
+            source,
+            output,
+            prim_path=given["prim_path"],
+            physics=given["physics"],
+            overwrite=given["overwrite"],
+            strict=given["strict"],
+        )
     console.faults(report.notices)
     counts = {
         "joints": report.joints,

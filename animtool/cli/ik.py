@@ -25,7 +25,7 @@ from animtool.cli.options import (
     source_prim_option,
     take_option,
 )
-from animtool.cli.outputs import existing_options, goes_to_stdout, skipped
+from animtool.cli.outputs import all_named, existing_options, goes_to_stdout, skipped
 from animtool.cli.plots import check_plot, draw, plot_option, refuse_alone
 from animtool.cli.shot_options import SHOT_OPTIONS, timeline_shot
 
@@ -296,7 +296,7 @@ def ik(console: Console, /, **given: Any) -> None:
     from animtool.scene.ik import MissedGoalsError, run_ik
 
     label = f"ik {given['targets'].name}"
-    with console.progress(label, stdout=to_stdout) as progress:
+    with all_named(), console.progress(label, stdout=to_stdout) as progress:
         try:
             report = run_ik(_job(given, to_stdout), progress=progress)
         except MissedGoalsError as error:

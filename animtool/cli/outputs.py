@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,10 @@ import click
 
 from animtool.cli.console import Console
 from animtool.cli.options import Command
+from animtool.output import once_named, together
+from animtool.signals import outlast_signals
 
-__all__ = ["existing_options", "goes_to_stdout", "skipped"]
+__all__ = ["all_named", "existing_options", "goes_to_stdout", "skipped"]
 
 
 def existing_options(command: Command) -> Command:
@@ -23,6 +26,18 @@ def existing_options(command: Command) -> Command:
         "--overwrite", is_flag=True, help="Replace outputs that exist."
     )
     return overwrite(skip(command))
+
+
+@contextmanager
+def all_named() -> Iterator[None]:
+    """Let what a command writes get its names at the end; then signals come too late.
+
+    What is left is to tell what was written: a command that ends with 130 or 143 has
+    written nothing.
+    """
+    with together():
+        once_named(outlast_signals)
+        yield
 
 
 def skipped(

@@ -10,7 +10,7 @@ from pxr import Usd
 from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError, counted
 from animtool.take import Channel
-from animtool.usd.rig_prims import array_value
+from animtool.usd.values import array_value, numbers
 
 __all__ = ["animated_shapes", "sampled_values", "scale_channel", "shape_weights"]
 
@@ -71,13 +71,13 @@ def sampled_values(
     )
     rows = np.empty((len(when), count, width))
     for i, time in enumerate(when):
-        value = array_value(attr, time)
+        value = numbers(attr, width, time)
         if len(value) != count:
             message = f"{attr.GetName()} has {counted(len(value), 'value')}"
             message += f" for {counted(count, of)}"
             hint = f"{_moment(time)}; UsdSkel falls back to rest"
             raise FormatError(Fault("USD013", message, where, (), hint))
-        rows[i] = np.array(value, np.float64).reshape(count, width)
+        rows[i] = value
     if not np.isfinite(rows).all():
         frame, joint, _ = np.argwhere(~np.isfinite(rows))[0]
         message = f"{attr.GetName()} is not finite"

@@ -18,7 +18,6 @@ from animtool.usd.layers import usd_errors
 from animtool.usd.mesh_read import read_meshes
 from animtool.usd.rig_prims import (
     SkeletonRig,
-    array_value,
     find_skeletons,
     open_stage,
     prim_below,
@@ -26,6 +25,7 @@ from animtool.usd.rig_prims import (
 )
 from animtool.usd.strand_read import read_strands
 from animtool.usd.target import RigTarget
+from animtool.usd.values import numbers
 
 __all__ = ["StageMeshes", "source_meshes", "target_meshes"]
 
@@ -87,8 +87,7 @@ def _meshes(skeleton: Any, found: SkeletonRig, path: Path) -> StageMeshes:
 
 
 def _bind(skeleton: Any, joints: int, where: str) -> FloatArray:
-    matrices = array_value(skeleton.GetBindTransformsAttr())
-    bind = np.array(matrices, np.float64).reshape(-1, 4, 4)
+    bind = numbers(skeleton.GetBindTransformsAttr(), 16).reshape(-1, 4, 4)
     if len(bind) != joints or not np.isfinite(bind).all():
         message = (
             f"{counted(len(bind), 'bindTransform')} for {counted(joints, 'joint')}"

@@ -233,6 +233,9 @@ def usd_errors(path: Path) -> Iterator[None]:
             raise FormatError(Fault("USD001", usd_reason(error), str(path))) from error
         except UnicodeEncodeError as error:
             raise unreadable(path, NO_TEXT) from error
+        except UnicodeDecodeError as error:
+            message = "holds text that is not UTF-8"
+            raise FormatError(Fault("USD001", message, str(path))) from error
 
 
 def usd_reason(error: Tf.ErrorException) -> str:

@@ -18,7 +18,9 @@ from animtool.rig.parts import (
     Subdivision,
 )
 from animtool.usd.meshes import SUBDIVISION
-from animtool.usd.rig_prims import SkeletonRig, array_value
+from animtool.usd.rig_prims import (
+    SkeletonRig,
+)
 from animtool.usd.skinned import (
     floats,
     joint_names,
@@ -26,6 +28,7 @@ from animtool.usd.skinned import (
     skinned_prims,
     unique_name,
 )
+from animtool.usd.values import array_value, integers, numbers_of
 
 __all__ = ["bound_meshes", "bound_shapes", "read_meshes"]
 
@@ -141,7 +144,7 @@ def _subdivision(mesh: Any, with_normals: bool) -> Subdivision | None:
 def _faces(mesh: Any, points: int, at: str) -> FloatArray:
     """Return the faces ``(N, K)``, -1 where one has fewer vertices than others."""
     counts, indices = (
-        np.array(array_value(attr), np.int64)
+        integers(attr)
         for attr in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
     )
     if not len(counts):
@@ -162,7 +165,7 @@ def _faces(mesh: Any, points: int, at: str) -> FloatArray:
 
 def _skin(query: Any, points: int, rig: SkeletonRig, at: str) -> Skin:
     indices, weights = (
-        np.array(primvar.ComputeFlattened() or (), np.float64)
+        numbers_of(primvar.ComputeFlattened(), 1)[:, 0]
         for primvar in (
             query.GetJointIndicesPrimvar(),
             query.GetJointWeightsPrimvar(),
@@ -203,6 +206,10 @@ def _shapes(
         message = f"{len(order)} blendShapes for {len(targets)} targets"
         _fail("USD017", message, f"{where}<{query.GetPrim().GetPath()}>")
     stage = query.GetPrim().GetStage()
+    for target in targets:
+        if not stage.GetPrimAtPath(target):
+            message = f"a blendShapeTarget, {target}, does not exist"
+            _fail("USD017", message, f"{where}<{query.GetPrim().GetPath()}>")
     return [
         _shape(
             UsdSkel.BlendShape(stage.GetPrimAtPath(target)),
@@ -218,7 +225,7 @@ def _shapes(
 def _shape(shape: Any, name: str, mesh: str, points: int, where: str) -> Shape:
     at = f"{where}<{shape.GetPath()}>"
     deltas = floats(shape.GetOffsetsAttr(), 3, at)
-    vertices = np.array(array_value(shape.GetPointIndicesAttr()), np.int64)
+    vertices = integers(shape.GetPointIndicesAttr())
     rows = len(vertices) or points
     if not len(deltas) and len(array_value(shape.GetNormalOffsetsAttr())):
         # It turns normals alone.

@@ -32,7 +32,6 @@ from animtool.usd.mesh_read import bound_shapes
 from animtool.usd.placement import MOST_NAMED, character_paths
 from animtool.usd.rig_prims import (
     SkeletonRig,
-    array_value,
     check_moves,
     composition_notices,
     find_skeletons,
@@ -44,6 +43,7 @@ from animtool.usd.rig_prims import (
     up_axis,
 )
 from animtool.usd.sample_grid import SampleGrid, sample_grid
+from animtool.usd.values import array_value, numbers, stored_data
 
 __all__ = ["read_usd"]
 
@@ -132,7 +132,7 @@ def _join_stored(
     stream: TakeStream, skeleton: Any, found: SkeletonRig, path: Path
 ) -> None:
     """Give the take's rig what the Skeleton's customData says of it beyond USD."""
-    data = skeleton.GetPrim().GetCustomDataByKey("animtool") or {}
+    data = stored_data(skeleton.GetPrim())
     if not data.get("rig"):
         return
     from animtool.usd.stored_rig import joined_rig
@@ -216,12 +216,12 @@ def _lost_motion(animation: Any, where: str) -> list[Fault]:
 def _rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
     tokens = [str(token) for token in array_value(animation.GetJointsAttr())]
     where = f"{path}<{animation.GetPath()}>"
-    data = animation.GetPrim().GetCustomDataByKey("animtool") or {}
+    data = stored_data(animation.GetPrim())
     matrices = np.tile(np.eye(4), (len(tokens), 1, 1))
     first = Usd.TimeCode.EarliestTime()
-    positions = array_value(animation.GetTranslationsAttr(), first)
+    positions = numbers(animation.GetTranslationsAttr(), 3, first)
     if tokens and len(positions) == len(tokens):
-        matrices[:, 3, :3] = np.array(positions)
+        matrices[:, 3, :3] = positions
     found = rig_from_tokens(
         tokens,
         matrices,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Sequence, Sized
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
@@ -26,10 +26,10 @@ from animtool.usd.layers import (
     note_layers,
     usd_errors,
 )
+from animtool.usd.values import array_value, numbers, stored_data
 
 __all__ = [
     "SkeletonRig",
-    "array_value",
     "check_moves",
     "composition_notices",
     "decompose",
@@ -127,15 +127,15 @@ def skeleton_rig(skeleton: Any, path: Path) -> SkeletonRig:
     stage = skeleton.GetPrim().GetStage()
     where = f"{path}<{skeleton.GetPath()}>"
     tokens = [str(token) for token in array_value(skeleton.GetJointsAttr())]
-    matrices = array_value(skeleton.GetRestTransformsAttr()) if tokens else ()
-    if len(matrices) != len(tokens):
-        message = f"{counted(len(matrices), 'restTransform')}"
+    rows = numbers(skeleton.GetRestTransformsAttr(), 16)
+    if len(rows) != len(tokens) and tokens:
+        message = f"{counted(len(rows), 'restTransform')}"
         message += f" for {counted(len(tokens), 'joint')}"
         _fail("USD003", message, where, "UsdSkel has no rest pose then")
-    rest = np.array(matrices, np.float64).reshape(-1, 4, 4)
+    rest = rows[: len(tokens)].reshape(-1, 4, 4)
     if not (np.abs(rest) <= LARGEST_REST).all():
         _fail("USD004", "a rest transform is not a finite float32", where)
-    data = skeleton.GetPrim().GetCustomDataByKey("animtool") or {}
+    data = stored_data(skeleton.GetPrim())
     # What animtool wrote has names of its own.
     named = () if data else array_value(skeleton.GetJointNamesAttr())
     model = skeleton.GetPrim().GetParent().GetParent() or skeleton.GetPrim()
@@ -225,17 +225,6 @@ def _source_name(original: Any, named: str, leaf: str, unique: str) -> str:
         return str(original)
     found = named or leaf
     return "" if found == unique else found
-
-
-def array_value(attr: Any, time: Any = None) -> Any:
-    """Return an attribute's array; an empty one where it has none, or no array.
-
-    Without a time, that is the default, else the first sample.
-    """
-    value = attr.Get() if time is None else attr.Get(time)
-    if value is None and time is None:
-        value = attr.Get(Usd.TimeCode.EarliestTime())
-    return value if isinstance(value, Sized) and not isinstance(value, str) else ()
 
 
 def _parent(token: str, index: dict[str, int]) -> int:

@@ -23,6 +23,7 @@ from animtool.usd.rig_prims import (
     up_axis,
 )
 from animtool.usd.stderr import without_usd_warnings
+from animtool.usd.values import array_of, array_value
 
 __all__ = ["ChunkSet", "PointPrim", "PointStage", "moved_points", "read_points"]
 
@@ -236,7 +237,7 @@ def _codes(times: Sequence[float]) -> list[Any]:
 def _lengths(attribute: Any, codes: Sequence[Any]) -> list[int | None]:
     """Return how many values an array has at each of some times, None of none."""
     values = (attribute.Get(code) for code in codes)
-    return [None if value is None else len(value) for value in values]
+    return [None if value is None else len(array_of(value)) for value in values]
 
 
 def _span(counts: Sequence[int | None]) -> tuple[int, int]:
@@ -249,16 +250,17 @@ def _same_ids(prim: Any, times: Sequence[float]) -> bool:
     ids = prim.GetAttribute("ids")
     if not (ids and times):
         return True
-    first, last = (np.array(ids.Get(times[i]) or ()) for i in (0, -1))
+    first, last = (np.array(array_value(ids, times[i])) for i in (0, -1))
     return np.array_equal(first, last)
 
 
 def _extent(prim: Any, codes: Sequence[Any]) -> tuple[list[float], list[float]] | None:
     """Return the bounds of all extents that are stated, None where one makes none."""
     attribute = prim.GetAttribute("extent")
-    stated = [attribute.Get(code) for code in codes] if attribute else []
-    corners = np.array([two for two in stated if two is not None and len(two) == 2])
-    if not len(corners) or not np.isfinite(corners).all():
+    stated = [array_value(attribute, code) for code in codes] if attribute else []
+    pairs = [np.array(two) for two in stated if len(two) == 2]
+    corners = np.array([pair for pair in pairs if pair.dtype.kind == "f"])
+    if corners.shape[1:] != (2, 3) or not np.isfinite(corners).all():
         return None
     low, high = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
     return low.astype(float).tolist(), high.astype(float).tolist()

@@ -10,7 +10,10 @@ from pxr import Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError
-from animtool.usd.rig_prims import SkeletonRig, array_value
+from animtool.usd.rig_prims import (
+    SkeletonRig,
+)
+from animtool.usd.values import numbers, stored_data
 
 __all__ = [
     "floats",
@@ -49,7 +52,7 @@ def skinned_prims(skeleton: Any, schema: Any) -> list[Any]:
 
 def prim_name(prim: Any) -> str:
     """Return the name that a prim was written from."""
-    data = prim.GetCustomDataByKey("animtool") or {}
+    data = stored_data(prim)
     return str(data.get("name", prim.GetName()))
 
 
@@ -69,8 +72,7 @@ def floats(attr: Any, width: int, at: str) -> FloatArray:
         FormatError: One is not finite (USD017).
     """
     # Points that are sampled only are those of the first sample.
-    value = array_value(attr, Usd.TimeCode.EarliestTime())
-    values = np.array(value, np.float64).reshape(-1, width)
+    values = numbers(attr, width, Usd.TimeCode.EarliestTime())
     if not np.isfinite(values).all():
         message = f"{attr.GetName()} hold a value that is not finite"
         raise FormatError(Fault("USD017", message, at))

@@ -15,7 +15,11 @@ from animtool.maths import so3
 from animtool.units import UpAxis, up_from_up
 from animtool.usd.layers import usd_errors
 from animtool.usd.prims import find_prim, nearest_prim
-from animtool.usd.rig_prims import open_stage, up_axis
+from animtool.usd.rig_prims import (
+    open_stage,
+    up_axis,
+)
+from animtool.usd.values import integers, numbers
 
 __all__ = ["MeshSource", "StillMesh", "open_mesh", "read_still_mesh"]
 
@@ -87,11 +91,10 @@ class MeshSource:
         """
         time = Usd.TimeCode.EarliestTime() if code is None else Usd.TimeCode(code)
         mesh = self._mesh
-        points = np.array(mesh.GetPointsAttr().Get(time) or (), np.float64)
-        counts = np.array(mesh.GetFaceVertexCountsAttr().Get(time) or (), np.int64)
-        indices = np.array(mesh.GetFaceVertexIndicesAttr().Get(time) or (), np.int64)
+        points = numbers(mesh.GetPointsAttr(), 3, time)
+        counts = integers(mesh.GetFaceVertexCountsAttr(), time)
+        indices = integers(mesh.GetFaceVertexIndicesAttr(), time)
         world = np.array(mesh.ComputeLocalToWorldTransform(time), np.float64)
-        points = points.reshape(-1, 3)
         _check(points, counts, indices, str(mesh.GetPath()))
         placed = (points @ world[:3, :3] + world[3, :3]) * self._unit
         if self._turn is not None:

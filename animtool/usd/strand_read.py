@@ -5,12 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from pxr import UsdGeom
+from pxr import Usd, UsdGeom
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError
 from animtool.rig.parts import AttachKind, Attachment, HeldArray
-from animtool.usd.rig_prims import SkeletonRig, array_value
+from animtool.usd.rig_prims import (
+    SkeletonRig,
+)
 from animtool.usd.skinned import (
     floats,
     joint_names,
@@ -18,6 +20,7 @@ from animtool.usd.skinned import (
     skinned_prims,
     unique_name,
 )
+from animtool.usd.values import integers, numbers
 
 __all__ = ["bound_strands", "read_strands"]
 
@@ -66,8 +69,10 @@ def _carrier(query: Any, rig: SkeletonRig, at: str) -> str | None:
     """Return the joint that carries a prim as a whole; None where it is not one."""
     if not query.HasJointInfluences() or not query.IsRigidlyDeformed():
         return None
-    indices = np.array(query.GetJointIndicesPrimvar().Get() or (), np.int64)
-    weights = np.array(query.GetJointWeightsPrimvar().Get() or (), np.float64)
+    indices = integers(query.GetJointIndicesPrimvar().GetAttr(), Usd.TimeCode.Default())
+    weights = numbers(
+        query.GetJointWeightsPrimvar().GetAttr(), 1, Usd.TimeCode.Default()
+    )
     if len(indices) != 1 or len(weights) != 1:
         return None
     names = joint_names(query, rig, at)
@@ -79,7 +84,7 @@ def _carrier(query: Any, rig: SkeletonRig, at: str) -> str | None:
 
 def _points(curves: Any, query: Any, at: str) -> FloatArray | None:
     """Return points ``(S, K, 3)`` at bind; None of curves that are no strands."""
-    counts = np.array(array_value(curves.GetCurveVertexCountsAttr()), np.int64)
+    counts = integers(curves.GetCurveVertexCountsAttr())
     if curves.GetTypeAttr().Get() != UsdGeom.Tokens.linear or not len(counts):
         return None
     values = floats(curves.GetPointsAttr(), 3, at)

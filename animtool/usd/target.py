@@ -27,7 +27,6 @@ from animtool.usd.paths import RigPaths
 from animtool.usd.placement import holds_character
 from animtool.usd.rig_prims import (
     SkeletonRig,
-    array_value,
     composition_notices,
     find_skeletons,
     open_stage,
@@ -37,6 +36,7 @@ from animtool.usd.rig_prims import (
     up_axis,
 )
 from animtool.usd.skinned import is_shown_mesh
+from animtool.usd.values import array_value
 
 __all__ = [
     "JointMap",

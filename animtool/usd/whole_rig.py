@@ -17,7 +17,6 @@ from animtool.usd.mesh_read import read_meshes
 from animtool.usd.rig_prims import (
     LARGEST_REST,
     SkeletonRig,
-    array_value,
     check_moves,
     composition_notices,
     decompose,
@@ -29,6 +28,7 @@ from animtool.usd.rig_prims import (
 )
 from animtool.usd.stored_rig import joined_rig, with_attachments
 from animtool.usd.strand_read import read_strands
+from animtool.usd.values import array_value, numbers, stored_data
 
 __all__ = ["read_rig", "read_whole_rig"]
 
@@ -81,7 +81,7 @@ def read_whole_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[
             shapes=shapes,
             attach=read_strands(skeleton, found, str(path)),
         )
-        data = skeleton.GetPrim().GetCustomDataByKey("animtool") or {}
+        data = stored_data(skeleton.GetPrim())
         joined, edits = joined_rig(
             rig,
             data,
@@ -101,9 +101,8 @@ def _bind_poses(
 
     The scales ``(J, 3)`` are no part of the poses.
     """
-    matrices = array_value(skeleton.GetBindTransformsAttr())
     rig = found.rig
-    world = np.array(matrices, np.float64).reshape(-1, 4, 4)
+    world = numbers(skeleton.GetBindTransformsAttr(), 16).reshape(-1, 4, 4)
     if (
         not rig.joints
         or len(world) != len(rig.joints)

@@ -23,6 +23,8 @@ from types import ModuleType
 
 import numpy as np
 
+from animtool.supervisor import CRASHES, report_reading
+
 Case = Callable[[np.random.Generator], str]
 
 # A case may use this much of each, on one processor.
@@ -66,7 +68,8 @@ def generator(seed: int, case: int) -> np.random.Generator:
 def fuzz(name: str, cases: int, *, seed: int = 0, first: int = 0) -> Outcome:
     """Run cases of a target, in a process that is begun anew where one ends it."""
     outcome = Outcome()
-    with mmap.mmap(-1, 8) as reached:
+    # The case, and whether USD reads a file, whose crash would be contained.
+    with mmap.mmap(-1, 9) as reached:
         case = first
         while case < first + cases:
             end = min(case + CHUNK, first + cases)
@@ -81,7 +84,7 @@ def _chunk(
     """Run cases in a child; return the one to go on with."""
     folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
     said = folder / "said.json"
-    reached[:] = first.to_bytes(8, "little")
+    reached[:] = first.to_bytes(9, "little")
     sys.stdout.flush()
     sys.stderr.flush()
     child = os.fork()
@@ -102,7 +105,10 @@ def _chunk(
     shutil.rmtree(folder, ignore_errors=True)
     if status == 0:
         return end
-    last = int.from_bytes(reached[:], "little")
+    last = int.from_bytes(reached[:8], "little")
+    if reached[8] and -status in CRASHES:
+        outcome.words[f"USD crashes: {signal.Signals(-status).name}"] += 1
+        return last + 1
     ended = f"exit {status}" if status > 0 else signal.Signals(-status).name
     if status == -signal.SIGPROF:
         ended = f"took more than {CPU_SECONDS:g} s of CPU"
@@ -122,8 +128,13 @@ def _run(
     seconds = CPU_SECONDS * (10 if sanitized else 1)
     if not sanitized:
         _limit_memory()
+
+    def note(path: str) -> None:
+        reached[8] = bool(path)
+
+    report_reading(note)
     for case in cases:
-        reached[:] = case.to_bytes(8, "little")
+        reached[:] = case.to_bytes(9, "little")
         # Without a handler, its signal ends the process.
         signal.setitimer(signal.ITIMER_PROF, seconds)
         try:

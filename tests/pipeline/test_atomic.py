@@ -16,6 +16,7 @@ from support.bvh import random_rows, small_bvh
 from support.cli import animtool, killable
 
 from animtool.leftovers import take_back
+from animtool.placing import Whole
 
 TRIES = 20
 
@@ -150,3 +151,23 @@ def test_an_output_that_usd_has_open_is_replaced(walk: Path, tmp_path: Path) -> 
     assert animtool("bake", walk, "-o", output, "--overwrite", "--start", "5").code == 0
     layer.Reload(force=True)
     assert layer.startTimeCode == 5
+
+
+@pytest.mark.parametrize(("step", "code"), [("seal", 130), ("place", 0)])
+def test_a_signal_about_the_naming(
+    walk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str, code: int
+) -> None:
+    do = getattr(Whole, step)
+
+    def signalled(whole: Whole, **given: bool) -> None:
+        do(whole, **given)
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(Whole, step, signalled)
+    for words in (("bake", walk, "-o", "o.usda"), ("convert", walk, "o.clip.yaml")):
+        folder = tmp_path / words[0]
+        folder.mkdir()
+        done = animtool(*words, cwd=folder)
+        assert done.code == code, done.stderr
+        # Either nothing is there, or all.
+        assert bool(list(folder.iterdir())) == (code == 0)
