@@ -16,7 +16,7 @@ from pxr import Sdf, Tf, Work
 
 from animtool.errors import Fault, FormatError, OptionError, excerpt
 from animtool.files import open_input, seen_from, too_large, unreadable
-from animtool.inputs import FileState, changed_error, note_input
+from animtool.inputs import FileState, changed_error
 from animtool.output import output_error, replacing
 from animtool.shot import Shot
 from animtool.supervisor import note_said, reading
@@ -36,7 +36,6 @@ __all__ = [
     "layer_shot",
     "layer_state",
     "new_layer",
-    "note_layers",
     "prim",
     "relationship",
     "save_layer",
@@ -198,20 +197,6 @@ def forget_layers() -> None:
     """
     if any(not layer.anonymous for layer in Sdf.Layer.GetLoadedLayers()):
         gc.collect()
-
-
-def note_layers(stage: Any) -> None:
-    """Note the files that a stage is composed of, and those that it lacks."""
-    for layer in stage.GetUsedLayers():
-        if layer.anonymous:
-            continue
-        if layer.realPath:
-            note_input(Path(layer.realPath), composed=True)
-        # Without a name it is the layer itself.
-        for name in filter(None, layer.GetCompositionAssetDependencies()):
-            found = Sdf.ComputeAssetPathRelativeToLayer(layer, name)
-            if found and "[" not in found and "://" not in found:
-                note_input(Path(found), composed=True)
 
 
 def compute_alone() -> None:

@@ -20,11 +20,10 @@ from animtool.printing import CONTROL
 from animtool.rig.skeleton import CHANNEL_NAMES, Joint, Rig
 from animtool.similar import distinct
 from animtool.units import UpAxis
+from animtool.usd.dependencies import open_composed
 from animtool.usd.layers import (
     check_prim_path,
     find_layer,
-    note_layers,
-    usd_errors,
 )
 from animtool.usd.values import array_value, numbers, stored_data
 
@@ -69,12 +68,10 @@ def open_stage(path: Path) -> Any:
     """Open a stage.
 
     Raises:
-        FormatError: The file does not exist, is no USD layer or does not compose.
+        FormatError: The file does not exist, is no USD layer, does not compose, or
+            brings in what is no file (USD155).
     """
-    layer = find_layer(path)
-    with usd_errors(path):
-        stage = Usd.Stage.Open(layer)
-    note_layers(stage)
+    stage = open_composed(find_layer(path), path)
     _check_metadata(stage, str(path))
     return stage
 

@@ -7,8 +7,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from pxr import Usd
-
 from animtool.errors import Fault, FormatError
 from animtool.usd.checks.animation import check_animations, check_known_joints
 from animtool.usd.checks.bindings import check_bindings
@@ -32,6 +30,7 @@ from animtool.usd.checks.takes import AnimationTake, animation_takes
 from animtool.usd.checks.types import check_types
 from animtool.usd.checks.usd_validators import check_with_usd
 from animtool.usd.checks.value_clips import check_value_clips
+from animtool.usd.dependencies import open_composed
 from animtool.usd.layers import find_layer, usd_errors
 from animtool.usd.stderr import without_usd_warnings
 
@@ -88,7 +87,7 @@ def inspect_layer(path: Path | str) -> Inspection:
     path = Path(path)
     try:
         with without_usd_warnings(), usd_errors(path):
-            subject = Subject(Usd.Stage.Open(find_layer(path)))
+            subject = Subject(open_composed(find_layer(path), path))
             found = [*_faults(subject), *_run(check_with_usd, subject)]
             takes = [] if _unmeasured(found) else _takes(subject, path)
     except FormatError as error:

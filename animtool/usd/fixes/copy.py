@@ -12,11 +12,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeAlias, cast
 
-from pxr import Sdf, Usd, UsdUtils
+from pxr import Sdf, UsdUtils
 
 from animtool.errors import Fault, OptionError, counted
+from animtool.files import open_input
 from animtool.output import once_named, output_error, replacing
 from animtool.plugins import load_object
+from animtool.usd.dependencies import open_composed
 from animtool.usd.fixes.table import EDITS
 from animtool.usd.fixes.target import Edit, NotFixableError, Target
 from animtool.usd.layers import asset_path, export_layer, find_layer, usd_errors
@@ -42,8 +44,8 @@ class EditedLayer:
         target: The stage and the layer.
     """
 
-    def __init__(self, layer: Any) -> None:
-        self.target = Target(Usd.Stage.Open(layer), layer)
+    def __init__(self, layer: Any, path: Path) -> None:
+        self.target = Target(open_composed(layer, path), layer)
 
     def edit_of(self, fault: Fault) -> Edit:
         """Return the edit that fixes a finding.
@@ -75,7 +77,7 @@ def edited_layer(path: Path, content: Any = None) -> Iterator[EditedLayer]:
         try:
             if content is not None:
                 layer.TransferContent(content)
-            yield EditedLayer(layer)
+            yield EditedLayer(layer, path)
         finally:
             if layer.dirty:
                 layer.Reload(force=True)
@@ -155,7 +157,7 @@ def _reload(path: Path) -> None:
 
 def _format(path: Path) -> str:
     """Return which of its two formats a file with any suffix has."""
-    with path.open("rb") as file:
+    with open_input(path, None) as file:
         return "usda" if file.read(5) == b"#usda" else "usdc"
 
 

@@ -132,6 +132,7 @@ RULES = (
         "a SkelAnimation that names joints and has no value for any",
         Severity.WARNING,
     ),
+    Rule("USD155", "a layer that brings in what is no file"),
     Rule("USD160", "a USD file that crashes USD"),
     Rule("USD170", "a number that USD cannot hold"),
     *(Rule(code, entry.title, entry.severity) for code, entry in CODES.items()),

@@ -1,0 +1,149 @@
+"""The files that a USD layer brings in, looked at before USD opens them by their paths.
+
+USD waits for a pipe that nobody writes to, and reads a device without end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pxr import Ar, Sdf, Tf, Usd, UsdUtils
+
+from animtool.errors import Fault, FormatError, excerpt
+from animtool.inputs import FileState, note_input
+from animtool.usd.layers import layer_state, usd_errors
+from animtool.usd.stderr import without_usd_warnings
+
+__all__ = ["note_layers", "open_composed"]
+
+
+@dataclass(slots=True)
+class _Walk:
+    """Layers that are brought in, each looked at and opened once.
+
+    Attributes:
+        path: Of the layer that brings them in, as the user named it.
+        states: What their files were before USD opened them.
+        layers: Held, so that the stage finds them open.
+    """
+
+    path: Path
+    states: dict[Path, FileState] = field(default_factory=dict)
+    layers: list[Any] = field(default_factory=list)
+    _seen: set[str] = field(default_factory=set)
+
+    def follow(self, top: Any) -> None:
+        """Look at all that a layer brings in.
+
+        Raises:
+            FormatError: One is no file, or too large (USD155).
+        """
+        todo = [(top, dict(top.expressionVariables))]
+        while todo:
+            layer, variables = todo.pop()
+            for name in _names(layer, variables):
+                found = self._opened(layer, name)
+                if found is not None:
+                    self.layers.append(found)
+                    # Those of the layer that brings it in count for more.
+                    todo.append((found, {**found.expressionVariables, **variables}))
+
+    def _opened(self, layer: Any, name: str) -> Any:
+        """Return a layer that another names; None where USD opens none, or it is known.
+
+        Raises:
+            FormatError: It is no file, or too large (USD155).
+        """
+        asset = Sdf.ComputeAssetPathRelativeToLayer(layer, name)
+        bare, _ = Sdf.Layer.SplitIdentifier(asset)
+        if asset in self._seen or not Sdf.FileFormat.FindByExtension(bare):
+            return None
+        self._seen.add(asset)
+        # Of a package, the resolver would open it.
+        outer = bare.partition("[")[0]
+        file = Ar.GetResolver().Resolve(outer).GetPathString()
+        if not file or "://" in file:
+            return None
+        path = Path(file)
+        if path not in self.states:
+            state = self._state(layer, name, path)
+            if state is None:
+                return None
+            self.states[path] = state
+        try:
+            return Sdf.Layer.FindOrOpen(asset)
+        except Tf.ErrorException:
+            # The stage names what it cannot open.
+            return None
+
+    def _state(self, layer: Any, name: str, path: Path) -> FileState | None:
+        """Return what a file is; None where nothing is there that USD would open."""
+        try:
+            return layer_state(path)
+        except FormatError as error:
+            if error.__cause__ is not None or path.is_dir():
+                return None
+            reason = error.faults[0].message.removeprefix("cannot be read: ")
+            owner = excerpt(layer.GetDisplayName(), 80)
+            message = f"{owner} brings in {excerpt(name, 80)}, which {reason}"
+            hint = "name a USD file there, or remove what names it"
+            fault = Fault("USD155", message, str(self.path), (), hint)
+            raise FormatError(fault) from error
+
+
+def _names(layer: Any, variables: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the names of all files that a layer may bring in."""
+    # Value clips are among them, and what templates of these stand for.
+    for names in UsdUtils.ExtractExternalReferences(layer.identifier):
+        yield from filter(None, names)
+    if not variables:
+        return
+    for name in layer.GetCompositionAssetDependencies():
+        if Sdf.VariableExpression.IsExpression(name):
+            found = Sdf.VariableExpression(name).Evaluate(variables).value
+            if isinstance(found, str) and found:
+                yield found
+
+
+def open_composed(layer: Any, path: Path) -> Any:
+    """Return the stage of a layer, all that it brings in looked at before.
+
+    Args:
+        layer: The layer.
+        path: As the user named it.
+
+    Raises:
+        FormatError: USD cannot make a stage of it (USD001), or a file that it brings in
+            is none, or too large (USD155).
+    """
+    walk = _Walk(path)
+    with usd_errors(path):
+        with without_usd_warnings():
+            walk.follow(layer)
+        stage = Usd.Stage.Open(layer)
+    note_layers(stage, walk.states)
+    return stage
+
+
+def note_layers(stage: Any, states: Mapping[Path, FileState]) -> None:
+    """Note the files that a stage is composed of, and those that it lacks.
+
+    Args:
+        stage: The stage.
+        states: What files were before USD opened them, as far as known.
+    """
+    for layer in stage.GetUsedLayers():
+        if layer.anonymous:
+            continue
+        if layer.realPath:
+            path = Path(layer.realPath)
+            note_input(path, states.get(path), composed=True)
+        # Without a name it is the layer itself.
+        for name in filter(None, layer.GetCompositionAssetDependencies()):
+            found = Sdf.ComputeAssetPathRelativeToLayer(layer, name)
+            if found and "[" not in found and "://" not in found:
+                path = Path(found)
+                note_input(path, states.get(path), composed=True)
