@@ -22,6 +22,9 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
+from animtool.errors import FormatError
+from animtool.files import open_input, read_input
+
 __all__ = [
     "Journal",
     "PlacedFile",
@@ -80,6 +83,7 @@ class PlacedFile:
 
         Raises:
             OSError: It cannot be undone.
+            FormatError: What is said of it cannot be read.
         """
         found = _found(self.final)
         kept = _found(self.old)
@@ -164,8 +168,9 @@ class Journal:
         self.end()
 
     def _files(self, folder: Path) -> list[PlacedFile]:
+        content = read_input(folder / self.name, _MOST_BYTES, noted=False)
         try:
-            entries = json.loads((folder / self.name).read_bytes())["files"]
+            entries = json.loads(content)["files"]
             return [_placed(folder, entry) for entry in entries]
         except (ValueError, KeyError, TypeError, RecursionError):
             # It was not complete, so that no file had its name.
@@ -217,12 +222,14 @@ def _undo(path: Path) -> bool:
     try:
         if not stat.S_ISREG(path.lstat().st_mode):
             return True
-        with path.open("rb") as file:
+        with open_input(path, _MOST_BYTES, noted=False) as file:
             if not _locked(file.fileno()):
                 return False
-            folders = _folders(file.read(_MOST_BYTES))
+            # Complete now: whoever wrote it is dead.
+            content = read_input(path, _MOST_BYTES, noted=False)
+            folders = _folders(content)
             Journal(path.name, (*folders, path.parent)).take_back()
-    except OSError:
+    except (OSError, FormatError):
         return not path.exists()
     except ValueError:
         # A name with a NUL: no process of animtool wrote it.

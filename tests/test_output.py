@@ -230,3 +230,11 @@ def test_what_was_read_is_not_replaced(tmp_path: Path) -> None:
     with pytest.raises(OptionError) as caught:
         read(tmp_path / "other.usda", tmp_path / "shot.usda")
     assert caught.value.code == "OUT003"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="has no such files")
+def test_what_a_set_left_is_no_pipe(tmp_path: Path) -> None:
+    # No process has this number.
+    pipe = tmp_path / f"{temporary_prefix(2**30)}0123456789ab.set"
+    os.mkfifo(pipe)
+    assert remove_leftovers([tmp_path]) == [pipe]

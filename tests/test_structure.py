@@ -113,6 +113,67 @@ def dotted(path: Path) -> str:
     return ".".join(parts).removesuffix(".__init__")
 
 
+# Who opens a file without `animtool.files`, and which.
+OPENED = {
+    "animtool.files": "what is named, once it was looked at",
+    "animtool.batch.ledger": "a lock that it writes",
+    "animtool.batch.lines": "a record that it writes",
+    "animtool.batch.pool": "/proc",
+    "animtool.batch.timeline": "a cut list that timeline_text has looked at",
+    "animtool.batch.worker": "/proc",
+    "animtool.leftovers": "/proc",
+    "animtool.placing": "files that it writes, and their folders",
+    "animtool.scene.memory": "/proc and cgroups",
+    "animtool.usd.checks.value_clips": "layers that dependencies has looked at",
+    "animtool.usd.dependencies": "layers that it has looked at",
+    "animtool.usd.extents": "a layer in memory",
+    "animtool.usd.fixes.copy": "a copy of a file that find_layer has looked at",
+    "animtool.usd.layers": "a layer that it has looked at",
+    "animtool.usd.play": "a file that was just written",
+    "animtool.usd.rig_layer": "a layer in memory",
+    "animtool.usd.simulated_read": "layers that dependencies has looked at",
+    "animtool.validation.tables": "pages that are part of animtool",
+}
+READS = {
+    *("read_bytes", "FindOrOpen", "OpenAsAnonymous", "read_from_file", "FileIO"),
+    *("copyfile", "copy2", "copytree", "fromfile", "memmap", "loadtxt", "genfromtxt"),
+}
+
+NUMPY = {"np", "numpy", "tomllib"}
+
+
+def reads(path: Path) -> bool:
+    """Return whether a module opens files to read them, by itself."""
+    return any(
+        isinstance(node, ast.Call) and _opens(node)
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+    )
+
+
+def _opens(call: ast.Call) -> bool:
+    whole, function = ast.unparse(call), ast.unparse(call.func)
+    owner, _, name = function.rpartition(".")
+    given = [arg.value for arg in call.args if isinstance(arg, ast.Constant)]
+    mode = next((value for value in given if isinstance(value, str)), "")
+    if owner == "os" and name == "open":
+        return not ("O_WRONLY" in whole or "O_CREAT" in whole)
+    if name == "open":
+        # Other things that are opened have no mode.
+        return mode[:1] not in {"w", "x", "a"} if not owner else mode[:1] == "r"
+    if name in {"Open", "load", "read_text"}:
+        return (
+            owner.endswith("Stage")
+            or owner in NUMPY
+            or (name == "read_text" and bool(owner))
+        )
+    return name in READS
+
+
+def test_what_is_named_is_opened_in_one_place() -> None:
+    found = {dotted(path) for path in PACKAGE.rglob("*.py") if reads(path)}
+    assert found == set(OPENED)
+
+
 def test_no_modules_import_each_other_in_a_circle() -> None:
     files = [*PACKAGE.rglob("*.py"), *PACKAGE.glob("*.pyi")]
     modules = {dotted(path): imports(path) for path in files}

@@ -12,6 +12,7 @@ import sys
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ __all__ = ["FUNCTIONS", "Expression", "parse_expression"]
 
 LONGEST = 1000
 DEEPEST = 60
+MAX_BRACKETS = 90
 
 
 def _smoothstep(low: Any, high: Any, x: Any) -> Any:
@@ -102,11 +104,15 @@ def parse_expression(text: str) -> Expression:
     """
     if len(text) > LONGEST:
         raise ValueError(f"is {len(text)} characters long; {LONGEST} are allowed")
+    # Python's parser takes more brackets in brackets for a lack of memory.
+    depths = accumulate((c in "([{") - (c in ")]}") for c in text)
+    if max(depths, default=0) > MAX_BRACKETS:
+        raise ValueError(f"is nested deeper than {MAX_BRACKETS}")
     try:
         # Python warns of what is refused below.
         with warnings.catch_warnings(action="ignore"):
             tree = ast.parse(text.strip(), mode="eval").body
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+    except (SyntaxError, ValueError, RecursionError) as error:
         reason = getattr(error, "msg", None) or "too deep"
         raise ValueError(f"is no expression: {reason}") from error
     names: set[str] = set()

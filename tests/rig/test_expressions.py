@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import ast
 import warnings
 
 import numpy as np
@@ -146,3 +147,16 @@ def test_smoothstep() -> None:
 def test_the_undefined_is_not_finite() -> None:
     for text in ("1 / 0", "log(0)", "sqrt(-1)", "pow(0, -1)", "pi / 0"):
         assert not np.isfinite(parse_expression(text).evaluate({}))
+
+
+def test_no_memory_is_not_called_a_faulty_expression(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def full(*_given: object, **_named: object) -> None:
+        raise MemoryError
+
+    with pytest.raises(ValueError, match="nested deeper"):
+        parse_expression("(" * 99 + "1" + ")" * 99)
+    monkeypatch.setattr(ast, "parse", full)
+    with pytest.raises(MemoryError):
+        parse_expression("1")
