@@ -32,11 +32,11 @@ def take(disk: Path) -> Path:
     return path
 
 
-def loop(path: Path) -> None:
+def link_to_itself(path: Path) -> None:
     path.symlink_to(path.name)
 
 
-def dangling(path: Path) -> None:
+def link_to_nothing(path: Path) -> None:
     path.symlink_to("missing.usda")
 
 
@@ -54,7 +54,7 @@ def link_to_device(path: Path) -> None:
     path.symlink_to(device.name)
 
 
-def bound_socket(path: Path) -> None:
+def socket_of_others(path: Path) -> None:
     with socket.socket(socket.AF_UNIX) as made:
         made.bind(os.fspath(path))
 
@@ -62,7 +62,7 @@ def bound_socket(path: Path) -> None:
 @posix
 @pytest.mark.parametrize(
     "make",
-    [loop, dangling, pipe, link_to_device, bound_socket],
+    [link_to_itself, link_to_nothing, pipe, link_to_device, socket_of_others],
     ids=lambda f: f.__name__,
 )
 def test_an_output_that_is_no_file(
