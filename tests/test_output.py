@@ -238,3 +238,34 @@ def test_what_a_set_left_is_no_pipe(tmp_path: Path) -> None:
     pipe = tmp_path / f"{temporary_prefix(2**30)}0123456789ab.set"
     os.mkfifo(pipe)
     assert remove_leftovers([tmp_path]) == [pipe]
+
+
+def test_an_input_by_another_spelling_is_not_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source, output = tmp_path / "walk.usda", tmp_path / "WALK.usda"
+    source.touch()
+    output.touch()
+    check_outputs([output], [source], overwrite=True)
+    # As it is on a disk that takes both names for one.
+    monkeypatch.setattr(Path, "samefile", lambda *_: True)
+    with pytest.raises(OptionError) as caught:
+        check_outputs([output], [source], overwrite=True)
+    assert caught.value.code == "OUT003"
+
+
+def test_two_outputs_of_one_name_are_refused(tmp_path: Path) -> None:
+    paths = [tmp_path / "walk.usda", tmp_path / "Walk.usda"]
+    with pytest.raises(OptionError) as caught:
+        check_outputs(paths, [], overwrite=True)
+    assert caught.value.code == "OUT007"
+
+    def write() -> None:
+        with together():
+            for path in paths:
+                with replacing(path) as temporary:
+                    temporary.touch()
+
+    with pytest.raises(OptionError):
+        write()
+    assert list(tmp_path.iterdir()) == []
