@@ -69,7 +69,8 @@ inline Shares shares_of_triangle(Vec p, Vec a, Vec b, Vec c) {
   const double d3 = dot(ab, bp), d4 = dot(ac, bp);
   if (d3 >= 0 && d4 <= d3) return {1, 0, 1};
   const double vc = d1 * d4 - d3 * d2;
-  if (vc <= 0 && d1 >= 0 && d3 <= 0) return {d1 / (d1 - d3), 0, 3};
+  // A side without length is passed over: the others lead to the same points.
+  if (vc <= 0 && d1 >= 0 && d3 <= 0 && d1 > d3) return {d1 / (d1 - d3), 0, 3};
   const Vec cp = p - c;
   const double d5 = dot(ab, cp), d6 = dot(ac, cp);
   if (d6 >= 0 && d5 <= d6) return {0, 1, 2};

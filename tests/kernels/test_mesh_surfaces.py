@@ -72,3 +72,14 @@ def test_knots_have_the_points_of_the_mesh() -> None:
     made = _kernels.MeshSurface(POINTS, FACES)
     with pytest.raises(ValueError, match="surfaces"):
         stepped(made, np.zeros((5, 4, 3)), NUMBERS, 1, 0)
+
+
+@pytest.mark.parametrize("corners", [[0, 0, 1], [0, 1, 1], [0, 1, 0]])
+def test_a_triangle_without_area_is_as_far_as_its_sides(corners: list[int]) -> None:
+    points = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    tree = _kernels.build_mesh_tree(points, np.array([corners], np.int32))
+    still = np.array([[[0, 0, 0, 0, 0, 0, 1.0]] * 2])
+    colliders = (np.array([[4, 0, 0]]), np.ones((1, 7)), np.zeros((1, 4)), still)
+    places = np.array([[1.0, 3, 0], [-4, 3, 0], [5, 4, 0]])
+    found = _kernels.sample_colliders((*colliders, points, *tree), places, 0.0, 0.1)
+    assert found[0].tolist() == [[3, 5, 5]]
