@@ -85,7 +85,7 @@ def choose(
             (SIM046), or needs more steps than are taken (SIM004).
     """
     limit = explicit_limit(system, t, state)
-    rate = 0.0 if math.isinf(limit) else 1 / (SAFE * limit)
+    rate = 1 / (SAFE * limit) if limit > 0 else math.inf
     solver, reason = wanted, "it was asked for"
     if system.self_contact is not None:
         check_keeping_apart(wanted)
