@@ -9,7 +9,7 @@ from pathlib import Path
 
 from animtool.clock import MOST_FRAMES
 from animtool.edit.frame_range import FrameRange
-from animtool.errors import Fault, OptionError
+from animtool.errors import Fault, FormatError, OptionError
 from animtool.output import size_of
 from animtool.scene.entries import SceneSystem
 from animtool.scene.options import BakeOptions
@@ -96,7 +96,7 @@ def _codes(frames: FrameRange, offsets: tuple[Fraction, ...]) -> tuple[Fraction,
     count = len(whole) * max(1, len(offsets))
     if count > MOST_FRAMES:
         message = f"the range has {count} samples; at most {MOST_FRAMES} are written"
-        raise OptionError(Fault("SCN091", message, where="range"))
+        raise FormatError(Fault("SCN091", message, where="range"))
     return tuple(
         frame + offset for frame in whole for offset in offsets or (Fraction(),)
     )

@@ -104,8 +104,11 @@ OPTIONS = (
 
 # Not a version, nor a part of a name.
 _NUMBER = re.compile(r"(?<![\w/.])-?\d+(\.\d+)?(?![\w.])")
-# Many particles are no fault, and take their time and memory.
-_COUNT = re.compile(r"(resolution: \[|resolution: \[3, |count: |most: )$")
+# Many particles, frames and steps are no fault, and take their time and memory.
+_COUNT = re.compile(
+    r"(resolution: \[|resolution: \[3, |count: |most: |range: \[1?(, )?|step: |^fps: )$",
+    re.MULTILINE,
+)
 _NOT_FINITE = re.compile(r"[\s(,\[-](inf|nan)\b")
 
 
