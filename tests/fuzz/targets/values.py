@@ -106,7 +106,7 @@ OPTIONS = (
 _NUMBER = re.compile(r"(?<![\w/.])-?\d+(\.\d+)?(?![\w.])")
 # Many particles, frames and steps are no fault, and take their time and memory.
 _COUNT = re.compile(
-    r"(resolution: \[|resolution: \[3, |count: |most: |range: \[1?(, )?|step: |^fps: )$",
+    r"(resolution: \[(3, )?|count: |most: |range: \[(1, )?|step: |^fps: )$",
     re.MULTILINE,
 )
 _NOT_FINITE = re.compile(r"[\s(,\[-](inf|nan)\b")
