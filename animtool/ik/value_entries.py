@@ -18,6 +18,7 @@ from animtool.documents.arrays import Archives
 from animtool.documents.document import Document, Location
 from animtool.documents.references import missing_hint, referred, split_reference
 from animtool.errors import AnimtoolError, counted
+from animtool.files import is_there
 from animtool.ik.schema import ValueModel
 from animtool.ik.values import (
     Keyed,
@@ -155,8 +156,9 @@ class ValueReader:
             return None
         place = (*at, "file")
         path = referred(self.document, place, model.file, self.roots, "TGT010")
-        if path is not None and not path.is_file():
-            wrong = "is a folder" if path.is_dir() else "does not exist"
+        there = path is not None and is_there(path)
+        if path is not None and not (there and path.is_file()):
+            wrong = "is a folder" if there else "does not exist"
             hint = missing_hint(self.document, model.file)
             self.document.add("TGT010", place, f"{model.file!r} {wrong}", hint)
             return None

@@ -184,9 +184,14 @@ class _SceneReader:
             message = f"a system is of one kind, and this of {' and '.join(kinds)}"
             hint = "give each an entry of its own, beginning with a dash"
             self.document.add("SCN065", at, message, hint)
-        elif not self.document.value["systems"][at[1]]:
+        elif not self._written_systems()[at[1]]:
             self.document.add("SCN065", at, "it names no kind", f"they are {known}")
         return None
+
+    def _written_systems(self) -> Any:
+        """Return the systems as written, under a misspelt key too."""
+        written = self.document.spellings.get(("systems",), "systems")
+        return self.document.value[written]
 
     def _check_simulated(self) -> None:
         """Refuse what there is only with a source, and outputs of other kinds."""
