@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from animtool.errors import Fault, OptionError
-from animtool.files import unreadable
+from animtool.files import is_there, unreadable
 from animtool.plugins import load_object, load_plugin, plugin_points
 
 __all__ = [
@@ -132,8 +132,9 @@ def find_reader(path: Path) -> Reader:
     point = found.get(suffix.removeprefix("."))
     if point is not None:
         return load_plugin(point, Reader, "IO003")
-    if not path.is_file():
-        reason = "is a folder" if path.is_dir() else "does not exist"
+    there = is_there(path)
+    if not (there and path.is_file()):
+        reason = "is a folder" if there else "does not exist"
         raise unreadable(path, reason)
     kind = f"suffix {path.suffix!r}" if suffix else "a name without suffix"
     message = f"{kind} is no format that animtool reads"

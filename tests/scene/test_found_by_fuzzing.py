@@ -8,6 +8,7 @@ import pytest
 
 from animtool.errors import FormatError
 from animtool.ik.file import load_targets
+from animtool.rig.file import load_rig
 from animtool.scene.file import load_scene
 
 
@@ -25,3 +26,10 @@ def test_a_stage_with_a_name_that_no_file_can_have(tmp_path: Path) -> None:
     path.write_text(f"targets: animtool/1\nfps: 24\nrange: [1, 2]\ngoals: [{goal}]\n")
     with pytest.raises(FormatError):
         load_targets(path)
+
+
+def test_a_rig_from_a_file_with_a_name_that_no_file_can_have(tmp_path: Path) -> None:
+    path = tmp_path / "a.rig.yaml"
+    path.write_text(f"rig: animtool/1\nname: a\nfrom: {'9' * 500}\n")
+    with pytest.raises(FormatError):
+        load_rig(path)
