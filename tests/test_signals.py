@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import signal
+import subprocess
+import sys
 import threading
 from contextlib import suppress
 from pathlib import Path
@@ -127,3 +129,17 @@ def test_an_output_gets_no_name_after_a_swallowed_interrupt(tmp_path: Path) -> N
     with pytest.raises(KeyboardInterrupt):
         work()
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="POSIX signals")
+def test_helpers_of_multiprocessing_let_no_interrupt_through() -> None:
+    code = (
+        "import signal\n"
+        "from multiprocessing import resource_tracker\n"
+        "from animtool.signals import without_interrupts\n"
+        "with without_interrupts():\n"
+        "    resource_tracker.ensure_running()\n"
+        "    assert signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])\n"
+        "assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])\n"
+    )
+    subprocess.run([sys.executable, "-P", "-c", code], check=True)
