@@ -1,0 +1,54 @@
+"""The page of promises and limits says what the code has."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from animtool.clock import MOST_FRAMES
+from animtool.documents import archive, fields, variables, yaml_values
+from animtool.documents.document import MOST_FAULTS
+from animtool.files import MAX_INPUT_BYTES, MAX_TEXT_BYTES
+from animtool.formats.bvh.lines import MOST_LINES
+from animtool.scene.systems.run import MAX_STEPS
+from animtool.usd.layers import MAX_LAYER_BYTES, MAX_TEXT_LAYER_BYTES
+from animtool.validation.tables import RULES
+
+
+@pytest.fixture(scope="module")
+def page(root: Path) -> str:
+    text = (root / "animtool/docs/security.md").read_text("utf-8")
+    return " ".join(text.split())
+
+
+def test_its_limits_are_those_of_the_code(page: str) -> None:
+    assert f"{MAX_TEXT_BYTES // 10**6} MB | DOC006, IO010" in page
+    assert f"{yaml_values.MOST_MARKS // 10**6} million separators" in page
+    assert f"{yaml_values.LONGEST_KEY:,} and {variables.LONGEST:,} letters" in page
+    assert fields.MAX_NUMBER == 1e18
+    assert fields.MAX_FRAME == 1e9
+    assert fields.MAX_WHOLE == 2**53
+    assert "±1e18; frames ±1e9; whole numbers ±2^53" in page
+    assert f"reported of a file | {MOST_FAULTS} |" in page
+    assert f"{archive.MAX_BYTES // 10**9} GB as float64; {archive.MAX_RATIO} " in page
+    assert f"cut lists, reports | {MAX_INPUT_BYTES // 10**9} GB" in page
+    assert (MAX_TEXT_LAYER_BYTES, MAX_LAYER_BYTES) == (4 * 10**9, 10**12)
+    assert "4 GB, 1 TB" in page
+    assert MOST_LINES == 10**6
+    assert "of the header: a million" in page
+    assert MAX_STEPS == MOST_FRAMES == 10**7
+    assert page.count("| 10 million |") == 3
+
+
+def test_its_codes_are_codes(page: str) -> None:
+    codes = set(re.findall(r"\b[A-Z]{2,4}\d{3}\b", page))
+    assert codes
+    assert codes <= set(RULES)
+
+
+def test_its_files_are_there(root: Path, page: str) -> None:
+    named = re.findall(r"`(tests/[\w/.]+)`", page)
+    assert len(named) >= 4
+    assert all((root / name).exists() for name in named)
