@@ -54,7 +54,7 @@ def _least_turn(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return the least turn from a unit vector to another."""
     axis = np.cross(a, b)
     angle = float(np.arctan2(np.linalg.norm(axis), a @ b))
-    if not axis.any():
+    if not np.linalg.norm(axis) > 0:
         # Any axis across will do for half a turn.
         axis = np.cross(a, np.eye(3)[int(np.argmin(np.abs(a)))])
     return so3.from_axis_angle(axis / np.linalg.norm(axis), angle)

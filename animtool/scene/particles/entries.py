@@ -52,7 +52,8 @@ def read_particles(
         roots: Folders that files may be in.
     """
     reader = _Reader(document, roots)
-    particles = reader.particles(at, model)
+    reader.sizes(at, model)
+    particles = reader.particles(at, model) if reader.sound else None
     characters = reader.characters((*at, "characters"), model.characters)
     if particles is None:
         return None

@@ -34,6 +34,8 @@ __all__ = [
 MOST_NAMED = 5
 # Particles of a system, at most: their springs fit into memory.
 MOST = 10_000_000
+# The least mass of a system, or of a particle that has one of its own [kg].
+LIGHTEST = 1e-12
 # By name; None are those left out.
 Families: TypeAlias = Mapping[str, Family | None]
 
@@ -57,9 +59,10 @@ class SpringBody:
 
 def mass_of(reader: EntryReader, at: Location, mass: float) -> float:
     """Return a mass; what is none is noted, and 1 kg stands in for it."""
-    if mass > 0:
+    if mass >= LIGHTEST:
         return mass
-    message = f"its mass must be above 0, not {mass:g} kg"
+    allowed = "above 0" if mass <= 0 else f"{LIGHTEST:g} kg or more"
+    message = f"its mass must be {allowed}, not {mass:g} kg"
     reader.document.add("SIM040", at, message)
     return 1.0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast
@@ -301,7 +302,7 @@ class RunningSprings:
             f"steps of {plain(run.step)} s and more",
             f"springs up to {percent(run.stretch)} longer than at rest",
         ]
-        if run.error is not None:
+        if run.error is not None and math.isfinite(run.error):
             parts.append(f"error {length_text(run.error)}")
         if run.torn.any():
             parts.append(f"{counted(int(run.torn.sum()), 'spring')} torn")
@@ -324,4 +325,6 @@ class RunningSprings:
             "torn": int(run.torn[self.springs].sum()),
             "unresolved": run.unresolved,
         }
-        return found if run.error is None else {**found, "error": run.error}
+        if run.error is not None:
+            found["error"] = run.error if math.isfinite(run.error) else None
+        return found

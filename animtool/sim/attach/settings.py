@@ -201,6 +201,13 @@ _LEAST: dict[str, tuple[float, bool]] = {
 }
 
 
+# What they come to at most, where it is not `_LARGEST`.
+_MOST: dict[str, float] = {
+    "settle": 600.0, "preroll": 600.0, "rate": 1e6, "loop_repeats": 10_000.0,
+}  # fmt: skip
+_LARGEST = 1e9
+
+
 def option_checks(options: SimulateOptions) -> OptionChecks:
     """Return what can be checked of the options before there is a take."""
     checks: dict[str, Callable[[], object]] = {
@@ -241,7 +248,11 @@ def _check_number(options: SimulateOptions, name: str) -> None:
     if value is None:
         return
     if math.isfinite(value) and (value > least or (itself and value == least)):
-        return
+        most = _MOST.get(name, _LARGEST)
+        if abs(value) <= most:
+            return
+        message = f"{name} is {value:g}; it must be {most:g} or less"
+        raise OptionError(Fault("SIM031", message))
     allowed = "finite"
     if math.isfinite(least):
         allowed = f"{least:g} or more" if itself else f"more than {least:g}"

@@ -10,6 +10,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import FloatArray, IntArray
+from animtool.errors import Fault, ToleranceError
 from animtool.sim.attach.network import Network, reach
 from animtool.sim.attach.settings import Settings
 from animtool.sim.springs import SelfContact
@@ -23,6 +24,7 @@ __all__ = [
     "Stepper",
     "Tally",
     "cells_of",
+    "stepped",
     "steps_wanted",
 ]
 
@@ -139,6 +141,19 @@ def steps_wanted(network: Network, settings: Settings) -> float:
     return min(max(wanted, FEWEST_STEPS), MOST_STEPS)
 
 
+def stepped(made: FloatArray, passages: IntArray | None = None) -> State:
+    """Return the end of a frame ``(2, N, 3)`` as a state.
+
+    Raises:
+        ToleranceError: It is not finite (SIM102).
+    """
+    if not np.isfinite(made).all():
+        message = "the simulation blew up: its state is not finite"
+        hint = "lower its frequency, bend, shear, gravity, wind or drag"
+        raise ToleranceError(Fault("SIM102", message, hint=hint))
+    return State(made[0], made[1], nowhere() if passages is None else passages)
+
+
 class Stepper(Protocol):
     """Carries particles over frames."""
 
@@ -226,8 +241,9 @@ class SheetStepper:
             state.passages,
         )  # fmt: skip
         made, _, _, _, _, _, touched, inside, passages, through = found
+        state = stepped(made, passages)
         self.tally.add(self._stretch(made[0]), touched, inside, Through(*through))
-        return State(made[0], made[1], passages)
+        return state
 
     def _layered(self, network: _kernels.SpringNetwork) -> _kernels.SpringLayers:
         """Return how cloth keeps apart from itself, as kernels take it."""

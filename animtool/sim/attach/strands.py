@@ -10,7 +10,7 @@ from animtool import _kernels
 from animtool._types import FloatArray
 from animtool.sim.attach.network import Links, Network
 from animtool.sim.attach.settings import Settings
-from animtool.sim.attach.stepping import STIFF, Motions, State, Tally
+from animtool.sim.attach.stepping import STIFF, Motions, State, Tally, stepped
 
 __all__ = ["StrandStepper", "threads_allowed"]
 
@@ -65,8 +65,9 @@ class StrandStepper:
             self._strands, motions.targets, both, span, substeps, motions.colliders,
             threads_allowed(),
         )  # fmt: skip
+        state = stepped(made)
         self.tally.add(stretch, touched, inside)
-        return State(made[0], made[1])
+        return state
 
 
 def _rests(links: Links, strands: int, springs: int) -> FloatArray:

@@ -26,9 +26,16 @@ _CHANCES = 8
 _BRIEF = 1e-4
 
 
+# Particles a second, at most: those of a year can be counted.
+MAX_RATE = 1e9
+FLOAT_MAX = float(np.finfo(np.float64).max)
+# A direction that is no longer than this has no certain length.
+SHORTEST = 1e-150
+
+
 @dataclass(frozen=True, slots=True)
 class Births:
-    """N particles that an emitter makes.
+    """The first N particles that an emitter makes.
 
     Attributes:
         times: When ``(N,)`` [s].
@@ -187,8 +194,10 @@ class Emitter:
                 found.append((name, f"its {name} must be above 0, not {value:g}"))
         for name in ("rate", "speed_spread", "lifetime_spread", "radius_spread"):
             value = getattr(self, name)
-            if not 0 <= value < math.inf:
-                found.append((name, f"its {name} must be 0 or more, not {value:g}"))
+            most = MAX_RATE if name == "rate" else FLOAT_MAX
+            if not 0 <= value <= most:
+                bound = f"{most:g} or less" if most < value < math.inf else "0 or more"
+                found.append((name, f"its {name} must be {bound}, not {value:g}"))
         for name in ("speed", "charge", "inherit"):
             if not math.isfinite(getattr(self, name)):
                 found.append((name, f"its {name} is not finite"))
@@ -200,7 +209,7 @@ class Emitter:
         if not self.start <= self.end:
             found.append(("end", "its end is before its start"))
         if self.direction is not None and not (
-            np.isfinite(self.direction).all() and any(self.direction)
+            SHORTEST < float(np.linalg.norm(self.direction)) < math.inf
         ):
             message = "its direction must be three finite numbers, not all 0"
             found.append(("direction", message))

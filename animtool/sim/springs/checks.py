@@ -35,8 +35,10 @@ def check_body(body: Body, pins: Pins, targets: Targets | None) -> None:
         faults += _particle_faults(_members(targets.particles), "targets", count)
     free = np.ones(count, bool)
     free[held[(held >= 0) & (held < count)]] = False
-    with np.errstate(invalid="ignore"):
-        light = ~((body.masses > 0) & np.isfinite(body.masses)) & free
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        # What moves them is over their mass, which has to be a number, too.
+        whole = np.isfinite(body.masses) & np.isfinite(1.0 / body.masses)
+        light = ~((body.masses > 0) & whole) & free
     hint = "pin it, or give it a mass above 0"
     faults += _named("SIM040", "its mass is not above 0", np.flatnonzero(light), hint)
     faults += _spring_faults(body.springs, count)

@@ -6,15 +6,16 @@ import math
 from dataclasses import dataclass
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, OptionError
 from animtool.quantities import plain
 from animtool.sim.integrators import find_integrator
 from animtool.sim.modes import allowed_step
 from animtool.sim.springs.costs import COSTS, projected_rate
 from animtool.sim.springs.options import (
+    MAX_SUBSTEPS,
     Solver,
     SpringOptions,
     check_keeping_apart,
+    check_substeps,
 )
 from animtool.sim.springs.system import SpringSystem
 
@@ -23,8 +24,6 @@ __all__ = ["SAFE", "Choice", "choose", "explicit_limit"]
 # Cells of time where nothing else is said [s]: whole numbers of them are frames of 24,
 # 30, 48, 60 and 120 a second.
 CELL = 1 / 240
-# Explicit steps in a cell; more take hours for a second.
-MOST_STEPS = 1e6
 # Of the limit of explicit steps, what is taken.
 SAFE = 0.8
 # Time for each second of motion that is short enough for explicit steps anyway [s].
@@ -100,10 +99,7 @@ def choose(
     if options.step is not None:
         return Choice(solver, options.step, 1, reason, limit)
     if solver is Solver.SYMPLECTIC_EULER:
-        if not CELL * rate <= MOST_STEPS:
-            message = f"{solver} would need {rate:.3g} steps a second"
-            hint = "take xpbd or auto, less stiffness or more mass"
-            raise OptionError(Fault("SIM004", message, where="solver", hint=hint))
+        check_substeps(solver, rate, MAX_SUBSTEPS / CELL)
         steps = max(1, math.ceil(CELL * rate))
         return Choice(solver, CELL, steps, reason, limit)
     return Choice(solver, CELL, FIRST[solver], reason, limit)
@@ -132,6 +128,8 @@ def _cheapest(
     steps = max(steps, FIRST[other] / CELL)
     explicit, instead = rate * COSTS[Solver.SYMPLECTIC_EULER], steps * COSTS[other]
     beside = f"about {steps:.0f} of {other}"
+    if math.ceil(CELL * min(rate, 1e9)) > MAX_SUBSTEPS:
+        return other, f"{says}, which are too many"
     if explicit * len(system.body.springs.rest) <= LITTLE:
         return Solver.SYMPLECTIC_EULER, f"{says}, which take little time"
     if explicit <= instead:

@@ -8,7 +8,18 @@ from enum import StrEnum
 
 from animtool.errors import Fault, OptionError
 
-__all__ = ["Solver", "SpringOptions", "check_keeping_apart", "check_options"]
+__all__ = [
+    "MAX_SUBSTEPS",
+    "Solver",
+    "SpringOptions",
+    "check_keeping_apart",
+    "check_options",
+    "check_substeps",
+]
+
+# Steps that a cell of time is divided into, at most, and the shortest step [s].
+MAX_SUBSTEPS = 4096
+MIN_STEP = 1e-6
 
 
 class Solver(StrEnum):
@@ -82,9 +93,25 @@ def check_options(options: SpringOptions) -> Solver:
         bound = f"finite and above {least:g}" if finite else f"above {least:g}"
         message = f"{name} must be {bound}, not {value:g}"
         faults.append(Fault("SIM004", message, where=name))
+    if options.step is not None and 0 < options.step < MIN_STEP:
+        message = f"step must be {MIN_STEP:g} or more, not {options.step:g}"
+        faults.append(Fault("SIM004", message, where="step"))
     if faults:
         raise OptionError(faults)
     return Solver(options.solver)
+
+
+def check_substeps(solver: Solver, rate: float, most: float) -> None:
+    """Raise where a solver needs more steps a second than it may take.
+
+    Raises:
+        OptionError: It does (SIM004).
+    """
+    if rate <= most:
+        return
+    message = f"{solver} needs {rate:.3g} steps a second, and takes {most:.3g} at most"
+    hint = "take xpbd or auto, less stiffness or damping, or more mass"
+    raise OptionError(Fault("SIM004", message, where="solver", hint=hint))
 
 
 def check_keeping_apart(wanted: Solver) -> None:

@@ -23,6 +23,7 @@ MOST_STEPS = 400
 # How long particles sink, in turns of a pendulum as long as the body [rad]; the damping
 # of springs meanwhile, over critical; springs times steps at most: about a second.
 SINKING, SWINGING, MOST_SINKING = 8.0, 0.1, 500_000_000
+MOST_SINKING_STEPS = 2_000_000
 # What is added to the stiffness in every direction goes up and down by these.
 FIRMER, SOFTER = 4.0, 16.0
 # The matrices are symmetric, and nearly always positive.
@@ -108,9 +109,12 @@ def _sunk(system: SpringSystem, start: _Place) -> _Place:
     swing = float(np.sqrt(pull / size))
     thick = system.halted(0.0, _damped(body), 2 * swing)
     step = SAFE * explicit_limit(thick, 0.0, thick.state)
-    steps = int(np.ceil(SINKING / (swing * step)))
-    if steps * len(body.springs.rest) > MOST_SINKING:
+    wanted = SINKING / (swing * step) if step > 0 else np.inf
+    if not wanted <= MOST_SINKING_STEPS:
         return start
+    if np.ceil(wanted) * len(body.springs.rest) > MOST_SINKING:
+        return start
+    steps = int(np.ceil(wanted))
     steps_at_once = thick.native("symplectic_euler")
     assert steps_at_once is not None
     x = steps_at_once(0.0, thick.state, step, steps)[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -14,7 +15,12 @@ from animtool.sim.checks import check_times
 from animtool.sim.options import IntegrateOptions
 from animtool.sim.springs.choosing import Choice, choose, explicit_limit
 from animtool.sim.springs.motion import Grid, SpringMotion
-from animtool.sim.springs.options import Solver, SpringOptions, check_options
+from animtool.sim.springs.options import (
+    MAX_SUBSTEPS,
+    Solver,
+    SpringOptions,
+    check_options,
+)
 from animtool.sim.springs.self_contact import Through, through_notices
 from animtool.sim.springs.solvers import ADVANCE
 from animtool.sim.springs.system import SpringSystem
@@ -134,13 +140,16 @@ def _near_enough(
     substeps, said = choice.substeps, np.inf
     for _ in range(MOST_HALVINGS):
         substeps *= 2
+        if substeps > MAX_SUBSTEPS:
+            break
         fine = made(substeps)
         if coarse.stats.status is Status.OK is fine.stats.status:
             said = share * float(np.abs(fine.positions - coarse.positions).max())
         coarse = replace(fine, stats=replace(fine.stats, error=said))
         if said <= error:
             return coarse
-    message = f"the error of positions is {length_text(said)}, and the limit is "
+    found = length_text(said) if math.isfinite(said) else "not known"
+    message = f"the error of positions is {found}, and the limit is "
     message += length_text(error)
     hint = "take bdf2, or ask for less: motion after a fold or a contact is not smooth"
     notice = Fault("SIM142", message, hint=hint, severity=Severity.WARNING)
@@ -237,8 +246,13 @@ class _Run:
         if on_grid:
             return self.grid.state
         begun = self._entered()
-        ahead = ADVANCE[begun.solver](self._system, self._options, begun, 1)
-        return _between(begun, ahead, t)
+        with np.errstate(all="ignore"):
+            ahead = ADVANCE[begun.solver](self._system, self._options, begun, 1)
+            made = _between(begun, ahead, t)
+        if np.isfinite(made).all():
+            return made
+        self.status, self.sign = Status.UNSTABLE, "its state is not finite"
+        return self.grid.state
 
     def energy_of(self, t: float, state: FloatArray) -> float:
         """Return the energy of a state that was reached last [J]."""

@@ -19,6 +19,8 @@ Advance: TypeAlias = Callable[[SpringSystem, SpringOptions, Grid, int], Grid]
 
 # Steps of xpbd are not shorter than this [s].
 SHORTEST = 1 / 61440
+# Of a cell that is longer than so many of these, no more are tried.
+LONG_CELL = 131072
 # Newton's corrections of implicit steps go on until they are below this share of the
 # mean length of springs.
 SOLVED = 1e-6
@@ -55,7 +57,7 @@ def _explicit(
 def _projected(
     system: SpringSystem, options: SpringOptions, grid: Grid, cells: int
 ) -> Grid:
-    most = max(grid.least, int(grid.cell / SHORTEST))
+    most = max(grid.least, int(min(grid.cell / SHORTEST, LONG_CELL)))
     met = cell_colliders(system.colliders, system.radius, grid, cells)
     made = _kernels.project_springs(
         _network(system, grid), grid.state, grid.torn, grid.origin, grid.index,

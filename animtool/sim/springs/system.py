@@ -36,6 +36,8 @@ __all__ = ["SpringSystem"]
 
 # Of the speed of targets, where no step says over which time to take it [s].
 MOMENT = 1e-6
+# Steps that a kernel takes in one call, at most.
+AT_ONCE = 1 << 20
 # Times ``(K,)`` [s], and positions ``(K, P, 3)`` [m].
 Path: TypeAlias = tuple[FloatArray, FloatArray]
 
@@ -371,17 +373,13 @@ class SpringSystem(SecondOrder):
             return None
 
         def steps(t: float, state: FloatArray, h: float, count: int) -> FloatArray:
-            return _kernels.step_springs(
-                self.network(0),
-                np.ascontiguousarray(state),
-                self._whole,
-                t,
-                0,
-                h,
-                count,
-                1,
-                None,
-            )[0]
+            made = np.ascontiguousarray(state)
+            for first in range(0, count, AT_ONCE):
+                made = _kernels.step_springs(
+                    self.network(0), made, self._whole, t, first, h,
+                    min(AT_ONCE, count - first), 1, None,
+                )[0]  # fmt: skip
+            return made
 
         return steps
 
