@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from annotated_types import Ge, Le, Len
+from annotated_types import Ge, Len
 from pydantic import AfterValidator, Field
 
 from animtool.documents.fields import Name, Real, check_numbers
@@ -52,7 +52,6 @@ Margin = Annotated[
 Preroll = Annotated[
     Real,
     Ge(0),
-    Le(600),
     Field(
         description="Seconds before the first frame that it begins in.", examples=[2]
     ),

@@ -159,6 +159,9 @@ def _spoiled(rng: np.random.Generator, entry: dict[str, Any]) -> dict[str, Any]:
         if last == "step":
             # What is allowed there and takes long.
             chosen = [value for value in chosen if not 1e-6 <= value <= 1e-5]
+        if last == "preroll":
+            # What takes long is refused when a scene is planned.
+            chosen = [value for value in chosen if value <= 1]
         owner[last] = chosen[rng.integers(len(chosen))]
     return made
 
