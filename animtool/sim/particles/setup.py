@@ -23,8 +23,6 @@ __all__ = ["KillRegion", "Particles"]
 
 # Twice over for a film frame, and for its half.
 STEP = 1 / 96
-# The shortest step [s].
-MIN_STEP = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,9 +90,6 @@ class Particles:
         if self.options.step is None:
             message = "particles need a step: those who are born begin within one"
             found.append(Fault("SIM024", message, where="step"))
-        elif 0 < self.options.step < MIN_STEP:
-            message = f"step must be {MIN_STEP:g} or more, not {self.options.step:g}"
-            found.append(Fault("SIM004", message, where="step"))
         if not 1 <= self.most < math.inf:
             message = f"most must be 1 or more, not {self.most}"
             found.append(Fault("SIM024", message, where="most"))

@@ -157,10 +157,9 @@ def _spoiled(rng: np.random.Generator, entry: dict[str, Any]) -> dict[str, Any]:
         owner: Any = _found(made, tuple(way))
         chosen = _COUNTS if isinstance(owner[last], int) else _EXTREMES
         if last == "step":
-            # What is allowed there and takes long.
-            chosen = [value for value in chosen if not 1e-6 <= value <= 1e-5]
-        if last == "preroll":
             # What takes long is refused when a scene is planned.
+            chosen = [value for value in chosen if not 0 < value <= 1e-5]
+        if last == "preroll":
             chosen = [value for value in chosen if value <= 1]
         owner[last] = chosen[rng.integers(len(chosen))]
     return made

@@ -49,7 +49,6 @@ def last_points(folder: Path, kind: str, changes: dict[str, Any]) -> np.ndarray:
         ("rope", {"tip_mass": 1e-310}, "SIM040", "tip_mass"),
         ("rope", {"step": 1e-300}, "SIM004", "step"),
         ("cloth", {"self_contact.thickness": 0.0}, "DOC022", "thickness"),
-        ("particles", {"step": 1e-300}, "SIM004", "step"),
         ("particles", {"forces.1.drag.linear": 1e15}, "SIM050", "linear"),
         ("particles", {"emitters.0.rate": 1e12}, "DOC022", "rate"),
         ("particles", {"emitters.0.direction.1": 5e-324}, "SIM021", "direction"),
