@@ -52,8 +52,7 @@ def read_particles(
         roots: Folders that files may be in.
     """
     reader = _Reader(document, roots)
-    reader.sizes(at, model)
-    particles = reader.particles(at, model) if reader.sound else None
+    particles = reader.particles(at, model)
     characters = reader.characters((*at, "characters"), model.characters)
     if particles is None:
         return None

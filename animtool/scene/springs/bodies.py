@@ -35,7 +35,7 @@ MOST_NAMED = 5
 # Particles of a system, at most: their springs fit into memory.
 MOST = 10_000_000
 # The least mass of a system, or of a particle that has one of its own [kg].
-LIGHTEST = 1e-12
+LIGHTEST = 1e-30
 # By name; None are those left out.
 Families: TypeAlias = Mapping[str, Family | None]
 

@@ -51,9 +51,6 @@ def read_springs(
         roots: Folders that files may be in.
     """
     reader = EntryReader(document, roots)
-    reader.sizes(at, model)
-    if not reader.sound:
-        return None
     body = _body(reader, at, model)
     colliders = reader.colliders((*at, "colliders"), model.colliders)
     characters = reader.characters((*at, "characters"), model.characters)

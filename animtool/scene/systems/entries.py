@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
@@ -41,8 +41,6 @@ SHAPES: dict[str, type[Any]] = {
 }
 # Keys that say where an entry stands.
 PLACING = {"at", "rotate", "moves", "turns", "prim"}
-# What numbers of systems may come to, in their units: products of several are finite.
-LARGEST = 1e12
 Record = TypeVar("Record")
 
 
@@ -77,15 +75,6 @@ class EntryReader:
         """Note a fault at a place."""
         self.sound = False
         self.document.add(fault.code, at, fault.message, fault.hint)
-
-    def sizes(self, at: Location, model: FileModel) -> None:
-        """Note numbers of an entry that are too large to simulate anything with."""
-        for place, value in _numbers(at, model):
-            if abs(value) <= LARGEST:
-                continue
-            key = next(part for part in reversed(place) if isinstance(part, str))
-            message = f"its {key} must be from {-LARGEST:g} to {LARGEST:g}"
-            self.note(place, Fault("SIM050", f"{message}, not {value:g}"))
 
     def place(self, at: Location, model: FileModel) -> Place:
         """Return the place of an entry, with those of the keys that it was given."""
@@ -332,22 +321,3 @@ def _moved(model: EmitterModel | SystemColliderModel, own: Poses) -> Poses:
         gone.over(times)[:, :3] + place[:3],
         so3.multiply(turned.over(times)[:, 3:], place[3:]),
     )
-
-
-def _numbers(at: Location, value: object) -> Iterator[tuple[Location, float]]:
-    """Yield the numbers of an entry, with where they are; no seeds and no counts."""
-    if isinstance(value, FileModel):
-        for name, field in type(value).model_fields.items():
-            if name in value.model_fields_set:
-                key = field.alias or name
-                yield from _numbers((*at, key), getattr(value, name))
-    elif isinstance(value, dict):
-        for key, each in value.items():
-            # Options of forces and shapes are read later: numbers may be whole there.
-            whole = isinstance(each, int) and key != "seed"
-            yield from _numbers((*at, key), float(each) if whole else each)
-    elif isinstance(value, list):
-        for i, each in enumerate(value):
-            yield from _numbers((*at, i), each)
-    elif isinstance(value, float):
-        yield at, value

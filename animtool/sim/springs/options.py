@@ -17,9 +17,8 @@ __all__ = [
     "check_substeps",
 ]
 
-# Steps that a cell of time is divided into, at most, and the shortest step [s].
+# Steps that a cell of time is divided into, at most.
 MAX_SUBSTEPS = 4096
-MIN_STEP = 1e-6
 
 
 class Solver(StrEnum):
@@ -93,9 +92,6 @@ def check_options(options: SpringOptions) -> Solver:
         bound = f"finite and above {least:g}" if finite else f"above {least:g}"
         message = f"{name} must be {bound}, not {value:g}"
         faults.append(Fault("SIM004", message, where=name))
-    if options.step is not None and 0 < options.step < MIN_STEP:
-        message = f"step must be {MIN_STEP:g} or more, not {options.step:g}"
-        faults.append(Fault("SIM004", message, where="step"))
     if faults:
         raise OptionError(faults)
     return Solver(options.solver)
