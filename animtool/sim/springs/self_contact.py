@@ -159,7 +159,9 @@ def through_notices(through: Through, what: str = "the surface") -> list[Fault]:
         found.append(_warning("SIM167", message, hint))
     if through.rate:
         message = f"parts of {what} went over each other by many thicknesses in a step"
-        hint = f"{math.ceil(through.rate)} steps a second miss nothing"
+        hint = "take a shorter step"
+        if math.isfinite(through.rate):
+            hint = f"{math.ceil(through.rate)} steps a second miss nothing"
         found.append(_warning("SIM165", message, hint))
     return found
 

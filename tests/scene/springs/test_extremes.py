@@ -15,6 +15,7 @@ from fuzz.targets.springs import _SYSTEMS as SYSTEMS
 from animtool.errors import AnimtoolError
 from animtool.scene.file import load_scene
 from animtool.scene.systems.simulation import open_systems
+from animtool.sim.springs.self_contact import Through, through_notices
 
 
 def last_points(folder: Path, kind: str, changes: dict[str, Any]) -> np.ndarray:
@@ -82,3 +83,9 @@ def test_numbers_within_bounds_come_to_numbers(
     tmp_path: Path, kind: str, changes: dict[str, Any]
 ) -> None:
     assert np.isfinite(last_points(tmp_path, kind, changes)).all()
+
+
+def test_surfaces_that_went_on_without_end_have_a_hint() -> None:
+    (notice,) = through_notices(Through(rate=float("inf")))
+    assert notice.code == "SIM165"
+    assert "shorter" in (notice.hint or "")
