@@ -71,7 +71,7 @@ def test_a_report_that_is_too_large_is_not_read(
     monkeypatch.setattr(bundle, "MAX_REPORT", 1000)
     path = tmp_path / "costs.json"
     path.write_text('{"items": [' + " " * 1000 + "]}")
-    with pytest.raises(FormatError, match="larger than 1 kB"):
+    with pytest.raises(FormatError, match=r"at most 0\.001 MB are read"):
         mean_seconds(path)
 
 

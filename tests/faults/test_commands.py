@@ -26,6 +26,8 @@ COMMANDS = {
     "bake --split": "bake walk.bvh -o o.usda --split --overwrite",
     "bake --deform --chunk": "bake pair.clip.yaml -o o.usdc --deform --chunk 4 "
     "--overwrite",
+    "bake --deform, fewer chunks": "bake pair.clip.yaml -o cache.usdc --deform "
+    "--chunk 4 --overwrite",
     "bake a scene of two outputs": "bake o.scene.yaml --overwrite",
     "convert to a clip": "convert walk.bvh o.clip.yaml --overwrite",
     "convert to a rig": "convert pair.usda o.rig.yaml --overwrite",
@@ -43,6 +45,8 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rigs = [path.name for path in folder.glob("*.rig.yaml")]
     pair = next(name for name in rigs if "meshes:" in (folder / name).read_text())
     assert animtool("convert", pair, "pair.usda", cwd=folder).code == 0
+    chunks = ["bake", "pair.clip.yaml", "-o", "cache.usdc", "--deform", "--chunk", "2"]
+    assert animtool(*chunks, cwd=folder).code == 0
     (folder / "o").mkdir()
     (folder / "o.scene.yaml").write_text(STATES, "utf-8")
     batch = "batch: animtool/1\ninputs: [walk.bvh]\noutput: '{stem}.usdc'\n"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -140,47 +139,6 @@ def test_files_of_an_earlier_longer_bake_go(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.glob("*.points.*")) == sorted(
         [*others, *(f"o.points.000{i}.usdc" for i in (1, 2, 3))]
     )
-
-
-class Killed(BaseException):
-    """What ends a bake at once."""
-
-
-@pytest.mark.parametrize("moment", range(1, 8))
-def test_a_shorter_bake_that_is_killed_leaves_what_can_be_read(
-    moment: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write_pair(tmp_path)
-    output = bake(tmp_path, "o.usdc", "--chunk", 2)
-    # Three files, the manifest and the layer get their names; two files go.
-    calls = 0
-
-    def counting(whole: Callable[..., object]) -> Callable[..., object]:
-        def call(path: Path, *arguments: object, **more: object) -> object:
-            nonlocal calls
-            # Temporary files are removed too; names are what counts.
-            named = not path.name.startswith(".") or bool(arguments)
-            calls += named
-            if named and calls >= moment:
-                raise Killed
-            return whole(path, *arguments, **more)
-
-        return call
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Path, "replace", counting(Path.replace))
-        patch.setattr(Path, "unlink", counting(Path.unlink))
-        with pytest.raises(Killed):
-            bake(tmp_path, "o.usdc", "--chunk", 4, "--overwrite")
-    assert not list(tmp_path.glob(".*"))
-    stage = Usd.Stage.Open(str(output))
-    (root,) = (p for p in stage.Traverse() if p.HasAuthoredMetadata("clips"))
-    names = [asset.path for asset in Usd.ClipsAPI(root).GetClipAssetPaths("points")]
-    assert len(names) == (3 if moment > 5 else 5)
-    assert all((tmp_path / name).is_file() for name in names)
-    for mesh in meshes(stage):
-        for code in CODES:
-            assert mesh.GetPointsAttr().Get(code)
 
 
 def test_the_same_bytes_again(tmp_path: Path) -> None:

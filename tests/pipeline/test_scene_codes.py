@@ -191,8 +191,8 @@ ELSEWHERE = {
     *(f"SCN{n:03d}" for n in (60, 61, 62, 63, 65)),
     # Those of tests/scene/systems/test_beside.py.
     *("SCN066", "SCN067", "SCN068"),
-    # That of tests/scene/systems/test_run.py.
-    "SCN090",
+    # Those of tests/scene/systems/test_run.py and tests/scene/test_bounds.py.
+    *("SCN090", "SCN091"),
     # Those of tests/cli/test_simulation_table.py.
     *(f"SCN{n:03d}" for n in range(70, 73)),
     # Those of tests/pipeline/test_cut_list.py and tests/scene/test_shot.py.

@@ -101,7 +101,7 @@ def test_a_scene_without_weight_is_one_without_the_pass(beast: Path) -> None:
 
 
 def test_every_fault_of_a_scene_has_its_line(beast: Path) -> None:
-    options = "{what: [], damping: -1, drag: .nan, radius: '5', weight: 2, save: a.npz}"
+    options = "{what: [], damping: -1, drag: -2, radius: '5', weight: 2, save: a.npz}"
     beast.write_text(SCENE.replace("{what: [tail], settle: 0.2}", options), "utf-8")
     done = animtool("bake", beast)
     assert done.code == 3

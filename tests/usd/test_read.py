@@ -317,7 +317,6 @@ def test_metadata_that_is_none(stage: Usd.Stage, name: str, value: object) -> No
 @pytest.mark.parametrize(
     "data",
     [
-        "x",
         {"names": "x"},
         {"joints": "{"},
         {"joints": "[]"},

@@ -7,13 +7,15 @@ not selected, are in the file too.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping
+from functools import cache
 from itertools import groupby
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Sdf
+from pxr import Sdf, Tf, Usd
 
 from animtool.errors import Fault, counted
 from animtool.usd.checks.subject import Subject
@@ -168,7 +170,27 @@ def _is_allowed(subject: Subject, spec: Any, numbers: npt.NDArray[Any]) -> bool:
         return False
     fallback = prim.GetPrimDefinition().GetAttributeFallbackValue(path.name)
     own = None if fallback is None else floats_of(fallback)
-    return own is not None and not _is_finite(own)
+    if own is None:
+        # An attribute of a schema that the prim does not name, as some exporters write.
+        return any(name.fullmatch(path.name) for name in _infinite_names())
+    return not _is_finite(own)
+
+
+@cache
+def _infinite_names() -> tuple[re.Pattern[str], ...]:
+    """Return the names of attributes whose fallback an applied schema has infinite."""
+    registry, names = Usd.SchemaRegistry(), set()
+    for schema in Tf.Type.Find(Usd.APISchemaBase).GetAllDerivedTypes():
+        name = Usd.SchemaRegistry.GetSchemaTypeName(schema)
+        definition = registry.FindAppliedAPIPrimDefinition(name)
+        if definition is None:
+            continue
+        for attribute in definition.GetPropertyNames():
+            fallback = definition.GetAttributeFallbackValue(attribute)
+            numbers = None if fallback is None else floats_of(fallback)
+            if numbers is not None and not _is_finite(numbers):
+                names.add(re.escape(attribute).replace("__INSTANCE_NAME__", ".+"))
+    return tuple(map(re.compile, sorted(names)))
 
 
 def _bad(numbers: npt.NDArray[Any]) -> Any:

@@ -220,7 +220,7 @@ def test_a_scene_without_systems_loads_no_simulation(
     code = (
         "from animtool.cli.main import run\n"
         f"run(['bake', {str(scene)!r}, '-o', {str(tmp_path / 'o.usdc')!r}])\n"
-        "import sys; print(sorted(m for m in sys.modules if 'animtool.sim' in m))"
+        "import sys; print(sorted(m for m in sys.modules if 'animtool.sim.' in m))"
     )
     done = subprocess.run(
         [sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True
