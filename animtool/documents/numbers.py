@@ -1,13 +1,19 @@
-"""Numbers for files that people read: short, and back to the very same float."""
+"""Numbers and texts for files that people read: short, and back as they were."""
 
 from __future__ import annotations
 
 import math
+import re
 
-__all__ = ["flow", "number", "scaled", "text"]
+from animtool.errors import Fault, FormatError, excerpt
+from animtool.printing import CONTROL
+
+__all__ = ["flow", "number", "scaled", "text", "unreadable"]
 
 # Digits that a float64 needs at most, and those that most need.
 MOST_DIGITS, USUAL_DIGITS = 17, 15
+# What a text may hold of controls: ends of lines, and tabs.
+_UNREADABLE = re.compile(f"(?![\n\t])[{CONTROL}]")
 
 
 def number(value: float) -> str:
@@ -46,6 +52,9 @@ def scaled(value: float, unit: float) -> str:
 def text(value: str) -> str:
     """Return text as YAML reads it back as text.
 
+    Raises:
+        FormatError: It holds a control character, with which no file is read (DOC023).
+
     >>> text("hips"), text("no: 1"), text("12")
     ('hips', '"no: 1"', '"12"')
     """
@@ -56,9 +65,22 @@ def text(value: str) -> str:
     safe = plain.isascii() and plain.isalnum() and value[0].isalpha()
     if safe and value.lower() not in named:
         return value
+    if found := unreadable(value):
+        message = f"the name {excerpt(value)} holds the control character {found!r}"
+        raise FormatError(Fault("DOC023", message, hint="rename it"))
     escaped = value.replace("\\", "\\\\").replace('"', '\\"')
     escaped = "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped)
     return f'"{escaped}"'
+
+
+def unreadable(value: str) -> str:
+    r"""Return the first control character that no text of a file may hold; else none.
+
+    >>> unreadable("a\x1bb"), unreadable("a\n")
+    ('\x1b', '')
+    """
+    found = _UNREADABLE.search(value)
+    return found[0] if found else ""
 
 
 def flow(items: list[str]) -> str:

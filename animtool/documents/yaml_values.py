@@ -15,8 +15,8 @@ from typing import Any, NamedTuple, NoReturn, cast
 import yaml
 
 from animtool.documents.names import VARIABLE_NAME
+from animtool.documents.numbers import unreadable
 from animtool.errors import Fault, FormatError, excerpt
-from animtool.printing import CONTROL
 
 __all__ = ["ReadValues", "compose", "masked_variables", "plain_scalar", "read_values"]
 
@@ -52,8 +52,6 @@ _NAMED = {
     **dict.fromkeys(("-.inf", "-.Inf", "-.INF"), float("-inf")),
     **dict.fromkeys((".nan", ".NaN", ".NAN"), float("nan")),
 }
-# What a text may hold of them: ends of lines, and tabs.
-_CONTROL = re.compile(f"(?![\n\t])[{CONTROL}]")
 # A surrogate pair, or any other escape, so that "\\\\ud83d" stays a backslash.
 _PAIRS = re.compile(
     r"\\(?:u([dD][89abAB][0-9a-fA-F]{2})\\u([dD][c-fC-F][0-9a-fA-F]{2})|.)", re.DOTALL
@@ -273,8 +271,8 @@ class _Reader:
         text: str = event.value
         if not event.implicit[0]:
             # Only escapes within quotes can stand for one.
-            if found := _CONTROL.search(text):
-                message = f"a text holds the control character {found[0]!r}"
+            if found := unreadable(text):
+                message = f"a text holds the control character {found!r}"
                 self.fault("DOC023", message, place, "leave it out")
             return text
         try:

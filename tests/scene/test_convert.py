@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.cli import animtool
 
 from animtool.clip.points import SHELL, carried_points, point_errors
 from animtool.errors import OptionError
@@ -110,3 +112,22 @@ def test_keys_of_a_rig_with_meshes_take_its_arrays_along(
     with pytest.raises(OptionError) as caught:
         convert(root / "samples/stride/stride.clip.yaml", made)
     assert caught.value.faults
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no such names of files")
+@pytest.mark.parametrize(
+    ("source", "output"),
+    [
+        ("a\x1b.bvh", "o.clip.yaml"),
+        ("a\x1b.bvh", "o.rig.yaml"),
+        ("a.bvh", "o\x1b.clip.yaml"),
+    ],
+)
+def test_what_would_not_be_read_again_is_not_written(
+    walk: Path, tmp_path: Path, source: str, output: str
+) -> None:
+    (tmp_path / source).write_bytes(walk.read_bytes())
+    done = animtool("convert", source, output, cwd=tmp_path)
+    assert done.code == 3
+    assert "DOC023" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == [source]
