@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,15 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # How long an example takes is the machine's affair; others are taken in each run.
 settings.register_profile("animtool", deadline=None, max_examples=50)
 settings.load_profile("animtool")
+
+
+# A shell lets jobs in the background ignore interrupts, and what they start too: here
+# and in the processes that tests start, signals do what they usually do.
+for _name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGTSTP"):
+    _number = getattr(signal, _name, None)
+    if _number is not None and signal.getsignal(_number) is signal.SIG_IGN:
+        _usual = signal.default_int_handler if _name == "SIGINT" else signal.SIG_DFL
+        signal.signal(_number, _usual)
 
 
 def data_folder(name: str) -> Path | None:

@@ -8,6 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from support.cli import TIMEOUT
 
 from animtool.output import replacing
 from animtool.signals import (
@@ -111,8 +112,7 @@ def test_an_interrupt_that_python_ignores_comes_again() -> None:
     def work() -> None:
         with obeyed_signals():
             del lost[0]
-            while True:
-                pass
+            threading.Event().wait(TIMEOUT)
 
     lost = [Lost()]
     with pytest.raises(KeyboardInterrupt):
@@ -142,4 +142,4 @@ def test_helpers_of_multiprocessing_let_no_interrupt_through() -> None:
         "    assert signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])\n"
         "assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])\n"
     )
-    subprocess.run([sys.executable, "-P", "-c", code], check=True)
+    subprocess.run([sys.executable, "-P", "-c", code], check=True, timeout=TIMEOUT)

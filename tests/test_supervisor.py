@@ -6,12 +6,17 @@ import os
 import signal
 import subprocess
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
 
+# How long a process and its child may take [s].
+TIMEOUT = 60.0
 SCRIPT = """
 import os, signal, sys
 from pathlib import Path
@@ -48,22 +53,38 @@ os._exit(code)
 """
 
 
-def start(child: str, *, before: str = "") -> subprocess.Popen[str]:
-    """Start a process whose child does something."""
-    return subprocess.Popen(
+@contextmanager
+def started(child: str, *, before: str = "") -> Iterator[subprocess.Popen[str]]:
+    """Start a process whose child does something; both end with the block, or in time.
+
+    What is awaited of a process that is killed comes to its end, and the test fails.
+    """
+    with subprocess.Popen(
         [sys.executable, "-P", "-c", f"{SCRIPT}{before}\n{child}{LAST}"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         process_group=0,
-    )
+    ) as process:
+
+        def end() -> None:
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+
+        timer = threading.Timer(TIMEOUT, end)
+        timer.start()
+        try:
+            yield process
+        finally:
+            timer.cancel()
+            end()
 
 
 def run(child: str, stdin: str = "", *, before: str = "") -> tuple[int, str]:
     """Return the code and the words of such a process; it has no complaint."""
-    process = start(child, before=before)
-    out, err = process.communicate(stdin, timeout=60)
+    with started(child, before=before) as process:
+        out, err = process.communicate(stdin)
     assert err == ""
     return process.returncode, out
 
@@ -158,23 +179,22 @@ def child():
 
 
 def test_a_stop_holds_both_until_they_may_go_on() -> None:
-    process = start(
-        """
+    child = """
 def child():
     os.kill(os.getppid(), signal.SIGTSTP)
     sys.stdin.read()
     return 7
 """
-    )
-    _, status = os.waitpid(process.pid, os.WUNTRACED)
-    assert os.WIFSTOPPED(status)
-    os.kill(process.pid, signal.SIGCONT)
-    process.communicate("", timeout=60)
+    with started(child) as process:
+        _, status = os.waitpid(process.pid, os.WUNTRACED)
+        assert os.WIFSTOPPED(status)
+        os.kill(process.pid, signal.SIGCONT)
+        process.communicate("")
     assert process.returncode == 7
 
 
 def test_a_child_that_fails_shows_where() -> None:
-    process = start("def child():\n    raise ZeroDivisionError")
-    _, err = process.communicate("", timeout=60)
+    with started("def child():\n    raise ZeroDivisionError") as process:
+        _, err = process.communicate("")
     assert process.returncode == 1
     assert "ZeroDivisionError" in err

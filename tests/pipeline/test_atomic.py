@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from pxr import Sdf
 from support.bvh import random_rows, small_bvh
-from support.cli import animtool, killable
+from support.cli import TIMEOUT, animtool, killable
 
 from animtool.leftovers import take_back
 from animtool.placing import Whole
@@ -79,11 +79,9 @@ def test_a_bake_asked_to_stop_cleans_up(
     long_take: Path, tmp_path: Path, number: signal.Signals
 ) -> None:
     output = tmp_path / "o.usdc"
-    # The child stops itself in the middle of its work, at a place that is known. A
-    # shell lets jobs in the background ignore interrupts, and they hand that down.
+    # The child stops itself in the middle of its work, at a place that is known.
     script = (
         "import os, signal, sys\n"
-        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "from animtool.usd import layers\n"
         "from animtool.cli.main import run\n"
         "save = layers.save_layer\n"
@@ -100,6 +98,7 @@ def test_a_bake_asked_to_stop_cleans_up(
         capture_output=True,
         text=True,
         check=False,
+        timeout=TIMEOUT,
     )
     assert done.returncode == (130 if number == signal.SIGINT else 143)
     assert "Traceback" not in done.stderr
@@ -125,6 +124,7 @@ def test_a_full_disk(long_take: Path, tmp_path: Path, suffix: str, limit: int) -
         capture_output=True,
         text=True,
         check=False,
+        timeout=TIMEOUT,
         env=environment,
     )
     assert done.returncode == 3, done.stderr

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.batch import take_files, trouble_files, trouble_plug_in, whole_outputs
-from support.cli import Done, animtool, animtool_process, killable
+from support.cli import TIMEOUT, Done, animtool, animtool_process, killable
 
 from animtool.leftovers import temporary_prefix
 
@@ -128,7 +128,6 @@ def test_an_interrupt_leaves_whole_files(
     # The run interrupts itself when nothing but what hangs is left.
     script = (
         "import os, signal, sys\n"
-        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "from animtool.batch import run as batch_run\n"
         "from animtool.cli.main import run\n"
         "ended = batch_run._Run._ended\n"
@@ -144,6 +143,7 @@ def test_an_interrupt_leaves_whole_files(
         capture_output=True,
         text=True,
         check=False,
+        timeout=TIMEOUT,
         cwd=tmp_path,
         env={**os.environ, **plug_in},
     )
@@ -201,6 +201,7 @@ def test_a_full_disk(tmp_path: Path, limit: int, code: int, word: str) -> None:
         capture_output=True,
         text=True,
         check=False,
+        timeout=TIMEOUT,
         cwd=tmp_path,
         env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
     )

@@ -14,6 +14,9 @@ from pathlib import Path
 
 from animtool.cli.main import run
 
+# How long a process that a test started may take, on a busy machine [s].
+TIMEOUT = 300.0
+
 
 @dataclass(frozen=True, slots=True)
 class Done:
@@ -41,6 +44,7 @@ def animtool_process(
         capture_output=True,
         text=True,
         check=False,
+        timeout=TIMEOUT,
         cwd=cwd,
         env={**os.environ, **environment},
     )

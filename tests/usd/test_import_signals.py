@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from support.cli import TIMEOUT
 
 # Raises a signal when a module is looked for, which USD's loader in C++ does too.
 SCRIPT = """
@@ -45,6 +46,7 @@ def test_a_signal_while_usd_is_imported(
         capture_output=True,
         text=True,
         check=False,
+        timeout=TIMEOUT,
     )
     code, said = (130, "interrupted") if number == signal.SIGINT else (143, "termin")
     assert done.returncode == code, done.stderr
