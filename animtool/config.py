@@ -9,9 +9,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from animtool.errors import Fault, FormatError, OptionError
+from animtool.errors import Fault, FormatError, OptionError, excerpt
 from animtool.files import MAX_TEXT_BYTES, read_input
 from animtool.inputs import note_input
+from animtool.rates import LARGEST_FRAME
 
 __all__ = ["Config", "find_config", "project_around", "project_roots"]
 
@@ -73,9 +74,11 @@ def _table(path: Path) -> dict[str, Any]:
     except FormatError as error:
         fault = replace(error.faults[0], code="CFG001")
         raise OptionError(fault) from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
+        deep = isinstance(error, RecursionError)
+        reason = "it nests too deeply" if deep else error
         raise OptionError(
-            Fault("CFG001", f"cannot be read: {error}", str(path))
+            Fault("CFG001", f"cannot be read: {reason}", str(path))
         ) from error
 
 
@@ -99,10 +102,11 @@ def _config(path: Path, table: Any) -> Config:
                 Fault("CFG002", f"unknown setting {name!r}", str(path), (), allowed)
             )
     start = table.get("start")
-    if start is not None and (isinstance(start, bool) or not isinstance(start, int)):
-        raise OptionError(
-            Fault("CFG003", f"start is {start!r}, not a whole number", str(path))
-        )
+    frame = isinstance(start, int) and not isinstance(start, bool)
+    if start is not None and not (frame and abs(start) <= LARGEST_FRAME):
+        message = f"start is {excerpt(str(start))}, not a whole number from "
+        message += f"{-LARGEST_FRAME} to {LARGEST_FRAME}"
+        raise OptionError(Fault("CFG003", message, str(path)))
     roots = table.get("roots", [])
     if not isinstance(roots, list) or not all(isinstance(r, str) for r in roots):
         message = f"roots is {roots!r}, not a list of folders"

@@ -172,7 +172,7 @@ class Journal:
         try:
             entries = json.loads(content)["files"]
             return [_placed(folder, entry) for entry in entries]
-        except (ValueError, KeyError, TypeError, RecursionError):
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
             # It was not complete, so that no file had its name.
             return []
 

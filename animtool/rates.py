@@ -11,6 +11,7 @@ from numbers import Rational
 from animtool.errors import Fault, OptionError, excerpt
 
 __all__ = [
+    "LARGEST_FRAME",
     "RateChoice",
     "RateKind",
     "exact_number",
@@ -21,6 +22,8 @@ __all__ = [
     "rate_option",
 ]
 
+# Beyond it a frame is no frame: times between frames would be lost to rounding.
+LARGEST_FRAME = 10**9
 # Exporters print frame times to 6 or more digits: the error left in a rate up to
 # 1000 is below this, and neighbouring broadcast rates are 1e-3 apart.
 NEAREST_RATE_TOLERANCE = Fraction(25, 100_000)

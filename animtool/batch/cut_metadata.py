@@ -9,11 +9,9 @@ from typing import Any
 
 from animtool.documents.names import nearest
 from animtool.errors import excerpt
-from animtool.rates import parse_rate
+from animtool.rates import LARGEST_FRAME, parse_rate
 
 __all__ = ["CutMetadata", "cut_metadata"]
-
-LARGEST_FRAME = 10**9
 
 
 @dataclass(frozen=True, slots=True)

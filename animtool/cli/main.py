@@ -222,8 +222,8 @@ def _report(console: Console, error: BaseException) -> int:
             code = int(ExitCode.TERMINATED)
         case _CrashError():
             console.error(
-                f"internal error: the process crashed ({error})\n"
-                "This is a fault of animtool's or of a library. Please report it."
+                f"internal error: the process crashed ({error})",
+                "This is a fault of animtool's or of a library. Please report it.",
             )
             code = int(ExitCode.INTERNAL)
         case BrokenPipeError():

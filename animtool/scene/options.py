@@ -9,7 +9,7 @@ from pathlib import Path
 
 from animtool.edit.frame_range import FrameRange
 from animtool.errors import Fault, OptionError, excerpt
-from animtool.rates import exact_number, rate_label, rate_option
+from animtool.rates import LARGEST_FRAME, exact_number, rate_label, rate_option
 from animtool.scene.sources import SourceOptions
 from animtool.shot import Shot
 from animtool.units import LengthUnit, UpAxis
@@ -122,8 +122,6 @@ def merged(options: BakeOptions, others: BakeOptions) -> BakeOptions:
     }
     return replace(options, **taken)
 
-
-LARGEST_FRAME = 10**9
 
 _RANGE = re.compile(r"(-?\d{1,9})(?:-(-?\d{1,9})(?:x(\d{1,9}))?)?")
 

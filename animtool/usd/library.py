@@ -18,6 +18,7 @@ from typing import Any
 from pxr import Sdf, Usd
 
 from animtool.errors import Fault, OptionError, OutputError, excerpt, listed
+from animtool.rates import LARGEST_FRAME
 from animtool.similar import similar
 from animtool.usd.paths import RigPaths
 
@@ -40,8 +41,6 @@ STRONGER_HINT = (
     "what a rig binds is stronger than a variant of a layer beside it: let a shot "
     "refer to the rig, and say where with --prim-path"
 )
-# Beyond it a frame is no frame, as of a stage's own range.
-LARGEST_FRAME = 1e9
 
 
 def take_paths(paths: RigPaths, name: str) -> RigPaths:

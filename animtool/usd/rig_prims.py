@@ -83,13 +83,13 @@ def _check_metadata(stage: Any, where: str) -> None:
         ("metersPerUnit", UsdGeom.GetStageMetersPerUnit(stage)),
     ):
         if not SMALLEST_METADATA <= value <= LARGEST_METADATA:
-            _fail("USD015", f"{name} is {value}", where, "a positive number is needed")
+            _fail("USD015", f"{name} is {value}", where, "write 1e-9 to 1e9")
     for name, code in (
         ("startTimeCode", stage.GetStartTimeCode()),
         ("endTimeCode", stage.GetEndTimeCode()),
     ):
         if not abs(code) <= LARGEST_METADATA:
-            _fail("USD015", f"{name} is {code}", where, "a finite number is needed")
+            _fail("USD015", f"{name} is {code}", where, "write -1e9 to 1e9")
     up = str(UsdGeom.GetStageUpAxis(stage))
     if up not in list(UpAxis):
         _fail("USD015", f"upAxis is {up!r}", where, "allowed: Y, Z")

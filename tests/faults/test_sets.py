@@ -261,6 +261,7 @@ def test_a_journal_of_others_reaches_no_other_files(disk: Path) -> None:
         json.dumps({"folders": 3, "files": "x"}),
         json.dumps({"folders": ["a\0b"], "files": []}),
         json.dumps({"folders": [], "files": [{**entry, "final": "a\0b"}]}),
+        json.dumps({"folders": [], "files": [{**entry, "state": [1e999, 1, 1]}]}),
         "[" * 100_000,
     ):
         (folder / f"{dead}2.set").write_text(text, "utf-8")
