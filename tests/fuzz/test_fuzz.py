@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+from pathlib import Path
 
 import pytest
 
@@ -17,3 +19,8 @@ def test_spoiled_inputs_end_in_a_result_or_a_typed_error(name: str) -> None:
     outcome = fuzz(name, CASES)
     assert outcome.findings == {}
     assert outcome.words.total() == CASES
+
+
+def test_the_table_names_each_target() -> None:
+    text = Path(__file__).with_name("README.md").read_text("utf-8")
+    assert re.findall(r"^\| `(\w+)`", text, re.MULTILINE) == targets()

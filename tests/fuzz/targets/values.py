@@ -104,7 +104,20 @@ OPTIONS = (
 
 # Not a version, nor a part of a name.
 _NUMBER = re.compile(r"(?<![\w/.])-?\d+(\.\d+)?(?![\w.])")
-# Many particles, frames and steps are no fault, and take their time and memory.
+# Many particles, frames and steps are no fault, and take their time and memory: of
+# these, there are few or more than is allowed.
+COUNTS = (
+    "0",
+    "-1",
+    "0.5",
+    "1",
+    "2",
+    "2147483648",
+    "1.0e+12",
+    "1.0e+18",
+    ".inf",
+    ".nan",
+)
 _COUNT = re.compile(
     r"(resolution: \[(3, )?|count: |most: |range: \[(1, )?|step: |^fps: )$",
     re.MULTILINE,
@@ -143,12 +156,12 @@ def _extreme(rng: np.random.Generator, text: str, chance: float) -> str:
     """Return a text, with a few of its numbers replaced by extreme ones at times."""
     if rng.random() > chance:
         return text
-    numbers = _NUMBER.finditer(text)
-    found = [one for one in numbers if not _COUNT.search(text, 0, one.start())]
+    found = list(_NUMBER.finditer(text))
     for i in sorted(rng.integers(len(found), size=rng.integers(1, 4)), reverse=True):
         begin, end = found[i].span()
         sign = "-" if rng.random() < 0.2 else ""
-        number = pick(rng, list(EXTREMES))
+        counts = _COUNT.search(text, 0, begin)
+        number = pick(rng, list(COUNTS if counts else EXTREMES))
         text = text[:begin] + (sign + number).replace("--", "") + text[end:]
     return text
 
