@@ -79,7 +79,7 @@ def rate_from_frame_time(text: str) -> RateChoice:
     '24000/1001'
     """
     try:
-        printed = Decimal(text)
+        printed = Decimal("x" if "_" in text else text)
     except InvalidOperation as error:
         raise ValueError(f"{text!r} is not a number") from error
     if not printed.is_finite() or printed <= 0:

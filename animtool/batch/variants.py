@@ -157,7 +157,7 @@ def range_values(first: str, last: str, step: str = "1") -> list[str]:
 
 def _decimal(text: str) -> Decimal:
     try:
-        value = Decimal(text.strip())
+        value = Decimal("x" if "_" in text else text.strip())
     except InvalidOperation:
         value = Decimal("nan")
     # Others have more digits than a float, or than memory.
@@ -176,6 +176,8 @@ def value_problem(text: str) -> str | None:
 
     >>> value_problem("1e-3"), value_problem("nan")
     (None, "'nan' is not a finite number")
+    >>> value_problem("0._5")
+    "'0._5' is not a finite number"
     """
     if not text.strip():
         return "a value is missing"

@@ -308,6 +308,7 @@ ROW = " ".join(["1"] * COLUMNS)
         ("BVH009", "Frames: 1\nFrame Time: -1\n", FIRST + 1),
         ("BVH009", "Frames: 1\nFrame Time: inf\n", FIRST + 1),
         ("BVH009", "Frames: 1\nFrame Time:\n", FIRST + 1),
+        ("BVH009", "Frames: 1\nFrame Time: 0._333333\n", FIRST + 1),
         ("BVH014", "Frames: 1\nFrame Time: .1\n", FIRST + 1),
         ("BVH010", f"Frames: 2\nFrame Time: .1\n{ROW}\n1 2\n", FIRST + 3),
         ("BVH010", f"Frames: 1\nFrame Time: .1\n{ROW} 1\n", FIRST + 2),
