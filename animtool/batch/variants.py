@@ -176,8 +176,6 @@ def value_problem(text: str) -> str | None:
 
     >>> value_problem("1e-3"), value_problem("nan")
     (None, "'nan' is not a finite number")
-    >>> value_problem("0._5")
-    "'0._5' is not a finite number"
     """
     if not text.strip():
         return "a value is missing"

@@ -13,7 +13,7 @@ from animtool.batch.discover import find_batch
 from animtool.batch.file import load_batch
 from animtool.batch.run import RunOptions, run_batch
 from animtool.batch.spec import BatchSpec
-from animtool.batch.variants import read_variants, variants_of_texts
+from animtool.batch.variants import range_values, read_variants, variants_of_texts
 from animtool.errors import AnimtoolError, FormatError, OptionError
 
 SWING = (
@@ -265,3 +265,8 @@ def test_variants_on_the_command_line(swing: Path) -> None:
     both = animtool("batch", *given, "--variants", "t.csv", cwd=folder)
     assert both.code == 2
     assert "--vary" in both.stderr
+
+
+def test_an_end_of_a_range_with_an_underscore_is_no_number() -> None:
+    with pytest.raises(ValueError, match=r"'0\._5' is not a finite number"):
+        range_values("0", "0._5", "0.1")
