@@ -47,6 +47,8 @@ __all__ = [
 # written to take no memory.
 NOTED = 1 << 20
 LISTED = 1 << 26
+# The longest name of a file that systems take, folders included.
+MAX_NAME = 1 << 15
 # How long a child has to end after a signal, before it is killed [s].
 GRACE = 10.0
 _CRASHES = ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGTRAP", "SIGKILL")
@@ -220,7 +222,11 @@ def note_folder(folder: Path) -> None:
 
 
 def stdin_lines() -> list[str]:
-    """Return the lines on stdin, which a second run after a crash gets too."""
+    """Return the lines on stdin, which a second run after a crash gets too.
+
+    Raises:
+        FormatError: One is longer than the name of a file can be (IO001).
+    """
     notes = _state.notes
     noted = None if notes is None else _got(notes.listed)
     if noted is None:
@@ -231,7 +237,14 @@ def stdin_lines() -> list[str]:
         else:
             note_said()
     text = noted.decode("utf-8", "surrogateescape")
-    return [line.rstrip("\r") for line in text.split("\n")]
+    lines = [line.rstrip("\r") for line in text.split("\n")]
+    for number, line in enumerate(lines, 1):
+        if len(line) > MAX_NAME:
+            from animtool.files import unreadable
+
+            reason = f"line {number} has {len(line)} letters, and no name of a file has"
+            raise unreadable(Path("-"), reason)
+    return lines
 
 
 def follow_parent() -> None:

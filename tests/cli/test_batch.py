@@ -83,6 +83,13 @@ def test_failures_come_last_with_what_repeats_them(takes: Path) -> None:
     assert animtool(*again[1:], cwd=takes).code == 0
 
 
+def test_a_list_on_stdin_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("a.bvh\n" + "\0" * 10**6))
+    done = animtool("batch", "-", "-o", "{stem}.usdc")
+    assert done.code == 3
+    assert done.stderr.startswith("-: IO001 cannot be read: line 2 has 1000000 letters")
+
+
 def test_a_list_on_stdin(takes: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (takes / "takes/take002.bvh").write_text("HIERARCHY\n")
     listed = "takes/take000.bvh\n\ntakes/take002.bvh\n"

@@ -22,6 +22,7 @@ from pathlib import Path
 from types import ModuleType
 
 import numpy as np
+from support.sanitized import SANITIZED
 
 from animtool.supervisor import CRASHES, report_reading
 
@@ -124,9 +125,8 @@ def _run(
     words: Counter[str] = Counter()
     findings: dict[int, str] = {}
     # A sanitizer takes terabytes of addresses and several times as long.
-    sanitized = "libasan" in os.environ.get("LD_PRELOAD", "")
-    seconds = CPU_SECONDS * (10 if sanitized else 1)
-    if not sanitized:
+    seconds = CPU_SECONDS * (10 if SANITIZED else 1)
+    if not SANITIZED:
         _limit_memory()
 
     def note(path: str) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.sanitized import SANITIZED
 
 from animtool.scene import memory
 from animtool.scene.memory import PeakMemory
@@ -19,6 +20,7 @@ def test_nothing_is_known_before_it_begins() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc")
+@pytest.mark.skipif(SANITIZED, reason="sanitizers keep memory")
 def test_each_peak_is_one_since_the_last() -> None:
     peak = PeakMemory()
     peak.begin()
