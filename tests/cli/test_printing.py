@@ -125,7 +125,7 @@ def checked(folder: Path, name: str, words: list[str]) -> Counts:
         # A layer on stdout is what it would be in a file.
         if "-" in words and text is stdout:
             found = CONTROL.search(text)
-        assert not found, (words, text[max(0, found.start() - 200) : found.end()])
+        assert found is None, ascii((words, text[max(0, found.start() - 200) :][:200]))
         text.encode("utf-8")
     if stdout and "json" in words:
         json.loads(stdout)
@@ -145,7 +145,11 @@ def test_names_of_files_are_not_obeyed(
 ) -> None:
     folder = made(tmp_path / "files", name, TAME)
     for words, expected in zip(COMMANDS, tame, strict=True):
-        assert checked(folder, name, words) == expected or name == NASTY[-1], words
+        counts = checked(folder, name, words)
+        # The name of a take that a file cannot hold is refused by what writes one.
+        refused = name == NASTY[-1] or (words[0] == "convert" and counts[0] == 3)
+        # What is printed of a failure has to reach another process.
+        assert refused or counts == expected, ascii((words, counts, expected))
 
 
 @pytest.mark.parametrize("word", NASTY)
@@ -155,4 +159,5 @@ def test_what_files_hold_is_not_obeyed(
     folder = made(tmp_path / "files", TAME, word)
     for words, expected in zip(COMMANDS, tame, strict=True):
         counts = checked(folder, TAME, words)
-        assert counts == expected or word in REFUSED, words
+        refused = word in REFUSED
+        assert refused or counts == expected, ascii((words, counts, expected))
