@@ -66,7 +66,7 @@ def text(value: str) -> str:
     if safe and value.lower() not in named:
         return value
     if found := unreadable(value):
-        message = f"the name {excerpt(value)} holds the control character {found!r}"
+        message = f"the name {excerpt(value)} holds {found!r}, which no file may"
         raise FormatError(Fault("DOC023", message, hint="rename it"))
     escaped = value.replace("\\", "\\\\").replace('"', '\\"')
     escaped = "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped)

@@ -5,14 +5,13 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from importlib.metadata import EntryPoint
-from multiprocessing.connection import Connection
 from pathlib import Path
 
 import pytest
 from support.batch import take_files
 from support.cluster import local_cluster
+from support.workers import serve_and_end, serve_garbage, serve_nothing
 
 from animtool.batch import pool
 from animtool.batch.discover import find_batch
@@ -28,7 +27,6 @@ from animtool.batch.outcome import Status
 from animtool.batch.recipe import Item
 from animtool.batch.spec import BatchSpec
 from animtool.batch.work import Maker
-from animtool.batch.worker import READY
 from animtool.errors import OptionError, OutputError
 
 OTHER = Executor("another", "animtool.batch.executors:serial")
@@ -130,18 +128,6 @@ def test_serial_keeps_no_limits(tmp_path: Path) -> None:
     assert error.value.code == "BAT031"
 
 
-def serve_nothing(connection: Connection, maker: Maker, memory: int | None) -> None:
-    """Take no item, and do not end."""
-    del maker, memory
-    connection.recv()
-
-
-def serve_and_end(connection: Connection, maker: Maker, memory: int | None) -> None:
-    """End before an item can be taken."""
-    del connection, maker, memory
-    sys.exit(9)
-
-
 @pytest.mark.parametrize(
     ("serve", "said"), [(serve_nothing, "does not answer"), (serve_and_end, "with 9")]
 )
@@ -154,19 +140,6 @@ def test_processes_that_do_not_begin_end_the_run(
     with pytest.raises(OutputError, match=said) as error:
         list(find_executor("processes").load()(work(tmp_path, 1, jobs=1)))
     assert error.value.code == "BAT071"
-
-
-def serve_garbage(connection: Connection, maker: Maker, memory: int | None) -> None:
-    """Answer each item by what is no outcome of it."""
-    del memory
-    connection.send(READY)
-    item = connection.recv()
-    outcome = maker.make(item)
-    if item.number == 1:
-        connection.send_bytes(b"\x80\x04garbage")
-    else:
-        connection.send(replace(outcome, number=item.number + 1))
-    connection.recv()
 
 
 def test_answers_that_make_no_sense_cost_their_items(
