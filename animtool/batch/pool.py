@@ -162,7 +162,7 @@ class _Pool:
             for worker in self.workers
             for key in (worker.connection, worker.process.sentinel)
         }
-        told = wait(list(watched), self._patience())
+        told = wait(list(watched), self._time_left())
         for worker in dict.fromkeys(watched[cast(Any, key)] for key in told):
             yield from self._heard(worker)
         for worker in list(self.workers):
@@ -261,7 +261,7 @@ class _Pool:
         limit = self.limits.memory
         return limit is not None and _used_bytes(worker.process) > limit / 2
 
-    def _patience(self) -> float | None:
+    def _time_left(self) -> float | None:
         """Return how long nothing but a message or an end need be looked for [s]."""
         busy = [worker for worker in self.workers if worker.item is not None]
         if busy and self.limits.memory is not None:
