@@ -1,4 +1,4 @@
-"""Distances and crossings of triangles, all pairs at once in numpy."""
+"""Distances and crossings of triangles, pairs at once in numpy."""
 
 from __future__ import annotations
 
@@ -35,8 +35,17 @@ def pierced(x: FloatArray, triangles: IntArray) -> int:
     """Return how many edges go through triangles that they have no corner of."""
     edges = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
     edges = np.unique(np.sort(edges, axis=1), axis=0)
-    a, b, c = x[triangles].transpose(1, 0, 2)
-    p, q = x[edges[:, 0], None], x[edges[:, 1], None]
+    low, high = (pick(x[edges], axis=1) for pick in (np.min, np.max))
+    least, most = (pick(x[triangles], axis=1) for pick in (np.min, np.max))
+    # Boxes that overlap; few do, and only these pairs are looked at.
+    near = np.ones((len(edges), len(triangles)), bool)
+    for k in range(3):
+        near &= low[:, None, k] <= most[None, :, k]
+        near &= high[:, None, k] >= least[None, :, k]
+    one, other = np.nonzero(near)
+    ends, corners = edges[one], triangles[other]
+    p, q = x[ends].transpose(1, 0, 2)
+    a, b, c = x[corners].transpose(1, 0, 2)
     normals = np.cross(b - a, c - a)
     first, last = (((end - a) * normals).sum(-1) for end in (p, q))
     through = first * last < 0
@@ -46,5 +55,5 @@ def pierced(x: FloatArray, triangles: IntArray) -> int:
         (np.cross(second - one, hit - one) * normals).sum(-1) > 0
         for one, second in ((a, b), (b, c), (c, a))
     ]
-    apart = (edges[:, :, None, None] != triangles[None, None]).all(axis=(1, 3))
+    apart = (ends[:, :, None] != corners[:, None, :]).all(axis=(1, 2))
     return int((apart & through & np.all(inside, axis=0)).sum())
