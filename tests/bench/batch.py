@@ -6,7 +6,6 @@ each task. The takes are those of ``$ANIMTOOL_DATA/bvh``, as often as it needs.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import shutil
@@ -14,12 +13,13 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from figures import HERE, Row, Run, Wanted, machine, run, table, verdicts, write_csv
+from clock import Taken, now, since
+from figures import Clock, Row, Wanted, ratio_rows, time_rows
+from measuring import HERE, ROOT, Run, begin, parser, run
 
 from animtool.batch.discover import find_batch
 from animtool.batch.ledger import held_ledger
@@ -29,7 +29,6 @@ from animtool.batch.records import ItemRecord, record_of
 from animtool.batch.spec import BatchSpec
 from animtool.inputs import FileState
 
-ROOT = HERE.parents[1]
 SMALL = ROOT / "samples/batch/takes/left/wave1.bvh"
 POOL = HERE / "peers/batch_pool.py"
 PLANNED = (1_000, 10_000)
@@ -79,24 +78,25 @@ def many(folder: Path, count: int, runs: int) -> list[Row]:
     """Measure many real takes on one core and on two, and again."""
     copies(folder, count)
     section = f"{count} real takes"
-    walls: dict[int, list[float]] = {1: [], 2: []}
+    taken: dict[int, list[Taken]] = {1: [], 2: []}
     costs: list[float] = []
     for _ in range(runs):
         for jobs in (1, 2):
             shutil.rmtree(folder / "out", ignore_errors=True)
             done = batch(folder, "-j", jobs)
             assert done.report["done"] == count
-            walls[jobs].append(done.seconds)
+            taken[jobs].append(done.taken)
             if jobs == 1:
                 costs.append((done.report["seconds"] - spent(done)) / count * 1000)
-    again = [batch(folder).seconds for _ in range(runs)]
-    faster = [one / two for one, two in zip(walls[1], walls[2], strict=True)]
+    again = [batch(folder).taken for _ in range(runs)]
+    faster = [one.wall / two.wall for one, two in zip(*taken.values(), strict=True)]
+    above, bounds = "wall above the work, an item [ms]", (Wanted(False, 5),)
     return [
-        Row(section, "-j 1", "whole process [s]", walls[1]),
-        Row(section, "-j 1", "above the work, an item [ms]", costs, Wanted(False, 5)),
-        Row(section, "-j 2", "whole process [s]", walls[2]),
-        Row(section, "-j 2", "times as fast", faster, Wanted(True, 1.8)),
-        Row(section, "nothing changed", "whole process [s]", again, Wanted(False, 1)),
+        *time_rows(section, "-j 1", taken[1]),
+        Row(section, "-j 1", above, costs, *bounds, clock=Clock.WALL),
+        *time_rows(section, "-j 2", taken[2]),
+        Row(section, "-j 2", "times as fast", faster, Wanted(True, 1.8), Clock.WALL),
+        *time_rows(section, "nothing changed", again, wanted=Wanted(False, 1)),
     ]
 
 
@@ -129,13 +129,11 @@ def planned(folder: Path, count: int, runs: int) -> list[Row]:
         ledger.settle(lambda _: True)
     size = (found.records / "batch-batch.jsonl").stat().st_size
     done = [batch(folder, "-n") for _ in range(runs)]
-    processors = [one.processor_seconds for one in done]
     assert all(one.report["skipped"] == count for one in done)
     section, tool = "plan", f"{count} items"
     limit = Wanted(False, 5) if count == max(PLANNED) else None
     return [
-        Row(section, tool, "whole process [s]", [one.seconds for one in done], limit),
-        Row(section, tool, "of processors [s]", processors),
+        *time_rows(section, tool, [one.taken for one in done], wanted=limit),
         Row(section, tool, "peak memory [MB]", [one.peak_bytes / 1e6 for one in done]),
         Row(section, tool, "bytes an item in the manifest", [size / count]),
     ]
@@ -144,40 +142,37 @@ def planned(folder: Path, count: int, runs: int) -> list[Row]:
 def starts(folder: Path, count: int, runs: int) -> list[Row]:
     """Measure what small tasks cost beside pools and a process for each."""
     inputs = [str(path) for path in small(folder, count)]
-    rows = []
-    section = f"{count} small takes, 2 processes"
-
-    def timed(tool: str, command: list[str]) -> None:
-        done = []
-        for _ in range(runs):
-            shutil.rmtree(folder / "out", ignore_errors=True)
-            (folder / "out").mkdir()
-            done.append(run(command))
-        walls = [one.seconds for one in done]
-        each = [seconds / count * 1000 for seconds in walls]
-        rows.extend(
-            [
-                Row(section, tool, "whole process [s]", walls),
-                Row(section, tool, "a task [ms]", each),
-            ]
-        )
-
-    out = str(folder / "out")
+    section, out = f"{count} small takes, 2 processes", str(folder / "out")
     command = [sys.executable, "-m", "animtool", "batch", str(folder / "takes")]
     pattern = ["-o", f"{out}/{{stem}}.usdc", "-q", "--format", "json", "-j", "2"]
-    timed("animtool batch", [*command, *pattern])
-    timed("animtool batch, one item", [*command, *pattern, "--items", "1"])
-    for method in ("spawn", "forkserver", "fork"):
-        peer = [sys.executable, str(POOL), "pool", method, "2", out, "-1", *inputs]
-        timed(f"multiprocessing.Pool, {method}", peer)
+    own = "animtool batch"
+    tools = {
+        own: [*command, *pattern],
+        "animtool batch, one item": [*command, *pattern, "--items", "1"],
+    }
+    peers = {
+        f"multiprocessing.Pool, {method}": [
+            *(sys.executable, str(POOL), "pool", method, "2", out, "-1"),
+            *inputs,
+        ]
+        for method in ("spawn", "forkserver", "fork")
+    }
+    taken: dict[str, list[Taken]] = {}
+    for _ in range(runs):
+        for tool, asked in (tools | peers).items():
+            shutil.rmtree(out, ignore_errors=True)
+            Path(out).mkdir()
+            taken.setdefault(tool, []).append(run(asked).taken)
+    rows = []
+    for tool, runs_of in taken.items():
+        rows += time_rows(section, tool, runs_of)
+        rows += time_rows(section, tool, runs_of, unit="ms/task", per=count)
+    for tool in peers:
+        rows += ratio_rows(section, tool, taken[tool], taken[own])
     bake = [sys.executable, "-m", "animtool", "bake"]
-    each = [run([*bake, p, "-o", f"{out}/alone{i}.usdc", "-q"], report=False)
+    each = [run([*bake, p, "-o", f"{out}/alone{i}.usdc", "-q"], report=False).taken
             for i, p in enumerate(inputs[:5])]  # fmt: skip
-    alone = "a process for each task"
-    rows += [
-        Row(section, alone, "a task [ms]", [one.seconds * 1000 for one in each]),
-    ]
-    return rows
+    return rows + time_rows(section, "a process for each task", each, unit="ms/task")
 
 
 READER = """
@@ -274,7 +269,7 @@ def resumed(folder: Path, count: int) -> list[Row]:
     small(folder, count)
     whole = folder / "whole"
     shutil.copytree(folder / "takes", whole / "takes")
-    seconds = batch(whole, "-j", 2).seconds
+    seconds = batch(whole, "-j", 2).taken.wall
     rng = np.random.default_rng(0)
     command = [sys.executable, "-m", "animtool", "batch", str(folder / "takes")]
     command += ["-o", str(folder / "out/{stem}.usdc"), "-q", "-j", "2"]
@@ -311,23 +306,23 @@ def farmed(folder: Path, count: int, chunk: int) -> list[Row]:
     starts = range(1, count + 1, chunk)
     command = [sys.executable, "-m", "animtool", "batch", str(folder / "takes")]
     command += ["-o", str(folder / "out/{stem}.usdc"), "-q", "-j", "1", "--items"]
-    processors = [
-        run([*command, f"{first}+{chunk}", "--format", "json"]).processor_seconds
+    alone = [
+        run([*command, f"{first}+{chunk}", "--format", "json"]).taken
         for first in starts
     ]
     shutil.rmtree(folder / "out")
-    began = time.perf_counter()
+    began = now()
     together = [subprocess.Popen([*command, f"{first}+{chunk}"]) for first in starts]
     refused = sum(process.wait() != 0 for process in together)
-    wall = time.perf_counter() - began
+    every = since(began)
     settled = batch(folder)
     assert settled.report["skipped"] == count
     return [
-        Row(section, "the first", "of processors [s]", processors[:1]),
-        Row(section, "the last", "of processors [s]", processors[-1:]),
-        Row(section, "all at once", "whole [s]", [wall]),
+        *time_rows(section, "the first", alone[:1]),
+        *time_rows(section, "the last", alone[-1:]),
+        *time_rows(section, "all at once", [every]),
         Row(section, "all at once", "refused", [refused], Wanted(False, 0)),
-        Row(section, "the whole, after", "whole process [s]", [settled.seconds]),
+        *time_rows(section, "the whole, after", [settled.taken]),
     ]
 
 
@@ -347,36 +342,33 @@ def clustered(folder: Path, count: int) -> list[Row]:
             assert done.report["done"] == count
             each = (2 * done.report["seconds"] - spent(done)) / count * 1000
             tool = executor.partition("=")[0]
-            rows.append(Row(section, tool, "whole process [s]", [done.seconds]))
-            rows.append(Row(section, tool, "above the work, an item [ms]", [each]))
+            measure = "wall above the work, an item [ms]"
+            rows += time_rows(section, tool, [done.taken])
+            rows.append(Row(section, tool, measure, [each], clock=Clock.WALL))
     return rows
 
 
 def main() -> None:
     """Measure, print and store."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=5)
-    parser.add_argument("--takes", type=int, default=200)
-    parser.add_argument("--csv", type=Path, default=HERE / "results/batch.csv")
-    given = parser.parse_args()
-    about = machine((sys.executable, ["animtool", "numpy", "usd-core", "filelock"]))
+    made = parser(__doc__, "batch.csv", runs=5)
+    made.add_argument("--takes", type=int, default=200)
+    options = made.parse_args()
+    versions = ["animtool", "numpy", "usd-core", "filelock"]
+    session = begin(options, (sys.executable, versions))
     rows: list[Row] = []
     with tempfile.TemporaryDirectory(prefix="animtool-bench-") as temporary:
         folder = Path(temporary)
-        some = max(1, given.runs // 2)
-        rows += many(folder / "many", given.takes, given.runs)
+        some = max(1, options.runs // 2)
+        rows += many(folder / "many", options.takes, options.runs)
         for count in PLANNED:
             rows += planned(folder / f"plan{count}", count, some)
-        rows += starts(folder / "start", 20, given.runs)
+        rows += starts(folder / "start", 20, options.runs)
         rows += lost(folder / "lost", 20)
         rows += farmed(folder / "farm", 2_000, 500)
         rows += clustered(folder / "cluster", 500)
         rows += accidents(folder / "bad", 200)
         rows += resumed(folder / "killed", 200)
-    for section in dict.fromkeys(row.section for row in rows):
-        print("\n".join(table([row for row in rows if row.section == section])))
-    print("\n".join(verdicts(rows)))
-    write_csv(given.csv, about, rows)
+    session.finish(options.csv, rows)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ a time, and run to its end. The outputs are compared with those of a run in peac
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import signal
@@ -19,7 +18,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from figures import HERE, Row, Wanted, machine, table, verdicts, write_csv
+from clock import Taken
+from figures import Clock, Row, Wanted, tables, time_rows
+from measuring import HERE, begin, parser
 
 sys.path.insert(0, str(HERE.parent))
 from support.bvh import random_rows, small_bvh
@@ -135,13 +136,12 @@ class Folder:
         spent = sum(going.spent.values())
         peak = max(going.peaks.values(), default=0.0)
         self.rows += [
-            Row(self.section, step, "whole [s]", [seconds]),
-            Row(self.section, step, "of processors [s]", [spent]),
+            *time_rows(self.section, step, [Taken(seconds, spent)]),
             Row(self.section, step, "peak memory [MB]", [peak / 1e6]),
             Row(self.section, step, "items made", [len(now - before)]),
             Row(self.section, step, "items left", [self.count - len(now)]),
         ]
-        print("\n".join(table(self.rows[-5:])), flush=True)
+        print("\n".join(tables(self.rows[-5:])), file=sys.stderr, flush=True)
 
     @property
     def count(self) -> int:
@@ -174,7 +174,9 @@ def interrupted(here: Folder) -> None:
     os.killpg(going.process.pid, signal.SIGINT)
     here.ended("interrupted", going, 130)
     took = time.perf_counter() - asked
-    here.rows.append(Row(here.section, "interrupted", "to its end [s]", [took]))
+    here.rows.append(
+        Row(here.section, "interrupted", "to its end [s]", [took], clock=Clock.WALL)
+    )
 
 
 def at_once(here: Folder) -> None:
@@ -185,7 +187,9 @@ def at_once(here: Folder) -> None:
     both.sort(key=lambda going: not going.has_ended())
     assert both[0].process.returncode == 3
     here.ended("two at once", both[1], 0)
-    here.rows.append(Row(here.section, "two at once", "one refused [s]", [told]))
+    here.rows.append(
+        Row(here.section, "two at once", "one refused [s]", [told], clock=Clock.WALL)
+    )
 
 
 def checked(here: Folder, clean: Folder) -> list[Row]:
@@ -241,20 +245,17 @@ def measured(folder: Path, count: int, jobs: int) -> list[Row]:
 
 def main() -> None:
     """Measure, print and store."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--takes", type=int, default=10_000)
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--csv", type=Path, default=HERE / "results/batch_killed.csv")
-    given = parser.parse_args()
+    made = parser(__doc__, "batch_killed.csv", runs=1)
+    made.add_argument("--takes", type=int, default=10_000)
+    made.add_argument("--jobs", type=int, default=2)
+    options = made.parse_args()
     # Shells let what they start in the background ignore it, and so would the runs.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    about = machine((sys.executable, ["animtool", "numpy", "usd-core", "filelock"]))
+    versions = ["animtool", "numpy", "usd-core", "filelock"]
+    session = begin(options, (sys.executable, versions))
     with tempfile.TemporaryDirectory(prefix="animtool-bench-") as temporary:
-        rows = measured(Path(temporary), given.takes, given.jobs)
-    end = [row for row in rows if row.tool == "at the end"]
-    print("\n".join([*table([row for row in rows if row not in end]), *table(end)]))
-    print("\n".join(verdicts(rows)))
-    write_csv(given.csv, about, rows)
+        rows = measured(Path(temporary), options.takes, options.jobs)
+    session.finish(options.csv, rows)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import statistics
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -17,19 +16,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from figures import HERE, Row, Run, Wanted, machine, run, table, verdicts, write_csv
+from clock import Taken
+from figures import Accuracy, Clock, Row, Wanted, ratio_rows, time_rows
+from measuring import HERE, ROOT, Run, begin, parser, run, taken_of
 
-ROOT = HERE.parents[1]
-WHOLE = "whole process [s]"
-INNER = "without start-up [s]"
 PEAK = "peak memory [MB]"
 PEAK_PER_FILE = "peak / file [x]"
-WHOLE_RATIO = "whole / animtool [x]"
-INNER_RATIO = "inner / animtool [x]"
 ERROR = "largest error [cm]"
-SECONDS = "time [s]"
-SPEED = "speed [MB/s]"
-RATIO = "ratio [x]"
+# What a ratio needs of a tool that gives positions.
+NEAR_ENOUGH = Wanted(at_least=False, bound=0.1)
+INNER = "wall without start-up [s]"
+SPEED = "CPU speed [MB/s]"
+BLENDER = "Blender"
+START_UP = "start-up"
 
 
 @dataclass
@@ -47,11 +46,12 @@ class Tool:
     command: Callable[[Path], list[str]]
     runs: int
     output: str = ""
-    taken: list[Run] = field(default_factory=list)
+    runs_of: list[Run] = field(default_factory=list)
 
-    def inner(self) -> list[float]:
-        """Return the seconds that the process itself counted in its work."""
-        return [run.report["seconds"]["total"] for run in self.taken]
+    @property
+    def taken(self) -> list[Taken]:
+        """What its processes took from start to end."""
+        return [run.taken for run in self.runs_of]
 
 
 def in_turn(tools: list[Tool], work: Path, *, warm_up: bool) -> None:
@@ -66,10 +66,10 @@ def in_turn(tools: list[Tool], work: Path, *, warm_up: bool) -> None:
             stem = work / tool.name
             if tool.output:
                 stem.with_suffix(tool.output).unlink(missing_ok=True)
-            taken = run(tool.command(stem))
+            once = run(tool.command(stem))
             if i >= 0:
-                tool.taken.append(taken)
-            print(f"  {tool.name}: {taken.seconds:.2f} s", file=sys.stderr)
+                tool.runs_of.append(once)
+            print(f"  {tool.name}: {once.taken.wall:.2f} s", file=sys.stderr)
 
 
 class Bench:
@@ -108,19 +108,23 @@ class Bench:
             "animtool bake": self._bake(small, self.work / "small"),
         }
         bounds = {"animtool --help": 0.1, "animtool bake": 0.6}
-        times: dict[str, list[float]] = {name: [] for name in commands}
+        taken: dict[str, list[Taken]] = {name: [] for name in commands}
         for i in range(options.start_up_runs + 1):
             for name, command in commands.items():
-                seconds = run(command, report=False).seconds
+                once = run(command, report=False).taken
                 if i:  # The first warms the caches.
-                    times[name].append(seconds)
-        for name, values in times.items():
+                    taken[name].append(once)
+        for name, runs in taken.items():
             wanted = Wanted(False, bounds[name]) if name in bounds else None
             shown = f"{name} {small.name}" if name == "animtool bake" else name
-            self.add("start-up", shown, SECONDS, values, wanted)
-        medians = {name: statistics.median(values) for name, values in times.items()}
-        own = medians["python, import animtool"] - medians["python, pass"]
-        self.add("start-up", "import animtool alone", SECONDS, own, Wanted(False, 0.03))
+            self.rows += time_rows(START_UP, shown, runs, wanted=wanted)
+        pairs = zip(
+            taken["python, import animtool"], taken["python, pass"], strict=True
+        )
+        own = [Taken(*(a - b for a, b in zip(*pair, strict=True))) for pair in pairs]
+        self.rows += time_rows(
+            START_UP, "import animtool alone", own, wanted=Wanted(False, 0.03)
+        )
 
     def _bake(self, source: Path, stem: Path) -> list[str]:
         output = stem.with_suffix(".usdc")
@@ -138,38 +142,23 @@ class Bench:
         errors = self._errors(source, every, tools)
         own = tools[0]
         for tool in tools:
-            name, whole = tool.name, [run.seconds for run in tool.taken]
-            peaks = [run.peak_bytes / 1e6 for run in tool.taken]
-            self.add(section, name, WHOLE, whole)
-            self.add(section, name, INNER, tool.inner())
-            self._ratios(section, tool, own, wanted)
+            name, error = tool.name, errors.get(tool.name, {}).get("error")
+            peaks = [run.peak_bytes / 1e6 for run in tool.runs_of]
+            self.rows += time_rows(section, name, tool.taken)
+            inner = [run.report["seconds"]["total"] for run in tool.runs_of]
+            self.rows.append(Row(section, name, INNER, inner, clock=Clock.WALL))
+            if tool is not own:
+                near = [] if error is None else [Accuracy(ERROR, error, NEAR_ENOUGH)]
+                bound = wanted.get(name)
+                self.rows += ratio_rows(
+                    section, name, tool.taken, own.taken, wanted=bound, accuracy=near
+                )
             self.add(section, name, PEAK, peaks)
             per_file = [peak * 1e6 / size for peak in peaks]
             bound = wanted.get(PEAK_PER_FILE) if tool is own else None
             self.add(section, name, PEAK_PER_FILE, per_file, bound)
-            if name in errors:
-                self.add(section, name, ERROR, errors[name]["error"])
-
-    def _ratios(
-        self, section: str, tool: Tool, own: Tool, wanted: dict[str, Wanted]
-    ) -> None:
-        """Compare medians with animtool's; loadtxt's bound is the other way round."""
-        whole = statistics.median(run.seconds for run in tool.taken)
-        own_whole = statistics.median(run.seconds for run in own.taken)
-        inner = statistics.median(tool.inner()) / statistics.median(own.inner())
-        blender = tool.name == "Blender"
-        bound = wanted.get(WHOLE_RATIO) if blender else None
-        self.add(section, tool.name, WHOLE_RATIO, whole / own_whole, bound)
-        bound = wanted.get(INNER_RATIO) if blender else None
-        self.add(section, tool.name, INNER_RATIO, inner, bound)
-        if tool.name == "np.loadtxt" and RATIO in wanted:
-            self.add(
-                section,
-                "animtool / np.loadtxt",
-                RATIO,
-                own_whole / whole,
-                wanted[RATIO],
-            )
+            if error is not None:
+                self.add(section, name, ERROR, error)
 
     def _tools(self, source: Path, bpy_runs: int) -> Iterator[Tool]:
         options, peers, runs = self.options, HERE / "peers", self.options.runs
@@ -185,7 +174,7 @@ class Bench:
         if options.bpy_python:
             blender = [options.bpy_python, str(peers / "blender.py"), str(source)]
             yield Tool(
-                "Blender",
+                BLENDER,
                 lambda stem: [*blender, str(stem.with_suffix(".usdc"))],
                 bpy_runs,
                 ".usdc",
@@ -211,28 +200,34 @@ class Bench:
 
     def kernel(self, source: Path) -> None:
         """Time the row parser against np.loadtxt."""
-        runs = self.options.runs
-        found = self.part("kernel", source, self.work, self.options.kernel_mb, runs)
-        section, medians = "row parser", {}
-        for name, seconds in found["times"].items():
-            speeds = [found["bytes"] / 1e6 / value for value in seconds]
-            self.add(section, name, SECONDS, seconds)
-            self.add(section, name, SPEED, speeds)
-            medians[name] = statistics.median(seconds)
-        ratio = medians["np.loadtxt"] / medians["parse_bvh_rows"]
-        self.add(section, "np.loadtxt / parser", RATIO, ratio, Wanted(True, 4))
+        options = self.options
+        found = self.part("kernel", source, self.work, options.kernel_mb, options.runs)
+        wanted = Wanted(True, 4)
+        self._parts("row parser", found, "np.loadtxt", "parse_bvh_rows", wanted)
+        for name in found["taken"]:
+            speeds = [
+                found["bytes"] / 1e6 / one.cpu for one in taken_of(found["taken"], name)
+            ]
+            row = Row("row parser", name, SPEED, speeds, clock=Clock.CPU)
+            self.rows.append(row)
 
     def authoring(self) -> None:
         """Time the authoring of samples against a bare loop."""
         frames, joints = self.options.authoring_frames, 60
-        runs = self.options.runs
-        found = self.part("authoring", self.work, frames, joints, runs)
-        section, medians = "authoring", {}
-        for name, seconds in found["times"].items():
-            self.add(section, name, SECONDS, seconds)
-            medians[name] = statistics.median(seconds)
-        ratio = medians["AnimationWriter"] / medians["layer route"]
-        self.add(section, "AnimationWriter / layer", RATIO, ratio, Wanted(False, 1.5))
+        found = self.part("authoring", self.work, frames, joints, self.options.runs)
+        wanted = Wanted(False, 1.5)
+        self._parts("authoring", found, "AnimationWriter", "layer route", wanted)
+
+    def _parts(
+        self, section: str, found: dict[str, Any], tool: str, base: str, wanted: Wanted
+    ) -> None:
+        """Add what the routes of `parts.py` took, and one over the other."""
+        taken = {name: taken_of(found["taken"], name) for name in found["taken"]}
+        for name, runs in taken.items():
+            self.rows += time_rows(section, name, runs)
+        self.rows += ratio_rows(
+            section, tool, taken[tool], taken[base], name=base, wanted=wanted
+        )
 
     def run(self) -> None:
         """Run every section that was asked for."""
@@ -247,12 +242,12 @@ class Bench:
         if "authoring" in sections:
             self.authoring()
         if "medium" in sections:
-            bounds = {WHOLE_RATIO: Wanted(True, 5), INNER_RATIO: Wanted(True, 12)}
+            bounds = {BLENDER: Wanted(True, 5)}
             self.file("medium", self.options.medium, 1, bounds)
         if "long" in sections:
             bounds = {
-                WHOLE_RATIO: Wanted(True, 25),
-                RATIO: Wanted(False, 2.5),
+                BLENDER: Wanted(True, 25),
+                "np.loadtxt": Wanted(True, 0.4),
                 PEAK_PER_FILE: Wanted(False, 3),
             }
             self.file("long", long, self.options.every, bounds)
@@ -267,17 +262,13 @@ def keep_bytecode(folder: Path) -> None:
 SECTIONS = ("start-up", "kernel", "authoring", "medium", "long")
 
 
-def parser() -> argparse.ArgumentParser:
+def options_of() -> argparse.Namespace:
     """Return the options."""
     data = Path(os.environ.get("ANIMTOOL_DATA", "data")) / "bvh"
     walk = ROOT / "samples" / "walk" / "walk.bvh"
-    made = argparse.ArgumentParser(
-        description=__doc__.splitlines()[0] if __doc__ else None,
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-    )
+    made = parser(__doc__, "bvh_to_usd.csv", runs=5)
     add = made.add_argument
     add("--sections", nargs="+", choices=SECTIONS, default=SECTIONS)
-    add("--runs", type=int, default=5, help="runs of each tool; the median counts")
     add("--bpy-runs", type=int, default=1, help="runs of Blender on the long file")
     add("--start-up-runs", type=int, default=15)
     add("--frames", type=int, default=100_000, help="frames of the long file")
@@ -293,16 +284,17 @@ def parser() -> argparse.ArgumentParser:
     add("--pybvh-python", help="interpreter with pybvh; without it pybvh is skipped")
     add("--animtool", help="the command; by default the one beside --python")
     add("--work", type=Path, help="keep work files here instead of a temporary folder")
-    add("--csv", type=Path, default=HERE / "results" / "bvh_to_usd.csv")
-    return made
+    options = made.parse_args()
+    if options.animtool is None:
+        options.animtool = str(Path(options.python).with_name("animtool"))
+    return options
 
 
 def main() -> None:
     """Measure, print the tables, write the CSV."""
-    options = parser().parse_args()
-    if options.animtool is None:
-        options.animtool = str(Path(options.python).with_name("animtool"))
-    about = machine(
+    options = options_of()
+    session = begin(
+        options,
         (options.python, ["animtool", "usd-core", "numpy"]),
         (options.pybvh_python, ["pybvh", "numpy"]),
         (options.bpy_python, ["bpy", "numpy"]),
@@ -313,13 +305,7 @@ def main() -> None:
         keep_bytecode(work / "bytecode")
         bench = Bench(options, work)
         bench.run()
-    print("\n".join(about))
-    for section in dict.fromkeys(row.section for row in bench.rows):
-        print()
-        print("\n".join(table([r for r in bench.rows if r.section == section])))
-    print()
-    print("\n".join(verdicts(bench.rows)))
-    write_csv(options.csv, about, bench.rows)
+    session.finish(options.csv, bench.rows)
 
 
 if __name__ == "__main__":

@@ -7,17 +7,27 @@ inside its process without making the curves; see README.md beside this file.
 from __future__ import annotations
 
 import argparse
-import statistics
 import sys
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import mpmath
 import numpy as np
 import numpy.typing as npt
-from figures import HERE, Row, Wanted, machine, run, table, verdicts, write_csv
+from clock import Taken
+from figures import Accuracy, Row, Wanted, ratio_rows, time_rows
+from measuring import (
+    begin,
+    floor_work,
+    floors,
+    in_process,
+    in_turn,
+    on_one_thread,
+    parser,
+    run_peer,
+    taken_of,
+)
 from pxr import Ts
 
 from animtool.maths.curves import Curves, SegmentKind, evaluate
@@ -26,9 +36,13 @@ from animtool.maths.extrapolation import Extrapolation
 Array = npt.NDArray[np.float64]
 
 SEED = 4
-SECTION = "curves"
-TIME, SPEED, RATIO = "time [s]", "speed [Meval/s]", "time / animtool [x]"
 ERROR = "largest error [1]"
+# What a ratio needs, where values are about 10: float32 is as near.
+NEAR_ENOUGH = Wanted(at_least=False, bound=1e-3)
+BATCH, SINGLE = "all channels and frames, one call", "a call a value"
+OWN, LINES = "animtool", "np.interp (straight lines)"
+TS, BLENDER = "Ts, Spline.Eval", "Blender, convert_to_samples"
+BLENDER_ONE = "Blender, FCurve.evaluate"
 
 
 def make_keys(channels: int, count: int, frames: int) -> Array:
@@ -106,103 +120,147 @@ def _bernstein(
     return a * w**3 + 3 * b * w**2 * u + 3 * c * w * u**2 + d * u**3
 
 
-def timed(route: Callable[[], Array], runs: int) -> tuple[list[float], Array]:
-    """Return the seconds of each run behind a warm-up, and the values."""
-    values = route()
-    seconds = []
-    for _ in range(runs):
-        began = time.perf_counter()
-        values = route()
-        seconds.append(time.perf_counter() - began)
-    return seconds, values
+class Problem:
+    """The curves in the form of every route, and true values of a sample.
+
+    Attributes:
+        frames: Whole ones ``(F,)``.
+        chosen: Channels and frames of the sample, a row each ``(N, 2)``.
+        true: Their values ``(N,)``.
+    """
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        self.keys = make_keys(options.channels, options.keys, options.frames)
+        self.frames = np.arange(options.frames, dtype=np.float64)
+        rng = np.random.default_rng(SEED)
+        ends = options.channels, options.frames
+        self.chosen = np.stack([rng.integers(n, size=options.samples) for n in ends], 1)
+        pairs = self.chosen.tolist()
+        self.true = np.array([truth(self.keys[c], float(f)) for c, f in pairs])
+
+    def error(self, values: Array) -> float:
+        """Return how far off values ``(C, F)`` are at most."""
+        return float(np.abs(values[tuple(self.chosen.T)] - self.true).max())
 
 
-def measure(options: argparse.Namespace) -> list[Row]:
-    """Time every route and compare a sample of its values with 50 digits."""
-    keys = make_keys(options.channels, options.keys, options.frames)
-    frames = np.arange(options.frames, dtype=np.float64)
-    curves, splines = as_curves(keys), as_splines(keys)
-    rng = np.random.default_rng(SEED)
-    places = [rng.integers(n, size=options.samples) for n in keys.shape[:1]]
-    places.append(rng.integers(options.frames, size=options.samples))
-    wanted = [truth(keys[c], float(f)) for c, f in zip(*places, strict=True)]
-    listed = frames.tolist()
-    routes: dict[str, Callable[[], Array]] = {
-        "animtool": lambda: evaluate(curves, frames),
-        "np.interp (straight lines)": lambda: np.array(
+def batch(problem: Problem, options: argparse.Namespace, folder: Path) -> list[Row]:
+    """Time all values in one call, where a tool has one."""
+    keys, frames = problem.keys, problem.frames
+    curves, splines, listed = as_curves(keys), as_splines(keys), frames.tolist()
+    works: dict[str, Callable[[], Array]] = {
+        OWN: lambda: evaluate(curves, frames),
+        LINES: lambda: np.array(
             [np.interp(frames, rows[:, 2], rows[:, 3]) for rows in keys]
         ),
-        "Ts, Spline.Eval": lambda: np.array(
-            [[spline.Eval(t) for t in listed] for spline in splines]
-        ),
+        TS: lambda: np.array([[spline.Eval(t) for t in listed] for spline in splines]),
     }
-    found = {}
-    for name, route in routes.items():
-        slow = name.startswith("Ts")
-        found[name] = timed(route, 2 if slow else options.runs)
-        print(f"  {name}: {statistics.median(found[name][0]):.4f} s", file=sys.stderr)
+    libraries = floors(options.compiler, folder)
+    kept = np.ones((len(keys), len(frames)))
+    for name, library in libraries.items():
+        sizes = len(keys), keys.shape[1]
+        work = floor_work(library, "curves", keys, *sizes, frames, len(frames), kept)
+        works[name] = lambda work=work: (work(), kept)[1]
+    values = {name: np.array(work()) for name, work in works.items()}
+    routes = {name: in_process(work) for name, work in works.items()}
     if options.bpy_python:
-        found["Blender, convert_to_samples"] = blender(options, keys)
-    else:
-        print("  Blender skipped: no --bpy-python", file=sys.stderr)
-    bounds = {"Ts, Spline.Eval": 5.0, "Blender, convert_to_samples": 1.2}
-    own = statistics.median(found["animtool"][0])
-    rows = []
-    for name, (seconds, values) in found.items():
-        ratio = statistics.median(seconds) / own
-        bound = Wanted(True, bounds[name]) if name in bounds else None
-        rows.append(Row(SECTION, name, TIME, seconds))
-        speeds = [values.size / 1e6 / second for second in seconds]
-        rows.append(Row(SECTION, name, SPEED, speeds))
-        rows.append(Row(SECTION, name, RATIO, [ratio], bound))
-        if not name.startswith("np.interp"):
-            error = float(np.abs(values[tuple(places)] - wanted).max())
-            rows.append(Row(SECTION, name, ERROR, [error]))
+        routes[BLENDER] = lambda: blender(options, keys, folder, "samples")[0]
+    taken = in_turn(routes, options.runs)
+    if options.bpy_python:
+        values[BLENDER] = blender(options, keys, folder, "samples")[1]
+    errors = {name: problem.error(v) for name, v in values.items() if name != LINES}
+    # Ts has no call for many times, so a loop of its calls is all there is.
+    bounds = {TS: 5.0, BLENDER: 1.2}
+    rows = rows_of(
+        BATCH, taken, errors, bounds, float(len(keys) * len(frames)), "ns/value"
+    )
+    for name in libraries:
+        rows += ratio_rows(BATCH, OWN, taken[OWN], taken[name], name=name)
     return rows
 
 
-def blender(options: argparse.Namespace, keys: Array) -> tuple[list[float], Array]:
+def single(problem: Problem, options: argparse.Namespace, folder: Path) -> list[Row]:
+    """Time the sample, each value by a call of its own."""
+    keys = problem.keys
+    curves = [as_curves(rows[None]) for rows in keys]
+    splines, chosen = as_splines(keys), problem.chosen.tolist()
+    works: dict[str, Callable[[], Array]] = {
+        OWN: lambda: np.array([evaluate(curves[c], [f])[0, 0] for c, f in chosen]),
+        TS: lambda: np.array([splines[c].Eval(f) for c, f in chosen]),
+    }
+    routes = {name: in_process(work) for name, work in works.items()}
+    errors = {
+        name: float(np.abs(work() - problem.true).max()) for name, work in works.items()
+    }
+    if options.bpy_python:
+        np.save(folder / "chosen.npy", problem.chosen)
+        routes[BLENDER_ONE] = lambda: blender(options, keys, folder, "evaluate")[0]
+    taken = in_turn(routes, options.runs)
+    if options.bpy_python:
+        values = blender(options, keys, folder, "evaluate")[1]
+        errors[BLENDER_ONE] = float(np.abs(values - problem.true).max())
+    bounds = {TS: 1.0, BLENDER_ONE: 1.0}
+    return rows_of(SINGLE, taken, errors, bounds, float(len(chosen)), "us/value")
+
+
+def rows_of(
+    section: str,
+    taken: dict[str, list[Taken]],
+    errors: dict[str, float],
+    bounds: dict[str, float],
+    count: float,
+    unit: str,
+) -> list[Row]:
+    """Return the figures of every route, a value each."""
+    rows = []
+    for name, runs in taken.items():
+        rows += time_rows(section, name, runs, unit=unit, per=count)
+        near = []
+        if name in errors:
+            rows.append(Row(section, name, ERROR, [errors[name]]))
+            near = [Accuracy(ERROR, errors[name], NEAR_ENOUGH)]
+        if name != OWN:
+            bound = Wanted(True, bounds[name]) if name in bounds else None
+            own = taken[OWN]
+            rows += ratio_rows(section, name, runs, own, wanted=bound, accuracy=near)
+    return rows
+
+
+def blender(
+    options: argparse.Namespace, keys: Array, folder: Path, how: str
+) -> tuple[Taken, Array]:
     """Time Blender in its own interpreter."""
-    with tempfile.TemporaryDirectory(prefix="animtool-bench-") as folder:
-        source, output = Path(folder, "keys.npy"), Path(folder, "values.npy")
-        np.save(source, keys)
-        script = str(HERE / "peers" / "blender_curves.py")
-        command = [options.bpy_python, script, str(source), str(output)]
-        command += [str(options.frames), str(options.runs)]
-        seconds = run(command).report["seconds"]
-        return seconds, np.load(output)
+    source, output = folder / "keys.npy", folder / "values.npy"
+    np.save(source, keys)
+    told = how, source, output, options.frames, folder / "chosen.npy"
+    report = run_peer(options.bpy_python, "blender_curves.py", *told)
+    return taken_of(report)[0], np.load(output)
 
 
-def parser() -> argparse.ArgumentParser:
-    """Return the options."""
-    made = argparse.ArgumentParser(
-        description=__doc__.splitlines()[0] if __doc__ else None,
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-    )
+def main() -> None:
+    """Measure, print the tables, write the CSV."""
+    made = parser(__doc__, "curves.csv", runs=7)
     add = made.add_argument
     add("--channels", type=int, default=200)
     add("--keys", type=int, default=50, help="of each channel")
     add("--frames", type=int, default=5000)
-    add("--runs", type=int, default=7, help="runs of each route; the median counts")
     add("--samples", type=int, default=300, help="values compared with 50 digits")
+    add("--compiler", default="c++", help="of the plain loops; '' skips them")
     add("--bpy-python", help="interpreter with bpy; without it Blender is skipped")
-    add("--csv", type=Path, default=HERE / "results" / "curves.csv")
-    return made
-
-
-def main() -> None:
-    """Measure, print the table, write the CSV."""
-    options = parser().parse_args()
-    about = machine(
+    options = made.parse_args()
+    on_one_thread()
+    session = begin(
+        options,
         (sys.executable, ["animtool", "usd-core", "numpy"]),
         (options.bpy_python, ["bpy", "numpy"]),
+        notes=[
+            f"{options.channels} channels, {options.keys} keys, {options.frames} frames"
+        ],
     )
-    about.append(
-        f"{options.channels} channels, {options.keys} keys, {options.frames} frames"
-    )
-    rows = measure(options)
-    print("\n".join([*about, "", *table(rows), "", *verdicts(rows)]))
-    write_csv(options.csv, about, rows)
+    problem = Problem(options)
+    with tempfile.TemporaryDirectory(prefix="animtool-bench-") as name:
+        folder = Path(name)
+        rows = batch(problem, options, folder) + single(problem, options, folder)
+    session.finish(options.csv, rows)
 
 
 if __name__ == "__main__":

@@ -7,117 +7,148 @@ points in memory; see README.md beside this file.
 from __future__ import annotations
 
 import argparse
-import json
 import os
-import statistics
 import sys
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-import numpy.typing as npt
-from figures import HERE, Row, Wanted, machine, table, verdicts, write_csv
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
+from clock import Taken
+from deform_meshes import (
+    SEED,
+    Array,
+    Work,
+    face_shapes,
+    float32,
+    make_shapes,
+    make_skin,
+    numpy_linear,
+    usd_blend,
+    usd_query,
+    usd_skin,
+    write_points,
+    write_take,
+)
+from figures import Accuracy, Clock, Row, Wanted, ratio_rows, time_rows
+from measuring import (
+    begin,
+    floor_work,
+    floors,
+    in_process,
+    in_turn,
+    on_one_thread,
+    parser,
+)
+from pxr import Usd, UsdGeom
 
 from animtool import _kernels
-from animtool.maths import so3
-from animtool.output import replacing
 from animtool.rig.kinematics import WorldTransforms
 from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
 from animtool.skin.shapes import ShapeDeltas, blend_points, prepare_shapes
 from animtool.skin.skinning import Binding, SkinMethod, prepare_skin, skin_points
 
-Array = npt.NDArray[np.float64]
-Route = Callable[[], object]
-
-SEED = 11
-TIME, RATIO = "time [ms/frame]", "time / animtool, out= [x]"
 ERROR = "largest error [1e-6]"
-OURS, INTO = "animtool", "animtool, out="
+# What a ratio needs, of points about 1 in size: float32 is as near.
+NEAR_ENOUGH = Wanted(at_least=False, bound=100.0)
+AHEAD = Wanted(at_least=True, bound=1.0)
+OURS, INTO, ONE = "animtool", "animtool, out=", "animtool, a call a frame"
 
 
 @dataclass
 class Peer:
-    """A route beside animtool's: its work, and how many times slower it should be."""
+    """A route beside animtool's.
+
+    Attributes:
+        name: Of the route.
+        work: All frames.
+        bound: How many times as long it should take.
+        single: Whether it takes a call a frame, as animtool is called there too.
+        exact: Whether its points are whole, so that they have an error.
+    """
 
     name: str
-    route: Route
+    work: Work
     bound: Wanted | None = None
-
-
-def in_turn(routes: dict[str, Route], runs: int) -> dict[str, list[float]]:
-    """Return the seconds of each route, run in turn behind a round that warms up."""
-    seconds: dict[str, list[float]] = {name: [] for name in routes}
-    for i in range(-1, runs):
-        for name, route in routes.items():
-            began = time.perf_counter()
-            result = route()
-            took = time.perf_counter() - began
-            del result
-            if i >= 0:
-                seconds[name].append(took)
-    return seconds
+    single: bool = True
+    exact: bool = True
 
 
 def rows_of(
     section: str,
-    ours: Callable[[Array | None], Array],
+    ours: Callable[[slice, Array | None], Array],
     peers: list[Peer],
-    truth: Array,
+    truth: Array | None,
     options: argparse.Namespace,
 ) -> list[Row]:
-    """Time routes to points ``(F, V, 3)`` and compare them with float64 reference."""
-    out = ours(None)
-    routes: dict[str, Route] = {OURS: lambda: ours(None), INTO: lambda: ours(out)}
-    routes.update((peer.name, peer.route) for peer in peers)
-    seconds = in_turn(routes, options.runs)
-    own = statistics.median(seconds[INTO])
-    bounds = {peer.name: peer.bound for peer in peers}
+    """Time routes to points ``(F, V, 3)`` and compare them with float64 reference.
+
+    Args:
+        section: Of the tables.
+        ours: Returns some frames, into an array where there is one.
+        peers: Beside it.
+        truth: Points of the first frames; None leaves animtool out, which is them.
+        options: Of the script.
+    """
+    every = slice(0, options.frames)
+    out = ours(every, None)
+    frame = out[:1].copy()
+
+    def each() -> None:
+        for f in range(options.frames):
+            ours(slice(f, f + 1), frame)
+
+    works = {OURS: lambda: ours(every, None), INTO: lambda: ours(every, out), ONE: each}
+    works |= {peer.name: peer.work for peer in peers}
+    print(section, file=sys.stderr)
+    taken = in_turn({n: in_process(w) for n, w in works.items()}, options.runs)
+    near = dict[str, float]()
+    own = ours(slice(0, 4), None)
+    for name, points in [(OURS, own), *((p.name, p.work()) for p in peers if p.exact)]:
+        true = own if truth is None else truth
+        found = np.asarray(points)[: len(true)].reshape(true.shape)
+        near[name] = 1e6 * float(np.abs(found - true).max())
+    near[INTO] = near[ONE] = near[OURS]
     rows = []
-    for name, route in routes.items():
-        each = [s * 1e3 / options.frames for s in seconds[name]]
-        ratio = statistics.median(seconds[name]) / own
-        rows.append(Row(section, name, TIME, each))
-        rows.append(Row(section, name, RATIO, [ratio], bounds.get(name)))
-        points = np.asarray(route())[: len(truth)].reshape(truth.shape)
-        error = float(np.abs(points - truth).max())
-        rows.append(Row(section, name, ERROR, [error * 1e6]))
-        print(f"  {section}, {name}: {statistics.median(each):.4f} ms", file=sys.stderr)
+    for title, base, also in (
+        (f"{section}, one call", INTO, [OURS]),
+        (f"{section}, a call a frame", ONE, []),
+    ):
+        bounds = {p.name: p.bound for p in peers}
+        if base == ONE:
+            bounds = {p.name: AHEAD if p.bound else None for p in peers if p.single}
+        for name in (*also, base, *bounds):
+            rows += time_rows(
+                title, name, taken[name], unit="ms/frame", per=options.frames
+            )
+            faults = []
+            if name in near and (truth is not None or name in bounds):
+                rows.append(Row(title, name, ERROR, [near[name]]))
+                faults = [Accuracy(ERROR, near[name], NEAR_ENOUGH)]
+            if name != base:
+                rows += ratio_rows(
+                    title,
+                    name,
+                    taken[name],
+                    taken[base],
+                    wanted=bounds.get(name),
+                    accuracy=faults,
+                )
     return rows
 
 
-def float32(values: Array) -> Array:
-    """Return values that float32 holds, so that UsdSkel gets the same."""
-    return values.astype(np.float32).astype(np.float64)
-
-
-def make_shapes(
-    rng: np.random.Generator, vertices: int, densities: Array
-) -> list[ShapeDeltas]:
-    """Return a shape a density, each at random vertices."""
-    shapes = []
-    for i, density in enumerate(densities):
-        at = np.flatnonzero(rng.random(vertices) < density)
-        offsets = float32(rng.normal(0, 0.01, (len(at), 3)))
-        shapes.append(ShapeDeltas(f"shape_{i}", offsets, at))
-    return shapes
-
-
-def face_shapes(path: Path) -> tuple[Array, list[ShapeDeltas]]:
-    """Return points and shapes of an npz with ptr, indices and offsets."""
-    face = np.load(path)
-    shapes = []
-    for i, (low, high) in enumerate(
-        zip(face["ptr"][:-1], face["ptr"][1:], strict=True)
-    ):
-        offsets = face["offsets"][low:high].astype(np.float64)
-        at = face["indices"][low:high].astype(np.int64)
-        shapes.append(ShapeDeltas(f"shape_{i}", offsets, at))
-    return face["points"].astype(np.float64), shapes
+def floor_peers(
+    name: str, given: tuple[object, ...], out: Array, options: argparse.Namespace
+) -> list[Peer]:
+    """Return the plain loops of a name, which write into an array that they have."""
+    made = []
+    for title, library in options.libraries.items():
+        work = floor_work(library, name, *given, options.frames, out)
+        both = lambda work=work: (work(), out)[1]  # noqa: E731
+        made.append(Peer(title, both, single=False))
+    return made
 
 
 def measure_shapes(
@@ -139,89 +170,33 @@ def measure_shapes(
     truth = (weights[:4] @ matrix).reshape(4, *points.shape) + points
     bound = Wanted(True, 1 / 1.5) if against_product else None
     space = np.zeros((options.frames, matrix.shape[1]))
-    product = "dense product alone"
-    floor = Peer(product, lambda: np.matmul(weights, matrix, out=space), bound)
+    product = Peer(
+        "dense product alone",
+        lambda: np.matmul(weights, matrix, out=space),
+        bound,
+        single=False,
+        exact=False,  # It leaves the points out.
+    )
+    plain = floor_peers(
+        "shapes",
+        (
+            *(points, len(points), weights, len(shapes)),
+            np.cumsum([0, *(len(shape.indices) for shape in shapes)]).astype(np.int64),
+            np.concatenate([shape.indices for shape in shapes]).astype(np.int64),
+            np.concatenate([np.asarray(shape.offsets, float) for shape in shapes]),
+        ),
+        np.ones((options.frames, *points.shape)),
+        options,
+    )
     deformed = usd_blend(points, shapes, weights)
     peer = Peer("UsdSkel, ComputeDeformedPoints", deformed, Wanted(True, 3))
-    rows = rows_of(
+    return rows_of(
         section,
-        lambda out: blend_points(made, weights, out=out),
-        [floor, peer],
+        lambda frames, out: blend_points(made, weights[frames], out=out),
+        [product, *plain, peer],
         truth,
         options,
     )
-    # The product leaves the points out, so its difference is no error.
-    return [r for r in rows if (r.tool, r.measure) != (floor.name, ERROR)]
-
-
-def usd_blend(points: Array, shapes: list[ShapeDeltas], weights: Array) -> Route:
-    """Return UsdSkel's route over all frames, everything it can prepare prepared."""
-    stage = Usd.Stage.CreateInMemory()
-    root = UsdSkel.Root.Define(stage, "/root")
-    mesh = UsdGeom.Mesh.Define(stage, "/root/mesh")
-    targets = []
-    for shape in shapes:
-        prim = UsdSkel.BlendShape.Define(stage, f"/root/mesh/{shape.name}")
-        offsets = np.asarray(shape.offsets, np.float32)
-        prim.CreateOffsetsAttr(Vt.Vec3fArray.FromNumpy(offsets))
-        at = np.asarray(shape.indices, np.int32)
-        prim.CreatePointIndicesAttr(Vt.IntArray.FromNumpy(at))
-        targets.append(prim.GetPath())
-    binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
-    binding.CreateBlendShapeTargetsRel().SetTargets(targets)
-    query = UsdSkel.BlendShapeQuery(binding)
-    indices = query.ComputeBlendShapePointIndices()
-    offsets_of = query.ComputeSubShapePointOffsets()
-    rest = Vt.Vec3fArray.FromNumpy(points.astype(np.float32))
-    frames = [Vt.FloatArray.FromNumpy(row) for row in weights.astype(np.float32)]
-
-    def route() -> list[Vt.Vec3fArray]:
-        made = []
-        for frame in frames:
-            deformed = Vt.Vec3fArray(rest)
-            parts = query.ComputeSubShapeWeights(frame)
-            query.ComputeDeformedPoints(*parts, indices, offsets_of, deformed)
-            made.append(deformed)
-        return made
-
-    # A query lives as long as its stage.
-    route.keep = stage, root  # type: ignore[attr-defined]
-    return route
-
-
-@dataclass
-class Skinned:
-    """A mesh on joints, and the transforms of these."""
-
-    points: Array
-    binding: Binding
-    world: WorldTransforms
-
-
-def make_skin(options: argparse.Namespace, *, scaled: bool) -> Skinned:
-    """Return a mesh whose vertices follow neighbours among the joints."""
-    rng = np.random.default_rng(SEED)
-    vertices, joints, count = options.vertices, options.joints, options.influences
-    near = np.arange(vertices) * joints // vertices
-    picks = np.stack([(near + i) % joints for i in range(count)], axis=1)
-    weights = rng.random((vertices, count)) + 0.05
-    weights = float32(weights / weights.sum(axis=1, keepdims=True))
-    bind = np.tile(np.eye(4), (joints, 1, 1))
-    bind[:, :3, :3] = so3.to_matrix(so3.normalize(rng.normal(size=(joints, 4))))
-    bind[:, :3, 3] = rng.normal(size=(joints, 3))
-    turns = so3.normalize(rng.normal(size=(options.frames, joints, 4)))
-    linear = so3.to_matrix(turns)
-    if scaled:
-        linear = linear * rng.uniform(0.8, 1.25, (options.frames, joints, 1, 3))
-    world = WorldTransforms(rng.normal(size=(options.frames, joints, 3)), linear)
-    points = float32(rng.normal(size=(vertices, 3)))
-    return Skinned(points, Binding(picks, weights, bind), world)
-
-
-USD_NAMES = {
-    SkinMethod.LINEAR: "classicLinear",
-    SkinMethod.DUAL_QUATERNION: "dualQuaternion",
-}
 
 
 def measure_skin(
@@ -243,114 +218,27 @@ def measure_skin(
     transforms[..., :3, :3], transforms[..., 3, 3] = made.world.linear, 1
     transforms[..., :3, 3] = made.world.positions
     moved = transforms @ np.linalg.inv(np.asarray(binding.bind))
-    few = WorldTransforms(made.world.positions[:4], made.world.linear[:4])
-    if method is SkinMethod.LINEAR:
-        truth = numpy_linear(made, moved[:4])
-    else:
-        # Held against a plain reference by the tests; here it measures UsdSkel.
-        truth = skin_points(skin, still, few)
+    linear = method is SkinMethod.LINEAR
     peers = [
         Peer("UsdSkel, SkinPoints", usd_skin(made, moved, method), Wanted(True, bound)),
         Peer("UsdSkel, ComputeSkinnedPoints", usd_query(made, moved, method)),
     ]
-    if method is SkinMethod.LINEAR:
-        peers.append(Peer("numpy", lambda: numpy_linear(made, moved)))
-    rows = rows_of(
-        section,
-        lambda out: skin_points(skin, still, made.world, out=out),
-        peers,
-        truth,
-        options,
-    )
-    own = method is SkinMethod.DUAL_QUATERNION
-    return [
-        r for r in rows if not (own and r.tool in {OURS, INTO} and r.measure == ERROR)
-    ]
+    if linear:
+        whole = Peer("numpy", lambda: numpy_linear(made, moved), single=False)
+        indices = np.asarray(binding.indices).astype(np.int64)
+        sizes = np.asarray(binding.weights), indices.shape[1]
+        flat = np.ascontiguousarray(moved[:, :, :3])
+        given = made.points, len(made.points), indices, *sizes, flat, options.joints
+        space = np.ones((options.frames, *made.points.shape))
+        peers += [whole, *floor_peers("skin", given, space, options)]
 
+    def ours(frames: slice, out: Array | None) -> Array:
+        world = WorldTransforms(made.world.positions[frames], made.world.linear[frames])
+        return skin_points(skin, still, world, out=out)
 
-def numpy_linear(made: Skinned, moved: Array) -> Array:
-    """Return linear blend skinning as numpy does it best, a frame at a time."""
-    ends = np.concatenate([made.points, np.ones((len(made.points), 1))], axis=1)
-    indices, weights = (
-        np.asarray(made.binding.indices),
-        np.asarray(made.binding.weights),
-    )
-    result = np.empty((len(moved), *made.points.shape))
-    for f, frame in enumerate(moved[:, :, :3]):
-        blended = np.einsum("vi,virc->vrc", weights, frame[indices])
-        result[f] = np.einsum("vrc,vc->vr", blended, ends)
-    return result
-
-
-def usd_transforms(moved: Array) -> list[Vt.Matrix4dArray]:
-    """Return transforms for column vectors as arrays of USD's matrices."""
-    rows = np.ascontiguousarray(moved.swapaxes(-1, -2))
-    return [Vt.Matrix4dArray.FromNumpy(frame) for frame in rows]
-
-
-def usd_skin(made: Skinned, moved: Array, method: SkinMethod) -> Route:
-    """Return UsdSkel's function on arrays, all of them prepared."""
-    count = np.asarray(made.binding.indices).shape[1]
-    rest = Vt.Vec3fArray.FromNumpy(made.points.astype(np.float32))
-    indices = Vt.IntArray.FromNumpy(np.asarray(made.binding.indices, np.int32).ravel())
-    weights = np.asarray(made.binding.weights, np.float32).ravel()
-    weights = Vt.FloatArray.FromNumpy(weights)
-    frames, geom = usd_transforms(moved), Gf.Matrix4d(1)
-
-    def route() -> list[Vt.Vec3fArray]:
-        result = []
-        for frame in frames:
-            points = Vt.Vec3fArray(rest)
-            UsdSkel.SkinPoints(
-                USD_NAMES[method], geom, frame, indices, weights, count, points
-            )
-            result.append(points)
-        return result
-
-    return route
-
-
-def usd_query(made: Skinned, moved: Array, method: SkinMethod) -> Route:
-    """Return UsdSkel's query of a mesh on a stage."""
-    stage = Usd.Stage.CreateInMemory()
-    root = UsdSkel.Root.Define(stage, "/root")
-    skeleton = UsdSkel.Skeleton.Define(stage, "/root/skeleton")
-    names = [f"j{i}" for i in range(moved.shape[1])]
-    skeleton.CreateJointsAttr(names)
-    bind = np.asarray(made.binding.bind).swapaxes(-1, -2)
-    skeleton.CreateBindTransformsAttr([Gf.Matrix4d(m.tolist()) for m in bind])
-    skeleton.CreateRestTransformsAttr([Gf.Matrix4d(m.tolist()) for m in bind])
-    mesh = UsdGeom.Mesh.Define(stage, "/root/mesh")
-    rest = Vt.Vec3fArray.FromNumpy(made.points.astype(np.float32))
-    mesh.CreatePointsAttr(rest)
-    binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
-    binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
-    count = np.asarray(made.binding.indices).shape[1]
-    indices = np.asarray(made.binding.indices, np.int32).ravel()
-    binding.CreateJointIndicesPrimvar(False, count).Set(Vt.IntArray.FromNumpy(indices))
-    weights = np.asarray(made.binding.weights, np.float32).ravel()
-    binding.CreateJointWeightsPrimvar(False, count).Set(
-        Vt.FloatArray.FromNumpy(weights)
-    )
-    attribute = mesh.GetPrim().CreateAttribute(
-        "primvars:skel:skinningMethod", Sdf.ValueTypeNames.Token
-    )
-    attribute.Set(USD_NAMES[method])
-    cache = UsdSkel.Cache()
-    cache.Populate(root, Usd.PrimDefaultPredicate)
-    query = cache.GetSkinningQuery(mesh.GetPrim())
-    frames = usd_transforms(moved)
-
-    def route() -> list[Vt.Vec3fArray]:
-        result = []
-        for frame in frames:
-            points = Vt.Vec3fArray(rest)
-            query.ComputeSkinnedPoints(frame, points, Usd.TimeCode.Default())
-            result.append(points)
-        return result
-
-    route.keep = stage, cache  # type: ignore[attr-defined]
-    return route
+    # Dual quaternions are held against a plain reference by the tests.
+    truth = numpy_linear(made, moved[:4]) if linear else None
+    return rows_of(section, ours, peers, truth, options)
 
 
 def measure_columns(options: argparse.Namespace) -> list[Row]:
@@ -366,7 +254,7 @@ def measure_columns(options: argparse.Namespace) -> list[Row]:
     first = np.arange(vertices + 1) * count
     columns = np.tile(np.arange(count, dtype=np.int32), vertices)
     offsets = rng.normal(size=(vertices * count, 3))
-    routes: dict[str, Route] = {
+    works: dict[str, Work] = {
         "dense column": lambda: weights @ matrix,
         "full sparse column": lambda: _kernels.add_sparse(
             rest, weights, first, columns, offsets, whole
@@ -375,96 +263,19 @@ def measure_columns(options: argparse.Namespace) -> list[Row]:
             whole, weights, empty, *none, whole
         ),
     }
-    seconds = in_turn(routes, options.runs)
-    rows = []
-    for name, taken in seconds.items():
-        parts = 1 if name.startswith("pass") else count
-        each = [s * 1e6 / options.frames / parts for s in taken]
-        rows.append(Row("columns", name, "time [us/frame]", each))
-    dense = rows[0].median
-    for row in list(rows):
-        ratio = [row.median / dense]
-        rows.append(Row("columns", row.tool, "time / dense column [x]", ratio))
+    taken = in_turn({n: in_process(w) for n, w in works.items()}, options.runs)
+    rows, base = [], "dense column"
+    for name, runs in taken.items():
+        # The pass is one for all columns.
+        parts = options.frames * (1 if name.startswith("pass") else count)
+        rows += time_rows("columns", name, runs, unit="us/frame", per=parts)
+        if name != base:
+            least = [
+                Taken(*(part * options.frames / parts for part in one)) for one in runs
+            ]
+            dense = [Taken(*(part / count for part in one)) for one in taken[base]]
+            rows += ratio_rows("columns", name, least, dense, name=base)
     return rows
-
-
-def write_take(folder: Path, options: argparse.Namespace) -> Path:
-    """Write a rig of one mesh, its arrays, and a clip that turns every joint."""
-    rng = np.random.default_rng(SEED)
-    vertices, joints = options.vertices, options.joints
-    made = make_skin(options, scaled=False)
-    shapes = {
-        f"s{i}": rng.normal(0, 0.01, (vertices, 3)) * (rng.random((vertices, 1)) < 0.4)
-        for i in range(options.bake_shapes)
-    }
-    np.savez(
-        folder / "mesh.npz",
-        points=made.points,
-        faces=np.arange(vertices // 3 * 3).reshape(-1, 3),
-        indices=np.asarray(made.binding.indices),
-        weights=np.asarray(made.binding.weights),
-        **shapes,
-    )
-    rig = {
-        "rig": "animtool/1",
-        "name": "mesh",
-        "units": {"length": "m", "angle": "deg"},
-        "up": "Y",
-        "joints": [
-            {"name": f"j{i}", "type": "free", "translate": [0.1, 0.1, 0.0]}
-            | ({"parent": f"j{(i - 1) // 2}"} if i else {})
-            for i in range(joints)
-        ],
-        "meshes": [
-            {
-                "name": "body",
-                "points": "mesh.npz",
-                "faces": "mesh.npz",
-                "skin": {
-                    "method": "linear",
-                    "joints": [f"j{i}" for i in range(joints)],
-                    "indices": "mesh.npz",
-                    "weights": "mesh.npz",
-                },
-            }
-        ],
-        "shapes": [
-            {"name": name, "mesh": "body", "deltas": f"mesh.npz#{name}"}
-            for name in shapes
-        ],
-    }
-    last = options.bake_frames
-    turn = [{"t": 1, "v": [1, 0, 0, 0]}, {"t": last, "v": [0.8, 0.6, 0, 0]}]
-    grow = [{"t": 1, "v": 0.1}, {"t": last, "v": 1}]
-    channels: list[dict[str, object]] = [
-        {"target": f"joint/j{i}.rotation", "interp": "slerp", "keys": turn}
-        for i in range(joints)
-    ]
-    channels += [{"target": f"shape/{name}", "keys": grow} for name in shapes]
-    clip = {
-        "clip": "animtool/1",
-        "rig": "mesh.rig.json",
-        "fps": 24,
-        "range": [1, last],
-        "channels": channels,
-    }
-    (folder / "mesh.rig.json").write_text(json.dumps(rig), "utf-8")
-    path = folder / "mesh.clip.json"
-    path.write_text(json.dumps(clip), "utf-8")
-    return path
-
-
-def write_points(points: npt.NDArray[np.float32], path: Path) -> None:
-    """Write points and nothing else, as quickly as USD takes them."""
-    layer = Sdf.Layer.CreateAnonymous(".usdc")
-    with Sdf.ChangeBlock():
-        spec = Sdf.CreatePrimInLayer(layer, "/body")
-        kind = Sdf.ValueTypeNames.Point3fArray
-        at = Sdf.AttributeSpec(spec, "points", kind).path
-        for code, frame in enumerate(points, 1):
-            layer.SetTimeSample(at, code, Vt.Vec3fArray.FromNumpy(frame))
-    with replacing(path) as temporary:
-        layer.Export(str(temporary))
 
 
 def measure_bake(options: argparse.Namespace) -> list[Row]:
@@ -485,30 +296,29 @@ def measure_bake(options: argparse.Namespace) -> list[Row]:
         frames = np.array([points.Get(code) for code in points.GetTimeSamples()])
         reports.clear()
         whole, alone = "animtool bake --deform", "points alone"
-        routes: dict[str, Route] = {
-            whole: ours,
-            alone: lambda: write_points(frames, floor),
-        }
-        seconds = in_turn(routes, options.runs)
-    opened = "of it behind opening the take"
+        works = {whole: ours, alone: lambda: write_points(frames, floor)}
+        taken = in_turn({n: in_process(w) for n, w in works.items()}, options.runs)
+    rows, unit = [], "ms/frame"
+    for name, runs in taken.items():
+        rows += time_rows("bake", name, runs, unit=unit, per=len(frames))
+    bound = Wanted(False, 3)
+    rows += ratio_rows(
+        "bake", whole, taken[whole], taken[alone], name=alone, wanted=bound
+    )
     # The first round warms up.
-    seconds[opened] = [report.seconds["total"] for report in reports[1:]]
-    least = statistics.median(seconds[alone])
-    rows = []
-    for tool, taken in seconds.items():
-        each = [s * 1e3 / len(frames) for s in taken]
-        bound = Wanted(False, 3) if tool == whole else None
-        ratio = statistics.median(taken) / least
-        rows.append(Row("bake", tool, TIME, each))
-        rows.append(Row("bake", tool, "time / points alone [x]", [ratio], bound))
-        print(f"  bake, {tool}: {statistics.median(each):.4f} ms", file=sys.stderr)
-    meshes = [report.takes[0].meshes[0] for report in reports[1:]]
-    deformed = [mesh.seconds * 1e3 / len(frames) for mesh in meshes]
-    rows.append(Row("bake", "of it deforming, in a thread", TIME, deformed))
+    parts = {
+        "of it behind opening the take": [one.seconds["total"] for one in reports[1:]],
+        "of it deforming, in a thread": [
+            one.takes[0].meshes[0].seconds for one in reports[1:]
+        ],
+    }
+    for name, seconds in parts.items():
+        each = [second * 1e3 / len(frames) for second in seconds]
+        rows.append(Row("bake", name, f"wall [{unit}]", each, clock=Clock.WALL))
     return rows
 
 
-def measure(options: argparse.Namespace) -> list[list[Row]]:
+def measure(options: argparse.Namespace) -> list[Row]:
     """Return the rows of every section."""
     rng = np.random.default_rng(SEED)
     points = float32(rng.normal(size=(options.vertices, 3)))
@@ -534,15 +344,12 @@ def measure(options: argparse.Namespace) -> list[list[Row]]:
         measure_columns(options),
         measure_bake(options),
     ]
-    return sections
+    return [row for rows in sections for row in rows]
 
 
-def parser() -> argparse.ArgumentParser:
-    """Return the options."""
-    made = argparse.ArgumentParser(
-        description=__doc__.splitlines()[0] if __doc__ else None,
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-    )
+def main() -> None:
+    """Measure, print the tables, write the CSV."""
+    made = parser(__doc__, "deform.csv", runs=9)
     add = made.add_argument
     add("--vertices", type=int, default=10_000)
     add("--joints", type=int, default=60)
@@ -551,42 +358,22 @@ def parser() -> argparse.ArgumentParser:
     add("--frames", type=int, default=64)
     add("--bake-frames", type=int, default=240, help="frames of the whole bake")
     add("--bake-shapes", type=int, default=20, help="shapes of the whole bake")
-    add("--runs", type=int, default=9, help="runs of each route; the median counts")
-    add("--csv", type=Path, default=HERE / "results" / "deform.csv")
-    return made
-
-
-# Libraries read these as they load.
-ONE_THREAD = {
-    "OPENBLAS_NUM_THREADS": "1",
-    "OMP_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "PXR_WORK_THREAD_LIMIT": "1",
-}
-
-
-def on_one_thread(arguments: Sequence[str]) -> None:
-    """Start again with libraries that use one thread, unless they do."""
-    if any(os.environ.get(name) != value for name, value in ONE_THREAD.items()):
-        command = [sys.executable, __file__, *arguments]
-        os.execve(sys.executable, command, {**os.environ, **ONE_THREAD})
-
-
-def main() -> None:
-    """Measure, print the tables, write the CSV."""
-    options = parser().parse_args()
-    on_one_thread(sys.argv[1:])
-    about = machine((sys.executable, ["animtool", "usd-core", "numpy"]))
-    about.append(
-        f"{options.vertices} vertices, {options.joints} joints, "
-        f"{options.influences} influences, {options.shapes} shapes, "
-        f"{options.frames} frames, one thread"
+    add("--compiler", default="c++", help="of the plain loops; '' skips them")
+    options = made.parse_args()
+    on_one_thread()
+    session = begin(
+        options,
+        (sys.executable, ["animtool", "usd-core", "numpy"]),
+        notes=[
+            f"{options.vertices} vertices, {options.joints} joints, "
+            f"{options.influences} influences, {options.shapes} shapes, "
+            f"{options.frames} frames, one thread"
+        ],
     )
-    sections = measure(options)
-    print("\n".join(about))
-    for rows in sections:
-        print("\n".join(["", *table(rows), "", *verdicts(rows)]))
-    write_csv(options.csv, about, [row for rows in sections for row in rows])
+    with TemporaryDirectory(prefix="animtool-bench-") as folder:
+        options.libraries = floors(options.compiler, Path(folder))
+        rows = measure(options)
+    session.finish(options.csv, rows)
 
 
 if __name__ == "__main__":

@@ -6,32 +6,29 @@ it lets itself be held to one; see README.md beside this file.
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
-import json
 import os
-import statistics
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import IO, Any
 
 import numpy as np
-from figures import HERE, Row, Wanted, machine, run, table, verdicts, write_csv
+from clock import Taken
+from figures import Accuracy, Clock, Row, Wanted, ratio_rows, tables, time_rows
 from ik_problems import Array, Case, Flags, read_cases
 from ik_serve import Asked
+from ik_tools import MINK, NEAR, OWN, PINK, SINGLE, TOOLBOX, TRAC, Tool, started, tools
+from measuring import HERE, begin, parser, run
 
-OWN, SINGLE = "animtool", "animtool, a call each"
-TOOLBOX, TRAC, MINK, PINK = "roboticstoolbox", "TRAC-IK", "mink", "Pink"
-BLENDER = "Blender"
-SOLVED, MEDIAN, NINETY_FIVE = "solved [%]", "median [us]", "95 % [us]"
-MEAN, RATIO, COUNT = "mean [us]", "median / animtool [x]", "problems"
-# The success of the data, limits included; hard problems count lengths in chains.
-NEAR, LIMITS = Asked(1e-4, 1e-3, 50, 1.0), 1e-6
+SOLVED, COUNT = "solved [%]", "problems"
+MEDIAN, NINETY_FIVE = "median wall [us]", "95 % wall [us]"
+# What a ratio needs: a tool that gives up early is quick.
+SURE_ENOUGH = Wanted(at_least=True, bound=95.0)
+# How far beyond its limits a joint may be.
+LIMITS = 1e-6
 # Of one pose of a clip.
 CLOSE = 1e-6
 # Steps of a descent where the best is out of reach.
@@ -39,18 +36,28 @@ STEPS, PATIENCE = 100, 10
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 ALL = 10**9
 WARM_UP = 30
-TRAC_SECONDS = 0.02
 # A run of so long is not repeated [s].
 SLOW = 3.0
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a tool made of a case: poses ``(B, Q)`` and their seconds ``(B,)``."""
+    """What a tool made of a case: poses ``(B, Q)``, and what each took ``(B,)`` [s]."""
 
     case: Case
     poses: Array
-    seconds: Array
+    wall: Array
+    cpu: Array
+
+    @property
+    def mean(self) -> Taken:
+        """What a problem took on average: their sum is the whole call or loop."""
+        return Taken(float(self.wall.mean()), float(self.cpu.mean()))
+
+    @property
+    def median(self) -> Taken:
+        """What the middle problem took."""
+        return Taken(float(np.median(self.wall)), float(np.median(self.cpu)))
 
     def missed(self) -> Array:
         """Return the largest miss of each problem ``(B,)``, [m] or [rad]."""
@@ -66,102 +73,6 @@ class Answer:
             if part in self.case.expected:
                 good &= (np.abs(rows - self.case.expected[part]) <= bound).all(axis=1)
         return good
-
-
-@dataclass
-class Tool:
-    """A tool's process, and what it can be asked.
-
-    Attributes:
-        name: In the tables.
-        command: Starts it.
-        trees: Takes models of any shape and goals of a part; else chains to one pose.
-        balls: Keeps limits of ball joints.
-        aims: Takes goals to aim.
-        places: How near its kinematics are to the data's own [m], in matrices too.
-        finest: The least tolerance that its numbers allow.
-        seconds: Most time for one problem [s].
-    """
-
-    name: str
-    command: list[str]
-    trees: bool = True
-    balls: bool = False
-    aims: bool = False
-    places: float = 1e-9
-    finest: float = 0.0
-    seconds: float = NEAR.seconds
-    jobs: IO[str] = field(init=False, repr=False)
-    answers: IO[str] = field(init=False, repr=False)
-
-    def takes(self, case: Case, asked: Asked) -> bool:
-        """Return whether it can be asked this."""
-        if asked.position < self.finest or asked.angle < self.finest:
-            return False
-        if "aim" in case.targets and not self.aims:
-            return False
-        if not self.balls and any(
-            joint["type"] == "ball" and joint.get("limits") for joint in case.joints
-        ):
-            return False
-        pose = len(case.effectors) == 1 and set(case.targets) == {"pos", "rot"}
-        return self.trees or pose
-
-    def ask(self, file: Path, folder: Path, **job: Any) -> dict[str, Array]:
-        """Return the arrays that answer a job."""
-        out = folder / "answer.npz"
-        job |= {"file": str(file), "out": str(out)}
-        try:
-            self.jobs.write(json.dumps(job) + "\n")
-            self.jobs.flush()
-            line = self.answers.readline()
-        except BrokenPipeError:
-            line = ""
-        if not line:
-            sys.exit(f"{self.name} ended; what it said is above")
-        with np.load(out) as arrays:
-            return dict(arrays)
-
-
-@contextmanager
-def started(tool: Tool) -> Iterator[Tool]:
-    """Run a tool's process."""
-    paths = os.pathsep.join([str(HERE), str(HERE.parent)])
-    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-    pipe = subprocess.PIPE
-    environment = os.environ | threads | {"PYTHONPATH": paths}
-    command = tool.command
-    with subprocess.Popen(
-        command, stdin=pipe, stdout=pipe, text=True, env=environment
-    ) as process:
-        assert process.stdin
-        assert process.stdout
-        tool.jobs, tool.answers = process.stdin, process.stdout
-        yield tool
-
-
-def tools(peer_python: str | None, bpy_python: str | None) -> list[Tool]:
-    """Return the tools; those of others only with an interpreter that has them."""
-    folder = HERE / "peers"
-    own = [sys.executable, str(folder / "ik_animtool.py")]
-    made = [Tool(OWN, own, balls=True, aims=True), Tool(SINGLE, [*own, "single"])]
-    others = {TOOLBOX: "toolbox", TRAC: "trac", MINK: "mink", PINK: "pink"}
-    if peer_python is None:
-        print(f"  {', '.join(others)} skipped: no --peer-python", file=sys.stderr)
-    else:
-        for name, script in others.items():
-            command = [peer_python, str(folder / f"ik_{script}.py")]
-            # TRAC-IK ends by time alone.
-            seconds = TRAC_SECONDS if name == TRAC else NEAR.seconds
-            trees = name in (MINK, PINK)
-            made.append(Tool(name, command, trees=trees, seconds=seconds))
-    if bpy_python is None:
-        print("  Blender skipped: no --bpy-python", file=sys.stderr)
-    else:
-        command = [bpy_python, str(folder / "ik_blender.py")]
-        # Its poses are float32.
-        made.append(Tool(BLENDER, command, trees=False, places=1e-5, finest=1e-5))
-    return made
 
 
 def reference_poses(data: Path, case: Case, poses: Array) -> tuple[Array, Array]:
@@ -232,7 +143,7 @@ class Bench:
             count=case.problems,
             asked=asdict(asked),
         )
-        return Answer(case, found["poses"], found["seconds"])
+        return Answer(case, found["poses"], found["wall"], found["cpu"])
 
     def _same_places(self, tool: Tool, name: str, index: int, case: Case) -> None:
         """Compare effectors in random poses with the data's own kinematics."""
@@ -250,14 +161,20 @@ class Bench:
             assert off < near, f"{tool.name} has another {case.name}, by {off:g}"
         self.checked.add((tool.name, name, case.name))
 
-    def timed(self, name: str, case: Case, asked: Asked) -> dict[str, list[Answer]]:
+    def timed(
+        self, name: str, case: Case, asked: Asked, *, without: str = ""
+    ) -> dict[str, list[Answer]]:
         """Return every tool's answers, the tools in turn."""
         found: dict[str, list[Answer]] = {}
-        able = [tool for tool in self.running if tool.takes(case, asked)]
+        able = [
+            tool
+            for tool in self.running
+            if tool.takes(case, asked) and tool.name != without
+        ]
         for _ in range(self.runs):
             for tool in able:
                 before = found.get(tool.name)
-                if before and before[0].seconds.sum() > SLOW:
+                if before and before[0].wall.sum() > SLOW:
                     continue
                 # A process that slept is slow at first, which short batches show.
                 self.answer(tool, name, 0, case.first(WARM_UP), asked)
@@ -272,31 +189,39 @@ def rows_of(
     reached: tuple[float, float],
     wanted: dict[tuple[str, str], Wanted],
 ) -> list[Row]:
-    """Return the figures of every tool, one value a run."""
+    """Return the figures of every tool, one value a run.
+
+    Peers take a pose a call. So they are compared with animtool called as they are, by
+    the middle problem, and by all problems with one call of animtool's.
+    """
     rows = []
-    medians = {
-        name: statistics.median(np.median(a.seconds) for a in found)
-        for name, found in answers.items()
-    }
     for name, found in answers.items():
-        values: dict[str, list[float]] = {
-            SOLVED: [100 * float(a.solved(*reached).mean()) for a in found],
-            MEDIAN: [1e6 * float(np.median(a.seconds)) for a in found],
-            NINETY_FIVE: [1e6 * float(np.percentile(a.seconds, 95)) for a in found],
-            MEAN: [1e6 * float(a.seconds.mean()) for a in found],
-            RATIO: [medians[name] / medians[OWN]],
-        }
-        rows += [
-            Row(section, name, measure, figures, wanted.get((name, measure)))
-            for measure, figures in values.items()
-        ]
+        solved = [100 * float(a.solved(*reached).mean()) for a in found]
+        rows.append(Row(section, name, SOLVED, solved, wanted.get((name, SOLVED))))
+        for measure, share in ((MEDIAN, 50), (NINETY_FIVE, 95)):
+            values = [1e6 * float(np.percentile(a.wall, share)) for a in found]
+            bound = wanted.get((name, measure))
+            rows.append(Row(section, name, measure, values, bound, Clock.WALL))
+        rows += time_rows(section, name, [a.mean for a in found], unit="us")
+        near = [Accuracy(SOLVED, float(np.median(solved)), SURE_ENOUGH)]
+        for own, figure in ((OWN, "mean"), (SINGLE, "median")):
+            if name in (OWN, own) or own not in answers:
+                continue
+            taken, base = (
+                [getattr(a, figure) for a in answers[tool]] for tool in (name, own)
+            )
+            bound = wanted.get((name, own))
+            rows += ratio_rows(
+                section, name, taken, base, name=own, wanted=bound, accuracy=near
+            )
     return rows
 
 
 def arms(bench: Bench) -> Iterator[list[Row]]:
     """Poses of arms, from a start that has nothing to do with them."""
     wanted = {(OWN, SOLVED): Wanted(True, 100)}
-    wanted |= {(name, RATIO): Wanted(True, 1) for name in (TOOLBOX, TRAC)}
+    ahead, same = Wanted(True, 1), (TOOLBOX, TRAC)
+    wanted |= {(name, own): ahead for name in same for own in (OWN, SINGLE)}
     for path in sorted(bench.data.glob("arm_*.json")):
         case = bench.cases(path.stem)[0].first(bench.most)
         answers = bench.timed(path.stem, case, NEAR)
@@ -321,12 +246,12 @@ def clips(bench: Bench) -> Iterator[list[Row]]:
         ("clip of panda", "clip_panda", 30),
         ("clip of humanoid, pin3", "clip_humanoid_pin3", 12),
     ):
-        wanted = {(tool, RATIO): Wanted(True, times) for tool in (MINK, PINK)}
+        wanted = {(tool, OWN): Wanted(True, times) for tool in (MINK, PINK)}
+        wanted |= {(tool, SINGLE): Wanted(True, 1) for tool in (TOOLBOX, MINK, PINK)}
         wanted[OWN, SOLVED] = Wanted(True, 100)
         case = bench.cases(name)[0].first(bench.frames)
         asked = replace(NEAR, position=CLOSE, angle=CLOSE)
         answers = bench.timed(name, case, asked)
-        answers.pop(SINGLE, None)
         yield rows_of(section, answers, (CLOSE, CLOSE), wanted)
 
 
@@ -368,21 +293,26 @@ def tolerances(bench: Bench) -> Iterator[list[Row]]:
         case = whole.first(bench.trials * (4 if len(whole.starts) == 1 else 1))
         rows: dict[str, list[Row]] = {part: [] for part in PARTS}
         for near in TOLERANCES:
-            answers = bench.timed(name, case, replace(NEAR, position=near, angle=near))
-            answers.pop(SINGLE, None)
+            asked = replace(NEAR, position=near, angle=near)
+            answers = bench.timed(name, case, asked, without=SINGLE)
             for tool, found in answers.items():
                 for part, figure in PARTS.items():
                     values = [figure(answer, near) for answer in found]
-                    row = Row(f"{title}: {part}", tool, f"{near:.0e}", values)
+                    measure = f"{near:.0e}"
+                    row = Row(
+                        f"{title}: {part}", tool, measure, values, clock=CLOCKS[part]
+                    )
                     rows[part].append(row)
         yield from rows.values()
 
 
 PARTS: dict[str, Callable[[Answer, float], float]] = {
-    "time [us]": lambda answer, _: 1e6 * float(np.median(answer.seconds)),
+    "wall [us]": lambda answer, _: 1e6 * answer.median.wall,
+    "CPU [us]": lambda answer, _: 1e6 * answer.median.cpu,
     "error": lambda answer, _: float(np.median(answer.missed())),
     "within [%]": lambda answer, near: 100 * float(answer.solved(near, near).mean()),
 }
+CLOCKS = dict(zip(PARTS, (Clock.WALL, Clock.CPU, Clock.NONE, Clock.NONE), strict=True))
 SECTIONS = {
     "arms": arms,
     "bodies": bodies,
@@ -392,29 +322,20 @@ SECTIONS = {
 }
 
 
-def parser() -> argparse.ArgumentParser:
-    """Return the options."""
-    made = argparse.ArgumentParser(
-        description=__doc__.splitlines()[0] if __doc__ else None,
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-    )
+def main() -> None:
+    """Measure, print the tables, write the CSV and the plot."""
+    made = parser(__doc__, "ik.csv", runs=3)
     add = made.add_argument
     add("--peer-python", help="interpreter with the other tools, else they are skipped")
     add("--bpy-python", help="interpreter with bpy; without it Blender is skipped")
-    add("--runs", type=int, default=3, help="runs of each tool; the median counts")
     add("--sections", nargs="+", choices=list(SECTIONS), default=list(SECTIONS))
     add("--quick", action="store_true", help="a part of the problems, once; no files")
-    add("--csv", type=Path, default=HERE / "results" / "ik.csv")
-    return made
-
-
-def main() -> None:
-    """Measure, print the tables, write the CSV and the plot."""
-    options = parser().parse_args()
+    options = made.parse_args()
     if "ANIMTOOL_DATA" not in os.environ:
         sys.exit("ANIMTOOL_DATA names no folder")
     peers = "mink mujoco pin-pink pin daqp qpsolvers roboticstoolbox-python pytracik"
-    about = machine(
+    session = begin(
+        options,
         (sys.executable, ["animtool", "numpy"]),
         (options.peer_python, [*peers.split(), "numpy"]),
         (options.bpy_python, ["bpy", "numpy"]),
@@ -438,17 +359,10 @@ def main() -> None:
         )
         for name in options.sections:
             for found in SECTIONS[name](bench):
-                print("\n".join([*table(found), ""]), flush=True)
+                print("\n".join(tables(found)), file=sys.stderr, flush=True)
                 rows += found
-    print("\n".join([*about, "", *verdicts(rows)]))
-    if not options.quick:
-        write_csv(options.csv, about, rows)
-        draw(options)
-
-
-def draw(options: argparse.Namespace) -> None:
-    """Draw the curves of the CSV, where a peer brings what that needs."""
-    if options.peer_python and "tolerances" in options.sections:
+    session.finish(None if options.quick else options.csv, rows)
+    if not options.quick and options.peer_python and "tolerances" in options.sections:
         plot = options.csv.with_suffix(".svg")
         script = str(HERE / "peers" / "ik_plot.py")
         command = [options.peer_python, script, str(options.csv), str(plot)]

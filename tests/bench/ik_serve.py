@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from clock import Taken, now, since
 from ik_problems import Array, Case, read_cases
 
 # Poses whose kinematics are compared, and how wide they are drawn.
@@ -44,43 +45,39 @@ class Asked:
     patience: int = 3
 
 
+# A pose and what it took.
+Solved = tuple[Array, Taken]
+
+
 class Solver(Protocol):
     """A tool that has built a case's model."""
 
     def places(self, pose: Array) -> tuple[Array, Array]:
         """Return effectors' rotations ``(E, 3, 3)`` and points ``(E, 3)``."""
 
-    def solve(
-        self, starts: Array, frames: range, asked: Asked
-    ) -> Iterator[tuple[Array, float]]:
-        """Yield the pose and the seconds of each target, from a start of its own."""
+    def solve(self, starts: Array, frames: range, asked: Asked) -> Iterator[Solved]:
+        """Yield the pose of each target, from a start of its own."""
 
-    def follow(
-        self, start: Array, frames: range, asked: Asked
-    ) -> Iterator[tuple[Array, float]]:
-        """Yield the pose and the seconds of each frame, from the one before."""
+    def follow(self, start: Array, frames: range, asked: Asked) -> Iterator[Solved]:
+        """Yield the pose of each frame, from the one before."""
 
 
 class OneByOne(ABC):
     """A tool that takes one target a call."""
 
     @abstractmethod
-    def one(self, start: Array, frame: int, asked: Asked) -> tuple[Array, float]:
-        """Return the pose and the seconds of a target."""
+    def one(self, start: Array, frame: int, asked: Asked) -> Solved:
+        """Return the pose of a target, and what it took."""
 
-    def solve(
-        self, starts: Array, frames: range, asked: Asked
-    ) -> Iterator[tuple[Array, float]]:
+    def solve(self, starts: Array, frames: range, asked: Asked) -> Iterator[Solved]:
         for start, frame in zip(starts, frames, strict=True):
             yield self.one(start, frame, asked)
 
-    def follow(
-        self, start: Array, frames: range, asked: Asked
-    ) -> Iterator[tuple[Array, float]]:
+    def follow(self, start: Array, frames: range, asked: Asked) -> Iterator[Solved]:
         pose = start
         for frame in frames:
-            pose, seconds = self.one(pose, frame, asked)
-            yield pose, seconds
+            pose, taken = self.one(pose, frame, asked)
+            yield pose, taken
 
 
 class Draw:
@@ -148,33 +145,29 @@ class Descents:
     def __post_init__(self) -> None:
         self.draw = Draw(self.case)
 
-    def solve(
-        self, starts: Array, frames: range, asked: Asked
-    ) -> Iterator[tuple[Array, float]]:
+    def solve(self, starts: Array, frames: range, asked: Asked) -> Iterator[Solved]:
         """Yield poses, each from its own start."""
         rng = np.random.default_rng(SEED)
         for start, frame in zip(starts, frames, strict=True):
             yield self._timed(start, frame, asked, rng)
 
-    def follow(
-        self, start: Array, frames: range, asked: Asked
-    ) -> Iterator[tuple[Array, float]]:
+    def follow(self, start: Array, frames: range, asked: Asked) -> Iterator[Solved]:
         """Yield poses, each from the one before."""
         rng, pose = np.random.default_rng(SEED), start
         for frame in frames:
-            pose, seconds = self._timed(pose, frame, asked, rng)
-            yield pose, seconds
+            pose, taken = self._timed(pose, frame, asked, rng)
+            yield pose, taken
 
     def _timed(
         self, start: Array, frame: int, asked: Asked, rng: np.random.Generator
-    ) -> tuple[Array, float]:
-        began = time.perf_counter()
+    ) -> Solved:
+        began = now()
         self.stepper.aim(frame)
         if self._descend(start, asked):
-            return self.stepper.pose(), time.perf_counter() - began
+            return self.stepper.pose(), since(began)
         best, pose = self.stepper.cost(), self.stepper.pose()
         for _ in range(asked.restarts):
-            if time.perf_counter() - began > asked.seconds:
+            if time.perf_counter() - began.wall > asked.seconds:
                 break
             reached = self._descend(self.draw.pose(rng, start), asked)
             cost = self.stepper.cost()
@@ -182,7 +175,7 @@ class Descents:
                 best, pose = cost, self.stepper.pose()
             if reached:
                 break
-        return pose, time.perf_counter() - began
+        return pose, since(began)
 
     def _descend(self, start: Array, asked: Asked) -> bool:
         """Take steps; return whether every goal is reached."""
@@ -234,4 +227,7 @@ def _answer(job: dict[str, Any], case: Case, solver: Solver) -> dict[str, Array]
         pairs = list(solver.solve(case.starts[: job["count"]], frames, asked))
     gc.enable()
     poses = np.array([pose for pose, _ in pairs])
-    return {"poses": poses, "seconds": np.array([seconds for _, seconds in pairs])}
+    wall, cpu = (
+        np.array(part) for part in zip(*(one for _, one in pairs), strict=True)
+    )
+    return {"poses": poses, "wall": wall, "cpu": cpu}

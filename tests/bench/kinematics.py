@@ -8,12 +8,8 @@ from __future__ import annotations
 
 import argparse
 import ctypes
-import shutil
-import statistics
-import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +17,19 @@ from pathlib import Path
 import mpmath
 import numpy as np
 import numpy.typing as npt
-from figures import HERE, Row, Wanted, machine, run, table, verdicts, write_csv
+from clock import Taken
+from figures import Accuracy, Row, Wanted, ratio_rows, time_rows
+from measuring import (
+    begin,
+    floor_work,
+    floors,
+    in_process,
+    in_turn,
+    on_one_thread,
+    parser,
+    run_peer,
+    taken_of,
+)
 from pxr import Sdf, Usd, UsdSkel, Vt
 
 from animtool.maths import so3
@@ -32,10 +40,13 @@ Array = npt.NDArray[np.float64]
 
 SEED = 11
 DIGITS = 50
-TIME, RATIO, ERROR = "time [s]", "time / animtool [x]", "largest error [m]"
-OWN, INTO, LOOP = "animtool", "animtool, out=", "compiled loop"
+ERROR = "largest error [m]"
+# What a ratio needs: float32 is as near.
+NEAR_ENOUGH = Wanted(at_least=False, bound=1e-5)
+OWN, INTO, ONE = "animtool", "animtool, out=", "animtool, a call a frame"
 PINOCCHIO = "Pinocchio, forwardKinematics"
-LOOP_RATIO = "time / compiled loop [x]"
+CONCAT = "UsdSkel, ConcatJointTransforms"
+QUERY = "UsdSkel, ComputeJointSkelTransforms"
 # A joint hangs from one of so many before it: chains of about 25 in 60.
 NEAR = 4
 
@@ -232,33 +243,47 @@ def in_memory(motion: Motion) -> Usd.Stage:
     return stage
 
 
-def loop_route(motion: Motion, compiler: str, folder: Path) -> Route:
-    """Return the plain C++ loop, which writes into arrays that it has already."""
-    library = folder / "forward_loop.so"
-    source = HERE / "peers" / "forward_loop.cpp"
-    flags = ["-O3", "-ffp-contract=off", "-shared", "-fPIC"]
-    subprocess.run([compiler, *flags, str(source), "-o", str(library)], check=True)
-    function = ctypes.CDLL(str(library)).forward_loop
-    floats, integers = np.ctypeslib.ndpointer(np.float64), ctypes.c_int64
-    parents = np.ctypeslib.ndpointer(np.int64)
-    function.argtypes = [parents, integers, integers, *[floats] * 4]
+def floor_route(motion: Motion, library: ctypes.CDLL) -> Route:
+    """Return the plain loop, which writes into arrays that it has already."""
     frames, joints = motion.rotations.shape[:2]
     positions, linear = np.ones((frames, joints, 3)), np.ones((frames, joints, 3, 3))
-    given = (motion.rig.parents, joints, frames, motion.translations, motion.rotations)
+    parents = motion.rig.parents.astype(np.int64)
+    given = (parents, joints, frames, motion.translations, motion.rotations)
+    work = floor_work(library, "forward", *given, positions, linear)
 
-    def work() -> Array:
-        function(*given, positions, linear)
-        return positions
+    def places() -> Array:
+        work()
+        return positions[motion.sample]
 
-    return Route(work, lambda: work()[motion.sample])
+    return Route(work, places)
+
+
+def single_route(motion: Motion) -> Route:
+    """Return animtool's own with a call for each frame, into one frame's arrays."""
+    rig = motion.rig
+    frames = [
+        (motion.translations[f : f + 1], motion.rotations[f : f + 1])
+        for f in range(len(motion.rotations))
+    ]
+    kept = forward(rig, *frames[0])
+
+    def work() -> None:
+        for t, r in frames:
+            forward(rig, t, r, out=kept)
+
+    def places() -> Array:
+        chosen = [frames[f] for f in motion.sample.tolist()]
+        return np.array([forward(rig, t, r).positions[0] for t, r in chosen])
+
+    return Route(work, places)
 
 
 class Pinocchio:
     """Pinocchio in its own interpreter, which times itself."""
 
     def __init__(self, python: str, motion: Motion, folder: Path) -> None:
+        self.python = python
         self.source, self.output = folder / "motion.npz", folder / "places.npy"
-        self.command = [python, str(HERE / "peers" / "pinocchio_forward.py")]
         np.savez(
             self.source,
             parents=motion.rig.parents,
@@ -268,111 +293,104 @@ class Pinocchio:
             sample=motion.sample,
         )
 
-    def seconds(self) -> float:
-        """Return the seconds of one run behind a warm-up."""
-        found = run([*self.command, str(self.source), "1", str(self.output)])
-        return float(found.report["seconds"][0])
+    def once(self) -> Taken:
+        """Return what one run behind a warm-up took."""
+        files = self.source, "1", self.output
+        return taken_of(run_peer(self.python, "pinocchio_forward.py", *files))[0]
 
     def places(self) -> Array:
         """Return world positions ``(N, J, 3)`` of the sample [m]."""
         return np.asarray(np.load(self.output), np.float64)
 
 
-def seconds_of(work: Callable[[], object]) -> float:
-    """Return how long some work takes; what it returns is freed untimed."""
-    began = time.perf_counter()
-    result = work()
-    seconds = time.perf_counter() - began
-    del result
-    return seconds
-
-
 def measure(options: argparse.Namespace, folder: Path) -> list[Row]:
     """Time every route in turn, and compare the sample with 50 digits."""
     motion = Motion.random(options.joints, options.frames, options.samples)
     truth = motion.truth()
-    routes = {OWN: animtool_route(motion)}
     kept = forward(motion.rig, motion.translations, motion.rotations)
-    routes[INTO] = animtool_route(motion, kept)
-    compiler = options.compiler and shutil.which(options.compiler)
-    if compiler:
-        routes[LOOP] = loop_route(motion, compiler, folder)
-    else:
-        print("  compiled loop skipped: no --compiler", file=sys.stderr)
-    routes["numpy, quaternions"] = numpy_route(motion)
-    routes["UsdSkel, ConcatJointTransforms"] = concat_route(motion)
-    routes["UsdSkel, ComputeJointSkelTransforms"] = query_route(motion)
+    batch = {OWN: animtool_route(motion), INTO: animtool_route(motion, kept)}
+    libraries = floors(options.compiler, folder)
+    batch |= {name: floor_route(motion, one) for name, one in libraries.items()}
+    batch["numpy, quaternions"] = numpy_route(motion)
+    single = {
+        ONE: single_route(motion),
+        CONCAT: concat_route(motion),
+        QUERY: query_route(motion),
+    }
     peer = None
     if options.pin_python:
         peer = Pinocchio(options.pin_python, motion, folder)
-    else:
-        print("  Pinocchio skipped: no --pin-python", file=sys.stderr)
-    times: dict[str, list[float]] = {}
-    for i in range(-1, options.runs):
-        for name, route in routes.items():
-            seconds = seconds_of(route.work)
-            if i >= 0:
-                times.setdefault(name, []).append(seconds)
-        if peer is not None and i >= 0:
-            times.setdefault(PINOCCHIO, []).append(peer.seconds())
-    found = {name: route.places() for name, route in routes.items()}
+    timed_routes = {
+        name: in_process(route.work) for name, route in (batch | single).items()
+    }
+    if peer is not None:
+        timed_routes[PINOCCHIO] = peer.once
+    taken = in_turn(timed_routes, options.runs)
+    found = {name: route.places() for name, route in (batch | single).items()}
     if peer is not None:
         found[PINOCCHIO] = peer.places()
     errors = {
         name: float(np.linalg.norm(places - truth, axis=-1).max())
         for name, places in found.items()
     }
-    return rows_of(f"{options.joints} joints, {options.frames} frames", times, errors)
+    title = f"{options.joints} joints, {options.frames} frames"
+    peers = [CONCAT, QUERY, *([PINOCCHIO] if peer else [])]
+    ahead = Wanted(at_least=True, bound=1.0)
+    # None of these takes many frames, so a loop of its calls is all there is.
+    bounds = {INTO: None, "numpy, quaternions": ahead} | dict.fromkeys(peers, ahead)
+    rows = rows_of(f"{title}, one call", [*batch, *peers], OWN, bounds, taken, errors)
+    for name in libraries:
+        bound = Wanted(at_least=False, bound=2.0)
+        section = f"{title}, one call"
+        rows += ratio_rows(
+            section, INTO, taken[INTO], taken[name], name=name, wanted=bound
+        )
+    bounds = dict.fromkeys(peers, ahead)
+    section = f"{title}, a call a frame"
+    return rows + rows_of(section, [ONE, *peers], ONE, bounds, taken, errors)
 
 
 def rows_of(
-    section: str, times: dict[str, list[float]], errors: dict[str, float]
+    section: str,
+    names: list[str],
+    own: str,
+    bounds: dict[str, Wanted | None],
+    taken: dict[str, list[Taken]],
+    errors: dict[str, float],
 ) -> list[Row]:
-    """Return the figures of every route."""
-    medians = {name: statistics.median(seconds) for name, seconds in times.items()}
-    # The loop is spared new arrays: twice its time is wanted without them.
-    bounds = dict.fromkeys(times, 1.0) | {OWN: None, INTO: None, LOOP: None}
+    """Return the figures of some routes beside one of animtool's."""
     rows = []
-    for name, seconds in times.items():
-        ratio, bound = medians[name] / medians[OWN], bounds[name]
-        wanted = None if bound is None else Wanted(True, bound)
-        rows.append(Row(section, name, TIME, seconds))
-        rows.append(Row(section, name, RATIO, [ratio], wanted))
+    for name in names:
+        near = Accuracy(ERROR, errors[name], NEAR_ENOUGH)
+        rows += time_rows(section, name, taken[name])
         rows.append(Row(section, name, ERROR, [errors[name]]))
-    if LOOP in medians:
-        ratio = medians[INTO] / medians[LOOP]
-        rows.append(Row(section, INTO, LOOP_RATIO, [ratio], Wanted(False, 2.0)))
+        if name != own:
+            bound = bounds.get(name)
+            rows += ratio_rows(
+                section, name, taken[name], taken[own], wanted=bound, accuracy=[near]
+            )
     return rows
-
-
-def parser() -> argparse.ArgumentParser:
-    """Return the options."""
-    made = argparse.ArgumentParser(
-        description=__doc__.splitlines()[0] if __doc__ else None,
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-    )
-    add = made.add_argument
-    add("--joints", type=int, default=60)
-    add("--frames", type=int, default=10_000)
-    add("--runs", type=int, default=9, help="runs of each route; the median counts")
-    add("--samples", type=int, default=20, help="frames compared with 50 digits")
-    add("--compiler", default="c++", help="of the plain loop; '' skips it")
-    add("--pin-python", help="interpreter with pin; without it Pinocchio is skipped")
-    add("--csv", type=Path, default=HERE / "results" / "kinematics.csv")
-    return made
 
 
 def main() -> None:
     """Measure, print the table, write the CSV."""
-    options = parser().parse_args()
-    about = machine(
+    made = parser(__doc__, "kinematics.csv", runs=9)
+    add = made.add_argument
+    add("--joints", type=int, default=60)
+    add("--frames", type=int, default=10_000)
+    add("--samples", type=int, default=20, help="frames compared with 50 digits")
+    add("--compiler", default="c++", help="of the plain loops; '' skips them")
+    add("--pin-python", help="interpreter with pin; without it Pinocchio is skipped")
+    options = made.parse_args()
+    on_one_thread()
+    session = begin(
+        options,
         (sys.executable, ["animtool", "usd-core", "numpy"]),
         (options.pin_python, ["pin", "numpy"]),
     )
     with tempfile.TemporaryDirectory(prefix="animtool-bench-") as folder:
         rows = measure(options, Path(folder))
-    print("\n".join([*about, "", *table(rows), "", *verdicts(rows)]))
-    write_csv(options.csv, about, rows)
+    session.finish(options.csv, rows)
 
 
 if __name__ == "__main__":

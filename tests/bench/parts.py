@@ -10,13 +10,14 @@ from __future__ import annotations
 import json
 import re
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from clock import Taken
+from measuring import in_process, in_turn
 
 Array = npt.NDArray[np.float64]
 
@@ -179,14 +180,21 @@ def kernel(source: str, work: str, megabytes: str, runs: str) -> dict[str, Any]:
     width = len(text.split(b"\n", 1)[0].split())
     parsed, loaded = parse_rows(rows, width), np.loadtxt(rows)
     assert (parsed == loaded).all()
-    times = _in_turn(
+    taken = timed_in_turn(
         {
             "parse_bvh_rows": lambda: parse_rows(rows, width),
             "np.loadtxt": lambda: np.loadtxt(rows),
         },
         int(runs),
     )
-    return {"bytes": len(text), "times": times}
+    return {"bytes": len(text), "taken": taken}
+
+
+def timed_in_turn(
+    works: dict[str, Callable[[], object]], runs: int
+) -> dict[str, list[Taken]]:
+    """Return what each work took, in turn."""
+    return in_turn({name: in_process(work) for name, work in works.items()}, runs)
 
 
 def parse_rows(path: Path, width: int) -> Array:
@@ -213,29 +221,10 @@ def parse_rows(path: Path, width: int) -> Array:
             starved = len(values) < limit
 
 
-def _in_turn(
-    works: dict[str, Callable[[], object]], runs: int
-) -> dict[str, list[float]]:
-    """Return the seconds of each work, run in turn after a round that warms up.
-
-    What a work returns is freed untimed.
-    """
-    times: dict[str, list[float]] = {name: [] for name in works}
-    for i in range(-1, runs):
-        for name, work in works.items():
-            began = time.perf_counter()
-            result = work()
-            seconds = time.perf_counter() - began
-            del result
-            if i >= 0:
-                times[name].append(seconds)
-    return times
-
-
 def authoring(work: str, frames: str, joints: str, runs: str) -> dict[str, Any]:
     """Time AnimationWriter and a bare loop over SetTimeSample, both with saving."""
     data = _Samples(int(frames), int(joints))
-    times = _in_turn(
+    taken = timed_in_turn(
         {
             "AnimationWriter": lambda: _author_animtool(data, Path(work) / "a.usdc"),
             "layer route": lambda: _author_layer(data, Path(work) / "b.usdc"),
@@ -246,7 +235,7 @@ def authoring(work: str, frames: str, joints: str, runs: str) -> dict[str, Any]:
         int(runs),
     )
     sizes = [(Path(work) / f"{name}.usdc").stat().st_size for name in "abc"]
-    return {"times": times, "bytes": sizes}
+    return {"taken": taken, "bytes": sizes}
 
 
 class _Samples:
@@ -301,7 +290,7 @@ def _author_animtool(data: _Samples, path: Path, *, extents: bool = False) -> An
         writer.finish([], replaces_motion=False)
     if extents:
         with Sdf.ChangeBlock():
-            writer.author_extents(0.0)
+            writer.author_bounds(writer.padded_bounds(0.0))
     save_layer(layer, path)
     return layer
 

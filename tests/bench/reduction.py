@@ -9,12 +9,13 @@ import argparse
 import os
 import sys
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from figures import HERE, Row, Wanted, machine, run, table, verdicts, write_csv
+from clock import Taken, now, since
+from figures import Accuracy, Clock, Row, Wanted, ratio_rows, time_rows
+from measuring import begin, parser, run_peer, taken_of
 
 from animtool._types import FloatArray
 from animtool.clip.reduce import reduce_motion
@@ -27,10 +28,10 @@ from animtool.take import Take
 KEYS = "keys"
 SAMPLES_PER_KEY = "samples a key [1]"
 BUSY = "samples a key where it takes several [1]"
-SPEED = "speed [samples/s]"
+SPEED = "CPU speed [samples/s]"
+COMPONENT = "largest error of a component [deg]"
 DEGREES = "largest error [deg]"
 METRES = "largest error [m]"
-SECONDS = "time [s]"
 ROUNDS = "rounds"
 SMOOTH = "inner keys of one slope [1]"
 WORLD_TOLERANCES = (5e-4, 1e-3, 5e-3)
@@ -71,13 +72,13 @@ def busy_share(counts: list[int], frames: int) -> float:
     return frames * len(busy) / max(1, sum(busy))
 
 
-def timed(work: Callable[[], object], runs: int) -> tuple[object, list[float]]:
-    """Return what some work gives and the seconds of each run."""
+def timed(work: Callable[[], object], runs: int) -> tuple[object, list[Taken]]:
+    """Return what some work gives and what each run took."""
     taken = []
     for _ in range(runs):
-        began = time.perf_counter()
+        began = now()
         result = work()
-        taken.append(time.perf_counter() - began)
+        taken.append(since(began))
     return result, taken
 
 
@@ -95,6 +96,28 @@ class Bench:
         listed = values if isinstance(values, list) else [float(values)]  # type: ignore[arg-type]
         self.rows.append(Row(section, tool, measure, listed, *wanted))
 
+    def times(
+        self, section: str, tool: str, samples: int, taken: list[Taken], *wanted: Wanted
+    ) -> None:
+        """Add what some runs took, and how many samples a second that is."""
+        self.rows += time_rows(section, tool, taken)
+        speeds = [samples / one.cpu for one in taken]
+        self.rows.append(Row(section, tool, SPEED, speeds, *wanted, clock=Clock.CPU))
+
+    def ratio(
+        self,
+        section: str,
+        tool: str,
+        taken: list[Taken],
+        own: list[Taken],
+        error: float,
+        measure: str,
+    ) -> None:
+        """Compare a tool with animtool, where it kept the tolerance."""
+        needed = Wanted(at_least=False, bound=1.01 * self.options.degrees)
+        near = [Accuracy(measure, error, needed)]
+        self.rows += ratio_rows(section, tool, taken, own, accuracy=near)
+
     def file(self, path: Path) -> None:
         """Measure one take."""
         take = read_bvh(path).collect()
@@ -109,12 +132,12 @@ class Bench:
         runs = self.options.runs
 
         def report(
-            tool: str, keys: int, error: float, taken: list[float], *wanted: Wanted
+            tool: str, keys: int, error: float, taken: list[Taken], *wanted: Wanted
         ) -> None:
             self.add(section, tool, KEYS, keys)
             self.add(section, tool, SAMPLES_PER_KEY, samples / keys, *wanted[:1])
             self.add(section, tool, DEGREES, error)
-            self.add(section, tool, SPEED, [samples / t for t in taken], *wanted[1:])
+            self.times(section, tool, samples, taken, *wanted[1:])
 
         fitted, taken = timed(lambda: [fit_keys(v, limit) for v in channels], runs)
         error = max(
@@ -130,6 +153,7 @@ class Bench:
         inner = np.concatenate([k.smooth[1:-1] for k in fitted])
         self.add(section, "animtool", SMOOTH, inner.mean() if len(inner) else 1.0)
 
+        own = taken
         lines, taken = timed(
             lambda: [douglas_peucker(v, limit) for v in channels], runs
         )
@@ -140,23 +164,28 @@ class Bench:
             ).max()
             for k, v in zip(lines, channels, strict=True)
         )
-        report("Douglas-Peucker", sum(map(len, lines)), error, taken)
+        tool = "Douglas-Peucker"
+        report(tool, sum(map(len, lines)), error, taken)
+        self.ratio(section, tool, taken, own, error, DEGREES)
         if self.options.bpy_python:
-            self.blender(section, channels, samples)
+            self.blender(section, channels, samples, own)
 
-    def blender(self, section: str, channels: list[FloatArray], samples: int) -> None:
+    def blender(
+        self, section: str, channels: list[FloatArray], samples: int, own: list[Taken]
+    ) -> None:
         """Decimate each component as an F-curve of its own."""
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "samples.npy"
             np.save(path, np.concatenate(channels, axis=1))
-            script = HERE / "peers" / "blender_decimate.py"
-            command = [self.options.bpy_python, str(script), str(path)]
-            found = run([*command, str(self.options.degrees)]).report
-        tool, keys = "Blender decimate", found["keys"]
+            told = "blender_decimate.py", path, self.options.degrees
+            found = run_peer(self.options.bpy_python, *told)
+        tool, keys, error = "Blender decimate", found["keys"], found["error"]
         self.add(section, tool, "keys, one component each", keys)
         self.add(section, tool, "samples a key, one component [1]", 3 * samples / keys)
-        self.add(section, tool, "largest error of a component [deg]", found["error"])
-        self.add(section, tool, SPEED, samples / found["seconds"])
+        self.add(section, tool, COMPONENT, error)
+        taken = taken_of(found)
+        self.times(section, tool, samples, taken)
+        self.ratio(section, tool, taken, own, error, COMPONENT)
 
     def world(self, name: str, take: Take) -> None:
         """Reduce the whole take within a distance in the world."""
@@ -179,48 +208,31 @@ class Bench:
                 Wanted(False, tolerance),
             )
             add(section, "animtool", ROUNDS, found.rounds)
-            add(section, "animtool", SECONDS, taken)
             wanted = (Wanted(True, 1e5),) * (self.options.dense in section)
-            speed = [found.samples / t for t in taken]
-            add(section, "animtool", SPEED, speed, *wanted)
+            self.times(section, "animtool", found.samples, taken, *wanted)
 
 
-def parser() -> argparse.ArgumentParser:
-    """Return the options."""
+def main() -> None:
+    """Measure, print the tables, write the CSV."""
     data = Path(os.environ.get("ANIMTOOL_DATA", "data")) / "bvh"
-    made = argparse.ArgumentParser(
-        description=__doc__.splitlines()[0] if __doc__ else None,
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-    )
+    made = parser(__doc__, "reduction.csv", runs=3)
     add = made.add_argument
     names = ("ad_jesse_dance", "pybvh_cmu_12_01", "assimp_cmu_01_03")
     files = [data / f"{name}.bvh" for name in names]
     add("--files", type=Path, nargs="+", default=files)
     add("--dense", default=names[0], help="the file that the bounds are for")
     add("--degrees", type=float, default=0.5, help="tolerance of a rotation")
-    add("--runs", type=int, default=3, help="runs of each tool; the median counts")
     add("--bpy-python", help="interpreter with bpy; without it Blender is skipped")
-    add("--csv", type=Path, default=HERE / "results" / "reduction.csv")
-    return made
-
-
-def main() -> None:
-    """Measure, print the tables, write the CSV."""
-    options = parser().parse_args()
-    about = machine(
+    options = made.parse_args()
+    session = begin(
+        options,
         (sys.executable, ["animtool", "usd-core", "numpy"]),
         (options.bpy_python, ["bpy", "numpy"]),
     )
     bench = Bench(options)
     for path in options.files:
         bench.file(path)
-    print("\n".join(about))
-    for section in dict.fromkeys(row.section for row in bench.rows):
-        print()
-        print("\n".join(table([r for r in bench.rows if r.section == section])))
-    print()
-    print("\n".join(verdicts(bench.rows)))
-    write_csv(options.csv, about, bench.rows)
+    session.finish(options.csv, bench.rows)
 
 
 if __name__ == "__main__":

@@ -17,13 +17,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from figures import HERE, Row, Wanted, machine, run, table, verdicts, write_csv
+from clock import Taken
+from figures import Accuracy, Clock, Row, Wanted, ratio_rows, time_rows
+from measuring import HERE, begin, floors, parser, run, run_peer, taken_of
 
 from animtool.sim.springs import Family, Pins, SpringSystem, sheet
 
 FRAMES = 24
-SECONDS, EARLY, LATE = "time [s]", "RMS at frame 6 [mm]", "RMS at frame 12 [mm]"
-RATIO, EACH = "time / animtool [x]", "a spring and step [ns]"
+EACH = "CPU of a spring and step [ns]"
+EARLY, LATE = "RMS at frame 6 [mm]", "RMS at frame 12 [mm]"
+# What a ratio needs at both frames: a hundredth of the side of the sheet.
+NEAR_ENOUGH = Wanted(at_least=False, bound=10.0)
 # Steps a second. Explicit ones of the sheet of 20 are stable from 1479 on, by its
 # fastest motion at rest; the fewest here are 5 % more. Taichi is given 1704 or more.
 OWN = {
@@ -44,14 +48,22 @@ FINE = (28800, 57600)
 # Its methods, their iterations, and steps a second.
 NEWTON = {
     20: [
-        *[("vbd", 20, rate) for rate in (240, 480)],
+        *[("vbd", 20, rate) for rate in (240, 480, 1920)],
         *[("semi_implicit", 0, rate) for rate in (1920, 3840, 7680)],
     ],
-    100: [("vbd", 10, 240)],
+    100: [("vbd", 10, 240), ("semi_implicit", 0, 14400)],
 }
 TAICHI = {20: (1704, 3408, 6816), 100: (14400,)}
 MUJOCO = {20: (1704, 3408), 100: ()}
-WANTED = {20: {"taichi": 10.0, "newton": 20.0}, 100: {"newton": 4.0}}
+PLAIN = {20: (1560, 3408, 6816), 100: (8640, 14400)}
+WANTED = {
+    20: {"taichi": 1.5, "newton": 20.0, "mujoco": 10.0},
+    100: {"taichi": 1.5, "newton": 4.0},
+}
+# The same steps in another order of sums are as near [x].
+SAME = 1.001
+# A tool that takes this long is not run again [s].
+ENOUGH = 5.0
 # Of an explicit step of animtool's, at most [ns].
 STEP = 1.5 * 7.5
 PEERS = {
@@ -67,7 +79,7 @@ class Found:
 
     tool: str
     rate: int
-    seconds: list[float]
+    taken: list[Taken]
     early: float
     late: float
 
@@ -75,6 +87,23 @@ class Found:
     def name(self) -> str:
         """The tool and its steps a second."""
         return f"{self.tool}, {self.rate}/s"
+
+    @property
+    def cpu(self) -> float:
+        """What its quickest run took of processors [s]."""
+        return min(one.cpu for one in self.taken)
+
+    @property
+    def slow(self) -> bool:
+        """Whether one run of it is enough."""
+        return self.taken[0].wall > ENOUGH
+
+    def near(self) -> list[Accuracy]:
+        """Return how near it came."""
+        return [
+            Accuracy(EARLY, self.early, NEAR_ENOUGH),
+            Accuracy(LATE, self.late, NEAR_ENOUGH),
+        ]
 
 
 def problem(size: int) -> SpringSystem:
@@ -111,22 +140,18 @@ class Bench:
     """One size of sheet."""
 
     def __init__(self, size: int, folder: Path, options: argparse.Namespace) -> None:
-        self.size, self.options = size, options
+        self.size, self.options, self.folder = size, options, folder
         self.given, self.made = folder / f"{size}.npz", folder / "made.npy"
         save(problem(size), self.given)
         self.true: np.ndarray | None = None
-        self.lost: list[str] = []
+        self.lost: list[tuple[str, int]] = []
 
-    def ask(self, python: str, peer: str, rate: int, *more: str) -> list[float]:
-        """Run a peer, and return its seconds."""
-        command = [
-            python, str(HERE / "peers" / peer), str(self.given), str(rate),
-            str(FRAMES), str(self.options.runs), str(self.made), *more,
-        ]  # fmt: skip
-        seconds: list[float] = run(command).report["seconds"]
-        return seconds
+    def ask(self, python: str, peer: str, rate: int, *more: str) -> Taken:
+        """Run a peer, and return what it took."""
+        told = self.given, rate, FRAMES, self.made, *more
+        return taken_of(run_peer(python, peer, *told))[0]
 
-    def found(self, tool: str, rate: int, seconds: list[float]) -> Found:
+    def found(self, tool: str, rate: int, taken: Taken) -> Found:
         """Return what a tool has just made."""
         assert self.true is not None
         places = np.load(self.made)
@@ -134,7 +159,7 @@ class Bench:
             1e3 * float(np.sqrt(((place - true) ** 2).sum(axis=1).mean()))
             for place, true in zip(places[[6, 12]], self.true, strict=True)
         ]
-        return Found(tool, rate, seconds, *off)
+        return Found(tool, rate, [taken], *off)
 
     def settle(self, true: np.ndarray | None) -> None:
         """Take the truth, or what ever finer steps tend to."""
@@ -153,11 +178,18 @@ class Bench:
         asked, own = self.options, "springs_animtool.py"
         for solver, rate in OWN[self.size]:
             yield f"animtool {solver}", sys.executable, own, rate, [solver]
+        for name, library in floors(asked.compiler, self.folder).items():
+            for rate in PLAIN[self.size]:
+                told = [library._name]
+                yield name, sys.executable, "springs_floor.py", rate, told
         python = asked.taichi_python
-        for threads in sorted({1, os.cpu_count() or 1}):
+        ways = {"fused": "taichi, fused, serial"}
+        if self.size > 20:
+            count = os.cpu_count() or 1
+            ways[str(count)] = f"taichi, {count} threads"
+        for how, name in ways.items():
             for rate in TAICHI[self.size]:
-                name, told = f"taichi, {threads} threads", [str(threads)]
-                yield name, python, "springs_taichi.py", rate, told
+                yield name, python, "springs_taichi.py", rate, [how]
         python = asked.newton_python
         for method, often, rate in NEWTON[self.size]:
             name, told = f"newton {method}", [method, str(often)]
@@ -167,32 +199,38 @@ class Bench:
             yield name, asked.mujoco_python, "springs_mujoco.py", rate, []
 
     def run(self) -> list[Found]:
-        """Return what every tool made."""
-        every = []
-        for name, python, peer, rate, told in self.plan():
-            if python is None:
-                continue
-            print(f"{self.size}: {name}, {rate}", file=sys.stderr)
-            try:
-                took = self.ask(python, peer, rate, *told)
-            except SystemExit as stopped:
-                if python == sys.executable:
-                    raise
-                print(stopped, file=sys.stderr)
-                self.lost.append(f"{name}, {rate}/s, did not run")
-                continue
-            every.append(self.found(name, rate, took))
-        return every
+        """Return what every tool made, all in turn, in as many rounds as asked for."""
+        every: dict[tuple[str, int], Found] = {}
+        plan = [one for one in self.plan() if one[1] is not None]
+        for _ in range(self.options.runs):
+            for name, python, peer, rate, told in plan:
+                known = every.get((name, rate))
+                if (name, rate) in self.lost or (known and known.slow):
+                    continue
+                print(f"{self.size}: {name}, {rate}", file=sys.stderr)
+                try:
+                    took = self.ask(python, peer, rate, *told)
+                except SystemExit as stopped:
+                    if python == sys.executable:
+                        raise
+                    print(stopped, file=sys.stderr)
+                    self.lost.append((name, rate))
+                    continue
+                if known is None:
+                    every[name, rate] = self.found(name, rate, took)
+                else:
+                    known.taken.append(took)
+        return list(every.values())
 
 
-def ratio(found: Found, own: list[Found]) -> float | None:
-    """Return a peer's time over that of animtool's quickest that is as near, if any."""
+def as_near(found: Found, own: list[Found]) -> Found | None:
+    """Return the quickest of some that are as near in both frames, if any."""
     near = [
-        min(one.seconds)
+        one
         for one in own
-        if one.early <= found.early and one.late <= found.late
+        if one.early <= SAME * found.early and one.late <= SAME * found.late
     ]
-    return min(found.seconds) / min(near) if near else None
+    return min(near, key=lambda one: one.cpu, default=None)
 
 
 def wanted(size: int, found: Found) -> Wanted | None:
@@ -207,19 +245,26 @@ def rows(size: int, every: list[Found]) -> list[Row]:
     springs = len(problem(size).body.springs.rest)
     own = [found for found in every if found.tool.startswith("animtool")]
     for found in every:
+        made += time_rows(section, found.name, found.taken)
         made += [
-            Row(section, found.name, SECONDS, found.seconds),
             Row(section, found.name, EARLY, [found.early]),
             Row(section, found.name, LATE, [found.late]),
         ]
-        slower = None if found in own else ratio(found, own)
-        if slower is not None:
-            bound = wanted(size, found)
-            made.append(Row(section, found.name, RATIO, [slower], bound))
+        if found not in own:
+            base, near = as_near(found, own), found.near()
+            if base is not None or any(one.fault() for one in near):
+                made += ratio_rows(
+                    section,
+                    found.name,
+                    found.taken,
+                    base.taken if base else [],
+                    wanted=wanted(size, found),
+                    accuracy=near,
+                )
         if found.tool == "animtool symplectic_euler":
-            each = 1e9 * min(found.seconds) / (springs * found.rate)
+            each = 1e9 * found.cpu / (springs * found.rate)
             bound = Wanted(at_least=False, bound=STEP)
-            made.append(Row(section, found.name, EACH, [each], bound))
+            made.append(Row(section, found.name, EACH, [each], bound, clock=Clock.CPU))
     return made
 
 
@@ -236,35 +281,27 @@ def draw(python: str, source: Path) -> None:
 
 def main() -> None:
     """Measure, print the tables, write the CSV."""
-    about = __doc__.splitlines()[0] if __doc__ else None
-    made = argparse.ArgumentParser(description=about)
+    made = parser(__doc__, "sim_springs.csv", runs=3)
     for name in PEERS:
         made.add_argument(f"--{name}-python")
     made.add_argument("--plot-python", default=sys.executable)
-    made.add_argument("--runs", type=int, default=3)
+    made.add_argument("--compiler", default="c++", help="of the plain loops")
     made.add_argument("--sizes", type=int, nargs="*", default=[20, 100])
-    made.add_argument("--csv", type=Path, default=HERE / "results" / "sim_springs.csv")
     options = made.parse_args()
-    pythons = {name: getattr(options, f"{name}_python") for name in PEERS}
-    lines = machine(
+    session = begin(
+        options,
         (sys.executable, ["animtool", "numpy"]),
-        *((pythons[name], packages) for name, packages in PEERS.items()),
+        *((getattr(options, f"{name}_python"), PEERS[name]) for name in PEERS),
     )
-    for name, python in pythons.items():
-        if python is None:
-            lines.append(f"{name} was not run: no interpreter was given")
-    sections = []
+    every: list[Row] = []
     with tempfile.TemporaryDirectory() as folder:
         for size in options.sizes:
             bench = Bench(size, Path(folder), options)
             data = Path(os.environ["ANIMTOOL_DATA"])
             bench.settle(reference(data) if size == 20 else None)
-            sections.append(rows(size, bench.run()))
-            lines += bench.lost
-    print("\n".join(lines))
-    for section in sections:
-        print("\n".join(["", *table(section), "", *verdicts(section)]))
-    write_csv(options.csv, lines, [row for section in sections for row in section])
+            every += rows(size, bench.run())
+            session.about += [f"{n}, {r}/s, did not run" for n, r in bench.lost]
+    session.finish(options.csv, every)
     draw(options.plot_python, options.csv)
 
 

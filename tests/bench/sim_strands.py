@@ -6,15 +6,15 @@ of all of its capsules; see README.md beside this file.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from figures import HERE, Row, Wanted, machine, table, verdicts, write_csv
+from clock import now, since
+from figures import Clock, Row, Wanted
+from measuring import ROOT, begin, parser
 
 import animtool
 from animtool import _kernels
@@ -26,7 +26,6 @@ from animtool.sim.attach.stepping import cells_of
 from animtool.sim.attach.take_pass import simulate
 from animtool.take import Take, TakeStream
 
-ROOT = HERE.parents[1]
 STRANDS, POINTS = 1000, 32
 SECTION = f"{STRANDS} strands of {POINTS} points, {{}} capsules"
 # Of a strand in a step: lengths, folds, and draws to the animation.
@@ -84,20 +83,22 @@ def once(take: Take, **options: Any) -> dict[str, float]:
     spy = Spy()
     _kernels.follow_strands = spy
     try:
-        walls, own = time.perf_counter(), time.process_time()
+        began = now()
         asked = SimulateOptions(what=("hair",), **options)
         stream = simulate(TakeStream.of(take), asked)
         for _ in stream.blocks:
             pass
-        walls, own = time.perf_counter() - walls, time.process_time() - own
+        taken = since(began)
     finally:
         _kernels.follow_strands = spy._kernel
     (report,) = stream.simulated
     simulated = spy.steps / report["steps"] / 24
     done = spy.steps * STRANDS
     return {
-        "simulated / wall [x]": simulated / walls,
-        "simulated / processor [x]": simulated / own,
+        "simulated / wall [x]": simulated / taken.wall,
+        "simulated / CPU [x]": simulated / taken.cpu,
+        "wall [s]": taken.wall,
+        "CPU [s]": taken.cpu,
         "steps a second": report["steps"] * 24,
         "longest spring beyond rest [%]": 100 * report["stretch"],
         "particles in contact": report["contacts"],
@@ -142,34 +143,33 @@ def floor(section: str, bare: list[float], steps: int) -> list[Row]:
     return [Row(section, "floor", name, values) for name, values in figures.items()]
 
 
+def clock(measure: str) -> Clock:
+    """Return what a figure is timed by."""
+    if "wall" in measure:
+        return Clock.WALL
+    timed = "CPU" in measure or measure.endswith(("[ns]", "[million]"))
+    return Clock.CPU if timed else Clock.NONE
+
+
 def main() -> None:
     """Measure, print the tables, write the CSV."""
-    about = __doc__.splitlines()[0] if __doc__ else None
-    made = argparse.ArgumentParser(description=about)
-    made.add_argument("--runs", type=int, default=5)
-    made.add_argument("--csv", type=Path, default=HERE / "results" / "sim_strands.csv")
-    asked = made.parse_args()
+    options = parser(__doc__, "sim_strands.csv", runs=5).parse_args()
+    session = begin(options, (sys.executable, ["animtool", "numpy"]))
     take = problem()
     section = SECTION.format(len(take.rig.colliders))
     rows, bare = [], []
-    for name, options in (
-        ("simulate", {}),
-        ("without colliders", {"colliders": False}),
-    ):
-        once(take, **options)
-        found = [once(take, **options) for _ in range(asked.runs)]
+    for name, more in (("simulate", {}), ("without colliders", {"colliders": False})):
+        once(take, **more)
+        found = [once(take, **more) for _ in range(options.runs)]
         for measure in found[0]:
             wanted = None
             if name == "simulate" and measure == "simulated / wall [x]":
                 wanted = Wanted(at_least=True, bound=3.0)
-            rows.append(
-                Row(section, name, measure, [one[measure] for one in found], wanted)
-            )
+            values = [one[measure] for one in found]
+            rows.append(Row(section, name, measure, values, wanted, clock(measure)))
         bare = [one["a particle and step [ns]"] for one in found]
     rows += floor(section, bare, round(found[0]["steps a second"] / 24))
-    lines = machine((sys.executable, ["animtool", "numpy"]))
-    print("\n".join([*lines, "", *table(rows), "", *verdicts(rows)]))
-    write_csv(asked.csv, lines, rows)
+    session.finish(options.csv, rows)
 
 
 if __name__ == "__main__":

@@ -6,15 +6,14 @@ that drive some of them, and chains.
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import tempfile
 from pathlib import Path
 
-from figures import HERE, Row, Wanted, machine, run, table, verdicts, write_csv
+from figures import Row, Wanted, time_rows
+from measuring import ROOT, begin, parser, run
 
-ROOT = HERE.parents[1]
 MANY, LIMBS, BONES = 500, 6, 10
 FRAMES = 20_000
 
@@ -54,26 +53,20 @@ def timed(
 ) -> list[Row]:
     """Return how long the command takes on files without a finding."""
     command = [sys.executable, "-m", "animtool", "validate", *map(str, arguments)]
-    seconds, spent = [], []
+    taken = []
     for _ in range(runs):
         done = run([*command, "--format", "json"])
         if any(done.report["summary"].values()):
             raise SystemExit(json.dumps(done.report["findings"][:3], indent=1))
-        seconds.append(done.seconds)
-        spent.append(done.processor_seconds)
-    return [
-        Row(section, tool, "whole process [s]", seconds, wanted),
-        Row(section, tool, "of processors [s]", spent),
-    ]
+        taken.append(done.taken)
+    return time_rows(section, tool, taken, wanted=wanted)
 
 
 def main() -> None:
     """Measure, print and store."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=7)
-    parser.add_argument("--csv", type=Path, default=HERE / "results/validate.csv")
-    given = parser.parse_args()
-    about = machine((sys.executable, ["animtool", "numpy", "pydantic", "PyYAML"]))
+    options = parser(__doc__, "validate.csv", runs=7).parse_args()
+    versions = sys.executable, ["animtool", "numpy", "pydantic", "PyYAML"]
+    session = begin(options, versions)
     with tempfile.TemporaryDirectory() as folder:
         for i in range(MANY):
             (Path(folder) / f"rig{i}.rig.yaml").write_text(rig_text(i), "utf-8")
@@ -81,18 +74,15 @@ def main() -> None:
         clip.write_text(clip_text(), "utf-8")
         one, many = Path(folder) / "rig0.rig.yaml", f"{folder}/*.rig.yaml"
         biped = ROOT / "rigs/biped/biped.rig.yaml"
-        some = max(1, given.runs // 3)
+        some, few = max(1, options.runs // 3), "a process a rig"
         rows = [
-            *timed(given.runs, "one", "60 joints", Wanted(False, 0.3), one),
-            *timed(given.runs, "one", "the biped", Wanted(False, 0.3), biped),
+            *timed(options.runs, few, "60 joints", Wanted(False, 0.3), one),
+            *timed(options.runs, few, "the biped", Wanted(False, 0.3), biped),
             *timed(some, "500 rigs", "-j 1", None, many, "-j", 1),
             *timed(some, "500 rigs", "-j 2", Wanted(False, 6.0), many, "-j", 2),
             *timed(some, "clip", f"{FRAMES} frames", None, clip),
         ]
-    for section in dict.fromkeys(row.section for row in rows):
-        print("\n".join(table([row for row in rows if row.section == section])))
-    print("\n".join(verdicts(rows)))
-    write_csv(given.csv, about, rows)
+    session.finish(options.csv, rows)
 
 
 if __name__ == "__main__":

@@ -2,10 +2,10 @@
 
 import json
 import sys
-import time
 
 import bpy
 import numpy as np
+from clock import now, since
 
 
 def make(action, keys):
@@ -28,25 +28,40 @@ def make(action, keys):
     return curves
 
 
-def main(source, output, frames, runs):
-    """Sample frames 0 to ``frames`` of every curve, and keep the values."""
+def sampled(curves, frames):
+    """Return what frames 0 to ``frames`` take, and their values."""
+    began = now()
+    for curve in curves:
+        curve.convert_to_samples(0, frames)
+    taken = since(began)
+    values = np.zeros((len(curves), 2 * frames))
+    for row, curve in zip(values, curves, strict=True):
+        found = np.zeros(2 * len(curve.sampled_points))
+        curve.sampled_points.foreach_get("co", found)
+        row[:] = found[: 2 * frames]
+    return taken, values[:, 1::2]
+
+
+def evaluated(curves, chosen):
+    """Return what values of channels and frames take, a call each, and these."""
+    began = now()
+    values = np.array([curves[c].evaluate(f) for c, f in chosen])
+    return since(began), values
+
+
+def main(how, source, output, frames, chosen):
+    """Evaluate once behind a warm-up, and keep the values."""
     keys = np.load(source)
-    frames, seconds = int(frames), []
-    for _ in range(int(runs)):
+    for _ in range(2):
         action = bpy.data.actions.new("action")
         curves = make(action, keys)
-        began = time.perf_counter()
-        for curve in curves:
-            curve.convert_to_samples(0, frames)
-        seconds.append(time.perf_counter() - began)
-        values = np.zeros((len(curves), 2 * frames))
-        for row, curve in zip(values, curves, strict=True):
-            found = np.zeros(2 * len(curve.sampled_points))
-            curve.sampled_points.foreach_get("co", found)
-            row[:] = found[: 2 * frames]
+        if how == "samples":
+            taken, values = sampled(curves, int(frames))
+        else:
+            taken, values = evaluated(curves, np.load(chosen).tolist())
         bpy.data.actions.remove(action)
-    np.save(output, values[:, 1::2])
-    print("\n" + json.dumps({"seconds": seconds}), flush=True)
+    np.save(output, values)
+    print("\n" + json.dumps({"taken": [taken]}), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,20 +1,18 @@
 """animtool: many problems in a call, or with ``single`` a call for each."""
 
 import sys
-import time
 from collections.abc import Iterator
 
 import numpy as np
 from adapters.ik import from_file, read_goals, read_rig, to_file
+from clock import Taken, now, since
 from ik_problems import PARTS, Array, Case
-from ik_serve import Asked, Solver, serve
+from ik_serve import Asked, Solved, Solver, serve
 
 from animtool.ik import IkOptions, Targets, build, solve
 from animtool.maths import so3
 from animtool.rig.joints import local_from_coordinates
 from animtool.rig.kinematics import forward
-
-CALLS = 3
 
 
 class Animtool:
@@ -39,14 +37,10 @@ class Animtool:
         offsets = np.array([e["offset"] for e in self.case.effectors])
         return turns, points + (turns @ offsets[..., None])[..., 0]
 
-    def solve(
-        self, starts: Array, frames: range, asked: Asked
-    ) -> Iterator[tuple[Array, float]]:
+    def solve(self, starts: Array, frames: range, asked: Asked) -> Iterator[Solved]:
         yield from self._call(starts, frames, self._options(asked))
 
-    def follow(
-        self, start: Array, frames: range, asked: Asked
-    ) -> Iterator[tuple[Array, float]]:
+    def follow(self, start: Array, frames: range, asked: Asked) -> Iterator[Solved]:
         yield from self._call(start, frames, self._options(asked, warm=True))
 
     def _options(self, asked: Asked, *, warm: bool = False) -> IkOptions:
@@ -55,26 +49,22 @@ class Animtool:
 
     def _call(
         self, starts: Array, frames: range, options: IkOptions
-    ) -> Iterator[tuple[Array, float]]:
+    ) -> Iterator[Solved]:
         """Yield what one call for all frames gives.
 
-        A problem's seconds are those that the solver counted for it, and an even
-        share of those that the call took beside, of the call with the least of these.
+        A problem's wall time is what the solver counted for it, and an even share of
+        the rest of the call; its CPU time is an even share of that of the call.
         """
         given = from_file(self.case.model, starts)
         given = given if starts.ndim > 1 else given[0]
         targets = self._targets(slice(frames.start, frames.stop))
-        least = np.inf
-        # A pause in the rest of a call would fall on every problem of it.
-        for _ in range(CALLS if len(frames) > 1 else 1):
-            began = time.perf_counter()
-            result = solve(self.problem, given, targets, options)
-            seconds = time.perf_counter() - began
-            rest = (seconds - result.seconds.sum()) / len(frames)
-            if rest < least:
-                least, best = rest, result
-        poses = to_file(self.case.model, best.coordinates)
-        yield from zip(poses, (best.seconds + least).tolist(), strict=True)
+        began = now()
+        result = solve(self.problem, given, targets, options)
+        taken = since(began)
+        rest = (taken.wall - result.seconds.sum()) / len(frames)
+        poses = to_file(self.case.model, result.coordinates)
+        for pose, seconds in zip(poses, result.seconds.tolist(), strict=True):
+            yield pose, Taken(seconds + rest, taken.cpu / len(frames))
 
     def _targets(self, rows: slice) -> Targets:
         return Targets(
@@ -92,12 +82,16 @@ class Animtool:
 class Single(Animtool):
     """The same with a call for each problem."""
 
-    def solve(
-        self, starts: Array, frames: range, asked: Asked
-    ) -> Iterator[tuple[Array, float]]:
+    def solve(self, starts: Array, frames: range, asked: Asked) -> Iterator[Solved]:
         options = self._options(asked)
         for start, frame in zip(starts, frames, strict=True):
             yield from self._call(start, range(frame, frame + 1), options)
+
+    def follow(self, start: Array, frames: range, asked: Asked) -> Iterator[Solved]:
+        options, pose = self._options(asked, warm=True), start
+        for frame in frames:
+            ((pose, taken),) = self._call(pose, range(frame, frame + 1), options)
+            yield pose, taken
 
 
 def build_case(case: Case) -> Solver:

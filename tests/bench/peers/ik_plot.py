@@ -1,11 +1,11 @@
-"""Time against error, a curve a tool over the tolerances, from the CSV of the bench."""
+"""CPU time against error, a curve a tool over the tolerances, from the CSV."""
 
 import sys
 from pathlib import Path
 
 from plots import Curves, Point, draw, rows
 
-PARTS = ("time [us]", "error", "within [%]")
+PARTS = ("CPU [us]", "error", "within [%]")
 # A point is hollow where fewer problems than this came within its tolerance [%].
 MOST = 99
 
@@ -30,7 +30,7 @@ def curves(source: Path) -> Curves:
 def main(source: str, output: str) -> None:
     """Draw a panel for each set of problems."""
     shown = curves(Path(source))
-    draw(shown, output, x="median time [us]", y="median error [m] or [rad]")
+    draw(shown, output, x="median CPU time [us]", y="median error [m] or [rad]")
 
 
 if __name__ == "__main__":

@@ -1,9 +1,8 @@
 """roboticstoolbox: its compiled Levenberg-Marquardt, restarts within it."""
 
-import time
-
 import numpy as np
 import roboticstoolbox as rtb
+from clock import Taken, now, since
 from ik_problems import Array, Case, matrices
 from ik_serve import Asked, OneByOne, Solver, serve
 
@@ -55,10 +54,10 @@ class Toolbox(OneByOne):
         found = np.asarray(self.chain.eval(pose))
         return found[None, :3, :3], found[None, :3, 3]
 
-    def one(self, start: Array, frame: int, asked: Asked) -> tuple[Array, float]:
+    def one(self, start: Array, frame: int, asked: Asked) -> tuple[Array, Taken]:
         # It stops by half the sum of squares of both, so by the smaller tolerance.
         bound = min(asked.position, asked.angle) ** 2 / 2
-        began = time.perf_counter()
+        began = now()
         found = self.chain.ik_LM(
             self.targets[frame],
             q0=start,
@@ -69,8 +68,8 @@ class Toolbox(OneByOne):
             k=GAIN,
             method=METHOD,
         )
-        seconds = time.perf_counter() - began
-        return np.asarray(found.q), seconds
+        taken = since(began)
+        return np.asarray(found.q), taken
 
 
 def build(case: Case) -> Solver:

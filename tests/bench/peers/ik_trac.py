@@ -1,11 +1,11 @@
 """TRAC-IK, by the bindings of pytracik: two solvers beside each other in threads."""
 
-import time
 from math import atan2, hypot
 from xml.etree import ElementTree as Tree
 
 import numpy as np
 import pytracik
+from clock import Taken, now, since
 from ik_problems import Array, Case, matrices
 from ik_serve import Asked, OneByOne, Solver, serve
 
@@ -95,14 +95,14 @@ class Trac(OneByOne):
             )
         return self.made[asked]
 
-    def one(self, start: Array, frame: int, asked: Asked) -> tuple[Array, float]:
+    def one(self, start: Array, frame: int, asked: Asked) -> tuple[Array, Taken]:
         solver = self._solver(asked)
         quaternion = _quaternion(self.turns[frame])
-        began = time.perf_counter()
+        began = now()
         found = pytracik.ik(solver, start, *self.points[frame], *quaternion)
-        seconds = time.perf_counter() - began
+        taken = since(began)
         reached = found[0] >= 0
-        return np.array(found[1 : len(start) + 1]) if reached else start, seconds
+        return np.array(found[1 : len(start) + 1]) if reached else start, taken
 
 
 def _quaternion(turn: Array) -> Array:

@@ -5,10 +5,10 @@ A third argument names a file for the positions of some frames.
 
 import json
 import sys
-import time
 
 import numpy as np
 import pinocchio as pin
+from clock import timed
 
 
 def main(source: str, runs: str, output: str = "") -> None:
@@ -29,12 +29,12 @@ def main(source: str, runs: str, output: str = "") -> None:
     )
     assert model.nq == coordinates.shape[1]
     frames = list(coordinates)
-    seconds = []
-    for _ in range(int(runs) + 1):
-        began = time.perf_counter()
+
+    def work() -> None:
         for frame in frames:
             pin.forwardKinematics(model, data, frame)
-        seconds.append(time.perf_counter() - began)
+
+    taken = [timed(work) for _ in range(int(runs) + 1)]
     if output:
         positions = []
         for frame in coordinates[arrays["sample"]]:
@@ -42,7 +42,7 @@ def main(source: str, runs: str, output: str = "") -> None:
             positions.append([placed.translation.copy() for placed in data.oMi[1:]])
         np.save(output, np.array(positions))
     # The first warms up.
-    print("\n" + json.dumps({"seconds": seconds[1:]}), flush=True)
+    print("\n" + json.dumps({"taken": taken[1:]}), flush=True)
 
 
 if __name__ == "__main__":

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import json
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from clock import Taken, now, since
 
 FILM = 24
-# A tool that has taken this long is not run again [s].
-ENOUGH = 10.0
 # Short runs are repeated for as long as this: the first are of a cold processor [s].
 WARM = 0.5
 
@@ -27,7 +25,6 @@ class Given:
         body: Arrays by name, as the benchmark saved them.
         rate: Steps a second.
         frames: Of film, after the first.
-        runs: At most.
         output: Where places go.
         more: What only this tool is told.
     """
@@ -35,7 +32,6 @@ class Given:
     body: dict[str, Any]
     rate: int
     frames: int
-    runs: int
     output: Path
     more: list[str]
 
@@ -47,19 +43,22 @@ class Given:
 
 def given() -> Given:
     """Read what this process was asked."""
-    body, rate, frames, runs, output, *more = sys.argv[1:]
+    body, rate, frames, output, *more = sys.argv[1:]
     with np.load(body) as arrays:
         kept = dict(arrays)
-    return Given(kept, int(rate), int(frames), int(runs), Path(output), more)
+    return Given(kept, int(rate), int(frames), Path(output), more)
 
 
 def measure(asked: Given, run: Callable[[], Any]) -> None:
-    """Time a run that returns places at every frame, save these, print seconds."""
-    seconds: list[float] = []
+    """Time a run that returns places at every frame, save these, print what it took.
+
+    Short runs are repeated, and the one that took the processor least counts.
+    """
+    taken: list[Taken] = []
     places = None
-    while sum(seconds) < ENOUGH and (len(seconds) < asked.runs or sum(seconds) < WARM):
-        began = time.perf_counter()
+    while sum(one.wall for one in taken) < WARM:
+        began = now()
         places = run()
-        seconds.append(time.perf_counter() - began)
+        taken.append(since(began))
     np.save(asked.output, np.asarray(places, np.float64))
-    print(json.dumps({"seconds": seconds}))
+    print(json.dumps({"taken": [min(taken, key=lambda one: one.cpu)]}))

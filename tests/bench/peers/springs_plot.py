@@ -1,11 +1,11 @@
-"""Time against error of springs, a curve a tool over its steps, from the CSV."""
+"""CPU time against error of springs, a curve a tool over its steps, from the CSV."""
 
 import sys
 from pathlib import Path
 
 from plots import Curves, Point, draw, rows
 
-TIME, ERROR = "time [s]", "RMS at "
+TIME, ERROR = "CPU [s]", "RMS at "
 
 
 def curves(source: Path) -> Curves:
@@ -29,7 +29,7 @@ def curves(source: Path) -> Curves:
 def main(source: str, output: str) -> None:
     """Draw a panel for each size and frame."""
     shown = curves(Path(source))
-    draw(shown, output, x="time [s]", y="root mean square error [mm]")
+    draw(shown, output, x="CPU time [s]", y="root mean square error [mm]")
 
 
 if __name__ == "__main__":

@@ -24,9 +24,9 @@ from pxr import Usd, UsdGeom, UsdSkel
 READERS = Path(__file__).resolve().parent
 sys.path.insert(0, str(READERS.parent))
 
-from figures import Row, Wanted, machine, table, verdicts, write_csv  # noqa: E402
+from figures import Row, Wanted, tables  # noqa: E402
+from measuring import ROOT, Session, begin, parser  # noqa: E402
 
-ROOT = READERS.parents[2]
 MOST_POINTS = 50
 # [m] Float32 positions of characters and cloths.
 BOUND = 1e-4
@@ -298,51 +298,51 @@ def validated(validator: Path, sample: Sample) -> Row:
     return Row(sample.name, "NVIDIA", "findings", [count], Wanted(False, 0))
 
 
-def about(given: argparse.Namespace) -> list[str]:
-    """Return the machine and the versions of all readers."""
-    python = given.validator and str(given.validator.with_name("python"))
+def started(options: argparse.Namespace) -> Session:
+    """Return the run, which knows the versions of all readers."""
+    python = options.validator and str(options.validator.with_name("python"))
     packages = ["omniverse-asset-validator", "usd-validation-nvidia", "usd-core"]
-    lines = machine(
+    notes = ["left out, no folder was given: three"]
+    if options.three:
+        package = options.three / "node_modules/three/package.json"
+        notes = [f"three {json.loads(package.read_text('utf-8'))['version']}"]
+    return begin(
+        options,
         (sys.executable, ["usd-core"]),
-        (given.bpy_python and str(given.bpy_python), ["bpy"]),
+        (options.bpy_python and str(options.bpy_python), ["bpy"]),
         (python, packages),
+        notes=notes,
+        clocked=False,
     )
-    if given.three:
-        package = given.three / "node_modules/three/package.json"
-        version = json.loads(package.read_text("utf-8"))["version"]
-        lines.append(f"three {version}")
-    return lines
 
 
 def main() -> None:
     """Write, read, compare, print and store."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--bpy-python", type=Path)
-    parser.add_argument("--three", type=Path, help="folder with three installed")
-    parser.add_argument("--validator", type=Path)
-    parser.add_argument("--only", default="", help="samples with this in their name")
-    csv = READERS.parent / "results/readers.csv"
-    parser.add_argument("--csv", type=Path, default=csv)
-    given = parser.parse_args()
+    made = parser(__doc__, "readers.csv", runs=1)
+    made.add_argument("--bpy-python", type=Path)
+    made.add_argument("--three", type=Path, help="folder with three installed")
+    made.add_argument("--validator", type=Path)
+    made.add_argument("--only", default="", help="samples with this in their name")
+    options = made.parse_args()
+    session = started(options)
     rows = []
     with tempfile.TemporaryDirectory() as place:
         for sample in written(Path(place)):
-            if given.only not in sample.name:
+            if options.only not in sample.name:
                 continue
             ref = reference(sample.path)
             own = []
-            if given.bpy_python:
-                found = blender(given.bpy_python, sample, ref)
+            if options.bpy_python:
+                found = blender(options.bpy_python, sample, ref)
                 own += rows_of("Blender", sample.name, ref, found)
-            if given.three:
-                found = three(given.three, sample, ref)
+            if options.three:
+                found = three(options.three, sample, ref)
                 own += rows_of("three.js", sample.name, ref, found)
-            if given.validator:
-                own.append(validated(given.validator, sample))
-            print("\n".join(table(own)), flush=True)
+            if options.validator:
+                own.append(validated(options.validator, sample))
+            print("\n".join(tables(own)), file=sys.stderr, flush=True)
             rows += own
-    print("\n".join(line for line in verdicts(rows) if line.startswith("MISSED")))
-    write_csv(given.csv, about(given), rows)
+    session.finish(options.csv, rows)
 
 
 if __name__ == "__main__":
