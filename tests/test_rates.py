@@ -41,6 +41,14 @@ from animtool.rates import (
         ("0.0166833", "60000/1001", RateKind.NEAREST),
         ("0.03334", "30", RateKind.NEAREST),
         ("0.0353", "10000/353", RateKind.PRINTED),
+        # From 30 to 29.97, the next rate that is known.
+        ("0.033341", "30", RateKind.NEAREST),
+        ("0.033343", "1000000/33343", RateKind.PRINTED),
+        ("0.033357", "1000000/33357", RateKind.PRINTED),
+        ("0.033359", "30000/1001", RateKind.NEAREST),
+        ("0.041687", "1000000/41687", RateKind.PRINTED),
+        ("0.0042", "240", RateKind.REPRINTED),
+        ("0.009", "111", RateKind.REPRINTED),
         ("1e-6", "1000000", RateKind.PRINTED),
         ("100", "1/100", RateKind.PRINTED),
     ],
@@ -67,6 +75,7 @@ def test_what_is_no_frame_time(text: str) -> None:
 
 def test_rivals_are_named_only_where_the_choice_is_open() -> None:
     assert rate_from_frame_time("0.017").rivals == (58, 59)
+    assert rate_from_frame_time("0.0042").rivals == (236, 237, 238, 239)
     assert rate_from_frame_time("0.008").rivals == ()
     assert rate_from_frame_time("0.0333").rivals == ()
 

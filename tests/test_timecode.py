@@ -114,6 +114,36 @@ def test_the_shorter_way_around_the_clock(rate: Fraction, a: int, b: int) -> Non
     assert (a + apart * rate - b) % day_frames(rate) == 0
 
 
+@pytest.mark.parametrize(
+    ("first", "other", "rate", "frames"),
+    [
+        ("23:59:59;29", "00:00:00;00", NTSC, 1),
+        ("00:00:00;00", "23:59:59;29", NTSC, -1),
+        ("23:59:00;02", "00:01:00;02", NTSC, 1798 + 1800),
+        ("23:59:59;59", "00:00:00;00", FAST, 1),
+        ("00:00:00;00", "23:59:59;59", FAST, -1),
+        ("23:59:00;04", "00:01:00;04", FAST, 3596 + 3600),
+    ],
+)
+def test_drop_frame_counts_on_over_midnight(
+    first: str, other: str, rate: Fraction, frames: int
+) -> None:
+    assert seconds_between(first, rate, other, rate) * rate == frames
+
+
+@given(DROPS, st.integers(0, 10**9), st.integers(-3000, 3000))
+def test_what_is_counted_over_midnight_is_counted_back(
+    rate: Fraction, frame: int, apart: int
+) -> None:
+    day = day_frames(rate, drop=True)
+    first, other = (
+        timecode_label(Fraction(n % day), rate, drop=True)
+        for n in (frame, frame + apart)
+    )
+    assert seconds_between(first, rate, other, rate) * rate == apart
+    assert seconds_between(other, rate, first, rate) * rate == -apart
+
+
 def test_rates_that_differ_are_compared_in_seconds() -> None:
     apart = seconds_between("01:00:00:00", Fraction(24), "01:00:00:30", Fraction(120))
     assert apart == Fraction(1, 4)

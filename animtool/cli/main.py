@@ -185,6 +185,7 @@ def run(arguments: Sequence[str]) -> int:
 
 def _run(arguments: Sequence[str], console: Console) -> int:
     """Run the command line; raises what signals do, once, and errors to debug."""
+    streams = sys.stdout, sys.stderr
     try:
         receive_signals()
         code = cli.main(list(arguments), "animtool", standalone_mode=False, obj=console)
@@ -192,6 +193,12 @@ def _run(arguments: Sequence[str], console: Console) -> int:
         if ending():
             interrupt()
         outlast_signals()
+    except SystemExit:
+        if (sys.stdout, sys.stderr) == streams:
+            raise
+        # Click wraps both and ends with 1 where nobody reads stdout any more.
+        sys.stdout, sys.stderr = streams
+        code = _report(console, BrokenPipeError())
     except (Exception, click.Abort) as error:
         if ending():
             # What the signal raised was swallowed, or became an error of another kind.

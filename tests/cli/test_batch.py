@@ -163,6 +163,25 @@ def test_a_scene_for_all(takes: Path) -> None:
     assert {entry["samples"] for entry in report["items"]} == {2}
 
 
+def test_variables_of_the_command_line_come_before_those_of_files(takes: Path) -> None:
+    """Those of the batch file come before those of its scene; the last one counts."""
+    (takes / "cut.scene.yaml").write_text(
+        "scene: animtool/1\nvariables: {first: 1, last: 2, end: a}\n"
+        "source:\n  file: ${input}\n"
+        'output: {file: "${stem}_${first}${last}${end}.usda"}\n'
+    )
+    (takes / "a.batch.yaml").write_text(
+        "batch: animtool/1\ninputs: [takes/take000.bvh]\nscene: cut.scene.yaml\n"
+        'variables: {last: "3", end: b}\n'
+    )
+    given = ("--set", "end=c", "--set", "end=d")
+    done = animtool(
+        "batch", "a.batch.yaml", *given, "-n", "--format", "json", cwd=takes
+    )
+    (item,) = json.loads(done.stdout)["items"]
+    assert Path(item["output"]).name == "take000_13d.usda"
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "word"),
     [

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -79,17 +80,24 @@ def test_what_ends_a_command(
     assert "Traceback" not in done.stderr
 
 
-def test_a_reader_that_leaves_is_no_fault(walk: Path) -> None:
-    command = [sys.executable, "-P", "-m", "animtool", "bake", str(walk), "-o", "-"]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with subprocess.Popen(command, text=True, **pipes) as process:
-        assert process.stdout is not None
-        assert process.stderr is not None
-        assert process.stdout.readline() == "#usda 1.0\n"
-        process.stdout.close()
-        said = process.stderr.read()
-    assert process.returncode == 0
-    assert "Error" not in said
+@pytest.mark.parametrize(
+    "command", [("schema", "scene"), ("bake", "{walk}", "-o", "-")], ids=lambda c: c[0]
+)
+def test_a_reader_that_leaves_is_no_fault(walk: Path, command: tuple[str, ...]) -> None:
+    """What is left in a pipe that is closed early, as by ``head -1``, may be all."""
+    read, write = os.pipe()
+    os.close(read)
+    words = [word.format(walk=walk) for word in command]
+    done = subprocess.run(
+        [sys.executable, "-P", "-m", "animtool", *words],
+        stdout=write,
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
+    )
+    os.close(write)
+    assert done.returncode == 0
+    assert "error" not in done.stderr.lower()
 
 
 def test_debug_lets_the_traceback_through() -> None:
@@ -113,6 +121,32 @@ def test_log_format_json() -> None:
 def test_environment_sets_the_log_format() -> None:
     done = animtool_process("info", "none.bvh", ANIMTOOL_LOG_FORMAT="json")
     assert json.loads(done.stderr.splitlines()[0])["code"] == "IO001"
+
+
+@pytest.mark.parametrize(
+    ("environment", "asked", "is_json"),
+    [
+        ("json", (), True),
+        ("json", ("--log-format", "text"), False),
+        ("json", ("--log-format=text",), False),
+        ("text", ("--log-format", "json"), True),
+        ("text", ("--log-format=json",), True),
+        ("text", (), False),
+    ],
+)
+@pytest.mark.parametrize("more", [(), ("--nope",)], ids=["done", "misspelt"])
+def test_the_log_format_of_the_command_line_comes_first(
+    monkeypatch: pytest.MonkeyPatch,
+    environment: str,
+    asked: tuple[str, ...],
+    is_json: bool,
+    more: tuple[str, ...],
+) -> None:
+    monkeypatch.setenv("ANIMTOOL_LOG_FORMAT", environment)
+    monkeypatch.setenv("NO_COLOR", "1")
+    said = animtool("info", "none.bvh", *asked, *more).stderr
+    assert said.startswith("{") is is_json
+    assert "\x1b" not in said
 
 
 def test_colors(

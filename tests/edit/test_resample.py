@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from animtool.edit.frame_range import FrameRange
-from animtool.edit.resample import plan_samples, resampled, sample
+from animtool.edit.resample import SampleTimes, plan_samples, resampled, sample
 from animtool.errors import OptionError
 from animtool.maths import so3
 from animtool.rig.skeleton import Joint, Rig
@@ -117,6 +117,36 @@ def test_kept_samples_within_a_range() -> None:
             clock(21), Fraction(24), Fraction(1),
             frame_range=FrameRange(1, 3, 2), keep_samples=True,
         )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("wanted", "first", "last"),
+    [
+        (FrameRange(2, 3), 5, 9),
+        (FrameRange(-9, 2), 0, 4),
+        (FrameRange(3, 99), 10, 19),
+        (FrameRange(6, 6), None, None),
+    ],
+)
+def test_kept_samples_off_the_grid_stay_within_the_range(
+    wanted: FrameRange, first: int | None, last: int
+) -> None:
+    """At 120 samples a second no frame of 25 but each fifth has a sample."""
+    step = Fraction(25, 120)
+
+    def times() -> SampleTimes:
+        return plan_samples(
+            clock(20), Fraction(25), Fraction(1), frame_range=wanted, keep_samples=True
+        )
+
+    if first is None:
+        with pytest.raises(OptionError, match=r"which lasts from 1 to 4\.95833"):
+            times()
+        return
+    found = times()
+    assert found.frames.tolist() == list(range(first, last + 1))
+    assert found.codes.tolist() == [float(1 + i * step) for i in found.frames]
+    assert (found.first, found.last) == (1 + first * step, 1 + last * step)
 
 
 def test_sub_frame_samples_are_ascending_and_held_at_the_ends() -> None:

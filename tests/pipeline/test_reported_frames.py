@@ -30,6 +30,7 @@ from animtool.usd.read import read_usd
 
 RATES = [Fraction(24), Fraction(30), Fraction(120), Fraction(24000, 1001)]
 SHUTTER = (Fraction(-1, 4), Fraction(0), Fraction(1, 4))
+KEPT = {"fps": Fraction(25), "keep_samples": True}
 Baked = Callable[[Clock, BakeOptions], BakeReport]
 
 
@@ -208,6 +209,9 @@ def test_a_rate_that_is_asked_for_is_used(tmp_path: Path) -> None:
         (30, {"fps": Fraction(24)}, "TAKE006", "0.2 frames (0.00833 s)"),
         (12, {"frame_range": FrameRange(1, 12, 5)}, "CLI105", "1 to 11"),
         (12, {"frame_range": FrameRange(1, 11, 5)}, "", ""),
+        (40, {**KEPT, "frame_range": FrameRange(2, 6)}, "CLI105", "2.66667 to 6 "),
+        (40, {**KEPT, "frame_range": FrameRange(6, 7)}, "CLI105", "6 to 6.83333"),
+        (40, {**KEPT, "frame_range": FrameRange(6, 11)}, "", ""),
     ],
 )
 def test_what_is_dropped_at_an_end_is_noted(

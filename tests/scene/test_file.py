@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -274,6 +275,20 @@ def test_variables_of_the_command_line(shot: Path) -> None:
     assert done.code == 0, done.stderr
     assert "timeCodesPerSecond = 30\n" in (shot.parent / "walk_30.usda").read_text()
     assert load_scene(shot, {"first": "6"}).variables == {"capture", "rate", "first"}
+
+
+def test_the_last_value_that_the_command_line_gives_a_variable_counts(
+    shot: Path,
+) -> None:
+    shot.write_text(TEMPLATE, "utf-8")
+    twice = ("--set", "rate=30", "--set", "first=5", "--set", "rate=48")
+    done = animtool("bake", shot, *twice)
+    assert done.code == 0, done.stderr
+    assert [path.name for path in shot.parent.glob("*.usda")] == ["walk_48.usda"]
+    (found,) = json.loads(animtool("info", shot, *twice, "--format", "json").stdout)[
+        "files"
+    ]
+    assert found["fps"] == 48
 
 
 def test_variables_that_are_missing_or_spare(shot: Path) -> None:

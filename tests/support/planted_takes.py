@@ -360,6 +360,8 @@ TAKES = [
             _FEET),
     Planted("a shin that grows to twice its length", "walk",
             stretched("LeftFoot", 2.0), "MOT212", _FEET),
+    Planted("a shin that shrinks to two fifths", "walk",
+            stretched("LeftFoot", 0.4), "MOT212", _FEET),
     Planted("an animation in centimetres over metres", "walk", scaled_motion(100.0),
             "MOT213", _FEET),
     Planted("an animation in metres over centimetres", "stride", scaled_motion(0.01),

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.drifting import author_samples
 
+from animtool.clock import time_codes
 from animtool.usd.read import read_usd
 from animtool.usd.sample_grid import SampleGrid, _grid, _Span
 
@@ -75,6 +76,18 @@ def test_samples_between_frames_are_counted(tmp_path: Path) -> None:
     assert stream.collect().clock.count == 7
     assert [notice.code for notice in stream.notices] == ["USD105", "USD122"]
     assert "2 of 4 samples" in stream.notices[1].message
+
+
+@pytest.mark.parametrize("step", ["200/1001", "1001/5000", "24/1001", "1001/1200"])
+@pytest.mark.parametrize("start", [1, 1001, -7])
+def test_sub_frame_steps_of_broadcast_rates_are_exact(step: str, start: int) -> None:
+    """Such as 120 samples a second on the time codes of 23.976 frames."""
+    codes = time_codes(Fraction(start), Fraction(step), 60).tolist()
+    found = grid(codes)
+    assert (found.start, found.step, found.count) == (start, Fraction(step), 60)
+    assert (found.even, found.drift) == (True, 0.0)
+    # One is missing, and samples are where they were.
+    assert grid(codes[:7] + codes[8:]).step == Fraction(step)
 
 
 def test_samples_on_even_parts_of_frames_are_no_drift() -> None:

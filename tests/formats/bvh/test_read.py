@@ -12,12 +12,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 from support.bvh import COLUMNS, HEADER, random_rows, read_reference, small_bvh
 
 from animtool.errors import FormatError, Severity
-from animtool.formats.bvh import read_bvh
+from animtool.formats.bvh import read_bvh, write_bvh
 from animtool.formats.bvh import rows as rows_module
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import JointType
 from animtool.take import Take, TakeStream
 from animtool.units import LengthUnit
+from animtool.validation.run import validate
 
 
 @pytest.fixture
@@ -237,6 +238,56 @@ def test_several_end_sites(write) -> None:  # type: ignore[no-untyped-def]
     )
     tips = read(write(small_bvh(random_rows(2), header=more)))[1].rig.joints[1].tips
     assert_allclose(tips, [(0.01, 0, 0), (0, 0.05, 0)])
+
+
+def test_a_leaf_without_an_end_site(write, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    header = HEADER.replace("\t\tEnd Site\n\t\t{\n\t\t\tOFFSET 0 5 0\n\t\t}\n", "")
+    assert "End Site" not in header
+    path = write(small_bvh(random_rows(3), header=header))
+    stream, take = read(path)
+    assert stream.notices == []
+    assert [(joint.name, joint.tips) for joint in take.rig.joints] == [
+        ("Hips", ()),
+        ("Spine", ()),
+    ]
+    assert validate(path) == []
+    text = b"".join(write_bvh(take).parts).decode()
+    assert text.startswith(header)
+    other = tmp_path / "with.bvh"
+    other.write_text(small_bvh(random_rows(3)))
+    assert_array_equal(
+        take.motion.rotations.values, read(other)[1].motion.rotations.values
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "said"),
+    [
+        ("0.033333", None, ""),
+        ("0.017", "BVH107", "58, 59 fps would read the same; 60 fps is taken"),
+        ("0.033343", "BVH106", "no usual rate; 29.9913 fps is taken"),
+        ("0.25", None, ""),
+        ("0.2501", "BVH105", "implausible"),
+        ("0.001", None, ""),
+        ("0.0009", "BVH105", "implausible"),
+        ("4", "BVH105", "is 1/4 (0.25) fps"),
+    ],
+)
+def test_what_is_said_of_a_frame_time(  # type: ignore[no-untyped-def]
+    write, text: str, code: str | None, said: str
+) -> None:
+    notices = read_bvh(write(small_bvh(random_rows(2), frame_time=text))).notices
+    severity = Severity.NOTE if code == "BVH107" else Severity.WARNING
+    assert [(n.code, n.severity) for n in notices] == (
+        [(code, severity)] if code else []
+    )
+    assert all(said in notice.message for notice in notices)
+
+
+@pytest.mark.parametrize("text", ["4", "30", "1000"])
+def test_a_rate_in_place_of_a_frame_time_is_taken_for_one(write, text: str) -> None:  # type: ignore[no-untyped-def]
+    (notice,) = read_bvh(write(small_bvh(random_rows(2), frame_time=text))).notices
+    assert notice.hint == f"a rate in place of a time? then --source-fps {text}"
 
 
 def test_byte_order_mark_and_no_final_newline(write) -> None:  # type: ignore[no-untyped-def]
