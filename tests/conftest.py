@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 from support.printed import Printed, make_project
+from support.suite import Collecting, slow_first
 
 ROOT = Path(__file__).parents[1]
 
@@ -15,9 +16,10 @@ ROOT = Path(__file__).parents[1]
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # How long an example takes is the machine's affair; others are taken in each run.
-settings.register_profile("animtool", deadline=None, max_examples=50)
-settings.load_profile("animtool")
-
+# `--hypothesis-profile=full` takes ten times as many.
+settings.register_profile("fast", deadline=None, max_examples=30)
+settings.register_profile("full", deadline=None, max_examples=300)
+settings.load_profile("fast")
 
 # A shell lets jobs in the background ignore interrupts, and what they start too: here
 # and in the processes that tests start, signals do what they usually do.
@@ -26,6 +28,18 @@ for _name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGTSTP"):
     if _number is not None and signal.getsignal(_number) is signal.SIG_IGN:
         _usual = signal.default_int_handler if _name == "SIGINT" else signal.SIG_DFL
         signal.signal(_number, _usual)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(Collecting())
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(
+    config: pytest.Config, items: list[pytest.Item]
+) -> None:
+    if processes := getattr(config, "workerinput", {}).get("workercount"):
+        items[:] = slow_first(items, processes)
 
 
 def data_folder(name: str) -> Path | None:

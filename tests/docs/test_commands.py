@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from support.printed import Printed, run_printed
+from support.printed import ROOT, Printed, run_printed
 
 from animtool.passes import PASSES, find_pass
 
@@ -45,31 +45,115 @@ def commands_in(text: str) -> list[str]:
     return re.findall(r"^(?:\$|   ) (animtool .*)$", text, re.M)
 
 
-def is_apart(command: str, workplace: Path, root: Path) -> bool:
+def sections_of(text: str) -> dict[str, list[str]]:
+    """Return the commands below each heading of a document that has any."""
+    sections: dict[str, list[str]] = {}
+    for section in re.split(r"^#+ ", text, flags=re.M)[1:]:
+        if commands := commands_in(section):
+            sections[section.splitlines()[0]] = commands
+    return sections
+
+
+TEXTS = {document: (ROOT / document).read_text("utf-8") for document in DOCUMENTS}
+SECTIONS = {document: sections_of(text) for document, text in TEXTS.items()}
+# In how many documents a command is.
+DOCUMENTS_WITH = Counter(
+    command for text in TEXTS.values() for command in set(commands_in(text))
+)
+# What takes long where a command is run first [s].
+SECONDS = {
+    "bake samples/cape/": 3,
+    "bake samples/drape/": 7,
+    "bake samples/flag/": 18,
+    "bake samples/embers/": 1,
+    "bake samples/orbits/": 2,
+    "bake samples/sheets/": 2,
+    "validate rigs samples": 2,
+}
+
+
+def section_parameters() -> list[object]:
+    """Return each section with commands, marked with what these may take."""
+    parameters = []
+    for document, sections in SECTIONS.items():
+        for title, commands in sections.items():
+            seconds = sum(
+                SECONDS[start]
+                for command in set(commands)
+                for start in SECONDS
+                if command.startswith(f"animtool {start}")
+            )
+            marks = [pytest.mark.slow(seconds)] if seconds else []
+            name = f"{document}: {title}"
+            parameters.append(pytest.param(document, title, marks=marks, id=name))
+    return parameters
+
+
+def output_of(command: str) -> str | None:
+    """Return the name of the file that a command writes."""
+    words = shlex.split(command)
+    if "-o" in words:
+        return words[words.index("-o") + 1]
+    positional = [word for word in words if not word.startswith("-")]
+    return positional[3] if words[1] == "convert" else None
+
+
+def needed(document: str, title: str) -> list[str]:
+    """Return the commands of earlier sections that a section needs, and what they need.
+
+    A file is written by the command that names it as its output, or else, as a rig
+    layer is, by those that write one of the same stem.
+    """
+    titles = list(SECTIONS[document])
+    earlier = [
+        command
+        for each in titles[: titles.index(title)]
+        for command in SECTIONS[document][each]
+    ]
+    commands: list[str] = []
+    pending = list(SECTIONS[document][title])
+    while pending:
+        command = pending.pop()
+        read = {word for word in shlex.split(command)[2:] if "." in word}
+        for name in read - {output_of(command)}:
+            if (ROOT / name).exists():
+                continue
+            writers = [each for each in earlier if output_of(each) == name] or [
+                each
+                for each in earlier
+                if (output_of(each) or "").split(".")[0] == name.split(".")[0]
+            ]
+            pending += [each for each in writers if each not in commands]
+            commands += [each for each in writers if each not in commands]
+    return sorted(commands, key=earlier.index)
+
+
+def is_apart(command: str, workplace: Path) -> bool:
     """Return whether no file that a command names was made by those before it."""
     return not any(
-        (workplace / word).exists() and not (root / word).exists()
+        (workplace / word).exists() and not (ROOT / word).exists()
         for word in shlex.split(command)
     )
 
 
-@pytest.mark.parametrize("name", DOCUMENTS)
+@pytest.mark.parametrize(("document", "title"), section_parameters())
 def test_printed_commands(
-    root: Path, workplace: Path, printed: Printed, name: str
+    workplace: Path, printed: Printed, document: str, title: str
 ) -> None:
-    texts = {document: (root / document).read_text("utf-8") for document in DOCUMENTS}
-    everywhere = Counter(
-        command for text in texts.values() for command in set(commands_in(text))
-    )
-    commands = commands_in(texts[name])
-    assert commands
-    for command in commands:
+    for command in needed(document, title) + SECTIONS[document][title]:
         if "--plot" in command and find_spec("matplotlib") is None:
             continue
-        if everywhere[command] > 1 and is_apart(command, workplace, root):
+        if DOCUMENTS_WITH[command] > 1 and is_apart(command, workplace):
             printed.copy(command, workplace)
         else:
             run_printed(command, workplace)
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_each_command_is_below_a_heading(document: str) -> None:
+    commands = [each for section in SECTIONS[document].values() for each in section]
+    assert commands
+    assert commands == commands_in(TEXTS[document])
 
 
 def test_the_sample_is_what_its_script_makes(root: Path, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from filelock import FileLock
 
-from support.cli import animtool
+from support.cli import Done, animtool
 
 ROOT = Path(__file__).parents[2]
 
@@ -23,10 +23,11 @@ def make_project(folder: Path) -> None:
     (folder / "animtool.toml").touch()
 
 
-def run_printed(command: str, folder: Path) -> None:
+def run_printed(command: str, folder: Path) -> Done:
     """Run a command as a document has it, which is to succeed."""
     done = animtool(*shlex.split(command)[1:], cwd=folder)
     assert done.code == 0, f"{command}\n{done.stderr}"
+    return done
 
 
 class Printed:
@@ -43,18 +44,27 @@ class Printed:
 
     def __call__(self, command: str) -> Path:
         """Return a folder with the files that a command makes."""
-        name = hashlib.sha256(command.encode()).hexdigest()[:16]
+        name = name_of(command)
         made, project = self._folder / name, self._folder / f"{name}.project"
         with FileLock(self._folder / f"{name}.lock"):
             if not made.exists():
                 shutil.rmtree(project, ignore_errors=True)
                 make_project(project)
                 given = files_in(project)
-                run_printed(command, project)
+                done = run_printed(command, project)
+                self._stderr(name).write_text(done.stderr, "utf-8")
                 for file in given:
                     (project / file).unlink()
                 project.rename(made)
         return made
+
+    def stderr(self, command: str) -> str:
+        """Return what a command prints to stderr."""
+        self(command)
+        return self._stderr(name_of(command)).read_text("utf-8")
+
+    def _stderr(self, name: str) -> Path:
+        return self._folder / f"{name}.stderr"
 
     def copy(self, command: str, folder: Path) -> None:
         """Put the files that a command makes into another project."""
@@ -62,6 +72,11 @@ class Printed:
         for file in files_in(made):
             (folder / file).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(made / file, folder / file)
+
+
+def name_of(command: str) -> str:
+    """Return a short name for the files of a command."""
+    return hashlib.sha256(command.encode()).hexdigest()[:16]
 
 
 def files_in(folder: Path) -> list[Path]:

@@ -1,0 +1,72 @@
+"""How the tests are collected, and in which order the processes of xdist run them."""
+
+from __future__ import annotations
+
+import gc
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pytest
+from _pytest.doctest import DoctestModule
+
+# Of a test that is marked as slow without a number [s].
+SLOW = 2.0
+
+
+class Collecting:
+    """A plugin that leaves out what collecting need not do."""
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_collect_file(
+        self, file_path: Path
+    ) -> Iterator[None] | list[pytest.Collector]:
+        """Look for examples only in files that have one."""
+        collectors = yield
+        return [
+            each
+            for each in collectors
+            if not isinstance(each, DoctestModule) or b">>>" in file_path.read_bytes()
+        ]
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_collection(self) -> Iterator[None]:
+        """Collect no garbage among objects that live until the end."""
+        gc.disable()
+        try:
+            return (yield)
+        finally:
+            gc.freeze()
+            gc.enable()
+
+
+def seconds_of(item: pytest.Item) -> float:
+    """Return the CPU seconds that a test is marked with, 0 where it is not slow."""
+    mark = item.get_closest_marker("slow")
+    return 0.0 if mark is None else float(mark.args[0] if mark.args else SLOW)
+
+
+def slow_first(items: Sequence[pytest.Item], processes: int) -> list[pytest.Item]:
+    """Order tests so that each process starts with its share of the slow ones.
+
+    ``--dist=worksteal`` gives each process a run of consecutive tests, of equal
+    lengths. Slow tests of one file stay together, as they may share what they need.
+    """
+    files: dict[Path, list[pytest.Item]] = defaultdict(list)
+    for item in items:
+        if seconds_of(item):
+            files[item.path].append(item)
+    shares: list[list[pytest.Item]] = [[] for _ in range(processes)]
+    loads = [0.0] * processes
+    for file in sorted(files, key=lambda path: -sum(map(seconds_of, files[path]))):
+        least = loads.index(min(loads))
+        shares[least] += files[file]
+        loads[least] += sum(map(seconds_of, files[file]))
+    rest = [item for item in items if not seconds_of(item)]
+    ordered: list[pytest.Item] = []
+    for i, share in enumerate(shares):
+        length = (len(items) - len(ordered)) // (processes - i)
+        quick = max(0, length - len(share))
+        ordered += share + rest[:quick]
+        del rest[:quick]
+    return ordered + rest
