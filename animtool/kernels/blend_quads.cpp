@@ -1,6 +1,7 @@
 // Linear blend skinning for processors with registers of four doubles; the build says
 // where the compiler may use them, and the processor is asked before it runs.
 #include "blend.h"
+#include "processor.h"
 
 #if defined(__AVX2__) && defined(__GNUC__)
 #define ANIMTOOL_QUADS
@@ -30,7 +31,7 @@ struct Quads {
 }  // namespace
 
 BlendFrames blend_in_quads(bool still) {
-  if (!__builtin_cpu_supports("avx2")) return nullptr;
+  if (!has_quads()) return nullptr;
   return still ? blend_frames<Quads, true> : blend_frames<Quads, false>;
 }
 

@@ -1,5 +1,6 @@
 // Springs four at a time for processors with registers of four doubles; the build says
 // where the compiler may use them, and the processor is asked before it runs.
+#include "processor.h"
 #include "springs_bands.h"
 #include "springs_bundle.h"
 #include "springs_rows.h"
@@ -66,27 +67,27 @@ struct QuadRows {
 }  // namespace
 
 AddPulls add_pulls_in_quads() {
-  return __builtin_cpu_supports("avx2") ? add_pulls<QuadRows> : nullptr;
+  return has_quads() ? add_pulls<QuadRows> : nullptr;
 }
 
 PlaneLoops plane_loops_here() {
-  return __builtin_cpu_supports("avx2") ? plane_loops<QuadRows>() : plane_loops<PlainRows>();
+  return has_quads() ? plane_loops<QuadRows>() : plane_loops<PlainRows>();
 }
 
 AccelerateRows accelerate_rows_in_quads() {
-  return __builtin_cpu_supports("avx2") ? accelerate_rows<QuadRows> : nullptr;
+  return has_quads() ? accelerate_rows<QuadRows> : nullptr;
 }
 
 AdvanceRows advance_rows_in_quads() {
-  return __builtin_cpu_supports("avx2") ? advance_rows<QuadRows> : nullptr;
+  return has_quads() ? advance_rows<QuadRows> : nullptr;
 }
 
 ProjectAll project_all_in_quads() {
-  return __builtin_cpu_supports("avx2") ? project_all<QuadRows> : nullptr;
+  return has_quads() ? project_all<QuadRows> : nullptr;
 }
 
 CrossBundle cross_bundle_in_quads() {
-  return __builtin_cpu_supports("avx2") ? cross_bundle<QuadRows> : nullptr;
+  return has_quads() ? cross_bundle<QuadRows> : nullptr;
 }
 
 #else

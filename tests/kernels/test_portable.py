@@ -1,0 +1,118 @@
+"""Processors with and without registers of four doubles give the same bytes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from animtool import _kernels
+from animtool.sim.colliders import Capsule, Collider, Colliders
+
+HELD = np.array([0, 7])
+NOBODY = np.zeros((0, 3), np.int64)
+
+
+def network(rng: np.random.Generator) -> tuple[Any, int]:
+    """Return a chain of 71 particles in bands of springs, two held, some twice."""
+    count = 71
+    ends = [np.arange(count - k)[:, None] + [0, k] for k in (1, 2, 9)]
+    ends = np.concatenate([*ends, ends[0][:3], [[0, 50], [20, 64]]])
+    ends = np.ascontiguousarray(ends[_kernels.spring_order(ends, count)])
+    numbers = rng.uniform(0.5, 2, (len(ends), 4)) * [1, 90, 1, np.inf]
+    weights = rng.uniform(0.5, 2, count)
+    weights[HELD] = 0
+    return _kernels.SpringNetwork(
+        weights, rng.uniform(0, 1, count), ends, numbers, NOBODY,
+        np.array([0.1, -0.2, -9.81, 0, 0]), np.zeros(1), HELD,
+        rng.normal(size=(1, 2, 3)), np.zeros(0, np.int64), np.zeros((0, 2)),
+        np.zeros((1, 0, 3)), np.zeros((1, 1, 3)),
+    ), len(ends)  # fmt: skip
+
+
+def springs(rng: np.random.Generator) -> list[np.ndarray]:
+    made, count = network(rng)
+    state = rng.normal(size=(2, 71, 3))
+    state[0, 33] = state[0, 34]
+    torn = np.zeros(count, np.uint8)
+    rates = _kernels.spring_accelerations(made, 0.0, 1e-3, state, torn)
+    # A spring that is gone leaves its band, and what is left of it goes one by one.
+    torn[5] = 1
+    one = _kernels.spring_accelerations(made, 0.0, 1e-3, state, torn)
+    stepped = _kernels.step_springs(made, state, torn, 0.0, 0, 0.01, 2, 3, None)[0]
+    projected = _kernels.project_springs(
+        made, state, torn, 0.0, 0, 0.01, 2, 3, 0, 1, 4, 0.5, None, None, NOBODY
+    )[0]
+    return [rates, one, stepped, projected]
+
+
+def strands(rng: np.random.Generator) -> list[np.ndarray]:
+    places = np.cumsum(rng.uniform(-0.02, 0.03, (6, 7, 3)), axis=1)
+    rests = np.linalg.norm(np.diff(places, axis=1), axis=-1)
+    folds = np.linalg.norm(places[:, 2:] - places[:, :-2], axis=-1)
+    made = _kernels.SpringStrands(
+        rests, folds, np.array([0.0, -9.81, 0, 0.5]),
+        np.array([1e12, 150.0, 150.0, 7.0, 0.01]),
+    )  # fmt: skip
+    flat = places.reshape(-1, 3)
+    goal = flat + np.linspace(0, 1, 5)[:, None, None] * [0.01, 0.02, -0.01]
+    rods = Colliders([Collider(Capsule(0.03, 0.1), friction=0.3)]).arrays(0.0, 0.0)
+    poses = np.tile([0.02, -0.01, 0.01, 0, 0, 0, 1], (4, 1, 2, 1))
+    poses[..., 0] += np.linspace(0, 0.02, 4)[:, None, None]
+    colliders = rods, poses, 0.0, None, 1e-6, []
+    state = np.stack([flat, rng.normal(size=flat.shape)])
+    found, *counts = _kernels.follow_strands(made, goal, state, 1 / 24, 5, colliders)
+    assert counts[0] > 0
+    return [found, np.array(counts)]
+
+
+def skins(rng: np.random.Generator) -> list[np.ndarray]:
+    joints = rng.integers(0, 5, 50).astype(np.int32)
+    first = np.array([0, 3, 3, 11, 50])
+    results = []
+    for frames in (1, 2, 7):
+        moves = rng.normal(size=(frames, 5, 3, 4))
+        weights = rng.uniform(-0.2, 1, 50)
+        for rests in {1, frames}:
+            points = rng.normal(size=(rests, 4, 3))
+            for normalize in (False, True):
+                out = np.zeros((frames, 4, 3))
+                _kernels.skin_linear(
+                    points, first, joints, weights, moves, normalize, out
+                )
+                results.append(out)
+    return results
+
+
+def digests() -> dict[str, list[str]]:
+    kinds: list[Callable[[np.random.Generator], list[np.ndarray]]] = [
+        springs, strands, skins,
+    ]  # fmt: skip
+    return {
+        kind.__name__: [
+            hashlib.sha256(array.tobytes()).hexdigest()
+            for array in kind(np.random.default_rng(1))
+        ]
+        for kind in kinds
+    }
+
+
+def test_processors_give_the_same_bytes() -> None:
+    found = subprocess.run(
+        [sys.executable, __file__],
+        env={**os.environ, "ANIMTOOL_PORTABLE": "1"},
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    assert json.loads(found.stdout) == digests()
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps(digests()))
