@@ -1,0 +1,139 @@
+"""Inverse kinematics by closed forms: targets, goals and paths of small chains."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+from animtool import _kernels
+
+HALF = np.sqrt(0.5)
+INF = np.inf
+
+
+def chain(*offsets: float) -> dict[str, Any]:
+    """Return pins about z, each so far along x from the one before."""
+    count = len(offsets)
+    numbers = np.zeros((count, 18))
+    numbers[:, [0, 4, 8, 12]] = 1
+    numbers[:, 9] = offsets
+    numbers[:, 14:16] = [-INF, INF]
+    nodes = [[0, k - 1, k, 0] for k in range(count)]
+    return {"nodes": np.array(nodes), "numbers": numbers}
+
+
+def goal(node: int, tip: float, **weights: float) -> dict[str, Any]:
+    """Return one goal at a tip along x, aimed along x."""
+    parts = ("position", "orientation", "aim", "pole")
+    numbers = [tip, 0, 0, 0, 0, 0, 1, 0, 0, *(weights.get(part, 0) for part in parts)]
+    return {
+        "goals": np.array([[node, -1, -1, 0]]),
+        "goal_numbers": np.array([numbers], float),
+    }
+
+
+def target(
+    position: tuple[float, ...] = (0, 0, 0), aim: tuple[float, ...] = (0, 0, 0)
+) -> np.ndarray:
+    row = [*position, 0, 0, 0, 1, *aim, 0, 0, 0, 1, 1, 1, 1]
+    return np.array([[row]], float)
+
+
+def looked(arrays: dict[str, Any], start: list[float], goals: np.ndarray) -> Any:
+    zero = np.zeros((1, len(start)))
+    return _kernels.linearize_ik(
+        **arrays, starts=np.array([start]), targets=goals, steps=zero
+    )
+
+
+def test_targets_are_shares_of_the_length_and_seen_from_their_nodes() -> None:
+    targets = np.zeros((2, 2, 17))
+    targets[:] = np.arange(17)
+    about_x = [HALF, 0, 0, HALF]
+    targets[0, :, 3:7] = about_x
+    targets[1, 0, 3:7] = np.multiply(1e-200, about_x)
+    targets[1, 1, 3:7] = 0
+    frames = np.array([[0, 0, HALF, HALF], [0, 0, 0, 1.0]])
+    _kernels.place_ik_targets(targets, frames, 4.0)
+    plain = [0, 1, 2, 7, 8, 9, 10, 11, 12]
+    assert_allclose(targets[..., plain], np.tile(np.divide(plain, 4), (2, 2, 1)))
+    assert_allclose(targets[..., 13:], np.tile([13.0, 14, 15, 16], (2, 2, 1)))
+    turned = [0.5, 0.5, -0.5, 0.5]
+    assert_allclose(targets[:, 0, 3:7], [turned, turned], atol=1e-15)
+    assert_allclose(targets[:, 1, 3:7], [about_x, [0, 0, 0, 1]], atol=1e-15)
+
+
+def test_an_aim_at_its_own_point_is_met() -> None:
+    arrays = chain(0, 0.5) | goal(1, 0.5, aim=1)
+    angle = 0.3
+    own = 0.5 * np.array([np.cos(angle) + np.cos(2 * angle), 0])
+    own[1] = 0.5 * (np.sin(angle) + np.sin(2 * angle))
+    _, residuals, jacobians, _ = looked(
+        arrays, [angle, angle], target(aim=(*own.tolist(), 0))
+    )
+    assert_allclose(residuals, 0, atol=1e-12)
+    assert np.isfinite(jacobians).all()
+
+
+def test_an_aim_misses_by_its_angle() -> None:
+    arrays = chain(0, 0.5) | goal(1, 0.0, aim=2)
+    _, residuals, _, _ = looked(arrays, [0, 0], target(aim=(0.5, 3, 0)))
+    assert_allclose(np.linalg.norm(residuals), 2 * np.pi / 2)
+
+
+def smoothed(
+    arrays: dict[str, Any], path: np.ndarray, drifts: np.ndarray, **given: Any
+) -> Any:
+    frames = len(path)
+    goals = np.tile(target(), (frames, 1, 1))
+    return _kernels.smooth_ik(
+        **arrays, path=path, targets=goals, sought=goals,
+        stretches=np.ones((frames, 1)), drifts=drifts, length_tolerance=1e-4,
+        angle_tolerance=1e-4, damping=1e-9, **given,
+    )  # fmt: skip
+
+
+def cost_matrix(frames: int, weights: tuple[float, float, float]) -> np.ndarray:
+    """Return H of the cost ``x^T H x / 2`` of motion less its drift."""
+    first = np.diff(np.eye(frames), axis=0)
+    second = np.diff(first, axis=0)
+    anchor, speed, acceleration = weights
+    return (
+        anchor * np.eye(frames)
+        + speed * first.T @ first
+        + acceleration * second.T @ second
+    )
+
+
+def test_a_free_path_is_the_least_squares_one() -> None:
+    """Without goals the frames that move solve a linear system."""
+    rng = np.random.default_rng(0)
+    frames, first, end = 12, 2, 10
+    path = rng.normal(scale=0.1, size=(frames, 2))
+    drifts = rng.normal(scale=0.05, size=(frames - 1, 2))
+    weights = (0.3, 2.0, 5.0)
+    q, _, rounds, before, after = smoothed(
+        chain(0, 0.5) | goal(1, 0.5), path, drifts, first=first, end=end, rounds=20,
+        anchor=weights[0], speed=weights[1], acceleration=weights[2],
+    )  # fmt: skip
+    drifted = np.concatenate([np.zeros((1, 2)), np.cumsum(drifts, axis=0)])
+    anchor, rest = weights[0] * np.eye(frames), cost_matrix(frames, (0, *weights[1:]))
+    # The anchor pulls at the pose, the rest at the pose less what it drifts.
+    whole, right = anchor + rest, anchor @ path + rest @ drifted
+    inside = np.arange(first, end)
+    outside = np.setdiff1d(np.arange(frames), inside)
+    expected = path.copy()
+    expected[inside] = np.linalg.solve(
+        whole[np.ix_(inside, inside)],
+        right[inside] - whole[np.ix_(inside, outside)] @ path[outside],
+    )
+    assert rounds > 0
+    assert_allclose(q, expected, atol=1e-8)
+
+    def cost(x: np.ndarray) -> float:
+        off, own = x - path, x - drifted
+        return float(np.sum(off * (anchor @ off) + own * (rest @ own)) / 2)
+
+    assert_allclose([before, after], [cost(path), cost(expected)], rtol=1e-9)
