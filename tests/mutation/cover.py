@@ -131,15 +131,18 @@ class Recording:
         old = self.sources.get(path, "")
         if old == text:
             return list(wanted)
-        matcher = SequenceMatcher(
-            None, old.split("\n"), text.split("\n"), autojunk=False
-        )
-        places = {
-            block.b + i + 1: block.a + i + 1
-            for block in matcher.get_matching_blocks()
-            for i in range(block.size)
-        }
+        places = earlier_lines(old, text)
         return [places[line] for line in wanted if line in places]
+
+
+def earlier_lines(old: str, text: str) -> dict[int, int]:
+    """Return where lines of a text stood in an older one, those that are in both."""
+    matcher = SequenceMatcher(None, old.split("\n"), text.split("\n"), autojunk=False)
+    return {
+        block.b + i + 1: block.a + i + 1
+        for block in matcher.get_matching_blocks()
+        for i in range(block.size)
+    }
 
 
 class Cover:
