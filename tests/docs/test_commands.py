@@ -10,39 +10,17 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from support.printed import ROOT, Printed, run_printed
+from support.printed import (
+    DOCUMENTS,
+    ROOT,
+    Printed,
+    commands_in,
+    fenced,
+    is_apart,
+    run_printed,
+)
 
 from animtool.passes import PASSES, find_pass
-
-DOCUMENTS = [
-    "README.md",
-    "animtool/docs/guide.md",
-    "samples/batch/README.md",
-    "samples/bounce/README.md",
-    "samples/cape/README.md",
-    "samples/carry/README.md",
-    "samples/ci/README.md",
-    "samples/drape/README.md",
-    "samples/embers/README.md",
-    "samples/flag/README.md",
-    "samples/orbits/README.md",
-    "samples/press/README.md",
-    "samples/rope/README.md",
-    "samples/sheets/README.md",
-    "samples/shot/README.md",
-    "samples/speech/README.md",
-    "samples/stride/README.md",
-    "samples/walk/README.md",
-    "samples/weld/README.md",
-]
-
-
-def fenced(text: str, language: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```", text, re.M | re.S)
-
-
-def commands_in(text: str) -> list[str]:
-    return re.findall(r"^(?:\$|   ) (animtool .*)$", text, re.M)
 
 
 def sections_of(text: str) -> dict[str, list[str]]:
@@ -126,14 +104,6 @@ def needed(document: str, title: str) -> list[str]:
             pending += [each for each in writers if each not in commands]
             commands += [each for each in writers if each not in commands]
     return sorted(commands, key=earlier.index)
-
-
-def is_apart(command: str, workplace: Path) -> bool:
-    """Return whether no file that a command names was made by those before it."""
-    return not any(
-        (workplace / word).exists() and not (ROOT / word).exists()
-        for word in shlex.split(command)
-    )
 
 
 @pytest.mark.parametrize(("document", "title"), section_parameters())

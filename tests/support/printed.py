@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shlex
 import shutil
 from pathlib import Path
@@ -14,6 +15,46 @@ from filelock import FileLock
 from support.cli import Done, animtool
 
 ROOT = Path(__file__).parents[2]
+# Whose commands run here.
+DOCUMENTS = [
+    "README.md",
+    "animtool/docs/guide.md",
+    "samples/batch/README.md",
+    "samples/bounce/README.md",
+    "samples/cape/README.md",
+    "samples/carry/README.md",
+    "samples/ci/README.md",
+    "samples/drape/README.md",
+    "samples/embers/README.md",
+    "samples/flag/README.md",
+    "samples/orbits/README.md",
+    "samples/press/README.md",
+    "samples/rope/README.md",
+    "samples/sheets/README.md",
+    "samples/shot/README.md",
+    "samples/speech/README.md",
+    "samples/stride/README.md",
+    "samples/walk/README.md",
+    "samples/weld/README.md",
+]
+
+
+def fenced(text: str, language: str) -> list[str]:
+    """Return the blocks of code of a language in a document."""
+    return re.findall(rf"^```{language}\n(.*?)^```", text, re.M | re.S)
+
+
+def commands_in(text: str) -> list[str]:
+    """Return the commands that a document prints after a prompt or indented."""
+    return re.findall(r"^(?:\$|   ) (animtool .*)$", text, re.M)
+
+
+def is_apart(command: str, workplace: Path) -> bool:
+    """Return whether no file that a command names was made by those before it."""
+    return not any(
+        (workplace / word).exists() and not (ROOT / word).exists()
+        for word in shlex.split(command)
+    )
 
 
 def make_project(folder: Path) -> None:
