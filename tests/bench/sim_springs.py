@@ -55,6 +55,9 @@ NEWTON = {
 }
 TAICHI = {20: (1704, 3408, 6816), 100: (14400,)}
 MUJOCO = {20: (1704, 3408), 100: ()}
+# By a call a frame.
+ALONE = {20: (1704, 3408), 100: (14400,)}
+OWN_ALONE = "animtool, a call a frame"
 PLAIN = {20: (1560, 3408, 6816), 100: (8640, 14400)}
 WANTED = {
     20: {"taichi": 1.5, "newton": 20.0, "mujoco": 10.0},
@@ -178,6 +181,9 @@ class Bench:
         asked, own = self.options, "springs_animtool.py"
         for solver, rate in OWN[self.size]:
             yield f"animtool {solver}", sys.executable, own, rate, [solver]
+        for rate in ALONE[self.size]:
+            told = ["symplectic_euler", "frames"]
+            yield OWN_ALONE, sys.executable, own, rate, told
         for name, library in floors(asked.compiler, self.folder).items():
             for rate in PLAIN[self.size]:
                 told = [library._name]
@@ -243,22 +249,28 @@ def rows(size: int, every: list[Found]) -> list[Row]:
     """Return figures of every tool."""
     section, made = f"sheet of {size} x {size}, one second", []
     springs = len(problem(size).body.springs.rest)
-    own = [found for found in every if found.tool.startswith("animtool")]
+    own = [found for found in every if found.tool.startswith("animtool ")]
+    alone = [found for found in every if found.tool == OWN_ALONE]
     for found in every:
         made += time_rows(section, found.name, found.taken)
         made += [
             Row(section, found.name, EARLY, [found.early]),
             Row(section, found.name, LATE, [found.late]),
         ]
-        if found not in own:
-            base, near = as_near(found, own), found.near()
+        bases = [] if found in own else [("animtool", own, wanted(size, found))]
+        if found.tool.startswith(("newton", "mujoco")):
+            # They are called for every step or frame.
+            bases.append((OWN_ALONE, alone, Wanted(at_least=True, bound=1.0)))
+        for name, others, bound in bases:
+            base, near = as_near(found, others), found.near()
             if base is not None or any(one.fault() for one in near):
                 made += ratio_rows(
                     section,
                     found.name,
                     found.taken,
                     base.taken if base else [],
-                    wanted=wanted(size, found),
+                    name=name,
+                    wanted=bound,
                     accuracy=near,
                 )
         if found.tool == "animtool symplectic_euler":

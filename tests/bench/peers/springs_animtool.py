@@ -1,4 +1,4 @@
-"""Springs by a solver of animtool's."""
+"""Springs by a solver of animtool's, in one call, or with ``frames`` a call a frame."""
 
 import numpy as np
 from springs_given import FILM, given, measure
@@ -13,7 +13,7 @@ from animtool.sim.springs import (
 )
 
 asked = given()
-body, (solver,) = asked.body, asked.more
+body, (solver, *each) = asked.body, asked.more
 never = np.full(len(body["ends"]), np.inf)
 springs = Springs(body["ends"], body["rest"], body["stiffness"], body["damping"], never)
 faces = np.zeros((0, 3), np.int64)
@@ -25,4 +25,21 @@ system = SpringSystem(
 options = SpringOptions(solver, step=1 / asked.rate, stretch=np.inf, longest=np.inf)
 times = np.arange(asked.frames + 1) / FILM
 simulate_springs(system, times[:2], options)
-measure(asked, lambda: simulate_springs(system, times, options).positions)
+
+
+def frame_by_frame() -> list[np.ndarray]:
+    """Return positions at frames, each call going on from the one before."""
+    places, last = [system.body.positions], None
+    for k in range(asked.frames):
+        motion = simulate_springs(system, times[k : k + 2], options, last)
+        last = motion.carried
+        places.append(motion.positions[-1])
+    return places
+
+
+def whole() -> np.ndarray:
+    """Return positions at frames."""
+    return simulate_springs(system, times, options).positions
+
+
+measure(asked, frame_by_frame if each else whole)
