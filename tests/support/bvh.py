@@ -15,18 +15,21 @@ from scipy.spatial.transform import Rotation
 
 Floats = npt.NDArray[np.float64]
 
+# Off the origin, and turned about other axes in another order joint by joint.
+SPINE = (1.0, 10.0, -2.0)
+TIP = (-2.0, 5.0, 1.0)
 HEADER = """HIERARCHY
 ROOT Hips
 {
-\tOFFSET 0 0 0
-\tCHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+\tOFFSET 3 -7 11
+\tCHANNELS 6 Xposition Yposition Zposition Yrotation Xrotation Zrotation
 \tJOINT Spine
 \t{
-\t\tOFFSET 0 10 0
+\t\tOFFSET 1 10 -2
 \t\tCHANNELS 3 Zrotation Xrotation Yrotation
 \t\tEnd Site
 \t\t{
-\t\t\tOFFSET 0 5 0
+\t\t\tOFFSET -2 5 1
 \t\t}
 \t}
 }

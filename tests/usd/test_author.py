@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
-from support.bvh import HEADER, random_rows, small_bvh
+from support.bvh import HEADER, SPINE, random_rows, small_bvh
 from support.usd import joint_positions, open_stage, skeleton_query, validation_errors
 
 from animtool.edit.frame_range import FrameRange
@@ -243,8 +243,9 @@ def test_units(take: Path, tmp_path: Path, units: LengthUnit) -> None:
         joint_positions(two, [3]) * 0.01,
         rtol=1e-6,
     )
-    rest = skeleton_query(three).GetSkeleton().GetBindTransformsAttr().Get()
-    assert_allclose(np.array(rest)[1, 3, 1] * units.meters, 0.1)
+    bind = skeleton_query(three).GetSkeleton().GetBindTransformsAttr().Get()
+    spine = np.subtract(*np.array(bind)[[1, 0], 3, :3])
+    assert_allclose(spine * units.meters, 0.01 * np.array(SPINE))
 
 
 def test_up(take: Path, tmp_path: Path) -> None:

@@ -320,7 +320,7 @@ def test_rest_poses_that_differ_are_said(
     sources: list[Path], tmp_path: Path, rest_frame: int | None
 ) -> None:
     other = tmp_path / "tall.bvh"
-    header = spoilt(HEADER, "OFFSET 0 10 0", "OFFSET 0 12 0")
+    header = spoilt(HEADER, "OFFSET 1 10 -2", "OFFSET 1 12 -2")
     other.write_text(small_bvh(random_rows(4), header=header))
     options = BakeOptions(rest_frame=rest_frame, sparse=True)
     report = library([sources[0], other], tmp_path / "lib.usda", options)

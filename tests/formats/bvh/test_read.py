@@ -9,7 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
-from support.bvh import COLUMNS, HEADER, random_rows, read_reference, small_bvh
+from support.bvh import (
+    COLUMNS,
+    HEADER,
+    SPINE,
+    TIP,
+    random_rows,
+    read_reference,
+    small_bvh,
+)
 
 from animtool.errors import FormatError, Severity
 from animtool.formats.bvh import read_bvh, write_bvh
@@ -84,7 +92,7 @@ def test_units_and_stated_rate(write) -> None:  # type: ignore[no-untyped-def]
     assert stream.fps == 60
     take = stream.collect()
     assert codes(stream) == []
-    assert_allclose(take.rig.joints[1].translation, (0, 10 * 0.0254, 0))
+    assert_allclose(take.rig.joints[1].translation, np.array(SPINE) * 0.0254)
 
 
 @pytest.mark.parametrize("bad", ["nan", "inf", "-inf", "1.#QNAN"])
@@ -114,7 +122,7 @@ def test_a_gap_across_the_half_turn_is_small(write) -> None:  # type: ignore[no-
         text[i - 3] = f"0 0 0 {angle} 0 0 0 0 0"
     _, take = read(write("\n".join(text)))
     half_turn = take.motion.rotations.dense()[1, 0]
-    assert_allclose(np.abs(half_turn), [0, 0, 1, 0], atol=1e-15)
+    assert_allclose(np.abs(half_turn), [0, 1, 0, 0], atol=1e-15)
 
 
 @pytest.mark.parametrize("per_block", [1, 3, 8])
@@ -237,7 +245,7 @@ def test_several_end_sites(write) -> None:  # type: ignore[no-untyped-def]
         "\t\tEnd Site", "\t\tEnd Site\n\t\t{\n\t\t\tOFFSET 1 0 0\n\t\t}\n\t\tEnd Site"
     )
     tips = read(write(small_bvh(random_rows(2), header=more)))[1].rig.joints[1].tips
-    assert_allclose(tips, [(0.01, 0, 0), (0, 0.05, 0)])
+    assert_allclose(tips, 0.01 * np.array([(1, 0, 0), TIP]))
 
 
 def test_a_leaf_without_an_end_site(write, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
