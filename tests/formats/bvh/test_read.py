@@ -249,7 +249,7 @@ def test_several_end_sites(write) -> None:  # type: ignore[no-untyped-def]
 
 
 def test_a_leaf_without_an_end_site(write, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
-    header = HEADER.replace("\t\tEnd Site\n\t\t{\n\t\t\tOFFSET 0 5 0\n\t\t}\n", "")
+    header = HEADER.replace("\t\tEnd Site\n\t\t{\n\t\t\tOFFSET -2 5 1\n\t\t}\n", "")
     assert "End Site" not in header
     path = write(small_bvh(random_rows(3), header=header))
     stream, take = read(path)
