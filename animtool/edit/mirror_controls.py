@@ -45,8 +45,8 @@ class ControlMirror:
         """Return what a rig's controls do in a mirror.
 
         A control and its partner go opposite ways where the mirror image of what one
-        does to joints and shapes is what the other does when it goes back: a control
-        that turns the head to the left above 0, to the right below it.
+        does to joints and shapes is nearer to what the other does when it goes back:
+        a control that turns the head to the left above 0, to the right below it.
 
         Args:
             rig: Whose controls they are.
@@ -66,8 +66,11 @@ class ControlMirror:
         for i, partner in enumerate(partners.tolist()):
             moved, weights = _effect(rig, i, 1.0, turned)
             seen = _flat(((moved * across)[joints], weights[shapes]))
-            if seen.any() and not _same(seen, effect(partner, 1.0)):
-                signs[i] = -1.0 if _same(seen, effect(partner, -1.0)) else 1.0
+            on, back = (
+                np.linalg.norm(seen - effect(partner, way)) for way in (1.0, -1.0)
+            )
+            if back < on - SAME_EFFECT:
+                signs[i] = -1.0
         pivots = np.array([_pivot(control) for control in rig.controls])
         return ControlMirror(partners, signs, pivots)
 
@@ -82,10 +85,6 @@ def _pivot(control: Control) -> float:
     if control.low is None or control.high is None:
         return 0.0
     return 0.0 if control.low <= 0 <= control.high else control.default
-
-
-def _same(one: FloatArray, other: FloatArray) -> bool:
-    return bool(np.abs(one - other).max() <= SAME_EFFECT)
 
 
 def _flat(effect: tuple[FloatArray, FloatArray]) -> FloatArray:

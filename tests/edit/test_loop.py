@@ -12,9 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.gaits import gait, swinging
+from support.nasty import nasty_take, nasty_track, with_track
 from support.takes import assert_same_motion, rigs
 
 from animtool._types import FloatArray
+from animtool.edit.chain import twist
 from animtool.edit.loop import PASS, LoopOptions, loop
 from animtool.edit.tree import inserted
 from animtool.errors import OptionError
@@ -211,3 +213,42 @@ def test_a_blend_longer_than_the_cycle(length: int) -> None:
     assert found.clock.count == 2 * length
     first = found.motion.rotations.dense()[0]
     np.testing.assert_array_equal(first, take.motion.rotations.dense()[0])
+
+
+def test_what_climbs_and_leans_comes_back_and_what_drifts_goes_on() -> None:
+    take = nasty_take(13)
+    found = loop(take, repeats=4, blend=3)
+    ends = take.world()
+    up = np.array(take.rig.up.vector)
+    turn = twist(so3.from_matrix(ends.linear[-1, 0] @ ends.linear[0, 0].T), up)
+    start, drift = ends.positions[0, 0], ends.positions[-1, 0] - ends.positions[0, 0]
+    assert drift @ up > 0.1
+    assert so3.angle_between(turn, so3.IDENTITY) > 0.5
+    world = found.world()
+    first = world.linear[0, 0]
+    for k in range(1, 4):
+        place, pose = world.positions[12 * k, 0], world.linear[12 * k, 0]
+        # The height of the first frame, and a step over the ground a cycle.
+        np.testing.assert_allclose(place @ up, start @ up, atol=1e-9)
+        drift -= (drift @ up) * up
+        start = start + drift
+        np.testing.assert_allclose(place, start, atol=1e-9)
+        drift = so3.rotate(turn, drift)
+        first = so3.to_matrix(turn) @ first
+        np.testing.assert_allclose(pose, first, atol=1e-9)
+
+
+def test_tokens_of_a_looped_track_repeat_and_are_held() -> None:
+    take = with_track(nasty_take(13))
+    assert take.motion.track_times is not None
+    shown = nasty_track().at(take.motion.track_times.dense()[:-1, 0, 0])
+    found = loop(take, repeats=3)
+    assert found.motion.track_times is not None
+    times = found.motion.track_times.dense()[:, 0, 0]
+    # Between frames the value of the frame before lasts.
+    for moment in (times, times + 0.9):
+        made = found.tracks[0].at(moment)
+        for own, wanted in zip(made.values[1:], shown.values[1:], strict=True):
+            np.testing.assert_array_equal(own, np.tile(wanted, 3))
+    heat = found.tracks[0].at(times).values[0][:, 0]
+    np.testing.assert_allclose(heat[:12], heat[12:24])

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.testing import assert_allclose
+from support.nasty import nasty_take
 
 from animtool import Clip, Rig
 from animtool.edit.mirror import mirror
 from animtool.edit.mirror_controls import ControlMirror
+from animtool.rig.kinematics import rest_world
 from animtool.rig.sides import pair_sides
 from animtool.take import Take
 
@@ -86,3 +88,25 @@ def test_shapes_of_one_side_turn_a_control_round(root: Path) -> None:
     np.testing.assert_allclose(
         twice.motion.controls.dense(), take.motion.controls.dense(), atol=1e-12
     )
+
+
+def test_controls_of_pairs_that_are_not_symmetric() -> None:
+    take = nasty_take()
+    names = [control.name for control in take.rig.controls]
+    left, right = names.index("lift_l"), names.index("lift_r")
+    seen = mirror(take)
+    assert take.motion.controls is not None
+    assert seen.motion.controls is not None
+    before, after = take.motion.controls.dense(), seen.motion.controls.dense()
+    assert_allclose(after[:, right], lift(take.rig, before[:, left]), atol=1e-12)
+    assert_allclose(after[:, left], lift(take.rig, before[:, right]), atol=1e-12)
+    assert_allclose(after[:, :2], before[:, :2])
+
+
+def lift(rig: Rig, values: np.ndarray) -> np.ndarray:
+    """Return values of one lift as the other has them, by where the arms point."""
+    across = np.array([-1.0, 1.0, 1.0])
+    linear = rest_world(rig).linear[0]
+    one, other = (linear[rig.index(name)][:, 2] for name in ("arm.L", "arm.R"))
+    # Rotations turn the other way round in a mirror, and lift_r drives by its negative.
+    return values * np.sign((one * -across) @ -other)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from support.nasty import nasty_rig, nasty_take
 from support.takes import assert_same_motion, assert_same_world, takes
 
 from animtool.edit.root_motion import extract_root, recompose_root
@@ -166,3 +167,23 @@ def test_bind_poses_follow_a_joint_that_goes() -> None:
     bind = {"hips": Pose((0, 1, 0), still), "chest": Pose((0, 2, 0), still)}
     back = recompose_root(replace(take, rig=replace(take.rig, bind=bind)), "hips")
     assert back.rig.bind == {"chest": Pose((0.0, 3.0, 0.0), still)}
+
+
+def test_yaw_is_measured_from_hips_that_rest_turned() -> None:
+    rig = nasty_rig()
+    yaw = np.linspace(0, 2, 9)
+    turn = so3.exp(yaw[:, None] * np.array(rig.up.vector))
+    take = nasty_take(9)
+    rotations = take.motion.rotations.dense()
+    rotations[:, 0] = so3.multiply(turn, rig.rest_rotations[0])
+    motion = replace(
+        take.motion, rotations=Channel.from_dense(so3.align_signs(rotations))
+    )
+    take = replace(take, motion=motion)
+    found = extract_root(take)
+    own = found.motion.rotations.dense()[:, found.rig.index("root")]
+    assert so3.angle_between(own, turn).max() < 1e-9
+    assert_same_world(found, take, WITHIN)
+    back = recompose_root(found)
+    assert back.rig == rig
+    assert_same_motion(back, take, WITHIN)

@@ -78,3 +78,27 @@ def test_jumps_are_named(solved: TakeIk) -> None:
     (notice,) = jump_notices(replace(solved, jumps=jumps))
     assert notice.code == "IK102"
     assert notice.message == "joint 'hip_l' jumps at frame 10, and 1 other elsewhere"
+
+
+@pytest.mark.parametrize(
+    ("part", "other"), [("aim", "orientation"), ("orientation", "aim")]
+)
+def test_a_part_that_is_missed_is_reported_by_its_name(
+    tmp_path: Path, part: str, other: str
+) -> None:
+    # Both cannot be had; the one with the smaller weight gives way.
+    goals = (
+        "- {effector: leg_l, position: [0.2, 0.2, 0.1], orientation: [1, 0, 0, 0], "
+        "aim: {axis: [0, 0, 1], at: [30, 1, 0]}, "
+        f"weight: {{{part}: 0.001, {other}: 1}}}}\n"
+    )
+    take = walk_of(legs())
+    solved = solve_take(take, tracks_of(tmp_path, goals, take.rig, HEAD))
+    (report,) = goal_reports(solved)
+    found = {miss.part: miss.max for miss in report.misses}
+    assert list(found) == ["position", "orientation", "aim"]
+    assert found["position"] < 0.01
+    assert found[other] < 0.01
+    assert found[part] > 1.0
+    assert report.spans[0].angle == found[part]
+    assert report.spans[0].distance < 0.01

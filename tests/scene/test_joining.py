@@ -16,6 +16,7 @@ from support.takes import takes
 
 from animtool import open_source
 from animtool.errors import Fault, FormatError, OptionError, Severity
+from animtool.maths.curves import cubic_curves
 from animtool.rig.controls import Control, Drive
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
@@ -388,3 +389,32 @@ def test_one_source_has_no_tracks_of_several(place: Path) -> None:
     with pytest.raises(FormatError) as caught:
         load_scene(path)
     assert caught.value.code == "SCN038"
+
+
+def keyed_grin(fps: int, delay: str) -> TakeStream:
+    """Return a body and a face with a keyed control that starts at a time code."""
+    face = numbered(HERO, 61, fps)
+    ends = np.array([[0.0], [1.0]])
+    curves = cubic_curves(np.array([1003.0, 1033.5]), ends, 0 * ends, 0 * ends)
+    stream = replace(TakeStream.of(face), control_curves={"grin": curves})
+    source = Part(stream, TrackNames(controls=("grin",)), delay, None, note)
+    base = replace(TakeStream.of(still(HERO, 20)), start=Fraction(7010, 7))
+    return joined(Part(base, None, "23:59:59:22", None, note), [source])
+
+
+@pytest.mark.parametrize(
+    ("fps", "timecode", "seconds"),
+    [
+        (24, "23:59:59:22", 0.0),
+        (24, "00:00:00:04", 6 / 24),
+        (60, "00:00:00:00", 2 / 24),
+        (30, "23:59:59:15", -22 / 24 + 15 / 30),
+    ],
+)
+def test_curves_of_a_face_start_when_its_frames_do(
+    fps: int, timecode: str, seconds: float
+) -> None:
+    stream = keyed_grin(fps, timecode)
+    (curves,) = stream.control_curves.values()
+    since = (np.array([1003.0, 1033.5]) - 1001) / fps + seconds
+    np.testing.assert_allclose(curves.times, 7010 / 7 + 24 * since, atol=1e-9)

@@ -73,8 +73,8 @@ controls:
 - {name: grin, range: [0, 1], default: .25,
    drives: [{shape: "lip-corner up", expr: "grin * .8"}]}
 - {name: chin, range: [0, 2], drives: [{shape: jaw, curve: [[0, 0], [2, 1]]}]}
-- {name: lift_l, range: [0, 90], drives: [{joint: arm.L.rotation.z, expr: lift_l}]}
-- {name: lift_r, range: [0, 90], drives: [{joint: arm.R.rotation.z, expr: -lift_r}]}
+- {name: lift_l, range: [-90, 90], drives: [{joint: arm.L.rotation.z, expr: lift_l}]}
+- {name: lift_r, range: [-90, 90], drives: [{joint: arm.R.rotation.z, expr: -lift_r}]}
 """
 CLIP = """\
 clip: animtool/1

@@ -447,3 +447,23 @@ def test_spoilt_files_are_read_or_refused(
         take = read_bvh(path).collect()
         assert np.isfinite(take.motion.translations.dense()).all()
         assert np.isfinite(take.motion.rotations.dense()).all()
+
+
+@pytest.mark.parametrize("rows_a_block", [1, 2, 5])
+def test_signs_continue_from_block_to_block(
+    write,  # type: ignore[no-untyped-def]
+    monkeypatch: pytest.MonkeyPatch,
+    rows_a_block: int,
+) -> None:
+    rows = random_rows(40)
+    # Every joint turns more than once, the one way and the other.
+    rows[:, 3:] += np.linspace(0, 900, 40)[:, None] * [1, -1, 0.5, -0.7, 1, 0.3]
+    path = write(small_bvh(rows))
+    whole = read_bvh(path).collect().motion.rotations.dense()
+    monkeypatch.setattr(rows_module, "BLOCK_VALUES", rows_a_block * COLUMNS)
+    blocks = [block.rotations.dense() for block in read_bvh(path).blocks]
+    assert len(blocks) == 40 // rows_a_block
+    found = np.concatenate(blocks)
+    assert_array_equal(found, whole)
+    assert ((found[1:] * found[:-1]).sum(axis=-1) > 0).all()
+    assert (found[..., 3] < 0).any()
