@@ -11,7 +11,7 @@ from pathlib import Path
 from animtool.batch.check import check_overwrites, check_places
 from animtool.batch.discover import Batch, find_batch
 from animtool.batch.executors import Executor, Work, find_executor
-from animtool.batch.ledger import Ledger, held_ledger, read_history
+from animtool.batch.ledger import History, Ledger, held_ledger, read_history
 from animtool.batch.outcome import Outcome, Status
 from animtool.batch.places import named_from, place_of
 from animtool.batch.plan import Decision, Planner
@@ -96,7 +96,8 @@ def run_batch(
     if options.dry_run:
         history = read_history(batch.records, batch.name)
         planner = Planner(batch, history, verify=options.verify, force=options.force)
-        planned = [_planned(decision) for decision in planner.decisions(items)]
+        chosen = _retried(items, options, planner, history)
+        planned = [_planned(decision) for decision in planner.decisions(chosen)]
         seconds = time.perf_counter() - began
         return BatchReport(batch, tuple(planned), seconds, tuple(history.damaged))
     with held_ledger(batch.records, batch.name, _part(options)) as ledger:
@@ -116,6 +117,15 @@ def _chosen(batch: Batch, options: RunOptions) -> Sequence[Item]:
         message = f"items {first} to {last} are not within 1 to {len(batch.items)}"
         raise OptionError(Fault("BAT033", message))
     return batch.items[first - 1 : last]
+
+
+def _retried(
+    items: Sequence[Item], options: RunOptions, planner: Planner, history: History
+) -> Sequence[Item]:
+    """Return the items that are looked at: all, or those that failed last time."""
+    if not options.retry_failed:
+        return items
+    return [item for item in items if planner.key(item) in history.failed]
 
 
 def _part(options: RunOptions) -> str:
@@ -149,12 +159,10 @@ class _Run:
 
     def plan(self, items: Sequence[Item]) -> None:
         """Decide what is to be made, and check that it may be."""
-        retried = set(self.ledger.history.failed)
         due: list[Item] = []
-        for decision in self.planner.decisions(items):
+        chosen = _retried(items, self.options, self.planner, self.ledger.history)
+        for decision in self.planner.decisions(chosen):
             item = decision.item
-            if self.options.retry_failed and self.planner.key(item) not in retried:
-                continue
             self.decisions[item.number] = decision
             if decision.due:
                 if not due:

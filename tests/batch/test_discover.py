@@ -76,6 +76,13 @@ def test_each_input_once_less_what_is_excluded(takes: Path) -> None:
     assert [path for path, _ in found] == ["takes/take000.bvh"]
 
 
+def test_an_input_that_is_named_twice_is_what_it_is_called_first(takes: Path) -> None:
+    given = ("takes/a", "takes/a/b/take000.bvh")
+    assert [o for _, o in made(takes, *given, output="out/")] == ["out/b/take000.usdc"]
+    found = made(takes, *reversed(given), output="out/")
+    assert [output for _, output in found] == ["out/take000.usdc"]
+
+
 def test_order_is_that_of_names(takes: Path) -> None:
     one = made(takes, "takes/take001.bvh", "takes/a", "takes/take000.bvh")
     assert one == made(takes, "takes")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import pytest
@@ -44,6 +45,14 @@ def test_inputs_and_outputs_are_mapped() -> None:
     assert found.exclude == ("/mnt/show/c",)
     assert found.output == "/mnt/show/{stem}.usdc"
     assert mapped_spec(spec, []) is spec
+
+
+def test_an_output_that_is_not_mapped_stays_in_the_folders_of_its_batch() -> None:
+    own = (Path("/show"),)
+    spec = BatchSpec(("a",), output="out/{stem}.usdc", roots=own)
+    assert mapped_spec(spec, [OUTER]).roots == own
+    there = replace(spec, output="/show/{stem}.usdc")
+    assert mapped_spec(there, [OUTER]).roots == ()
 
 
 def test_rules_of_a_file(tmp_path: Path) -> None:

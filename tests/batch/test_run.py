@@ -61,6 +61,8 @@ def test_only_what_failed(spec: BatchSpec, tmp_path: Path) -> None:
     (tmp_path / "takes/take001.bvh").write_text("HIERARCHY\n")
     first = run_batch(spec, replace(SERIAL, numbers=(1, 3)))
     assert statuses(first) == ["done", "failed", "done"]
+    planned = run_batch(spec, replace(SERIAL, retry_failed=True, dry_run=True))
+    assert [entry.item.number for entry in planned.items] == [2]
     retried = run_batch(spec, replace(SERIAL, retry_failed=True))
     assert [(e.item.number, str(e.reason)) for e in retried.items] == [
         (2, "failed last time")

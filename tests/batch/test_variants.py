@@ -13,7 +13,13 @@ from animtool.batch.discover import find_batch
 from animtool.batch.file import load_batch
 from animtool.batch.run import RunOptions, run_batch
 from animtool.batch.spec import BatchSpec
-from animtool.batch.variants import range_values, read_variants, variants_of_texts
+from animtool.batch.variants import (
+    columns_variants,
+    file_name,
+    range_values,
+    read_variants,
+    variants_of_texts,
+)
 from animtool.errors import AnimtoolError, FormatError, OptionError
 
 SWING = (
@@ -122,6 +128,25 @@ def test_faults_of_tables(
     with pytest.raises(FormatError) as caught:
         read_variants(written(tmp_path, "a.csv", text))
     assert places(caught.value) == faults
+
+
+def test_columns_of_tables_are_parted_by_tabs_in_tsv_files(tmp_path: Path) -> None:
+    for name in ("a.tsv", "B.TSV"):
+        found = read_variants(written(tmp_path, name, "k\ts\n1\t2, 3\n"))
+        assert found.rows == ({"k": "1", "s": "2, 3"},)
+
+
+def test_as_many_variants_as_are_allowed() -> None:
+    hundred = [str(i) for i in range(100)]
+    assert len(columns_variants({"k": hundred, "s": hundred}).rows) == 10_000
+    assert len(range_values("1", "10000")) == 10_000
+
+
+@pytest.mark.parametrize(
+    ("value", "name"), [("v1.", "v1."), (".v1", "v1"), ("a+b/c", "a+b_c"), ("..", "_")]
+)
+def test_values_in_names_of_files(value: str, name: str) -> None:
+    assert file_name(value) == name
 
 
 @pytest.mark.parametrize(
