@@ -123,6 +123,8 @@ def test_the_rate_is_that_of_most_clips_where_none_is_stated(takes: Path) -> Non
         ({"start_frame": 101, "handles": 4}, {"handles": 6}, {}, (101, 6)),
         ({"handles": 4}, {"start_frame": 901}, {}, (901, 4)),
         ({"start_frame": 101}, {"handles": 6}, {"handles": 2, "start": 11}, (11, 2)),
+        ({}, {"start_frame": 901}, {"start": 11}, (11, 0)),
+        ({"start_frame": 101}, {"start_frame": 901}, {}, (901, 0)),
     ],
 )
 def test_start_and_handles(
@@ -284,9 +286,11 @@ def test_missing_media_is_named_with_its_clips_at_once(takes: Path) -> None:
 
 def test_media_is_found_by_name(takes: Path) -> None:
     media = [FoundFile(path, path.parent) for path in (takes / "takes").iterdir()]
-    made = clip("Take001", None, (0, 4)), clip("b", "/elsewhere/take000.mov", (0, 4))
+    made = [clip("Take001", None, (0, 4))]
+    made += [clip(n, "/elsewhere/take000.mov", (0, 4)) for n in ("b", "take001")]
     found = read_cuts(timeline(takes / "a.otio", *made), media)
-    assert [shot.found.path.stem for shot in found.shots] == ["take001", "take000"]
+    stems = [shot.found.path.stem for shot in found.shots]
+    assert stems == ["take001", "take000", "take001"]
     unknown = timeline(takes / "b.otio", clip("c", None, (0, 4)))
     with pytest.raises(FormatError, match="BAT042"):
         read_cuts(unknown, media)

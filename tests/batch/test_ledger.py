@@ -170,6 +170,15 @@ def test_parts_come_together(tmp_path: Path) -> None:
     assert not list((folder / "batch-a.d").glob("*.jsonl"))
 
 
+def test_why_an_item_failed_is_what_its_latest_part_says(tmp_path: Path) -> None:
+    folder = tmp_path / ".animtool"
+    for part in ("", "1-1", "1-2"):
+        with held_ledger(folder, "a", part) as run:
+            run.failed("1.usdc", f"part {part}")
+            run.settle(lambda _: True)
+    assert read_history(folder, "a").failed == {"1.usdc": "part 1-2"}
+
+
 def test_what_is_made_has_not_failed(tmp_path: Path) -> None:
     folder = tmp_path / ".animtool"
     with held_ledger(folder, "a") as run:

@@ -54,6 +54,17 @@ def test_the_first_time_and_the_second(takes: Path) -> None:
     assert [entry.status for entry in second.items] == ["skipped"] * 3
 
 
+def test_an_input_that_changed_and_then_failed_has_failed(takes: Path) -> None:
+    run_batch(spec(takes), SERIAL)
+    spoilt = takes / "takes/take001.bvh"
+    spoilt.write_text("HIERARCHY\n")
+    assert reasons(run_batch(spec(takes), DRY))[1] == "input changed"
+    run_batch(spec(takes), SERIAL)
+    planned = run_batch(spec(takes), DRY)
+    assert reasons(planned) == ["up to date", "failed last time", "up to date"]
+    assert planned.items[1].detail.startswith("BVH")
+
+
 def _touch(folder: Path) -> None:
     os.utime(folder / "takes/take001.bvh", ns=(10**18 + 1, 10**18 + 1))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -12,6 +13,7 @@ from support.batch import take_files
 from animtool.batch.report import BatchReport, junit_report
 from animtool.batch.run import RunOptions, run_batch
 from animtool.batch.spec import BatchSpec
+from animtool.errors import Fault, Severity
 
 
 @pytest.fixture
@@ -53,3 +55,14 @@ def test_junit(report: BatchReport) -> None:
     assert [case.get("name") for case in suite] == [
         f"take{number:03}.usdc" for number in range(4)
     ]
+    for case, entry in zip(suite, report.items, strict=True):
+        assert float(case.get("time", "0")) == pytest.approx(entry.seconds, abs=1e-3)
+
+
+def test_junit_says_warnings_and_no_notes(report: BatchReport) -> None:
+    odd = Fault("BVH107", "rates alike", severity=Severity.NOTE)
+    worse = Fault("BVH101", "rows lost", severity=Severity.WARNING)
+    entries = [replace(entry, notices=(odd, worse)) for entry in report.items]
+    (suite,) = ElementTree.fromstring(junit_report(entries))
+    said = [case.findtext("system-out") for case in suite]
+    assert said == [None, *["warning: BVH101 rows lost"] * 3]

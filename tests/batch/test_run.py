@@ -162,6 +162,29 @@ def test_an_executor_that_is_careless(
     assert statuses(run_batch(spec, SERIAL))[2:] == ["skipped", "failed", "skipped"]
 
 
+@pytest.mark.parametrize(
+    ("stated", "given", "jobs"),
+    [(3, 2, (2, 2)), (3, None, (3, 3)), (None, 4, (4, 4)), (9, None, (5, 9))],
+)
+def test_how_many_are_made_at_a_time(
+    spec: BatchSpec,
+    monkeypatch: pytest.MonkeyPatch,
+    stated: int | None,
+    given: int | None,
+    jobs: tuple[int, int],
+) -> None:
+    """What a run is told comes before what the batch says; no more than there are."""
+    found = []
+
+    def asking(work: Work) -> Iterator[Outcome]:
+        found.append((work.jobs, work.asked))
+        return iter(())
+
+    monkeypatch.setattr(Executor, "load", lambda _: asking)
+    run_batch(replace(spec, jobs=stated), RunOptions(jobs=given))
+    assert found == [jobs]
+
+
 def test_damaged_records_are_told(spec: BatchSpec, tmp_path: Path) -> None:
     run_batch(spec, replace(SERIAL, most_failures=1))
     path = tmp_path / "out/.animtool/batch-batch.jsonl"

@@ -71,6 +71,50 @@ def test_scales_move_what_hangs_below(take: Take) -> None:
     assert not found.within(1.0, 1.0)
 
 
+@pytest.mark.parametrize(
+    ("kind", "tolerances"),
+    [
+        ("world", (0.25, 1.0, 1.0)),
+        ("translation", (0.25, 1.0, 1.0)),
+        ("rotation", (1.0, 0.25, 1.0)),
+        ("weight", (1.0, 1.0, 0.25)),
+        ("scale", (1.0, 1.0, 1.0)),
+    ],
+)
+def test_each_difference_counts_beyond_its_tolerance(
+    take: Take, kind: str, tolerances: tuple[float, float, float]
+) -> None:
+    """A difference as large as the tolerance is none."""
+    same = compare_takes(take, take)
+    assert same.within(0.0, 0.0, 0.0)
+    most = 1e-3 if kind == "scale" else 0.25
+    for value, within in ((most, True), (np.nextafter(most, 1.0), False)):
+        largest = replace(getattr(same, kind), value=value)
+        found = replace(same, **{kind: largest})
+        assert bool(found.within(*tolerances)) is within
+
+
+def test_other_rates_and_lengths_are_mismatches(take: Take) -> None:
+    slower = replace(take, clock=replace(take.clock, fps=Fraction(15)))
+    found = compare_takes(take, slower)
+    assert found.mismatches == ["30 fps against 15"]
+    shorter = replace(
+        take,
+        clock=replace(take.clock, count=7),
+        motion=take.motion.select(slice(0, 7)),
+    )
+    assert compare_takes(take, shorter).mismatches == ["8 frames against 7"]
+
+
+def test_time_codes_are_those_of_the_first(take: Take) -> None:
+    values = take.motion.translations.dense()
+    values[3, 0] += 1.0
+    other = moved(take, translations=Channel.from_dense(values))
+    late = replace(other, clock=replace(other.clock, start=Fraction(1001)))
+    assert compare_takes(take, late).world.code == 4
+    assert compare_takes(late, take).world.code == 1004
+
+
 def test_another_first_time_code_is_a_note(path: Path, tmp_path: Path) -> None:
     one, two = tmp_path / "one.usda", tmp_path / "two.usda"
     for output, start in ((one, 1), (two, 1001)):

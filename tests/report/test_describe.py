@@ -1,11 +1,13 @@
 from __future__ import annotations
 
 import json
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 from numpy.testing import assert_allclose
 from support.bvh import random_rows, read_reference, small_bvh
+from support.drifting import author_samples
 
 from animtool.report import describe as module
 from animtool.report.describe import describe
@@ -25,3 +27,11 @@ def test_numbers(tmp_path: Path, monkeypatch) -> None:  # type: ignore[no-untype
     values = found.as_dict()
     assert values["rate"] == "24000/1001"
     assert json.dumps(values)
+
+
+def test_frames_between_time_codes(tmp_path: Path) -> None:
+    """The rate is that of frames, and what lies between time codes its step."""
+    times = [1 + 1.25 * i for i in range(9)]
+    found = describe(author_samples(tmp_path / "in.usda", times, rate=30))
+    assert (found.fps, found.step, found.frames) == (24, Fraction(5, 4), 9)
+    assert (found.start, found.end, found.duration) == (1, 11, Fraction(1, 3))

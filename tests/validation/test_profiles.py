@@ -129,6 +129,9 @@ def test_a_shot_must_state_its_time(stage: Path) -> None:
     found = severities(stage, "shot")
     assert found["USD252"] is Severity.ERROR
     assert found["USD250"] is Severity.NOTE
+    levels = PROFILES["shot"].levels
+    left_out = {code for code, level in levels.items() if level is None}
+    assert left_out == {"MOT221", "USD246"}
 
 
 def test_what_is_asked_for_is_above_a_profile(layer: Path) -> None:
@@ -160,6 +163,13 @@ def test_severities_of_a_project_are_a_profile(stage: Path, tmp_path: Path) -> N
     path.parent.mkdir()
     path.write_text(SETTINGS, "utf-8")
     assert severities(stage, str(path))["USD200"] is Severity.WARNING
+
+
+@pytest.mark.parametrize("level", ["off", "false", "'off'"])
+def test_codes_are_left_out_in_capitals_or_not(tmp_path: Path, level: str) -> None:
+    path = tmp_path / "own.yaml"
+    path.write_text(f"severity: {{usd25: {level}, Usd200: note}}\n", "utf-8")
+    assert load_profile(str(path)) == {"USD25": None, "USD200": Severity.NOTE}
 
 
 def test_a_project_names_its_profile(stage: Path) -> None:

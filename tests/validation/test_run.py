@@ -7,8 +7,16 @@ from pathlib import Path
 import pytest
 
 import animtool
-from animtool.errors import ExitCode, NothingFoundError, OptionError, Severity
+from animtool.documents.document import read_document
+from animtool.errors import (
+    ExitCode,
+    Fault,
+    NothingFoundError,
+    OptionError,
+    Severity,
+)
 from animtool.validation.files import find_files
+from animtool.validation.ignores import Ignores
 from animtool.validation.options import ValidateOptions
 from animtool.validation.rule import Rule
 from animtool.validation.run import validate, validate_files
@@ -138,8 +146,11 @@ def test_settings_of_a_project(leg: Path, name: str, text: str) -> None:
     (leg.parent / name).write_text(text, "utf-8")
     (found,) = validate(leg)
     assert (found.code, found.severity) == ("RIG201", Severity.ERROR)
-    note = ValidateOptions(severity={"RIG201": Severity.NOTE})
-    assert validate(leg, note)[0].severity is Severity.NOTE
+    for code in ("RIG201", "RIG"):
+        note = ValidateOptions(severity={code: Severity.NOTE})
+        assert validate(leg, note)[0].severity is Severity.NOTE
+    assert codes(leg, ignore=("RIG201",)) == []
+    assert codes(leg, select=("RIG201",)) == ["RIG201"]
 
 
 @pytest.mark.parametrize(
@@ -182,6 +193,30 @@ def test_ignores_in_a_file(leg: Path, entries: list[str], left: list[str]) -> No
     lines = "".join(f"- {entry}\n" for entry in entries)
     leg.write_text(f"{KNEE}ignore:\n{lines}", "utf-8")
     assert sorted(codes(leg)) == left
+
+
+def test_an_entry_that_hides_nothing_is_a_warning(leg: Path) -> None:
+    leg.write_text(f"{KNEE}ignore:\n- {{code: CLIP201, why: no}}\n", "utf-8")
+    (unused,) = validate(leg, ValidateOptions(select=("VAL001",)))
+    assert unused.severity is Severity.WARNING
+    leg.write_text(f"{KNEE}ignore:\n- {{code: RIG2, why: no}}\n", "utf-8")
+    (unknown,) = validate(leg, ValidateOptions(select=("VAL002",)))
+    assert unknown.severity is Severity.ERROR
+
+
+def test_an_entry_may_have_the_code_of_an_earlier_version(tmp_path: Path) -> None:
+    path = tmp_path / "a.clip.yaml"
+    path.write_text("clip: animtool/1\nignore: [{code: CLIP203, why: a cut}]\n")
+    faults = [Fault(code, "odd", str(path)) for code in ("MOT202", "MOT203", "MOT208")]
+    ignores = Ignores.of(read_document(path))
+    assert ignores.hide(faults) == faults[2:]
+    assert list(ignores.remarks()) == []
+
+
+def test_strict_takes_no_notes_for_errors(leg: Path) -> None:
+    report = validate_files([leg], ValidateOptions(severity={"RIG": Severity.NOTE}))
+    assert report.count(Severity.NOTE) == len(report.findings) > 0
+    assert report.exit_code(strict=True) is ExitCode.OK
 
 
 def test_a_rig_reached_twice_is_said_once(

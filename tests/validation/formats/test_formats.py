@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal
 from urllib.parse import unquote_to_bytes
@@ -20,6 +21,7 @@ from animtool.printing import escaped
 from animtool.validation.formats import FORMATS, written
 from animtool.validation.formats.source import cut
 from animtool.validation.run import Report
+from animtool.validation.tables import RULES
 
 RIG = "rig: animtool/1\nname: é\njoints:\n- {name: knee}\n"
 TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=40)
@@ -71,6 +73,44 @@ def test_a_line_is_cut_around_its_place(text: str, column: int, more: int) -> No
         assert shown[place] in "x\N{HORIZONTAL ELLIPSIS}"
 
 
+def test_a_long_line_is_cut_before_and_behind_its_place() -> None:
+    line = "".join(chr(ord("a") + i % 26) for i in range(300))
+    for column in (1, 33, 34, 150, 236, 237, 290, 300):
+        shown, caret = cut(line, column)
+        assert len(shown) == 96
+        assert shown[len(caret) - 1] in {line[column - 1], "\N{HORIZONTAL ELLIPSIS}"}
+    assert cut_text(line, 300).endswith(line[-90:])
+    assert cut_text(line, 1).startswith(line[:90])
+
+
+def cut_text(line: str, column: int) -> str:
+    return next(iter(cut(line, column)))
+
+
+def test_findings_that_repeat_one_of_their_file_are_counted(report: Report) -> None:
+    """Those in lines of a text are not: each has its line."""
+    path = str(report.files[0])
+    alike = [Fault("USD206", f"joint {i}", path) for i in range(4)]
+    lined = [Fault("RIG201", f"joint {i}", path, (4,)) for i in range(3)]
+    other = Fault("USD206", "joint 9", "other.usda")
+    found = Report(report.files, (*alike, *lined, other))
+    lines = written(found, "text").splitlines()
+    assert sum("USD206" in line for line in lines) == 2
+    assert f"{alike[0]} (3 more like it, see -v)" in lines
+    assert sum("RIG201" in line for line in lines) == 3
+    whole = written(found, "text", whole=True).splitlines()
+    assert sum("USD206" in line for line in whole) == 5
+
+
+def test_json_says_what_can_be_fixed(report: Report) -> None:
+    first, *_, last = report.findings
+    found = replace(report, fixable=frozenset({first}), mended=((last, "written"),))
+    value = json.loads(written(found, "json"))
+    assert [entry["fixable"] for entry in value["findings"]] == [True, *[False] * 4]
+    assert [(f["code"], f["done"]) for f in value["mended"]] == [("IO001", "written")]
+    assert written(found, "text").endswith(", --fix mends 1\n")
+
+
 def test_json(report: Report) -> None:
     value = json.loads(written(report, "json"))
     assert value["summary"] == {"error": 3, "warning": 1, "note": 1}
@@ -100,6 +140,12 @@ def test_github(report: Report) -> None:
         assert unescaped(given.get("file", "")) == (fault.path or "").replace("\\", "/")
         assert escaped(fault.message) in unescaped(found[3])
     assert lines[0].startswith("::warning file=a b/hero#1.rig.yaml,line=4,col=10,title")
+    assert lines[0].endswith(", write one, or a mirror")
+    assert [line.split()[0] for line in lines] == [
+        *("::warning", "::error", "::notice", "::error", "::error")
+    ]
+    several = Report((), (replace(report.findings[0], lines=(4, 2, 9)),))
+    assert ",line=4," in written(several, "github")
 
 
 @given(TEXTS)
@@ -313,6 +359,23 @@ def test_sarif(report: Report) -> None:
     assert documented.help
     assert documented.help.markdown
     assert "#" not in documented.help.text
+    levels = {rule.id: rule.defaultConfiguration.level for rule in rules}
+    assert levels == {code: str(RULES[code].severity) for code in levels}
+    assert set(levels.values()) > {"warning"}
+    assert run.columnKind == "unicodeCodePoints"
+
+
+@pytest.mark.parametrize(("letters", "shown"), [(1000, True), (1001, False)])
+def test_sarif_shows_no_long_lines(tmp_path: Path, letters: int, shown: bool) -> None:
+    path = tmp_path / "a.rig.yaml"
+    path.write_text("x" * letters, "utf-8")
+    (result,) = checked(
+        Report((path,), (Fault("RIG001", "twice", str(path), (1,)),))
+    ).results
+    (location,) = result.locations or ()
+    region = location.physicalLocation.region
+    assert region is not None
+    assert (region.snippet is not None) is shown
 
 
 NAMES = st.text(
