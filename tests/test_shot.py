@@ -77,6 +77,9 @@ def test_names_and_reports_say_the_same() -> None:
         assert names[name] == str(plain[key])
     assert names["handles"] == "8"
     assert names["media_in"] == "2"
+    # The cut shows 48 frames, the last of which begins 47 frames after the first.
+    assert (plain["media_in"], plain["media_out"]) == (2, 2 + 47 * 1001 / 24000)
+    assert names["media_out"] == f"{plain['media_out']:.12g}"
     assert plain["fps"] == 24000 / 1001
 
 
