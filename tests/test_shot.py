@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from animtool.shot import Shot, frames_within
+from animtool.shot import Shot, frame_spans, frames_within
 
 RATES = st.sampled_from(
     [Fraction(n) for n in (24, 25, 30, 120)]
@@ -60,6 +60,17 @@ def test_frames_within_a_time_begin_in_it(
     slack = Fraction(1, 10_000) / fps
     assert (frames - 1) / fps < seconds or frames == 1
     assert frames / fps >= seconds - slack
+
+
+def test_times_of_floats_add_no_frame() -> None:
+    fps = Fraction(24)
+    assert frames_within(Fraction(72 + 9e-5) / fps, fps) == 72
+    assert frames_within(Fraction(72 + 2e-4) / fps, fps) == 73
+
+
+def test_frames_that_follow_each_other_are_a_span() -> None:
+    assert frame_spans([1, 3, 5, 6, 8], step=2) == "1 to 5, 6 to 8"
+    assert frame_spans([4]) == "4"
 
 
 def test_names_and_reports_say_the_same() -> None:

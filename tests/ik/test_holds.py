@@ -104,3 +104,12 @@ def test_the_ease_has_no_acceleration_at_its_ends() -> None:
     for end in (0.0, 1.0):
         at = smoothstep(np.array([end - h, end, end + h]))
         assert at[0] - 2 * at[1] + at[2] == pytest.approx(0, abs=1e-10)
+
+
+def test_what_is_held_takes_the_sign_of_the_motion() -> None:
+    turns = so3.from_axis_angle([0.0, 1.0, 0.0], np.linspace(0.0, 0.4, 9))
+    shares = hold_shares(np.arange(9.0), [(3.0, 5.0)], 2.0)
+    for still in (turns[4], -turns[4]):
+        found = held(turns, shares, still[None])
+        assert (np.sum(found[1:] * found[:-1], axis=1) > 0.9).all()
+        assert so3.angle_between(found[4], still) < 1e-9

@@ -23,12 +23,15 @@ from animtool.ik import (
     Goal,
     IkOptions,
     IkResult,
+    IkStatus,
     Problem,
     Targets,
     build,
     smooth,
     solve,
 )
+from animtool.ik.path import path_of
+from animtool.ik.smoothing import at_poses
 from animtool.ik.tangent import difference, moved
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -134,6 +137,25 @@ def test_what_is_missed_is_missed_as_before() -> None:
     assert not result.converged.any()
     np.testing.assert_allclose(smoother.positions, result.positions, atol=1e-5)
     np.testing.assert_allclose(smoother.orientations, result.orientations, atol=1e-5)
+
+
+def test_poses_that_miss_are_no_longer_reached() -> None:
+    result, targets = followed(redundant(), 3)
+    path = path_of(result.problem, targets, None, IkOptions())
+    poses = result.problem.chain.from_rig(result.coordinates)
+    misses = np.zeros((len(poses), 1, 4))
+    assert at_poses(result, poses, misses, path).statuses == result.statuses
+    misses[1:] = np.arange(1.0, 5.0)
+    found = at_poses(result, poses, misses, path)
+    assert found.statuses[0] is result.statuses[0] is IkStatus.CONVERGED
+    assert set(found.statuses[1:]) == {IkStatus.NEAREST}
+    assert found.reached[:, 0].tolist() == [True, *[False] * (len(poses) - 1)]
+    assert found.positions[1, 0] == result.problem.chain.length
+    angles = (found.orientations[1, 0], found.aims[1, 0], found.poles[1, 0])
+    assert angles == (2.0, 3.0, 4.0)
+    conflict = replace(result, statuses=(IkStatus.CONFLICT,) * len(poses))
+    again = at_poses(conflict, poses, misses, path)
+    assert again.statuses[:2] == (IkStatus.CONVERGED, IkStatus.CONFLICT)
 
 
 def test_the_motion_of_a_clip_is_kept() -> None:
