@@ -41,6 +41,7 @@ def test_no_settings(tmp_path: Path) -> None:
         ("start = 'x'", "CFG003"),
         ("start = true", "CFG003"),
         ("start = 1000000001", "CFG003"),
+        ("start = -1000000001", "CFG003"),
         pytest.param(f"start = {'9' * 400}", "CFG003", id="many-digits"),
         pytest.param(f"start = {'[' * 100_000}", "CFG001", id="deep"),
         ("roots = '../library'", "CFG003"),

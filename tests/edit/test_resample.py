@@ -172,6 +172,13 @@ def test_far_too_many_samples(frames: FrameRange | None) -> None:
         plan_samples(slow, Fraction(100_000), Fraction(1), frame_range=frames)
 
 
+def test_what_lasts_beyond_the_last_whole_frame_is_noted() -> None:
+    dropped = resampled(spin(30, Fraction(30)), 24).notices
+    assert [notice.code for notice in dropped] == ["TAKE006"]
+    assert "0.2 frames" in dropped[0].message
+    assert resampled(spin(31, Fraction(30)), 24).notices == ()
+
+
 @pytest.mark.parametrize("fps", [0, Fraction(0), -24, "none", float("nan"), True, [24]])
 def test_a_rate_that_is_none_is_refused(fps: Any) -> None:
     with pytest.raises(OptionError, match="rate"):

@@ -2,22 +2,18 @@ from __future__ import annotations
 
 from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from support.bvh import random_rows, small_bvh
 
-from animtool.edit.frame_range import FrameRange
 from animtool.errors import AnimtoolError, OptionError
 from animtool.scene.bake import run_bake
-from animtool.scene.options import (
-    BakeOptions,
-    check_options,
-    parse_frame_range,
-    parse_offsets,
-)
-from animtool.scene.plan import plan_bake
+from animtool.scene.options import BakeOptions, check_options
+from animtool.scene.plan import plan_bake, start_of
 from animtool.scene.sources import SourceOptions, open_source
+from animtool.shot import Shot
 
 
 @pytest.fixture
@@ -69,31 +65,6 @@ def test_every_clash_of_options_is_said_at_once() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "found"),
-    [
-        ("12", FrameRange(12, 12)),
-        ("-10--1", FrameRange(-10, -1)),
-        (" 1-9x3 ", FrameRange(1, 9, 3)),
-    ],
-)
-def test_ranges(text: str, found: FrameRange) -> None:
-    assert parse_frame_range(text) == found
-
-
-@pytest.mark.parametrize("text", ["", "a-b", "1-", "1-2x0", "1-2-3", "1.5", "1e3"])
-def test_what_is_no_range(text: str) -> None:
-    with pytest.raises(ValueError, match=r"range|frame"):
-        parse_frame_range(text)
-
-
-def test_offsets_are_sorted_and_stay_within_a_frame() -> None:
-    assert parse_offsets("0,1/4,-.25") == (Fraction(-1, 4), Fraction(0), Fraction(1, 4))
-    for text in ("", "0,0", "-.5,.5", "2", "a"):
-        with pytest.raises(ValueError, match="offset"):
-            parse_offsets(text)
-
-
-@pytest.mark.parametrize(
     ("name", "code"), [("none.bvh", "IO001"), ("none", "IO001"), ("take.txt", "IO002")]
 )
 def test_sources_that_are_none(take: Path, name: str, code: str) -> None:
@@ -117,3 +88,39 @@ def test_rates_are_taken_as_they_are_written(record: Any) -> None:
         with pytest.raises(OptionError) as caught:
             record(fps=fps)
         assert caught.value.faults[0].code == "CLI006"
+
+
+@pytest.mark.parametrize(
+    ("asked", "rig", "source", "project", "start"),
+    [
+        (7, 5, 3, 1001, 7),
+        (None, 5, 3, 1001, 5),
+        (None, None, 3, 1001, 3),
+        (None, None, None, 1001, 1001),
+        (None, None, None, None, 1),
+        (None, 0, 3, None, 0),
+    ],
+)
+def test_the_first_frame_is_that_of_whoever_states_it_first(
+    tmp_path: Path,
+    asked: int | None,
+    rig: int | None,
+    source: int | None,
+    project: int | None,
+    start: int,
+) -> None:
+    """The option, the rig layer, the source, the project."""
+    if project is not None:
+        (tmp_path / "animtool.toml").write_text(f"start = {project}\n")
+
+    def stated(frame: int | None) -> Any:
+        return SimpleNamespace(start=None if frame is None else Fraction(frame))
+
+    options = BakeOptions(start=stated(asked).start)
+    found = start_of(options, stated(rig), stated(source), tmp_path / "a.bvh")
+    assert found == start
+    shot = Shot(1001, 1010, fps=Fraction(24), media_in=Fraction(0))
+    placed = start_of(
+        BakeOptions(shot=shot), stated(rig), stated(source), tmp_path / "a.bvh"
+    )
+    assert placed == (1 if source is None else source)

@@ -1,0 +1,170 @@
+"""Options of a bake: read from text, put together, and what excludes each other."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from animtool.edit.frame_range import FrameRange
+from animtool.errors import OptionError
+from animtool.scene.options import (
+    BakeOptions,
+    check_options,
+    merged,
+    parse_frame,
+    parse_frame_range,
+    parse_offsets,
+    parse_rest,
+)
+from animtool.shot import Shot
+from animtool.units import LengthUnit, UpAxis
+
+RIG = Path("rig.usda")
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("12", FrameRange(12, 12)),
+        ("-10--1", FrameRange(-10, -1)),
+        (" 1-9x3 ", FrameRange(1, 9, 3)),
+        ("1-240x240", FrameRange(1, 240, 240)),
+        ("1-240x0", None),
+        *((text, None) for text in ("", "a-b", "1-", "2-1", "1-2x", "1-2-3", "1e3")),
+    ],
+)
+def test_ranges(text: str, found: FrameRange | None) -> None:
+    if found is None:
+        with pytest.raises(ValueError, match=r"range|no frame"):
+            parse_frame_range(text)
+        return
+    assert parse_frame_range(text) == found
+
+
+@pytest.mark.parametrize(
+    ("text", "frame"),
+    [
+        ("1000000000", 10**9),
+        ("-1000000000", -(10**9)),
+        ("1000000000.5", None),
+        ("-1000000001", None),
+        ("soon", None),
+    ],
+)
+def test_first_frames(text: str, frame: int | None) -> None:
+    if frame is None:
+        with pytest.raises(ValueError, match="frame"):
+            parse_frame(text)
+        return
+    assert parse_frame(text) == frame
+
+
+@pytest.mark.parametrize(
+    ("text", "offsets"),
+    [
+        ("1/4,-.25,0", (Fraction(-1, 4), Fraction(0), Fraction(1, 4))),
+        ("-.5,.499", (Fraction(-1, 2), Fraction(499, 1000))),
+        # The second is the first of the next frame.
+        ("-.5,.5", None),
+        ("0,0", None),
+        ("1", None),
+        ("-1", None),
+        ("a", None),
+        ("", None),
+    ],
+)
+def test_offsets_around_a_frame(
+    text: str, offsets: tuple[Fraction, ...] | None
+) -> None:
+    if offsets is None:
+        with pytest.raises(ValueError, match="offset"):
+            parse_offsets(text)
+        return
+    assert parse_offsets(text) == offsets
+
+
+def test_where_the_rest_pose_comes_from() -> None:
+    assert (parse_rest("offsets"), parse_rest("frame:-3")) == (None, -3)
+    with pytest.raises(ValueError, match="neither"):
+        parse_rest("frame:")
+
+
+@pytest.mark.parametrize(
+    ("given", "word"),
+    [
+        ({"form": "layer"}, "needs --rig-layer"),
+        ({"rig_layer": RIG, "form": "stage"}, "goes with --as layer"),
+        ({"rig_layer": RIG, "bones": True}, "--bones"),
+        ({"rig_layer": RIG, "rest_frame": 3}, "--rest"),
+        ({"rig_layer": RIG, "to_units": LengthUnit.M}, "--to-units"),
+        ({"rig_layer": RIG, "to_up": UpAxis.Z}, "--to-up"),
+        ({"form": "library", "deform": True}, "goes without --deform"),
+        ({"form": "library", "bones": True}, "goes without --bones"),
+        ({"form": "library", "rest_frame": 3}, "goes without --rest"),
+        ({"form": "library", "to_units": LengthUnit.M}, "goes without --to-units"),
+        ({"form": "library", "to_up": UpAxis.Z}, "goes without --to-up"),
+        ({"keep_samples": True, "samples": (Fraction(0),)}, "--samples exclude"),
+        ({"reduce": 0.1, "samples": (Fraction(0),)}, "--reduce and --samples"),
+        ({"reduce": 0.1, "root_motion": True}, "no --root-motion"),
+        ({"reduce_at": (("a", 0.1),)}, "goes with --reduce"),
+        ({"chunk": 3}, "goes with --deform"),
+        ({"chunk": 0, "deform": True}, "1 sample a file or more"),
+        ({"velocities": True}, "--velocities goes with --deform"),
+        ({"normals": False}, "--no-normals goes with --deform"),
+        ({"deform": True, "form": "split"}, "no --split"),
+        ({"deform": True, "bones": True}, "no --bones"),
+        ({"deform": True, "sparse": True}, "no --sparse"),
+        ({"deform": True, "reduce": 0.1}, "no --reduce"),
+        ({"deform": True, "root_motion": True}, "no --root-motion"),
+        ({"deform": True, "keep_curves": True}, "no --keep-curves"),
+        ({"deform": True, "rest_frame": 3}, "no --rest"),
+    ],
+)
+def test_what_excludes_each_other(given: dict[str, Any], word: str) -> None:
+    with pytest.raises(OptionError, match=word) as caught:
+        check_options(BakeOptions(**given), to_stdout=False)
+    assert {fault.code for fault in caught.value.faults} == {"CLI002"}
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {},
+        {"rig_layer": RIG, "sparse": True, "root_motion": True},
+        {"deform": True, "velocities": True, "normals": False, "chunk": 1},
+        {"reduce": 0.1, "reduce_at": (("a", 0.1),), "keep_samples": True},
+        {"form": "split", "bones": True, "rest_frame": 3, "to_up": UpAxis.Z},
+    ],
+)
+def test_what_goes_together(given: dict[str, Any]) -> None:
+    check_options(BakeOptions(**given), to_stdout=False)
+
+
+@pytest.mark.parametrize(
+    "given", [{"form": "split"}, {"form": "library"}, {"deform": True, "chunk": 3}]
+)
+def test_what_stdout_cannot_hold(given: dict[str, Any]) -> None:
+    check_options(BakeOptions(**given), to_stdout=False)
+    with pytest.raises(OptionError, match=r"stdout|-o -"):
+        check_options(BakeOptions(**given), to_stdout=True)
+
+
+def test_options_come_before_those_of_an_output() -> None:
+    own = BakeOptions(fps=Fraction(30), sparse=True, reduce=0.1)
+    others = BakeOptions(fps=Fraction(24), bones=True, reduce=0.2, prim_path="/a")
+    found = merged(own, others)
+    assert (found.fps, found.reduce, found.sparse) == (30, 0.1, True)
+    assert (found.bones, found.prim_path) == (True, "/a")
+
+
+def test_a_shot_gives_its_frames_and_rate_where_none_are_stated() -> None:
+    shot = Shot(1009, 1020, 8, 4, fps=Fraction(25))
+    found = BakeOptions(shot=shot)
+    assert (found.frame_range, found.fps) == (FrameRange(1001, 1024), 25)
+    stated = BakeOptions(
+        shot=shot, frame_range=FrameRange(1010, 1012), fps=Fraction(50)
+    )
+    assert (stated.frame_range, stated.fps) == (FrameRange(1010, 1012), 50)
