@@ -45,12 +45,14 @@ class Run:
         failed: Whether a test failed, or the process did.
         test: The last test that began.
         hung: Whether that was stopped for its time.
+        crashed: Whether a signal ended the process, as of memory that is not its own.
         ran: How many tests began.
     """
 
     failed: bool
     test: str
     hung: bool
+    crashed: bool
     ran: int
 
 
@@ -144,7 +146,7 @@ class Copy:
         files = list(dict.fromkeys(name.partition("::")[0] for name in tests))
         files = [name for name in files if (self.root / name).exists()]
         if not files:
-            return Run(False, "", False, 0)
+            return Run(False, "", False, False, 0)
         shutil.rmtree(self.scratch, ignore_errors=True)
         (self.scratch / "tmp").mkdir(parents=True)
         chosen, progress = self.scratch / "tests.json", self.scratch / "progress"
@@ -179,7 +181,8 @@ class Copy:
             raise RunError((self.scratch / "log").read_text("utf-8", "replace"))
         failed = process.returncode not in (PASSED, NO_TESTS)
         shutil.rmtree(self.scratch / "tmp", ignore_errors=True)
-        return Run(failed, last, hung, len(begun))
+        crashed = process.returncode < 0 and not hung
+        return Run(failed, last, hung, crashed, len(begun))
 
     @staticmethod
     def _watch(
@@ -226,7 +229,8 @@ def judge(
         ran += run.ran
         took = round(time.monotonic() - begun, 1)
         if run.failed or run.hung:
-            outcome = "timed out" if run.hung else "killed"
+            outcome = "crashed" if run.crashed else "killed"
+            outcome = "timed out" if run.hung else outcome
             return Result(outcome, run.test or "collection", count, ran, left, took)
     took = round(time.monotonic() - begun, 1)
     return Result("survived" if count else "uncovered", "", count, ran, left, took)

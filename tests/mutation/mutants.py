@@ -116,8 +116,8 @@ class Result:
     """What became of a mutant.
 
     Attributes:
-        outcome: ``killed``, ``timed out``, ``survived``, ``uncovered`` (no test runs
-            its line) or ``invalid`` (it does not build).
+        outcome: ``killed``, ``crashed``, ``timed out``, ``survived``, ``uncovered`` (no
+            test runs its line) or ``invalid`` (it does not build).
         test: The test that killed it, or why it is invalid.
         tests: How many tests run its line.
         ran: How many of them were run.
@@ -133,7 +133,7 @@ class Result:
     seconds: float = 0.0
 
 
-KILLED = {"killed", "timed out"}
+KILLED = {"killed", "crashed", "timed out"}
 SURVIVED = {"survived", "uncovered"}
 
 

@@ -20,6 +20,7 @@ import pytest
 COVER = "MUTATION_COVER"
 TESTS = "MUTATION_TESTS"
 PROGRESS = "MUTATION_PROGRESS"
+MEMORY_BYTES = 8 << 30
 # What the context of a fixture begins with, in place of a test's name.
 FIXTURE = "fixture "
 
@@ -122,11 +123,21 @@ class Chosen:
             file.write(json.dumps(nodeid) + "\n")
 
 
+def bound_memory() -> None:
+    """Bound the memory of tests and their children: a bug may ask for all there is."""
+    import resource
+
+    _, most = resource.getrlimit(resource.RLIMIT_AS)
+    least = MEMORY_BYTES if most == resource.RLIM_INFINITY else min(most, MEMORY_BYTES)
+    resource.setrlimit(resource.RLIMIT_AS, (least, most))
+
+
 def plugins() -> Iterator[object]:
     """Yield what the environment asks for."""
     if COVER in os.environ:
         yield Recorder(Path(os.environ[COVER]))
     if TESTS in os.environ:
+        bound_memory()
         yield Chosen(Path(os.environ[TESTS]), Path(os.environ[PROGRESS]))
 
 
