@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 from animtool import _kernels
@@ -81,6 +82,30 @@ def test_an_aim_misses_by_its_angle() -> None:
     arrays = chain(0, 0.5) | goal(1, 0.0, aim=2)
     _, residuals, _, _ = looked(arrays, [0, 0], target(aim=(0.5, 3, 0)))
     assert_allclose(np.linalg.norm(residuals), 2 * np.pi / 2)
+
+
+def solved(arrays: dict[str, Any], goals: np.ndarray, method: int) -> Any:
+    count = len(arrays["nodes"])
+    none = np.zeros((1, count))
+    return _kernels.solve_ik(
+        **arrays, starts=none, targets=goals, sought=goals, stretches=np.ones((1, 1)),
+        rests=none, rest_weight=0.0, length_tolerance=1e-6, angle_tolerance=1e-6,
+        damping=1e-3, iterations=50, restarts=0, seed=1, seconds=0.0, ordered=False,
+        warm=False, method=method,
+    )  # fmt: skip
+
+
+# Without steepest descent, which goes to and fro for hundreds of steps.
+@pytest.mark.parametrize("method", [0, 2, 3, 4])
+def test_a_joint_turns_what_follows_a_shut_one_in_its_place(method: int) -> None:
+    arrays = chain(0, 0) | goal(1, 0.5, position=1)
+    arrays["numbers"][1, 14:16] = 0
+    angle = 0.7
+    at = (0.5 * np.cos(angle), 0.5 * np.sin(angle), 0.0)
+    coordinates, misses, reports, _ = solved(arrays, target(at), method)
+    assert_allclose(coordinates[0], [angle, 0], atol=1e-5)
+    assert misses[0, 0, 0] <= 1e-6
+    assert reports[0, 0] == 0
 
 
 def smoothed(

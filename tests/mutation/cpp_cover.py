@@ -104,14 +104,19 @@ class Recording:
                         self.lines[name, line].add(test)
 
     def tests(self, name: str, text: str, line: int) -> set[str]:
-        """Return the tests that run a line of a file as it is now."""
+        """Return the tests that run a line of a file as it is now.
+
+        Of a line without code, such as the first value of a member, those that run any
+        line of the file.
+        """
         then = earlier_lines(self.texts.get(name, ""), text).get(line)
         if then is None:
             return set()
         for above in range(then, then - STATEMENT_LINES, -1):
             if (name, above) in self.lines:
                 return self.lines[name, above]
-        return set()
+        own = [found for (file, _), found in self.lines.items() if file == name]
+        return set().union(*own)
 
     def missed(self) -> list[tuple[str, int, str]]:
         """Return the lines with code that no test runs: file, line, text."""

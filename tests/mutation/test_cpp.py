@@ -68,6 +68,7 @@ def test_lines_are_found_again_and_statements_by_their_first(tmp_path: Path) -> 
     new = "// Moved.\n" + old
     assert recording.tests("a.cpp", new, 3) == {"t::one", "t::two"}
     assert recording.tests("a.cpp", new, 4) == {"t::one", "t::two"}
+    assert recording.tests("a.cpp", new, 2) == {"t::one", "t::two"}
     assert recording.tests("a.cpp", new, 1) == recording.tests("a.cpp", new, 6) == set()
     assert recording.missed() == [("a.cpp", 5, "int g() { return c; }")]
     assert recording.seconds == {"t::one": 0.5, "t::two": 1.0}
