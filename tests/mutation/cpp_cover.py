@@ -114,7 +114,9 @@ class Recording:
             return set()
         for above in range(then, then - STATEMENT_LINES, -1):
             if (name, above) in self.lines:
-                return self.lines[name, above]
+                # The compiler may give what a line does to the next one.
+                near = [(name, above + off) for off in (-1, 0, 1)]
+                return set().union(*(self.lines.get(one, set()) for one in near))
         own = [found for (file, _), found in self.lines.items() if file == name]
         return set().union(*own)
 
