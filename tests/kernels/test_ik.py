@@ -108,6 +108,20 @@ def test_a_joint_turns_what_follows_a_shut_one_in_its_place(method: int) -> None
     assert reports[0, 0] == 0
 
 
+@pytest.mark.parametrize(("method", "most"), [(0, 8), (2, 8), (3, 6)])
+def test_a_target_out_of_reach_is_pointed_at_in_few_steps(
+    method: int, most: int
+) -> None:
+    """The bone's length is a quarter of the way: its second derivatives count."""
+    arrays = chain(0) | goal(0, 0.5, position=1)
+    at = (2 * np.cos(0.7), 2 * np.sin(0.7), 0.0)
+    coordinates, misses, reports, _ = solved(arrays, target(at), method)
+    assert_allclose(coordinates, [[0.7]], atol=1e-8)
+    assert_allclose(misses[0, 0], [1.5, 0, 0, 0], atol=1e-12)
+    assert reports[0, 0] != 0
+    assert reports[0, 1] <= most
+
+
 def smoothed(
     arrays: dict[str, Any], path: np.ndarray, drifts: np.ndarray, **given: Any
 ) -> Any:

@@ -1,0 +1,81 @@
+"""Laws of fitted cubics: units, and what is a cubic already."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from animtool import _kernels
+
+NONE = np.zeros(0, np.int64)
+
+
+def motion(frames: int = 60) -> np.ndarray:
+    t = np.linspace(0, 1, frames)
+    return np.stack([np.sin(9 * t), np.cos(4 * t) * t, 2 * t], axis=1)
+
+
+# From values of 1e-9 to 1e9, by powers of two: nothing is rounded.
+@pytest.mark.parametrize("power", [-30, 30])
+def test_units_make_no_difference(power: int) -> None:
+    unit = 2.0**power
+    bounds = np.full(60, 1e-3)
+    bounds[20:30] = 1e-2
+    at, ins, outs = _kernels.fit_cubics(motion(), bounds, NONE)
+    assert 2 < len(at) < 30
+    scaled = _kernels.fit_cubics(unit * motion(), unit * bounds, NONE)
+    assert_array_equal(scaled[0], at)
+    assert_array_equal(scaled[1], unit * ins)
+    assert_array_equal(scaled[2], unit * outs)
+
+
+def test_a_cubic_is_one_segment_and_gives_its_handles_back() -> None:
+    """Handles are a third of the slopes at the ends."""
+    frames = 31
+    u = np.linspace(0, 1, frames)
+    values = np.stack([u**3 - u, 3 * u * u], axis=1)
+    at, ins, outs = _kernels.fit_cubics(values, np.full(frames, 1e-9), NONE)
+    assert_array_equal(at, [0, frames - 1])
+    assert_allclose(outs, [[-1 / 3, 0], [0, 0]], atol=1e-8)
+    assert_allclose(ins, [[0, 0], [-2 / 3, -2]], atol=1e-8)
+
+
+def test_what_stays_within_its_bounds_is_one_key() -> None:
+    rests = np.full((9, 2), 5.0)
+    rests[4, 1] += 0.9e-3
+    at, ins, outs = _kernels.fit_cubics(rests, np.full(9, 1e-3), NONE)
+    assert_array_equal(at, [0])
+    assert not ins.any()
+    assert not outs.any()
+    rests[4, 1] += 0.2e-3
+    assert len(_kernels.fit_cubics(rests, np.full(9, 1e-3), NONE)[0]) > 1
+
+
+def test_anchors_are_keys() -> None:
+    straight = np.linspace(0, 1, 12)[:, None].copy()
+    anchors = np.array([4, 5])
+    at, ins, outs = _kernels.fit_cubics(straight, np.full(12, 1e-3), anchors)
+    assert_array_equal(at, [0, 4, 5, 11])
+    steps = np.diff(straight[at, 0]) / 3
+    assert_allclose(outs[:-1, 0], steps, atol=1e-3)
+    assert_allclose(ins[1:, 0], -steps, atol=1e-3)
+
+
+def test_every_frame_is_within_its_bound() -> None:
+    values, bounds = motion(), np.geomspace(1e-4, 1e-2, 60)
+    at, ins, outs = _kernels.fit_cubics(values, bounds, NONE)
+    for k, (a, b) in enumerate(pairwise(at)):
+        u = np.linspace(0, 1, b - a + 1)[:, None]
+        v = 1 - u
+        from_, to = values[a], values[b]
+        curve = (
+            v**3 * from_
+            + 3 * u * v * v * (from_ + outs[k])
+            + 3 * u * u * v * (to + ins[k + 1])
+            + u**3 * to
+        )
+        off = np.linalg.norm(curve - values[a : b + 1], axis=1)
+        assert (off <= bounds[a : b + 1] * (1 + 1e-9)).all()
