@@ -158,11 +158,50 @@ def test_what_its_type_lacks_is_in_the_parents_space(tmp_path: Path) -> None:
     assert [note.code for note in made.notices] == ["CLIP117", "CLIP118"]
 
 
+LED = """rig: animtool/1
+name: led
+joints:
+- {name: a, type: pin, axis: [0, 0, 1]}
+- {name: b, type: pin, axis: [1, 0, 0], parent: a, mimic: {joint: a}}
+controls:
+- {name: k, default: 30, drives: [{joint: a.angle, expr: k}]}
+"""
+
+
+def test_followers_of_a_joint_with_local_keys_stay_at_rest(tmp_path: Path) -> None:
+    path = tmp_path / "led.rig.yaml"
+    path.write_text(LED)
+    rig = Rig.load(path)
+    tilt = np.linspace(0.0, 1.0, FRAMES)[:, None] * [0.0, 1.0, 0.0]
+    keyed = {"joint/a.local_rotation": so3.exp(tilt)}
+    take = take_of(rig, keyed, controls=True)
+    turns = take.motion.rotations.dense()[:, 1]
+    assert so3.angle_between(turns, so3.IDENTITY).max() == 0.0
+    _, targets = check(take, tmp_path)
+    assert {*targets} == {"joint/a.local_rotation"}
+
+
+def test_errors_of_angles_are_in_degrees() -> None:
+    rig = rig_named("biped")
+    wave = np.sin(np.arange(FRAMES))[:, None]
+    keyed = {"joint/shoulder_l.rotation": so3.exp(wave * [0.3, 0.2, 0.1])}
+    take = take_of(rig, keyed, controls=False)
+    made = keyed_take(take, rig, "one", 1e-2)
+    (error,) = made.errors
+    assert error.target == "joint/shoulder_l.rotation"
+    found = made.clip.sample(rig).motion.rotations.dense()
+    off = so3.angle_between(take.motion.rotations.dense(), found)
+    assert error.unit == "deg"
+    assert error.error == pytest.approx(np.degrees(off.max()), rel=1e-6)
+    assert error.error > 0.1
+
+
+@pytest.mark.parametrize("angles", [(380.0, 640.0), (-640.0, -380.0)])
 def test_whole_turns_of_a_leader_are_those_that_its_follower_shows(
-    tmp_path: Path,
+    angles: tuple[float, float], tmp_path: Path
 ) -> None:
     rig = rig_named("machine")
-    keyed = {"control/crank": np.linspace(380.0, 640.0, FRAMES)[:, None]}
+    keyed = {"control/crank": np.linspace(*angles, FRAMES)[:, None]}
     _, targets = check(take_of(rig, keyed, controls=False), tmp_path)
     assert {*targets} == {"control/crank"}
 

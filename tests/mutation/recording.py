@@ -32,10 +32,12 @@ def start() -> None:
         import coverage
 
         recorder = coverage.Coverage.current()
-        if recorder is not None:
-            recorder.stop()
-            recorder.save()
-        exit_at_once(status)
+        try:
+            if recorder is not None:
+                recorder.stop()
+                recorder.save()
+        finally:
+            exit_at_once(status)
 
     os._exit = save_and_exit
 

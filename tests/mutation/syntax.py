@@ -34,6 +34,11 @@ DROPPED = {
     "inverse", "invert", "lower", "normalize", "normalized", "norm", "rad2deg",
     "radians", "reversed", "sort", "sorted", "strip", "unwrap",
 }  # fmt: skip
+# Calls whose arguments have no order.
+UNORDERED = {
+    "allclose", "array_equal", "gcd", "hypot", "isclose", "lcm", "max", "maximum",
+    "min", "minimum",
+}  # fmt: skip
 # Arguments that are read by people alone, how a picture looks, what holds of classes.
 WORDS = {
     "color", "description", "encoding", "epilog", "errors", "examples", "fillstyle",
@@ -278,8 +283,9 @@ class _Finder(ast.NodeVisitor):
             kept = node.args[0] if node.args else base
             if kept is not None and (text := self.text(kept)) is not None:
                 self.put(node, f"list({text})" if name == "sorted" else text, "inverse")
-        for left, right in zip(node.args, node.args[1:], strict=False):
-            self.swap(left, right)
+        if name not in UNORDERED:
+            for left, right in zip(node.args, node.args[1:], strict=False):
+                self.swap(left, right)
         for keyword in node.keywords:
             self.drop(node, keyword)
         self.generic_visit(node)

@@ -33,7 +33,7 @@ def after(source: str) -> set[str]:
         ("a[:, -1]", {"a[:, 0]"}),
         ("x = a.T", {"x = a"}),
         ("x = a @ b", {"x = b @ a"}),
-        ("x = min(a)", {"x = max(a)"}),
+        ("x = min(a, b)", {"x = max(a, b)"}),
         ("x = sorted(a)", {"x = list(a)"}),
         ("x = f(a, b)", {"x = f(b, a)"}),
         ("x = f(a, axis=1)", {"x = f(a, axis=0)"}),
