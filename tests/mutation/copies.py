@@ -109,7 +109,7 @@ class Copy:
             str(self.root),
             f"import site; site.addsitedir({packages!r})",
             "import os; 'MUTATION_COVER' in os.environ and "
-            "__import__('mutation_recording')",
+            "__import__('mutation_recording').start()",
         )
         (self._packages / "mutation.pth").write_text("\n".join(lines) + "\n")
         for name in INSTALLED:

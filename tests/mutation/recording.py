@@ -63,6 +63,3 @@ def _record() -> None:
     recorder._warn_no_data = recorder._warn_unimported_source = False
     recorder._auto_save = True
     recorder.start()
-
-
-start()

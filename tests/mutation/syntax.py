@@ -47,7 +47,9 @@ WORDS = {
     "stacklevel", "title",
 }  # fmt: skip
 UNIT = re.compile(r"^(?:[A-Z][A-Z_]+|.*(?:unit|scale|_per_|factor|sign).*)$")
-NEAR_ZERO = 1e-3
+TYPE = re.compile(r"(?:\w+\.)*[A-Z]+[a-z]\w*")
+# Numbers from here on, and up to there, are wrong by a factor rather than by one.
+MANY, NEAR_ZERO = 100, 1e-3
 
 LOGGERS = {"log", "_log", "logger", "_logger", "logging"}
 Function = ast.FunctionDef | ast.AsyncFunctionDef
@@ -171,12 +173,13 @@ class _Finder(ast.NodeVisitor):
         self.generic_visit(node)
 
     def visit_BinOp(self, node: ast.BinOp) -> None:
-        """Swap arithmetic, drop factors; texts and lists stay."""
+        """Swap arithmetic, drop factors; texts, lists and unions of types stay."""
         told = (ast.JoinedStr, ast.List, ast.Tuple, ast.Dict, ast.Set)
         sides = (node.left, node.right)
         if not any(
             isinstance(one, told)
             or (isinstance(one, ast.Constant) and isinstance(one.value, str | None))
+            or TYPE.fullmatch(self.text(one) or "")
             for one in sides
         ):
             if type(node.op) in ARITHMETIC:
@@ -221,9 +224,10 @@ class _Finder(ast.NodeVisitor):
         if isinstance(value, bool):
             self.put(node, str(not value), "truth")
         elif isinstance(value, int):
-            self.put(node, str(value + 1), "constant")
+            near = value < MANY
+            self.put(node, str(value + 1 if near else value * 10), "constant")
             if value > 1:
-                self.put(node, str(value - 1), "constant")
+                self.put(node, str(value - 1 if near else value // 10), "constant")
         elif isinstance(value, float):
             changed = value * 10 if 0 < value <= NEAR_ZERO else value + 1
             self.put(node, repr(float(f"{changed:.12g}")), "constant")

@@ -43,6 +43,7 @@ def after(source: str) -> set[str]:
         ("a += b", {"a -= b"}),
         ("x = True", {"x = False"}),
         ("x = 1e-6", {"x = 1e-05"}),
+        ("x = 200", {"x = 2000", "x = 20"}),
         ("x = a if b else c", {"x = a if True else c", "x = a if False else c"}),
         ("for x in a: break", {"for x in a: continue"}),
         ("def f(): return a, b", {"def f(): return b, a"}),
@@ -68,6 +69,7 @@ def test_bugs_of_a_line(line: str, bugs: set[str]) -> None:
         "__all__ = [1]",
         "Vector = Literal[0, 1]",
         'x = "a" + b',
+        "x = isinstance(a, Path | b.Frame)",
     ],
 )
 def test_what_is_left_alone(source: str) -> None:
