@@ -140,8 +140,11 @@ def run(
             language.restore(copy, mutant)
             free.put(copy)
 
-    with ThreadPoolExecutor(len(copies)) as pool:
+    pool = ThreadPoolExecutor(len(copies))
+    try:
         for judged in as_completed([pool.submit(one, mutant) for mutant in mutants]):
             mutant, result = judged.result()
             results.add(mutant, result)
             tell(mutant, result)
+    finally:
+        pool.shutdown(cancel_futures=True)
