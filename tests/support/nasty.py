@@ -46,7 +46,7 @@ name: "O'Hara: 2"
 units: {length: cm, angle: deg}
 up: Z
 joints:
-- {name: hips, type: free, translate: [7, -3, 95], rotate: [.8, 0, .6, 0]}
+- {name: hips, type: free, translate: [7, -3, 95], rotate: [.48, .36, .64, .48]}
 - {name: "spine:01", parent: hips, type: ball, translate: [2, 5, 40],
    rotate: [.6, .8, 0, 0]}
 - {name: arm.L, parent: "spine:01", type: ball, translate: [20, 10, 3],
@@ -156,7 +156,7 @@ def nasty_take(count: int = 11, step: Fraction = Fraction(1)) -> Take:
     places = np.zeros((count, len(rig.joints), 3))
     places[:, 0] = np.stack([0.2 * t, 0.7 * t + 0.1 * np.sin(t), 0.15 * t], axis=1)
     places[:, rig.index("hand.L"), 1] = 0.05 * np.sin(t)
-    places[:, rig.index("hand.R"), 2] = TINY * np.sin(t)
+    places[:, rig.index("hand.R"), 0] = TINY * np.sin(t)
     scales = np.ones(places.shape)
     scales[:, rig.index("arm.L")] = 1 + np.sin(t)[:, None] * [0.5, 0.25, -0.125]
     weights = np.stack([0.5 + 0.5 * np.sin(t), TINY * np.cos(t)], axis=1)
