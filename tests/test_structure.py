@@ -6,6 +6,7 @@ import ast
 import json
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -72,10 +73,17 @@ def rank(module: str) -> int:
     raise AssertionError(f"{module} is in no layer")
 
 
+@cache
+def tree(path: Path) -> ast.Module:
+    """Return the syntax of a file."""
+    return ast.parse(path.read_text("utf-8"))
+
+
+@cache
 def imports(path: Path) -> set[str]:
     """Return every name that a file imports, inside functions too."""
     found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+    for node in ast.walk(tree(path)):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -146,16 +154,25 @@ def reads(path: Path) -> bool:
     """Return whether a module opens files to read them, by itself."""
     return any(
         isinstance(node, ast.Call) and _opens(node)
-        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        for node in ast.walk(tree(path))
     )
 
 
 def _opens(call: ast.Call) -> bool:
-    whole, function = ast.unparse(call), ast.unparse(call.func)
-    owner, _, name = function.rpartition(".")
+    match call.func:
+        case ast.Attribute(value, name):
+            pass
+        case ast.Name(name):
+            value = None
+        case _:
+            return False
+    if name not in {"open", "Open", "load", "read_text"} | READS:
+        return False
+    owner = ast.unparse(value) if value else ""
     given = [arg.value for arg in call.args if isinstance(arg, ast.Constant)]
     mode = next((value for value in given if isinstance(value, str)), "")
     if owner == "os" and name == "open":
+        whole = ast.unparse(call)
         return not ("O_WRONLY" in whole or "O_CREAT" in whole)
     if name == "open":
         # Other things that are opened have no mode.

@@ -104,7 +104,7 @@ def _teleport(method: str) -> None:
 def _rest_contact(method: str) -> None:
     floor = Collider(Plane(), restitution=0.5, friction=0.5)
     still = Emitter(poses=Poses.fixed((0, 0.005, 0)), bursts=[(0, 1)])
-    options = IntegrateOptions(method, step=1 / 24)
+    options = IntegrateOptions(method, step=1 / 12)
     run = ParticleRun(Particles([still], [GRAVITY], colliders=[floor], options=options))
     for t in range(0, 61, 4):
         frame = run.at(t)
