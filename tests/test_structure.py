@@ -153,8 +153,7 @@ NUMPY = {"np", "numpy", "tomllib"}
 def reads(path: Path) -> bool:
     """Return whether a module opens files to read them, by itself."""
     return any(
-        isinstance(node, ast.Call) and _opens(node)
-        for node in ast.walk(tree(path))
+        isinstance(node, ast.Call) and _opens(node) for node in ast.walk(tree(path))
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -41,10 +42,14 @@ FAR = REACH.replace("[-10, 20, 20]", "[-10, 20, 320]")
 
 
 @pytest.fixture
-def place(workplace: Path) -> Path:
+def place(root: Path, tmp_path: Path) -> Path:
+    """Return a project with a rig, two takes and three files of targets."""
+    for name in ("rigs/biped", "samples/stride", "samples/walk"):
+        shutil.copytree(root / name, tmp_path / name)
+    (tmp_path / "animtool.toml").touch()
     for name, text in (("reach", REACH), ("feet", FEET), ("far", FAR)):
-        (workplace / f"{name}.targets.yaml").write_text(text, "utf-8")
-    return workplace
+        (tmp_path / f"{name}.targets.yaml").write_text(text, "utf-8")
+    return tmp_path
 
 
 BIPED = "rigs/biped/biped.rig.yaml"

@@ -36,7 +36,7 @@ def test_a_particle_in_a_field_goes_where_it_should(path: Path) -> None:
         setup = Particles(
             [Emitter(poses=Poses.fixed(start), bursts=[(0, 1)])],
             velocity=field_of(case["field"], case["params"]),
-            options=IntegrateOptions("rk45", step=1 / 96, tolerance=1e-11),
+            options=IntegrateOptions("rk45", step=1 / 24, tolerance=1e-11),
         )
         run = ParticleRun(setup)
         found = np.array([run.at(t).points[0] for t in case["t"]])

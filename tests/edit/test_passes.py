@@ -14,6 +14,7 @@ from support.small_takes import content, small, with_tracks
 
 from animtool.errors import OptionError
 from animtool.formats.bvh import read_bvh
+from animtool.maths import so3
 from animtool.passes import (
     PASSES,
     PassContext,
@@ -251,3 +252,65 @@ def test_retiming_is_sampling_the_source_at_other_times(name: str) -> None:
     )
     whole = found.tracks[0].at(times).matrix()
     np.testing.assert_array_equal(whole, take.tracks[0].at(times).matrix())
+
+
+# What holds lengths or forces of its own, which stay as they are.
+OWN_LENGTHS = {"hang", "ik", "simulate"}
+
+
+@pytest.mark.parametrize("name", sorted({*PASSES} - OWN_LENGTHS))
+def test_a_unit_of_length_shows_in_lengths_alone(name: str) -> None:
+    """Eight times as long is eight times as far, to the bit."""
+    one, other = run(name, grown(full(), 1.0)), run(name, grown(full(), 8.0))
+    assert other.clock == one.clock
+    assert_array_equal(
+        other.motion.translations.dense(), 8 * one.motion.translations.dense()
+    )
+    assert_array_equal(other.motion.rotations.dense(), one.motion.rotations.dense())
+    for part in (TakePart.SHAPES, TakePart.CONTROLS):
+        frames = list(range(one.clock.count))
+        pairs = (part_of(take.motion, part, frames) for take in (one, other))
+        for ours, theirs in zip(*pairs, strict=True):
+            assert_array_equal(ours, theirs)
+
+
+def grown(take: Take, factor: float) -> Take:
+    """Return a take of a rig with offsets, all lengths a factor times as long."""
+    places = {"hips": (0.1, 0.9, -0.2), "arm_l": (0.2, 0.5, 0.0)}
+    joints = tuple(
+        replace(
+            joint,
+            translation=tuple(
+                factor * x for x in places.get(joint.name, (-0.2, 0.5, 0.0))
+            ),
+        )
+        for joint in take.rig.joints
+    )
+    slides = Channel.from_dense(factor * take.motion.translations.dense())
+    motion = replace(take.motion, translations=slides)
+    return replace(take, rig=replace(take.rig, joints=joints), motion=motion)
+
+
+# What has sides, a pose of its own or a place in the world.
+PLACED = {"difference", "hang", "ik", "mirror", "simulate"}
+
+
+@pytest.mark.parametrize("name", sorted({*PASSES} - PLACED))
+def test_a_take_that_is_turned_and_put_elsewhere_is_edited_alike(name: str) -> None:
+    turn, away = so3.exp(np.array([0.0, 2.1, 0.0])), np.array([40.0, 0.0, -7.0])
+    there = run(name, moved_away(full(), turn, away)).world().positions
+    here = run(name, full()).world().positions
+    np.testing.assert_allclose(there, so3.rotate(turn, here) + away, atol=1e-12)
+
+
+def moved_away(take: Take, turn: np.ndarray, away: np.ndarray) -> Take:
+    """Return a take whose root is turned about the way up, and put elsewhere."""
+    slides, turns = take.motion.translations.dense(), take.motion.rotations.dense()
+    slides[:, 0] = so3.rotate(turn, slides[:, 0]) + away
+    turns[:, 0] = so3.multiply(turn, turns[:, 0])
+    motion = replace(
+        take.motion,
+        translations=Channel.from_dense(slides),
+        rotations=Channel.from_dense(turns),
+    )
+    return replace(take, motion=motion)

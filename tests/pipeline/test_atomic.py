@@ -25,7 +25,7 @@ TRIES = 10
 def long_take(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a take that takes a moment."""
     path = tmp_path_factory.mktemp("take") / "long.bvh"
-    path.write_text(small_bvh(random_rows(2_000)))
+    path.write_text(small_bvh(random_rows(800)))
     return path
 
 

@@ -18,7 +18,7 @@ from support.cli import TIMEOUT, Done, animtool, animtool_process, killable
 from animtool.leftovers import temporary_prefix
 
 GOOD = 8
-KILLS = 8
+KILLS = 5
 
 
 @pytest.fixture

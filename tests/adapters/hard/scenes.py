@@ -246,7 +246,8 @@ def _stiff(way: str) -> None:  # noqa: ARG001 - there is one
 
 def _rests(way: str) -> None:  # noqa: ARG001 - there is one
     still = "{bursts: [[0, 1]], at: [0, 0.005, 0]}"
-    with particles(GRAVITY + FLOOR + FEW_STEPS, still, fps=2, last=60 * 2 + 1) as folder:
+    rest = GRAVITY + FLOOR + FEW_STEPS
+    with particles(rest, still, fps=2, last=60 * 2 + 1) as folder:
         assert folder.bake("--strict").code == 0
         points, speeds = folder.samples()
         assert len(points) == 60 * 2 + 1

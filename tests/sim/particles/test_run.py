@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -54,6 +55,12 @@ def last(setup: Particles, t: float, begin: float = 0.0) -> ParticleFrame:
     return ParticleRun(setup, begin).at(t)
 
 
+@cache
+def fountain() -> ParticleFrame:
+    """Return the fountain after a second."""
+    return last(FOUNTAIN, 1.0)
+
+
 def same(a: ParticleFrame, b: ParticleFrame) -> None:
     for name in ("ids", "points", "velocities", "radii", "ages"):
         assert_array_equal(getattr(a, name), getattr(b, name))
@@ -65,7 +72,7 @@ def test_looking_changes_nothing(times: list[float]) -> None:
     run = ParticleRun(FOUNTAIN)
     for t in sorted(times):
         run.at(t)
-    same(run.at(1.0), last(FOUNTAIN, 1.0))
+    same(run.at(1.0), fountain())
 
 
 def test_frames_of_all_rates_agree_where_they_meet() -> None:
@@ -98,7 +105,7 @@ def test_going_on_from_the_middle_is_the_whole() -> None:
     half = ParticleRun(FOUNTAIN)
     half.at(0.5)
     rest = ParticleRun(FOUNTAIN, 0.0, half.state)
-    same(rest.at(1.0), last(FOUNTAIN, 1.0))
+    same(rest.at(1.0), fountain())
 
 
 def test_ids_are_never_used_again() -> None:
