@@ -29,6 +29,7 @@ def long_take(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 def test_a_bake_killed_at_any_moment(tmp_path: Path) -> None:
     take = tmp_path / "short.bvh"

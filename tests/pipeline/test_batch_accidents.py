@@ -76,6 +76,7 @@ def test_an_item_that_fails_costs_one_item(
     assert {again[name]["reason"] for name in redone} == {"failed last time"}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 def test_a_run_killed_at_any_moment_goes_on(tmp_path: Path) -> None:
     take_files(tmp_path / "takes", 6)

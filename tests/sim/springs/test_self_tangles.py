@@ -32,6 +32,7 @@ def crossings(motion: SpringMotion, system: SpringSystem) -> int:
     return max(pierced(x, system.body.triangles) for x in motion.positions)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TANGLES)
 def test_no_edge_goes_through_a_triangle(name: str) -> None:
     system = TANGLES[name](True)
