@@ -78,4 +78,6 @@ def test_other_roots_are_relative_to_the_first_that_the_skelroot_carries() -> No
     take = small()
     joints = (*take.rig.joints[:2], Joint("prop", -1))
     apart = replace(take, rig=replace(take.rig, joints=joints))
+    apart = resting(apart)
+    assert moving(apart) == ["hips", "arm_l"]
     assert moving(apart, root_motion=True) == ["arm_l", "prop"]
