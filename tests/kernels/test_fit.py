@@ -18,16 +18,39 @@ def motion(frames: int = 60) -> np.ndarray:
     return np.stack([np.sin(9 * t), np.cos(4 * t) * t, 2 * t], axis=1)
 
 
+def slopes(values: np.ndarray, bounds: np.ndarray, anchors: list[int]) -> np.ndarray:
+    """Return the slopes before and after each anchor ``(2, A, W)``, a frame."""
+    at, ins, outs = _kernels.fit_cubics(values, bounds, np.array(anchors))
+    assert_array_equal(at[1:-1], anchors)
+    lengths = np.diff(at)[:, None] / 3
+    return np.stack([-ins[1:-1] / lengths[:-1], outs[1:-1] / lengths[1:]])
+
+
+def test_keys_are_smooth_where_their_bounds_leave_room() -> None:
+    before, after = slopes(motion(), np.full(60, 0.05), [13, 22, 40])
+    assert_allclose(before, after, rtol=1e-9)
+
+
+def test_the_side_with_tighter_bounds_keeps_its_slope() -> None:
+    """A corner between lines of slopes 1 and 2: either side gives way to the other."""
+    values = np.concatenate([np.arange(10.0), 9 + 2 * np.arange(11.0)])[:, None]
+    values = np.delete(values, 10, axis=0).copy()
+    tight, loose = np.full(10, 1e-3), np.full(10, 100.0)
+    left, _ = slopes(values, np.concatenate([tight, loose]), [9])
+    right, _ = slopes(values, np.concatenate([loose, tight]), [9])
+    assert_allclose([left.item(), right.item()], [1, 2], atol=1e-3)
+
+
 # From values of 1e-9 to 1e9, by powers of two: nothing is rounded.
 @pytest.mark.parametrize("power", [-30, 30])
-def test_units_make_no_difference(power: int) -> None:
-    rng = np.random.default_rng(0)
-    values = np.cumsum(np.cumsum(rng.normal(size=(300, 2)), axis=0), axis=0)
-    bounds = rng.uniform(0.5, 5, 300)
-    unit = 2.0**power
-    at, ins, outs = _kernels.fit_cubics(values, bounds, NONE)
-    assert 20 < len(at) < 150
-    scaled = _kernels.fit_cubics(unit * values, unit * bounds, NONE)
+@pytest.mark.parametrize(("bound", "anchors"), [(1e-3, []), (0.05, [13, 22, 40])])
+def test_units_make_no_difference(power: int, bound: float, anchors: list[int]) -> None:
+    unit, own = 2.0**power, np.array(anchors, np.int64)
+    bounds = np.full(60, bound)
+    bounds[15:30] *= 0.3
+    at, ins, outs = _kernels.fit_cubics(motion(), bounds, own)
+    assert len(at) > 3
+    scaled = _kernels.fit_cubics(unit * motion(), unit * bounds, own)
     assert_array_equal(scaled[0], at)
     assert_array_equal(scaled[1], unit * ins)
     assert_array_equal(scaled[2], unit * outs)
