@@ -37,6 +37,9 @@ def main() -> int:
     """Do what the command line asks for; return 1 where too many survive."""
     given = _parser().parse_args()
     given.state.mkdir(parents=True, exist_ok=True)
+    if given.do == "cover" and given.language == "cpp":
+        import_module("mutation.cpp").cover(ROOT, given.state, given.tests, given.jobs)
+        return 0
     if given.do == "cover":
         copy = Copy(ROOT, given.state / "copies/cover")
         record(copy, given.state / "cover", given.tests, given.jobs)

@@ -10,6 +10,7 @@ import importlib.util
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from mutation.copies import Copy, RunError
@@ -23,6 +24,7 @@ FOLDER = Path("animtool/kernels")
 # Names, documentation and declarations.
 LEFT_OUT = {"module.cpp", "kernels.h"}
 SAMPLED = 40
+RECORDINGS = "kernels"
 # Tests that run kernels in other ways than through the commands.
 TESTS = [
     "kernels", "maths", "rig", "ik", "skin", "clip", "edit", "formats", "fuzz", "sim",
@@ -46,26 +48,39 @@ def size(_lines: int) -> int:
     return SAMPLED
 
 
+def cover(root: Path, state: Path, tests: Sequence[str], jobs: int) -> None:
+    """Record which tests run which lines; what was recorded before stays."""
+    copy = Copy(root, state / "copies/cover")
+    library = build(copy, marked=True)
+    install(copy, library)
+    folder = state / RECORDINGS
+    folder.mkdir(parents=True, exist_ok=True)
+    target = folder / f"{len(list(folder.iterdir())):04d}"
+    record(copy, library, target, tests or [f"tests/{name}" for name in TESTS], jobs)
+
+
 class Tests:
-    """Finds the tests that run a line of the kernels, by a recording made at first."""
+    """Finds the tests that run a line of the kernels, by what was recorded."""
 
     def __init__(self, root: Path, state: Path) -> None:
         self.root = root
-        folder = state / "kernels"
+        folder = state / RECORDINGS
         if not folder.exists():
-            copy = Copy(root, state / "copies/cover")
-            library = build(copy, marked=True)
-            install(copy, library)
-            record(copy, library, folder, [f"tests/{name}" for name in TESTS], 2)
-        self.recording = Recording(folder)
-        self.seconds = self.recording.seconds
-        self.unfit = self.recording.failed
+            cover(root, state, [], 2)
+        kept = [path for path in folder.iterdir() if path.suffix != ".partial"]
+        self.recordings = [Recording(path) for path in sorted(kept)]
+        self.seconds: dict[str, float] = {}
+        self.unfit: set[str] = set()
+        for recording in self.recordings:
+            self.seconds |= recording.seconds
+            self.unfit = self.unfit - recording.seconds.keys() | recording.failed
 
     def __call__(self, mutant: Mutant) -> set[str]:
         """Return the tests that run a mutant's line."""
         text = (self.root / mutant.path).read_text("utf-8")
-        name = Path(mutant.path).name
-        return set(self.recording.tests(name, text, mutant.edit.line))
+        name, line = Path(mutant.path).name, mutant.edit.line
+        found = [one.tests(name, text, line) for one in self.recordings]
+        return set().union(*found)
 
 
 def plant(copy: Copy, mutant: Mutant, text: str) -> str:

@@ -38,7 +38,7 @@ def record(
         tests: Files and folders; all of them without any.
         jobs: How many processes run tests.
     """
-    parts = folder.with_name("kernel_hits")
+    parts = folder.parent.with_name("kernel_hits")
     shutil.rmtree(parts, ignore_errors=True)
     parts.mkdir(parents=True)
     command = [copy.python, "-P", "-m", "pytest", "-q", "-p", "mutation.cpp_plugin"]
