@@ -267,6 +267,7 @@ def begin(
         f"system: {platform.system()} {platform.machine()}",
         f"date: {datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
         f"commit: {_commit()}",
+        *(["ANIMTOOL_PORTABLE is set"] if "ANIMTOOL_PORTABLE" in os.environ else []),
         *(_versions(python, names) for python, names in interpreters),
         *notes,
     ]
