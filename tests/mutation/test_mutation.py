@@ -8,7 +8,16 @@ import pytest
 
 from mutation import python, syntax
 from mutation.engine import stages
-from mutation.mutants import Edit, Mutant, Result, Results, draw, mutants_of, tallies
+from mutation.mutants import (
+    Edit,
+    Mutant,
+    Result,
+    Results,
+    draw,
+    mutants_of,
+    read_equivalents,
+    tallies,
+)
 
 
 def after(source: str) -> set[str]:
@@ -150,3 +159,12 @@ def test_the_table_counts_equivalents_apart(tmp_path: Path) -> None:
     assert (row.mutants, row.killed, row.survived, row.equivalent) == (5, 2, 2, 1)
     assert (row.rate, row.rate_apart) == (0.4, 0.5)
     assert found["maths"] == row
+
+
+def test_equivalents_name_a_line_and_a_reason() -> None:
+    file = Path(__file__).with_name("equivalent.jsonl")
+    for (path, before, after, occurrence), reason in read_equivalents(file).items():
+        assert Path(path).parts[0] == "animtool"
+        assert before != after
+        assert occurrence >= 0
+        assert reason
