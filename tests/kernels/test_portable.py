@@ -16,20 +16,22 @@ from animtool import _kernels
 from animtool.sim.colliders import Capsule, Collider, Colliders
 
 HELD = np.array([0, 7])
+PARTICLES = 111
 NOBODY = np.zeros((0, 3), np.int64)
 
 
 def network(rng: np.random.Generator) -> tuple[Any, int]:
-    """Return a chain of 71 particles in bands of springs, two held, some twice."""
+    """Return a chain in bands of springs, two held, some twice, and springs alone."""
     count = 71
     ends = [np.arange(count - k)[:, None] + [0, k] for k in (1, 2, 9)]
-    ends = np.concatenate([*ends, ends[0][:3], [[0, 50], [20, 64]]])
-    ends = np.ascontiguousarray(ends[_kernels.spring_order(ends, count)])
+    alone = np.arange(count, PARTICLES).reshape(-1, 2)
+    ends = np.concatenate([*ends, ends[0][:3], [[0, 50], [20, 64]], alone])
+    ends = np.ascontiguousarray(ends[_kernels.spring_order(ends, PARTICLES)])
     numbers = rng.uniform(0.5, 2, (len(ends), 4)) * [1, 90, 1, np.inf]
-    weights = rng.uniform(0.5, 2, count)
+    weights = rng.uniform(0.5, 2, PARTICLES)
     weights[HELD] = 0
     return _kernels.SpringNetwork(
-        weights, rng.uniform(0, 1, count), ends, numbers, NOBODY,
+        weights, rng.uniform(0, 1, PARTICLES), ends, numbers, NOBODY,
         np.array([0.1, -0.2, -9.81, 0, 0]), np.zeros(1), HELD,
         rng.normal(size=(1, 2, 3)), np.zeros(0, np.int64), np.zeros((0, 2)),
         np.zeros((1, 0, 3)), np.zeros((1, 1, 3)),
@@ -38,8 +40,9 @@ def network(rng: np.random.Generator) -> tuple[Any, int]:
 
 def springs(rng: np.random.Generator) -> list[np.ndarray]:
     made, count = network(rng)
-    state = rng.normal(size=(2, 71, 3))
-    state[0, 33] = state[0, 34]
+    state = rng.normal(size=(2, PARTICLES, 3))
+    state[0, [33, 79]] = state[0, [34, 80]]
+    state[1, [79, 80]] = 0
     torn = np.zeros(count, np.uint8)
     rates = _kernels.spring_accelerations(made, 0.0, 1e-3, state, torn)
     # A spring that is gone leaves its band, and what is left of it goes one by one.
