@@ -169,6 +169,31 @@ def test_quiet_keeps_errors_only(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().err == "E1 e\n"
 
 
+def test_the_usual_console_keeps_details_to_itself(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    Console().detail("timings")
+    Console().say("summary")
+    Console(verbosity=1).detail("seconds")
+    assert capsys.readouterr().err == "summary\nseconds\n"
+
+
+def test_progress_shows_unless_a_result_goes_to_the_same_terminal(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def shown(**options: bool) -> bool:
+        with Console().progress("bake", **options) as progress:
+            return progress is not None
+
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
+    assert (shown(), shown(stdout=True)) == (True, False)
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: False, raising=False)
+    assert shown(stdout=True)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: False, raising=False)
+    assert not shown()
+
+
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion(shell: str) -> None:
     done = animtool("completion", shell)

@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 from animtool.ik.methods import IkMethod
-from animtool.preview.tables import ik_panels
+from animtool.preview.tables import ik_panels, simulation_panels
+from animtool.preview.work_precision import Curve, Panel, Point
 from animtool.scene.ik_table import IkTable, IkTableRow
+from animtool.scene.simulation_table import SimulationTable
+from animtool.sim.trials.distances import Distances
+from animtool.sim.trials.measuring import Reference, TrialRow, TrialTable
+from animtool.sim.trials.trial import Setting
 
 
 def row(
@@ -38,3 +46,32 @@ def test_angles_have_a_panel_where_any_is_missed() -> None:
     _, angles = ik_panels(table(0.5), "reach")
     assert angles.error.endswith("[rad]")
     assert {p.error for curve in angles.curves for p in curve.points} == {0.5}
+
+
+def simulated(reference: Reference | None) -> Panel:
+    rows = [
+        TrialRow(Setting(name, ()), seconds, error=error and Distances(9.0, error, 8.0))
+        for name, seconds, error in (
+            ("rk4", 0.1, 1e-3), ("euler", 0.2, 1e-1), ("rk4", 0.3, 1e-5), ("x", 9, None)
+        )
+    ]  # fmt: skip
+    rows[2] = replace(rows[2], best=True, chosen=True)
+    part = TrialTable("rope", "springs", 1.0, 3, 4, 1.0, reference, rows)
+    (panel,) = simulation_panels(SimulationTable(Path("a.scene.yaml"), [part]))
+    return panel
+
+
+def test_a_simulation_has_a_curve_for_each_method() -> None:
+    panel = simulated(None)
+    assert (panel.title, panel.floor, panel.remark) == ("rope, springs", 0.0, "")
+    assert panel.curves == (
+        Curve("rk4", (Point(0.1, 1e-3), Point(0.3, 1e-5, chosen=True, best=True))),
+        Curve("euler", (Point(0.2, 1e-1),)),
+    )
+
+
+def test_the_reference_is_the_floor_and_a_sensitive_motion_is_remarked() -> None:
+    finest = Setting("rk4", ()), Distances(1.0, 1e-7, 2.0), 4.0
+    calm = simulated(Reference(*finest, sensitive=False))
+    assert (calm.floor, calm.remark) == (1e-7, "")
+    assert "sensitive" in simulated(Reference(*finest, sensitive=True)).remark

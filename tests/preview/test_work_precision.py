@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from animtool.errors import OptionError, OutputError
 from animtool.preview.work_precision import (
+    MARKERS,
     SUFFIXES,
     Curve,
     Panel,
@@ -52,6 +54,60 @@ def test_a_vector_picture_has_its_words(tmp_path: Path) -> None:
     for word in ("comets, particles", "euler", "rk4", "the file's own", "all is well"):
         assert word in text.replace("&#x27;", "'")
     assert "lost" not in text
+
+
+def drawn(panel: Panel, path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Draw a panel; return what matplotlib was given of it."""
+    mpl = pytest.importorskip("matplotlib.figure", reason="no matplotlib")
+    made = []
+    save = mpl.Figure.savefig
+
+    def kept(figure: Any, *args: Any, **options: Any) -> None:
+        save(figure, *args, **options)
+        made.append(figure)
+
+    monkeypatch.setattr(mpl.Figure, "savefig", kept)
+    draw_panels([panel], path)
+    (frame,) = made[0].axes
+    return frame
+
+
+def test_settings_without_an_error_or_with_none_at_all_have_no_point(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    points = (
+        Point(0.1, 0.0), Point(0.2, math.inf), Point(0.3, math.nan),
+        Point(0.4, 1e-3, best=True), Point(0.5, 2e-3, chosen=True), Point(0.6, -1.0),
+    )  # fmt: skip
+    panel = Panel("one", "error [m]", (Curve("a", points),), floor=1e-5, time="time")
+    frame = drawn(panel, tmp_path / "a.png", monkeypatch)
+    curve, best, ring, floor = frame.lines
+    assert [line.get_xydata().tolist() for line in (curve, best, ring)] == [
+        [[0.4, 1e-3], [0.5, 2e-3]],
+        [[0.4, 1e-3]],
+        [[0.5, 2e-3]],
+    ]
+    assert set(floor.get_ydata()) == {1e-5}
+    assert (best.get_color(), best.get_marker()) == (curve.get_color(), "o")
+    assert best.get_markeredgecolor() == "black"
+    assert ring.get_fillstyle() == "none"
+    assert (frame.get_xlabel(), frame.get_ylabel()) == ("time", "error [m]")
+    assert (frame.get_xscale(), frame.get_yscale()) == ("log", "log")
+
+
+def test_curves_have_markers_in_turn_and_the_legend_is_right_of_the_frame(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = [f"method {i}" for i in range(len(MARKERS) + 2)]
+    curves = tuple(Curve(name, (Point(0.1, 0.1),)) for name in names)
+    frame = drawn(Panel("many", "error [m]", curves), tmp_path / "a.png", monkeypatch)
+    found = [line.get_marker() for line in frame.lines[::2]]
+    assert found == [*MARKERS, *MARKERS[:2]]
+    # Nothing is chosen, so that there is no ring.
+    assert len(frame.lines) == 2 * len(names)
+    legend, inside = frame.get_legend().get_window_extent(), frame.get_window_extent()
+    assert legend.x0 >= inside.x1
+    assert legend.y0 < (inside.y0 + inside.y1) / 2 < legend.y1
 
 
 def test_nothing_that_works_makes_an_empty_frame(tmp_path: Path) -> None:

@@ -12,7 +12,12 @@ from support.bvh import SPINE, random_rows, small_bvh
 from animtool.errors import OptionError
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
-from animtool.report.compare import compare, compare_takes
+from animtool.report.compare import (
+    SCALE_TOLERANCE,
+    TakeDifference,
+    compare,
+    compare_takes,
+)
 from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import SourceOptions
@@ -141,3 +146,21 @@ def test_other_units_and_up_axis_are_the_same_take(path: Path, tmp_path: Path) -
     assert found.within(1e-6, 1e-4)
     in_metres = compare(path, tmp_path / "o.usdc", SourceOptions(unit=LengthUnit.M))
     assert in_metres.world.value > 1.0
+
+
+def test_what_is_as_far_as_a_tolerance_is_within_it(take: Take) -> None:
+    same = compare_takes(take, take)
+    assert same.within(0.0, 0.0, 0.0)
+
+    def apart(**values: float) -> TakeDifference:
+        return replace(
+            same, **{name: replace(getattr(same, name), value=value)
+                     for name, value in values.items()},
+        )  # fmt: skip
+
+    limits = {"world": 0.5, "translation": 0.5, "rotation": 2.0, "weight": 0.25}
+    assert apart(**limits, scale=SCALE_TOLERANCE).within(0.5, 2.0, 0.25)
+    for name, limit in {**limits, "scale": SCALE_TOLERANCE}.items():
+        beyond = apart(**{name: float(np.nextafter(limit, 1e3))})
+        assert not beyond.within(0.5, 2.0, 0.25)
+    assert not replace(same, mismatches=["a joint"]).within(1.0, 1.0)

@@ -5,10 +5,13 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
 from pxr import Usd
 from support.bvh import random_rows, small_bvh
 from support.cli import animtool
 
+from animtool.cli.info_summary import points_text
+from animtool.inputs import recorded_inputs
 from animtool.report.describe_points import describe_points
 
 SCENE = """\
@@ -123,6 +126,20 @@ def test_of_a_still_mesh_that_there_is_nothing_else(tmp_path: Path) -> None:
     assert (found.frames, found.units, found.up) == (0, "cm", "Z")
     text = animtool("info", path).stdout
     assert "  mesh      /Rock: 3 points, 1 face, never move\n" in text
+
+
+@pytest.mark.parametrize("count", [20, 21])
+def test_many_prims_are_counted_beyond_the_first(tmp_path: Path, count: int) -> None:
+    path = tmp_path / "many.usda"
+    mesh = "{\npoint3f[] points = [(0, 0, 0)]\n}\n"
+    prims = "".join(f'def Mesh "m{i}" {mesh}' for i in range(count))
+    path.write_text("#usda 1.0\n" + prims)
+    with recorded_inputs() as inputs:
+        found = describe_points(path)
+    assert path in inputs.states
+    assert found is not None
+    more = [line for line in points_text(found) if line.startswith("  and ")]
+    assert more == ["  and       1 more"] * (count - 20)
 
 
 def test_a_stage_of_neither_is_refused_as_before(tmp_path: Path) -> None:

@@ -168,6 +168,7 @@ def test_what_stages_cost(workplace: Path) -> None:
     assert source["error"] is None
     assert 0 < ik["error"] < 1e-3
     assert 0 < output["error"] < 1e-5
+    assert output["output"] == str(workplace / "o.usdc")
     for stage in (source, ik):
         assert (stage["peak_bytes"] is None) == (sys.platform == "win32")
         assert stage["seconds"] > 0
