@@ -12,7 +12,7 @@ MEASURED = [
     ("  3.7 MB written in 17.5 s", "  3.7 MB written in 950 ms"),
     (
         "2 kB written in 20 ms, 1.84 MB/s of source",
-        "2 kB written in 1 s, 2 MB/s of source",
+        "2 kB written in 1 s, 98.6 kB/s of source",
     ),
     ("  body: 2 MB, 804 µs a frame, 0.084 µm", "  body: 2 MB, 1.1 s a frame, 0.084 µm"),
     ("[3/12] done wave3.usdc (new) 0.03 s", "[3/12] done wave3.usdc (new) 1.10 s"),

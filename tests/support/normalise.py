@@ -21,7 +21,7 @@ _KEYS = "|".join(
     )
 )
 _MEASURED = [
-    (rf"(?m)( written in ){_DURATION}(?:, {_NUMBER} MB/s of source)?$", r"\1#"),
+    (rf"(?m)( written in ){_DURATION}(?:, {_NUMBER} [kMG]?B/s of source)?$", r"\1#"),
     (rf"(?m), {_DURATION} a frame(?=,|$)", ", # a frame"),
     (rf"(?m)^(\[\d+/\d+\] .*\)) {_NUMBER} s$", r"\1 #"),
     (rf"(?m)^(\d+ items?: .* in ){_NUMBER} s$", r"\1#"),
