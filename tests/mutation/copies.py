@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 import sysconfig
+import tempfile
 import time
 import venv
 from collections.abc import Mapping, Sequence
@@ -69,6 +70,7 @@ class Copy:
         self.source = source
         self.root = folder / "tree"
         self.scratch = folder / "scratch"
+        self._texts: dict[str, str] = {}
         self.python = self.root / ".venv/bin/python"
         self._planted = 0
         self._copy_files()
@@ -121,6 +123,12 @@ class Copy:
                 if b"python" in head and head.startswith(b"#!"):
                     copy.write_bytes(f"#!{self.python}\n".encode() + rest)
 
+    def text(self, path: str) -> str:
+        """Return a file as it was when it was copied: the checkout may have changed."""
+        if path not in self._texts:
+            self._texts[path] = (self.root / path).read_text("utf-8")
+        return self._texts[path]
+
     def plant(self, path: str, text: str) -> None:
         """Write a file of the copy; no bytecode of an older text fits it."""
         file = self.root / path
@@ -133,8 +141,8 @@ class Copy:
             compiled.unlink()
 
     def restore(self, path: str) -> None:
-        """Write a file as the checkout has it."""
-        self.plant(path, (self.source / path).read_text("utf-8"))
+        """Write a file as it was copied."""
+        self.plant(path, self.text(path))
 
     def run(self, tests: Sequence[str], seconds: Mapping[str, float]) -> Run:
         """Run tests in their order until one fails or hangs.
@@ -147,21 +155,24 @@ class Copy:
         files = [name for name in files if (self.root / name).exists()]
         if not files:
             return Run(False, "", False, False, 0)
+        # What outlives a run may still write there: each has a folder of its own.
         shutil.rmtree(self.scratch, ignore_errors=True)
-        (self.scratch / "tmp").mkdir(parents=True)
-        chosen, progress = self.scratch / "tests.json", self.scratch / "progress"
+        self.scratch.mkdir(exist_ok=True)
+        folder = Path(tempfile.mkdtemp(dir=self.scratch))
+        (folder / "tmp").mkdir()
+        chosen, progress = folder / "tests.json", folder / "progress"
         chosen.write_text(json.dumps(list(tests)))
-        progress.touch()
+        progress.write_text("")
         environment = os.environ | {
             "MUTATION_TESTS": str(chosen),
             "MUTATION_PROGRESS": str(progress),
-            "TMPDIR": str(self.scratch / "tmp"),
-            "HYPOTHESIS_STORAGE_DIRECTORY": str(self.scratch / "hypothesis"),
+            "TMPDIR": str(folder / "tmp"),
+            "HYPOTHESIS_STORAGE_DIRECTORY": str(folder / "hypothesis"),
         }
         command = [self.python, "-P", "-m", "pytest", "-x", "-q", "-n0", "--tb=line"]
         command += ["-p", "mutation_plugin", "-p", "no:cacheprovider"]
         command += ["--hypothesis-seed=0", *files]
-        with (self.scratch / "log").open("wb") as log:
+        with (folder / "log").open("wb") as log:
             process = subprocess.Popen(
                 command,
                 cwd=self.root,
@@ -178,12 +189,12 @@ class Copy:
         begun = _begun(progress)
         last = begun[-1] if begun else ""
         if process.returncode == BAD_USAGE:
-            said = (self.scratch / "log").read_text("utf-8", "replace")
+            said = (folder / "log").read_text("utf-8", "replace")
             # Of a bug that breaks the imports of conftest.py pytest says so.
             if "while loading conftest" not in said:
                 raise RunError(said)
         failed = process.returncode not in (PASSED, NO_TESTS)
-        shutil.rmtree(self.scratch / "tmp", ignore_errors=True)
+        shutil.rmtree(folder / "tmp", ignore_errors=True)
         crashed = process.returncode < 0 and not hung
         return Run(failed, last, hung, crashed, len(begun))
 

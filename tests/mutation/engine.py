@@ -29,7 +29,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Protocol
 
-from mutation.copies import Copy, judge
+from mutation.copies import Copy, RunError, judge
 from mutation.mutants import Mutant, Result, Results, draw, mutants_of
 
 # Tests of one mutant may take this long together, by what they took without it.
@@ -131,7 +131,9 @@ def run(
             return mutant, Result("uncovered", tests=left, left=left)
         copy = free.get()
         try:
-            text = (copy.source / mutant.path).read_text("utf-8")
+            text = copy.text(mutant.path)
+            if text.split("\n")[mutant.edit.line - 1].strip() != mutant.before:
+                raise RunError(f"{mutant.path} changed while it was copied")
             fault = language.plant(copy, mutant, mutant.edit.apply(text))
             if fault:
                 return mutant, Result("invalid", fault)
