@@ -10,7 +10,9 @@ from collections.abc import Iterable, Sequence
 from importlib import import_module
 from pathlib import Path
 
-from mutation.copies import Copy
+from filelock import FileLock
+
+from mutation.copies import BEFORE_TESTS, Copy
 from mutation.cover import record
 from mutation.engine import BUDGET_SECONDS, run, sample
 from mutation.mutants import (
@@ -37,6 +39,10 @@ def main() -> int:
     """Do what the command line asks for; return 1 where too many survive."""
     given = _parser().parse_args()
     given.state.mkdir(parents=True, exist_ok=True)
+    # Two at once would plant in each other's copies.
+    lock = FileLock(given.state / "lock", timeout=0)
+    if given.do in {"cover", "run", "confirm"}:
+        lock.acquire()
     if given.do == "cover" and given.language == "cpp":
         import_module("mutation.cpp").cover(ROOT, given.state, given.tests, given.jobs)
         return 0
@@ -124,7 +130,8 @@ def _confirm(
     copy = Copy(ROOT, given.state / "copies/0")
     mutants = [mutant for some in drawn.values() for mutant in some]
     verdicts = [result for mutant in mutants if (result := results.get(mutant))]
-    killers = {row.test for row in verdicts if row.outcome in KILLED} - {"collection"}
+    killers = {row.test for row in verdicts if row.outcome in KILLED}
+    killers = {name for name in killers if not name.startswith(BEFORE_TESTS)}
     unfit = read_unfit(given.state)
     left = sorted(killers - unfit)
     while (done := copy.run(left, {})).failed or done.hung:

@@ -27,10 +27,10 @@ HERE = Path(__file__).parent
 # A test that takes longer than this many times what it took, and these seconds, hangs.
 LIMIT_FACTOR, LIMIT_SECONDS = 20, 60
 POLL_SECONDS = 0.2
-# When the first mutant of a copy was written, as far as bytecode goes.
-FIRST_SECOND = 1_000_000_000
 # pytest's exit codes.
 PASSED, NO_TESTS, BAD_USAGE = 0, 5, 4
+# What is told in place of a test where none began.
+BEFORE_TESTS = "collection"
 INSTALLED = ("animtool", "mypy", "openjd", "pre-commit", "pytest", "ruff")
 
 
@@ -44,7 +44,7 @@ class Run:
 
     Attributes:
         failed: Whether a test failed, or the process did.
-        test: The last test that began.
+        test: The last test that began; without any, the error that kept it from that.
         hung: Whether that was stopped for its time.
         crashed: Whether a signal ended the process, as of memory that is not its own.
         ran: How many tests began.
@@ -72,7 +72,7 @@ class Copy:
         self.scratch = folder / "scratch"
         self._texts: dict[str, str] = {}
         self.python = self.root / ".venv/bin/python"
-        self._planted = 0
+        self._second = 0
         self._copy_files()
         if not self.python.exists():
             self._make_environment()
@@ -134,8 +134,9 @@ class Copy:
         file = self.root / path
         file.unlink()
         file.write_text(text, "utf-8")
-        self._planted += 1
-        second = FIRST_SECOND + self._planted
+        # Later than of any text before, in this run and in older ones.
+        self._second = max(self._second + 1, int(file.stat().st_mtime))
+        second = self._second
         os.utime(file, (second, second))
         for compiled in file.parent.glob(f"__pycache__/{file.stem}.*"):
             compiled.unlink()
@@ -196,6 +197,10 @@ class Copy:
         failed = process.returncode not in (PASSED, NO_TESTS)
         shutil.rmtree(folder / "tmp", ignore_errors=True)
         crashed = process.returncode < 0 and not hung
+        if failed and not begun:
+            lines = (folder / "log").read_text("utf-8", "replace").split("\n")
+            errors = [line for line in lines if line.startswith(("E ", "ERROR"))]
+            last = f"{BEFORE_TESTS}: {' '.join(errors[-1:])[:200]}"
         return Run(failed, last, hung, crashed, len(begun))
 
     @staticmethod
@@ -245,6 +250,6 @@ def judge(
         if run.failed or run.hung:
             outcome = "crashed" if run.crashed else "killed"
             outcome = "timed out" if run.hung else outcome
-            return Result(outcome, run.test or "collection", count, ran, left, took)
+            return Result(outcome, run.test, count, ran, left, took)
     took = round(time.monotonic() - begun, 1)
     return Result("survived" if count else "uncovered", "", count, ran, left, took)

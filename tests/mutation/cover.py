@@ -184,7 +184,7 @@ class Cover:
             node
             for node in ast.walk(tree)
             if isinstance(node, ast.stmt)
-            and node.lineno <= line <= (node.end_lineno or 0)
+            and _first_line(node) <= line <= (node.end_lineno or 0)
         ]
         functions = [node for node in around if isinstance(node, Function)]
         if any(node.body[0].lineno <= line for node in functions):
@@ -207,6 +207,12 @@ class Cover:
             if pattern.search(text):
                 found |= self.ran(path, _using_lines(text, pattern))
         return found
+
+
+def _first_line(node: ast.stmt) -> int:
+    """Return where a statement begins, with its decorators."""
+    decorators: list[ast.expr] = getattr(node, "decorator_list", [])
+    return min(one.lineno for one in (node, *decorators))
 
 
 def _body_lines(nodes: Iterable[ast.AST]) -> list[int]:
