@@ -206,6 +206,29 @@ def test_whole_turns_of_a_leader_are_those_that_its_follower_shows(
     assert {*targets} == {"control/crank"}
 
 
+SLID = """rig: animtool/1
+name: slid
+joints:
+- {name: a, type: pin, axis: [0, 0, 1]}
+- {name: b, type: prismatic, axis: [1, 0, 0], parent: a, mimic: {joint: a, gain: 0.1}}
+"""
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_whole_turns_of_a_leader_are_those_that_a_slide_shows(
+    sign: int, tmp_path: Path
+) -> None:
+    path = tmp_path / "slid.rig.yaml"
+    path.write_text(SLID)
+    rig = Rig.load(path)
+    angles = sign * np.radians(np.linspace(400.0, 640.0, FRAMES))[:, None]
+    take = take_of(rig, {"joint/a.angle": angles}, controls=False)
+    made, targets = check(take, tmp_path)
+    assert {*targets} == {"joint/a.angle"}
+    (channel,) = made.clip.channels
+    assert_allclose(np.ravel(channel.values)[[0, -1]], angles[[0, -1], 0])
+
+
 def test_keys_are_few_within_a_tolerance() -> None:
     rig = rig_named("biped")
     take = take_of(rig, all_controls(rig), controls=True)

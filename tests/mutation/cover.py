@@ -12,6 +12,7 @@ import os
 import re
 import shutil
 import subprocess
+from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from difflib import SequenceMatcher
 from functools import cached_property
@@ -132,7 +133,13 @@ class Recording:
         if old == text:
             return list(wanted)
         places = earlier_lines(old, text)
-        return [places[line] for line in wanted if line in places]
+        # A line that is new is run by what runs the one above it.
+        known = sorted(places)
+        return [
+            places[known[at - 1]]
+            for line in wanted
+            if (at := bisect_right(known, line)) > 0
+        ]
 
 
 def earlier_lines(old: str, text: str) -> dict[int, int]:

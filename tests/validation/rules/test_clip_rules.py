@@ -6,7 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from animtool.documents.document import read_document
+from animtool.errors import Severity
 from animtool.validation.run import validate
+from animtool.validation.subjects.clip import open_clip_document
 
 RIG = """\
 rig: animtool/1
@@ -101,6 +104,20 @@ def test_a_clip(name: str, clip: Path) -> None:
     text, wanted = CASES[name]
     clip.write_text(HEAD + text, "utf-8")
     assert sorted(fault.code for fault in validate(clip)) == wanted
+
+
+def test_overshoot_after_what_has_no_limits(clip: Path) -> None:
+    overshooting = CASES["a ball that swings out of its cone between keys"][0]
+    free = "{target: joint/hips.translation, keys: [{t: 1, v: [0, 0, 0]}]}, "
+    clip.write_text(HEAD + overshooting.replace("[{target", "[" + free + "{target", 1))
+    (fault,) = [fault for fault in validate(clip) if fault.code == "CLIP205"]
+    assert fault.where == "channels[1].keys[1]"
+
+
+def test_a_clip_without_a_rig_is_noted(clip: Path) -> None:
+    clip.write_text("clip: animtool/1\nfps: 24\nrange: [1, 9]\nchannels: []\n", "utf-8")
+    (fault,) = open_clip_document(read_document(clip)).faults
+    assert (fault.code, fault.severity) == ("VAL007", Severity.NOTE)
 
 
 def test_overshoot_names_its_key_and_frames(clip: Path) -> None:

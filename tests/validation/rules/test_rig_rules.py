@@ -81,6 +81,13 @@ CASES: dict[str, tuple[str, list[str]]] = {
         LEG.replace("KNEE", "type: ball").replace("[0, 0, 1]", "[0, 1, 0]"),
         ["RIG215"],
     ),
+    # Its root is turned, so that the chain points along Z of what it hangs on.
+    "a pole along a chain that is turned": (
+        LEG.replace("KNEE", "type: ball").replace(
+            "{name: thigh,", "{name: thigh, rotate: [0.5, 0.5, 0, 0],"
+        ),
+        ["RIG215"],
+    ),
     "a chain of two joints": (
         "- {name: eye, type: ball}\n"
         "- {name: look, parent: eye, type: fixed, translate: [0, 0, 1]}\n"
