@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.takes import assert_same_motion, motion_of, rigs, takes
@@ -18,6 +20,7 @@ from animtool.edit.resample import resampled
 from animtool.edit.time_scale import time_scale
 from animtool.edit.time_warp import time_warp
 from animtool.edit.trim import trim
+from animtool.formats.bvh import read_bvh
 from animtool.keyed import Interpolation
 from animtool.maths import so3
 from animtool.rig.skeleton import Joint, Rig
@@ -180,6 +183,16 @@ def test_trimmed_frames_are_the_sources(take: Take, data: st.DataObject) -> None
     )
     kept = take.motion.select(slice(low, high + 1))
     assert_same_motion(found, Take(take.rig, clock, kept))
+
+
+@pytest.mark.parametrize(("off", "left_out"), [(9e-7, 0), (2e-6, 1)])
+def test_a_time_code_of_a_few_digits_means_its_frame(
+    walk: Path, off: float, left_out: int
+) -> None:
+    take = read_bvh(walk).collect()
+    first, last = take.clock.times[[0, -1]].tolist()
+    for found in (trim(take, first=first + off), trim(take, last=last - off)):
+        assert found.clock.count == take.clock.count - left_out
 
 
 @given(takes(), st.sampled_from([0.5, 0.25, 0.2, 0.1, -1.0, -0.5, 1.0]))

@@ -187,3 +187,10 @@ def test_yaw_is_measured_from_hips_that_rest_turned() -> None:
     back = recompose_root(found)
     assert back.rig == rig
     assert_same_motion(back, take, WITHIN)
+
+
+def test_what_does_not_turn_is_stored_once(walk: Path) -> None:
+    found = extract_root(read_bvh(walk).collect(), axes="xz", yaw=False)
+    root = found.rig.index("root")
+    assert root in found.motion.translations.animated
+    assert root not in found.motion.rotations.animated
