@@ -38,8 +38,9 @@ def surface(mesh: UsdGeom.Mesh, frame: int, colour: tuple[float, ...]) -> Surfac
     return Surface(points, triangulated(faces), np.tile(colour, (len(points), 1)))
 
 
-def views(stage: Usd.Stage, props: Usd.Stage) -> list[Array]:
+def views(stage: Usd.Stage) -> list[Array]:
     """Return pictures of the frames."""
+    props = Usd.Stage.Open(str(HERE / "vase.usda"))
     cloth = UsdGeom.Mesh(stage.GetPrimAtPath("/drape/cloth"))
     vase = UsdGeom.Mesh(props.GetPrimAtPath("/vase/body"))
     still = [surface(vase, 1, GLAZE), floor((0, 0, 0), 0.6, GROUND)]
@@ -48,14 +49,18 @@ def views(stage: Usd.Stage, props: Usd.Stage) -> list[Array]:
     ]
 
 
-def main(out: Path) -> None:
-    """Write the picture."""
-    with TemporaryDirectory() as folder:
-        made = Path(folder) / "drape.usdc"
-        bake(HERE / "drape.scene.yaml", made)
-        props = Usd.Stage.Open(str(HERE / "vase.usda"))
-        row = views(Usd.Stage.Open(str(made)), props)
+def draw(baked: Path, out: Path) -> None:
+    """Write the picture of a bake."""
+    row = views(Usd.Stage.Open(str(baked)))
     save(image_grid([row], [f"frame {frame}" for frame in FRAMES]), out)
+
+
+def main(out: Path) -> None:
+    """Bake the scene and write its picture."""
+    with TemporaryDirectory() as folder:
+        baked = Path(folder) / "drape.usdc"
+        bake(HERE / "drape.scene.yaml", baked)
+        draw(baked, out)
 
 
 if __name__ == "__main__":

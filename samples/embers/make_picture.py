@@ -71,17 +71,14 @@ def draw_embers(axis: Any, stage: Usd.Stage) -> Any:
     )
 
 
-def main(out: Path) -> None:
-    """Write the picture."""
+def draw(baked: Path, out: Path) -> None:
+    """Write the picture of a bake."""
     import matplotlib as mpl
 
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    with TemporaryDirectory() as folder:
-        made = Path(folder) / "embers.usdc"
-        bake(HERE / "embers.scene.yaml", made)
-        stage = Usd.Stage.Open(str(made))
+    stage = Usd.Stage.Open(str(baked))
     figure, axis = plt.subplots(figsize=(9, 5.6), dpi=96, layout="constrained")
     figure.set_facecolor(NIGHT)
     axis.set_facecolor(NIGHT)
@@ -97,6 +94,14 @@ def main(out: Path) -> None:
     bar.ax.tick_params(colors=WORDS)
     bar.outline.set_visible(False)
     save(figure, out)
+
+
+def main(out: Path) -> None:
+    """Bake the scene and write its picture."""
+    with TemporaryDirectory() as folder:
+        baked = Path(folder) / "embers.usdc"
+        bake(HERE / "embers.scene.yaml", baked)
+        draw(baked, out)
 
 
 if __name__ == "__main__":

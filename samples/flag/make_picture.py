@@ -57,13 +57,18 @@ def views(stage: Usd.Stage) -> list[Array]:
     ]
 
 
-def main(out: Path) -> None:
-    """Write the picture."""
-    with TemporaryDirectory() as folder:
-        made = Path(folder) / "flag.usdc"
-        bake(HERE / "flag.scene.yaml", made)
-        row = views(Usd.Stage.Open(str(made)))
+def draw(baked: Path, out: Path) -> None:
+    """Write the picture of a bake."""
+    row = views(Usd.Stage.Open(str(baked)))
     save(image_grid([row], [f"frame {frame}" for frame in FRAMES]), out)
+
+
+def main(out: Path) -> None:
+    """Bake the scene and write its picture."""
+    with TemporaryDirectory() as folder:
+        baked = Path(folder) / "flag.usdc"
+        bake(HERE / "flag.scene.yaml", baked)
+        draw(baked, out)
 
 
 if __name__ == "__main__":

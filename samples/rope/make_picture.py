@@ -65,23 +65,20 @@ def draw_rope(axis: Any, points: Array, frame: int, *, named: bool) -> None:
         axis.annotate(str(frame), (x, y - 0.13), ha="center", va="top", fontsize=9)
 
 
-def main(out: Path) -> None:
-    """Write the picture."""
+def draw(baked: Path, out: Path) -> None:
+    """Write the picture of a bake."""
     import matplotlib as mpl
 
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    with TemporaryDirectory() as folder:
-        made = Path(folder) / "rope.usdc"
-        bake(HERE / "rope.scene.yaml", made)
-        stage = Usd.Stage.Open(str(made))
-        curves = UsdGeom.BasisCurves(stage.GetPrimAtPath("/rope/rope"))
-        points = {
-            frame: np.array(curves.GetPointsAttr().Get(frame), np.float64)
-            for _, frames, _ in SWINGS
-            for frame in frames
-        }
+    stage = Usd.Stage.Open(str(baked))
+    curves = UsdGeom.BasisCurves(stage.GetPrimAtPath("/rope/rope"))
+    points = {
+        frame: np.array(curves.GetPointsAttr().Get(frame), np.float64)
+        for _, frames, _ in SWINGS
+        for frame in frames
+    }
     crane = Usd.Stage.Open(str(HERE / "crane.usda"))
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.9), dpi=96, layout="constrained")
     for axis, (title, frames, named) in zip(axes, SWINGS, strict=True):
@@ -92,6 +89,14 @@ def main(out: Path) -> None:
         axis.set(xticks=[], yticks=[], facecolor="#dbe0e5")
         axis.spines[:].set_visible(False)
     save(figure, out)
+
+
+def main(out: Path) -> None:
+    """Bake the scene and write its picture."""
+    with TemporaryDirectory() as folder:
+        baked = Path(folder) / "rope.usdc"
+        bake(HERE / "rope.scene.yaml", baked)
+        draw(baked, out)
 
 
 if __name__ == "__main__":

@@ -87,14 +87,18 @@ def views(stage: Usd.Stage) -> list[list[Array]]:
     return rows
 
 
+def draw(baked: Path, out: Path) -> None:
+    """Write the picture of a bake."""
+    rows = views(Usd.Stage.Open(str(baked)))
+    save(image_grid(rows, list(FAMILIES.values()), ROWS), out)
+
+
 def main(out: Path) -> None:
-    """Write the picture."""
+    """Bake the scene and write its picture."""
     with TemporaryDirectory() as folder:
-        made = Path(folder) / "sheets.usdc"
-        bake(HERE / "sheets.scene.yaml", made)
-        rows = views(Usd.Stage.Open(str(made)))
-    figure = image_grid(rows, list(FAMILIES.values()), ROWS)
-    save(figure, out)
+        baked = Path(folder) / "sheets.usdc"
+        bake(HERE / "sheets.scene.yaml", baked)
+        draw(baked, out)
 
 
 if __name__ == "__main__":

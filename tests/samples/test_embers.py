@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-from runpy import run_path
 
 import numpy as np
-import pytest
 from pxr import Usd, UsdGeom
 from support.printed import Printed
 
@@ -29,10 +27,3 @@ def test_embers_bounce_down_the_stairs(printed: Printed) -> None:
         assert over.any()
         assert last[over, 1].min() >= top - 1e-5
     assert list(validate([output, FOLDER / "embers.scene.yaml"])) == []
-
-
-def test_the_picture_is_drawn(tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib")
-    script = run_path(str(FOLDER / "make_picture.py"))
-    script["main"](tmp_path / "embers.png")
-    assert (tmp_path / "embers.png").stat().st_size > 5000

@@ -1,0 +1,41 @@
+"""The committed pictures of scenes are what their scripts draw of the scenes' bakes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from runpy import run_path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.printed import ROOT, Printed
+
+# The mean difference of a channel, of 255: fonts differ from machine to machine.
+SAME = 3.0
+
+
+def script_of(name: str) -> dict[str, Any]:
+    return run_path(str(ROOT / f"samples/{name}/make_picture.py"))
+
+
+def baked_by(printed: Printed, name: str) -> Path:
+    scene = f"samples/{name}/{name}.scene.yaml"
+    return printed(f"animtool bake {scene} -o {name}.usdc") / f"{name}.usdc"
+
+
+def pixels(path: Path) -> np.ndarray:
+    image = pytest.importorskip("PIL.Image", reason="no Pillow")
+    with image.open(path) as opened:
+        return np.asarray(opened.convert("RGB"), np.float64)
+
+
+@pytest.mark.parametrize("name", ["flag", "drape", "sheets", "embers", "rope"])
+def test_the_committed_picture_is_what_is_drawn(
+    printed: Printed, tmp_path: Path, name: str
+) -> None:
+    pytest.importorskip("matplotlib", reason="no matplotlib (extra: preview)")
+    out = tmp_path / f"{name}.png"
+    script_of(name)["draw"](baked_by(printed, name), out)
+    drawn, committed = pixels(out), pixels(ROOT / f"samples/{name}/{name}.png")
+    assert drawn.shape == committed.shape
+    assert np.abs(drawn - committed).mean() < SAME
