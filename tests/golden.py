@@ -122,7 +122,7 @@ def document_groups() -> tuple[list[Group], list[Group]]:
         name: commands_in((ROOT / name).read_text("utf-8")) for name in DOCUMENTS
     }
     counts = Counter(command for found in commands.values() for command in set(found))
-    shared = [command for command, count in counts.items() if count > 1]
+    shared = sorted(command for command, count in counts.items() if count > 1)
     return (
         [Group(name, ((name, name),), make_project) for name in shared],
         [
