@@ -97,6 +97,7 @@ def test_a_worker_that_ends_is_replaced(cluster: str, tmp_path: Path) -> None:
     assert {o.status for o in found} == {Status.DONE}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("whole", [False, True], ids=["workers", "scheduler"])
 def test_a_cluster_that_is_lost_ends_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: bool

@@ -34,6 +34,7 @@ def whole(path: Path) -> bytes:
     return path.read_bytes()
 
 
+@pytest.mark.slow
 @given(st.data())
 def test_a_file_torn_anywhere(data: st.DataObject) -> None:
     with tempfile.TemporaryDirectory() as folder:

@@ -84,6 +84,7 @@ def test_lists_of_their_own(
     assert "2 done" in shell(block(guide, "split"), tmp_path, commands)
 
 
+@pytest.mark.slow
 def test_the_bundle_runs(guide: str, workplace: Path, commands: dict[str, str]) -> None:
     pytest.importorskip("openjd.cli", reason="openjd-cli is not installed")
     (made,) = re.findall(r"^\$ (animtool job .*)$", guide, re.M)

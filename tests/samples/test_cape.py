@@ -27,6 +27,7 @@ def take() -> Take:
     return load_scene(SCENE).open().collect()
 
 
+@pytest.mark.slow(3)
 @pytest.mark.parametrize("name", ["cape", "hair"])
 def test_the_cycle_comes_round(take: Take, name: str) -> None:
     points = take.motion.points[name].dense()
