@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 from support.printed import Printed, make_project
-from support.suite import Collecting, slow_first
+from support.suite import FAST, Collecting, slow_first
 
 ROOT = Path(__file__).parents[1]
 
@@ -17,7 +17,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # How long an example takes is the machine's affair; others are taken in each run.
 # `--hypothesis-profile=full` takes ten times as many.
-settings.register_profile("fast", deadline=None, max_examples=30)
+settings.register_profile("fast", deadline=None, max_examples=FAST)
 settings.register_profile("full", deadline=None, max_examples=300)
 settings.load_profile("fast")
 

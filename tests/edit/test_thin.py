@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
+from support.suite import examples
 
 from animtool.clip.points import SHELL, carried_points
 from animtool.edit.thin import Thinned, thin_samples
@@ -59,7 +60,7 @@ def errors(codes: Floats, motion: Motion, found: Thinned) -> Floats:
     count=st.integers(1, 60),
     tolerance=st.floats(1e-4, 0.1),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_every_sample_is_within_the_tolerance(
     seed: int, count: int, tolerance: float
 ) -> None:

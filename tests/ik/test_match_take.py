@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from support.suite import examples
 from support.targets import legs, walk_of
 
 from animtool.clip.points import SHELL
@@ -53,7 +54,7 @@ def test_a_walk_comes_back_from_its_targets() -> None:
         assert_allclose(getattr(again, part), getattr(once, part), atol=1e-6)
 
 
-@settings(deadline=None, max_examples=10)
+@settings(deadline=None, max_examples=examples(10))
 @given(
     st.sampled_from([Fraction(1, 3), Fraction(1, 2), Fraction(2)]), st.integers(1, 20)
 )

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from support.data import data_files
 from support.ik import random_pose
+from support.suite import examples
 
 from animtool import Rig
 from animtool._types import FloatArray
@@ -87,7 +88,7 @@ def biped() -> tuple[Rig, tuple[IkChain, ...]]:
 BIPED, CHAINS = biped()
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=examples(40))
 @given(seeds)
 def test_limbs_of_a_biped_come_back(seed: int) -> None:
     goals = [Goal(chain.tip, orientation=1.0) for chain in CHAINS]
@@ -118,7 +119,7 @@ def test_limbs_of_a_biped_come_back(seed: int) -> None:
 
 
 @pytest.mark.parametrize("path", data_files("ik", "humanoid_ball.json"))
-@settings(deadline=None, max_examples=15)
+@settings(deadline=None, max_examples=examples(15))
 @given(seed=seeds)
 def test_limbs_of_the_humanoid_have_their_tips_and_middles_back(
     path: Path, seed: int
@@ -142,7 +143,7 @@ def test_limbs_of_the_humanoid_have_their_tips_and_middles_back(
 
 
 @pytest.mark.parametrize("path", data_files("ik", "limb2.json"))
-@settings(deadline=None, max_examples=15)
+@settings(deadline=None, max_examples=examples(15))
 @given(number=st.integers(0, 299))
 def test_the_limb_of_the_problem_set_comes_back(path: Path, number: int) -> None:
     group = read_groups(path)[0]
@@ -173,7 +174,7 @@ def tentacle(goal: str) -> Rig:
 
 
 @pytest.mark.parametrize("goal", ["pose", "position"])
-@settings(deadline=None, max_examples=15)
+@settings(deadline=None, max_examples=examples(15))
 @given(seed=seeds)
 def test_long_limbs_reach_with_their_middle_towards_its_pole(
     goal: str, seed: int

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.ik import arm, beyond_limits, limb, mixed_rig, random_pose, reached_by
+from support.suite import examples
 
 from animtool.errors import OptionError
 from animtool.ik import (
@@ -85,7 +86,7 @@ def test_chains_of_balls_are_brought_to_their_goals(
     assert result.statuses == (IkStatus.CONVERGED,)
 
 
-@settings(max_examples=15)
+@settings(max_examples=examples(15))
 @given(SEEDS, st.sampled_from(PLAIN), st.booleans())
 def test_limits_are_kept_wherever_the_goal_is(
     seed: int, method: IkMethod, pins: bool

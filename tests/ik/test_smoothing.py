@@ -16,6 +16,7 @@ from support.ik import (
     random_pose,
     reached_by,
 )
+from support.suite import examples
 
 from animtool._types import FloatArray
 from animtool.errors import OptionError
@@ -35,7 +36,7 @@ from animtool.ik.smoothing import at_poses
 from animtool.ik.tangent import difference, moved
 
 SEEDS = st.integers(0, 2**32 - 1)
-FEW = settings(max_examples=15, deadline=None)
+FEW = settings(max_examples=examples(15), deadline=None)
 FPS = 30.0
 
 

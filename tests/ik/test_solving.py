@@ -17,6 +17,7 @@ from support.ik import (
     random_pose,
     reached_by,
 )
+from support.suite import examples
 
 from animtool.errors import OptionError
 from animtool.ik import Goal, IkOptions, IkStatus, Targets, build, solve
@@ -29,7 +30,7 @@ from animtool.rig.skeleton import Joint, JointType, Rig
 
 ROOT = Path(__file__).parents[2]
 SEEDS = st.integers(0, 2**32 - 1)
-FEW = settings(max_examples=25)
+FEW = settings(max_examples=examples(25))
 
 
 @FEW

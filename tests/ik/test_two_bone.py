@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.ik import limb, random_pose, reached_by
+from support.suite import examples
 
 from animtool.ik import Goal, IkMethod, IkOptions, IkStatus, Targets, build, solve
 from animtool.ik.two_bone import fits
@@ -24,7 +25,7 @@ def with_elbow(**changes: object) -> Rig:
     return Rig("limb", (shoulder, replace(elbow, **changes)))
 
 
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 @given(SEEDS, st.sampled_from([JointType.PIN, JointType.BALL]))
 def test_points_in_reach_are_reached_to_rounding(seed: int, kind: JointType) -> None:
     problem = build(with_elbow(type=kind), [replace(GOAL, pole=1.0)])

@@ -7,6 +7,7 @@ from itertools import combinations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.suite import examples
 
 from animtool._types import IntArray
 from animtool.maths.faces import (
@@ -20,7 +21,7 @@ from animtool.maths.faces import (
 
 POLYGON = st.lists(st.integers(0, 9), min_size=3, max_size=6, unique=True)
 POLYGONS = st.lists(POLYGON, min_size=1, max_size=8)
-FEW = settings(max_examples=50, deadline=None)
+FEW = settings(max_examples=examples(50), deadline=None)
 
 
 def flat(polygons: list[list[int]]) -> tuple[IntArray, IntArray]:

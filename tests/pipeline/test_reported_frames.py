@@ -17,6 +17,7 @@ from pxr import Sdf, Usd
 from support.cli import Done, animtool
 from support.drifting import author_samples
 from support.small_takes import small
+from support.suite import examples
 
 from animtool.cli.summary import bake_json, bake_text
 from animtool.clock import Clock
@@ -95,7 +96,7 @@ def bakes(draw: st.DrawFn) -> tuple[Clock, BakeOptions]:
 
 @given(bakes())
 @settings(
-    max_examples=40,
+    max_examples=examples(40),
     deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )

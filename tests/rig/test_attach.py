@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
+from support.suite import examples
 from support.surfaces import held, shaped_rig
 
 from animtool.documents.document import document_of
@@ -155,7 +156,7 @@ strands = st.tuples(st.integers(1, 4), st.integers(2, 5)).flatmap(
 )
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(
     strands.filter(lambda s: bool((s[:, 1:] != s[:, :-1]).any(axis=-1).all())),
     st.lists(st.integers(0, 39), unique=True),

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from support.cli import animtool
 from support.faults import document_faults, refused
+from support.suite import examples
 
 from animtool.documents.document import Document, read_document
 from animtool.errors import Fault, FormatError
@@ -145,7 +146,7 @@ def test_mirrors_of_the_crane(yard: Path) -> None:
 
 
 @given(st.permutations(range(6)))
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=examples(30))
 def test_joints_in_any_order(yard: Path, order: list[int]) -> None:
     lines = CRANE.split("\n")
     shuffled = [*lines[:5], *(lines[5 + i] for i in order), *lines[11:]]
@@ -517,7 +518,7 @@ def edit(root: Any, data: st.DataObject) -> None:
 
 
 @given(st.data())
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=examples(150))
 @pytest.mark.parametrize("kind", ["whole", "sidecar"])
 def test_any_edits_give_a_rig_or_faults(
     yard: Path, kind: str, data: st.DataObject
@@ -554,7 +555,7 @@ joints:
 
 
 @given(st.integers(0, 10_000))
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=examples(40))
 def test_equal_coordinates_are_mirror_images(yard: Path, seed: int) -> None:
     rng = np.random.default_rng(seed)
     spine = [1.0, float(rng.normal()), 0.0, 0.0]

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.motions import logistic, oscillator, pendulum
+from support.suite import examples
 
 from animtool._types import FloatArray
 from animtool.errors import OptionError, Severity
@@ -72,7 +73,7 @@ def test_statistics(name: str) -> None:
     assert found.notices == () or name in {"euler", "modified_euler"}
 
 
-@settings(max_examples=15)
+@settings(max_examples=examples(15))
 @given(parts=st.lists(st.integers(1, 12), min_size=2, max_size=5))
 def test_a_motion_in_parts_is_the_whole_bit_for_bit(parts: list[int]) -> None:
     system = ForceSystem(

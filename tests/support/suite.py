@@ -9,7 +9,10 @@ from pathlib import Path
 
 import pytest
 from _pytest.doctest import DoctestModule
+from hypothesis import settings
 
+# Examples of a law in the default profile.
+FAST = 30
 # Of a test that is marked as slow without a number [s].
 SLOW = 2.0
 
@@ -38,6 +41,14 @@ class Collecting:
         finally:
             gc.freeze()
             gc.enable()
+
+
+def examples(count: int) -> int:
+    """Return how many examples a law takes that takes a number of its own by default.
+
+    Profiles with more examples than the default have as many times as many.
+    """
+    return count * settings().max_examples // FAST
 
 
 def seconds_of(item: pytest.Item) -> float:

@@ -15,6 +15,7 @@ from numpy.testing import assert_allclose
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from support.bvh import HEADER, random_rows, small_bvh
 from support.example_rig import write_example_rig
+from support.suite import examples
 from support.takes import assert_same_motion, motion_of, takes
 from support.usd import joint_positions, open_stage, skeleton_query, validation_errors
 
@@ -529,7 +530,7 @@ def test_meshes_stand_in_the_extent_of_each_take(tmp_path: Path) -> None:
             assert_allclose(extent, np.array(computed), rtol=1e-5, atol=1e-6)
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(takes(), st.integers(2, 9), st.integers(0, 2**31), st.booleans())
 def test_any_takes_come_back_as_if_alone(
     tmp_path_factory: pytest.TempPathFactory,

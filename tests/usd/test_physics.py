@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics
+from support.suite import examples
 from support.usd import validation_errors
 
 from animtool.maths import so3
@@ -129,7 +130,7 @@ angles = st.floats(0.01, 3.0)
     swing=st.none() | st.tuples(angles, angles),
     twist=st.none() | st.tuples(angles.map(lambda a: -a), angles),
 )
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=examples(40))
 def test_any_ball_comes_back(
     axis: tuple[float, float, float],
     swing: tuple[float, float] | None,

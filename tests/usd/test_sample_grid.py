@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.drifting import author_samples
+from support.suite import examples
 
 from animtool.clock import time_codes
 from animtool.usd.read import read_usd
@@ -40,7 +41,7 @@ def test_a_long_take_of_drifting_samples_has_as_many_frames(tmp_path: Path) -> N
     st.floats(-1e-6, 1e-6),
     st.integers(0, 2**31),
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 def test_drift_and_jitter_far_below_a_frame_keep_the_count(
     step: Fraction, start: int, count: int, drift: float, seed: int
 ) -> None:

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from support.suite import examples
 
 from animtool._types import ArrayLike, FloatArray
 from animtool.errors import OptionError
@@ -231,7 +232,7 @@ def test_a_turning_bat_hits_with_the_speed_of_its_place() -> None:
     assert np.linalg.norm(ball.v) == pytest.approx(2 * np.pi * 1.5, rel=2e-3)
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(
     st.sampled_from(["sphere", "capsule", "box", "mesh"]),
     st.floats(1, 2000),
@@ -360,7 +361,7 @@ def test_a_step_of_no_time_changes_nothing() -> None:
     assert_array_equal(done.points, [[0, -1, 0]])
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(
     st.sampled_from(sorted(SHAPES)),
     st.integers(0, 10_000),

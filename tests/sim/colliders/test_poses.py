@@ -6,6 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from support.suite import examples
 
 from animtool.sim.colliders import Poses
 
@@ -20,7 +21,7 @@ def wandering(seed: int, count: int) -> Poses:
 
 
 @given(SEEDS, st.integers(1, 6), st.lists(st.floats(-1, 2), max_size=20))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=examples(50), deadline=None)
 def test_many_times_are_each_as_it_is_alone(
     seed: int, count: int, times: list[float]
 ) -> None:
@@ -33,7 +34,7 @@ def test_many_times_are_each_as_it_is_alone(
 
 
 @given(SEEDS, st.integers(1, 6))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=examples(50), deadline=None)
 def test_its_own_times_have_its_own_poses(seed: int, count: int) -> None:
     poses = wandering(seed, count)
     assert_allclose(poses.over(poses.moments), poses.rows, atol=1e-12)

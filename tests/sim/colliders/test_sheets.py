@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from support.suite import examples
 
 from animtool._types import FloatArray, IntArray
 from animtool.errors import OptionError
@@ -114,7 +115,7 @@ def test_what_meets_nothing_is_the_same_bit_for_bit() -> None:
     assert not done.contacts.any.any()
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(st.integers(0, 10**6))
 def test_only_motion_between_them_counts(seed: int) -> None:
     rng = np.random.default_rng(seed)

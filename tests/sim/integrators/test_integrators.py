@@ -21,6 +21,7 @@ from support.motions import (
     stepped,
     turning,
 )
+from support.suite import examples
 
 from animtool.errors import OptionError
 from animtool.sim import (
@@ -320,7 +321,7 @@ def test_a_throw_is_exact(name: str) -> None:
     np.testing.assert_allclose(found[1, 0], [3.0, 4.0 - 2 * 9.81], rtol=1e-13)
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(shift=st.floats(-100, 100), h=st.floats(0.01, 0.3))
 def test_time_shifts_change_nothing(shift: float, h: float) -> None:
     pushed = ForceSystem(lambda t, x, v: np.sin(t) - x - 0.1 * v, [[1.0]], [[0.0]])
@@ -333,7 +334,7 @@ def test_time_shifts_change_nothing(shift: float, h: float) -> None:
         np.testing.assert_allclose(there, here, rtol=1e-9, atol=1e-9)
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(
     length=st.integers(-20, 20),
     duration=st.integers(-8, 8),

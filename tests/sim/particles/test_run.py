@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from support.suite import examples
 
 from animtool.errors import OptionError, ToleranceError
 from animtool.sim import INTEGRATORS, IntegrateOptions, find_integrator
@@ -66,7 +67,7 @@ def same(a: ParticleFrame, b: ParticleFrame) -> None:
         assert_array_equal(getattr(a, name), getattr(b, name))
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=examples(10), deadline=None)
 @given(st.lists(st.floats(0, 1), max_size=6))
 def test_looking_changes_nothing(times: list[float]) -> None:
     run = ParticleRun(FOUNTAIN)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.suite import examples
 
 from animtool._types import FloatArray
 from animtool.errors import OptionError
@@ -75,7 +76,7 @@ def test_what_hangs_on_a_pin_goes_along(way: str) -> None:
     assert found.notices[0].code == "SIM122"
 
 
-@settings(max_examples=5)
+@settings(max_examples=examples(5))
 @given(at=st.floats(0.1, 0.9), split=st.integers(1, 23))
 def test_a_motion_in_parts_is_the_whole(at: float, split: int) -> None:
     system = hung(np.array([100.0, 0, 0]), at)

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from support.suite import examples
 
 from animtool._types import FloatArray, IntArray
 from animtool.sim import Status
@@ -150,7 +151,7 @@ def test_a_mesh_that_is_carried_is_one_whose_points_move(solver: Solver) -> None
     assert one.stats.status is same.stats.status is Status.OK
 
 
-@settings(max_examples=10)
+@settings(max_examples=examples(10))
 @given(order=st.permutations(range(len(BALL_FACES))), turns=st.integers(0, 2))
 def test_the_order_of_triangles_makes_no_difference(
     order: list[int], turns: int

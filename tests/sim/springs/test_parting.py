@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from support.suite import examples
 
 from animtool.maths import so3
 from animtool.sim.springs import Body, Family, Parting, part_surface, surface
@@ -86,7 +87,7 @@ def knows_its_turn(found: Parting) -> bool:
 torn_springs = st.lists(st.integers(0, 30), max_size=31)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 @given(kind=st.sampled_from(KINDS), torn=torn_springs)
 def test_until_it_tears_it_is_the_same_surface(kind: str, torn: list[int]) -> None:
     (points, counts, indices), _, ever, found = made(kind, torn)
@@ -108,7 +109,7 @@ def test_until_it_tears_it_is_the_same_surface(kind: str, torn: list[int]) -> No
         assert np.array_equal(drawn[one], drawn[one + 1])
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 @given(kind=st.sampled_from(KINDS), torn=torn_springs)
 def test_its_parts_are_those_of_its_particles(kind: str, torn: list[int]) -> None:
     (points, _, _), body, ever, found = made(kind, torn)
@@ -122,7 +123,7 @@ def test_its_parts_are_those_of_its_particles(kind: str, torn: list[int]) -> Non
     assert set(drawn[used]) == set(of_drawn)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 @given(kind=st.sampled_from(KINDS), torn=torn_springs, now=torn_springs)
 def test_no_area_is_lost_where_all_of_it_moves_alike(
     kind: str, torn: list[int], now: list[int]
@@ -192,7 +193,7 @@ def test_parts_of_a_face_in_three_meet_until_two_sides_are_torn() -> None:
     assert second in found.springs
 
 
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=examples(30))
 @given(kind=st.sampled_from(KINDS), torn=torn_springs, now=torn_springs)
 def test_velocities_are_those_of_the_points(
     kind: str, torn: list[int], now: list[int]

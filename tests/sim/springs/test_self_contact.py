@@ -9,6 +9,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from support.piercing import distances, pierced
+from support.suite import examples
 
 from animtool import _kernels
 from animtool._types import FloatArray, IntArray
@@ -374,7 +375,7 @@ def shares(p: FloatArray, corners: FloatArray) -> FloatArray:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 def test_each_pair_is_moved_as_the_formula_says(seed: int) -> None:
     rng = np.random.default_rng(seed)
     count, h = int(rng.integers(6, 14)), 0.01
@@ -400,7 +401,7 @@ def test_each_pair_is_moved_as_the_formula_says(seed: int) -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.booleans())
-@settings(max_examples=100)
+@settings(max_examples=examples(100))
 def test_any_start_stays_finite_and_keeps_its_momentum(seed: int, flat: bool) -> None:
     rng = np.random.default_rng(seed)
     count = int(rng.integers(4, 40))

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.piercing import pierced
+from support.suite import examples
 from support.tangles import STEP, TANGLES
 
 from animtool import _kernels
@@ -92,7 +93,7 @@ weights = st.lists(st.floats(0.1, 10), min_size=6, max_size=6)
 
 
 @given(ways, weights, st.floats(0, 1))
-@settings(max_examples=100)
+@settings(max_examples=examples(100))
 def test_edges_keep_momentum_and_without_friction_their_spin(
     moved: list[tuple[float, ...]], heavy: list[float], friction: float
 ) -> None:
@@ -109,7 +110,7 @@ def test_edges_keep_momentum_and_without_friction_their_spin(
 
 
 @given(ways, weights)
-@settings(max_examples=100)
+@settings(max_examples=examples(100))
 def test_edges_are_parted_alike_whichever_comes_first(
     moved: list[tuple[float, ...]], heavy: list[float]
 ) -> None:
@@ -129,7 +130,7 @@ def test_edges_are_parted_alike_whichever_comes_first(
 
 
 @given(st.floats(1e-4, 0.014), weights)
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 def test_what_rests_too_near_gains_no_speed(gap: float, heavy: list[float]) -> None:
     system = pair(gap, np.array(heavy), 0.3)
     x, v = parted(system, np.zeros((6, 3)))
@@ -167,7 +168,7 @@ def test_edges_that_went_through_are_brought_back() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 def test_pierced_edges_are_those_of_all_pairs(seed: int) -> None:
     rng = np.random.default_rng(seed)
     x = rng.uniform(size=(20, 3))

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from support.suite import examples
 
 from animtool._types import FloatArray
 from animtool.errors import OptionError, Severity
@@ -128,7 +129,7 @@ def test_a_spike_is_split() -> None:
     assert found.tobytes() == np.concatenate([whole[:3], whole[9:]]).tobytes()
 
 
-@settings(max_examples=10)
+@settings(max_examples=examples(10))
 @given(st.integers(0, 2**31))
 def test_the_order_of_springs_changes_nothing(seed: int) -> None:
     system = flag(4)

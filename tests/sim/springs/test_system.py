@@ -7,6 +7,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from support.suite import examples
 
 from animtool._types import FloatArray
 from animtool.errors import OptionError
@@ -249,7 +250,7 @@ def test_integrators_take_springs_through_time(method: str) -> None:
     assert_allclose(found.positions[-1], exact.positions[-1], atol=5e-4)
 
 
-@settings(max_examples=10)
+@settings(max_examples=examples(10))
 @given(SEEDS, st.integers(1, 70))
 def test_kernels_step_as_the_table_does(seed: int, count: int) -> None:
     system = shaken(

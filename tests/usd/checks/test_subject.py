@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pxr import Sdf, Usd, Vt
+from support.suite import examples
 
 from animtool.usd.checks.subject import Sampled, Subject, at_samples
 
@@ -38,7 +39,7 @@ def layered(offset: float, scale: float, rate: float, counts: list[int]) -> Usd.
     st.sampled_from([24.0, 48.0]),
     st.lists(st.integers(0, 3), min_size=1, max_size=6),
 )
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 def test_samples_are_those_of_usd(
     offset: float, scale: float, rate: float, counts: list[int]
 ) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from support.suite import examples
 
 from animtool.documents.document import document_of
 from animtool.errors import Fault
@@ -54,7 +55,10 @@ def rigs(draw: st.DrawFn) -> str:
     return newline.join(lines) + draw(st.sampled_from(["", newline]))
 
 
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=examples(60),
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
 @given(text=rigs())
 def test_twice_is_as_once(text: str, tmp_path: Path) -> None:
     path = tmp_path / "page.rig.yaml"
