@@ -192,3 +192,26 @@ def test_outputs_that_the_scene_names(takes: Path) -> None:
         takes, "takes/*0.bvh", scene=takes / "t.scene.yaml", output="{stem}.usdc"
     )
     assert given == [("takes/take000.bvh", "take000.usdc")]
+
+
+def test_outputs_are_in_one_of_several_roots(takes: Path) -> None:
+    roots = (takes / "renders", takes / "out")
+    given = {"output": "out/{stem}.usdc", "roots": roots}
+    assert len(made(takes, "takes/take*.bvh", **given)) == 2
+    with pytest.raises(OptionError) as error:
+        made(takes, "takes/take*.bvh", output="else/{stem}.usdc", roots=roots)
+    (fault,) = error.value.faults
+    assert fault.code == "BAT003"
+    assert str(takes / "else") in fault.message
+
+
+def test_files_among_the_options_count_as_seen_from_the_root(takes: Path) -> None:
+    def described(folder: Path, name: str) -> object:
+        options = BakeOptions(rig_layer=folder / name)
+        spec = BatchSpec(("takes/take000.bvh",), takes, options=options)
+        batch = find_batch(spec)
+        return batch.recipe.described(batch.items[0], folder)["options"]
+
+    one, other = takes / "one", takes / "two"
+    assert described(one, "a.usda") == described(other, "a.usda")
+    assert described(one, "a.usda") != described(one, "b.usda")
