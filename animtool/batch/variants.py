@@ -157,11 +157,11 @@ def range_values(first: str, last: str, step: str = "1") -> list[str]:
 
 def _decimal(text: str) -> Decimal:
     try:
-        value = Decimal("x" if "_" in text else text.strip())
+        value = Decimal(text.strip())
     except InvalidOperation:
         value = Decimal("nan")
     # Others have more digits than a float, or than memory.
-    if not value.is_finite() or abs(value.adjusted()) > 300:
+    if "_" in text or not value.is_finite() or abs(value.adjusted()) > 300:
         raise ValueError(f"{excerpt(text)} is not a finite number")
     return value
 

@@ -66,6 +66,8 @@ class ControlMirror:
         for i, partner in enumerate(partners.tolist()):
             moved, weights = _effect(rig, i, 1.0, turned)
             seen = _flat(((moved * across)[joints], weights[shapes]))
+            if not seen.any():
+                continue
             on, back = (
                 np.linalg.norm(seen - effect(partner, way)) for way in (1.0, -1.0)
             )

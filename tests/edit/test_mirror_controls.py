@@ -103,6 +103,24 @@ def test_controls_of_pairs_that_are_not_symmetric() -> None:
     assert_allclose(after[:, :2], before[:, :2])
 
 
+def test_a_control_that_moves_nothing_keeps_its_sign(tmp_path: Path) -> None:
+    path = tmp_path / "bust.rig.yaml"
+    still = "{name: raise_l, range: [0, 90]}"
+    drive = ", drives: [{joint: arm_l.rotation.z, expr: raise_l}]"
+    one_way = RIG.replace(drive, "").replace("-raise_r", '"clamp(raise_r, 0, 90)"')
+    path.write_text(one_way, "utf-8")
+    rig = Rig.load(path)
+    found = ControlMirror.of(
+        rig,
+        pair_sides([control.name for control in rig.controls]).partners,
+        pair_sides(rig.names, rig.parents).partners,
+        np.zeros(0, np.int64),
+        np.array([-1.0, 1.0, 1.0]),
+    )
+    assert still in one_way
+    assert found.signs[NAMES.index("raise_l")] == 1
+
+
 def lift(rig: Rig, values: np.ndarray) -> np.ndarray:
     """Return values of one lift as the other has them, by where the arms point."""
     across = np.array([-1.0, 1.0, 1.0])
