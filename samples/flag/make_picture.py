@@ -22,9 +22,8 @@ from props import rod
 from animtool import bake
 
 HERE = Path(__file__).parent
-FRAMES = (6, 24, 42, 60)
-RESOLUTION = (46, 31)
-FINER = 2
+FRAMES = (6, 18, 30, 42)
+RESOLUTION = (34, 23)
 # The signal flag P: about to sail.
 BLUE, WHITE, WOOD = (0.12, 0.26, 0.58), (0.94, 0.93, 0.90), (0.55, 0.42, 0.28)
 CAMERA = Camera((0.74, 1.95, 0.0), 1.6, turn=22, lift=6)

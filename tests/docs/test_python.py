@@ -11,7 +11,6 @@ import pytest
 import animtool
 
 
-@pytest.mark.slow(4)
 @pytest.mark.parametrize("name", ["README.md", "animtool/docs/python.md"])
 def test_the_examples(
     root: Path, workplace: Path, monkeypatch: pytest.MonkeyPatch, name: str

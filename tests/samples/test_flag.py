@@ -12,7 +12,7 @@ from support.printed import Printed
 from animtool.validation.run import validate
 
 FOLDER = Path(__file__).parents[2] / "samples/flag"
-COLUMNS, ROWS, FRAMES = 46, 31, 72
+COLUMNS, ROWS, FRAMES = 34, 23, 48
 
 
 @pytest.fixture(scope="module")
