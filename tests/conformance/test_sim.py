@@ -32,7 +32,7 @@ ROUNDING = 1e-12
 HONEST, WORTHLESS = 10.0, 0.1
 TOLERANCE, CLOSE = 1e-6, 1e-1
 # What the fastest motion turns by in a part of a problem that tells [rad].
-MOST_TURNED = 100.0
+MOST_TURNED = 40.0
 # Evaluations of methods that are not for stiff systems, on one.
 BUDGET = 20_000
 HEADER = (
