@@ -155,7 +155,7 @@ def test_openjd_runs_it_to_the_same_bytes(takes: Path, tmp_path: Path) -> None:
     assert said.count("openjd_progress: 100.0") == 3
     assert "5 of 5 are up to date" in said
     made = whole_outputs(takes / "out")
-    words = ["-o", "alone/{stem}.usdc", "-j", 1]
+    words = ["-o", "alone/{stem}.usdc", "--executor", "serial"]
     assert animtool("batch", "takes", *words, cwd=takes).code == 0
     assert made == whole_outputs(takes / "alone")
 
@@ -270,8 +270,9 @@ def test_a_job_of_shots_alone_is_the_batch_of_them(edit: Path, tmp_path: Path) -
     assert "3 of 3 are up to date" in openjd(
         "run", edit / "a.job/template.yaml", *words
     )
-    alone = ["edit.otio", "--handles", 8, "-o", "alone/{shot}.usdc", "-j", 1]
-    assert animtool("batch", *alone, cwd=edit).code == 0
+    alone = ["edit.otio", "--handles", 8, "-o", "alone/{shot}.usdc"]
+    done = animtool("batch", *alone, "--executor", "serial", cwd=edit)
+    assert done.code == 0, done.stderr
     made = whole_outputs(edit / "own")
     assert set(made) == {"a.usdc", "b.usdc", "c.usdc"}
     assert made == whole_outputs(edit / "alone")

@@ -5,14 +5,13 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from support.batch import take_files, trouble_files, trouble_plug_in
+from support.batch import take_files, trouble_files
 from support.cli import animtool
-from support.cluster import local_cluster, small_cluster
+from support.cluster import small_cluster
 
 from animtool.batch.cluster import _address, _sent, dask
 from animtool.batch.discover import find_batch
@@ -21,24 +20,8 @@ from animtool.batch.lane import Lane, Task
 from animtool.batch.limits import Limits
 from animtool.batch.outcome import Status
 from animtool.batch.spec import BatchSpec
-from animtool.batch.versions import made_by
 from animtool.batch.work import Maker
 from animtool.errors import OptionError, OutputError
-
-
-@pytest.fixture(scope="module")
-def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """Give a cluster whose workers read takes in trouble."""
-    place = trouble_plug_in(tmp_path_factory.mktemp("plug"))
-    with pytest.MonkeyPatch.context() as patch:
-        for name, value in place.items():
-            patch.setenv(name, value)
-        patch.syspath_prepend(next(iter(place.values())))
-        # What was found before has none of the plug-in.
-        made_by.cache_clear()
-        with local_cluster() as address:
-            yield address
-    made_by.cache_clear()
 
 
 def work(folder: Path, argument: str, limits: Limits | None = None) -> Work:
@@ -97,13 +80,12 @@ def test_a_worker_that_ends_is_replaced(cluster: str, tmp_path: Path) -> None:
     assert {o.status for o in found} == {Status.DONE}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("whole", [False, True], ids=["workers", "scheduler"])
 def test_a_cluster_that_is_lost_ends_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: bool
 ) -> None:
     take_files(tmp_path / "takes", 6)
-    with small_cluster() as lost:
+    with small_cluster(workers=1) as lost:
         from distributed import Client
 
         outcomes = dask(work(tmp_path, lost.scheduler_address))

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 from support.batch import take_files
-from support.cluster import local_cluster
 from support.workers import serve_and_end, serve_garbage, serve_nothing
 
 from animtool.batch import pool
@@ -40,12 +39,6 @@ def work(folder: Path, count: int, **given: object) -> Work:
     maker = Maker(batch.recipe, batch.root)
     settings = {"limits": Limits(), "jobs": 2, **given}
     return Work(maker, iter(batch.items), **settings)  # type: ignore[arg-type]
-
-
-@pytest.fixture(scope="module")
-def cluster() -> Iterator[str]:
-    with local_cluster() as address:
-        yield address
 
 
 @pytest.fixture(params=sorted(EXECUTORS))

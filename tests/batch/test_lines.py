@@ -6,6 +6,7 @@ import os
 import tempfile
 import tracemalloc
 import zlib
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -27,14 +28,23 @@ def read(path: Path) -> tuple[list[dict[str, object]], int]:
     return found, reader.length
 
 
+@cache
+def content_of_all() -> bytes:
+    """Return what a writer makes of every line."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.jsonl"
+        with LineWriter(path, HEAD) as writer:
+            for line in LINES:
+                writer.write([line])
+        return path.read_bytes()
+
+
 def whole(path: Path) -> bytes:
-    with LineWriter(path, HEAD) as writer:
-        for line in LINES:
-            writer.write([line])
-    return path.read_bytes()
+    """Make a file of every line; return its content."""
+    path.write_bytes(content_of_all())
+    return content_of_all()
 
 
-@pytest.mark.slow
 @given(st.data())
 def test_a_file_torn_anywhere(data: st.DataObject) -> None:
     with tempfile.TemporaryDirectory() as folder:

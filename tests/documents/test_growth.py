@@ -24,16 +24,16 @@ PIN = RIG + "- {name: p, type: pin, axis: [1, 0, 0]}\ncontrols:\n"
 CASES: dict[str, tuple[str, str, str]] = {
     "unknown keys": (
         "a.rig.yaml",
-        RIG + "- {name: a, " + ", ".join(f"key{i}: 1" for i in range(4000)) + "}\n",
+        RIG + "- {name: a, " + ", ".join(f"key{i}: 1" for i in range(2000)) + "}\n",
         "DOC020",
     ),
-    "faulty entries": ("a.rig.yaml", RIG + "- {nam: a, typ: pin}\n" * 4000, "DOC022"),
+    "faulty entries": ("a.rig.yaml", RIG + "- {nam: a, typ: pin}\n" * 2000, "DOC022"),
     "unknown parents": (
         "a.rig.yaml",
         RIG
         + "".join(
             f"- {{name: joint_{i}, type: fixed, parent: jnt_{i}}}\n"
-            for i in range(4000)
+            for i in range(2000)
         ),
         "RIG002",
     ),
@@ -41,8 +41,8 @@ CASES: dict[str, tuple[str, str, str]] = {
         "a.rig.yaml",
         RIG
         + "".join(
-            f"- {{name: j{i}, type: fixed, parent: j{(i + 1) % 4000}}}\n"
-            for i in range(4000)
+            f"- {{name: j{i}, type: fixed, parent: j{(i + 1) % 2000}}}\n"
+            for i in range(2000)
         ),
         "RIG003",
     ),
@@ -50,8 +50,8 @@ CASES: dict[str, tuple[str, str, str]] = {
         "a.rig.yaml",
         PIN
         + "".join(
-            f"- {{name: c{i}, drives: [{{control: c{(i + 1) % 2000}, expr: c{i}}}]}}\n"
-            for i in range(2000)
+            f"- {{name: c{i}, drives: [{{control: c{(i + 1) % 1000}, expr: c{i}}}]}}\n"
+            for i in range(1000)
         ),
         "RIG014",
     ),
@@ -60,15 +60,15 @@ CASES: dict[str, tuple[str, str, str]] = {
         PIN
         + "".join(
             f"- {{name: c{i}, drives: [{{joint: p.angle, expr: d{i}}}]}}\n"
-            for i in range(2000)
+            for i in range(1000)
         ),
         "RIG012",
     ),
-    "anchors": ("a.rig.yaml", "x: [" + "&a 1, " * 20000 + "1]\n", "DOC002"),
+    "anchors": ("a.rig.yaml", "x: [" + "&a 1, " * 10000 + "1]\n", "DOC002"),
     "one line": (
         "a.rig.json",
         '{"rig": "animtool/1", "name": "a", "joints": ['
-        + ", ".join(f'{{"name": "j{i}", "type": "pinn"}}' for i in range(4000))
+        + ", ".join(f'{{"name": "j{i}", "type": "pinn"}}' for i in range(2000))
         + "]}",
         "DOC022",
     ),

@@ -7,18 +7,20 @@ import re
 from pathlib import Path
 
 import pytest
+from support.suite import examples
 
 from fuzz.engine import fuzz, targets
 
-CASES = 100
+CASES = 50
 
 
 @pytest.mark.skipif(os.name == "nt", reason="a case is contained by a fork")
 @pytest.mark.parametrize("name", targets())
 def test_spoiled_inputs_end_in_a_result_or_a_typed_error(name: str) -> None:
-    outcome = fuzz(name, CASES)
+    cases = examples(CASES)
+    outcome = fuzz(name, cases)
     assert outcome.findings == {}
-    assert outcome.words.total() == CASES
+    assert outcome.words.total() == cases
 
 
 def test_the_table_names_each_target() -> None:

@@ -1,56 +1,96 @@
+"""The same inputs are the same bytes: in every process, and in one that made others."""
+
 from __future__ import annotations
 
-import hashlib
+import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
-from support.cli import animtool, animtool_process
+from support.cli import TIMEOUT, animtool
+from support.skinned_rig import write_pair
+
+# Runs each line of its input as a command.
+SEVERAL = """
+import json, sys
+from animtool.cli.main import run
+
+for line in sys.stdin:
+    if code := run(json.loads(line)):
+        sys.exit(code)
+"""
+LIBRARY = ("bake", "walk.bvh", "other.usda", "--prim-path", "/hero")
+DEFORM = ("bake", "pair.clip.yaml", "--deform", "--velocities")
+# Names of files stand nowhere in them: but for a split stage, each has another.
+FORMS = {
+    "stage.usda": ("bake", "walk.bvh", "--bones", "-o", "{seed}.usda"),
+    "stage.usdc": ("bake", "walk.bvh", "--bones", "-o", "{seed}.usdc"),
+    "split": ("bake", "walk.bvh", "--split", "-o", "split.usdc"),
+    "library.usda": (*LIBRARY, "-o", "{seed}_library.usda"),
+    "library.usdc": (*LIBRARY, "-o", "{seed}_library.usdc"),
+    "deform.usda": (*DEFORM, "-o", "{seed}_deform.usda"),
+    "deform.usdc": (*DEFORM, "-o", "{seed}_deform.usdc"),
+}
 
 
-@pytest.mark.parametrize("suffix", [".usda", ".usdc"])
+def commands(seed: str) -> list[list[str]]:
+    return [
+        [*(word.format(seed=seed) for word in words), "-q"] for words in FORMS.values()
+    ]
+
+
+@pytest.fixture(scope="module")
+def folders(
+    walk: Path, tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, tuple[Path, str]]:
+    """Return where each form was made, and what was said, by who made it."""
+    found = {}
+    for seed in ("0", "1", "here"):
+        folder = tmp_path_factory.mktemp("made")
+        write_pair(folder)
+        (folder / "walk.bvh").write_bytes(walk.read_bytes())
+        animtool("bake", walk, "-o", folder / "other.usda", "--fps", "12")
+        said = ""
+        if seed == "here":
+            for words in commands(seed):
+                done = animtool(*words, cwd=folder)
+                assert done.code == 0, done.stderr
+                said += done.stderr
+        else:
+            ended = subprocess.run(
+                [sys.executable, "-P", "-c", SEVERAL],
+                input="\n".join(map(json.dumps, commands(seed))),
+                capture_output=True,
+                text=True,
+                check=False,
+                timeout=TIMEOUT,
+                cwd=folder,
+                env={**os.environ, "PYTHONHASHSEED": seed},
+            )
+            assert ended.returncode == 0, ended.stderr
+            said = ended.stderr
+        found[seed] = (folder, said)
+    return found
+
+
+@pytest.mark.parametrize("form", FORMS)
 def test_the_same_bytes_in_every_process(
-    walk: Path, tmp_path: Path, suffix: str
+    folders: dict[str, tuple[Path, str]], form: str
 ) -> None:
-    digests = set()
-    for seed in ("0", "1"):
-        output = tmp_path / f"seed_{seed}{suffix}"
-        # Names of files stand nowhere in them.
-        done = animtool_process(
-            "bake", walk, "-o", output, "--bones", PYTHONHASHSEED=seed
-        )
-        assert done.code == 0, done.stderr
-        digests.add(hashlib.sha256(output.read_bytes()).hexdigest())
-    # In this process, which has made other files before.
-    again = tmp_path / f"seed_0{suffix}"
-    animtool("bake", walk, "-o", again, "--bones", "--overwrite")
-    digests.add(hashlib.sha256(again.read_bytes()).hexdigest())
-    assert len(digests) == 1
+    contents = []
+    for seed, (folder, _) in folders.items():
+        name = FORMS[form][-1].format(seed=seed)
+        pattern = "split*" if form == "split" else name
+        files = {
+            path.name.replace(seed, ""): path.read_bytes()
+            for path in folder.glob(pattern)
+        }
+        assert len(files) == (3 if form == "split" else 1)
+        contents.append(files)
+    assert contents[0] == contents[1] == contents[2]
 
 
-def test_split_files_are_the_same(walk: Path, tmp_path: Path) -> None:
-    found = []
-    for folder in ("a", "b"):
-        (tmp_path / folder).mkdir()
-        made = animtool if folder == "a" else animtool_process
-        made("bake", walk, "-o", tmp_path / folder / "o.usdc", "--split")
-        found.append({p.name: p.read_bytes() for p in (tmp_path / folder).iterdir()})
-    assert len(found[0]) == 3
-    assert found[0] == found[1]
-
-
-@pytest.mark.parametrize("suffix", [".usda", ".usdc"])
-def test_libraries_are_the_same_and_usd_says_nothing(
-    walk: Path, tmp_path: Path, suffix: str
-) -> None:
-    found = set()
-    takes = [walk, tmp_path / "other.usda"]
-    animtool("bake", walk, "-o", takes[1], "--fps", "12")
-    for seed in ("0", "1"):
-        output = tmp_path / f"{seed}{suffix}"
-        options = ("--prim-path", "/hero", "-q")
-        done = animtool_process(
-            "bake", *takes, "-o", output, *options, PYTHONHASHSEED=seed
-        )
-        assert (done.code, done.stderr) == (0, "")
-        found.add(output.read_bytes())
-    assert len(found) == 1
+def test_usd_says_nothing(folders: dict[str, tuple[Path, str]]) -> None:
+    assert [said for _, said in folders.values()] == ["", "", ""]

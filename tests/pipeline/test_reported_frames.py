@@ -96,7 +96,7 @@ def bakes(draw: st.DrawFn) -> tuple[Clock, BakeOptions]:
 
 @given(bakes())
 @settings(
-    max_examples=examples(40),
+    max_examples=examples(20),
     deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )

@@ -518,7 +518,7 @@ def edit(root: Any, data: st.DataObject) -> None:
 
 
 @given(st.data())
-@settings(deadline=None, max_examples=examples(150))
+@settings(deadline=None, max_examples=examples(60))
 @pytest.mark.parametrize("kind", ["whole", "sidecar"])
 def test_any_edits_give_a_rig_or_faults(
     yard: Path, kind: str, data: st.DataObject

@@ -16,12 +16,15 @@ def local_cluster() -> Iterator[str]:
         yield str(cluster.scheduler_address)
 
 
-def small_cluster() -> AbstractContextManager[Any]:
-    """Return a cluster of two workers; skip where dask is missing."""
+def small_cluster(workers: int = 2) -> AbstractContextManager[Any]:
+    """Return a cluster of some workers; skip where dask is missing."""
     pytest.importorskip("distributed", reason="distributed is not installed (farm)")
     from distributed import LocalCluster
 
     cluster: AbstractContextManager[Any] = LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=50
+        n_workers=workers,
+        threads_per_worker=1,
+        dashboard_address=":0",
+        silence_logs=50,
     )
     return cluster

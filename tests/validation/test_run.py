@@ -53,11 +53,6 @@ def test_findings_have_places(leg: Path) -> None:
     assert animtool.Finding is animtool.Fault
 
 
-@pytest.mark.slow
-def test_shipped_files_are_without_findings(root: Path) -> None:
-    assert validate([root / "rigs", root / "samples"]) == []
-
-
 @pytest.mark.parametrize(
     ("options", "left"),
     [

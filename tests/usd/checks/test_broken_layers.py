@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import settings
 from pxr import Sdf
 from support.broken_usd import BROKEN, NEAR, Case, write_good
+from support.suite import FAST
 from support.usd import open_stage, validation_errors
 
 from animtool.errors import Severity
@@ -68,8 +70,10 @@ def test_a_broken_layer_is_found(
         assert fault.message
         assert fault.hint == CODES[fault.code].hint
         assert (fault.where or "").startswith("/")
-    # Without a rate USD may never return.
-    theirs = [] if case.code == "USD253" else alone(path)
+    # It asserts nothing. Without a rate USD may never return.
+    if settings().max_examples == FAST or case.code == "USD253":
+        return
+    theirs = alone(path)
     said = "; ".join(
         sorted({text.partition(":")[2].partition(":")[0] for text in theirs})
     )

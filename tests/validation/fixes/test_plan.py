@@ -56,7 +56,7 @@ def rigs(draw: st.DrawFn) -> str:
 
 
 @settings(
-    max_examples=examples(60),
+    max_examples=examples(25),
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 @given(text=rigs())
