@@ -107,43 +107,52 @@ def render(surfaces: list[Surface], camera: Camera, size: tuple[int, int]) -> Ar
     """Return a picture ``(height, width, 3)``, every pixel of four samples."""
     height, width = 2 * size[0], 2 * size[1]
     depth = np.full((height, width), -np.inf)
-    image = np.broadcast_to(GROUND, (height, width, 3)).copy()
+    # Of what is seen at a sample: its normal and its colour.
+    data = np.zeros((height, width, 6))
     axes, scale = camera.axes(), height / camera.height
     for surface in surfaces:
         seen = (surface.points - np.array(camera.centre)) @ axes.T
         normals = point_normals(surface.points, surface.triangles) @ axes.T
         place = seen[:, :2] * [scale, -scale] + [width / 2, height / 2]
-        data = np.concatenate([normals, surface.colours], axis=1)
-        for triangle in surface.triangles:
-            _fill(place[triangle], seen[triangle, 2], data[triangle], depth, image)
+        own = np.concatenate([normals, surface.colours], axis=1)
+        corners = place[surface.triangles]
+        low = np.maximum(np.floor(corners.min(1)), 0).astype(int)
+        high = np.minimum(np.ceil(corners.max(1)), [width, height]).astype(int)
+        for i in np.flatnonzero((low < high).all(1)):
+            triangle = surface.triangles[i]
+            box = (slice(low[i, 1], high[i, 1]), slice(low[i, 0], high[i, 0]))
+            _fill(corners[i], seen[triangle, 2], own[triangle], box, depth, data)
+    image = np.broadcast_to(GROUND, (height, width, 3)).copy()
+    hit = depth > -np.inf
+    image[hit] = _lit(data[hit, :3], data[hit, 3:])
     return image.reshape(size[0], 2, size[1], 2, 3).mean((1, 3))
 
 
-def _fill(place: Array, near: Array, data: Array, depth: Array, image: Array) -> None:
-    low = np.maximum(np.floor(place.min(0)).astype(int), 0)
-    high = np.minimum(
-        np.ceil(place.max(0)).astype(int), [depth.shape[1], depth.shape[0]]
-    )
-    if (low >= high).any():
-        return
-    (ax, ay), (bx, by), (cx, cy) = place
+def _fill(
+    place: Array,
+    near: Array,
+    own: Array,
+    box: tuple[slice, slice],
+    depth: Array,
+    data: Array,
+) -> None:
+    """Put a triangle into the samples of a box where it is the nearest so far."""
+    (ax, ay), (bx, by), (cx, cy) = place.tolist()
     area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
     if abs(area) < 1e-12:
         return
-    x = np.arange(low[0], high[0]) + 0.5
-    y = (np.arange(low[1], high[1]) + 0.5)[:, None]
+    x = np.arange(box[1].start, box[1].stop) + 0.5
+    y = (np.arange(box[0].start, box[0].stop) + 0.5)[:, None]
     v = ((x - ax) * (cy - ay) - (y - ay) * (cx - ax)) / area
     w = ((y - ay) * (bx - ax) - (x - ax) * (by - ay)) / area
     u = 1.0 - v - w
     z = u * near[0] + v * near[1] + w * near[2]
-    box = (slice(low[1], high[1]), slice(low[0], high[0]))
     shown = (u >= -1e-9) & (v >= -1e-9) & (w >= -1e-9) & (z > depth[box])
     if not shown.any():
         return
     depth[box][shown] = z[shown]
     shares = np.stack([u[shown], v[shown], w[shown]], axis=-1)
-    mixed = shares @ data
-    image[box][shown] = _lit(mixed[:, :3], mixed[:, 3:])
+    data[box][shown] = shares @ own
 
 
 def _lit(normals: Array, colours: Array) -> Array:

@@ -279,6 +279,8 @@ def test_cloth_begins_again_with_what_runs_into_it(tmp_path: Path) -> None:
 
 def test_the_table_is_drawn(comets: Path) -> None:
     pytest.importorskip("matplotlib", reason="no matplotlib (extra: preview)")
+    first = SCENE[: SCENE.index("- particles:\n    name: drops")]
+    comets.write_text(f"{first}output: {{file: comets.usdc}}\n", "utf-8")
     picture = comets.with_name("comets.png")
     words = ("bake", comets, "--range", "1-3", "--table", "--plot", picture)
     done = animtool(*words)
