@@ -150,10 +150,16 @@ def _tally(path: Path, options: IkOptions) -> Tally:
     return tally
 
 
-FILES = [*data_files("ik", "[!c]*.json")]
+FILES = data_files("ik", "[!c]*.json")
+SOLVED = [
+    pytest.param(*file.values, id=file.id, marks=[*file.marks, pytest.mark.slow(3)])
+    if file.id == "hard_snake1000.json"
+    else file
+    for file in FILES
+]
 
 
-@pytest.mark.parametrize("path", FILES)
+@pytest.mark.parametrize("path", SOLVED)
 def test_every_problem_is_solved(
     path: Path, record_property: Callable[[str, object], None]
 ) -> None:
