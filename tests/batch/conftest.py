@@ -9,7 +9,7 @@ from support.cluster import local_cluster
 from animtool.batch.versions import made_by
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def troubled_cluster(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Iterator[tuple[str, dict[str, str]]]:

@@ -129,9 +129,10 @@ def openjd(*words: object) -> str:
     return done.stdout
 
 
-def starter(path: Path) -> Path:
-    """Make a command that starts animtool as it is here."""
-    path.write_text(f'#!/bin/sh\nexec {sys.executable} -P -m animtool "$@"\n')
+def starter(path: Path, more: str = "") -> Path:
+    """Make a command that starts animtool as it is here, with more options."""
+    text = f'#!/bin/sh\nexec {sys.executable} -P -m animtool "$@" {more}\n'
+    path.write_text(text)
     path.chmod(0o755)
     return path
 
@@ -160,6 +161,8 @@ def test_openjd_runs_it_to_the_same_bytes(takes: Path, tmp_path: Path) -> None:
     assert made == whole_outputs(takes / "alone")
 
 
+# A job has no need of other processes to run once more.
+SERIAL = "--executor serial"
 CUT_JOB = """
 batch: animtool/1
 inputs: [takes]
@@ -243,7 +246,7 @@ def test_a_job_of_a_cut_list_runs_to_the_same_bytes(edit: Path, tmp_path: Path) 
         "name": "CutList",
         "value": str(edit / "edit.otio"),
     }
-    command = starter(tmp_path / "start")
+    command = starter(tmp_path / "start", SERIAL)
     given = [f"{entry['name']}={entry['value']}" for entry in values["parameterValues"]]
     words = [word for value in (*given, "Jobs=1", f"Command={command}")
              for word in ("-p", value)]  # fmt: skip
@@ -265,7 +268,7 @@ def test_a_job_of_shots_alone_is_the_batch_of_them(edit: Path, tmp_path: Path) -
     done = animtool("job", "own.batch.yaml", "-o", "a.job", "--chunk", 2, cwd=edit)
     assert "3 items, 2 a task, 2 tasks" in done.stderr
     values = ["-p", f"BatchFile={edit / 'own.batch.yaml'}", "-p", "Jobs=1"]
-    values += ["-p", f"Command={starter(tmp_path / 'start')}"]
+    values += ["-p", f"Command={starter(tmp_path / 'start', SERIAL)}"]
     words = ["--step", "Settle", "--run-dependencies", *values]
     assert "3 of 3 are up to date" in openjd(
         "run", edit / "a.job/template.yaml", *words

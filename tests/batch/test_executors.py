@@ -69,19 +69,12 @@ def test_every_item_is_made_once(name: str, argument: str, tmp_path: Path) -> No
         assert f"../takes/take00{number - 1}.bvh" in {f.path for f in outcome.inputs}
         assert outcome.measured is not None
         assert outcome.measured.samples == 4
-
-
-def test_outputs_are_those_of_any_other(
-    name: str, argument: str, tmp_path: Path
-) -> None:
-    contents = []
-    for executor, told in ((name, argument), ("serial", "")):
-        folder = tmp_path / str(len(contents))
-        made = work(folder, 3, argument=told)
-        list(find_executor(executor).load()(made))
-        contents.append([p.read_bytes() for p in sorted((folder / "out").iterdir())])
-    assert contents[0] == contents[1]
-    assert len(contents[0]) == 3
+    # The bytes are those that any other makes.
+    list(find_executor("serial").load()(work(tmp_path / "other", 5)))
+    outputs = sorted((tmp_path / "out").iterdir())
+    assert len(outputs) == 4
+    for path in outputs:
+        assert path.read_bytes() == (tmp_path / "other/out" / path.name).read_bytes()
 
 
 def test_items_are_taken_when_they_are_begun(

@@ -33,7 +33,7 @@ def long_take(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 def test_a_bake_killed_at_any_moment(tmp_path: Path) -> None:
     take = tmp_path / "short.bvh"
-    take.write_text(small_bvh(random_rows(200)))
+    take.write_text(small_bvh(random_rows(60)))
 
     def files(folder: Path) -> dict[str, bytes]:
         return {

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -210,22 +208,6 @@ def test_what_a_bake_would_do_is_said(tmp_path: Path) -> None:
     steps = bake_steps(written(tmp_path, SCENE), tmp_path / "x.usdc")
     assert [step.kind for step in steps] == [StepKind.SYSTEM, StepKind.OUTPUT]
     assert steps[0].reads == ("1 emitter", "2 forces", "2 colliders")
-
-
-def test_a_scene_without_systems_loads_no_simulation(
-    walk: Path, tmp_path: Path
-) -> None:
-    scene = written(tmp_path, f"scene: animtool/1\nsource: {{file: {walk.name}}}\n")
-    (tmp_path / walk.name).write_bytes(walk.read_bytes())
-    code = (
-        "from animtool.cli.main import run\n"
-        f"run(['bake', {str(scene)!r}, '-o', {str(tmp_path / 'o.usdc')!r}])\n"
-        "import sys; print(sorted(m for m in sys.modules if 'animtool.sim.' in m))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.splitlines()[-1] == "[]"
 
 
 # Faults

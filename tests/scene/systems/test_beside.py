@@ -227,13 +227,20 @@ FORMS: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the scene baked without any option."""
+    folder = tmp_path_factory.mktemp("plain")
+    bake(scene(folder), folder / "plain.usdc")
+    return folder / "plain.usdc"
+
+
 @pytest.mark.parametrize("name", FORMS)
-def test_every_form_has_the_same(name: str, tmp_path: Path) -> None:
+def test_every_form_has_the_same(name: str, plain: Path, tmp_path: Path) -> None:
     path = scene(tmp_path)
-    bake(path, tmp_path / "plain.usdc")
     report = bake(path, tmp_path / name, BakeOptions(**FORMS[name]))
     for attribute in ("points", "ids", "velocities", "widths", "extent"):
-        expected = values(tmp_path / "plain.usdc", attribute)
+        expected = values(plain, attribute)
         assert_same(expected, values(tmp_path / name, attribute))
     stage = Usd.Stage.Open(str(tmp_path / name))
     assert not validation_errors(stage)
@@ -244,9 +251,10 @@ def test_every_form_has_the_same(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("options", [{}, {"chunk": 4}, {"deform": True, "chunk": 4}])
-def test_a_layer_over_a_rig(options: dict[str, Any], tmp_path: Path) -> None:
+def test_a_layer_over_a_rig(
+    options: dict[str, Any], plain: Path, tmp_path: Path
+) -> None:
     path = scene(tmp_path)
-    bake(path, tmp_path / "plain.usdc")
     done = animtool("convert", "pair.rig.yaml", "pair.usda", cwd=tmp_path)
     assert done.code == 0
     rig = tmp_path / "pair.usda"
@@ -254,7 +262,7 @@ def test_a_layer_over_a_rig(options: dict[str, Any], tmp_path: Path) -> None:
     bake(path, layer, BakeOptions(rig_layer=rig, **options))
     shot = Usd.Stage.Open(str(layered(tmp_path, layer, rig)))
     assert dust(shot).GetPath() == "/pair/dust"
-    expected = values(tmp_path / "plain.usdc")
+    expected = values(plain)
     for code, points in expected.items():
         found = np.array(dust(shot).GetAttribute("points").Get(code))
         np.testing.assert_array_equal(found, points)

@@ -40,9 +40,10 @@ def attributes() -> list[str]:
 @pytest.mark.parametrize("kind", VALUES, ids=str)
 @pytest.mark.parametrize("place", ["default", "sample"])
 def test_a_value_of_another_type_is_no_traceback(kind: Any, place: str) -> None:
+    whole = Sdf.Layer.FindOrOpen(str(LAYER))
     for name in attributes():
         layer = Sdf.Layer.CreateAnonymous(".usda")
-        layer.ImportFromString(LAYER.read_text("utf-8"))
+        layer.TransferContent(whole)
         old = layer.GetAttributeAtPath(name)
         owner, leaf = old.owner, old.name
         if old.typeName == kind:
