@@ -343,13 +343,6 @@ def test_what_blows_up_is_not_written(tmp_path: Path) -> None:
     assert not (tmp_path / "o.usdc").exists()
 
 
-def test_it_begins_before_the_first_frame(tmp_path: Path) -> None:
-    late = values(baked(tmp_path, ROPE), "/shot/lead", "points", 7)
-    text = ROPE + "    preroll: 0.25\n"
-    early = values(baked(tmp_path, text, "b.usda"), "/shot/lead", "points", 1)
-    np.testing.assert_allclose(early, late, atol=1e-6)
-
-
 def test_it_runs_into_colliders(tmp_path: Path) -> None:
     text = ROPE + "    colliders: [{shape: {plane: {offset: 1.8}}}]\n"
     points = values(baked(tmp_path, text), "/shot/lead", "points", 12)

@@ -11,7 +11,6 @@ from pxr import Sdf, Usd, UsdGeom
 
 from animtool import BakeOptions, bake
 from animtool.cli.summary import bake_json, bake_text
-from animtool.edit.frame_range import FrameRange
 from animtool.errors import AnimtoolError, FormatError, OptionError, ToleranceError
 from animtool.scene.file import load_scene
 from animtool.scene.steps import StepKind, bake_steps
@@ -106,44 +105,6 @@ def test_a_start_says_when_the_simulation_begins(tmp_path: Path) -> None:
     )
     found = part.QueryTimeSample("/later/embers.points", 1004)
     assert found == whole.QueryTimeSample("/shot/embers.points", 4)
-
-
-def test_the_same_bytes_each_time(tmp_path: Path) -> None:
-    scene = written(tmp_path, SCENE)
-    for name in ("a.usdc", "b.usdc"):
-        bake(scene, tmp_path / name)
-    assert (tmp_path / "a.usdc").read_bytes() == (tmp_path / "b.usdc").read_bytes()
-
-
-def test_the_frame_rate_changes_nothing(tmp_path: Path) -> None:
-    scene = written(tmp_path, SCENE)
-    bake(scene, tmp_path / "slow.usda")
-    double = BakeOptions(fps=48, frame_range=FrameRange(1, 24))  # type: ignore[arg-type]
-    bake(scene, tmp_path / "fast.usda", double)
-    slow, fast = (
-        Sdf.Layer.FindOrOpen(str(tmp_path / name))
-        for name in ("slow.usda", "fast.usda")
-    )
-    for name in ("points", "ids", "velocities"):
-        path = f"/shot/embers.{name}"
-        for frame in range(12):
-            a = slow.QueryTimeSample(path, 1 + frame)
-            b = fast.QueryTimeSample(path, 1 + 2 * frame)
-            np.testing.assert_array_equal(np.array(a), np.array(b))
-
-
-def test_a_part_of_the_range_is_a_part_of_the_motion(tmp_path: Path) -> None:
-    scene = written(tmp_path, SCENE)
-    bake(scene, tmp_path / "whole.usda")
-    bake(scene, tmp_path / "part.usda", BakeOptions(frame_range=FrameRange(6, 9)))
-    whole, part = (
-        Sdf.Layer.FindOrOpen(str(tmp_path / f"{name}.usda"))
-        for name in ("whole", "part")
-    )
-    path = "/shot/embers.points"
-    assert part.ListTimeSamplesForPath(path) == [6, 7, 8, 9]
-    for code in (6, 9):
-        assert whole.QueryTimeSample(path, code) == part.QueryTimeSample(path, code)
 
 
 def test_units_and_names_of_the_output(tmp_path: Path) -> None:

@@ -76,14 +76,6 @@ def test_looking_changes_nothing(times: list[float]) -> None:
     same(run.at(1.0), fountain())
 
 
-def test_frames_of_all_rates_agree_where_they_meet() -> None:
-    coarse, fine = ParticleRun(FOUNTAIN), ParticleRun(FOUNTAIN)
-    for k in range(10):
-        few = coarse.at(k / 10)
-        many = [fine.at(k / 10 + i / 70) for i in range(7)]
-        same(few, many[0])
-
-
 def test_births_do_not_depend_on_the_step() -> None:
     emitter = FOUNTAIN.emitters[0]
     free = replace(FOUNTAIN, forces=[GRAVITY], colliders=[], emitters=[emitter])

@@ -1,0 +1,232 @@
+"""An example of every kind of system, small and nasty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from animtool.maths import so3
+from support.simulated import Bursts, Length, Point, Rotation, Timed, Vector
+
+TILT = so3.exp(np.array([0.3, -0.2, 0.5]))
+TILTED = Rotation(TILT[[3, 0, 1, 2]].tolist())
+OFFSET = np.array([3.0, -1.0, 2.0])
+# What holds or makes it goes there and back, faster at the end.
+MOVES = Timed([[0, 0, 0, 0], [0.125, 0.1, 0.02, 0], [0.375, -0.1, 0.1, 0.2]])
+# A tilted floor that rises, below what falls.
+FLOOR = {
+    "shape": {"plane": {}},
+    "at": Point(np.add(OFFSET, [0.0, -0.3, 0.0])),
+    "rotate": TILTED,
+    "moves": Timed([[0, 0, 0, 0], [0.5, 0, 0.2, 0]]),
+    "depenetration": Length(1.0),
+    "speed_limit": Length(200.0),
+    "friction": 0.3,
+}
+GRAVITY = Vector([1.0, -9.0, 0.5])
+
+
+@dataclass(frozen=True)
+class Example:
+    """A system of a kind.
+
+    Attributes:
+        keys: Its entry.
+        few: Changes that leave as little as there can be, and how many points there
+            are then.
+        wild: Changes with which it blows up.
+        initial: Its points at 0 s ``(N, 3)`` [m].
+        orders: Orders of methods, in step.
+        more: Methods without an order, or with one only where all is smooth.
+        smooth: Changes without which no order shows.
+    """
+
+    keys: dict[str, Any]
+    few: tuple[tuple[dict[str, Any], int], ...]
+    wild: dict[str, Any]
+    initial: np.ndarray
+    orders: dict[str, int]
+    more: tuple[str, ...] = ("auto", "xpbd")
+    smooth: dict[str, Any] = field(default_factory=dict)
+
+
+def springs(**keys: Any) -> dict[str, Any]:
+    """Return keys that all kinds of springs have, and those of one."""
+    return {
+        "mass": 0.1,
+        "gravity": GRAVITY,
+        "drag": 0.7,
+        "radius": Length(0.01),
+        "colliders": [FLOOR],
+        "speed_limit": Length(200.0),
+        "step": 1 / 512,
+        "solver": "symplectic_euler",
+        **keys,
+    }
+
+
+BREEZE = {
+    "velocity": Vector([1.0, 0.5, 2.0]),
+    "gusts": Timed([[0, 0, 0, 0], [0.25, 2.0, 0, 1]]),
+}
+AIR = {**BREEZE, "density": Length(1.2, -3)}
+FAMILY = {"stiffness": 60, "ratio": 0.1}
+LINES = {"structural": FAMILY, "bend": {"stiffness": 4, "ratio": 0.1}}
+ORDERS = {"symplectic_euler": 1, "implicit_euler": 1, "bdf2": 2}
+# Too stiff for the step, whatever is done.
+WILD = {"structural": {"stiffness": 1e9}}
+SMOOTH = {"colliders": [], "pins": [{"particles": [0]}]}
+
+ROPE = np.linspace(OFFSET, np.add(OFFSET, [0.6, 0.1, -0.2]), 5)
+HAIR = ROPE[None, :4] + np.array([[0, 0, 0], [0.1, 0, 0.2], [-0.1, 0.05, 0.2]])[:, None]
+ACROSS, UP = np.array([0.5, 0.0, 0.1]), np.array([0.0, -0.1, 0.4])
+SHEET = np.array(
+    [OFFSET + i / 3 * ACROSS + j / 2 * UP for j in range(3) for i in range(4)]
+)
+# Two tetrahedra that share a face.
+JELLY = OFFSET + np.array(
+    [[0, 0, 0], [0.3, 0, 0.1], [0, 0.3, 0], [0, 0.05, 0.3], [0.3, 0.3, 0.35]]
+)
+CELLS = np.array([[0, 1, 2, 3], [1, 2, 3, 4]])
+
+EXAMPLES = {
+    "particles": Example(
+        {
+            "emitters": [
+                {
+                    "place": {"disc": {"radius": Length(0.2)}},
+                    "at": Point(OFFSET),
+                    "rotate": TILTED,
+                    "moves": MOVES,
+                    "turns": Timed([[0, 1, 0, 0, 0], [0.25, 0.8, 0.6, 0, 0]]),
+                    "bursts": Bursts([[0, 3], [0.0625, 5], [0.3, 2]]),
+                    "speed": Length(1.5),
+                    "speed_spread": Length(0.5),
+                    "spread": 40,
+                    "lifetime": 0.4,
+                    "lifetime_spread": 0.1,
+                    "radius": Length(0.01),
+                    "radius_spread": Length(0.004),
+                    "mass": 0.1,
+                    "seed": 3,
+                }
+            ],
+            "forces": [
+                {"gravity": {"acceleration": GRAVITY}},
+                {"drag": {"linear": 0.02, "quadratic": Length(0.01, -1)}},
+                {"wind": {"velocity": Vector([1.0, 0.5, 2.0]), "drag": 0.05}},
+                {
+                    "spring": {
+                        "anchor": Point(np.add(OFFSET, [0, 0.5, 0])),
+                        "k": 1.0,
+                        "kd": 0.1,
+                    }
+                },
+            ],
+            "colliders": [
+                {
+                    **FLOOR,
+                    "at": Point(np.add(OFFSET, [0.0, -0.05, 0.0])),
+                    "restitution": 0.4,
+                }
+            ],
+            "kill": [
+                {
+                    "shape": {"box": {"size": [Length(9.0)] * 3}},
+                    "at": Point(OFFSET),
+                    "container": True,
+                }
+            ],
+            "step": 1 / 128,
+        },
+        few=(
+            ({"emitters": [{"rate": 1, "start": 9}]}, 0),
+            ({"emitters": [{"bursts": [[0, 1]], "mass": 0.1}]}, 1),
+        ),
+        wild={"forces": [{"spring": {"anchor": [0, 0, 0], "k": 1e9}}]},
+        initial=np.zeros((0, 3)),
+        orders={"euler": 1, "midpoint": 2, "rk4": 4},
+        more=("velocity_verlet", "rk45"),
+        smooth={
+            "colliders": [],
+            "kill": [],
+            "emitters": [
+                {"at": OFFSET.tolist(), "bursts": [[0, 2]], "speed": 1.5, "mass": 0.1}
+            ],
+        },
+    ),
+    "rope": Example(
+        springs(
+            **{"from": Point(ROPE[0]), "to": Point(ROPE[-1])},
+            count=5,
+            tip_mass=0.2,
+            springs=LINES,
+            wind=BREEZE,
+            pins=[
+                {"particles": ["start"], "moves": MOVES},
+                {"particles": ["end"], "stiffness": 5, "damping": 0.1},
+            ],
+        ),
+        few=(({"count": 2, "pins": []}, 2),),
+        wild={"springs": WILD},
+        initial=ROPE,
+        orders=ORDERS,
+        smooth=SMOOTH,
+    ),
+    "strands": Example(
+        springs(
+            points=Point(HAIR),
+            springs=LINES,
+            wind=BREEZE,
+            pins=[{"particles": ["roots"], "moves": MOVES}],
+        ),
+        few=(({"points": Point(HAIR[:1, :2]), "pins": []}, 2),),
+        wild={"springs": WILD},
+        initial=HAIR.reshape(-1, 3),
+        orders=ORDERS,
+        smooth=SMOOTH,
+    ),
+    "cloth": Example(
+        springs(
+            corner=Point(OFFSET),
+            across=Vector(ACROSS.tolist()),
+            up=Vector(UP.tolist()),
+            resolution=[4, 3],
+            springs={
+                "structural": FAMILY,
+                "diagonals": {"stiffness": 20, "ways": "one"},
+                "bend": {"stiffness": 2},
+            },
+            wind=AIR,
+            pins=[{"particles": ["left"], "moves": MOVES}],
+        ),
+        few=(({"resolution": [2, 2], "pins": []}, 4),),
+        wild={"springs": WILD},
+        initial=SHEET,
+        orders=ORDERS,
+        smooth=SMOOTH,
+    ),
+    "volume": Example(
+        springs(
+            tetrahedra={"points": Point(JELLY), "cells": CELLS},
+            springs={"structural": FAMILY},
+            wind=AIR,
+            pins=[{"particles": [0], "moves": MOVES}],
+        ),
+        few=(
+            (
+                {
+                    "tetrahedra": {"points": Point(JELLY[:4]), "cells": CELLS[:1]},
+                    "pins": [],
+                },
+                4,
+            ),
+        ),
+        wild={"springs": WILD},
+        initial=JELLY,
+        orders=ORDERS,
+        smooth=SMOOTH,
+    ),
+}
