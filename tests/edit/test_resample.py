@@ -72,9 +72,9 @@ def test_kept_samples_have_exact_time_codes() -> None:
 
 
 def test_a_long_take_at_a_broken_rate_does_not_drift() -> None:
-    times = plan_samples(clock(10**7, Fraction(30)), Fraction(30000, 1001), Fraction(1))
+    times = plan_samples(clock(10**6, Fraction(30)), Fraction(30000, 1001), Fraction(1))
     ratio = Fraction(30) / Fraction(30000, 1001)
-    for i in (1, 999, 10**6 + 1, len(times.codes) - 1):
+    for i in (1, 999, 10**5 + 1, len(times.codes) - 1):
         whole, left = divmod(i * ratio, 1)
         assert (times.frames[i], times.fractions[i]) == (whole, float(left))
 
