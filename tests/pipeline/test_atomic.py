@@ -19,7 +19,7 @@ from support.cli import TIMEOUT, animtool, killable
 from animtool.leftovers import take_back
 from animtool.placing import Whole
 
-TRIES = 6
+TRIES = 10
 
 
 @pytest.fixture(scope="module")

@@ -55,6 +55,8 @@ def animtool_process(
 # counts the calls of a command, and kills itself outright at one if told which.
 _KILLABLE = """
 import contextlib, ctypes, json, os, signal, sys
+import animtool.batch.run, animtool.cli.bake, animtool.cli.batch
+import animtool.formats.bvh.read, animtool.scene.bake, animtool.usd.author
 import animtool.batch.warm
 from animtool.cli.main import run
 
