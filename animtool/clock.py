@@ -14,7 +14,7 @@ from animtool.errors import Fault, OptionError
 from animtool.rates import rate_label
 
 __all__ = [
-    "MOST_FRAMES",
+    "MAX_FRAMES",
     "Clock",
     "FrameSpan",
     "frame_label",
@@ -24,7 +24,7 @@ __all__ = [
 ]
 
 # Days of animation: rather a number that is mistyped.
-MOST_FRAMES = 10_000_000
+MAX_FRAMES = 10_000_000
 # Time codes are doubles of fractions such as 1001 + 1/5: this finds them again.
 LARGEST_STEP_DENOMINATOR = 10_000
 

@@ -40,7 +40,7 @@ _JOURNAL = ".set"
 # A longer suffix is no file type, and would make the temporary name too long.
 _LONGEST_SUFFIX = 16
 # A journal is a few hundred bytes for each file.
-_MOST_BYTES = 100_000_000
+_MAX_BYTES = 100_000_000
 
 
 def temporary_prefix(process: int | None = None) -> str:
@@ -168,7 +168,7 @@ class Journal:
         self.end()
 
     def _files(self, folder: Path) -> list[PlacedFile]:
-        content = read_input(folder / self.name, _MOST_BYTES, noted=False)
+        content = read_input(folder / self.name, _MAX_BYTES, noted=False)
         try:
             entries = json.loads(content)["files"]
             return [_placed(folder, entry) for entry in entries]
@@ -222,11 +222,11 @@ def _undo(path: Path) -> bool:
     try:
         if not stat.S_ISREG(path.lstat().st_mode):
             return True
-        with open_input(path, _MOST_BYTES, noted=False) as file:
+        with open_input(path, _MAX_BYTES, noted=False) as file:
             if not _locked(file.fileno()):
                 return False
             # Complete now: whoever wrote it is dead.
-            content = read_input(path, _MOST_BYTES, noted=False)
+            content = read_input(path, _MAX_BYTES, noted=False)
             folders = _folders(content)
             Journal(path.name, (*folders, path.parent)).take_back()
     except (OSError, FormatError):

@@ -15,10 +15,10 @@ from typing import Any, TypeAlias, cast
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError, excerpt
+from animtool.passthrough import PassthroughTracks, checked_tracks
 from animtool.plugins import load_object, load_plugin, plugin_points
 from animtool.similar import similar
 from animtool.take import Take, TakeStream
-from animtool.tracks_aside import TracksAside, checked_tracks
 
 __all__ = [
     "EVERY_PART",
@@ -277,9 +277,9 @@ def apply_pass(
     """
     _check_points(stream, pass_)
     if stream.tracks and not sees_tracks(pass_):
-        aside = TracksAside(stream)
-        done = apply_pass(aside.stream, pass_, options, context)
-        return aside.put_back(done)
+        passthrough = PassthroughTracks(stream)
+        done = apply_pass(passthrough.stream, pass_, options, context)
+        return passthrough.restore(done)
     if pass_.scope is not Scope.CLIP:
         done = cast(StreamRun, pass_.run)(stream, options, context)
         stays = not pass_.changes & {TakePart.CONTROLS, TakePart.CLOCK}

@@ -34,7 +34,7 @@ FRAME_TIME_EXPONENTS = (-9, 6)
 LOWEST_WRITTEN_RATE, HIGHEST_WRITTEN_RATE = Fraction(1, 1000), Fraction(100_000)
 HIGHEST_RATE = 1000
 # Taken first where a time is printed so coarsely that several integers fit.
-MOST_DIGITS = 100
+MAX_DIGITS = 100
 USUAL_RATES = frozenset({12, 24, 25, 30, 48, 50, 60, 90, 100, 120, 200, 240})
 
 
@@ -176,7 +176,7 @@ def exact_number(text: str) -> Fraction:
     text = text.strip()
     exponent = text.lower().partition("e")[2]
     # What has millions of digits takes hours to work out.
-    if len(text) > MOST_DIGITS or len(exponent) > len("-300"):
+    if len(text) > MAX_DIGITS or len(exponent) > len("-300"):
         raise ValueError(f"{excerpt(text)} has too many digits")
     return Fraction(text)
 

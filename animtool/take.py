@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 
 from animtool._types import FloatArray
-from animtool.clock import MOST_FRAMES, Clock, time_codes
+from animtool.clock import MAX_FRAMES, Clock, time_codes
 from animtool.errors import Fault, OptionError, counted
 from animtool.maths.curves import Curves
 from animtool.motion import Channel, Motion
@@ -22,7 +22,7 @@ from animtool.take_checks import impossible_values, misfits
 from animtool.transforms import Track
 
 __all__ = [
-    "MOST_FRAMES",
+    "MAX_FRAMES",
     "Channel",
     "Clock",
     "Motion",

@@ -165,9 +165,7 @@ def test_sizes_are_known_before_names(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("sound", [True, False])
-def test_some_things_are_done_once_files_have_names(
-    tmp_path: Path, sound: bool
-) -> None:
+def test_some_props_are_done_once_files_have_names(tmp_path: Path, sound: bool) -> None:
     one, found = tmp_path / "one.txt", []
 
     def write() -> None:

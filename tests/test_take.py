@@ -93,9 +93,9 @@ def test_notices_stay_with_a_take() -> None:
 def test_what_is_long_has_a_short_repr(walk: Path) -> None:
     take = read_bvh(walk).collect()
     world = take.world()
-    for thing in (take, take.rig, take.motion, take.motion.rotations, world):
-        assert "\n" not in repr(thing)
-        assert len(repr(thing)) < 120
+    for prop in (take, take.rig, take.motion, take.motion.rotations, world):
+        assert "\n" not in repr(prop)
+        assert len(repr(prop)) < 120
     assert repr(take) == "<Take of 'walk': 64 frames from 1 to 64 at 30 fps, 21 joints>"
 
 

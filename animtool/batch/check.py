@@ -14,7 +14,7 @@ from animtool.output_names import name_key
 
 __all__ = ["check_overwrites", "check_places"]
 
-MOST_FAULTS = 50
+MAX_FAULTS = 50
 
 
 def check_places(batch: Batch) -> None:
@@ -110,8 +110,8 @@ def check_overwrites(
 
 
 def _refuse(faults: list[Fault], kind: type[OptionError] | type[OutputError]) -> None:
-    if len(faults) > MOST_FAULTS:
-        rest = f"{len(faults) - MOST_FAULTS} more faults are not shown"
-        faults = [*faults[:MOST_FAULTS], Fault("DOC011", rest)]
+    if len(faults) > MAX_FAULTS:
+        rest = f"{len(faults) - MAX_FAULTS} more faults are not shown"
+        faults = [*faults[:MAX_FAULTS], Fault("DOC011", rest)]
     if faults:
         raise kind(faults)

@@ -17,18 +17,18 @@ from uuid import uuid4
 
 from animtool.batch.checked import RecordError, json_of_file, text_in
 from animtool.batch.executors import Work
-from animtool.batch.lane import Lane, Task
 from animtool.batch.outcome import Outcome, Status
 from animtool.batch.recipe import Item
 from animtool.batch.versions import made_by
+from animtool.batch.worker_process import Task, WorkerProcess
 from animtool.errors import Fault, OptionError, OutputError, excerpt
 
 __all__ = ["dask"]
 
 # A scheduler that has not answered by then is not there [s].
-PATIENCE = 10.0
+TIMEOUT = 10.0
 # How often the workers that there are are counted where nothing ends [s].
-GLANCE = 1.0
+POLL_INTERVAL = 1.0
 # A nanny starts a lost worker anew within seconds, and clusters that grow by demand
 # start machines within minutes; what takes longer may never come [s].
 WORKERLESS = 300.0
@@ -98,16 +98,16 @@ def _left(client: Any, name: str) -> None:
 
     leaving = Thread(target=leave, daemon=True)
     leaving.start()
-    leaving.join(PATIENCE)
+    leaving.join(TIMEOUT)
     with suppress(TimeoutError):
-        client.close(PATIENCE)
+        client.close(TIMEOUT)
 
 
 def _client(address: str) -> Any:
     from distributed import Client
 
     try:
-        return Client(address, timeout=PATIENCE, set_as_default=False)
+        return Client(address, timeout=TIMEOUT, set_as_default=False)
     except (OSError, ValueError) as error:
         raise _unreachable(address, error) from error
 
@@ -116,10 +116,10 @@ def _prepare(client: Any, about: str, name: str, task: Task) -> None:
     """Let each worker, of now and of later, know how items are made."""
     from distributed import WorkerPlugin
 
-    class Lanes(_Lanes, WorkerPlugin):  # type: ignore[misc]
+    class WorkerProcesses(_WorkerProcesses, WorkerPlugin):  # type: ignore[misc]
         """What every worker of the cluster has."""
 
-    plugin = Lanes(task, made_by())
+    plugin = WorkerProcesses(task, made_by())
     try:
         client.register_plugin(plugin, name=name)
     except Exception as error:
@@ -141,7 +141,7 @@ def _made(client: Any, name: str, work: Work) -> Iterator[Outcome]:
     """Begin an item whenever a thread is free; yield what became of those that end.
 
     What was at a worker that is lost is begun again by the scheduler. No wait is longer
-    than `GLANCE`: between two, the workers are counted.
+    than `POLL_INTERVAL`: between two, the workers are counted.
     """
     make, watch = _sent(name), _Watch(client, work.argument)
     going: dict[Any, Item] = {}
@@ -158,7 +158,7 @@ def _made(client: Any, name: str, work: Work) -> Iterator[Outcome]:
         if not going:
             return
         try:
-            future = ended.get(timeout=GLANCE)
+            future = ended.get(timeout=POLL_INTERVAL)
         except Empty:
             watch.threads()
         else:
@@ -189,7 +189,7 @@ class _Watch:
         if self.client.status in {"closing", "closed"}:
             raise _unusable(self.about, "its scheduler is gone", hint)
         try:
-            found = int(sum(self.client.nthreads(callback_timeout=PATIENCE).values()))
+            found = int(sum(self.client.nthreads(callback_timeout=TIMEOUT).values()))
         except (OSError, RuntimeError):
             # The client looks for its scheduler again, and closes where it is gone.
             found = 0
@@ -216,8 +216,8 @@ def _sent(name: str) -> Callable[[bytes], Outcome]:
         from distributed import get_worker
 
         item = pickle.loads(pickled)
-        lanes: _Lanes = get_worker().plugins[name]
-        return lanes.make(item)
+        processes: _WorkerProcesses = get_worker().plugins[name]
+        return processes.make(item)
 
     return make
 
@@ -240,7 +240,7 @@ def _failed(item: Item, fault: Fault) -> Outcome:
 
 
 @dataclass(slots=True)
-class _Lanes:
+class _WorkerProcesses:
     """The programs of a worker that make items: as many as it has threads at work.
 
     Attributes:
@@ -250,8 +250,8 @@ class _Lanes:
 
     task: Task
     versions: Mapping[str, str]
-    _idle: list[Lane] = field(default_factory=list)
-    _busy: list[Lane] = field(default_factory=list)
+    _idle: list[WorkerProcess] = field(default_factory=list)
+    _busy: list[WorkerProcess] = field(default_factory=list)
 
     def make(self, item: Item) -> Outcome:
         """Return what became of an item."""
@@ -263,24 +263,24 @@ class _Lanes:
             hint = "the same on every machine makes the same bytes"
             return _failed(item, Fault("BAT036", message, hint=hint))
         # Both are atomic among threads.
-        lane = self._idle.pop() if self._idle else Lane(self.task)
-        self._busy.append(lane)
+        process = self._idle.pop() if self._idle else WorkerProcess(self.task)
+        self._busy.append(process)
         try:
-            outcome = lane.make(item)
+            outcome = process.make(item)
         except OSError as error:
-            self._busy.remove(lane)
-            lane.end()
+            self._busy.remove(process)
+            process.end()
             message = f"cannot be made here: {error}"
             return _failed(item, Fault("BAT020", message, str(item.found.path)))
-        self._busy.remove(lane)
-        self._idle.append(lane)
+        self._busy.remove(process)
+        self._idle.append(process)
         return outcome
 
     def teardown(self, worker: object) -> None:
         """End the programs, and what they are at."""
         del worker
-        for lane in [*self._idle, *self._busy]:
-            lane.end()
+        for process in [*self._idle, *self._busy]:
+            process.end()
 
 
 def _differences(wanted: Mapping[str, str], found: Mapping[str, str]) -> str:

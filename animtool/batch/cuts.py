@@ -315,7 +315,7 @@ class _Reader:
     def clip(self, entry: _Entry) -> None:
         """Take a clip."""
         # It imports numpy, and a batch of files is planned without.
-        from animtool.clock import MOST_FRAMES
+        from animtool.clock import MAX_FRAMES
 
         clip, named = entry.clip, entry.named
         found = self.medium(clip, named)
@@ -339,9 +339,9 @@ class _Reader:
             hint += f"or leave it out with --exclude {found.path}"
             self.fault("BAT044", message, hint)
             return
-        if shot.end - shot.start >= MOST_FRAMES:
+        if shot.end - shot.start >= MAX_FRAMES:
             message = f"{named} has too many frames: {shot.end - shot.start + 1}"
-            self.fault("BAT041", message, f"a shot has up to {MOST_FRAMES}")
+            self.fault("BAT041", message, f"a shot has up to {MAX_FRAMES}")
             return
         names = {
             "shot": shot.name,

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 __all__ = ["History", "Ledger", "held_ledger", "read_history"]
 
 # A run of some items holds the lock of the whole for a moment, to see that it is free.
-PATIENCE = 5.0
+TIMEOUT = 5.0
 # The numbers of items that a part of a batch is called by.
 _PART = re.compile(r"([0-9]{1,9})-([0-9]{1,9})")
 MAX_OWNER = 4096
@@ -242,7 +242,7 @@ def held_ledger(folder: Path, name: str, part: str = "") -> Iterator[Ledger]:
             # Released at once: no run of the whole goes on, and of parts that have
             # items in common one comes first.
             with ExitStack() as moment:
-                _lock(moment, files.whole(), PATIENCE)
+                _lock(moment, files.whole(), TIMEOUT)
                 _lock(held, files, 0.0)
                 for other in files.others():
                     if other != files and files.overlaps(other):
@@ -259,14 +259,14 @@ def held_ledger(folder: Path, name: str, part: str = "") -> Iterator[Ledger]:
             ledger.close()
 
 
-def _lock(held: ExitStack, files: _Files, patience: float) -> None:
+def _lock(held: ExitStack, files: _Files, timeout: float) -> None:
     from filelock import FileLock, Timeout
 
     path = files.named(".lock")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         lock: FileLock = FileLock(path)
-        held.enter_context(lock.acquire(timeout=patience))
+        held.enter_context(lock.acquire(timeout=timeout))
     except Timeout as error:
         message = f"another run of this batch goes on: {_owner(files)}"
         hint = "wait for it to end, or end it"

@@ -49,7 +49,7 @@ class Outcome:
         inputs: The files that were looked at.
         outputs: The files that were written.
         at: When, by the clock of the disk that it was written to [ns].
-        worn: Whether the process that made it had better make no other.
+        retired: Whether the process that made it had better make no other.
     """
 
     number: int
@@ -61,4 +61,4 @@ class Outcome:
     inputs: tuple[FileRecord, ...] = ()
     outputs: tuple[FileRecord, ...] = ()
     at: int = 0
-    worn: bool = False
+    retired: bool = False

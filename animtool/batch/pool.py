@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import Any, cast
 
 from animtool.batch.limits import Limits, bytes_text
-from animtool.batch.needs import needed_modules
 from animtool.batch.outcome import Outcome, Status
 from animtool.batch.recipe import Item, Recipe
+from animtool.batch.requirements import needed_modules
 from animtool.batch.work import Maker
 from animtool.batch.worker import READY, Reading, serve
 from animtool.errors import Fault, OutputError
@@ -50,13 +50,13 @@ ENVIRONMENT = {
     "PYTHONSAFEPATH": "1",
 }
 # How often the memory of a process that has a limit is looked at [s].
-GLANCE = 0.05
+POLL_INTERVAL = 0.05
 LONGEST_WAIT = 86_400.0
 # Imports take seconds, over a slow network minutes [s].
 LONGEST_START = 900.0
 # Processes that end in a row before they can take an item: then none can.
-MOST_STILLBORN = 3
-PATIENCE = 5.0
+MAX_FAILED_STARTS = 3
+TIMEOUT = 5.0
 # What may have happened to a process, by how it ended.
 _MEMORY = "the system may have no memory left: -j makes fewer at a time"
 _HINTS = {-9: _MEMORY, -6: _MEMORY}
@@ -105,7 +105,7 @@ class _Worker:
         else:
             with contextlib.suppress(OSError):
                 self.connection.send(None)
-        self.process.join(PATIENCE)
+        self.process.join(TIMEOUT)
         if self.process.is_alive():
             self.process.kill()
             self.process.join()
@@ -123,7 +123,7 @@ class _Pool:
         ahead: Whether the next item is begun before it is told how the last ended.
         left: Whether there may be more items.
         workers: Those that live.
-        stillborn: How many in a row ended before they could take an item.
+        failed_starts: How many in a row ended before they could take an item.
     """
 
     maker: Maker
@@ -132,7 +132,7 @@ class _Pool:
     ahead: bool
     left: bool = True
     workers: list[_Worker] = field(default_factory=list)
-    stillborn: int = 0
+    failed_starts: int = 0
 
     def start(self) -> None:
         context = _context(self.maker.recipe)
@@ -176,7 +176,7 @@ class _Pool:
     def _heard(self, worker: _Worker) -> Iterator[Outcome]:
         sent = worker.received()
         if sent == READY:
-            worker.ready, self.stillborn = True, 0
+            worker.ready, self.failed_starts = True, 0
         elif isinstance(sent, Reading):
             pass
         elif isinstance(sent, Outcome) and sent.number == _number(worker):
@@ -187,7 +187,7 @@ class _Pool:
             self.workers.remove(worker)
             worker.end(kill=True)
         else:
-            worker.process.join(PATIENCE)
+            worker.process.join(TIMEOUT)
             code = worker.process.exitcode or 0
             if worker.path and -code in CRASHES:
                 yield self._lost(worker, crash_fault(worker.path, -code))
@@ -206,21 +206,21 @@ class _Pool:
         """
         self.workers.remove(worker)
         if worker.process.is_alive():
-            worker.process.join(GLANCE)
+            worker.process.join(POLL_INTERVAL)
         why = _how_it_ended(worker.process)
         worker.end(kill=True)
-        self.stillborn += 1
-        if self.stillborn == MOST_STILLBORN:
+        self.failed_starts += 1
+        if self.failed_starts == MAX_FAILED_STARTS:
             raise _unstartable(f"the last {why}")
 
     def _ended(self, worker: _Worker, outcome: Outcome) -> Iterator[Outcome]:
         worker.item = None
-        worn = outcome.worn or self._swollen(worker)
+        retired = outcome.retired or self._swollen(worker)
         # One that fails may be the last that is begun: that is known when it is heard.
-        if self.ahead and outcome.status is Status.DONE and not worn:
+        if self.ahead and outcome.status is Status.DONE and not retired:
             self.feed(worker)
         yield outcome
-        if worn:
+        if retired:
             self.workers.remove(worker)
             worker.end(kill=False)
 
@@ -265,7 +265,7 @@ class _Pool:
         """Return how long nothing but a message or an end need be looked for [s]."""
         busy = [worker for worker in self.workers if worker.item is not None]
         if busy and self.limits.memory is not None:
-            return GLANCE
+            return POLL_INTERVAL
         ends = [w.began + LONGEST_START for w in self.workers if not w.ready]
         if self.limits.seconds is not None:
             ends += [worker.began + self.limits.seconds for worker in busy]
@@ -273,7 +273,7 @@ class _Pool:
             return None
         # Systems wait for a few weeks at the most.
         left = max(0.0, min(ends) - time.perf_counter())
-        return min(left, LONGEST_WAIT) + GLANCE
+        return min(left, LONGEST_WAIT) + POLL_INTERVAL
 
     def end(self, *, kill: bool) -> None:
         for worker in list(self.workers):

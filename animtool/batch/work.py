@@ -39,7 +39,7 @@ class Maker:
     def make(self, item: Item) -> Outcome:
         """Return what became of an item; only what ends the process is raised."""
         began = time.perf_counter()
-        worn = False
+        retired = False
         try:
             return self._made(item, began)
         except AnimtoolError as error:
@@ -48,20 +48,22 @@ class Maker:
                 for fault in error.faults
             )
         except MemoryError:
-            worn = True
+            retired = True
             faults = (Fault("BAT022", "there was not enough memory", _named(item)),)
         except OSError as error:
             message = f"cannot be read or written: {error.strerror or error}"
             faults = (Fault("BAT023", message, error.filename or _named(item)),)
         except Exception as error:
-            kind, worn = type(error).__name__, True
+            kind, retired = type(error).__name__, True
             message = f"internal error: {kind}: {excerpt(str(error), 200)}"
             hint = "please report it; --executor serial --debug shows where"
             faults = (Fault("BAT023", message, _named(item), (), hint),)
         finally:
             _forget_layers()
         seconds = time.perf_counter() - began
-        return Outcome(item.number, Status.FAILED, seconds, tuple(faults), worn=worn)
+        return Outcome(
+            item.number, Status.FAILED, seconds, tuple(faults), retired=retired
+        )
 
     def _made(self, item: Item, began: float) -> Outcome:
         with recorded_inputs() as inputs:

@@ -8,7 +8,7 @@ import sys
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
-from animtool.batch.needs import import_needed
+from animtool.batch.requirements import import_needed
 from animtool.batch.work import Maker
 from animtool.supervisor import follow_parent, report_reading
 
@@ -48,7 +48,7 @@ def serve(connection: Connection, maker: Maker, memory: int | None) -> None:
         while (item := connection.recv()) is not None:
             outcome = maker.make(item)
             connection.send(outcome)
-            if outcome.worn:
+            if outcome.retired:
                 return
 
 

@@ -10,9 +10,9 @@ import click
 
 from animtool.cli.bake_options import bake_options, bake_options_record
 from animtool.cli.bake_sources import (
+    default_bake_output,
     only_scene,
     opened_sources,
-    output_beside,
     until_pass,
 )
 from animtool.cli.console import Console
@@ -135,7 +135,7 @@ def bake(
         if is_several(scene):
             _several(console, scene, output, given)
             return
-    path = None if to_stdout else output or output_beside(opened[0])
+    path = None if to_stdout else output or default_bake_output(opened[0])
     _one(console, opened, path, given)
 
 
@@ -173,7 +173,7 @@ def _plan(
 
     scene = only_scene(opened)
     if output is None and (scene is None or scene.output is None):
-        output = output_beside(opened[0])
+        output = default_bake_output(opened[0])
     steps = bake_steps(opened, output, bake_options_record(given))
     if given["report_format"] == "json":
         console.result_json(steps_json(steps))

@@ -11,7 +11,7 @@ import click
 if TYPE_CHECKING:
     from animtool.scene.scene import Scene
 
-__all__ = ["only_scene", "opened_sources", "output_beside", "until_pass"]
+__all__ = ["default_bake_output", "only_scene", "opened_sources", "until_pass"]
 
 
 def opened_sources(
@@ -59,10 +59,10 @@ def only_scene(opened: Sequence[Path | Scene]) -> Scene | None:
     return opened[0]
 
 
-def output_beside(source: Path | Scene) -> Path:
+def default_bake_output(source: Path | Scene) -> Path:
     """Return the file that a scene names, else the source's own name as usdc."""
-    from animtool.scene.files import file_beside
+    from animtool.scene.files import default_output
 
     if isinstance(source, Path):
-        return file_beside(source)
-    return source.output or file_beside(source.path)
+        return default_output(source)
+    return source.output or default_output(source.path)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["ik_details", "ik_json", "ik_table_json", "ik_table_text", "ik_text"]
 
-MOST_NAMED = 8
+MAX_NAMED = 8
 
 
 def _size(part: str, value: float) -> str:
@@ -53,7 +53,7 @@ def ik_text(report: IkReport) -> list[str]:
     if limits:
         most = sorted(limits.items(), key=lambda item: -item[1])
         names = [f"{name} ({counted(count, 'frame')})" for name, count in most]
-        lines.append(f"  on their limits: {listed(names, MOST_NAMED)}")
+        lines.append(f"  on their limits: {listed(names, MAX_NAMED)}")
     if report.written is not None:
         lines.append(f"  written: {', '.join(map(str, _outputs(report)))}")
         if not hasattr(report.written, "result"):

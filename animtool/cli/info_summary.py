@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["points_text", "rig_text", "scene_text", "take_text", "targets_text"]
 
 # Of a set with many prims, those that have a line each.
-MOST_PRIMS = 20
+MAX_PRIMS = 20
 _WORDS = {"": "over", "BasisCurves": "curves"}
 
 
@@ -148,8 +148,8 @@ def points_text(found: PointsDescription) -> list[str]:
 
 
 def _prim_lines(prims: Sequence[PointPrim]) -> list[str]:
-    lines = [_prim_line(prim) for prim in prims[:MOST_PRIMS]]
-    left = len(prims) - MOST_PRIMS
+    lines = [_prim_line(prim) for prim in prims[:MAX_PRIMS]]
+    left = len(prims) - MAX_PRIMS
     return [*lines, f"  and       {left} more"] if left > 0 else lines
 
 
@@ -162,8 +162,8 @@ def _prim_line(prim: PointPrim) -> str:
         span = f"time codes {span_label(prim.first, prim.last)}"
         moves = f"{counted(prim.samples, 'sample')}, {span}"
     parts.append(moves)
-    beside = ("velocities", "widths", "ids", "normals")
-    has = [name for name in beside if getattr(prim, name)] + prim.primvars
+    props = ("velocities", "widths", "ids", "normals")
+    has = [name for name in props if getattr(prim, name)] + prim.primvars
     if has:
         parts.append(f"with {', '.join(has)}")
     if prim.samples and not prim.fixed:
@@ -189,8 +189,7 @@ def scene_text(found: SceneDescription) -> list[str]:
     if found.rig is not None:
         lines.append(f"  rig       {found.rig}")
     lines += [
-        f"  beside    {thing.prim} of {thing.file} at {thing.path}"
-        for thing in found.beside
+        f"  beside    {prop.prim} of {prop.file} at {prop.path}" for prop in found.props
     ]
     if found.passes:
         names = listed([entry.name for entry in found.passes], 40)

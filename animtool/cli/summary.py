@@ -58,7 +58,7 @@ def bake_text(report: BakeReport) -> list[str]:
             f"  {_frames_text(report, one)}",
             *_shot_text(report),
             *mesh_text(one),
-            *_beside_text(report),
+            *_props_text(report),
             f"  {report.up} up, lengths in {unit}{assumed}",
             f"  {size_text(result.bytes)} written in {duration_text(total)}",
         ]
@@ -71,7 +71,7 @@ def bake_text(report: BakeReport) -> list[str]:
         lines.append(f"  {len(takes)} takes, {report.span}")
     lines += [
         f"  {counted(result.joints, 'joint')}, {moving} animated",
-        *_beside_text(report),
+        *_props_text(report),
         *(mesh_text(one) if one and one.meshes else []),
         f"  {report.up} up, lengths in {unit}{assumed}",
         f"  {size_text(result.bytes)} written in {duration_text(total)}"
@@ -171,9 +171,9 @@ def bake_details(report: BakeReport) -> list[str]:
     ]
 
 
-def _beside_text(report: BakeReport) -> list[str]:
+def _props_text(report: BakeReport) -> list[str]:
     """Return the line of what is written beside the characters, if there is any."""
-    paths = [path for take in report.takes for path in take.written.things]
+    paths = [path for take in report.takes for path in take.written.props]
     return [f"  beside: {listed(paths)}"] if paths else []
 
 
@@ -241,7 +241,7 @@ def _take_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
         "source_rate": str(take.source_fps),
         "between_frames": take.between,
         "animation": written.animation,
-        **({"beside": written.things} if written.things else {}),
+        **({"beside": written.props} if written.props else {}),
     }
     if "fit" in take.details:
         found["fit"] = take.details["fit"]

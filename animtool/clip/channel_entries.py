@@ -165,13 +165,13 @@ class ChannelReader:
         inner = interps[:-1]
         for k, key in enumerate(model.keys):
             before, behind = interps[max(k - 1, 0) : k], inner[k : k + 1]
-            for name, given, beside, wanted in (
+            for name, given, props, wanted in (
                 ("in", key.in_, before, _HANDLED),
                 ("out", key.out, behind, _HANDLED),
                 ("tcb", key.tcb, before + behind, {Interp.TCB}),
             ):
-                if given is not None and beside and not wanted & {*beside}:
-                    kinds = " and ".join(dict.fromkeys(beside))
+                if given is not None and props and not wanted & {*props}:
+                    kinds = " and ".join(dict.fromkeys(props))
                     message = f"'{name}' does nothing, beside it is {kinds}"
                     hint = f"it is for {' and '.join(sorted(wanted))}"
                     self.document.warn("CLIP104", (*at, "keys", k, name), message, hint)

@@ -14,7 +14,7 @@ from animtool.errors import Fault, FormatError, OptionError, counted
 from animtool.plugins import load_object
 from animtool.rates import rate_label, rate_option
 from animtool.rig.skeleton import Rig
-from animtool.take import MOST_FRAMES, Clock, Take, time_codes
+from animtool.take import MAX_FRAMES, Clock, Take, time_codes
 
 __all__ = ["Clip"]
 
@@ -72,8 +72,8 @@ class Clip:
         """
         each = step * self.fps / _rate(fps, self.fps)
         count = (self.last - self.first) // each + 1
-        if not 0 < count <= MOST_FRAMES:
-            message = f"the range has {count} frames; at most {MOST_FRAMES} are read"
+        if not 0 < count <= MAX_FRAMES:
+            message = f"the range has {count} frames; at most {MAX_FRAMES} are read"
             if count <= 0:
                 message = "the range has no frame"
             raise FormatError(Fault("CLIP006", message, where="range"))

@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.clip.coordinates import JointMotion, Same, wanted_of_joints
-from animtool.clip.points import SHELL, carried_points, point_errors
+from animtool.clip.points import SHELL, attached_points, point_errors
 from animtool.clip.reduction import ChannelKind, ReducedChannel
 from animtool.clip.sample import sample_values
 from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
@@ -173,7 +173,7 @@ class _Effect:
         self.take, self.rig, self.own = take, rig, own
         self.exact = {f"control/{n}": v[:, None] for n, v in solved.items()}
         self.bounds, self.weight_tolerance = bounds, weight_tolerance
-        self.points = carried_points(rig, SHELL)
+        self.points = attached_points(rig, SHELL)
 
     def ratio(
         self, values: Mapping[str, FloatArray], frames: IntArray | None = None

@@ -19,7 +19,7 @@ from animtool.take import Motion
 __all__ = ["JointMotion", "Same", "joint_motions", "joint_tracks", "wanted_of_joints"]
 
 # Whole turns that the first angle of a pin may be off what is read of its rotation.
-MOST_TURNS = 3
+MAX_TURNS = 3
 _COORDINATE = {JointType.PIN: "angle", JointType.PRISMATIC: "slide"}
 _TURNING = {JointType.FREE, JointType.BALL}
 
@@ -150,7 +150,7 @@ def _on_turn(
             excess = float(np.abs(joint.limits.excess(angle)).max(initial=0.0))
         return astray, round(excess, 9), abs(turns)
 
-    turns = min(range(-MOST_TURNS, MOST_TURNS + 1), key=oddness)
+    turns = min(range(-MAX_TURNS, MAX_TURNS + 1), key=oddness)
     return replace(own, coordinate=own.coordinate + 2 * np.pi * turns)
 
 

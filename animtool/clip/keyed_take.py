@@ -23,7 +23,7 @@ from animtool.clip.coordinates import (
     joint_tracks,
 )
 from animtool.clip.key_report import ChannelError, channel_errors, key_notices
-from animtool.clip.points import SHELL, carried_points, joint_bounds, point_errors
+from animtool.clip.points import SHELL, attached_points, joint_bounds, point_errors
 from animtool.clip.pose import pose_of
 from animtool.clip.reduce import reduce_motion
 from animtool.clip.reduced_clip import clip_of_reduction
@@ -272,7 +272,7 @@ def _measured(
     truth, made = (
         pose_of(take.rig, motion, below).world() for motion in (take.motion, found)
     )
-    errors = point_errors(carried_points(take.rig, SHELL), truth, made)
+    errors = point_errors(attached_points(take.rig, SHELL), truth, made)
     frame, joint = divmod(int(np.argmax(errors)), len(bounds))
     return replace(
         reduction,

@@ -15,7 +15,7 @@ from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 from animtool.similar import similar
 
-__all__ = ["SHELL", "carried_points", "joint_bounds", "point_errors", "reach"]
+__all__ = ["SHELL", "attached_points", "joint_bounds", "point_errors", "reach"]
 
 # How far off a joint skin and props are that turn with it, as ACL assumes [m].
 SHELL = 0.03
@@ -57,7 +57,7 @@ def joint_bounds(rig: Rig, tolerance: float, others: Mapping[str, float]) -> Flo
     return bounds
 
 
-def carried_points(rig: Rig, shell: float) -> FloatArray:
+def attached_points(rig: Rig, shell: float) -> FloatArray:
     """Return points of every joint, in its frame ``(J, P, 3)`` [m].
 
     Its origin, one point off it along each axis, and the tips of its bone. Joints
@@ -68,7 +68,7 @@ def carried_points(rig: Rig, shell: float) -> FloatArray:
         shell: How far off the origin [m].
 
     >>> from animtool.rig.skeleton import Joint
-    >>> carried_points(Rig("r", (Joint("a", -1),)), 0.03)[0].tolist()[:2]
+    >>> attached_points(Rig("r", (Joint("a", -1),)), 0.03)[0].tolist()[:2]
     [[0.0, 0.0, 0.0], [0.03, 0.0, 0.0]]
     """
     tips = max((len(joint.tips) for joint in rig.joints), default=0)

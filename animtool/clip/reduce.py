@@ -11,7 +11,7 @@ from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.clip.budget import Budget, subtree_largest
 from animtool.clip.points import (
     SHELL,
-    carried_points,
+    attached_points,
     joint_bounds,
     point_errors,
     reach,
@@ -149,7 +149,7 @@ class _World:
         self.pose: Pose = pose_of(rig, motion, base)
         self.truth = self.pose.world()
         self.found: WorldTransforms | None = None
-        self.points = carried_points(rig, shell)
+        self.points = attached_points(rig, shell)
         self.reach = reach(self.points)
         self.below = _descendants(rig)
         self.pose = self.pose.copy()
@@ -217,10 +217,10 @@ def _tighten(
         hit = np.flatnonzero(world.below[joint, ends])
         arms = world.arms(joint, frames[hit], ends[hit])
         parts[i, hit] = budget.unit_motion(arms) * budget.errors[frames[hit]]
-    blamed = (parts >= 0.5 * parts.max(axis=0, initial=0.0)) & (parts > 0)
+    located = (parts >= 0.5 * parts.max(axis=0, initial=0.0)) & (parts > 0)
     changed = []
     for i, budget in enumerate(budgets):
-        hit = np.flatnonzero(blamed[i])
+        hit = np.flatnonzero(located[i])
         if len(hit):
             at, place = np.unique(frames[hit], return_inverse=True)
             worst = np.zeros(len(at))

@@ -30,8 +30,8 @@ local_rotation, scale
     if group in {"control", "shape"} and name:
         if rig is None:
             return group
-        things = rig.controls if group == "control" else rig.shapes
-        names = [thing.name for thing in things]
+        props = rig.controls if group == "control" else rig.shapes
+        names = [prop.name for prop in props]
         if name not in names:
             return Fault(
                 "CLIP002", f"{name!r} is no {group}", hint=nearest(name, names)

@@ -19,7 +19,7 @@ __all__ = [
 ]
 
 # Files held open at once: systems allow a few hundred.
-MOST_OPEN = 16
+MAX_OPEN = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +108,7 @@ class Archives:
 
     def _archive(self, path: Path) -> Archive:
         found = self._open.pop(path, None) or Archive(path)
-        if len(self._open) >= MOST_OPEN:
+        if len(self._open) >= MAX_OPEN:
             self._open.pop(next(iter(self._open))).close()
         # The one asked for last stands last.
         self._open[path] = found

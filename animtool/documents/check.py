@@ -26,7 +26,7 @@ from animtool.similar import similar
 __all__ = ["FileModel", "check_version", "validated", "wrong_values"]
 
 # Faulty values that something stands in for, before the rest is not looked at.
-MOST_MENDED = 200
+MAX_MENDED = 200
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -71,7 +71,7 @@ def validated(document: Document, model: type[Model]) -> Model:
 
 def wrong_values(value: Any, error: ValidationError) -> list[tuple[Location, str]]:
     """Return what is wrong in a value that is of no model, and where."""
-    merged = _by_place(value, error.errors(include_url=False)[:MOST_MENDED])
+    merged = _by_place(value, error.errors(include_url=False)[:MAX_MENDED])
     inner = {place[:depth] for place, _ in merged for depth in range(len(place))}
     return [
         (place, "; or ".join(dict.fromkeys(map(_words, faults))))
@@ -97,7 +97,7 @@ class _Faults:
     def mend(self, error: ValidationError) -> None:
         """Note what an attempt to read the value found, and mend it."""
         found = error.errors(include_url=False)
-        merged = _by_place(self.value, found[:MOST_MENDED])
+        merged = _by_place(self.value, found[:MAX_MENDED])
         inner = {place[:depth] for place, _ in merged for depth in range(len(place))}
         by_kind: dict[str, list[tuple[Location, str]]] = {}
         for key, faults in merged.items():
@@ -111,7 +111,7 @@ class _Faults:
             # Of a type that may be several, the one that comes farthest was meant.
             if key[0] not in inner:
                 self._wrong_value(key[0], merged[key])
-        if len(found) > MOST_MENDED:
+        if len(found) > MAX_MENDED:
             self.document.check()
 
     def _unknown_key(self, location: Location) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from animtool.documents.yaml_values import MOST_FAULTS as MOST_COLLECTED
+from animtool.documents.yaml_values import MAX_FAULTS as MAX_COLLECTED
 from animtool.documents.yaml_values import read_values
 from animtool.errors import Fault, FormatError, Severity
 from animtool.files import MAX_TEXT_BYTES, open_input
@@ -23,7 +23,7 @@ __all__ = [
 
 Location = tuple[str | int, ...]
 
-MOST_FAULTS = 100
+MAX_FAULTS = 100
 # What a file says that it is, in its name too.
 _KINDS = frozenset({"batch", "clip", "rig", "scene", "targets"})
 
@@ -146,7 +146,7 @@ class Document:
         """
         if not self.doubtful(location):
             self.faults.append(self.fault(code, location, message, hint))
-            if len(self.faults) >= MOST_COLLECTED:
+            if len(self.faults) >= MAX_COLLECTED:
                 self.check()
 
     def warn(
@@ -264,9 +264,9 @@ def read_text(path: Path) -> str:
 
 def _cut(faults: Sequence[Fault]) -> Sequence[Fault]:
     """Return the first faults, and a last one that counts the rest."""
-    if len(faults) <= MOST_FAULTS:
+    if len(faults) <= MAX_FAULTS:
         return faults
-    rest = f"{len(faults) - MOST_FAULTS} more faults are not shown"
-    if len(faults) >= MOST_COLLECTED:
+    rest = f"{len(faults) - MAX_FAULTS} more faults are not shown"
+    if len(faults) >= MAX_COLLECTED:
         rest = f"{rest}, and what follows was not looked at"
-    return [*faults[:MOST_FAULTS], Fault("DOC011", rest, faults[0].path)]
+    return [*faults[:MAX_FAULTS], Fault("DOC011", rest, faults[0].path)]

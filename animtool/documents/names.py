@@ -14,7 +14,7 @@ __all__ = ["UNKNOWN", "VARIABLE_NAME", "check_given", "is_variable_name", "neare
 # What stands in for a name that is missing, and is none.
 UNKNOWN = "?"
 # Valid names that a hint is looked for among.
-MOST_NAMES = 2000
+MAX_NAMES = 2000
 # Of variables: a regular expression.
 VARIABLE_NAME = r"[A-Za-z_][A-Za-z0-9_]*"
 
@@ -34,7 +34,7 @@ def nearest(name: str, names: Iterable[str]) -> str:
     >>> nearest("ebow", ["elbow", "hand"])
     "did you mean 'elbow'?"
     """
-    known = list(dict.fromkeys(islice(names, MOST_NAMES)))
+    known = list(dict.fromkeys(islice(names, MAX_NAMES)))
     known = [one for one in known if one != UNKNOWN]
     near = similar(name, known)
     if near:

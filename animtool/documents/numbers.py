@@ -11,7 +11,7 @@ from animtool.printing import CONTROL
 __all__ = ["flow", "number", "scaled", "text", "unreadable"]
 
 # Digits that a float64 needs at most, and those that most need.
-MOST_DIGITS, USUAL_DIGITS = 17, 15
+MAX_DIGITS, USUAL_DIGITS = 17, 15
 # What a text may hold of controls: ends of lines, and tabs.
 _UNREADABLE = re.compile(f"(?![\n\t])[{CONTROL}]")
 
@@ -37,7 +37,7 @@ def scaled(value: float, unit: float) -> str:
     if unit == 1.0:
         return number(value)
     quotient = value / unit
-    for digits in range(USUAL_DIGITS, MOST_DIGITS + 1):
+    for digits in range(USUAL_DIGITS, MAX_DIGITS + 1):
         near = float(f"{quotient:.{digits}g}")
         for candidate in (
             near,

@@ -25,12 +25,12 @@ DEEPEST = 50
 # Ends of lines and what separates values, of which nearly each value has one: a rig of
 # 10,000 joints has 0.2 million, a clip of 100,000 keys 0.6. Reading takes about 1 s of
 # CPU for each 100,000.
-MOST_MARKS = 2_000_000
+MAX_MARKS = 2_000_000
 _MARKS = ("\n", ",", ":", "[", "{", "- ", "? ")
 # Faults that are collected before the rest is not looked at.
-MOST_FAULTS = 200
+MAX_FAULTS = 200
 # Python refuses to read more digits, and no float has as many.
-MOST_DIGITS = 400
+MAX_DIGITS = 400
 LONGEST_HINT = 200
 LONGEST_NAME = 40
 LONGEST_KEY = 1000
@@ -89,8 +89,8 @@ def read_values(text: str, path: Path) -> ReadValues:
             stands twice; with every such fault.
     """
     marks = sum(map(text.count, _MARKS))
-    if marks > MOST_MARKS:
-        message = f"holds {marks} separators of values, more than {MOST_MARKS}"
+    if marks > MAX_MARKS:
+        message = f"holds {marks} separators of values, more than {MAX_MARKS}"
         advice = "arrays belong into npz files"
         raise FormatError(Fault("DOC024", message, str(path), (), advice))
     if path.suffix == ".json":
@@ -178,7 +178,7 @@ def plain_scalar(text: str) -> Any:
         return _NAMED[text]
     if text[0] not in _NUMERIC or not (found := _NUMBER.fullmatch(text)):
         return text
-    if len(text) > MOST_DIGITS:
+    if len(text) > MAX_DIGITS:
         raise OverflowError
     kind = found.lastgroup
     if kind is not None:
@@ -205,7 +205,7 @@ class _Reader:
         self.faults.append(
             Fault(code, message, str(self.path), (line,), hint, column=column)
         )
-        if len(self.faults) >= MOST_FAULTS:
+        if len(self.faults) >= MAX_FAULTS:
             raise FormatError(self.faults)
 
     def read(self, text: str) -> Any:

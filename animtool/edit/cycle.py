@@ -215,10 +215,10 @@ class _Eye:
         """Return joints and points beside leaves in the world ``(N, P, 3)``."""
         world = forward(self.take.rig, *self.take.motion.select(frames).dense())
         origins, axes = world.positions, world.linear[:, self.leaves]
-        beside = [
+        neighbours = [
             origins[:, self.leaves] + axes[..., k] * self.reach[:, None] for k in (0, 1)
         ]
-        return np.concatenate([origins, *beside], axis=1)
+        return np.concatenate([origins, *neighbours], axis=1)
 
     def _standing(self, frames: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return where the character stands ``(N, 3)`` and its heading ``(N, 4)``."""

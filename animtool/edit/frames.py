@@ -6,7 +6,7 @@ import math
 from fractions import Fraction
 
 from animtool.errors import Fault, OptionError
-from animtool.take import MOST_FRAMES, Clock
+from animtool.take import MAX_FRAMES, Clock
 
 __all__ = ["check_count", "check_range", "exact", "frame_index", "frame_refusal"]
 
@@ -72,6 +72,6 @@ def check_count(count: int) -> None:
     Raises:
         OptionError: There would be more (SCN021).
     """
-    if count > MOST_FRAMES:
-        message = f"the take would have {count} frames, more than {MOST_FRAMES}"
+    if count > MAX_FRAMES:
+        message = f"the take would have {count} frames, more than {MAX_FRAMES}"
         raise OptionError(Fault("SCN021", message))

@@ -23,7 +23,7 @@ from animtool.passes import (
     Scope,
 )
 from animtool.rates import rate_option
-from animtool.take import MOST_FRAMES, Clock, Motion, Take, time_codes
+from animtool.take import MAX_FRAMES, Clock, Motion, Take, time_codes
 
 __all__ = [
     "PASS",
@@ -101,7 +101,7 @@ def plan_samples(
         origin = Fraction(math.floor(start))
         ahead = origin - start
         wanted = _within(frame_range, start, span, hold=hold)
-    if len(wanted) * max(1, len(offsets)) > MOST_FRAMES:
+    if len(wanted) * max(1, len(offsets)) > MAX_FRAMES:
         raise _refusal(f"{len(wanted)} frames at {float(fps):g} fps are too many")
     first, last = origin + wanted[0], origin + wanted[-1]
     index = np.arange(wanted[0], wanted[-1] + 1, wanted.step)

@@ -82,7 +82,7 @@ def extract_root(
     if joint not in ancestors(take.rig, hip):
         name = take.rig.names[hip]
         raise _refusal(f"{root!r} is not above {name!r}", "choose other hips")
-    place = _carried(take, joint, hip, axes.lower(), yaw)
+    place = _root_path(take, joint, hip, axes.lower(), yaw)
     return _compact(set_joint(take, joint, place))
 
 
@@ -140,7 +140,7 @@ def _hips(take: Take, root: str, hips: str) -> int:
     return top if found is None else found
 
 
-def _carried(take: Take, root: int, hip: int, axes: str, yaw: bool) -> Placing:
+def _root_path(take: Take, root: int, hip: int, axes: str, yaw: bool) -> Placing:
     """Return the local transform by which the root joint carries the hips' travel."""
     rig, motion = take.rig, take.motion
     up = np.array(rig.up.vector)

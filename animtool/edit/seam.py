@@ -130,8 +130,8 @@ def _missing_speed(
         return np.asarray((starting[0] - ending[0]) / around)
     if len(steps) < 2:
         return np.zeros(steps.shape[1:])
-    beside = (ending[1] - ending[0] + starting[1] - starting[0]) / 2
-    missing = starting[0] - ending[1] - beside
+    mean_rate = (ending[1] - ending[0] + starting[1] - starting[0]) / 2
+    missing = starting[0] - ending[1] - mean_rate
     size = np.linalg.norm(missing, axis=-1, keepdims=True)
     changes = np.linalg.norm(np.diff(steps, axis=0), axis=-1).max(axis=0)
     beyond = np.maximum(size - OWN_CHANGE * changes[:, None], 0)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
-from animtool.clip.points import SHELL, carried_points, joint_bounds, point_errors
+from animtool.clip.points import SHELL, attached_points, joint_bounds, point_errors
 from animtool.edit.places import places_between
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
@@ -132,7 +132,7 @@ class _Measure:
     ) -> None:
         self.rig, self.codes, self.motion = rig, codes, motion
         self.bounds, self.weight_tolerance = bounds, weight_tolerance
-        self.points = carried_points(rig, SHELL)
+        self.points = attached_points(rig, SHELL)
         self.truth = forward(rig, *motion.dense())
 
     def errors(self, kept: IntArray, frames: IntArray) -> tuple[FloatArray, FloatArray]:

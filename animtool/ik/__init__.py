@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 from animtool.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from animtool.ik.clip_solver import FollowOptions as FollowOptions
+    from animtool.ik.clip_solver import follow as follow
     from animtool.ik.file import load_targets as load_targets
-    from animtool.ik.following import FollowOptions as FollowOptions
-    from animtool.ik.following import follow as follow
     from animtool.ik.goals import Goal as Goal
     from animtool.ik.goals import Targets as Targets
     from animtool.ik.matching import Matched as Matched
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from animtool.ik.tracks import TargetTracks as TargetTracks
 
 _PUBLIC = {
-    "FollowOptions": "animtool.ik.following",
+    "FollowOptions": "animtool.ik.clip_solver",
     "Goal": "animtool.ik.goals",
     "IkMethod": "animtool.ik.methods",
     "IkOptions": "animtool.ik.solving",
@@ -43,7 +43,7 @@ _PUBLIC = {
     "TargetTracks": "animtool.ik.tracks",
     "Targets": "animtool.ik.goals",
     "build": "animtool.ik.problem",
-    "follow": "animtool.ik.following",
+    "follow": "animtool.ik.clip_solver",
     "load_targets": "animtool.ik.file",
     "match": "animtool.ik.matching",
     "smooth": "animtool.ik.smoothing",

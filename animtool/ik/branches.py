@@ -16,7 +16,7 @@ from animtool.ik.result import IkResult
 from animtool.ik.solving import IkOptions, solve
 from animtool.ik.tangent import difference, moved, unwound, with_periods
 
-__all__ = ["Stretch", "best_path", "branches", "price", "woven"]
+__all__ = ["Stretch", "best_path", "branches", "price", "search_branches"]
 
 # What a frame that misses its goals costs, in squared radians: more than any jump.
 MISSED = 1e4
@@ -148,7 +148,9 @@ def branches(stretch: Stretch, count: int, seed: int) -> tuple[FloatArray, Float
     return np.concatenate(paths), np.concatenate(prices)
 
 
-def woven(stretch: Stretch, spacing: int, seed: int) -> tuple[FloatArray, FloatArray]:
+def search_branches(
+    stretch: Stretch, spacing: int, seed: int
+) -> tuple[FloatArray, FloatArray]:
     """Return paths through a long stretch ``(K, L, C)``, as of `branches`.
 
     The path as it is, and solutions from seeded starts, looked for every ``spacing``

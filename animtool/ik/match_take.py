@@ -39,7 +39,7 @@ __all__ = ["arrays_of", "chains_of", "left_out", "match_take"]
 FEW = 12
 # Joints this near to their rest pose, in metres and radians, do not leave it.
 AT_REST = 1e-6
-MOST_NAMED = 8
+MAX_NAMED = 8
 # What `match` finds, by the part of a goal.
 _FOUND = {"position": "positions", "orientation": "rotations", "pole": "poles"}
 # Targets of channels of their kinds.
@@ -159,7 +159,7 @@ def left_out(take: Take, chains: Sequence[IkChain]) -> list[Fault]:
     names = [rig.names[j] for j in sorted(shifted | turned)]
     if not names:
         return []
-    message = f"targets say nothing of {listed(names, MOST_NAMED)}, which leave their "
+    message = f"targets say nothing of {listed(names, MAX_NAMED)}, which leave their "
     message += "rest pose and move what is matched"
     hint = "solve with the same motion as --clip"
     return [Fault("TGT103", message, hint=hint, severity=Severity.NOTE)]

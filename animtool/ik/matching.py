@@ -168,8 +168,8 @@ def _poles(limb: _Limb, world: WorldTransforms) -> FloatArray:
     along = np.sum((middle - root) * line, axis=1, keepdims=True) * line
     sides, known = _directions(middle - root - along, least)
     if not known.all():
-        carried = _carried(limb, world, sides, known)
-        off = carried - np.sum(carried * line, axis=1, keepdims=True) * line
+        bend = _bend(limb, world, sides, known)
+        off = bend - np.sum(bend * line, axis=1, keepdims=True) * line
         # What is carried may come to lie along the line: any side will do then.
         others, kept = _directions(off, np.sqrt(SIDE))
         others[~kept] = _directions(perpendicular(line[~kept]), 0.0)[0]
@@ -184,7 +184,7 @@ def _directions(vectors: FloatArray, least: float) -> tuple[FloatArray, BoolArra
     return vectors / np.where(longer, lengths, 1.0)[:, None], longer
 
 
-def _carried(
+def _bend(
     limb: _Limb, world: WorldTransforms, sides: FloatArray, known: BoolArray
 ) -> FloatArray:
     """Return the sides as the root joint carries them to every frame ``(F, 3)``."""

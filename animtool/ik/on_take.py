@@ -13,16 +13,16 @@ import numpy as np
 from animtool._types import IntArray
 from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError
-from animtool.ik.carried import parts_of
+from animtool.ik.chain_frame import parts_of
 from animtool.ik.free import FreeEffector
 from animtool.ik.goals import Goal, Targets
+from animtool.ik.released import rounds, takes_released
 from animtool.ik.scales import refuse_scales
 from animtool.ik.sub_rig import sub_rig, with_types
 from animtool.ik.take_ik import SolvedPart, TakeIk, gathered_take
 from animtool.ik.take_options import TakeOptions, check_options
 from animtool.ik.take_run import TakeRun
 from animtool.ik.tracks import TargetTracks
-from animtool.ik.without import rounds, takes_without
 from animtool.rig.joints import LocalTransforms
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
@@ -77,7 +77,7 @@ def solve_take(
             if progress is not None:
                 progress((done + share) / count)
 
-        return _brought(take, wanted, free, options, still, only, told)
+        return _solve_take(take, wanted, free, options, still, only, told)
 
     def bring_take(wanted: TargetTracks, free: tuple[Take, ...]) -> Take:
         nonlocal done, spent
@@ -85,12 +85,12 @@ def solve_take(
         done, spent = done + 1, spent + found.seconds
         return found.take
 
-    free = takes_without(take, tracks, bring_take)
+    free = takes_released(take, tracks, bring_take)
     found = bring(tracks, free)
     return replace(found, seconds=spent + found.seconds)
 
 
-def _brought(
+def _solve_take(
     take: Take,
     tracks: TargetTracks,
     free: tuple[Take, ...],

@@ -243,7 +243,7 @@ def jump_notices(solved: TakeIk) -> list[Fault]:
     """Return a warning where joints jump, with the largest of them."""
     if not solved.jumps:
         return []
-    from animtool.ik.following import FollowOptions
+    from animtool.ik.clip_solver import FollowOptions
 
     worst = max(solved.jumps, key=lambda jump: jump.size)
     frame = solved.take.clock.times[worst.frame]

@@ -9,10 +9,10 @@ import numpy as np
 from animtool import _kernels
 from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, OptionError
-from animtool.ik.followers import following
 from animtool.ik.goals import Targets, pack
 from animtool.ik.limbs import Extension, extend
 from animtool.ik.methods import KERNEL_METHODS, IkMethod, check_method
+from animtool.ik.mimics import following
 from animtool.ik.problem import Problem, rest_pose
 from animtool.ik.result import IkResult, IkStatus
 from animtool.ik.tangent import difference

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.ik.carried import Part
-from animtool.ik.followers import followers
+from animtool.ik.chain_frame import Part
 from animtool.ik.goals import Targets
+from animtool.ik.mimics import mimics
 from animtool.ik.on_limits import frames_on_limits
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult, IkStatus, Jump
@@ -98,7 +98,7 @@ def gathered_take(
     results = [one.result for one in found]
     motion = take.motion
     rig = found[0].part.rig
-    names = {*results[0].problem.joints, *followers(rig, results[0].problem.joints)}
+    names = {*results[0].problem.joints, *mimics(rig, results[0].problem.joints)}
     stretched = {j for limb in results[0].problem.limbs for j in limb.joints}
     joints = sorted({rig.index(name) for name in names} | stretched)
     places, turns = local.translations[:, joints], local.rotations[:, joints]

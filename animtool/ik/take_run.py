@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.ik.carried import Part
+from animtool.ik.chain_frame import Part
 from animtool.ik.goals import Goal, Targets, rows_of
 from animtool.ik.methods import IkMethod, serving
 from animtool.ik.problem import Problem, build
@@ -50,7 +50,7 @@ class TakeRun:
     def solved(self, part: Part) -> SolvedPart:
         """Return the solution of a part."""
         problem = self._problem(part, self.goals)
-        targets = part.brought(self.targets)
+        targets = part.to_chain_frame(self.targets)
         if not self.still:
             done = self._timed(problem, part.coordinates, targets, warm=False)
             return SolvedPart(part, *done)
@@ -139,7 +139,7 @@ class TakeRun:
         )
         began = time.perf_counter()
         if options.method in FOLLOWED and len(np.asarray(targets.positions)) > 1:
-            from animtool.ik.following import FollowOptions, follow
+            from animtool.ik.clip_solver import FollowOptions, follow
 
             searched = restarts is None
             way = FollowOptions(

@@ -19,7 +19,7 @@ from animtool.rates import rate_label
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import Rig
-from animtool.take import MOST_FRAMES, Clock
+from animtool.take import MAX_FRAMES, Clock
 
 __all__ = ["PARTS", "GoalTrack", "TargetTracks"]
 
@@ -93,8 +93,8 @@ class TargetTracks:
             ends = [end for goal in self.goals for end in _ends(goal)] or [1.0]
             first, last = Fraction(min(ends)), Fraction(max(ends))
         count = int((last - first) // 1) + 1
-        if count > MOST_FRAMES:
-            message = f"the range has {count} frames; at most {MOST_FRAMES} are solved"
+        if count > MAX_FRAMES:
+            message = f"the range has {count} frames; at most {MAX_FRAMES} are solved"
             raise OptionError(Fault("TGT003", message, str(self.path)))
         return Clock(self.fps or USUAL_RATE, first, Fraction(1), count)
 

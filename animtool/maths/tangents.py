@@ -187,7 +187,7 @@ def _controls(path: FloatArray, alpha: float) -> tuple[FloatArray, FloatArray]:
 
 
 def _handle(
-    beside: FloatArray, a: FloatArray, along: FloatArray, h: FloatArray
+    other: FloatArray, a: FloatArray, along: FloatArray, h: FloatArray
 ) -> FloatArray:
     """Return a third of the slope of the parabola at the knot between two steps.
 
@@ -196,7 +196,7 @@ def _handle(
     """
     proper = (a > 0) & (h > 0)
     ratio = np.where(proper, h, 1.0) / np.where(proper, a, 1.0)
-    curved = (ratio * beside + along / ratio) / (1.0 + 1.0 / ratio)
+    curved = (ratio * other + along / ratio) / (1.0 + 1.0 / ratio)
     return np.where(h > 0, np.where(a > 0, curved, along), 0.0) / 3
 
 

@@ -163,9 +163,9 @@ def _points(path: Path) -> list[PointPrim]:
     """Return what a USD file shows of points that move."""
     if not is_usd(path):
         return []
-    from animtool.usd.simulated_read import moved_points
+    from animtool.usd.simulated_read import displaced_points
 
-    return moved_points(path)
+    return displaced_points(path)
 
 
 def _moving_shapes(take: Take) -> list[str]:

@@ -7,21 +7,21 @@ from dataclasses import asdict, dataclass
 from animtool.errors import Fault
 from animtool.scene.convert import convert_outputs
 from animtool.scene.entries import OutputKind, SceneOutput, SceneSystem, kind_of
-from animtool.scene.files import file_beside, form_of, output_files
+from animtool.scene.files import default_output, form_of, output_files
 from animtool.scene.scene import Scene
 
 __all__ = [
     "OutputDescription",
     "PassDescription",
+    "PropDescription",
     "SceneDescription",
     "SystemDescription",
-    "ThingDescription",
     "describe_scene",
 ]
 
 
 @dataclass(frozen=True, slots=True)
-class ThingDescription:
+class PropDescription:
     """A thing beside the character.
 
     Attributes:
@@ -117,7 +117,7 @@ class SceneDescription:
         path: The file.
         sources: What is read.
         rig: The rig that it names; None is that of the source.
-        beside: What is carried beside the character.
+        props: What is carried beside the character.
         passes: What is done to it.
         systems: What is simulated.
         outputs: What would be baked.
@@ -131,7 +131,7 @@ class SceneDescription:
     path: str
     sources: list[str]
     rig: str | None
-    beside: list[ThingDescription]
+    props: list[PropDescription]
     passes: list[PassDescription]
     systems: list[SystemDescription]
     outputs: list[OutputDescription]
@@ -163,10 +163,7 @@ def describe_scene(scene: Scene) -> SceneDescription:
         str(scene.path),
         [str(source.path) for source in scene.sources],
         None if scene.rig is None else str(scene.rig),
-        [
-            ThingDescription(str(thing.file), thing.prim, thing.path)
-            for thing in scene.beside
-        ],
+        [PropDescription(str(prop.file), prop.prim, prop.path) for prop in scene.props],
         [PassDescription(entry.pass_.name, entry.place.line) for entry in scene.passes],
         [_system(scene, system) for system in scene.systems],
         [_output(scene, output) for output in scene.outputs],
@@ -197,7 +194,7 @@ def _system(scene: Scene, system: SceneSystem) -> SystemDescription:
 
 
 def _output(scene: Scene, output: SceneOutput) -> OutputDescription:
-    path, bake = output.path or file_beside(scene.path), output.bake
+    path, bake = output.path or default_output(scene.path), output.bake
     kind = kind_of(path)
     usd = kind is OutputKind.USD
     written = [s for s in scene.writing(output).systems if s.written]

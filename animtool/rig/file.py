@@ -25,7 +25,7 @@ from animtool.units import LengthUnit, UpAxis
 __all__ = ["load_rig", "rig_of_document"]
 
 # A sidecar of a sidecar is odd; this many of them are no studio's rig.
-MOST_SIDECARS = 8
+MAX_SIDECARS = 8
 
 
 def load_rig(path: Path | str, above: tuple[Path, ...] = ()) -> Rig:
@@ -109,8 +109,8 @@ def _base(
     if path in above:
         document.add("RIG030", ("from",), f"{name!r} leads back to where it came from")
         return None
-    if len(above) >= MOST_SIDECARS:
-        message = f"more than {MOST_SIDECARS} files lead on to another"
+    if len(above) >= MAX_SIDECARS:
+        message = f"more than {MAX_SIDECARS} files lead on to another"
         document.add("RIG030", ("from",), message)
         return None
     try:

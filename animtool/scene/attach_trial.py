@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.clip.points import SHELL, carried_points
+from animtool.clip.points import SHELL, attached_points
 from animtool.rig.kinematics import forward
 from animtool.scene.entries import Place, ScenePass
 from animtool.scene.scene import Scene
@@ -46,7 +46,7 @@ def attach_trials(scene: Scene, instants: int) -> list[tuple[Place, AttachTrial]
     for entry, (take, _) in zip(scene.passes, scene.steps(), strict=False):
         if not _simulates(entry):
             continue
-        with entry.place.blamed():
+        with entry.place.located():
             bodies = bodies_of(take.rig, entry.options.what)
         found += [
             (entry.place, AttachTrial(scene, entry, take, body, instants))
@@ -145,7 +145,7 @@ class AttachTrial:
             return motion.points[body.mesh.name].dense()
         assert isinstance(body, ChainBody)
         world = forward(rig, *motion.dense())
-        shell = carried_points(rig, SHELL)[body.joints, :, None]
+        shell = attached_points(rig, SHELL)[body.joints, :, None]
         turned = world.linear[:, body.joints, None] * shell
         points = world.positions[:, body.joints, None] + turned.sum(axis=-1)
         whole: FloatArray = points.reshape(motion.frames, -1, 3)

@@ -42,8 +42,8 @@ from animtool.usd.paths import RigPaths
 
 if TYPE_CHECKING:
     from animtool.edit.thin import Thinned
-    from animtool.scene.systems.beside import WrittenBeside
     from animtool.scene.systems.character_watch import CharacterWatch
+    from animtool.scene.systems.with_take import WrittenSystems
 
 __all__ = ["bake", "run_bake"]
 
@@ -109,7 +109,7 @@ def _run_bake(plan: BakePlan, progress: Progress) -> BakeReport:
 
         return run_point_bake(plan, plan.character, progress=progress)
     began = time.perf_counter()
-    watch = None if plan.beside is None else plan.beside.watch
+    watch = None if plan.with_take is None else plan.with_take.watch
     runs = [_TakeRun(take, watch) for take in plan.takes]
     rest = runs[0].open()
     job = _job(plan, rest)
@@ -245,12 +245,12 @@ class _TakeRun:
         assert self._opened is not None
         timed, frames = self._opened.blocks, self._opened.frames
         plan, options, mapping = self.plan, self.plan.options, self.plan.mapping
-        chosen, beside = None, None
+        chosen, props = None, None
         if plan.stream.tracks:
-            from animtool.usd.beside import Beside
+            from animtool.usd.author_props import PropSamples
 
-            beside = Beside(plan.stream.tracks)
-            timed = beside.watched(timed)
+            props = PropSamples(plan.stream.tracks)
+            timed = props.watched(timed)
         if mapping is not None:
             mapped = mapping
             timed = ((codes, mapped.apply(motion)) for codes, motion in timed)
@@ -274,12 +274,12 @@ class _TakeRun:
             curves=_kept_curves(plan) if options.keep_curves else {},
             name=plan.name,
             source_name=source_stem(plan.source),
-            beside=beside,
+            props=props,
         )
         return take, timed
 
     def report(
-        self, job: UsdJob, written: WrittenTake, systems: WrittenBeside | None
+        self, job: UsdJob, written: WrittenTake, systems: WrittenSystems | None
     ) -> TakeReport:
         """Return what became of the take, and of what is simulated beside it."""
         plan, stream, thinned = self.plan, self.plan.stream, self.thinned

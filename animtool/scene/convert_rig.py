@@ -118,8 +118,8 @@ def rig_outputs(output: Path, *, physics: bool = False) -> list[Path]:
 
     The arrays beside a rig file are left out: not every rig has some.
     """
-    beside = [output.with_name(f"{output.stem}.physics.usda")] if physics else []
-    return [output, *beside]
+    others = [output.with_name(f"{output.stem}.physics.usda")] if physics else []
+    return [output, *others]
 
 
 def _report(

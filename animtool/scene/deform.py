@@ -24,7 +24,7 @@ from animtool.skin.character import (
     character_strands,
 )
 from animtool.skin.deform import Deformed, block_frames, deform, deform_blocks
-from animtool.skin.moved import moved_points
+from animtool.skin.displaced import displaced_points
 from animtool.take import Channel, Motion
 from animtool.units import UpAxis, up_from_up
 from animtool.usd.point_cache import PointBlock, round_points
@@ -201,10 +201,10 @@ class PointStream:
         character = self.character
         self.seconds = [0.0] * len(character.meshes)
         for codes, motion, own in pieces(timed, neighbours=self.velocities):
-            carried = motion
+            mapped = motion
             if character.mapping is not None:
-                carried = character.mapping.apply(motion)
-            world = forward(character.rig, *carried.dense())
+                mapped = character.mapping.apply(motion)
+            world = forward(character.rig, *mapped.dense())
             weights = None if motion.weights is None else motion.weights.dense()[..., 0]
             for i, mesh in enumerate(character.meshes):
                 made = self._frames(mesh, codes, mesh.weights(weights), world)
@@ -226,7 +226,7 @@ class PointStream:
         done = 0
         for part in made:
             frames = slice(done, done + len(part.points))
-            yield moved_points(part, points, frames, surface, times)
+            yield displaced_points(part, points, frames, surface, times)
             done = frames.stop
 
     def _rounded(

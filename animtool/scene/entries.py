@@ -26,9 +26,9 @@ __all__ = [
     "Place",
     "SceneOutput",
     "ScenePass",
+    "SceneProp",
     "SceneSource",
     "SceneSystem",
-    "SceneThing",
     "kind_of",
     "place_of_entry",
 ]
@@ -75,7 +75,7 @@ class Place:
         )
 
     @contextmanager
-    def blamed(self) -> Iterator[None]:
+    def located(self) -> Iterator[None]:
         """Give faults that have no file this place.
 
         Raises:
@@ -121,7 +121,7 @@ class SceneSource:
 
 
 @dataclass(frozen=True, slots=True)
-class SceneThing:
+class SceneProp:
     """A thing beside the character of a scene.
 
     Attributes:

@@ -27,16 +27,16 @@ from animtool.scene.entries import (
     Place,
     SceneOutput,
     ScenePass,
+    SceneProp,
     SceneSource,
     SceneSystem,
-    SceneThing,
     kind_of,
     place_of_entry,
 )
 from animtool.scene.options import BakeOptions, parse_offsets
 from animtool.scene.preroll import Preroll
 from animtool.scene.scene import Scene
-from animtool.scene.schema import BesideModel, OutputModel, SceneModel, SourceModel
+from animtool.scene.schema import OutputModel, PropModel, SceneModel, SourceModel
 from animtool.scene.sources import SourceOptions, is_usd, takes_option
 from animtool.scene.systems.kinds import SYSTEM_KINDS, SystemReader
 from animtool.scene.systems.links import check_links, check_names
@@ -141,7 +141,7 @@ class _SceneReader:
             tuple(passes),
             self._outputs(),
             rig,
-            self._beside(),
+            self._renamed_props(),
             None if shot is None or shot.start is None else Fraction(shot.start),
             self._preroll(),
             systems=self._systems(),
@@ -211,21 +211,20 @@ class _SceneReader:
                 message = f"{entry.file!r} is no USD file, as what is simulated is"
                 self.document.add("SCN060", (*at, "file"), message)
 
-    def _beside(self) -> tuple[SceneThing, ...]:
-        things = [
-            self._thing(("beside", i), entry)
-            for i, entry in enumerate(self.model.beside)
+    def _renamed_props(self) -> tuple[SceneProp, ...]:
+        props = [
+            self._prop(("beside", i), entry) for i, entry in enumerate(self.model.props)
         ]
-        for i, thing in enumerate(things):
-            for other in things[:i]:
-                if _meet(thing.path, other.path):
-                    message = f"{thing.path!r} meets {other.path!r} of "
+        for i, prop in enumerate(props):
+            for other in props[:i]:
+                if _meet(prop.path, other.path):
+                    message = f"{prop.path!r} meets {other.path!r} of "
                     message += other.place.where
                     hint = "each has a path of its own, none below another's"
                     self.document.add("SCN046", ("beside", i, "path"), message, hint)
-        return tuple(things)
+        return tuple(props)
 
-    def _thing(self, at: Location, model: BesideModel) -> SceneThing:
+    def _prop(self, at: Location, model: PropModel) -> SceneProp:
         file = self._input((*at, "from"), model.file)
         if not is_usd(file):
             message = f"{model.file!r} is no USD file"
@@ -239,7 +238,7 @@ class _SceneReader:
             shown = self._input((*at, "reference"), model.reference)
         elif model.reference:
             shown = file
-        return SceneThing(
+        return SceneProp(
             file,
             model.prim,
             path,

@@ -13,7 +13,7 @@ from animtool.usd.forms import Form, output_paths
 if TYPE_CHECKING:
     from animtool.scene.reading import Source
 
-__all__ = ["bake_outputs", "file_beside", "form_of", "output_files"]
+__all__ = ["bake_outputs", "default_output", "form_of", "output_files"]
 
 
 def bake_outputs(
@@ -40,10 +40,10 @@ def _is_take(source: Source) -> bool:
     return isinstance(source, Path | str) and not is_scene(Path(source))
 
 
-def file_beside(source: Path) -> Path:
+def default_output(source: Path) -> Path:
     """Return the file that a source is written to where none is named.
 
-    >>> file_beside(Path("takes/wave.scene.yaml")).name
+    >>> default_output(Path("takes/wave.scene.yaml")).name
     'wave.usdc'
     """
     return source.with_name(f"{source_stem(source)}.usdc")

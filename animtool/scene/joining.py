@@ -30,7 +30,7 @@ from animtool.timecode import seconds_between
 
 __all__ = ["Part", "joined"]
 
-MOST_NAMED = 6
+MAX_NAMED = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,7 +208,7 @@ def _taken_twice(layer: _Layer, before: Sequence[_Layer]) -> list[Fault]:
     both = dict.fromkeys(name for tracks in shared for name in tracks.names(rig))
     if not both:
         return []
-    message = f"moves {listed(list(both), MOST_NAMED)}, as a source above it does"
+    message = f"moves {listed(list(both), MAX_NAMED)}, as a source above it does"
     hint = "its own are taken; tracks: says what each brings"
     return [layer.part.note("SCN105", message, hint, Severity.WARNING)]
 

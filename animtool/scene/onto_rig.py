@@ -18,7 +18,7 @@ from animtool.take import Channel, Motion, TakeStream
 
 __all__ = ["NameMap", "Noter", "left_out", "map_names", "on_rig", "on_rig_file"]
 
-MOST_NAMED = 6
+MAX_NAMED = 6
 LOST = "their motion is left out"
 RESTING = "they stay at rest"
 
@@ -106,7 +106,7 @@ def on_rig(stream: TakeStream, rig: Rig, note: Noter) -> tuple[TakeStream, NameM
     names = map_names(rig, stream.rig)
     if all((own < 0).all() for own in (names.joints, names.shapes, names.controls)):
         message = f"has no joint, shape or control of {rig.name!r}"
-        hint = f"its joints are {listed(stream.rig.names, MOST_NAMED)}"
+        hint = f"its joints are {listed(stream.rig.names, MAX_NAMED)}"
         raise OptionError(note("SCN036", message, hint))
     given, curve = stream.blocks, stream.curve
     own = {control.name for control in rig.controls}

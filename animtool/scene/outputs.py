@@ -11,6 +11,7 @@ from typing import TypeAlias
 from animtool.errors import AnimtoolError, Fault, OptionError, Severity, listed
 from animtool.output import check_outputs, sparing_inputs, together
 from animtool.output_names import name_key
+from animtool.passthrough import PassthroughTracks
 from animtool.placing import target
 from animtool.scene.bake import run_bake
 from animtool.scene.convert import ConvertReport, convert, convert_outputs
@@ -32,11 +33,10 @@ from animtool.scene.report import BakeReport
 from animtool.scene.scene import Scene
 from animtool.scene.take_plan import TakePlan
 from animtool.take import Clock, Motion, Take, TakeStream
-from animtool.tracks_aside import TracksAside
 
 __all__ = ["OutputReport", "bake_scene", "is_several", "scene_files"]
 
-MOST_NAMED = 6
+MAX_NAMED = 6
 
 # What became of one output.
 OutputReport: TypeAlias = BakeReport | ConvertReport
@@ -173,19 +173,19 @@ def _planned(
 ) -> BakePlan | TakePlan:
     options = merged(given, output.bake)
     if _kind(output) is OutputKind.USD:
-        with scene.blamed_things():
+        with scene.located_props():
             plan = plan_output([scene.path], [stream], _path(output), options, [])
         return with_systems(plan, scene)
     notices = []
     if scene.systems:
-        names = listed([system.name for system in scene.systems], MOST_NAMED)
+        names = listed([system.name for system in scene.systems], MAX_NAMED)
         message = f"a {_kind(output)} file has no place for what is simulated: {names}"
         notices.append(output.place.fault("SCN112", message, None, Severity.NOTE))
     if stream.tracks:
-        paths = listed([track.path for track in stream.tracks], MOST_NAMED)
+        paths = listed([track.path for track in stream.tracks], MAX_NAMED)
         message = f"a {_kind(output)} file has no place for {paths}"
         notices.append(output.place.fault("SCN112", message, None, Severity.NOTE))
-        stream = TracksAside(stream).stream
+        stream = PassthroughTracks(stream).stream
     fps = options.fps or stream.fps
     if options.shot is not None:
         options = replace(options, shot=replace(options.shot, fps=fps))

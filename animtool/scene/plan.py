@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from animtool.scene.deform import Character
     from animtool.scene.scene import Scene
     from animtool.scene.systems.bake import SystemPlan
-    from animtool.scene.systems.beside import SystemsBeside, WrittenBeside
     from animtool.scene.systems.run import Save
+    from animtool.scene.systems.with_take import SystemsWithTake, WrittenSystems
     from animtool.usd.target import JointMap, RigTarget
 
 __all__ = [
@@ -63,7 +63,7 @@ class BakePlan:
         notices: What is odd so far.
         character: What it deforms, where point caches are asked for.
         systems: What is simulated, in place of takes.
-        beside: What is simulated beside the take.
+        with_take: What is simulated beside the take.
     """
 
     takes: tuple[TakePlan, ...]
@@ -77,14 +77,14 @@ class BakePlan:
     notices: list[Fault]
     character: Character | None = None
     systems: SystemPlan | None = None
-    beside: SystemsBeside | None = None
+    with_take: SystemsWithTake | None = None
 
     def finish(
         self,
         layer: Any,
         write: Callable[[Save], object],
         progress: Progress = None,
-    ) -> WrittenBeside | None:
+    ) -> WrittenSystems | None:
         """Write a layer that has the take, and what is simulated beside it.
 
         Args:
@@ -98,8 +98,8 @@ class BakePlan:
             StrictError: There were warnings, and ``strict`` is on.
             ToleranceError: A system blew up.
         """
-        if self.beside is not None:
-            return self.beside.write(layer, self.output, write, progress)
+        if self.with_take is not None:
+            return self.with_take.write(layer, self.output, write, progress)
         from animtool.usd.layers import save_layer
 
         write(save_layer)
@@ -150,9 +150,9 @@ def plan_bake(
         # Systems come after the take that they go along with.
         shown = share_of(progress, 0, 2) if simulated else progress
         streams = reading.open(options, shown, opener)
-    with ExitStack() as blamed:
+    with ExitStack() as located:
         for scene in reading.scenes.values():
-            blamed.enter_context(scene.blamed_things())
+            located.enter_context(scene.located_props())
         plan = plan_output(reading.files, streams, path, options, notices)
     return with_systems(plan, simulated[0]) if simulated else plan
 
@@ -201,7 +201,7 @@ def with_systems(plan: BakePlan, scene: Scene) -> BakePlan:
         message = "a clip library has no place for what is simulated"
         hint = "bake the systems in a scene of their own, or as: stage"
         raise OptionError(Fault("SCN067", message, str(scene.path), (), hint))
-    from animtool.scene.systems.beside import plan_beside
+    from animtool.scene.systems.with_take import plan_with_take
 
     stream, options, target = plan.takes[0].stream, plan.options, plan.target
     paths = rig_paths([stream.rig.name], target, options, plan.output)
@@ -209,7 +209,7 @@ def with_systems(plan: BakePlan, scene: Scene) -> BakePlan:
     meters = rig.meters_per_unit
     if target is None and options.to_units is not None:
         meters = options.to_units.meters
-    beside = plan_beside(
+    with_take = plan_with_take(
         scene,
         paths,
         target,
@@ -221,7 +221,7 @@ def with_systems(plan: BakePlan, scene: Scene) -> BakePlan:
         strict=options.strict,
         tracks=stream.tracks,
     )
-    return replace(plan, beside=beside)
+    return replace(plan, with_take=with_take)
 
 
 def check_output(
@@ -344,14 +344,14 @@ def plan_output(
             zip(sources, names, streams, mappings, strict=True)
         )
     )
-    _check_things(streams, target, options, path, library=bool(names[0]))
+    _check_props(streams, target, options, path, library=bool(names[0]))
     character = _character(takes[0], target) if options.deform else None
     return BakePlan(
         takes, path, options, form, reason, target, fps, start, notices, character
     )
 
 
-def _check_things(
+def _check_props(
     streams: Sequence[TakeStream],
     target: RigTarget | None,
     options: BakeOptions,
@@ -362,12 +362,12 @@ def _check_things(
     """Refuse things beside characters that have no place in the output."""
     if not any(stream.tracks for stream in streams):
         return
-    from animtool.usd.beside import check_things
+    from animtool.usd.author_props import check_props
 
     paths = rig_paths([stream.rig.name for stream in streams], target, options, output)
     stage = None if target is None else target.stage
     for stream in streams:
-        check_things(stream.tracks, paths, stage, library=library)
+        check_props(stream.tracks, paths, stage, library=library)
 
 
 def rig_paths(

@@ -25,7 +25,7 @@ from animtool.scene.sources import motion_bytes
 from animtool.take import Motion
 from animtool.units import UpAxis
 from animtool.usd.animation import Rounding
-from animtool.usd.beside import Beside, author_things, thing_places
+from animtool.usd.author_props import PropSamples, author_props, prop_placements
 from animtool.usd.jobs import UsdResult, WrittenTake, layer_span
 from animtool.usd.names import legal_name
 from animtool.usd.paths import RigPaths
@@ -41,8 +41,8 @@ from animtool.usd.point_space import PointSpace
 from animtool.usd.strands import WIDTH
 
 if TYPE_CHECKING:
-    from animtool.scene.systems.beside import WrittenBeside
     from animtool.scene.systems.run import Save
+    from animtool.scene.systems.with_take import WrittenSystems
 
 __all__ = ["run_point_bake"]
 
@@ -88,10 +88,10 @@ def run_point_bake(
     opened = _timed(plan, frames)
     timed = opened.blocks
     job, character, spaces = _job(plan, character, opened.frames)
-    beside = Beside(stream.tracks)
+    prop_samples = PropSamples(stream.tracks)
     if stream.tracks:
-        timed = beside.watched(timed)
-    things: list[str] = []
+        timed = prop_samples.watched(timed)
+    props: list[str] = []
     points = PointStream(
         character,
         job.meters_per_unit,
@@ -102,7 +102,9 @@ def run_point_bake(
 
     def check(layer: Any) -> None:
         if stream.tracks:
-            things.extend(_author_beside(layer, plan, job, beside, character.rig.up))
+            props.extend(
+                _author_props(layer, plan, job, prop_samples, character.rig.up)
+            )
         refuse_warnings(stream.notices + plan.notices, strict=plan.options.strict)
 
     ahead = prefetch(points.blocks(frames.of_output(timed)))
@@ -111,7 +113,7 @@ def run_point_bake(
     authored = made.authored - began
     seconds = {"read": sum(points.seconds), "author": authored}
     result = _result(made, frames.samples)
-    result.takes[0].things = things
+    result.takes[0].props = props
     seconds["total"] = time.perf_counter() - began
     seconds["save"] = seconds["total"] - seconds["author"]
     report = _take_report(plan, character, result.takes[0], made.meshes, points, frames)
@@ -139,20 +141,20 @@ def _timed(plan: BakePlan, frames: _Frames) -> TimedTake:
     """Return what is to be written with its time codes."""
     take = plan.takes[0]
     stream = replace(take.stream, blocks=frames.of_source(take.stream.blocks))
-    if plan.beside is None:
+    if plan.with_take is None:
         return timed_blocks(take, stream)
-    timed = timed_blocks(take, plan.beside.watch.read(stream))
-    return replace(timed, blocks=plan.beside.watch.written(timed.blocks))
+    timed = timed_blocks(take, plan.with_take.watch.read(stream))
+    return replace(timed, blocks=plan.with_take.watch.written(timed.blocks))
 
 
-def _author_beside(
-    layer: Any, plan: BakePlan, job: CacheJob, beside: Beside, up: UpAxis
+def _author_props(
+    layer: Any, plan: BakePlan, job: CacheJob, prop_samples: PropSamples, up: UpAxis
 ) -> list[str]:
     """Write things beside the character to a layer; return their prims."""
-    places = thing_places(job.paths, plan.target, None, job.meters_per_unit, up)
-    things, notices = author_things(layer, beside, places, plan.output)
+    places = prop_placements(job.paths, plan.target, None, job.meters_per_unit, up)
+    props, notices = author_props(layer, prop_samples, places, plan.output)
     plan.notices.extend(notices)
-    return things
+    return props
 
 
 def _take_report(
@@ -203,7 +205,7 @@ class _Written:
 
     layer: Any
     meshes: list[CachedMesh]
-    systems: WrittenBeside | None
+    systems: WrittenSystems | None
     outputs: list[Path]
     size: int
     authored: float
@@ -217,7 +219,7 @@ def _write(
     progress: Progress,
 ) -> _Written:
     """Write a cache, in one file or in several, and what is simulated beside it."""
-    systems: list[WrittenBeside | None] = []
+    systems: list[WrittenSystems | None] = []
     sizes: list[int] = []
     times: list[float] = []
 
@@ -241,10 +243,10 @@ def _write(
             outputs, meshes, layer = write_chunks(
                 job, blocks, plan.options.chunk, partial(finish, whole=False)
             )
-    (beside,) = systems
-    outputs = ([] if beside is None else beside.files) + outputs
+    (prop_samples,) = systems
+    outputs = ([] if prop_samples is None else prop_samples.files) + outputs
     size = sum(map(size_of, outputs)) or sum(sizes)
-    return _Written(layer, meshes, beside, outputs, size, times[0])
+    return _Written(layer, meshes, prop_samples, outputs, size, times[0])
 
 
 def _job(

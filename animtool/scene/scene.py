@@ -17,9 +17,9 @@ from animtool.scene.entries import (
     Place,
     SceneOutput,
     ScenePass,
+    SceneProp,
     SceneSource,
     SceneSystem,
-    SceneThing,
 )
 from animtool.scene.options import BakeOptions
 from animtool.scene.preroll import Preroll, begun_early, without_first
@@ -31,7 +31,7 @@ from animtool.shot import Shot
 from animtool.take import Motion, Take, TakeStream
 
 if TYPE_CHECKING:
-    from animtool.scene.beside import OpenThing
+    from animtool.scene.props import OpenProp
 
 __all__ = ["Scene"]
 
@@ -46,7 +46,7 @@ class Scene:
         passes: What to do to it, in order.
         outputs: What to write, at least one.
         rig: The rig that all sources move; None is that of the first.
-        beside: What is carried beside the character.
+        props: What is carried beside the character.
         systems: What is simulated, beside the source or in its place.
         first: Frame of the shot that the first frame of the sources is; None is what
             they say.
@@ -63,7 +63,7 @@ class Scene:
     passes: tuple[ScenePass, ...]
     outputs: tuple[SceneOutput, ...]
     rig: Path | None = None
-    beside: tuple[SceneThing, ...] = ()
+    props: tuple[SceneProp, ...] = ()
     first: Fraction | None = None
     preroll: Preroll | None = None
     variables: frozenset[str] = frozenset()
@@ -88,8 +88,8 @@ class Scene:
         folder = self.path.resolve().parent
         named = [self.path, *(source.path for source in self.sources)]
         named += [self.rig] if self.rig is not None else []
-        for thing in self.beside:
-            named += [thing.file, *filter(None, [thing.reference])]
+        for prop in self.props:
+            named += [prop.file, *filter(None, [prop.reference])]
         for system in self.systems:
             named += system.setup.files
         for entry in self.passes:
@@ -179,8 +179,8 @@ class Scene:
         shown = None if progress is None else BlockProgress(progress, slow)
         stream = self._source(None if shown is None else shown.read)
         context = self._context(keeps=keeps)
-        things = self._things(stream)
-        stream = self._beside(stream, things, retimed=True)
+        props = self._open_props(stream)
+        stream = self._with_props(stream, props, retimed=True)
         telling = 0
         for entry in self.passes:
             own = context
@@ -188,7 +188,7 @@ class Scene:
                 own = replace(context, progress=shown.of_pass(telling))
                 telling += 1
             stream = self._passed(stream, entry, own)
-        stream = self._beside(stream, things, retimed=False)
+        stream = self._with_props(stream, props, retimed=False)
         if shown is not None:
             stream.blocks = shown.blocks(stream.blocks)
         return stream
@@ -204,8 +204,8 @@ class Scene:
             OptionError: Likewise.
         """
         source = self._source()
-        things = self._things(source)
-        take, stream = _gathered(self._beside(source, things, retimed=True))
+        props = self._open_props(source)
+        take, stream = _gathered(self._with_props(source, props, retimed=True))
         yield take, stream
         context = self._context(keeps=False)
         for entry in self.passes:
@@ -260,33 +260,33 @@ class Scene:
         stream.blocks = self.meter.blocks(stage, stream.blocks)
         return stream
 
-    def _things(self, stream: TakeStream) -> Sequence[OpenThing]:
+    def _open_props(self, stream: TakeStream) -> Sequence[OpenProp]:
         """Return what is beside the character, open; all faults are said at once."""
-        if not self.beside:
+        if not self.props:
             return ()
-        from animtool.scene.beside import open_things
+        from animtool.scene.props import open_props
 
-        return open_things(self.beside, stream.rig.up, self.meter, stream.notices)
+        return open_props(self.props, stream.rig.up, self.meter, stream.notices)
 
-    def _beside(
-        self, stream: TakeStream, things: Sequence[OpenThing], *, retimed: bool
+    def _with_props(
+        self, stream: TakeStream, props: Sequence[OpenProp], *, retimed: bool
     ) -> TakeStream:
         """Return a take with the things that passes retime, or with the others."""
-        chosen = [thing for thing in things if thing.entry.retimed is retimed]
+        chosen = [prop for prop in props if prop.entry.retimed is retimed]
         if not chosen:
             return stream
-        from animtool.scene.beside import with_things
+        from animtool.scene.props import with_props
 
-        return with_things(stream, chosen, self.first, self.bake.fps)
+        return with_props(stream, chosen, self.first, self.bake.fps)
 
     @contextmanager
-    def blamed_things(self) -> Iterator[None]:
+    def located_props(self) -> Iterator[None]:
         """Give faults of where things are to be written the places of their entries.
 
         Raises:
             FormatError: What an `OptionError` said, where it is of such a thing.
         """
-        places = {thing.path: thing.place for thing in self.beside}
+        places = {prop.path: prop.place for prop in self.props}
         try:
             yield
         except OptionError as error:
@@ -306,7 +306,7 @@ class Scene:
         notices, details = stream.notices, stream.details
         stage = self.meter.stage(entry.pass_.name, entry.place.where)
         context.errors.clear()
-        with self.meter.running(stage), entry.place.blamed():
+        with self.meter.running(stage), entry.place.located():
             stream = self._apply(entry, replace(stream, notices=own), context)
         own += context.notices
         context.notices.clear()
@@ -391,7 +391,7 @@ class Scene:
         if faults:
             raise FormatError(faults)
         first = self.sources[0]
-        with first.place.blamed():
+        with first.place.located():
             stream = joined(parts[0], parts[1:])
         return replace(stream, blocks=_read(first.place, stream.blocks))
 
@@ -402,7 +402,7 @@ class Scene:
 def _read(
     place: Place, blocks: Iterator[Motion], after: Callable[[], None] | None = None
 ) -> Iterator[Motion]:
-    with place.blamed():
+    with place.located():
         yield from blocks
     if after is not None:
         after()

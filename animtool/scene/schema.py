@@ -29,7 +29,7 @@ from animtool.scene.output_fields import (
 )
 from animtool.scene.systems.schema import SystemModel
 
-__all__ = ["BesideModel", "OutputModel", "SceneModel", "SourceModel"]
+__all__ = ["OutputModel", "PropModel", "SceneModel", "SourceModel"]
 
 
 class TracksModel(FileModel):
@@ -103,7 +103,7 @@ class SourceModel(FileModel):
     )
 
 
-class BesideModel(FileModel):
+class PropModel(FileModel):
     """A prop, a camera or attributes next to the character."""
 
     file: Name = Field(
@@ -314,7 +314,7 @@ class SceneModel(FileModel):
         "put tracks in its place.",
         examples=[{"file": "walk.bvh"}],
     )
-    beside: Annotated[list[BesideModel], Len(0, 1000)] = Field(
+    props: Annotated[list[PropModel], Len(0, 1000)] = Field(
         default=[],
         description="Props, cameras and attributes next to the character, which take "
         "part in every change of time and are written with it.",

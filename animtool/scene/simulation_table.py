@@ -22,7 +22,7 @@ from animtool.sim.trials.trial import Trial
 __all__ = ["SimulationTable", "simulates", "simulation_table"]
 
 # Frames that are compared, evenly over the range.
-MOST_INSTANTS = 100
+MAX_INSTANTS = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ def simulation_table(
     tables = []
     for i, (place, trial) in enumerate(trials):
         shown = share_of(progress, i, len(trials))
-        with place.blamed():
+        with place.located():
             table = measure(trial, progress=shown)
         notices = [place.put(notice) for notice in table.notices]
         tables.append(replace(table, notices=notices))
@@ -84,10 +84,10 @@ def _trials(scene: Scene, options: BakeOptions) -> list[tuple[Place, Trial]]:
     if scene.sources:
         from animtool.scene.attach_trial import attach_trials
 
-        found += attach_trials(scene, MOST_INSTANTS)
+        found += attach_trials(scene, MAX_INSTANTS)
     if scene.systems:
         times, own = _times(scene, options)
-        picked = np.linspace(0, len(times) - 1, min(len(times), MOST_INSTANTS))
+        picked = np.linspace(0, len(times) - 1, min(len(times), MAX_INSTANTS))
         looked = times[picked.astype(np.int64)]
         found += [
             (system.place, trial)

@@ -24,7 +24,7 @@ from animtool.take import Channel, Clock, Motion, Take
 
 __all__ = ["open_start", "rest_take"]
 
-MOST_NAMED = 6
+MAX_NAMED = 6
 
 
 def rest_take(rig: Rig, clock: Clock) -> Take:
@@ -89,7 +89,7 @@ def _mapped(take: Take, rig: Rig, path: Path) -> tuple[Motion, list[Fault]]:
     names = map_names(rig, take.rig)
     if (names.joints < 0).all():
         message = f"has no joint of {rig.name!r}"
-        hint = f"its joints are {listed(take.rig.names, MOST_NAMED)}"
+        hint = f"its joints are {listed(take.rig.names, MAX_NAMED)}"
         raise OptionError(Fault("TGT017", message, str(path), (), hint))
     notices = []
     lacking = [rig.names[j] for j in np.flatnonzero(names.joints < 0).tolist()]
@@ -99,7 +99,7 @@ def _mapped(take: Take, rig: Rig, path: Path) -> tuple[Motion, list[Fault]]:
         (spare, "moves {}, which the rig lacks: they are left out"),
     ):
         if which:
-            message = what.format(listed(which, MOST_NAMED))
+            message = what.format(listed(which, MAX_NAMED))
             fault = Fault("TGT102", message, str(path), severity=Severity.WARNING)
             notices.append(fault)
     motion = replace(names.apply(take.motion), weights=None, controls=None)

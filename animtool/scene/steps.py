@@ -16,8 +16,8 @@ from animtool.scene.convert import convert_outputs
 from animtool.scene.entries import (
     OutputKind,
     ScenePass,
+    SceneProp,
     SceneSystem,
-    SceneThing,
     kind_of,
 )
 from animtool.scene.files import form_of, output_files
@@ -36,7 +36,7 @@ class StepKind(StrEnum):
     """What a step is."""
 
     SOURCE = "source"
-    BESIDE = "beside"
+    PROP = "beside"
     PASS = "pass"
     SYSTEM = "system"
     OUTPUT = "output"
@@ -216,8 +216,8 @@ def _scene_steps(scene: Scene, steps: list[Step]) -> _State:
         source = scene.sources[0]
         steps.append(_source_step(source.path, source.place.where, state))
     tracks = {track.path: track for track in state.tracks}
-    for thing in scene.beside:
-        steps.append(_beside_step(thing, tracks[thing.path]))
+    for prop in scene.props:
+        steps.append(_prop_step(prop, tracks[prop.path]))
     for entry in scene.passes:
         steps.append(_pass_step(scene, entry, state))
         if state.curves and not state.dropped and _drops(entry):
@@ -260,22 +260,22 @@ def _simulated_steps(
     return steps
 
 
-def _beside_step(thing: SceneThing, track: Track) -> Step:
-    makes = [f"{track.type_name or 'what is referred to'} at {thing.path}"]
+def _prop_step(prop: SceneProp, track: Track) -> Step:
+    makes = [f"{track.type_name or 'what is referred to'} at {prop.path}"]
     if track.attributes:
         makes.append(", ".join(attribute.name for attribute in track.attributes))
     left_out = []
     if not track.moves:
         left_out.append("samples: it never moves, and is stored once")
-    if not thing.retimed:
+    if not prop.retimed:
         left_out.append("changes of time by passes: it is not retimed")
     if track.reference is None and track.type_name == "Xform":
         left_out.append("geometry: not asked for (reference)")
     return Step(
-        StepKind.BESIDE,
-        f"{thing.prim} of {thing.file}",
-        thing.place.where,
-        (str(thing.file),),
+        StepKind.PROP,
+        f"{prop.prim} of {prop.file}",
+        prop.place.where,
+        (str(prop.file),),
         tuple(makes),
         tuple(left_out),
     )

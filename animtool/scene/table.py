@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.clip.points import SHELL, carried_points, point_errors
+from animtool.clip.points import SHELL, attached_points, point_errors
 from animtool.clip.reduce import reduce_motion
 from animtool.errors import Fault, OptionError
 from animtool.rates import rate_label
@@ -37,7 +37,7 @@ TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5)
 # Instants between two frames of a curve; samples at the highest rate have one between.
 FINE = 8
 # UsdSkel plays so many instants in about a second.
-MOST_INSTANTS = 4000
+MAX_INSTANTS = 4000
 
 
 class RowKind(StrEnum):
@@ -167,7 +167,7 @@ def _truth(source: Source, options: BakeOptions) -> tuple[_Truth, Take]:
     per_frame = FINE if stream.curve is not None else 1
     count = (clock.count - 1) * per_frame + 1
     picked = np.unique(
-        np.linspace(0, count - 1, min(count, MOST_INSTANTS)).astype(np.int64)
+        np.linspace(0, count - 1, min(count, MAX_INSTANTS)).astype(np.int64)
     )
     frames = picked / per_frame
     if stream.curve is None:
@@ -191,11 +191,11 @@ def _baked(
     began = time.perf_counter()
     plan = plan_bake(source, output, replace(options, overwrite=True))
     # What is simulated beside the take has no joints to measure.
-    result = run_bake(replace(plan, beside=None)).result
+    result = run_bake(replace(plan, with_take=None)).result
     seconds = time.perf_counter() - began
     codes = float(plan.start) + truth.seconds * float(plan.fps)
     found = played_world(output, codes)
-    errors = point_errors(carried_points(truth.rig, SHELL), truth.world, found)
+    errors = point_errors(attached_points(truth.rig, SHELL), truth.world, found)
     at, joint = divmod(int(np.argmax(errors)), errors.shape[1])
     return TableRow(
         kind,

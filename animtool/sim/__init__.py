@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from animtool.sim.system import FirstOrder as FirstOrder
     from animtool.sim.system import SecondOrder as SecondOrder
     from animtool.sim.system import System as System
-    from animtool.sim.trajectory import Carried as Carried
+    from animtool.sim.trajectory import Checkpoint as Checkpoint
     from animtool.sim.trajectory import Stats as Stats
     from animtool.sim.trajectory import Status as Status
     from animtool.sim.trajectory import Trajectory as Trajectory
 
 _PUBLIC = {
     "INTEGRATORS": "animtool.sim.integrators",
-    "Carried": "animtool.sim.trajectory",
+    "Checkpoint": "animtool.sim.trajectory",
     "Energy": "animtool.sim.system",
     "FirstOrder": "animtool.sim.system",
     "ForceSystem": "animtool.sim.functions",

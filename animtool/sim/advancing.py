@@ -9,9 +9,9 @@ from animtool.sim import adaptive, external, fixed
 from animtool.sim.integrators.integrator import Control
 from animtool.sim.modes import allowed_step, modes_at
 from animtool.sim.run import Run
-from animtool.sim.trajectory import Carried, Stats, Status
+from animtool.sim.trajectory import Checkpoint, Stats, Status
 
-__all__ = ["advance", "carried_on", "stats_of"]
+__all__ = ["advance", "checkpoint_of", "stats_of"]
 
 _ADVANCE = {
     Control.FIXED: fixed.advance,
@@ -28,14 +28,16 @@ def advance(run: Run, target: float) -> Status:
     return run.look() if status is Status.OK else status
 
 
-def carried_on(run: Run, status: Status, time: float, state: FloatArray) -> Carried:
+def checkpoint_of(
+    run: Run, status: Status, time: float, state: FloatArray
+) -> Checkpoint:
     """Return where a motion can be gone on from.
 
     scipy's solvers are bound to the end that they were begun with, and begin anew.
     """
     if status is not Status.OK or run.integrator.control is Control.SCIPY:
-        return Carried(time, state)
-    return Carried(time, state, run.memory, run.trial)
+        return Checkpoint(time, state)
+    return Checkpoint(time, state, run.memory, run.trial)
 
 
 def stats_of(

@@ -8,12 +8,12 @@ from animtool._types import ArrayLike, FloatArray
 from animtool.errors import Fault, OptionError
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Control, Form, Integrator
-from animtool.sim.trajectory import Carried
+from animtool.sim.trajectory import Checkpoint
 
 __all__ = ["check_fit", "check_start", "check_times"]
 
 
-def check_times(times: ArrayLike, carried: Carried | None) -> FloatArray:
+def check_times(times: ArrayLike, checkpoint: Checkpoint | None) -> FloatArray:
     """Return times as an array.
 
     Raises:
@@ -29,8 +29,8 @@ def check_times(times: ArrayLike, carried: Carried | None) -> FloatArray:
         i = int(np.argmax(np.diff(moments) < 0))
         message = f"times run backwards, from {moments[i]:g} to {moments[i + 1]:g} s"
         hint = "what loses energy cannot be integrated backwards: begin at the start"
-    elif carried is not None and moments[0] != carried.time:
-        message = f"what is carried is at {carried.time:g} s, not {moments[0]:g} s"
+    elif checkpoint is not None and moments[0] != checkpoint.time:
+        message = f"what is carried is at {checkpoint.time:g} s, not {moments[0]:g} s"
     if message:
         raise OptionError(Fault("SIM002", message, where="times", hint=hint))
     return moments

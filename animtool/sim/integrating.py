@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from animtool._types import ArrayLike, FloatArray
-from animtool.sim.advancing import advance, carried_on, stats_of
+from animtool.sim.advancing import advance, checkpoint_of, stats_of
 from animtool.sim.checks import check_fit, check_start, check_times
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Integrator
@@ -15,7 +15,7 @@ from animtool.sim.notices import ending, step_notices
 from animtool.sim.options import IntegrateOptions, check_options, finer
 from animtool.sim.run import Run
 from animtool.sim.system import FirstOrder, SecondOrder
-from animtool.sim.trajectory import Carried, Status, Trajectory
+from animtool.sim.trajectory import Checkpoint, Status, Trajectory
 from animtool.sim.watch import Watch
 
 __all__ = ["integrate"]
@@ -25,7 +25,7 @@ def integrate(
     system: FirstOrder | SecondOrder,
     times: ArrayLike,
     options: IntegrateOptions | None = None,
-    carried: Carried | None = None,
+    checkpoint: Checkpoint | None = None,
 ) -> Trajectory:
     """Return the states of a system at times.
 
@@ -38,7 +38,7 @@ def integrate(
         times: Ascending ``(F,)`` [s]; the first is that of the start. Where a time
             stands twice, so does the state, bit for bit.
         options: Method, step or tolerance, bounds.
-        carried: Where to begin in place of the system's start: what an earlier
+        checkpoint: Where to begin in place of the system's start: what an earlier
             trajectory carried; its time is the first one then. With fixed steps at
             multiples of the step, and with methods that choose theirs but scipy's, a
             motion in parts is the motion as a whole, bit for bit.
@@ -57,13 +57,13 @@ def integrate(
     """
     options = options or IntegrateOptions()
     integrator = check_options(options)
-    moments = check_times(times, carried)
+    moments = check_times(times, checkpoint)
     equations = Equations(system)
     check_fit(equations, integrator)
-    begin = carried or Carried(float(moments[0]), system.state)
+    begin = checkpoint or Checkpoint(float(moments[0]), system.state)
     with np.errstate(all="ignore"):
         check_start(equations, begin.time, begin.state)
-        notices = [] if carried else system.notices()
+        notices = [] if checkpoint else system.notices()
         notices += step_notices(equations, integrator, options, moments, begin.state)
         run = _begun(equations, integrator, options, moments, begin)
         states, status = _states(run, moments)
@@ -83,7 +83,7 @@ def integrate(
         energies,
         stats,
         tuple(notices),
-        carried_on(run, status, float(moments[len(states) - 1]), states[-1]),
+        checkpoint_of(run, status, float(moments[len(states) - 1]), states[-1]),
         equations.second is not None,
     )
 
@@ -93,7 +93,7 @@ def _begun(
     integrator: Integrator,
     options: IntegrateOptions,
     moments: FloatArray,
-    begin: Carried,
+    begin: Checkpoint,
 ) -> Run:
     watch = Watch(equations.system, options)
     watch.start(begin.time, begin.state)

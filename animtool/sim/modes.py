@@ -14,7 +14,7 @@ from animtool.sim.newton import differences
 __all__ = ["allowed_step", "modes_at"]
 
 # Components of the largest state whose derivative is taken by differences.
-MOST_COMPONENTS = 240
+MAX_COMPONENTS = 240
 
 
 def allowed_step(integrator: Integrator, modes: FloatArray) -> float | None:
@@ -49,7 +49,7 @@ def modes_at(equations: Equations, t: float, state: FloatArray) -> FloatArray | 
     named = equations.system.frequencies(t, state)
     if named is not None:
         return named
-    if state.size > MOST_COMPONENTS or not np.isfinite(state).all():
+    if state.size > MAX_COMPONENTS or not np.isfinite(state).all():
         return None
 
     def rate(flat: FloatArray) -> FloatArray:

@@ -21,7 +21,7 @@ SOLVED = 1e-10
 # A velocity that moves no particle by this share of its position is as good as 0: what
 # comes to rest has none to compare with.
 AT_REST = 1e-3
-MOST_CORRECTIONS, MOST_HALVINGS = 30, 10
+MAX_CORRECTIONS, MAX_HALVINGS = 30, 10
 # Of differences: the square root of a rounding.
 NUDGE = 1.5e-8
 
@@ -124,7 +124,7 @@ def _newton(
         least: Size below which unknowns are as good as 0.
     """
     point, left = start, residual(start)
-    for _ in range(MOST_CORRECTIONS):
+    for _ in range(MAX_CORRECTIONS):
         correction = _solved(matrix(point, left), left)
         if correction is None:
             return None
@@ -143,7 +143,7 @@ def _corrected(
     """Return the next point and its residual, less far along where it grew twofold."""
     size = float(np.linalg.norm(left))
     moved, after = point, left
-    for halving in range(MOST_HALVINGS):
+    for halving in range(MAX_HALVINGS):
         moved = point + correction * 0.5**halving
         after = residual(moved)
         if float(np.linalg.norm(after)) <= 2 * size or size == 0:

@@ -8,7 +8,7 @@ from enum import StrEnum
 from animtool._types import FloatArray
 from animtool.errors import Fault
 
-__all__ = ["Carried", "Stats", "Status", "Trajectory"]
+__all__ = ["Checkpoint", "Stats", "Status", "Trajectory"]
 
 
 class Status(StrEnum):
@@ -30,7 +30,7 @@ class Status(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Carried:
+class Checkpoint:
     """Where a motion stands, so that it can be gone on with.
 
     Attributes:
@@ -92,7 +92,7 @@ class Trajectory:
             says none.
         stats: What it took, and how it ended.
         notices: Warnings: of a step too long to be stable, of how it ended.
-        carried: Where it can be gone on from, at the last of the times.
+        checkpoint: Where it can be gone on from, at the last of the times.
         second_order: Whether states are positions and velocities.
     """
 
@@ -101,7 +101,7 @@ class Trajectory:
     energies: FloatArray | None
     stats: Stats
     notices: tuple[Fault, ...]
-    carried: Carried
+    checkpoint: Checkpoint
     second_order: bool
 
     @property

@@ -27,7 +27,7 @@ __all__ = [
 # it from step to step, and to a thread that writes; of large meshes, as many frames as
 # products of matrices need to run near full speed.
 BLOCK_BYTES = 2**22
-FEWEST_FRAMES = 4
+MIN_FRAMES = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,7 +239,7 @@ def block_frames(vertices: int) -> int:
     16
     """
     fitting = BLOCK_BYTES // max(24 * vertices, 1)
-    return max(FEWEST_FRAMES, fitting // FEWEST_FRAMES * FEWEST_FRAMES)
+    return max(MIN_FRAMES, fitting // MIN_FRAMES * MIN_FRAMES)
 
 
 def extents(points: ArrayLike) -> FloatArray:

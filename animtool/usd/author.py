@@ -130,15 +130,15 @@ def _author_take(
     else:
         writer.finish(job.target.operations, replaces_motion=job.target.moves)
     written = _written(job, take, writer)
-    if take.beside is not None:
-        from animtool.usd.beside import author_things, thing_places
+    if take.props is not None:
+        from animtool.usd.author_props import author_props, prop_placements
 
         rig_layer = None if authored.rig is layer else authored.rig
-        places = thing_places(
+        places = prop_placements(
             job.paths, job.target, rig_layer, job.meters_per_unit, job.rig.up, take.name
         )
-        written.things, written.notices = author_things(
-            layer, take.beside, places, job.output
+        written.props, written.notices = author_props(
+            layer, take.props, places, job.output
         )
     if take.name:
         from animtool.usd.library import author_range

@@ -16,7 +16,7 @@ from animtool.rig.parts import Attachment
 from animtool.units import UpAxis
 from animtool.usd.layers import attribute, prim
 from animtool.usd.mesh_read import bound_meshes
-from animtool.usd.placement import MOST_NAMED
+from animtool.usd.placement import MAX_NAMED
 from animtool.usd.point_space import PointSpace
 from animtool.usd.strand_read import bound_strands
 from animtool.usd.target import RigTarget, compose_check
@@ -154,24 +154,24 @@ def open_cache_target(
         mesh = UsdGeom.Mesh(found[name])
         faults += _misfits(mesh, name, count, rig) + _moving(mesh, skeleton, rig)
         meshes.append(_mesh(mesh, name, skeleton, rig))
-    carried = {
+    matched = {
         entry.name: (entry, source)
         for entry, source in bound_strands(skeleton, rig.skeleton, str(rig.path))
     }
     for name, shape in curves.items():
-        if name not in carried:
+        if name not in matched:
             continue
-        entry, source = carried[name]
+        entry, source = matched[name]
         made = UsdGeom.BasisCurves(source)
         faults += _uneven(made, entry, shape, rig) + _moving(made, skeleton, rig)
         strands.append(_strands(made, name, skeleton, rig))
     if faults:
         raise FormatError(faults)
     missing = [name for name in wanted if name not in found]
-    missing += [name for name in curves if name not in carried]
+    missing += [name for name in curves if name not in matched]
     notices = _missing_notice(missing, rig.path)
     deformed = {found[mesh.name].GetPath() for mesh in meshes}
-    deformed |= {carried[entry.name][1].GetPath() for entry in strands}
+    deformed |= {matched[entry.name][1].GetPath() for entry in strands}
     notices += _left_notice(root, deformed, rig.path)
     notices += _normals_notice([*meshes, *strands], rig.path)
     return CacheTarget(rig, tuple(meshes), tuple(strands), tuple(notices))
@@ -263,7 +263,7 @@ def _missing_notice(missing: Sequence[str], path: Path) -> list[Fault]:
     if not missing:
         return []
     message = f"{len(missing)} meshes or strands of the take are not in the rig layer: "
-    message += listed(missing, MOST_NAMED)
+    message += listed(missing, MAX_NAMED)
     hint = "they are left out"
     return [Fault("USD141", message, str(path), (), hint, Severity.WARNING)]
 
@@ -284,7 +284,7 @@ def _left_notice(root: Any, deformed: set[Any], path: Path) -> list[Fault]:
     if not left:
         return []
     message = f"{len(left)} prims stop following their skeleton: "
-    message += listed(left, MOST_NAMED)
+    message += listed(left, MAX_NAMED)
     hint = "the SkelRoot becomes an Xform, and the cache has no points of them"
     return [Fault("USD142", message, str(path), (), hint, Severity.WARNING)]
 
@@ -293,6 +293,6 @@ def _normals_notice(meshes: Sequence[TargetMesh], path: Path) -> list[Fault]:
     blocked = [mesh.name for mesh in meshes if mesh.blocked]
     if not blocked:
         return []
-    message = f"normals of {listed(blocked, MOST_NAMED)} are not one a vertex"
+    message = f"normals of {listed(blocked, MAX_NAMED)} are not one a vertex"
     hint = "they are blocked, as they would not fit deformed points"
     return [Fault("USD143", message, str(path), (), hint, Severity.NOTE)]

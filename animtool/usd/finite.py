@@ -38,7 +38,7 @@ _NAMES = {"h": "float16", "f": "float32", "d": "float64"}
 _SCALARS = {"GfHalf": "h", "float": "f", "double": "d", "GfTimeCode": "d"}
 # Half of the distance of the largest float32 from the one below: what is within the
 # range is rounded by no more than this along an axis.
-_MOST_ROUNDED = 2.0**103
+_MAX_ROUNDED = 2.0**103
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +118,7 @@ def rounded(
     """
     made, error, frame, vertex = _kernels.round_points(points, unit)
     # Beyond the range the error is larger than any rounding, so nothing more is read.
-    if not error < _MOST_ROUNDED * unit:
+    if not error < _MAX_ROUNDED * unit:
         with np.errstate(all="ignore"):
             whole = points / unit
             narrow = whole.astype(np.float32)

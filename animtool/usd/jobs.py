@@ -21,7 +21,7 @@ from animtool.usd.names import UsdNames
 from animtool.usd.paths import RigPaths
 
 if TYPE_CHECKING:
-    from animtool.usd.beside import Beside
+    from animtool.usd.author_props import PropSamples
     from animtool.usd.curves import CurveReport
     from animtool.usd.target import RigTarget
 
@@ -80,7 +80,7 @@ class UsdTake:
         name: Of a library's take, legal and distinct; empty where it is the only
             animation, which needs no variant.
         source_name: What the source of a library's take is called.
-        beside: Things beside the rig, gathered while the blocks are drawn; None is
+        props: Things beside the rig, gathered while the blocks are drawn; None is
             none.
     """
 
@@ -93,7 +93,7 @@ class UsdTake:
     curves: Mapping[str, Curves] = field(default_factory=dict)
     name: str = ""
     source_name: str = ""
-    beside: Beside | None = None
+    props: PropSamples | None = None
 
 
 @dataclass(slots=True)
@@ -110,7 +110,7 @@ class WrittenTake:
         joints: Joints in the SkelAnimation.
         rounding: What rounding to float32, and of scales to float16, moved.
         curves: What became of the curves of controls.
-        things: Paths of the things beside the rig.
+        props: Paths of the things beside the rig.
         notices: What there is to say of its frames.
     """
 
@@ -123,7 +123,7 @@ class WrittenTake:
     joints: int = 0
     rounding: Rounding = field(default_factory=Rounding)
     curves: list[CurveReport] = field(default_factory=list)
-    things: list[str] = field(default_factory=list)
+    props: list[str] = field(default_factory=list)
     notices: list[Fault] = field(default_factory=list)
 
 

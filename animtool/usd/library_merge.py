@@ -15,7 +15,7 @@ from animtool.usd.rig_prims import find_skeletons, open_stage, prim_below
 
 __all__ = ["check_library", "merged_library"]
 
-MOST_NAMED = 40
+MAX_NAMED = 40
 
 
 def check_library(
@@ -45,7 +45,7 @@ def check_library(
     if name not in takes.names:
         return
     if not overwrite:
-        message = f"has a take {name!r} already, of {listed(takes.names, MOST_NAMED)}"
+        message = f"has a take {name!r} already, of {listed(takes.names, MAX_NAMED)}"
         hint = "--overwrite replaces it; take: names another"
         raise OptionError(Fault("SCN050", message, str(path), (), hint))
     variant = takes.prim.GetPath().AppendVariantSelection(TAKE_SET, name)

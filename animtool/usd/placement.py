@@ -9,9 +9,9 @@ from pxr import Kind, Sdf, Usd, UsdSkel
 from animtool.errors import Fault, OptionError, listed
 from animtool.usd.rig_prims import find_skeletons
 
-MOST_NAMED = 40
+MAX_NAMED = 40
 
-__all__ = ["MOST_NAMED", "character_paths", "holds_character"]
+__all__ = ["MAX_NAMED", "character_paths", "holds_character"]
 
 
 def character_paths(stage: Any) -> list[str]:
@@ -53,7 +53,7 @@ def holds_character(stage: Any, prim_path: str, where: str) -> bool:
     characters = character_paths(stage)
     if not characters or _is_rig_alone(stage, prim_path, characters):
         return False
-    there = listed(characters, MOST_NAMED)
+    there = listed(characters, MAX_NAMED)
     message = f"has no character at {prim_path}, but at {there}"
     hint = "only a file of one rig alone may be given a path that it lacks"
     raise OptionError(Fault("USD033", message, where, (), hint))

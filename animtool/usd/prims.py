@@ -22,7 +22,7 @@ from animtool.usd.rig_prims import decompose, open_stage, up_axis
 __all__ = ["find_prim", "nearest_prim", "open_prim"]
 
 # Whose names are compared with one that there is not.
-MOST_COMPARED = 20_000
+MAX_COMPARED = 20_000
 
 
 def open_prim(
@@ -112,7 +112,7 @@ def find_prim(stage: Any, name: str) -> Any:
 
 def nearest_prim(stage: Any, name: str) -> str | None:
     """Return a hint that names the prim whose path is most like one."""
-    all_of_them = islice(stage.Traverse(), MOST_COMPARED)
+    all_of_them = islice(stage.Traverse(), MAX_COMPARED)
     names = [str(prim.GetPath()) for prim in all_of_them]
     near = similar(name, names)
     return f"did you mean {near}?" if near else None

@@ -25,11 +25,10 @@ from animtool.usd.animation_values import (
     scale_channel,
     shape_weights,
 )
-from animtool.usd.carried_roots import carry_roots, moving_carriers
 from animtool.usd.layers import usd_errors
 from animtool.usd.library import TakeSet, find_take_set, select_take
 from animtool.usd.mesh_read import bound_shapes
-from animtool.usd.placement import MOST_NAMED, character_paths
+from animtool.usd.placement import MAX_NAMED, character_paths
 from animtool.usd.rig_prims import (
     SkeletonRig,
     check_moves,
@@ -42,6 +41,7 @@ from animtool.usd.rig_prims import (
     skeleton_rig,
     up_axis,
 )
+from animtool.usd.root_carriers import carry_roots, moving_carriers
 from animtool.usd.sample_grid import SampleGrid, sample_grid
 from animtool.usd.values import array_value, numbers, stored_data
 
@@ -109,7 +109,7 @@ def _read_selected(stage: Any, path: Path, below: str) -> TakeStream:
         if animation is None:
             message = f"holds no Skeleton and no SkelAnimation below {below}"
             there = character_paths(stage)
-            hint = f"characters: {listed(there, MOST_NAMED)}" if there else None
+            hint = f"characters: {listed(there, MAX_NAMED)}" if there else None
             raise FormatError(Fault("USD008", message, str(path), (), hint))
         skeleton = _rig_of_animation(animation, path, stage)
         prim = None

@@ -21,7 +21,7 @@ __all__ = ["SampleGrid", "sample_grid"]
 # it is no grid but a curve's own keys.
 FINEST_GRID = 8
 # More frames than any take of unevenly spaced keys: there, a key has gone astray.
-MOST_FRAMES = 100_000
+MAX_FRAMES = 100_000
 # Samples within this share of a step, or of a time code, from a frame are that frame's:
 # exporters add up float steps, which drift. Shutter offsets are many times larger.
 LARGEST_DRIFT = 0.02
@@ -90,7 +90,7 @@ def sample_grid(
 def _grid(times: list[float], span: _Span, where: str) -> SampleGrid:
     if not times and span.last is not None:
         # Nothing moves, for as long as the take or its stage lasts.
-        still = min(max(0, math.floor(span.last - span.first)), MOST_FRAMES) + 1
+        still = min(max(0, math.floor(span.last - span.first)), MAX_FRAMES) + 1
         return SampleGrid(span.first, Fraction(1), still, True)
     if len(times) < 2:
         start = time_fraction(times[0]) if times else span.first
@@ -153,7 +153,7 @@ def _whole_codes(times: list[float], where: str) -> SampleGrid:
     """
     exact = [time_fraction(time) for time in times]
     first, last = math.floor(exact[0]), math.ceil(exact[-1])
-    if last - first > MOST_FRAMES:
+    if last - first > MAX_FRAMES:
         message = f"{len(times)} samples spread over {last - first} time codes"
         raise FormatError(Fault("USD016", message, where, (), "a stray sample?"))
     between = sum(time.denominator != 1 for time in exact)

@@ -25,7 +25,7 @@ from animtool.usd.rig_prims import (
 from animtool.usd.stderr import without_usd_warnings
 from animtool.usd.values import array_of, array_value
 
-__all__ = ["ChunkSet", "PointPrim", "PointStage", "moved_points", "read_points"]
+__all__ = ["ChunkSet", "PointPrim", "PointStage", "displaced_points", "read_points"]
 
 # What points are joined to, and the attribute with an entry for each.
 _PIECES = {
@@ -162,7 +162,7 @@ def read_points(path: Path) -> PointStage | None:
         )
 
 
-def moved_points(path: Path) -> list[PointPrim]:
+def displaced_points(path: Path) -> list[PointPrim]:
     """Return the prims of a stage whose points have samples.
 
     Raises:

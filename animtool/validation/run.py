@@ -38,7 +38,7 @@ __all__ = [
 Finding = Fault
 
 # Fewer files are done before another process has started.
-FEWEST_EACH = 40
+MIN_EACH = 40
 # Files that a process takes at a time.
 CHUNK = 10
 
@@ -129,7 +129,7 @@ def validate_files(
 def _processes(jobs: int | None, files: int) -> int:
     if jobs is not None:
         return max(1, min(jobs, files))
-    return max(1, min(os.cpu_count() or 1, files // FEWEST_EACH))
+    return max(1, min(os.cpu_count() or 1, files // MIN_EACH))
 
 
 def _all(

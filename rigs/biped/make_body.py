@@ -88,8 +88,8 @@ def read_joints(path: Path) -> tuple[list[str], dict[str, Array], Segments]:
 
 def mirrored_points(points: Array) -> Array:
     """Return points brought to the left side, rounded in the middle."""
-    aside = np.sqrt(points[..., :1] ** 2 + MIDDLE**2)
-    return np.concatenate([aside, points[..., 1:]], axis=-1)
+    lateral = np.sqrt(points[..., :1] ** 2 + MIDDLE**2)
+    return np.concatenate([lateral, points[..., 1:]], axis=-1)
 
 
 def body_field(points: Array) -> Array:
@@ -446,10 +446,10 @@ def arrays(rig: Path) -> dict[str, NDArray[np.generic]]:
 def main() -> None:
     """Write the arrays to the file named on the command line."""
     parser = argparse.ArgumentParser(description="Make body.npz.")
-    beside = Path(__file__).with_name("body.npz")
-    parser.add_argument("out", nargs="?", type=Path, default=beside)
+    offset = Path(__file__).with_name("body.npz")
+    parser.add_argument("out", nargs="?", type=Path, default=offset)
     out: Path = parser.parse_args().out
-    np.savez_compressed(out, **arrays(beside.with_name("biped.rig.yaml")))
+    np.savez_compressed(out, **arrays(offset.with_name("biped.rig.yaml")))
 
 
 if __name__ == "__main__":

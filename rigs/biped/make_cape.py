@@ -38,16 +38,16 @@ def hanging() -> tuple[Array, Array]:
 
     The share is -1 at the right edge and 1 at the left.
     """
-    aside, down = np.linspace(-1, 1, ACROSS), np.linspace(0, 1, DOWN)[:, None]
+    passthrough, down = np.linspace(-1, 1, ACROSS), np.linspace(0, 1, DOWN)[:, None]
     width, height, place = (
         curve(KNOTS, table, down) for table in (WIDTHS, HEIGHTS, PLACES)
     )
-    fold = 0.016 * down * np.cos(2 * np.pi * FOLDS * aside)
+    fold = 0.016 * down * np.cos(2 * np.pi * FOLDS * passthrough)
     # Shoulders slope; towards the edges the upper part comes forward on to them.
-    drop = 0.020 * aside**2 * smoothstep(0.3, 0.0, down)
-    forward = 0.030 * aside**2 * smoothstep(0.10, 0.0, down)
-    grid = [aside * width, height - drop, place + forward + fold]
-    return np.stack(np.broadcast_arrays(*grid), axis=-1), aside
+    drop = 0.020 * passthrough**2 * smoothstep(0.3, 0.0, down)
+    forward = 0.030 * passthrough**2 * smoothstep(0.10, 0.0, down)
+    grid = [passthrough * width, height - drop, place + forward + fold]
+    return np.stack(np.broadcast_arrays(*grid), axis=-1), passthrough
 
 
 def settled(grid: Array) -> Array:
@@ -89,7 +89,7 @@ def quads() -> Ints:
     return np.stack(ring, axis=1)
 
 
-def followed(points: Array, aside: Array, heights: Array) -> tuple[Ints, Array]:
+def followed(points: Array, passthrough: Array, heights: Array) -> tuple[Ints, Array]:
     """Return joints and weights of the points, four each.
 
     Joints are counted down the back first, then come clavicle and shoulder of the left,
@@ -97,16 +97,16 @@ def followed(points: Array, aside: Array, heights: Array) -> tuple[Ints, Array]:
 
     Args:
         points: ``(V, 3)``.
-        aside: Their sideways share, from -1 to 1 ``(V,)``.
+        passthrough: Their sideways share, from -1 to 1 ``(V,)``.
         heights: Of the middles of the back's bones, ascending.
     """
     place = np.interp(points[:, 1], heights, np.arange(len(heights)))
     below = np.minimum(place.astype(int), len(heights) - 2)
     upper = place - below
-    shoulder = smoothstep(0.25, 1.0, np.abs(aside))
+    shoulder = smoothstep(0.25, 1.0, np.abs(passthrough))
     shoulder = 0.75 * shoulder * smoothstep(1.20, 1.45, points[:, 1])
     arm = 0.3 * shoulder
-    side = np.where(aside > 0, len(BACK), len(BACK) + 2)
+    side = np.where(passthrough > 0, len(BACK), len(BACK) + 2)
     weights = [(1 - shoulder) * (1 - upper), (1 - shoulder) * upper]
     weights += [shoulder - arm, arm]
     indices = np.stack([below, below + 1, side, side + 1], axis=1)
@@ -117,11 +117,11 @@ def followed(points: Array, aside: Array, heights: Array) -> tuple[Ints, Array]:
 def arrays(rig: Path) -> dict[str, NDArray[np.generic]]:
     """Return every array by name."""
     _, joints, _ = read_joints(rig)
-    grid, aside = hanging()
+    grid, passthrough = hanging()
     points = np.round(settled(grid).reshape(-1, 3), 6) + 0.0
     ends = np.array([joints[name][1] for name in (*BACK, NECK)])
     heights = (ends[1:] + ends[:-1]) / 2
-    indices, weights = followed(points, np.tile(aside, DOWN), heights)
+    indices, weights = followed(points, np.tile(passthrough, DOWN), heights)
     normals = surface_normals(points, quads())
     return {
         "points": points.astype(np.float32),
@@ -136,10 +136,10 @@ def arrays(rig: Path) -> dict[str, NDArray[np.generic]]:
 def main() -> None:
     """Write the arrays to the file named on the command line."""
     parser = argparse.ArgumentParser(description="Make cape.npz.")
-    beside = Path(__file__).with_name("cape.npz")
-    parser.add_argument("out", nargs="?", type=Path, default=beside)
+    props = Path(__file__).with_name("cape.npz")
+    parser.add_argument("out", nargs="?", type=Path, default=props)
     out: Path = parser.parse_args().out
-    np.savez_compressed(out, **arrays(beside.with_name("biped.rig.yaml")))
+    np.savez_compressed(out, **arrays(props.with_name("biped.rig.yaml")))
 
 
 if __name__ == "__main__":

@@ -208,11 +208,11 @@ def section(rig: Path) -> str:
 def main() -> None:
     """Write the section into the file named on the command line."""
     parser = argparse.ArgumentParser(description="Make the colliders of the biped.")
-    beside = Path(__file__).with_name("biped.rig.yaml")
-    parser.add_argument("rig", nargs="?", type=Path, default=beside)
+    props = Path(__file__).with_name("biped.rig.yaml")
+    parser.add_argument("rig", nargs="?", type=Path, default=props)
     rig: Path = parser.parse_args().rig
     kept, _, _ = rig.read_text("utf-8").partition("colliders:")
-    rig.write_text(kept + section(beside), "utf-8")
+    rig.write_text(kept + section(props), "utf-8")
 
 
 if __name__ == "__main__":

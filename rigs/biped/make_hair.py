@@ -50,9 +50,9 @@ def strands() -> Array:
     share = ends[:, None] * np.linspace(0, 1, POINTS)
     place, along = arc(share)
     width = curve(KNOTS, WIDTHS, share)
-    aside, out = disc().T
+    passthrough, out = disc().T
     made = np.zeros((STRANDS, POINTS, 3))
-    made[..., 0] = aside[:, None] * width
+    made[..., 0] = passthrough[:, None] * width
     offset = (out[:, None] * width)[..., None]
     made[..., 1:] = place + offset * np.stack([-along[..., 1], along[..., 0]], axis=-1)
     made[:, 0] = project(body_field, made[:, 0], steps=8)
@@ -65,8 +65,8 @@ def strands() -> Array:
 def main() -> None:
     """Write the strands to the file named on the command line."""
     parser = argparse.ArgumentParser(description="Make hair.npz.")
-    beside = Path(__file__).with_name("hair.npz")
-    parser.add_argument("out", nargs="?", type=Path, default=beside)
+    props = Path(__file__).with_name("hair.npz")
+    parser.add_argument("out", nargs="?", type=Path, default=props)
     out: Path = parser.parse_args().out
     points: NDArray[np.float32] = (np.round(strands(), 6) + 0.0).astype(np.float32)
     np.savez_compressed(out, points=points)

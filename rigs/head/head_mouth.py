@@ -92,12 +92,12 @@ def round_shapes(s: Sculptor) -> dict[str, Array]:
     funnel = np.column_stack([-0.30 * x * near, zero, 0.0085 * near])
     apart = np.where(low > 0.5, -0.0052, 0.0042) * np.abs(2 * low - 1)
     parted = s.pull((0, 0.1432, 0.096), (0.022, 0.022, 0.04), (0, 1, 0))
-    aside = s.pull((0, 0.1432, 0.09), (0.052, 0.036, 0.06), (0.0085, 0, 0))
+    passthrough = s.pull((0, 0.1432, 0.09), (0.052, 0.036, 0.06), (0.0085, 0, 0))
     cheeks = s.pulls((0.044, 0.150, 0.062), (0.032, 0.032, 0.05), (0.0085, 0, 0.0055))
     return {
         "mouthPucker": np.column_stack([-0.46 * x * near, 0.22 * thick, forwards]),
         "mouthFunnel": funnel + parted * apart[:, None],
-        "mouthLeft": s.slid(aside),
+        "mouthLeft": s.slid(passthrough),
         "cheekPuff": cheeks + pressed(s, 0.12),
     }
 

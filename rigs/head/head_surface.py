@@ -17,9 +17,9 @@ MIDDLE = 0.004  # half-width over which the two sides meet
 
 def head_field(points: Array) -> Array:
     """Return the distance to the skin, negative inside ``(...)``."""
-    aside = np.abs(points[..., :1])
+    passthrough = np.abs(points[..., :1])
     # Rounded in the middle, where a paired solid would meet its image in a crease.
-    p = np.concatenate([np.sqrt(aside**2 + MIDDLE**2), points[..., 1:]], axis=-1)
+    p = np.concatenate([np.sqrt(passthrough**2 + MIDDLE**2), points[..., 1:]], axis=-1)
     d = ellipsoid(p, (0, 0.250, -0.014), (0.0765, 0.088, 0.098))
     d = join(d, ellipsoid(p, (0, 0.255, 0.022), (0.062, 0.055, 0.070)), 0.03)
     d = join(d, ellipsoid(p, (0, 0.190, 0.016), (0.0690, 0.088, 0.0725)), 0.03)
@@ -49,5 +49,8 @@ def head_field(points: Array) -> Array:
     d = cut(d, cone(p, (0, 0.1625, 0.1025), (0, 0.153, 0.1015), 0.003, 0.004), 0.008)
     d = cut(d, ellipsoid(p, (0, 0.1275, 0.1015), (0.018, 0.0045, 0.007)), 0.012)
     # Lids, over the eyeball.
-    lid = length(np.concatenate([aside, points[..., 1:]], axis=-1) - EYE) - LID_RADIUS
+    lid = (
+        length(np.concatenate([passthrough, points[..., 1:]], axis=-1) - EYE)
+        - LID_RADIUS
+    )
     return join(d, lid, 0.008)

@@ -181,8 +181,8 @@ def bytes_of(colours: Array) -> NDArray[np.uint8]:
 def main() -> None:
     """Write the arrays to the file named on the command line."""
     parser = argparse.ArgumentParser(description="Make head.npz.")
-    beside = Path(__file__).with_name("head.npz")
-    parser.add_argument("out", nargs="?", type=Path, default=beside)
+    props = Path(__file__).with_name("head.npz")
+    parser.add_argument("out", nargs="?", type=Path, default=props)
     out: Path = parser.parse_args().out
     np.savez_compressed(out, **arrays())
 

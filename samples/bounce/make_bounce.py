@@ -162,8 +162,8 @@ def clip_text() -> str:
 def main() -> None:
     """Write the clip to the file named on the command line."""
     parser = argparse.ArgumentParser(description="Make bounce.clip.yaml.")
-    beside = Path(__file__).with_name("bounce.clip.yaml")
-    parser.add_argument("out", nargs="?", type=Path, default=beside)
+    props = Path(__file__).with_name("bounce.clip.yaml")
+    parser.add_argument("out", nargs="?", type=Path, default=props)
     out: Path = parser.parse_args().out
     out.write_text(clip_text(), encoding="utf-8", newline="\n")
     print(f"{out}: {len(arcs())} arcs")

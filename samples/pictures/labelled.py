@@ -17,7 +17,7 @@ COLOURS = 240
 def image_grid(
     rows: Sequence[Sequence[NDArray[np.float64]]],
     above: Sequence[str],
-    beside: Sequence[str] = ("",),
+    props: Sequence[str] = ("",),
 ) -> Any:
     """Return a figure of pictures, with words above its columns and beside its rows."""
     import matplotlib as mpl
@@ -38,7 +38,7 @@ def image_grid(
         layout="constrained",
         squeeze=False,
     )
-    for line, row, name in zip(axes, rows, beside, strict=True):
+    for line, row, name in zip(axes, rows, props, strict=True):
         line[0].set_ylabel(name, fontsize=12)
         for axis, image in zip(line, row, strict=True):
             axis.imshow(image)

@@ -14,7 +14,7 @@ import numpy as np
 from picture import Camera, Surface, render, ribbons, write_png
 from posed import Array, Puppet, posed
 from props import stage_surfaces
-from solved import arm_surfaces, carried, welding
+from solved import arm_surfaces, checkpoint, welding
 
 from animtool.clip.file import load_clip, open_clip
 from animtool.clip.sample import sample_channels
@@ -27,12 +27,12 @@ Pose = Mapping[str, float | tuple[float, ...]]
 Shot = tuple[Camera, Pose]
 
 FRONT = Camera((0.0, 0.19, 0.05), 0.32)
-ASIDE = Camera((0.0, 0.19, 0.02), 0.32, turn=40, lift=4)
+LATERAL = Camera((0.0, 0.19, 0.02), 0.32, turn=40, lift=4)
 EYE = Camera((0.0315, 0.217, 0.08), 0.075)
 MOUTH = Camera((0.0, 0.138, 0.08), 0.095)
 
 EXPRESSIONS: list[list[Shot]] = [
-    [(FRONT, {}), (ASIDE, {}), (FRONT, {"smile": 1}), (FRONT, {"jaw": 1})],
+    [(FRONT, {}), (LATERAL, {}), (FRONT, {"smile": 1}), (FRONT, {"jaw": 1})],
     [
         (FRONT, {"brows": 1, "wide": 0.6}),
         (FRONT, {"brows": -1, "sneer": 0.8, "press": 0.5}),
@@ -55,7 +55,7 @@ UNCORRECTED = {f"shape/jawOpen_mouthSmile{side}": -1 for side in ("Left", "Right
 CORRECTIVES: list[list[Shot]] = [
     [
         (camera, {**OPEN_SMILE, **taken})
-        for camera in (MOUTH, ASIDE)
+        for camera in (MOUTH, LATERAL)
         for taken in (UNCORRECTED, {})
     ]
 ]
@@ -140,12 +140,12 @@ def body_sheet(body: Puppet, size: int) -> Array:
         surface = body_surface(body, posed(body.rig, pose))
         return render([surface], camera, (size, size))
 
-    aside = replace(WHOLE, turn=35, lift=8)
+    passthrough = replace(WHOLE, turn=35, lift=8)
     return sheet(
         [
             [
                 shot(WHOLE, {}),
-                shot(aside, BENT),
+                shot(passthrough, BENT),
                 shot(ELBOW, {"joint/elbow_l.angle": 110}),
                 shot(KNEE, BENT),
             ]
@@ -198,13 +198,13 @@ def walk_sheet(body: Puppet, size: int) -> Array:
         ]
         return render(surfaces, here, (size, size))
 
-    aside, behind = replace(WHOLE, turn=90), replace(WHOLE, turn=150, lift=8)
-    return sheet([[shot(camera, i) for i in WALK] for camera in (aside, behind)])
+    passthrough, behind = replace(WHOLE, turn=90), replace(WHOLE, turn=150, lift=8)
+    return sheet([[shot(camera, i) for i in WALK] for camera in (passthrough, behind)])
 
 
 def carry_sheet(body: Puppet, size: int) -> Array:
     """Return frames of the carried box."""
-    take = carried(body.rig)
+    take = checkpoint(body.rig)
 
     def shot(frame: int) -> Array:
         surface = body_surface(body, take.motion, frame - 1)

@@ -72,10 +72,12 @@ def ribbons(
     """Return strands ``(S, K, 3)`` as ribbons that face a camera, tips thin."""
     count, length = strands.shape[:2]
     along = np.gradient(strands, axis=1)
-    aside = np.cross(along, camera.axes()[2])
-    aside /= np.maximum(np.linalg.norm(aside, axis=-1), 1e-12)[..., None]
+    passthrough = np.cross(along, camera.axes()[2])
+    passthrough /= np.maximum(np.linalg.norm(passthrough, axis=-1), 1e-12)[..., None]
     half = 0.5 * width * np.linspace(1.0, 0.3, length)[:, None]
-    points = np.stack([strands - half * aside, strands + half * aside], axis=2)
+    points = np.stack(
+        [strands - half * passthrough, strands + half * passthrough], axis=2
+    )
     first = 2 * (np.arange(count)[:, None] * length + np.arange(length - 1)).ravel()
     ring = [first, first + 1, first + 3, first + 2]
     faces = triangulated(np.stack(ring, axis=1))

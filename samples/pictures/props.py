@@ -66,10 +66,10 @@ def rod(
     start, end = np.asarray(start, np.float64), np.asarray(end, np.float64)
     along = (end - start) / 2
     length = np.linalg.norm(along)
-    aside = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
-    aside *= radius / np.linalg.norm(aside)
+    passthrough = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
+    passthrough *= radius / np.linalg.norm(passthrough)
     world = np.eye(4)
-    world[:3, 0], world[:3, 1] = aside, np.cross(along, aside) / length
+    world[:3, 0], world[:3, 1] = passthrough, np.cross(along, passthrough) / length
     world[:3, 2], world[:3, 3] = along, (start + end) / 2
     return cylinder(world, colour, taper)
 

@@ -44,7 +44,7 @@ RODS = (
 )
 
 
-def carried(rig: Rig) -> Take:
+def checkpoint(rig: Rig) -> Take:
     """Return the blocked clip of ``carry`` with hands on the box and feet held."""
     folder = SAMPLES / "carry"
     take = load_clip(open_clip(folder / "carry.clip.yaml"), rig).sample(rig)

@@ -260,8 +260,8 @@ def clip_text() -> str:
 def main() -> None:
     """Write the clip to the file named on the command line."""
     parser = argparse.ArgumentParser(description="Make stride.clip.yaml.")
-    beside = Path(__file__).with_name("stride.clip.yaml")
-    parser.add_argument("out", nargs="?", type=Path, default=beside)
+    props = Path(__file__).with_name("stride.clip.yaml")
+    parser.add_argument("out", nargs="?", type=Path, default=props)
     out: Path = parser.parse_args().out
     out.write_text(clip_text(), encoding="utf-8", newline="\n")
     print(f"{out}: {FRAMES} frames")

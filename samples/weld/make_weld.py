@@ -127,8 +127,8 @@ def path() -> tuple[Array, Array]:
 def main() -> None:
     """Write the path to the file named on the command line."""
     parser = argparse.ArgumentParser(description="Make the path of the torch.")
-    beside = Path(__file__).with_name("weld.npz")
-    parser.add_argument("out", nargs="?", type=Path, default=beside)
+    props = Path(__file__).with_name("weld.npz")
+    parser.add_argument("out", nargs="?", type=Path, default=props)
     tips, turns = path()
     np.savez_compressed(parser.parse_args().out, tip=tips, turn=turns)
 

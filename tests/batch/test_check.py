@@ -54,7 +54,7 @@ def test_a_folder_by_two_names(takes: Path) -> None:
     assert refused(batch(takes, "out/{parent}/{stem}.usdc")).code == "BAT006"
 
 
-def test_files_beside_an_output_count(takes: Path) -> None:
+def test_files_props_an_output_count(takes: Path) -> None:
     (takes / "takes/a/x.rig.bvh").write_text(
         (takes / "takes/a/take000.bvh").read_text()
     )

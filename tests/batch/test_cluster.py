@@ -16,11 +16,11 @@ from support.cluster import small_cluster
 from animtool.batch.cluster import _address, _sent, dask
 from animtool.batch.discover import find_batch
 from animtool.batch.executors import Work
-from animtool.batch.lane import Lane, Task
 from animtool.batch.limits import Limits
 from animtool.batch.outcome import Status
 from animtool.batch.spec import BatchSpec
 from animtool.batch.work import Maker
+from animtool.batch.worker_process import Task, WorkerProcess
 from animtool.errors import OptionError, OutputError
 
 
@@ -91,7 +91,7 @@ def test_a_cluster_that_is_lost_ends_the_run(
         outcomes = dask(work(tmp_path, lost.scheduler_address))
         next(outcomes)
         monkeypatch.setattr("animtool.batch.cluster.WORKERLESS", 0.2)
-        monkeypatch.setattr("animtool.batch.cluster.PATIENCE", 0.5)
+        monkeypatch.setattr("animtool.batch.cluster.TIMEOUT", 0.5)
         if whole:
             lost.close()
         else:
@@ -138,7 +138,7 @@ def test_the_command_line(cluster: str, tmp_path: Path) -> None:
 def test_no_cluster_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed", reason="distributed is not installed (farm)")
     take_files(tmp_path / "takes", 1)
-    monkeypatch.setattr("animtool.batch.cluster.PATIENCE", 0.2)
+    monkeypatch.setattr("animtool.batch.cluster.TIMEOUT", 0.2)
     for argument in ("tcp://127.0.0.1:1", str(tmp_path / "none.json")):
         with pytest.raises(OutputError) as error:
             list(dask(work(tmp_path, argument)))
@@ -153,28 +153,28 @@ def test_without_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert error.value.code == "BAT034"
 
 
-def test_a_lane_makes_items_one_after_another(tmp_path: Path) -> None:
+def test_a_worker_makes_items_one_after_another(tmp_path: Path) -> None:
     take_files(tmp_path / "takes", 2)
     given = work(tmp_path, "")
     items = list(given.items)
-    lane = Lane(Task(given.maker, Limits(), str(tmp_path)))
+    process = WorkerProcess(Task(given.maker, Limits(), str(tmp_path)))
     try:
-        made = [lane.make(item) for item in items]
+        made = [process.make(item) for item in items]
     finally:
-        lane.end()
+        process.end()
     assert [outcome.status for outcome in made] == [Status.DONE, Status.DONE]
-    lost = Lane(replace(lane.task, folder=str(tmp_path / "none")))
+    lost = WorkerProcess(replace(process.task, folder=str(tmp_path / "none")))
     with pytest.raises(OSError, match="none"):
         lost.make(items[0])
 
 
-def test_a_lane_that_ends_is_an_error(
+def test_a_worker_that_ends_is_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     take_files(tmp_path / "takes", 1)
     given = work(tmp_path, "")
     monkeypatch.setattr(sys, "executable", "/bin/false")
-    lane = Lane(Task(given.maker, Limits(), str(tmp_path)))
+    process = WorkerProcess(Task(given.maker, Limits(), str(tmp_path)))
     with pytest.raises((ConnectionError, BrokenPipeError)):
-        lane.make(next(given.items))
-    lane.end()
+        process.make(next(given.items))
+    process.end()

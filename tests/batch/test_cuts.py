@@ -399,7 +399,7 @@ def test_a_rate_that_a_scene_states_is_that_of_the_shots(takes: Path) -> None:
     assert (done.code, "BAT051" in done.stderr) == (2, True), done.stderr
 
 
-def test_outputs_without_a_pattern_are_beside_the_list(takes: Path) -> None:
+def test_outputs_without_a_pattern_are_props_the_list(takes: Path) -> None:
     made = clip("a", "takes/take000.bvh", (0, 4)), clip("b", "gone.bvh", (0, 4))
     timeline(takes / "edit.otio", *made)
     words = ["edit.otio", "--executor", "serial"]

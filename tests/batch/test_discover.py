@@ -37,7 +37,7 @@ def takes(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_outputs_stand_beside_inputs(takes: Path) -> None:
+def test_outputs_stand_props_inputs(takes: Path) -> None:
     assert made(takes, "takes") == [
         ("takes/a/b/take000.bvh", "takes/a/b/take000.usdc"),
         ("takes/take000.bvh", "takes/take000.usdc"),
@@ -125,7 +125,7 @@ def test_a_scene_names_several_outputs_of_each_item(takes: Path) -> None:
         check_places(find_batch(spec))
 
 
-def test_an_output_beside_those_of_a_scene_is_refused(takes: Path) -> None:
+def test_an_output_props_those_of_a_scene_is_refused(takes: Path) -> None:
     scene = takes / "t.scene.yaml"
     for output in ("[{file: a.usda}, {file: b.bvh}]", "{file: b.clip.yaml}"):
         scene.write_text(f"{SCENE}output: {output}\n")

@@ -132,7 +132,7 @@ def test_answers_that_make_no_sense_cost_their_items(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(pool, "serve", serve_garbage)
-    monkeypatch.setattr(pool, "PATIENCE", 0.1)
+    monkeypatch.setattr(pool, "TIMEOUT", 0.1)
     outcomes = list(find_executor("processes").load()(work(tmp_path, 2, jobs=1)))
     assert [o.number for o in outcomes] == [1, 2]
     assert [o.faults[0].code for o in outcomes] == ["BAT020", "BAT020"]

@@ -10,16 +10,16 @@ import sys
 from pathlib import Path
 
 import pytest
-from batch.test_manifest import item
 
 from animtool.batch import ledger
 from animtool.batch.ledger import held_ledger, read_history
 from animtool.errors import OutputError
+from batch.test_manifest import item
 
 
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ledger, "PATIENCE", 0.0)
+    monkeypatch.setattr(ledger, "TIMEOUT", 0.0)
 
 
 @pytest.mark.parametrize(
@@ -35,7 +35,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
         ("1-9", "3-4", True),
     ],
 )
-def test_who_may_run_beside_whom(
+def test_who_may_run_props_whom(
     tmp_path: Path, held: str, wanted: str, refused: bool
 ) -> None:
     with held_ledger(tmp_path, "a", held):
@@ -143,7 +143,7 @@ def test_damage_is_told_once_and_the_rest_stays(tmp_path: Path) -> None:
     assert (set(history.made.items), history.damaged) == ({"1.usdc"}, [])
 
 
-def test_batches_of_other_names_run_beside_each_other(tmp_path: Path) -> None:
+def test_batches_of_other_names_run_props_each_other(tmp_path: Path) -> None:
     with held_ledger(tmp_path, "a"):
         assert refusal(tmp_path, "b") is None
         assert refusal(tmp_path, "a") is not None
@@ -201,7 +201,7 @@ def test_a_run_that_is_not_settled_is_not_lost(tmp_path: Path) -> None:
     assert history.failed == {"2.usdc": "why"}
 
 
-def test_what_did_not_change_is_not_written_anew(tmp_path: Path) -> None:
+def test_what_did_not_change_is_not_written_again(tmp_path: Path) -> None:
     folder = tmp_path / ".animtool"
     with held_ledger(folder, "a") as run:
         run.made(item(1))

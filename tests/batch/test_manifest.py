@@ -54,7 +54,7 @@ def test_the_younger_of_two_counts() -> None:
     assert manifest.items == {"1.usdc": item(1, at=5), "2.usdc": item(2)}
 
 
-def test_writing_anew_keeps_what_was_begun(tmp_path: Path) -> None:
+def test_writing_again_keeps_what_was_begun(tmp_path: Path) -> None:
     path = tmp_path / "a.jsonl"
     rewrite_manifest(path, [item(1)], ["begun.usdc"])
     found = read_manifest(path)

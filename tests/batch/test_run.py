@@ -224,7 +224,7 @@ def test_mixed_inputs_take_the_options_that_fit(workplace: Path) -> None:
     assert statuses(report) == ["done", "done"], report.items
 
 
-def test_a_rig_layer_that_changes_is_read_anew(workplace: Path) -> None:
+def test_a_rig_layer_that_changes_is_read_again(workplace: Path) -> None:
     layer = workplace / "walker.usda"
     animtool.bake(workplace / "samples/walk/walk.bvh", layer, BakeOptions(form="split"))
     options = BakeOptions(rig_layer=layer)

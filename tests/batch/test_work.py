@@ -25,7 +25,7 @@ def made(folder: Path, count: int = 1) -> list[Outcome]:
 
 
 @pytest.mark.parametrize(
-    ("error", "code", "worn"),
+    ("error", "code", "retired"),
     [
         (MemoryError(), "BAT022", True),
         (RuntimeError("no"), "BAT023", True),
@@ -37,7 +37,7 @@ def test_what_nothing_was_prepared_for(
     monkeypatch: pytest.MonkeyPatch,
     error: Exception,
     code: str,
-    worn: bool,
+    retired: bool,
 ) -> None:
     take_files(tmp_path / "takes", 1)
 
@@ -47,7 +47,7 @@ def test_what_nothing_was_prepared_for(
     monkeypatch.setattr(Recipe, "bake", fail)
     (outcome,) = made(tmp_path)
     assert outcome.status is Status.FAILED
-    assert (outcome.faults[0].code, outcome.worn) == (code, worn)
+    assert (outcome.faults[0].code, outcome.retired) == (code, retired)
     assert outcome.faults[0].path
 
 

@@ -34,7 +34,7 @@ class Asked:
         restarts: Most new starts.
         seconds: Most time for one problem [s].
         steps: Most steps from one start, of tools that are asked for each.
-        patience: So many steps without a miss smaller by a hundredth end a descent.
+        timeout: So many steps without a miss smaller by a hundredth end a descent.
     """
 
     position: float
@@ -42,7 +42,7 @@ class Asked:
     restarts: int
     seconds: float
     steps: int = 30
-    patience: int = 3
+    timeout: int = 3
 
 
 # A pose and what it took.
@@ -188,7 +188,7 @@ class Descents:
                 return True
             waited = 0 if miss < 0.99 * best else waited + 1
             best = min(best, miss)
-            if waited > asked.patience or not self.stepper.step():
+            if waited > asked.timeout or not self.stepper.step():
                 break
         position, angle = self.stepper.misses()
         return position <= asked.position and angle <= asked.angle

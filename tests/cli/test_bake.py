@@ -70,7 +70,7 @@ def test_summary_in_json(take: Path, tmp_path: Path) -> None:
     assert set(report["seconds"]) == {"read", "author", "save", "total"}
 
 
-def test_output_beside_the_source(take: Path) -> None:
+def test_output_props_the_source(take: Path) -> None:
     assert animtool("bake", take).code == 0
     assert take.with_suffix(".usdc").exists()
 

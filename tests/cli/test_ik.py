@@ -471,7 +471,7 @@ def test_a_pose_loads_neither_usd_nor_what_is_for_clips(place: Path) -> None:
         "import sys\nfrom animtool.cli.main import run\n"
         f"run(['ik', {BIPED!r}, '-t', 'reach.targets.yaml', '--pose', '-q'])\n"
         "heavy = {'pxr', 'scipy', 'rich', 'numpy.ma', 'numpy.random',\n"
-        "         'animtool.ik.following'}\n"
+        "         'animtool.ik.clip_solver'}\n"
         "print(sorted(heavy & set(sys.modules)))"
     )
     done = subprocess.run(

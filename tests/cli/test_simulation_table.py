@@ -142,7 +142,7 @@ def test_a_scene_that_is_only_looked_at_saves_no_states(swing: Path) -> None:
     assert states.exists()
 
 
-def test_systems_beside_a_source_are_measured_too(swing: Path) -> None:
+def test_systems_props_a_source_are_measured_too(swing: Path) -> None:
     rig = swing.with_name("beast.rig.yaml")
     colliders = "colliders: [{joint: body, capsule: {radius: 5, length: 9}}]\n"
     rig.write_text(rig.read_text("utf-8") + colliders, "utf-8")

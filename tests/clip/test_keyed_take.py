@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from animtool.clip.points import SHELL, carried_points, point_errors
+from animtool.clip.points import SHELL, attached_points, point_errors
 from animtool.scene.bake import bake
 from animtool.scene.convert import convert
 from animtool.scene.sources import open_source
@@ -37,7 +37,7 @@ def check_back(source: Path, tmp_path: Path) -> tuple[Take, Take]:
     report = convert(source, output, reduce=TOLERANCE).reduction
     assert report is not None
     wanted, found = open_source(source).collect(), open_source(output).collect()
-    points = carried_points(wanted.rig, SHELL)
+    points = attached_points(wanted.rig, SHELL)
     errors = point_errors(points, wanted.world(), found.world())
     assert errors.max() <= TOLERANCE
     assert report.error == pytest.approx(errors.max(), abs=1e-9)

@@ -9,7 +9,7 @@ import pytest
 from conftest import data_folder
 
 from animtool._types import FloatArray
-from animtool.clip.points import carried_points, point_errors
+from animtool.clip.points import attached_points, point_errors
 from animtool.clip.pose import pose_of
 from animtool.clip.reduce import reduce_motion
 from animtool.clip.reduction import ChannelKind, Reduction, evaluate_reduction
@@ -51,7 +51,7 @@ def world_errors(take: Take, found: Motion, base: Take | None = None) -> FloatAr
     """Measure the error anew."""
     below = None if base is None else base.motion
     return point_errors(
-        carried_points(take.rig, 0.03),
+        attached_points(take.rig, 0.03),
         pose_of(take.rig, take.motion, below).world(),
         pose_of(take.rig, found, below).world(),
     )

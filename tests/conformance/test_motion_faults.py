@@ -32,7 +32,7 @@ from animtool.validation.tables.motion import RULES
 
 HEADING = "faults planted in real captures: found | of"
 # Shorter takes show no usual motion; of longer ones the middle is enough.
-FEWEST_FRAMES, MOST_FRAMES = 60, 360
+MIN_FRAMES, MAX_FRAMES = 60, 360
 EACH = 4
 Plant = Callable[[Take, int, str], Take]
 
@@ -92,7 +92,7 @@ def captures() -> list[tuple[str, Take, frozenset[str]]]:
         except AnimtoolError:
             continue
         motion = take.motion
-        enough = motion.frames >= FEWEST_FRAMES and len(motion.rotations.animated) > 9
+        enough = motion.frames >= MIN_FRAMES and len(motion.rotations.animated) > 9
         if enough and len(feet_of(take.rig.names)) and not _lies(take):
             found.append((path.name, take, frozenset(codes(take))))
     return found
@@ -101,11 +101,11 @@ def captures() -> list[tuple[str, Take, frozenset[str]]]:
 def _middle(take: Take) -> Take:
     moves, turns, _ = take.motion.dense()
     # A reference pose in the first frame is left out.
-    first = max(1, (len(turns) - MOST_FRAMES) // 2)
-    if len(turns) < FEWEST_FRAMES:
+    first = max(1, (len(turns) - MAX_FRAMES) // 2)
+    if len(turns) < MIN_FRAMES:
         return take
     return edited(
-        take, moves[first : first + MOST_FRAMES], turns[first : first + MOST_FRAMES]
+        take, moves[first : first + MAX_FRAMES], turns[first : first + MAX_FRAMES]
     )
 
 

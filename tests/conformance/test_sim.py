@@ -32,7 +32,7 @@ ROUNDING = 1e-12
 HONEST, WORTHLESS = 10.0, 0.1
 TOLERANCE, CLOSE = 1e-6, 1e-1
 # What the fastest motion turns by in a part of a problem that tells [rad].
-MOST_TURNED = 40.0
+MAX_TURNED = 40.0
 # Evaluations of methods that are not for stiff systems, on one.
 BUDGET = 20_000
 HEADER = (
@@ -71,7 +71,7 @@ def beginning(problem: Problem | None) -> Problem | None:
     if problem is None or problem.fastest is None:
         return problem
     times = problem.times - problem.times[0]
-    count = max(2, int((times * problem.fastest[0] <= MOST_TURNED).sum()))
+    count = max(2, int((times * problem.fastest[0] <= MAX_TURNED).sum()))
     return replace(problem, times=problem.times[:count], states=problem.states[:count])
 
 

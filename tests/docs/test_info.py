@@ -14,9 +14,9 @@ from animtool.report.describe_rig import MeshDescription, RigDescription
 from animtool.report.describe_scene import (
     OutputDescription,
     PassDescription,
+    PropDescription,
     SceneDescription,
     SystemDescription,
-    ThingDescription,
 )
 from animtool.report.describe_targets import GoalDescription, TargetsDescription
 from animtool.usd.simulated_read import ChunkSet, PointPrim
@@ -55,7 +55,7 @@ def test_tables_have_the_keys_of_the_records(section: str, title: str) -> None:
     "record",
     [
         RigDescription, MeshDescription, TargetsDescription, GoalDescription,
-        ThingDescription, PassDescription, ChunkSet,
+        PropDescription, PassDescription, ChunkSet,
     ],
 )  # fmt: skip
 def test_keys_of_small_records_are_named(section: str, record: type) -> None:

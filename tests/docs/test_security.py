@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from animtool.clock import MOST_FRAMES
+from animtool.clock import MAX_FRAMES
 from animtool.documents import archive, fields, variables, yaml_values
-from animtool.documents.document import MOST_FAULTS
+from animtool.documents.document import MAX_FAULTS
 from animtool.files import MAX_INPUT_BYTES, MAX_TEXT_BYTES
-from animtool.formats.bvh.lines import MOST_LINES
+from animtool.formats.bvh.lines import MAX_LINES
 from animtool.scene.systems.run import MAX_STEPS
 from animtool.usd.layers import MAX_LAYER_BYTES, MAX_TEXT_LAYER_BYTES
 from animtool.validation.tables import RULES
@@ -25,20 +25,20 @@ def page(root: Path) -> str:
 
 def test_its_limits_are_those_of_the_code(page: str) -> None:
     assert f"{MAX_TEXT_BYTES // 10**6} MB | DOC006, IO010" in page
-    assert f"{yaml_values.MOST_MARKS // 10**6} million separators" in page
+    assert f"{yaml_values.MAX_MARKS // 10**6} million separators" in page
     assert f"{yaml_values.LONGEST_KEY:,} and {variables.LONGEST:,} letters" in page
     assert fields.MAX_NUMBER == 1e18
     assert fields.MAX_FRAME == 1e9
     assert fields.MAX_WHOLE == 2**53
     assert "±1e18; frames ±1e9; whole numbers ±2^53" in page
-    assert f"reported of a file | {MOST_FAULTS} |" in page
+    assert f"reported of a file | {MAX_FAULTS} |" in page
     assert f"{archive.MAX_BYTES // 10**9} GB as float64; {archive.MAX_RATIO} " in page
     assert f"cut lists, reports | {MAX_INPUT_BYTES // 10**9} GB" in page
     assert (MAX_TEXT_LAYER_BYTES, MAX_LAYER_BYTES) == (4 * 10**9, 10**12)
     assert "4 GB, 1 TB" in page
-    assert MOST_LINES == 10**6
+    assert MAX_LINES == 10**6
     assert "of the header: a million" in page
-    assert MAX_STEPS == MOST_FRAMES == 10**7
+    assert MAX_STEPS == MAX_FRAMES == 10**7
     assert page.count("| 10 million |") == 3
 
 

@@ -11,7 +11,7 @@ from numpy.testing import assert_array_equal
 
 from animtool.documents import archive as archives_module
 from animtool.documents.arrays import (
-    MOST_OPEN,
+    MAX_OPEN,
     Archives,
     ArrayHeader,
     load_array,
@@ -211,14 +211,14 @@ def test_an_archive_is_opened_once(
 
 
 def test_few_archives_are_open_at_once(tmp_path: Path) -> None:
-    paths = [tmp_path / f"{i}.npz" for i in range(MOST_OPEN + 3)]
+    paths = [tmp_path / f"{i}.npz" for i in range(MAX_OPEN + 3)]
     for i, path in enumerate(paths):
         np.savez(path, x=np.full(2, float(i)))
     with Archives() as archives:
         for _ in range(2):
             for i, path in enumerate(paths):
                 assert archives.load(path, "x").tolist() == [i, i]
-        assert len(archives._open) == MOST_OPEN
+        assert len(archives._open) == MAX_OPEN
     assert not archives._open
 
 

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.values import VALUES
 
-from animtool.documents.document import MOST_FAULTS, Document, read_document
+from animtool.documents.document import MAX_FAULTS, Document, read_document
 from animtool.errors import FormatError, Severity
 
 
@@ -239,9 +239,9 @@ def test_all_faults_at_once(tmp_path: Path) -> None:
 
 
 def test_many_faults_are_counted(tmp_path: Path) -> None:
-    text = "".join("a: 1\n" for _ in range(MOST_FAULTS + 51))
+    text = "".join("a: 1\n" for _ in range(MAX_FAULTS + 51))
     found = refused(tmp_path, text)
-    assert len(found) == MOST_FAULTS + 1
+    assert len(found) == MAX_FAULTS + 1
     assert found[-1] == ("DOC011", None)
 
 

@@ -111,11 +111,11 @@ def test_scene_1_of_a_shot(tmp_path: Path) -> None:
         assert (folder / name).is_file()
 
 
-def test_scene_1_with_things_beside(tmp_path: Path) -> None:
+def test_scene_1_with_props_props(tmp_path: Path) -> None:
     folder = tmp_path / "frozen"
     shutil.copytree(FROZEN, folder)
     scene = load_scene(folder / "scene-1-beside.scene.yaml")
-    prop, still = scene.beside
+    prop, still = scene.props
     assert (prop.prim, prop.path, prop.frame) == ("/World/prop", "Props/prop", 2)
     assert (prop.retimed, still.retimed) == (True, False)
     assert still.attributes == ("visibility",)

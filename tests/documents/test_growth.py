@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from animtool.documents.document import read_document
-from animtool.documents.yaml_values import MOST_MARKS
+from animtool.documents.yaml_values import MAX_MARKS
 from animtool.errors import AnimtoolError
 from animtool.formats.bvh.read import read_bvh
 from animtool.ik.file import load_targets
@@ -91,7 +91,7 @@ CASES: dict[str, tuple[str, str, str]] = {
         RIG + f"- {{name: {'n' * 100_000}, type: fixed}}\n",
         "DOC022",
     ),
-    "values": ("a.rig.yaml", "x: [" + "1," * (MOST_MARKS + 1) + "]", "DOC024"),
+    "values": ("a.rig.yaml", "x: [" + "1," * (MAX_MARKS + 1) + "]", "DOC024"),
     "lines": ("a.bvh", "\n" * 1_000_001, "BVH013"),
 }
 LOADERS: dict[str, Callable[[Path], object]] = {
@@ -125,7 +125,7 @@ def test_real_sizes_are_read(tmp_path: Path) -> None:
     path.write_text(f"clip: animtool/1\nkeys:\n{keys}")
     assert len(read_document(path).value["keys"]) == 10_000
     marks = sum(map(keys.count, ("\n", ",", ":", "[", "{", "- ", "? ")))
-    assert 10 * marks < MOST_MARKS
+    assert 10 * marks < MAX_MARKS
 
 
 def test_the_nearest_of_many_names() -> None:

@@ -31,7 +31,7 @@ def test_a_gait_is_found_wherever_it_goes(
     assert cycle.share < 0.01
 
 
-def test_the_cycle_in_a_capture_of_other_things() -> None:
+def test_the_cycle_in_a_capture_of_other_props() -> None:
     rng = np.random.default_rng(5)
     wander = np.cumsum(rng.normal(0, 0.06, (200, 2)), axis=0)
     steps = gait(80, 33.0) + rng.normal(0, 0.002, (80, 2))

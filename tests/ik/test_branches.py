@@ -7,7 +7,7 @@ from support.ik import arm, random_pose, reached_by
 
 from animtool._types import FloatArray
 from animtool.ik import Goal, IkOptions, Targets, build
-from animtool.ik.branches import Stretch, best_path, branches, price, woven
+from animtool.ik.branches import Stretch, best_path, branches, price, search_branches
 from animtool.ik.tangent import difference
 
 FRAMES = 12
@@ -52,9 +52,9 @@ def test_branches_reach_their_goals_where_they_cost_nothing() -> None:
     check(found, of)
 
 
-def test_woven_paths_reach_their_goals_where_they_cost_nothing() -> None:
+def test_searched_paths_reach_their_goals_where_they_cost_nothing() -> None:
     of = stretch()
-    found = woven(of, 4, 0)
+    found = search_branches(of, 4, 0)
     assert (found[1][1:] == 0).any()
     check(found, of)
 

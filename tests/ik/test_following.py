@@ -88,9 +88,9 @@ def test_no_way_is_looked_for_where_no_pose_could_be_on_it(
     far = 0.8 * np.concatenate([np.linspace(0.7, 1.1, 57), np.linspace(1.1, 0.7, 57)])
     points = np.stack([far, 0 * far, 0 * far], axis=1)[:, None]
     searched: list[str] = []
-    for name in ("_woven", "_mended"):
+    for name in ("_search_branches", "_mended"):
         monkeypatch.setattr(
-            f"animtool.ik.following._Clip.{name}",
+            f"animtool.ik.clip_solver._Clip.{name}",
             lambda _, result, *_place, name=name: searched.append(name) or result,
         )
     problem, start, options = stiff(), [-0.7, 1.4], FollowOptions(fps=200)

@@ -9,7 +9,7 @@ import pytest
 from support.ik import arm, every_goal, mixed_rig, random_pose, reached_by
 
 from animtool.ik import Goal, IkOptions, build, follow
-from animtool.ik.jumps import explained, jumping, named, strain
+from animtool.ik.discontinuities import explained, jumping, named, strain
 from animtool.ik.path import Path, path_of
 from animtool.ik.result import Jump
 from animtool.ik.tangent import seamless
@@ -42,13 +42,13 @@ def test_a_jump_is_named_by_frame_joint_and_size() -> None:
     assert strain(path, poses, allowed) > 1
 
 
-@pytest.mark.parametrize(("beside", "names"), [(0.0, 1), (0.03, 1), (0.08, 0)])
-def test_a_jerk_is_named_that_is_no_fast_one(beside: float, names: int) -> None:
+@pytest.mark.parametrize(("props", "names"), [(0.0, 1), (0.03, 1), (0.08, 0)])
+def test_a_jerk_is_named_that_is_no_fast_one(props: float, names: int) -> None:
     path, poses = standing(9)
     allowed = explained(path, 24.0)
     elbow = int(np.flatnonzero(path.problem.chain.nodes[:, 0] == 0)[0])
     column = path.problem.chain.nodes[elbow, 2]
-    steps = np.array([0, 0, beside, beside, 0.2, beside, beside, 0, 0])
+    steps = np.array([0, 0, props, props, 0.2, props, props, 0, 0])
     poses[:, column] += np.cumsum(steps)
     assert strain(path, poses, allowed) < 1
     found = named(path, poses, allowed)

@@ -77,9 +77,7 @@ def test_every_method_brings_a_limb_to_its_goal(method: IkMethod) -> None:
 
 @pytest.mark.parametrize("method", PLAIN)
 @pytest.mark.parametrize("seed", range(5))
-def test_chains_of_balls_are_brought_to_their_goals(
-    method: IkMethod, seed: int
-) -> None:
+def test_chains_of_balls_are_moved_to_their_goals(method: IkMethod, seed: int) -> None:
     problem = build(balls(), [TIP])
     targets = reached_by(problem, random_pose(problem, seed))
     result = solve(problem, None, targets, IkOptions(method, tolerance=1e-5))

@@ -196,7 +196,7 @@ def test_limits_that_are_reversed_are_refused(tmp_path: Path) -> None:
     assert caught.value.code == "IK005"
 
 
-def test_poses_are_brought_inside_limits(tmp_path: Path) -> None:
+def test_poses_are_moved_inside_limits(tmp_path: Path) -> None:
     rig = legs()
     knee = replace(rig.joints[2], limits=RangeLimit(0.0, 0.9))
     stiff = replace(rig, joints=(*rig.joints[:2], knee, *rig.joints[3:]))
@@ -250,12 +250,12 @@ def test_a_joint_that_turns_about_its_goal_leaves_frames_together(
     assert_array_equal(ours[:, ankle], theirs[:, ankle])
     goal = "- {effector: ankle_l, position: [0.2, 0.3, 0.2], offset: [0, 0, 0.1]}"
     tracks = tracks_of(tmp_path, goal, take.rig)
-    beside = solve_take(take, tracks, TakeOptions(joints=("hip_l", "knee_l", "hips")))
-    assert beside.between == ("ankle_l",)
-    assert beside.misses[..., 0].max() < 2e-6
+    props = solve_take(take, tracks, TakeOptions(joints=("hip_l", "knee_l", "hips")))
+    assert props.between == ("ankle_l",)
+    assert props.misses[..., 0].max() < 2e-6
 
 
-def test_what_joints_do_beside_their_types_is_kept(tmp_path: Path) -> None:
+def test_what_joints_do_props_their_types_is_kept(tmp_path: Path) -> None:
     take = walk_of(legs())
     places, turns, _ = take.motion.dense()
     wobble = np.sin(np.arange(40) / 3.0)

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from support.targets import legs, tracks_of, walk_of
 
+from animtool.ik.released import rounds, takes_released
 from animtool.ik.tracks import TargetTracks
-from animtool.ik.without import rounds, takes_without
 from animtool.take import Take
 
 LEFT = "- {effector: leg_l, position: [0.1, 0.3, 0], during: [[4, 9]]}\n"
@@ -41,7 +41,7 @@ def test_goals_come_from_the_take_at_all_others(
         return made[-1]
 
     tracks = tracks_of(tmp_path, goals)
-    takes = takes_without(take, tracks, bring)
+    takes = takes_released(take, tracks, bring)
     assert found == solved
     assert rounds(tracks) == 1 + len(solved)
     for track, one in zip(tracks.goals, takes, strict=True):

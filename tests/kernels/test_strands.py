@@ -38,7 +38,7 @@ def made(
     return _kernels.SpringStrands(rests, folds, np.array([*FALL, drag]), numbers)
 
 
-def carried(places: np.ndarray, cells: int, way: np.ndarray | None = None) -> Any:
+def checkpoint(places: np.ndarray, cells: int, way: np.ndarray | None = None) -> Any:
     """Return targets that go straight on ``(cells + 1, N, 3)``."""
     share = np.linspace(0, 1, cells + 1)[:, None, None]
     goal = np.zeros(3) if way is None else way
@@ -68,7 +68,7 @@ def run(
     flat = places.reshape(-1, 3)
     speeds = np.zeros_like(flat) if velocities is None else velocities.reshape(-1, 3)
     state, *counts = _kernels.follow_strands(
-        made(places, **numbers), carried(places, cells, way),
+        made(places, **numbers), checkpoint(places, cells, way),
         np.stack([flat, speeds]), SPAN, substeps, colliders,
     )  # fmt: skip
     return state.reshape(2, *places.shape), *counts
@@ -90,11 +90,11 @@ def test_threads_make_no_difference() -> None:
     flat = np.stack([places.reshape(-1, 3), np.zeros((900, 3))])
     colliders = met([Collider(Sphere(0.05), friction=0.3)], 4)
     one, *counts = _kernels.follow_strands(
-        made(places), carried(places, 4), flat, SPAN, 3, colliders, 1
+        made(places), checkpoint(places, 4), flat, SPAN, 3, colliders, 1
     )
     for threads in (2, 3, 64):
         other, *same = _kernels.follow_strands(
-            made(places), carried(places, 4), flat, SPAN, 3, colliders, threads
+            made(places), checkpoint(places, 4), flat, SPAN, 3, colliders, threads
         )
         assert one.tobytes() == other.tobytes()
         assert counts == same
@@ -117,7 +117,7 @@ def test_roots_go_where_the_animation_has_them(seed: int) -> None:
     way = np.random.default_rng(seed).normal(scale=0.05, size=3)
     state, *_ = run(places, way=way)
     assert_array_equal(
-        state[0, :, 0], carried(places, 4, way)[-1].reshape(5, 6, 3)[:, 0]
+        state[0, :, 0], checkpoint(places, 4, way)[-1].reshape(5, 6, 3)[:, 0]
     )
 
 
@@ -217,9 +217,9 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
     state = np.zeros((2, 8, 3))
     ready = made(places)
     for targets, given_state, substeps in (
-        (carried(places, 2)[:1], state, 1),
-        (carried(places, 2), state[:, :-1], 1),
-        (carried(places, 2), state, 0),
+        (checkpoint(places, 2)[:1], state, 1),
+        (checkpoint(places, 2), state[:, :-1], 1),
+        (checkpoint(places, 2), state, 0),
     ):
         with pytest.raises(ValueError, match=r"state|targets|step"):
             _kernels.follow_strands(

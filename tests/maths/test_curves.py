@@ -81,11 +81,11 @@ def test_extrapolation_begins_at_the_key(seed: int) -> None:
         for key, mode, side in ((start, pre, -np.inf), (end, post, np.inf)):
             if mode is Extrapolation.CYCLE:
                 continue
-            beside = np.nextafter(curves.times[key], side)
+            props = np.nextafter(curves.times[key], side)
             # The far end of a cycle may be a HOLD's jump or a vertical handle.
             if mode in {Extrapolation.CYCLE_OFFSET, Extrapolation.OSCILLATE}:
                 continue
-            found = evaluate(curves, [beside])[c, 0]
+            found = evaluate(curves, [props])[c, 0]
             assert_allclose(found, curves.values[key], atol=1e-12)
 
 
@@ -137,7 +137,7 @@ def test_a_handle_too_long_is_shrunk(
 
 
 @pytest.mark.parametrize("time", [5e-324, 1e-300, 1e-100, 1e-20, 1e-9])
-def test_beside_a_key_without_handles(time: float) -> None:
+def test_props_a_key_without_handles(time: float) -> None:
     # Both handles at the first key: the time is u³, and so is the value.
     ins, outs = [[0.0, 0.0], [-1.0, -1.0]], (0.0, 0.0)
     curve = one_curve([0.0, 1.0], [0.0, 1.0], SegmentKind.BEZIER, ins, outs)

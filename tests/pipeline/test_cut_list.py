@@ -165,7 +165,7 @@ def test_shots_become_layers_over_a_rig(tmp_path: Path) -> None:
     assert made == (tmp_path / "a.usdc").read_bytes()
 
 
-def test_a_shot_is_brought_to_targets(tmp_path: Path) -> None:
+def test_a_shot_is_moved_to_targets(tmp_path: Path) -> None:
     edit(tmp_path, 24, own=True)
     (tmp_path / "level.targets.yaml").write_text(
         "targets: animtool/1\nunits: {length: cm, angle: deg}\nfps: 24\n"

@@ -185,11 +185,11 @@ ELSEWHERE = {
     "SCN031",
     *(f"SCN{n:03d}" for n in range(33, 38)),
     *("SCN040", "SCN042", "SCN043", "SCN044", "SCN103", "SCN104", "SCN105", "SCN106"),
-    # Those of tests/test_tracks_aside.py, test_beside.py and test_library_output.py.
+    # Those of tests/test_passthrough.py, test_beside.py and test_library_output.py.
     *(f"SCN{n:03d}" for n in (*range(45, 53), *range(107, 114))),
     # Those of tests/scene/test_systems.py.
     *(f"SCN{n:03d}" for n in (60, 61, 62, 63, 65)),
-    # Those of tests/scene/systems/test_beside.py.
+    # Those of tests/scene/systems/test_with_take.py.
     *("SCN066", "SCN067", "SCN068"),
     # Those of tests/scene/systems/test_run.py and tests/scene/test_bounds.py.
     *("SCN090", "SCN091"),

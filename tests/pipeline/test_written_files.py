@@ -10,7 +10,7 @@ from support.cli import animtool
 from support.clips import write_rig
 from support.faults import document_faults
 
-from animtool.documents.document import MOST_FAULTS
+from animtool.documents.document import MAX_FAULTS
 from animtool.files import MAX_TEXT_BYTES
 from animtool.validation.tables import RULES
 
@@ -124,10 +124,10 @@ def test_files_that_are_none(project: Path, kind: str) -> None:
     assert said(project, name, b"") == [("DOC007", 1)]
     assert said(project, name, b" " * (MAX_TEXT_BYTES + 1)) == [("DOC006", 0)]
     many = f"{kind}: animtool/1\n" + "".join(
-        f"key_{i}: 1\n" for i in range(MOST_FAULTS + 9)
+        f"key_{i}: 1\n" for i in range(MAX_FAULTS + 9)
     )
     found = said(project, name, many.encode())
-    assert len(found) == MOST_FAULTS + 1
+    assert len(found) == MAX_FAULTS + 1
     assert found[-1] == ("DOC011", 0)
 
 

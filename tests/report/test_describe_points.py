@@ -150,11 +150,11 @@ def test_a_stage_of_neither_is_refused_as_before(tmp_path: Path) -> None:
     assert (done.code, "USD008" in done.stderr) == (3, True)
 
 
-def test_points_beside_a_character_have_a_line(tmp_path: Path) -> None:
+def test_points_props_a_character_have_a_line(tmp_path: Path) -> None:
     (tmp_path / "walk.bvh").write_text(small_bvh(random_rows(6)))
     path = tmp_path / "shot.scene.yaml"
-    beside = SCENE.replace("range: [1, 9]\n", "source: {file: walk.bvh}\n")
-    path.write_text(beside, "utf-8")
+    props = SCENE.replace("range: [1, 9]\n", "source: {file: walk.bvh}\n")
+    path.write_text(props, "utf-8")
     assert animtool("bake", path, "-o", tmp_path / "shot.usdc").code == 0
     assert describe_points(tmp_path / "shot.usdc") is None
     done = animtool("info", tmp_path / "shot.usdc")

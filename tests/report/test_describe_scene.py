@@ -130,7 +130,7 @@ def test_info_of_scenes(tmp_path: Path) -> None:
     assert (unused.code, "shot" in unused.stderr) == (2, True)
 
 
-def test_an_output_without_a_file_is_beside_the_scene(tmp_path: Path) -> None:
+def test_an_output_without_a_file_is_props_the_scene(tmp_path: Path) -> None:
     text = SYSTEMS.replace("output: {file: snow.usdc, chunk: 5}\n", "")
     (output,) = described(tmp_path, text)["outputs"]
     assert Path(output["file"]) == tmp_path / "shot.usdc"

@@ -116,7 +116,7 @@ def test_the_torch_is_drawn_at_the_seam(script: dict[str, Any]) -> None:
     assert np.hypot(from_branch, from_main).min() < 1e-3
 
 
-def test_pictures_stand_beside_each_other_with_words(
+def test_pictures_stand_props_each_other_with_words(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     pytest.importorskip("matplotlib")

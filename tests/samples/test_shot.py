@@ -53,7 +53,7 @@ def test_what_its_passes_do(root: Path) -> None:
     assert up[:20].max() < 1.2
     assert up[40:60].min() > 1.6
     times = done.clock.times
-    beside = (times >= 30) & (times <= 74)
+    props = (times >= 30) & (times <= 74)
     rail = np.stack(
         [
             np.full(96, -0.36),
@@ -63,11 +63,11 @@ def test_what_its_passes_do(root: Path) -> None:
         axis=1,
     )
     missed = np.linalg.norm(hand(done) - rail, axis=1)
-    assert missed[beside].max() < 1e-4
+    assert missed[props].max() < 1e-4
     np.testing.assert_allclose(hand(done)[:15], hand(waving)[:15], atol=1e-9)
 
 
-def test_what_is_beside_the_walker(workplace: Path) -> None:
+def test_what_is_props_the_walker(workplace: Path) -> None:
     """At every frame that is written, camera and lamp are where the set has them."""
     done = animtool("bake", workplace / NAME, "--strict", "--set", "shot=one")
     assert done.code == 0, done.stderr

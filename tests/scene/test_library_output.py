@@ -32,12 +32,12 @@ def folder(walk: Path, tmp_path: Path) -> Path:
 
 
 def add(
-    folder: Path, name: str, *flags: object, passes: str = "", beside: str = ""
+    folder: Path, name: str, *flags: object, passes: str = "", props: str = ""
 ) -> Done:
     """Bake a scene whose output is a take of a library."""
     path = folder / f"{name}.scene.yaml"
     lines = ["scene: animtool/1", "source: {file: walk.bvh, units: cm}"]
-    lines += ["beside:", beside] if beside else []
+    lines += ["beside:", props] if props else []
     lines += ["passes:", passes or PASSES[name]]
     lines.append(f"output: {{file: lib.usda, as: library, take: {name}}}")
     path.write_text("\n".join(lines) + "\n", "utf-8")
@@ -133,11 +133,11 @@ def test_a_take_of_another_layer_is_not_replaced(folder: Path) -> None:
     assert taken.clock.count == 127
 
 
-def test_things_come_with_their_take(folder: Path) -> None:
+def test_props_come_with_their_take(folder: Path) -> None:
     box = "- {from: props.usda, prim: /Set/box, path: Props/box}"
     add(folder, "slow")
     for flags in ((), ("--overwrite",)):
-        assert add(folder, "short", *flags, beside=box).code == 0
+        assert add(folder, "short", *flags, props=box).code == 0
     stage: Any = Usd.Stage.Open(str(folder / "lib.usda"))
     assert not stage.GetPrimAtPath("/walk/Props/box")
     stage.GetDefaultPrim().GetVariantSet("take").SetVariantSelection("short")
@@ -146,7 +146,7 @@ def test_things_come_with_their_take(folder: Path) -> None:
     expected = prop_matrices(folder / "props.usda", "/Set/box", [1, 5, 9])
     np.testing.assert_allclose(found, expected, atol=1e-9)
     outside = box.replace("Props/box", "/Props/box")
-    done = add(folder, "left", beside=outside)
+    done = add(folder, "left", props=outside)
     assert "SCN047" in done.stderr
     assert variants(folder) == ["short", "slow"]
 

@@ -85,10 +85,10 @@ def test_a_motion_in_parts_is_the_whole_bit_for_bit(parts: list[int]) -> None:
     for name in OURS:
         options = options_for(name)
         whole = integrate(system, times, options)
-        carried, at, states = None, 0, [whole.states[0]]
+        checkpoint, at, states = None, 0, [whole.states[0]]
         for part in parts:
-            found = integrate(system, times[at : at + part + 1], options, carried)
-            carried, at = found.carried, at + part
+            found = integrate(system, times[at : at + part + 1], options, checkpoint)
+            checkpoint, at = found.checkpoint, at + part
             states += list(found.states[1:])
         assert np.array(states).tobytes() == whole.states.tobytes(), name
 
@@ -364,11 +364,11 @@ def test_times_that_are_refused(times: list[float]) -> None:
     assert refused(oscillator().system, times) == ["SIM002"]
 
 
-def test_what_is_carried_is_at_its_own_time() -> None:
+def test_what_is_attached_is_at_its_own_time() -> None:
     system = oscillator().system
-    carried = integrate(system, [0, 1]).carried
+    checkpoint = integrate(system, [0, 1]).checkpoint
     with pytest.raises(OptionError, match="carried") as error:
-        integrate(system, [2, 3], None, carried)
+        integrate(system, [2, 3], None, checkpoint)
     assert error.value.code == "SIM002"
 
 

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from animtool.rig.parts import Subdivision
 from animtool.rig.surfaces import Surface
 from animtool.skin.deform import Deformed, extents
-from animtool.skin.moved import moved_points, vertex_normals
+from animtool.skin.displaced import displaced_points, vertex_normals
 from animtool.take import Channel
 
 
@@ -39,7 +39,7 @@ def test_only_frames_that_differ_get_other_normals() -> None:
     values = still.copy()
     values[1, :, 2] += 1.0
     moved = Channel(values[0], np.arange(5), values)
-    found = moved_points(made, moved, slice(0, 3), surface, None)
+    found = displaced_points(made, moved, slice(0, 3), surface, None)
     assert found.normals is not None
     assert_array_equal(found.normals[[0, 2]], kept[[0, 2]])
     assert_allclose(found.normals[1], surface.normals)
@@ -53,5 +53,5 @@ def test_velocities_look_beyond_the_block() -> None:
     whole = np.gradient(values, times, axis=0)
     zero = np.zeros((2, 2, 3))
     made = Deformed(zero, extents(zero), None, zero)
-    found = moved_points(made, moved, slice(2, 4), None, times)
+    found = displaced_points(made, moved, slice(2, 4), None, times)
     assert_allclose(found.velocities, whole[2:4])

@@ -304,7 +304,7 @@ def sublayer(asset: str) -> Break:
     return change
 
 
-def beside(name: str, **metadata: Any) -> Break:
+def props(name: str, **metadata: Any) -> Break:
     """Return a change that adds a sublayer with samples, and metadata of its own."""
 
     def change(layer: Sdf.Layer) -> None:
@@ -662,7 +662,7 @@ BROKEN = [
     Case(
         "USD253",
         "a sublayer without time codes",
-        beside("x.usda", timeCodesPerSecond=0.0),
+        props("x.usda", timeCodesPerSecond=0.0),
         "/",
     ),
     Case(
@@ -676,7 +676,7 @@ BROKEN = [
     Case(
         "USD257",
         "a sublayer of another rate",
-        beside("x.usda", timeCodesPerSecond=60.0),
+        props("x.usda", timeCodesPerSecond=60.0),
         "/",
     ),
     Case("USD258", "no unit", info("/", "metersPerUnit", None), "/"),
@@ -688,13 +688,13 @@ BROKEN = [
     Case(
         "USD268",
         "a sublayer in metres",
-        beside("x.usda", timeCodesPerSecond=24.0, metersPerUnit=1.0),
+        props("x.usda", timeCodesPerSecond=24.0, metersPerUnit=1.0),
         "/",
     ),
     Case(
         "USD268",
         "a sublayer with Z up",
-        beside("x.usda", timeCodesPerSecond=24.0, upAxis="Z"),
+        props("x.usda", timeCodesPerSecond=24.0, upAxis="Z"),
         "/",
     ),
     Case("USD261", "a missing reference", reference("./gone.usda"), "/pair/Extra"),
@@ -1001,12 +1001,12 @@ NEAR = [
     Case(
         "USD257",
         "a sublayer of the same rate",
-        beside("y.usda", timeCodesPerSecond=24.0),
+        props("y.usda", timeCodesPerSecond=24.0),
     ),
     Case(
         "USD257",
         "a sublayer that states frames",
-        beside("z.usda", framesPerSecond=24.0),
+        props("z.usda", framesPerSecond=24.0),
     ),
     Case("USD258", "metres", info("/", "metersPerUnit", 1.0)),
     Case("USD259", "another default prim", define("/other", "Scope")),
@@ -1015,7 +1015,7 @@ NEAR = [
     Case(
         "USD268",
         "a sublayer in the same unit",
-        beside("y.usda", timeCodesPerSecond=24.0, metersPerUnit=0.01, upAxis="Y"),
+        props("y.usda", timeCodesPerSecond=24.0, metersPerUnit=0.01, upAxis="Y"),
     ),
     Case("USD261", "a reference that resolves", reference("./one.usda")),
     Case("USD262", "a relative reference", reference("./one.usda")),

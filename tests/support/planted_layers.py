@@ -21,7 +21,7 @@ class PlantedLayer:
         sample: Key of the sample's layer.
         edit: Plants it.
         code: Of the rule that must find it.
-        besides: Codes of what follows from it.
+        extra: Codes of what follows from it.
         stale: Whether extents stay as they were.
     """
 
@@ -29,7 +29,7 @@ class PlantedLayer:
     sample: str
     edit: Edit
     code: str
-    besides: frozenset[str] = field(default_factory=frozenset)
+    extra: frozenset[str] = field(default_factory=frozenset)
     stale: bool = False
 
 

@@ -26,14 +26,14 @@ class Planted:
         sample: Key of the sample's take.
         edit: Plants it.
         code: Of the rule that must find it.
-        besides: Codes of what follows from it.
+        extra: Codes of what follows from it.
     """
 
     name: str
     sample: str
     edit: Edit
     code: str
-    besides: frozenset[str] = field(default_factory=frozenset)
+    extra: frozenset[str] = field(default_factory=frozenset)
 
 
 def edited(

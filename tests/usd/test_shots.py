@@ -344,9 +344,9 @@ def test_offsets_of_the_rig_do_not_touch_the_layer(
     shot, prim = tmp_path / "shot.usda", "/World/hero"
     shifted = "@./rig.usda@ (offset = 10; scale = 2)"
     text = world(f"prepend references = {shifted}")
-    beside = "@./layer.usda@"
+    props = "@./layer.usda@"
     if how == "sublayer":
-        prim, text, beside = "/hero", "", f"@./layer.usda@, {shifted}"
+        prim, text, props = "/hero", "", f"@./layer.usda@, {shifted}"
         shot.write_text(head(shifted))
     else:
         shot.write_text(head() + text)
@@ -355,7 +355,7 @@ def test_offsets_of_the_rig_do_not_touch_the_layer(
     assert_near(played(shot, f"{prim}/Rig", codes), own((codes - 10) / 2))
     report = layer_for(take, shot, prim)
     assert (report.span.first, report.fps) == (1009, 30)
-    shot.write_text(head(beside) + text)
+    shot.write_text(head(props) + text)
     stage = Usd.Stage.Open(str(shot))
     stage.Reload()
     codes = 1009 + np.arange(FRAMES)

@@ -110,8 +110,8 @@ def test_usdskel_carries_them_with_their_joint(tmp_path: Path) -> None:
     skinning[2] = Gf.Matrix4d(*moved.ravel().tolist())
     mapper = query.GetJointMapper()
     own = mapper.Remap(Vt.Matrix4dArray(skinning))
-    carried = np.array(query.ComputeSkinnedTransform(own))
-    assert_allclose(carried, moved, atol=1e-6)
+    checkpoint = np.array(query.ComputeSkinnedTransform(own))
+    assert_allclose(checkpoint, moved, atol=1e-6)
 
 
 def test_a_mesh_may_be_called_like_their_scope(tmp_path: Path) -> None:

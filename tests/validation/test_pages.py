@@ -23,7 +23,7 @@ PAGES = {code: text for code in RULES if (text := page(code)) is not None}
 WITHOUT = (Path(__file__).parent / "without_page.txt").read_text("utf-8").split()
 # What the wrong example of a page has beside its own code: what is no longer hidden,
 # what comes of it, and what says the same before there is a rig.
-BESIDE = {
+FOUND_TOO = {
     "CLIP205": {"CLIP101"},
     "IK101": {"TGT205"},
     "RIG219": {"RIG221"},
@@ -67,11 +67,11 @@ def stage(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("code", [c for c in PAGES if examples(c, "yaml")])
 def test_the_examples_are_true(code: str, stage: Path) -> None:
     wrong, right = examples(code, "yaml")
-    assert codes(wrong, stage, BESIDE.get(code, set())) == {code}
+    assert codes(wrong, stage, FOUND_TOO.get(code, set())) == {code}
     assert codes(right, stage) == set()
 
 
-def codes(text: str, stage: Path, beside: Set[str] = frozenset()) -> set[str]:
+def codes(text: str, stage: Path, props: Set[str] = frozenset()) -> set[str]:
     """Return what is found in an example, put into a file where it is a part.
 
     Targets are then asked of a rig, and of a clip, until something is found.
@@ -82,13 +82,13 @@ def codes(text: str, stage: Path, beside: Set[str] = frozenset()) -> set[str]:
     if not kind and not re.search("^name:", text, re.M):
         head += "name: page\n"
     path.write_text(head + text, "utf-8")
-    found = {fault.code for fault in validate(path)} - beside
+    found = {fault.code for fault in validate(path)} - props
     if path.name != "page.targets.yaml" or found:
         return found
-    found = {fault.code for fault in validate(stage / "solved.scene.yaml")} - beside
+    found = {fault.code for fault in validate(stage / "solved.scene.yaml")} - props
     solve = "animtool ik hero.rig.yaml --targets page.targets.yaml"
     for command in (solve, f"{solve} --clip wave.clip.yaml"):
-        found = found or set(said(command, stage)) - beside
+        found = found or set(said(command, stage)) - props
     return found
 
 

@@ -14,7 +14,7 @@ CHUNK_BYTES = 1 << 19
 # A header line names one joint or its channels; a longer one is not a BVH's.
 LONGEST_LINE_BYTES = 1 << 16
 # A joint has five or six of them.
-MOST_LINES = 1_000_000
+MAX_LINES = 1_000_000
 
 _LINE_END = re.compile(rb"\r\n?|\n")
 
@@ -72,8 +72,8 @@ class HeaderLines:
             self._fail_long()
         line, self._at = self._data[self._at : stop], after
         self.number += 1
-        if self.number > MOST_LINES:
-            message = f"more than {MOST_LINES} lines before the rows of numbers"
+        if self.number > MAX_LINES:
+            message = f"more than {MAX_LINES} lines before the rows of numbers"
             self.fail("BVH013", message, "is this a BVH file?")
         try:
             return line.decode("utf-8")

@@ -29,7 +29,7 @@ __all__ = ["read_bvh", "read_bvh_rig"]
 LIKELY_METERS = (0.3, 6.0)
 PERSON_METERS = (1.0, 2.6)
 # Fewer joints are a prop as likely as a character.
-FEWEST_JOINTS = 8
+MIN_JOINTS = 8
 
 
 def read_bvh(
@@ -130,7 +130,7 @@ def _size_notice(rig: Rig, stated: LengthUnit | None, path: str) -> list[Fault]:
     """
     size = rest_size(rig)
     low, high = LIKELY_METERS
-    if len(rig.joints) < FEWEST_JOINTS or low <= size <= high:
+    if len(rig.joints) < MIN_JOINTS or low <= size <= high:
         return []
     numbers = size / rig.meters_per_unit
     low, high = PERSON_METERS

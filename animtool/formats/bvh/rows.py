@@ -25,9 +25,9 @@ BLOCK_VALUES = 1 << 15
 LONGEST_NUMBER_BYTES = 1024
 # A channel may lose this many samples, or this share of them, before filling them
 # in would be inventing motion.
-MOST_FILLED_SAMPLES = 10
-MOST_FILLED_SHARE = 0.1
-MOST_NAMED = 20
+MAX_FILLED_SAMPLES = 10
+MAX_FILLED_SHARE = 0.1
+MAX_NAMED = 20
 
 
 @dataclass(slots=True)
@@ -213,7 +213,7 @@ class RowReader:
         for column, lines in sorted(self._missing.items()):
             lost = len(lines)
             too_many = (
-                lost > MOST_FILLED_SAMPLES and lost > MOST_FILLED_SHARE * self._count
+                lost > MAX_FILLED_SAMPLES and lost > MAX_FILLED_SHARE * self._count
             )
             if too_many or lost == self._count:
                 name = self.source.channels[column]
@@ -221,7 +221,7 @@ class RowReader:
                 hint = "too many to fill in"
                 faults.append(Fault("BVH012", message, path, tuple(lines[:10]), hint))
         if faults:
-            raise FormatError(faults[:MOST_NAMED])
+            raise FormatError(faults[:MAX_NAMED])
 
     def _report(self) -> None:
         declared, found, path = self.source.declared, self._count, self._path
@@ -244,7 +244,7 @@ class RowReader:
     def _name_all(
         self, code: str, found: dict[int, list[int]], what: str, hint: str
     ) -> None:
-        for column, lines in sorted(found.items())[:MOST_NAMED]:
+        for column, lines in sorted(found.items())[:MAX_NAMED]:
             places = listed(lines, 10)
             name = self.source.channels[column]
             values = "1 value is" if len(lines) == 1 else f"{len(lines)} values are"
@@ -259,8 +259,8 @@ class RowReader:
                     Severity.WARNING,
                 )
             )
-        if len(found) > MOST_NAMED:
-            message = f"{len(found) - MOST_NAMED} more channels have values {what}"
+        if len(found) > MAX_NAMED:
+            message = f"{len(found) - MAX_NAMED} more channels have values {what}"
             self.notices.append(
                 Fault(code, message, self._path, (), hint, Severity.WARNING)
             )

@@ -10,7 +10,7 @@ from typing import Any
 from animtool.documents.document import Document, Location
 from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.scene.particles.schema import EmitterModel, ParticlesModel
-from animtool.scene.particles.system import ParticleSetup, SurfaceMet
+from animtool.scene.particles.system import ParticleSetup, SurfaceCollider
 from animtool.scene.systems.entries import PLACING, EntryReader
 from animtool.scene.systems.fields import Named
 from animtool.sim.colliders import Mesh
@@ -57,7 +57,9 @@ def read_particles(
     if particles is None:
         return None
     surfaces = tuple(
-        SurfaceMet(entry.system, entry.restitution, entry.friction, (*at, "systems", i))
+        SurfaceCollider(
+            entry.system, entry.restitution, entry.friction, (*at, "systems", i)
+        )
         for i, entry in enumerate(model.systems)
     )
     for surface in surfaces:

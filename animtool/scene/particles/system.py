@@ -11,7 +11,10 @@ from animtool._types import FloatArray
 from animtool.documents.document import Location
 from animtool.errors import Fault, Severity, counted
 from animtool.scene.entries import SceneSystem
-from animtool.scene.systems.character_met import CharacterMet, characters_met
+from animtool.scene.systems.character_collider import (
+    CharacterCollider,
+    character_colliders,
+)
 from animtool.scene.systems.kinds import SystemFacts
 from animtool.scene.systems.moving_mesh import MovingMesh
 from animtool.scene.systems.simulation import Opening
@@ -29,7 +32,7 @@ __all__ = ["ParticleSetup", "RunningParticles", "open_particles", "particle_tria
 
 
 @dataclass(frozen=True, slots=True)
-class SurfaceMet:
+class SurfaceCollider:
     """Cloth or a volume that particles run into.
 
     Attributes:
@@ -78,8 +81,8 @@ class ParticleSetup:
 
     particles: Particles
     preroll: float = 0.0
-    characters: tuple[CharacterMet, ...] = ()
-    surfaces: tuple[SurfaceMet, ...] = ()
+    characters: tuple[CharacterCollider, ...] = ()
+    surfaces: tuple[SurfaceCollider, ...] = ()
     meshes: tuple[MovingMesh, ...] = ()
     followed: tuple[Path, ...] = ()
 
@@ -144,7 +147,7 @@ def open_particles(
 
 
 def particle_trial(
-    members: Sequence[SceneSystem], anew: Callable[[], Opening], times: FloatArray
+    members: Sequence[SceneSystem], rebuild: Callable[[], Opening], times: FloatArray
 ) -> ParticleTrial:
     """Return particles that can be simulated in several ways.
 
@@ -154,11 +157,11 @@ def particle_trial(
     """
     (member,) = members
     setup = cast(ParticleSetup, member.setup)
-    opened = anew()
+    opened = rebuild()
 
     def made(options: IntegrateOptions | None) -> Particles:
         # Cloth that they run into begins again with them.
-        return _whole(members, anew() if setup.surfaces else opened, options)[1]
+        return _whole(members, rebuild() if setup.surfaces else opened, options)[1]
 
     return ParticleTrial(made, -setup.preroll, times)
 
@@ -179,7 +182,7 @@ def _whole(
     setup = cast(ParticleSetup, member.setup)
     given = setup.particles
     options = options or given.options
-    capsules, skins = characters_met(setup.characters, opening.characters)
+    capsules, skins = character_colliders(setup.characters, opening.characters)
     assert options.step is not None
     sheets = [_sheet(met, opening, setup, options.step) for met in setup.surfaces]
     sheets += [*(mesh.sheet() for mesh in setup.meshes), *skins]
@@ -189,7 +192,7 @@ def _whole(
 
 
 def _sheet(
-    met: SurfaceMet, opening: Opening, setup: ParticleSetup, step: float
+    met: SurfaceCollider, opening: Opening, setup: ParticleSetup, step: float
 ) -> Sheet:
     other = cast(Watchable, opening.opened[met.system])
     shape = other.setup.body.shape

@@ -31,7 +31,7 @@ __all__ = [
 ]
 
 # Of many that are odd in the same way, those that are named.
-MOST_NAMED = 5
+MAX_NAMED = 5
 # Particles of a system, at most: their springs fit into memory.
 MOST = 10_000_000
 # The least mass of a system, or of a particle that has one of its own [kg].
@@ -188,6 +188,6 @@ def share_out(
 
 def some_of(numbers: IntArray) -> str:
     """Return the first of some numbers, and how many more there are."""
-    more = len(numbers) - MOST_NAMED
-    text = ", ".join(map(str, numbers[:MOST_NAMED].tolist()))
+    more = len(numbers) - MAX_NAMED
+    text = ", ".join(map(str, numbers[:MAX_NAMED].tolist()))
     return f"{text} and {more} more" if more > 0 else text

@@ -15,7 +15,7 @@ from animtool.sim.colliders import Poses
 from animtool.sim.springs import Pins, Targets
 from animtool.sim.springs.paths import over_knots
 
-__all__ = ["Tie", "Ties", "brought", "ties_of", "wind_ties"]
+__all__ = ["Tie", "Ties", "moved_to_pins", "ties_of", "wind_ties"]
 
 # What keeps a turn as small as it may be where points leave it open.
 LEAST_TURN = 1e-9
@@ -66,7 +66,7 @@ def ties_of(
             Tie(
                 pin.particles,
                 frame.moments,
-                frame.carried(inside),
+                frame.to_world(inside),
                 start,
                 np.full(many, pin.stiffness) if soft else None,
                 np.full(many, pin.damping) if soft else None,
@@ -75,7 +75,7 @@ def ties_of(
     return found
 
 
-def brought(
+def moved_to_pins(
     pins: Sequence[Pin], poses: Sequence[Poses], points: FloatArray, begin: float
 ) -> FloatArray:
     """Return points brought to where pins with an offset want their particles.

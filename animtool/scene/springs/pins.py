@@ -262,10 +262,10 @@ def _on_prim(
     path = reader.input((*at, "file"), model.file)
     if path is None:
         return None
-    from animtool.usd.things import Wanted, open_thing
+    from animtool.usd.props import PropRequest, open_prop
 
     try:
-        open_thing(Wanted(path, model.prim, model.prim), UpAxis.Y)
+        open_prop(PropRequest(path, model.prim, model.prim), UpAxis.Y)
     except AnimtoolError as error:
         fault = error.faults[0]
         message = fault.message

@@ -19,7 +19,7 @@ from animtool.sim.springs import (
     SpringSystem,
     simulate_springs,
 )
-from animtool.sim.trajectory import Carried, Status
+from animtool.sim.trajectory import Checkpoint, Status
 
 __all__ = ["Keeping", "Moment", "SpringRun"]
 
@@ -116,7 +116,7 @@ class SpringRun:
             options, reason = self._fine_enough(options, begin, last, phase)
         self.options = options
         self.step, self.steps, self.stretch, self.unresolved = np.inf, 0, 0.0, 0
-        self._carried: Carried | None = None
+        self._checkpoint: Checkpoint | None = None
         self._keepings: list[Keeping] = []
         self._kept: list[Moment] = []
         self._state, self.torn = system.state, np.zeros(0, np.bool_)
@@ -155,8 +155,8 @@ class SpringRun:
             OptionError: Time runs backwards (SIM002).
             ToleranceError: It blew up (SIM102), or could not go on.
         """
-        assert self._carried is not None
-        now = self._carried.time
+        assert self._checkpoint is not None
+        now = self._checkpoint.time
         t = max(t, self._begin)
         if t < now:
             message = f"time {t:g} s is before that of the simulation"
@@ -180,8 +180,8 @@ class SpringRun:
 
         What is looked at does not change the motion.
         """
-        assert self._carried is not None
-        if t > self._carried.time + SAME:
+        assert self._checkpoint is not None
+        if t > self._checkpoint.time + SAME:
             self.at(t)
         times = [moment.time for moment in self._kept]
         after = min(bisect_left(times, t - SAME), len(times) - 1)
@@ -210,10 +210,10 @@ class SpringRun:
     def _to(self, now: float, t: float) -> SpringMotion:
         times = [now] if t == now else [now, t]
         motion = simulate_springs(
-            self.system, times, self.options, self._carried, progress=self.clock
+            self.system, times, self.options, self._checkpoint, progress=self.clock
         )
         self._check(motion)
-        self._carried, self._state = motion.carried, motion.states[-1]
+        self._checkpoint, self._state = motion.checkpoint, motion.states[-1]
         self.torn = motion.torn
         self._kept.append(Moment(t, self._state[0], self.torn))
         self.step = min(self.step, motion.step)

@@ -13,7 +13,7 @@ from animtool.errors import counted
 from animtool.scene.springs.bodies import SpringBody
 from animtool.scene.springs.pins import Join, Pin
 from animtool.scene.springs.shapes import Faces
-from animtool.scene.systems.character_met import CharacterMet
+from animtool.scene.systems.character_collider import CharacterCollider
 from animtool.scene.systems.kinds import SystemFacts
 from animtool.scene.systems.moving_mesh import MovingMesh
 from animtool.sim.colliders import Collider
@@ -90,7 +90,7 @@ class SpringSetup:
     wind: Wind | None
     self_contact: SelfContact | None
     colliders: tuple[Collider, ...]
-    characters: tuple[CharacterMet, ...]
+    characters: tuple[CharacterCollider, ...]
     options: SpringOptions
     preroll: float
     settle: bool

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from animtool._types import FloatArray, IntArray
 from animtool.maths.faces import sides
-from animtool.sim.springs import Parting, Springs, part_surface
+from animtool.sim.springs import Springs, Tearing, tear_surface
 from animtool.usd.simulated_points import CurvesRow, FacesRow
 
 __all__ = ["Curves", "Faces", "Shape"]
@@ -100,7 +100,7 @@ class Faces:
         """
         return FacesRow(points, velocities, self.counts, self.indices, self.closed)
 
-    def parted(self, torn: Flags, places: FloatArray) -> PartingFaces | Faces:
+    def parted(self, torn: Flags, places: FloatArray) -> TornMesh | Faces:
         """Return the surface that parts where springs along its sides tear.
 
         Args:
@@ -109,10 +109,10 @@ class Faces:
         """
         if not (torn[self._sides] & (self._sides >= 0)).any():
             return self
-        made = part_surface(
+        made = tear_surface(
             self.counts, self.indices, self._sides, self.springs, torn, places
         )
-        return PartingFaces(made)
+        return TornMesh(made)
 
     def whole(self, torn: Flags) -> tuple[IntArray, IntArray]:
         """Return corners a face, and corners, of faces without a torn side.
@@ -132,18 +132,18 @@ class Faces:
 
 
 @dataclass(frozen=True)
-class PartingFaces:
+class TornMesh:
     """A surface of particles that parts.
 
     Attributes:
-        parting: How.
+        tearing: How.
     """
 
-    parting: Parting
+    tearing: Tearing
 
     def row(self, points: FloatArray, velocities: FloatArray, torn: Flags) -> FacesRow:
         """Return what is drawn at a frame; see `Faces.row`."""
-        made = self.parting
+        made = self.tearing
         return FacesRow(
             made.points(points, torn),
             made.velocities(points, velocities, torn),

@@ -16,13 +16,13 @@ from animtool.quantities import length_text, plain
 from animtool.scene.entries import SceneSystem
 from animtool.scene.progress import Progress
 from animtool.scene.springs.joins import join_pairs
-from animtool.scene.springs.paths import Tie, Ties, brought, ties_of, wind_ties
+from animtool.scene.springs.paths import Tie, Ties, moved_to_pins, ties_of, wind_ties
 from animtool.scene.springs.run import SpringRun
 from animtool.scene.springs.setup import SpringSetup
-from animtool.scene.springs.shapes import Faces, PartingFaces
+from animtool.scene.springs.shapes import Faces, TornMesh
 from animtool.scene.springs.sharing import shared
 from animtool.scene.springs.watched import Watched
-from animtool.scene.systems.character_met import characters_met
+from animtool.scene.systems.character_collider import character_colliders
 from animtool.scene.systems.simulation import Opening
 from animtool.sim.colliders import Colliders
 from animtool.sim.springs import Body, SpringSystem, Welded, find_rest, join, weld
@@ -71,7 +71,7 @@ def open_springs(
 
 
 def spring_trial(
-    members: Sequence[SceneSystem], anew: Callable[[], Opening], times: FloatArray
+    members: Sequence[SceneSystem], rebuild: Callable[[], Opening], times: FloatArray
 ) -> SpringTrial:
     """Return systems that are joined, or one alone, to be simulated in several ways.
 
@@ -82,7 +82,7 @@ def spring_trial(
     """
     names = [member.name for member in members]
     setups = [cast(SpringSetup, member.setup) for member in members]
-    opening = anew()
+    opening = rebuild()
     whole = _Whole(names, setups, opening)
     kinds = dict.fromkeys(member.kind for member in members)
     options = whole.shared.options
@@ -130,7 +130,7 @@ class _Whole:
         for setup in setups:
             body, pins = setup.body.body, setup.pins
             poses = [pin.poses(opening.characters) for pin in pins]
-            points = brought(pins, poses, body.positions, self.begin)
+            points = moved_to_pins(pins, poses, body.positions, self.begin)
             own = ties_of(pins, poses, points, self.begin)
             held = points.copy()
             for tie in own:
@@ -214,7 +214,7 @@ def _colliders(setups: Sequence[SpringSetup], opening: Opening) -> Colliders:
             a mesh makes no sense (SIM051).
     """
     met = [one for setup in setups for one in setup.characters]
-    capsules, skins = characters_met(met, opening.characters)
+    capsules, skins = character_colliders(met, opening.characters)
     rigid = [collider for setup in setups for collider in setup.colliders]
     sheets = [mesh.sheet() for setup in setups for mesh in setup.meshes]
     return Colliders([*rigid, *capsules], [*sheets, *skins])
@@ -241,7 +241,7 @@ class RunningSprings:
     springs: slice
     own: Sequence[Fault]
     first: bool
-    _parting: PartingFaces | Faces | None = None
+    _torn_mesh: TornMesh | Faces | None = None
 
     @property
     def tears(self) -> bool:
@@ -257,13 +257,13 @@ class RunningSprings:
     def part(self, torn: npt.NDArray[np.bool_]) -> None:
         """Draw it so that it can part where springs of it will tear ``(S,)``."""
         body = self.setup.body
-        self._parting = cast(Faces, body.shape).parted(torn, body.body.positions)
+        self._torn_mesh = cast(Faces, body.shape).parted(torn, body.body.positions)
 
     def at(self, t: float) -> Any:
         """Return what is drawn of it at a time [s], not before the last one."""
         state, torn = self.run.at(t)
         points: FloatArray = state[0, self.rows]
-        shape = self._parting or self.setup.body.shape
+        shape = self._torn_mesh or self.setup.body.shape
         return shape.row(points, state[1, self.rows], torn[self.springs])
 
     def watched(self, begin: float, step: float) -> Watched:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
-from animtool.clock import MOST_FRAMES
+from animtool.clock import MAX_FRAMES
 from animtool.edit.frame_range import FrameRange
 from animtool.errors import Fault, FormatError, OptionError
 from animtool.output import size_of
@@ -94,8 +94,8 @@ def plan_systems(scene: Scene, output: Path | None, options: BakeOptions) -> Sys
 def _codes(frames: FrameRange, offsets: tuple[Fraction, ...]) -> tuple[Fraction, ...]:
     whole = range(frames.first, frames.last + 1, frames.step)
     count = len(whole) * max(1, len(offsets))
-    if count > MOST_FRAMES:
-        message = f"the range has {count} samples; at most {MOST_FRAMES} are written"
+    if count > MAX_FRAMES:
+        message = f"the range has {count} samples; at most {MAX_FRAMES} are written"
         raise FormatError(Fault("SCN091", message, where="range"))
     return tuple(
         frame + offset for frame in whole for offset in offsets or (Fraction(),)

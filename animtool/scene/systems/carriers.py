@@ -24,7 +24,7 @@ __all__ = ["Carrier", "OnJoint", "OnPrim", "OnVertex"]
 # Between two of these a prim goes straight, whatever turns it [1/s].
 PRIM_RATE = 120
 # Times of a prim that are looked at, at most.
-MOST_TIMES = 100_000
+MAX_TIMES = 100_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,20 +135,20 @@ class OnPrim:
             FormatError: The file is no USD.
             OptionError: It has no such prim, or none that is placed (SCN048, SCN049).
         """
-        from animtool.usd.things import Wanted, open_thing
+        from animtool.usd.props import PropRequest, open_prop
 
-        thing = open_thing(Wanted(self.file, self.prim, self.prim), UpAxis.Y)
+        prop = open_prop(PropRequest(self.file, self.prim, self.prim), UpAxis.Y)
         codes, start = np.zeros(1), 0.0
-        if thing.span is not None:
-            first, last = map(float, thing.span)
+        if prop.span is not None:
+            first, last = map(float, prop.span)
             start = first if self.frame is None else self.frame
-            seconds = (last - first) / float(thing.fps)
-            count = min(int(np.ceil(seconds * PRIM_RATE)) + 1, MOST_TIMES)
+            seconds = (last - first) / float(prop.fps)
+            count = min(int(np.ceil(seconds * PRIM_RATE)) + 1, MAX_TIMES)
             codes = np.linspace(first, last, max(count, 2))
-            codes = np.unique(np.concatenate([codes, thing.keys]))
+            codes = np.unique(np.concatenate([codes, prop.keys]))
             codes = codes[(codes >= first) & (codes <= last)]
-        found = thing.track.sample(codes)
-        times = (codes - start) / float(thing.fps)
+        found = prop.track.sample(codes)
+        times = (codes - start) / float(prop.fps)
         return Poses(times, found.translations, so3.align_signs(found.rotations))
 
 

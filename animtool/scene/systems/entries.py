@@ -20,7 +20,7 @@ from animtool.errors import AnimtoolError, Fault
 from animtool.maths import so3
 from animtool.scene.entries import Place, place_of_entry
 from animtool.scene.particles.schema import EmitterModel
-from animtool.scene.systems.character_met import CharacterMet
+from animtool.scene.systems.character_collider import CharacterCollider
 from animtool.scene.systems.collider_schema import (
     CharacterModel,
     MovingMeshModel,
@@ -195,7 +195,7 @@ class EntryReader:
 
     def characters(
         self, at: Location, models: Sequence[CharacterModel]
-    ) -> tuple[CharacterMet, ...]:
+    ) -> tuple[CharacterCollider, ...]:
         """Return characters, and what touching one does."""
         found = []
         for i, model in enumerate(models):
@@ -203,7 +203,7 @@ class EntryReader:
             if path is None:
                 continue
             given = model.model_dump(exclude={"file", "source"})
-            found.append(CharacterMet(path, **given))
+            found.append(CharacterCollider(path, **given))
             for option, why in found[-1].problems():
                 self.note((*at, i, option), Fault("SIM020", why))
         return tuple(found)

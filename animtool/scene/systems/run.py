@@ -20,7 +20,7 @@ from animtool.scene.systems.job import named_alike
 from animtool.scene.systems.simulation import (
     SystemProgress,
     Tearable,
-    blamed_systems,
+    located_systems,
     open_systems,
 )
 from animtool.usd.clip_files import system_files
@@ -137,18 +137,18 @@ class SystemRun:
         }
         if not tearing:
             return
-        from animtool.scene.systems.foresight import foreseen
+        from animtool.scene.systems.tear_prepass import predicted_tears
 
         began = time.perf_counter()
         phase = None if self._phases is None else self._phases.phase()
-        torn = foreseen(self.systems, list(tearing), times, self._own, phase)
+        torn = predicted_tears(self.systems, list(tearing), times, self._own, phase)
         for i, opened in tearing.items():
             opened.part(torn[i])
         self.seconds[min(tearing)] += time.perf_counter() - began
 
     def _row(self, i: int, t: float) -> Any:
         began = time.perf_counter()
-        with blamed_systems([self.systems[i]]):
+        with located_systems([self.systems[i]]):
             row = self._open[i].at(t)
         self.seconds[i] += time.perf_counter() - began
         return row

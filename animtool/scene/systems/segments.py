@@ -22,7 +22,7 @@ from animtool.scene.systems.character_motion import motion_of
 from animtool.scene.systems.links import simulated_with
 from animtool.scene.systems.simulation import (
     Simulation,
-    blamed_systems,
+    located_systems,
     open_systems,
 )
 from animtool.take import Take
@@ -71,7 +71,7 @@ def segments_of(
     found = _particles(running, name, particle)
     rows = []
     for k, t in enumerate(times.tolist()):
-        with blamed_systems([systems[index]]):
+        with located_systems([systems[index]]):
             state, _ = running.run.at(t)
         rows.append(state[0, found])
         if progress is not None:

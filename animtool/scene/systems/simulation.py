@@ -33,7 +33,7 @@ __all__ = [
     "SystemProgress",
     "Tearable",
     "TrialMaker",
-    "blamed_systems",
+    "located_systems",
     "open_systems",
     "system_trials",
 ]
@@ -122,7 +122,7 @@ TrialMaker: TypeAlias = Callable[
 
 
 @contextmanager
-def blamed_systems(members: Sequence[SceneSystem]) -> Iterator[None]:
+def located_systems(members: Sequence[SceneSystem]) -> Iterator[None]:
     """Give faults that have no file the place of systems that are simulated as one.
 
     That is of the first that has the key that a fault names, else of the first.
@@ -172,7 +172,7 @@ def _opened(systems: Sequence[SceneSystem], opening: Opening) -> list[Simulation
     for group in in_order(systems):
         members = [systems[i] for i in group]
         opener = cast(Opener, load_object(SYSTEM_KINDS[members[0].kind].opener))
-        with blamed_systems(members):
+        with located_systems(members):
             made = opener(members, opening)
         found |= dict(zip(group, made, strict=True))
         named = zip(members, made, strict=True)
@@ -208,12 +208,12 @@ def system_trials(
         members = [systems[i] for i in group]
         others = [systems[i] for i in needed(systems, group)]
 
-        def anew(others: Sequence[SceneSystem] = others) -> Opening:
+        def rebuild(others: Sequence[SceneSystem] = others) -> Opening:
             opening = Opening(last, characters)
             _opened(others, opening)
             return opening
 
         maker = cast(TrialMaker, load_object(SYSTEM_KINDS[members[0].kind].trial))
-        with blamed_systems(members):
-            found.append((members[0], maker(members, anew, times)))
+        with located_systems(members):
+            found.append((members[0], maker(members, rebuild, times)))
     return found

@@ -31,7 +31,7 @@ from animtool.sim.colliders.on_joints import Capsules
 from animtool.sim.springs.self_contact import tangle_notices
 from animtool.units import UpAxis
 
-__all__ = ["Actor", "Ways", "carried", "upwards"]
+__all__ = ["Actor", "Ways", "rigidly_moved", "upwards"]
 
 
 def upwards(rig: Rig) -> FloatArray:
@@ -158,7 +158,7 @@ class Actor:
         motion = ways.of(1)
         self.target = self.body.targets(motion)[-1]
         shift, turn = _move(motion.world, self.body.carrier)
-        state = carried(self.state, shift, turn)
+        state = rigidly_moved(self.state, shift, turn)
         held = self.body.network.held
         state.positions[held] = self.target[held]
         self.state = state
@@ -170,7 +170,7 @@ class Actor:
         return float(np.linalg.norm(places[1] - places[0])) / self._span
 
 
-def carried(state: State, shift: FloatArray, turn: FloatArray) -> State:
+def rigidly_moved(state: State, shift: FloatArray, turn: FloatArray) -> State:
     """Return a state moved as a whole: turned about the origin, and shifted."""
     return replace(
         state,

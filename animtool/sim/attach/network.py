@@ -123,16 +123,16 @@ def reach(network: Network) -> int:
     >>> reach(Network.of(points, np.array([0]), line))
     2
     """
-    beside: list[list[int]] = [[] for _ in range(network.count)]
+    props: list[list[int]] = [[] for _ in range(network.count)]
     for i, j in network.stiff.ends.tolist():
-        beside[i].append(j)
-        beside[j].append(i)
+        props[i].append(j)
+        props[j].append(i)
     starts = network.held.tolist() or [0]
     away = dict.fromkeys(starts, 0)
     waiting = deque(starts)
     while waiting:
         at = waiting.popleft()
-        for other in beside[at]:
+        for other in props[at]:
             if other not in away:
                 away[other] = away[at] + 1
                 waiting.append(other)
@@ -208,9 +208,9 @@ def folds_of_faces(counts: IntArray, indices: IntArray) -> IntArray:
     around = np.arange(len(indices)) - starts
     own = sides(counts, indices)
     # Beside the first end of a side, and beside the second.
-    beside = np.stack([indices[starts + (around + k) % sizes] for k in (-1, 2)], axis=1)
+    props = np.stack([indices[starts + (around + k) % sizes] for k in (-1, 2)], axis=1)
     turned = own[:, 0] > own[:, 1]
-    beside[turned] = beside[turned, ::-1]
+    props[turned] = props[turned, ::-1]
     one, other = of_one_edge(own)
-    pairs = np.stack([beside[one], beside[other]], axis=-1)
+    pairs = np.stack([props[one], props[other]], axis=-1)
     return distinct_pairs(pairs.reshape(-1, 2))

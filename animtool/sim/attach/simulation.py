@@ -14,7 +14,7 @@ from animtool._types import FloatArray
 from animtool.keyed import weights_at
 from animtool.maths import so3
 from animtool.rig.skeleton import Rig
-from animtool.sim.attach.actor import Actor, Ways, carried, upwards
+from animtool.sim.attach.actor import Actor, Ways, rigidly_moved, upwards
 from animtool.sim.attach.bodies import Body, ChainBody, SurfaceBody
 from animtool.sim.attach.cycle import (
     Travel,
@@ -318,7 +318,7 @@ def _begun(given: Iterator[Motion]) -> Iterator[Motion]:
 def _back(state: State, travel: Travel) -> State:
     """Return a state at the end of a cycle as one at its begin."""
     turn = so3.conjugate(travel.turn)
-    return carried(state, -so3.rotate(turn, travel.shift), turn)
+    return rigidly_moved(state, -so3.rotate(turn, travel.shift), turn)
 
 
 def _pointed(

@@ -35,9 +35,9 @@ DESIGN_TURN = 30.0
 # Of cloth, springs across bear more of it than those of a line: as measured [1].
 ACROSS = 10.0
 # Of cloth, and of strands [1/s].
-FEWEST_STEPS = 240.0
-FEWEST_STRAND_STEPS = 360.0
-MOST_STEPS = 20_000.0
+MIN_STEPS = 240.0
+MIN_STRAND_STEPS = 360.0
+MAX_STEPS = 20_000.0
 # Springs that do not give [rad/s].
 STIFF = 1e6
 # Cloth [kg/m²], and the least mass of a particle among the others' [1].
@@ -46,7 +46,7 @@ LEAST_SHARE = 1e-3
 # Half the density of air [kg/m³].
 AIR = 0.6
 # Even parts of a frame, between which what is animated goes straight.
-FEWEST_CELLS, MOST_CELLS = 5, 8
+MIN_CELLS, MAX_CELLS = 5, 8
 
 
 def nowhere() -> IntArray:
@@ -132,13 +132,13 @@ def steps_wanted(network: Network, settings: Settings) -> float:
         return settings.rate
     if network.strands:
         wanted = DESIGN_TURN / math.sqrt(2 * settings.stretch)
-        return min(max(wanted, FEWEST_STRAND_STEPS), MOST_STEPS)
+        return min(max(wanted, MIN_STRAND_STEPS), MAX_STEPS)
     lengths = network.stiff.rests[network.stiff.rests > 0]
     if not len(lengths):
-        return FEWEST_STEPS
-    carried = reach(network) * DESIGN_ACCELERATION * ACROSS
-    wanted = math.sqrt(carried / (settings.stretch * float(np.median(lengths))))
-    return min(max(wanted, FEWEST_STEPS), MOST_STEPS)
+        return MIN_STEPS
+    load = reach(network) * DESIGN_ACCELERATION * ACROSS
+    wanted = math.sqrt(load / (settings.stretch * float(np.median(lengths))))
+    return min(max(wanted, MIN_STEPS), MAX_STEPS)
 
 
 def stepped(made: FloatArray, passages: IntArray | None = None) -> State:
@@ -176,9 +176,9 @@ def cells_of(steps: int) -> tuple[int, int]:
     >>> cells_of(3), cells_of(10), cells_of(46)
     ((3, 1), (5, 2), (8, 6))
     """
-    if steps <= MOST_CELLS:
+    if steps <= MAX_CELLS:
         return steps, 1
-    some = range(MOST_CELLS, FEWEST_CELLS - 1, -1)
+    some = range(MAX_CELLS, MIN_CELLS - 1, -1)
     every = [(cells, math.ceil(steps / cells)) for cells in some]
     return min(every, key=math.prod)
 

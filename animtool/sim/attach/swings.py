@@ -65,19 +65,19 @@ def chain_rotations(
         ``(F, C, 4)``.
     """
     world = _above(rig, int(joints[0]), rotations)
-    carried = np.tile(so3.IDENTITY, (len(rotations), 1))
+    inherited = np.tile(so3.IDENTITY, (len(rotations), 1))
     made = np.zeros((len(rotations), len(joints), 4))
     for k, joint in enumerate(joints.tolist()):
         own = rotations[:, joint]
-        parent = so3.multiply(carried, world)
+        parent = so3.multiply(inherited, world)
         bone = animated[:, k + 1] - animated[:, k]
-        turn = least_turns(so3.rotate(carried, bone), moved[:, k + 1] - moved[:, k])
+        turn = least_turns(so3.rotate(inherited, bone), moved[:, k + 1] - moved[:, k])
         wanted = so3.multiply(turn, so3.multiply(parent, own))
         local = so3.normalize(so3.multiply(so3.conjugate(parent), wanted))
         made[:, k] = _allowed(rig.joints[joint], local, own)
         world = so3.multiply(world, own)
         # What the joints so far have turned the animation by, in the world.
-        carried = so3.multiply(so3.multiply(parent, made[:, k]), so3.conjugate(world))
+        inherited = so3.multiply(so3.multiply(parent, made[:, k]), so3.conjugate(world))
     return made
 
 

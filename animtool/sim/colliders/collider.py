@@ -58,7 +58,7 @@ class Collider:
     @property
     def speed(self) -> float:
         """How fast it goes at most, jumps apart [m/s]."""
-        places = self.poses.carried(self.shape.anchors())
+        places = self.poses.to_world(self.shape.anchors())
         ways = np.linalg.norm(np.diff(places, axis=0), axis=2).max(axis=1, initial=0.0)
         speeds = ways / np.diff(self.poses.moments)
         return float(speeds[~self.jumps].max(initial=0.0))

@@ -14,8 +14,8 @@ from animtool import _kernels
 from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_floats
 from animtool.errors import Fault, OptionError, Severity
 from animtool.sim.colliders.collider import Collider
-from animtool.sim.colliders.meeting import meet_sheet
 from animtool.sim.colliders.shapes import Box, Capsule, Mesh, Plane, Sphere
+from animtool.sim.colliders.sheet_contact import collide_with_sheet
 from animtool.sim.colliders.sheets import Sheet
 from animtool.sim.colliders.surfaces import Surfaces
 
@@ -291,7 +291,7 @@ def _met(
         return _kernels.collide_particles(arrays, begin, end, radii, begins, step)
 
     for i, sheet in enumerate(ready.sheets if step > 0 else ()):
-        met = meet_sheet(sheet, start, after, span, sizes, late, settle)
+        met = collide_with_sheet(sheet, start, after, span, sizes, late, settle)
         if met is None:
             continue
         near, (state, touches, normals) = met

@@ -75,14 +75,14 @@ class Poses:
             found[within, 3:] = so3.slerp(before[:, 3:], after[:, 3:], share)
         return found
 
-    def carried(self, points: FloatArray) -> FloatArray:
+    def to_world(self, points: FloatArray) -> FloatArray:
         """Return where A points of its frame are at the times ``(T, A, 3)`` [m]."""
         turned = so3.rotate(self.rows[:, None, 3:], points)
         return np.asarray(self.rows[:, None, :3] + turned, np.float64)
 
     def jumps(self, points: FloatArray, limit: float) -> BoolArray:
         """Return between which times points go faster than a limit ``(T - 1,)``."""
-        way = np.linalg.norm(np.diff(self.carried(points), axis=0), axis=2)
+        way = np.linalg.norm(np.diff(self.to_world(points), axis=0), axis=2)
         return np.asarray(way.max(axis=1) > limit * np.diff(self.moments), np.bool_)
 
     def faults(self) -> list[str]:

@@ -1,6 +1,5 @@
 """Particles: emitted, moved by forces or a field, stopped by colliders, removed."""
 
-from animtool.sim.particles.cloud import Cloud
 from animtool.sim.particles.emitter import Emitter
 from animtool.sim.particles.forces import FORCES, find_force
 from animtool.sim.particles.forces.force import Force
@@ -13,12 +12,12 @@ from animtool.sim.particles.places import (
 )
 from animtool.sim.particles.run import ParticleFrame, ParticleRun
 from animtool.sim.particles.setup import KillRegion, Particles
+from animtool.sim.particles.state import ParticleState
 from animtool.sim.particles.velocity_field import VelocityField
 
 __all__ = [
     "FORCES",
     "BoxPlace",
-    "Cloud",
     "Disc",
     "Emitter",
     "Force",
@@ -26,6 +25,7 @@ __all__ = [
     "MeshSurface",
     "ParticleFrame",
     "ParticleRun",
+    "ParticleState",
     "Particles",
     "Point",
     "SpherePlace",

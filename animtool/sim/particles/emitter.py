@@ -12,15 +12,15 @@ from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault
 from animtool.maths import so3
 from animtool.sim.colliders.poses import Poses
-from animtool.sim.particles.chance import uniforms
 from animtool.sim.particles.places import Place, Point
+from animtool.sim.particles.rng import uniforms
 
 __all__ = ["Births", "Emitter"]
 
 # Keys of what bursts make, apart from those of the steady rate.
 _BURST = 1 << 40
 # Of a burst, so that numbers of all bursts are apart.
-MOST_AT_ONCE = 10**12
+MAX_AT_ONCE = 10**12
 _CHANCES = 8
 # Over which the motion of an emitter is measured [s].
 _BRIEF = 1e-4
@@ -207,9 +207,9 @@ class Emitter:
             message = "its direction must be three finite numbers, not all 0"
             found.append(("direction", message))
         for i, (when, count) in enumerate(self.bursts):
-            if not math.isfinite(when) or not 0 <= count <= MOST_AT_ONCE:
+            if not math.isfinite(when) or not 0 <= count <= MAX_AT_ONCE:
                 message = f"burst {i} must be at a finite time, of 0 particles or more"
-                message += f" and {MOST_AT_ONCE:g} at most"
+                message += f" and {MAX_AT_ONCE:g} at most"
                 found.append(("bursts", message))
         return found
 

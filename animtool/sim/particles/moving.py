@@ -8,18 +8,18 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, Severity, ToleranceError
-from animtool.sim.advancing import advance, carried_on, stats_of
+from animtool.sim.advancing import advance, checkpoint_of, stats_of
 from animtool.sim.checks import check_fit, check_start
 from animtool.sim.colliders.colliding import Colliders, Contacts, Touch
 from animtool.sim.equations import Equations
 from animtool.sim.notices import ending, step_notices
 from animtool.sim.options import check_options
-from animtool.sim.particles.cloud import Cloud
+from animtool.sim.particles.divergence import DivergenceCheck
 from animtool.sim.particles.setup import Particles
-from animtool.sim.particles.system import CloudFlow, CloudForces, cloud_system
-from animtool.sim.particles.watching import CloudWatch
+from animtool.sim.particles.state import ParticleState
+from animtool.sim.particles.system import ParticleFlow, ParticleForces, particle_system
 from animtool.sim.run import Run
-from animtool.sim.trajectory import Carried, Stats, Status
+from animtool.sim.trajectory import Checkpoint, Stats, Status
 
 __all__ = ["Moved", "Mover"]
 
@@ -33,12 +33,12 @@ class Moved:
 
     Attributes:
         state: Positions, then velocities ``(2, N, 3)``.
-        carried: What the method takes along.
+        checkpoint: What the method takes along.
         contacts: What they met; None where there is nothing to meet.
     """
 
     state: FloatArray
-    carried: Carried
+    checkpoint: Checkpoint
     contacts: Contacts | None
 
 
@@ -61,9 +61,11 @@ class Mover:
     def __init__(self, setup: Particles, colliders: Colliders) -> None:
         self._setup, self._colliders = setup, colliders
         self._integrator = check_options(setup.options)
-        none = cloud_system(setup, colliders, Cloud.none(), np.zeros((2, 0, 3)))
+        none = particle_system(
+            setup, colliders, ParticleState.none(), np.zeros((2, 0, 3))
+        )
         check_fit(Equations(none), self._integrator)
-        self._watch = CloudWatch(setup, colliders)
+        self._watch = DivergenceCheck(setup, colliders)
         self._fastest: FloatArray | None = None
         self.notices: list[Fault] = []
         self.taken = 0
@@ -71,18 +73,18 @@ class Mover:
 
     def moved(
         self,
-        cloud: Cloud,
+        particles: ParticleState,
         state: FloatArray,
-        carried: Carried | None,
+        checkpoint: Checkpoint | None,
         now: float,
         until: float,
     ) -> Moved:
         """Return particles after a step.
 
         Args:
-            cloud: Who they are.
+            particles: Who they are.
             state: At its begin ``(2, N, 3)``.
-            carried: What the method took along so far, None where others lived.
+            checkpoint: What the method took along so far, None where others lived.
             now: Its begin [s].
             until: Its end [s].
 
@@ -90,10 +92,10 @@ class Mover:
             OptionError: What moves them is no number at the begin (SIM003).
             ToleranceError: It blew up (SIM102), or the method could not go on.
         """
-        system = cloud_system(self._setup, self._colliders, cloud, state)
-        begin = carried or Carried(now, system.state)
+        system = particle_system(self._setup, self._colliders, particles, state)
+        begin = checkpoint or Checkpoint(now, system.state)
         with np.errstate(all="ignore"):
-            self._watch.look_at(cloud, state)
+            self._watch.look_at(particles, state)
             self._look_at_steps(system, begin.state, now, until)
             run = self._run(system, begin, until)
             status = advance(run, until)
@@ -101,17 +103,17 @@ class Mover:
             if status is not Status.OK:
                 self._stop(run, status, [(now, begin.state), (run.time, run.state)])
         end = run.state
-        if isinstance(system, CloudFlow):
+        if isinstance(system, ParticleFlow):
             end = np.stack([end, system.rate(until, end)])
         met = system.contacts
         if met is not None:
             # Of colliders that change their shape nobody knows how fast they are.
             driven = met.colliders >= len(self._colliders)
-            self._watch.begin_anew(driven | (met.touches == Touch.UNRESOLVED), end)
-        return Moved(end, carried_on(run, status, until, run.state), system.contacts)
+            self._watch.restart(driven | (met.touches == Touch.UNRESOLVED), end)
+        return Moved(end, checkpoint_of(run, status, until, run.state), system.contacts)
 
     def _run(
-        self, system: CloudForces | CloudFlow, begin: Carried, until: float
+        self, system: ParticleForces | ParticleFlow, begin: Checkpoint, until: float
     ) -> Run:
         return Run(
             self._integrator,
@@ -127,7 +129,7 @@ class Mover:
 
     def _look_at_steps(
         self,
-        system: CloudForces | CloudFlow,
+        system: ParticleForces | ParticleFlow,
         state: FloatArray,
         now: float,
         until: float,

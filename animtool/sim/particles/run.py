@@ -10,36 +10,36 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, OptionError, Severity
 from animtool.sim.colliders.colliding import Colliders, Contacts, Touch
-from animtool.sim.particles.cloud import Cloud
 from animtool.sim.particles.moving import Mover
-from animtool.sim.particles.newborn import brought_to
 from animtool.sim.particles.setup import Particles
-from animtool.sim.trajectory import Carried, Stats
+from animtool.sim.particles.spawn import spawned
+from animtool.sim.particles.state import ParticleState
+from animtool.sim.trajectory import Checkpoint, Stats
 
-__all__ = ["ParticleFrame", "ParticleRun", "ParticleState"]
+__all__ = ["ParticleFrame", "ParticleRun", "ParticleRunState"]
 
 _NONE = np.zeros((2, 0, 3))
 
 
 @dataclass(frozen=True, slots=True)
-class ParticleState:
+class ParticleRunState:
     """Where a simulation stands at the end of a step, so that it can be gone on with.
 
     Attributes:
         steps: Taken since the beginning.
-        cloud: Who lives.
+        particles: Who lives.
         state: Positions, then velocities ``(2, N, 3)``.
         born: How many were born so far.
         missed: How many were not, for want of room.
-        carried: What the method takes along, as long as the same particles live.
+        checkpoint: What the method takes along, as long as the same particles live.
     """
 
     steps: int
-    cloud: Cloud
+    particles: ParticleState
     state: FloatArray
     born: int = 0
     missed: int = 0
-    carried: Carried | None = None
+    checkpoint: Checkpoint | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +87,10 @@ class ParticleRun:
     """
 
     def __init__(
-        self, setup: Particles, begin: float = 0.0, state: ParticleState | None = None
+        self,
+        setup: Particles,
+        begin: float = 0.0,
+        state: ParticleRunState | None = None,
     ) -> None:
         setup.check()
         self.setup, self.begin = setup, begin
@@ -100,7 +103,7 @@ class ParticleRun:
         self._mover = Mover(setup, self.colliders)
         self.contacts: Contacts | None = None
         if state is None:
-            state = ParticleState(0, Cloud.none(), _NONE)
+            state = ParticleRunState(0, ParticleState.none(), _NONE)
             state = self._with_first(state)
         self.state = state
 
@@ -139,69 +142,76 @@ class ParticleRun:
         steps = math.floor((t - self.begin) / self._step + 1e-9)
         return max(steps, 0)
 
-    def _stepped(self, state: ParticleState, until: float) -> ParticleState:
+    def _stepped(self, state: ParticleRunState, until: float) -> ParticleRunState:
         """Return the end of a step, or of a part of one."""
         now = self._time(state.steps)
-        same = state.cloud
+        same = state.particles
         if len(same):
             state = self._moved(state, now, until)
         state = replace(state, steps=state.steps + 1)
         state = self._with_born(state, now, now, until)
         state = self._without_dead(state, until)
-        return state if state.cloud is same else replace(state, carried=None)
+        return state if state.particles is same else replace(state, checkpoint=None)
 
-    def _moved(self, state: ParticleState, now: float, until: float) -> ParticleState:
+    def _moved(
+        self, state: ParticleRunState, now: float, until: float
+    ) -> ParticleRunState:
         said = len(self._mover.notices)
-        moved = self._mover.moved(state.cloud, state.state, state.carried, now, until)
+        moved = self._mover.moved(
+            state.particles, state.state, state.checkpoint, now, until
+        )
         self.notices += self._mover.notices[said:]
         self.contacts = moved.contacts
-        self._say_held(state.cloud, until)
-        return replace(state, state=moved.state, carried=moved.carried)
+        self._say_held(state.particles, until)
+        return replace(state, state=moved.state, checkpoint=moved.checkpoint)
 
-    def _with_first(self, state: ParticleState) -> ParticleState:
+    def _with_first(self, state: ParticleRunState) -> ParticleRunState:
         """Return a state with those who are born at the very beginning."""
         return self._with_born(state, None, self.begin, self.begin)
 
     def _with_born(
-        self, state: ParticleState, after: float | None, now: float, until: float
-    ) -> ParticleState:
+        self, state: ParticleRunState, after: float | None, now: float, until: float
+    ) -> ParticleRunState:
         """Return a state with those who are born in a step, at its end."""
-        room = max(self.setup.most - len(state.cloud), 0)
-        cloud, born, beyond = self._born(after, until, state.born, room)
-        made = len(cloud) + beyond
+        room = max(self.setup.most - len(state.particles), 0)
+        particles, born, beyond = self._born(after, until, state.born, room)
+        made = len(particles) + beyond
         missed = max(made - room, 0)
         if missed and not state.missed:
             self._say_full(until)
         state = replace(state, born=state.born + made, missed=state.missed + missed)
-        cloud, born = cloud.select(np.arange(len(cloud))[:room]), born[:, :room]
-        if not len(cloud):
+        particles, born = (
+            particles.select(np.arange(len(particles))[:room]),
+            born[:, :room],
+        )
+        if not len(particles):
             return state
         if until > now:
-            born = brought_to(self.setup, self.colliders, cloud, born, now, until)
+            born = spawned(self.setup, self.colliders, particles, born, now, until)
         elif self.setup.velocity is not None:
-            born[1] = self.setup.velocity.velocity(until, born[0], cloud)
+            born[1] = self.setup.velocity.velocity(until, born[0], particles)
         return replace(
             state,
-            cloud=state.cloud.joined(cloud),
+            particles=state.particles.joined(particles),
             state=np.concatenate([state.state, born], axis=1),
         )
 
     def _born(
         self, after: float | None, until: float, first: int, room: int
-    ) -> tuple[Cloud, FloatArray, int]:
+    ) -> tuple[ParticleState, FloatArray, int]:
         """Return who is born, with ids in the order of births, and how.
 
         Of each emitter no more are made than there is room for; last is how many more
         there would be.
         """
-        clouds, states, beyond = [], [], 0
+        particle_sets, states, beyond = [], [], 0
         for emitter in self.setup.emitters:
             births = emitter.births(self.begin, after, until, room)
             beyond += births.missed
             x, v, lifetimes, radii = emitter.drawn(births)
             count = len(x)
-            clouds.append(
-                Cloud(
+            particle_sets.append(
+                ParticleState(
                     np.zeros(count, np.int64),
                     np.full(count, float(emitter.mass)),
                     np.full(count, float(emitter.charge)),
@@ -212,15 +222,15 @@ class ParticleRun:
                 )
             )
             states.append(np.stack([x, v]))
-        cloud, state = clouds[0], np.concatenate(states, axis=1)
-        for other in clouds[1:]:
-            cloud = cloud.joined(other)
-        order = np.argsort(cloud.births, kind="stable")
-        cloud, state = cloud.select(order), state[:, order]
-        ids = first + np.arange(len(cloud), dtype=np.int64)
-        return replace(cloud, ids=ids), state, beyond
+        particles, state = particle_sets[0], np.concatenate(states, axis=1)
+        for other in particle_sets[1:]:
+            particles = particles.joined(other)
+        order = np.argsort(particles.births, kind="stable")
+        particles, state = particles.select(order), state[:, order]
+        ids = first + np.arange(len(particles), dtype=np.int64)
+        return replace(particles, ids=ids), state, beyond
 
-    def _say_held(self, cloud: Cloud, t: float) -> None:
+    def _say_held(self, particles: ParticleState, t: float) -> None:
         """Say once that particles stay inside colliders."""
         if self._held or self.contacts is None:
             return
@@ -228,7 +238,7 @@ class ParticleRun:
         if not len(held):
             return
         self._held = True
-        who = f"particle {int(cloud.ids[held[0]])}"
+        who = f"particle {int(particles.ids[held[0]])}"
         which, solid = int(self.contacts.colliders[held[0]]), self.setup.colliders
         what = [
             *(one.name or f"colliders[{i}]" for i, one in enumerate(solid)),
@@ -263,18 +273,20 @@ class ParticleRun:
             )
         )
 
-    def _without_dead(self, state: ParticleState, t: float) -> ParticleState:
-        kept: BoolArray = state.cloud.deaths > t
+    def _without_dead(self, state: ParticleRunState, t: float) -> ParticleRunState:
+        kept: BoolArray = state.particles.deaths > t
         for region in self._kills:
             kept = kept & (region.sample(state.state[0], t).distances[0] >= 0)
         if kept.all():
             return state
         return replace(
-            state, cloud=state.cloud.select(kept), state=state.state[:, kept]
+            state, particles=state.particles.select(kept), state=state.state[:, kept]
         )
 
-    def _frame(self, state: ParticleState, t: float) -> ParticleFrame:
-        cloud = state.cloud
+    def _frame(self, state: ParticleRunState, t: float) -> ParticleFrame:
+        particles = state.particles
         points, velocities = state.state
-        ages = t - cloud.births
-        return ParticleFrame(t, cloud.ids, points, velocities, cloud.radii, ages)
+        ages = t - particles.births
+        return ParticleFrame(
+            t, particles.ids, points, velocities, particles.radii, ages
+        )

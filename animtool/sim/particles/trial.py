@@ -18,7 +18,7 @@ from animtool.sim.modes import allowed_step, modes_at
 from animtool.sim.options import TOLERANCE, IntegrateOptions
 from animtool.sim.particles.run import ParticleFrame, ParticleRun
 from animtool.sim.particles.setup import Particles
-from animtool.sim.particles.system import CloudForces, cloud_system
+from animtool.sim.particles.system import ParticleForces, particle_system
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.trial import FINER, Outcome, Setting, Shot, ladder
@@ -35,9 +35,9 @@ TOLERANCES = (100.0, 1.0, 0.01)
 LONGER = 4.0
 # Unknowns up to which implicit methods are tried: forces do not say their derivatives,
 # which take as many evaluations.
-MOST_UNKNOWNS = 30
+MAX_UNKNOWNS = 30
 # Evaluations in a step that are enough to tell that a method is not for it.
-MOST_EVALUATIONS = 1000
+MAX_EVALUATIONS = 1000
 
 
 class ParticleTrial:
@@ -151,7 +151,7 @@ class ParticleTrial:
         integrator = find_integrator(setting.method)
         if setting.method == self.chosen.method or not integrator.implicit:
             return
-        if unknowns > MOST_UNKNOWNS:
+        if unknowns > MAX_UNKNOWNS:
             message = f"{setting.method} would solve for {unknowns} unknowns at once"
             raise OptionError(Fault("SIM024", message, where="method"))
 
@@ -167,7 +167,7 @@ class ParticleTrial:
         tolerance = given.get("tolerance")
         budget = own.budget
         if setting.method != own.method:
-            budget = min(budget, MOST_EVALUATIONS)
+            budget = min(budget, MAX_EVALUATIONS)
         # What is absolute goes with the tolerance where the file says both.
         absolute = own.absolute
         if absolute is not None and tolerance is not None:
@@ -182,15 +182,15 @@ class ParticleTrial:
         )
 
     def _energy(self, run: ParticleRun, frame: ParticleFrame) -> Energy | None:
-        cloud = run.state.cloud
+        particles = run.state.particles
         # Contacts and damping take energy, and births bring some.
         if self._setup.velocity is not None or run.colliders.meet:
             return None
-        damped = any(f.damping(frame.velocities, cloud) for f in self._setup.forces)
-        if damped or not np.array_equal(cloud.ids, frame.ids):
+        damped = any(f.damping(frame.velocities, particles) for f in self._setup.forces)
+        if damped or not np.array_equal(particles.ids, frame.ids):
             return None
         state = np.stack([frame.points, frame.velocities])
-        system = CloudForces(self._setup, run.colliders, cloud, state)
+        system = ParticleForces(self._setup, run.colliders, particles, state)
         return system.energy(frame.time, state)
 
 
@@ -209,8 +209,8 @@ def _stable_step(run: ParticleRun) -> float | None:
     state = run.state
     if run.stop is not None and run.stop.stable_step is not None:
         return run.stop.stable_step
-    if integrator.limit is None or not len(state.cloud):
+    if integrator.limit is None or not len(state.particles):
         return None
-    system = cloud_system(run.setup, run.colliders, state.cloud, state.state)
+    system = particle_system(run.setup, run.colliders, state.particles, state.state)
     modes = modes_at(Equations(system), run.begin, system.state)
     return None if modes is None else allowed_step(integrator, modes)

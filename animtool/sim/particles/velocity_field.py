@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.rig.expressions import Expression, parse_expression
-from animtool.sim.particles.cloud import Cloud
+from animtool.sim.particles.state import ParticleState
 
 __all__ = ["VARIABLES", "VelocityField", "evaluated", "expression_faults"]
 
@@ -38,10 +38,10 @@ class VelocityField:
         return tuple(parse_expression(text) for text in (self.x, self.y, self.z))
 
     def velocity(
-        self, t: float | FloatArray, x: FloatArray, cloud: Cloud
+        self, t: float | FloatArray, x: FloatArray, particles: ParticleState
     ) -> FloatArray:
         """Return velocities at places ``(N, 3)`` [m/s]."""
-        return evaluated(self.expressions, t, x, np.zeros_like(x), cloud)
+        return evaluated(self.expressions, t, x, np.zeros_like(x), particles)
 
     def faults(self) -> list[tuple[str, str]]:
         """Return which of the three makes no sense, and why."""
@@ -53,11 +53,18 @@ def evaluated(
     t: float | FloatArray,
     x: FloatArray,
     v: FloatArray,
-    cloud: Cloud,
+    particles: ParticleState,
 ) -> FloatArray:
     """Return three expressions at particles ``(N, 3)``."""
     times = np.broadcast_to(np.asarray(t, np.float64), len(x))
-    columns = [*x.T, *v.T, times, times - cloud.births, cloud.masses, cloud.charges]
+    columns = [
+        *x.T,
+        *v.T,
+        times,
+        times - particles.births,
+        particles.masses,
+        particles.charges,
+    ]
     values = dict(zip(VARIABLES, columns, strict=True))
     found = [np.broadcast_to(one.evaluate(values), len(x)) for one in expressions]
     return np.stack(found, axis=1)

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from animtool.sim.springs.motion import SpringMotion as SpringMotion
     from animtool.sim.springs.options import Solver as Solver
     from animtool.sim.springs.options import SpringOptions as SpringOptions
-    from animtool.sim.springs.parting import Parting as Parting
-    from animtool.sim.springs.parting import part_surface as part_surface
     from animtool.sim.springs.paths import Air as Air
     from animtool.sim.springs.paths import Pins as Pins
     from animtool.sim.springs.paths import Targets as Targets
@@ -28,6 +26,8 @@ if TYPE_CHECKING:
     from animtool.sim.springs.simulating import simulate_springs as simulate_springs
     from animtool.sim.springs.surfaces import surface as surface
     from animtool.sim.springs.system import SpringSystem as SpringSystem
+    from animtool.sim.springs.tearing import Tearing as Tearing
+    from animtool.sim.springs.tearing import tear_surface as tear_surface
     from animtool.sim.springs.volumes import block as block
     from animtool.sim.springs.volumes import tetrahedra as tetrahedra
     from animtool.sim.springs.welding import Welded as Welded
@@ -37,7 +37,7 @@ _PUBLIC = {
     "Air": "paths",
     "Body": "body",
     "Family": "body",
-    "Parting": "parting",
+    "Tearing": "tearing",
     "Pins": "paths",
     "SelfContact": "self_contact",
     "Solver": "options",
@@ -51,7 +51,7 @@ _PUBLIC = {
     "block": "volumes",
     "find_rest": "resting",
     "join": "body",
-    "part_surface": "parting",
+    "tear_surface": "tearing",
     "rope": "lines",
     "sheet": "sheets",
     "simulate_springs": "simulating",

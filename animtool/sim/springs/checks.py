@@ -12,7 +12,7 @@ from animtool.sim.springs.paths import Pins, Targets
 __all__ = ["check_body", "check_limit", "check_path", "start_notices"]
 
 # Of many that are wrong in the same way, those that are named.
-MOST_NAMED = 5
+MAX_NAMED = 5
 
 
 def check_body(body: Body, pins: Pins, targets: Targets | None) -> None:
@@ -45,7 +45,7 @@ def check_body(body: Body, pins: Pins, targets: Targets | None) -> None:
     outside = ((body.triangles < 0) | (body.triangles >= count)).any(axis=1)
     faults += [
         Fault("SIM042", f"triangle {i} has a corner that is not there", where="body")
-        for i in np.flatnonzero(outside)[:MOST_NAMED].tolist()
+        for i in np.flatnonzero(outside)[:MAX_NAMED].tolist()
     ]
     if faults:
         raise OptionError(faults)
@@ -122,9 +122,9 @@ def _named(
     """Return a fault for each of the first particles of many."""
     faults = [
         Fault(code, f"particle {i}: {message}", where="body", hint=hint)
-        for i in particles[:MOST_NAMED].tolist()
+        for i in particles[:MAX_NAMED].tolist()
     ]
-    more = len(particles) - MOST_NAMED
+    more = len(particles) - MAX_NAMED
     if more > 0:
         faults.append(Fault(code, f"{more} more particles: {message}", where="body"))
     return faults
@@ -135,7 +135,7 @@ def _particle_faults(particles: IntArray, where: str, count: int) -> list[Fault]
     message = f"there is no particle {{}}: they are 0 to {count - 1}"
     return [
         Fault("SIM043", message.format(i), where=where)
-        for i in lost[:MOST_NAMED].tolist()
+        for i in lost[:MAX_NAMED].tolist()
     ]
 
 
@@ -162,5 +162,5 @@ def _spring_faults(springs: Springs, count: int) -> list[Fault]:
     return [
         Fault("SIM042", f"spring {i} {message}", where="body")
         for bad, message in found
-        for i in np.flatnonzero(bad)[:MOST_NAMED].tolist()
+        for i in np.flatnonzero(bad)[:MAX_NAMED].tolist()
     ]

@@ -127,15 +127,15 @@ def _cheapest(
         other, most, steps = Solver.BDF2, 1.0, 0.0
     steps = max(steps, FIRST[other] / CELL)
     explicit, instead = rate * COSTS[Solver.SYMPLECTIC_EULER], steps * COSTS[other]
-    beside = f"about {steps:.0f} of {other}"
+    props = f"about {steps:.0f} of {other}"
     if math.ceil(CELL * min(rate, 1e9)) > MAX_SUBSTEPS:
         return other, f"{says}, which are too many"
     if explicit * len(system.body.springs.rest) <= LITTLE:
         return Solver.SYMPLECTIC_EULER, f"{says}, which take little time"
     if explicit <= instead:
-        return Solver.SYMPLECTIC_EULER, f"{says}, which take less time than {beside}"
+        return Solver.SYMPLECTIC_EULER, f"{says}, which take less time than {props}"
     if explicit * most <= instead:
-        longer = f"which take little longer than {beside}"
+        longer = f"which take little longer than {props}"
         return Solver.SYMPLECTIC_EULER, f"{says}, {longer}, and are far nearer"
-    share = f"{beside} take {instead / explicit:.0%} of their time"
+    share = f"{props} take {instead / explicit:.0%} of their time"
     return other, f"{says}, and {share}"

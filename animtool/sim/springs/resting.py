@@ -19,11 +19,11 @@ __all__ = ["Rest", "find_rest"]
 SOLVED = 1e-9
 # Of an energy, what the sum of those of some ten thousand springs is rounded by.
 ROUNDED = 1e-12
-MOST_STEPS = 400
+MAX_STEPS = 400
 # How long particles sink, in turns of a pendulum as long as the body [rad]; the damping
 # of springs meanwhile, over critical; springs times steps at most: about a second.
-SINKING, SWINGING, MOST_SINKING = 8.0, 0.1, 500_000_000
-MOST_SINKING_STEPS = 2_000_000
+SINKING, SWINGING, MAX_SINKING = 8.0, 0.1, 500_000_000
+MAX_SINKING_STEPS = 2_000_000
 # What is added to the stiffness in every direction goes up and down by these.
 FIRMER, SOFTER = 4.0, 16.0
 # The matrices are symmetric, and nearly always positive.
@@ -82,7 +82,7 @@ def find_rest(
     calm = system.halted(t, replace(system.body, positions=start))
     place, sunk = _Place(calm, start), False
     firm, steps = place.typical, 0
-    while not place.solved and steps < MOST_STEPS:
+    while not place.solved and steps < MAX_STEPS:
         steps += 1
         moved = place.moved(firm)
         if moved is not None and moved.energy <= place.energy + place.rounding:
@@ -110,9 +110,9 @@ def _sunk(system: SpringSystem, start: _Place) -> _Place:
     thick = system.halted(0.0, _damped(body), 2 * swing)
     step = SAFE * explicit_limit(thick, 0.0, thick.state)
     wanted = SINKING / (swing * step) if step > 0 else np.inf
-    if not wanted <= MOST_SINKING_STEPS:
+    if not wanted <= MAX_SINKING_STEPS:
         return start
-    if np.ceil(wanted) * len(body.springs.rest) > MOST_SINKING:
+    if np.ceil(wanted) * len(body.springs.rest) > MAX_SINKING:
         return start
     steps = int(np.ceil(wanted))
     steps_at_once = thick.native("symplectic_euler")

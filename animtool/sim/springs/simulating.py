@@ -24,7 +24,7 @@ from animtool.sim.springs.options import (
 from animtool.sim.springs.self_contact import Through, through_notices
 from animtool.sim.springs.solvers import ADVANCE
 from animtool.sim.springs.system import SpringSystem
-from animtool.sim.trajectory import Carried, Stats, Status
+from animtool.sim.trajectory import Checkpoint, Stats, Status
 from animtool.sim.watch import Watch
 
 __all__ = ["simulate_springs"]
@@ -37,7 +37,7 @@ LOOK_EVERY = 120
 # then at least three quarters of it are their own.
 GIVES = 2
 # Times that the step is halved to keep an error.
-MOST_HALVINGS = 8
+MAX_HALVINGS = 8
 # Error of a step over that of a half one.
 GAIN = {
     Solver.SYMPLECTIC_EULER: 2.0,
@@ -51,7 +51,7 @@ def simulate_springs(
     system: SpringSystem,
     times: ArrayLike,
     options: SpringOptions | None = None,
-    carried: Carried | None = None,
+    checkpoint: Checkpoint | None = None,
     *,
     progress: Callable[[float], None] | None = None,
 ) -> SpringMotion:
@@ -65,8 +65,8 @@ def simulate_springs(
         system: Particles and springs, and what acts on them.
         times: Ascending ``(F,)`` [s]; the first is that of the start.
         options: Solver, steps and what is allowed.
-        carried: Where to begin in place of the system's start: what an earlier motion
-            carried. The motion in parts is then the motion as a whole, bit for bit.
+        checkpoint: Where to begin in place of the system's start: where an earlier
+            motion ended. The motion in parts is then the whole motion, bit for bit.
             Without its memory a motion begins anew from its state.
         progress: Told the time that was reached now and then [s]; where an error is to
             be kept, once for each motion that is compared.
@@ -86,8 +86,8 @@ def simulate_springs(
     """
     options = options or SpringOptions()
     solver = check_options(options)
-    moments = check_times(times, carried)
-    grid = carried.memory if carried is not None else None
+    moments = check_times(times, checkpoint)
+    grid = checkpoint.memory if checkpoint is not None else None
     if isinstance(grid, Grid):
         limit = explicit_limit(system, grid.time, grid.state)
         choice = Choice(
@@ -95,7 +95,9 @@ def simulate_springs(
         )
         return _motion(system, options, moments, choice, _fresh(grid), progress)
     t = float(moments[0])
-    state = np.ascontiguousarray(system.state if carried is None else carried.state)
+    state = np.ascontiguousarray(
+        system.state if checkpoint is None else checkpoint.state
+    )
     _check_start(system, state)
     choice = choose(system, options, solver, t, state)
 
@@ -138,7 +140,7 @@ def _near_enough(
     coarse = made(choice.substeps)
     share = 1 / (GAIN[choice.solver] - 1)
     substeps, said = choice.substeps, np.inf
-    for _ in range(MOST_HALVINGS):
+    for _ in range(MAX_HALVINGS):
         substeps *= 2
         if substeps > MAX_SUBSTEPS:
             break
@@ -187,7 +189,7 @@ def _motion(
         np.array(energies),
         stats,
         tuple(_notices(system, options, choice, grid, run, stats)),
-        Carried(float(reached[-1]), states[-1], run.kept),
+        Checkpoint(float(reached[-1]), states[-1], run.kept),
         second_order=True,
         solver=choice.solver,
         reason=choice.reason,
@@ -266,7 +268,7 @@ class _Run:
         last = jumps.stage_of(replace(grid, index=grid.index - 1))
         if here == last:
             return grid
-        return replace(grid, state=jumps.carried(grid.state, last, here), before=None)
+        return replace(grid, state=jumps.across(grid.state, last, here), before=None)
 
     @property
     def torn(self) -> BoolArray:

@@ -23,19 +23,19 @@ from animtool.sim.springs.checks import (
     check_path,
     start_notices,
 )
-from animtool.sim.springs.jumps import Jumps
 from animtool.sim.springs.paths import Air, Pins, Targets, over_knots
 from animtool.sim.springs.self_contact import (
     SelfContact,
     check_self_contact,
     tangle_notices,
 )
+from animtool.sim.springs.teleports import Teleports
 from animtool.sim.system import Energy, Matrix, Native, SecondOrder
 
 __all__ = ["SpringSystem"]
 
 # Of the speed of targets, where no step says over which time to take it [s].
-MOMENT = 1e-6
+EPSILON_TIME = 1e-6
 # Steps that a kernel takes in one call, at most.
 AT_ONCE = 1 << 20
 # Times ``(K,)`` [s], and positions ``(K, P, 3)`` [m].
@@ -124,7 +124,7 @@ class SpringSystem(SecondOrder):
         self.drawn, self.draws, target_path = _drawn(targets)
         holders = np.append(self.pinned, self.drawn)
         self._ways = (pin_path, target_path)
-        self.jumps = Jumps(body, holders, self._ways, speed_limit)
+        self.jumps = Teleports(body, holders, self._ways, speed_limit)
         self._staged: tuple[int, _Stage] | None = None
         self.contacts: Contacts | None = None
         self.colliders = (
@@ -216,7 +216,7 @@ class SpringSystem(SecondOrder):
         """Return accelerations ``(N, 3)`` [m/s²], 0 of particles that are held."""
         network = self.network(self.jumps.stage(t))
         return _kernels.spring_accelerations(
-            network, t, MOMENT, np.array((x, v)), self._whole
+            network, t, EPSILON_TIME, np.array((x, v)), self._whole
         )
 
     def jacobians(
@@ -307,8 +307,8 @@ class SpringSystem(SecondOrder):
 
     @property
     def _supply(self) -> float:
-        mass, brought, speed = self._driven
-        return mass * (brought + max(speed, self.colliders.fastest) ** 2)
+        mass, given_speed, speed = self._driven
+        return mass * (given_speed + max(speed, self.colliders.fastest) ** 2)
 
     @cached_property
     def _driven(self) -> tuple[float, float, float]:
@@ -361,8 +361,8 @@ class SpringSystem(SecondOrder):
         if not self._pins_move and not len(self.jumps):
             return moved
         begin, end = self.jumps.stage(t - h), self.jumps.stage(t)
-        moved = self.jumps.carried(moved, begin, end)
-        was = self.jumps.carried(before, begin, end)[0, self.pinned]
+        moved = self.jumps.across(moved, begin, end)
+        was = self.jumps.across(before, begin, end)[0, self.pinned]
         moved[0, self.pinned] = _position(self._stage(end).pins, t)
         moved[1, self.pinned] = (moved[0, self.pinned] - was) / h
         return moved

@@ -31,7 +31,7 @@ ROUNDING, UNSEEN = 1e-13, 1e-6
 # Beside it, an error that is no error any more: the motion has blown up.
 FAR = 10.0
 # Share of points that only one of two motions has, from which on likewise.
-MOST_APART = 0.5
+MAX_APART = 0.5
 # Where the chosen setting blows up, an error that will do, likewise.
 ENOUGH = 0.01
 # As long as they take less together, short runs are taken again, so often at most, and
@@ -237,7 +237,7 @@ def _row(runs: _Runs, setting: Setting, truth: Outcome | None) -> TrialRow:
 
 def _sign(error: Distances, extent: float) -> str:
     """Return why a motion that went on to the end is none, empty where it is one."""
-    if error.apart > MOST_APART:
+    if error.apart > MAX_APART:
         return f"it has other points, by {error.apart:.0%}"
     if not error.largest <= FAR * extent:
         return f"it is off by {length_text(error.largest)}"

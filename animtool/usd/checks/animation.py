@@ -90,13 +90,13 @@ def _transforms(subject: Subject, animation: Any, joints: list[str]) -> Iterator
 
 
 def _counts(
-    code: str, attr: Any, sampled: Sampled, wanted: int, things: str
+    code: str, attr: Any, sampled: Sampled, wanted: int, noun: str
 ) -> Iterator[Fault]:
     wrong = sampled.counts != wanted
     if wrong.any():
         found = sampled.counts[np.flatnonzero(wrong)[0]]
         have = "no value" if found < 0 else counted(found, "value")
-        message = f"{have} for {wanted} {things} {at_samples(sampled, wrong)}"
+        message = f"{have} for {wanted} {noun} {at_samples(sampled, wrong)}"
         yield finding(code, attr.GetPath(), message)
 
 

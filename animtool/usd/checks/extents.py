@@ -2,7 +2,7 @@
 
 What a SkelRoot with one skeleton spans is the bounds of its joints and a padding that
 does not change, so that all samples are compared at once and USD itself is asked only
-about those that stand out. Of others, it is asked about `MOST_ASKED` samples.
+about those that stand out. Of others, it is asked about `MAX_ASKED` samples.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ __all__ = ["bounds_apart", "check_extents", "extent_sources"]
 # Of the diagonal: text files with four digits are within.
 TOLERANCE = 1e-3
 # Where nothing but USD itself can tell.
-MOST_ASKED = 50
+MAX_ASKED = 50
 BLOCK = 2048
 
 
@@ -114,7 +114,7 @@ def _compare(
     suspects = _chosen(len(times))
     if expected is not None:
         apart = bounds_apart(extents, expected, exact=own is not None or not moving)
-        suspects = np.flatnonzero(~(apart <= 0))[:MOST_ASKED]
+        suspects = np.flatnonzero(~(apart <= 0))[:MAX_ASKED]
     bad = []
     for i in suspects.tolist():
         code = Usd.TimeCode.Default() if np.isnan(times[i]) else Usd.TimeCode(times[i])
@@ -135,7 +135,7 @@ def _compare(
         worst = max(gap for _, gap in bad)
         frames = np.array([i for i, _ in bad])
         places = Sampled(times, [], np.zeros(len(times), np.int64))
-        more = " or more" if len(suspects) == MOST_ASKED < len(times) else ""
+        more = " or more" if len(suspects) == MAX_ASKED < len(times) else ""
         message = (
             f"off by {worst:.3g}{more} {at_samples(places, frames)}"
             if own is not None or not moving
@@ -169,8 +169,8 @@ def _computed(bounded: Any, code: Any) -> Any:
 
 
 def _chosen(count: int) -> IntArray:
-    """Return evenly spaced numbers below a count, `MOST_ASKED` at most."""
-    return np.unique(np.linspace(0, count - 1, min(count, MOST_ASKED)).astype(np.int64))
+    """Return evenly spaced numbers below a count, `MAX_ASKED` at most."""
+    return np.unique(np.linspace(0, count - 1, min(count, MAX_ASKED)).astype(np.int64))
 
 
 def _joint_bounds(
@@ -182,7 +182,7 @@ def _joint_bounds(
     sampled at other times, values that other checks refuse.
     """
     root = bounded.GetPrim()
-    if len(source) != 3 or not root.IsA(UsdSkel.Root) or len(times) <= MOST_ASKED:
+    if len(source) != 3 or not root.IsA(UsdSkel.Root) or len(times) <= MAX_ASKED:
         return None
     skeletons = [p for p in Usd.PrimRange(root) if p.IsA(UsdSkel.Skeleton)]
     if len(skeletons) != 1 or skeletons[0].GetParent() != root:

@@ -69,8 +69,10 @@ def _shape(shape: Any, points: int | None) -> Iterator[Fault]:
         # A shape may turn normals alone.
         offsets = np.zeros((len(normals) if wanted is None else wanted, 3))
     if wanted is not None and len(offsets) != wanted:
-        things = "pointIndices" if len(indices) else "points"
-        yield finding("USD240", path, f"{len(offsets)} offsets for {wanted} {things}")
+        counted_as = "pointIndices" if len(indices) else "points"
+        yield finding(
+            "USD240", path, f"{len(offsets)} offsets for {wanted} {counted_as}"
+        )
     yield from _indices(shape, indices, points)
     yield from _finite(shape.GetOffsetsAttr(), offsets)
     inbetweens = list(shape.GetInbetweens())

@@ -20,7 +20,6 @@ from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Channel, Clock, Motion, Take
 from animtool.usd.animation_values import scale_channel
-from animtool.usd.carried_roots import carry_roots, moving_carriers
 from animtool.usd.checks.animation import tokens
 from animtool.usd.checks.skeleton import own_matrices
 from animtool.usd.checks.subject import Subject
@@ -31,6 +30,7 @@ from animtool.usd.rig_prims import (
     skeleton_rig,
     up_axis,
 )
+from animtool.usd.root_carriers import carry_roots, moving_carriers
 
 __all__ = ["AnimationTake", "animation_takes"]
 

@@ -15,7 +15,7 @@ __all__ = ["Sources", "cut"]
 # What YAML takes for the end of a line.
 _ENDS = re.compile("\r\n|[\n\r\x85\u2028\u2029]")
 # Longer files are arrays, of which no one reads a line.
-MOST_BYTES = 4_000_000
+MAX_BYTES = 4_000_000
 WIDTH = 96
 # How much of a cut line stands before the place.
 BEFORE = 32
@@ -42,7 +42,7 @@ class Sources:
 
 def _lines(path: Path) -> list[str]:
     try:
-        data = read_input(path, MOST_BYTES, noted=False)
+        data = read_input(path, MAX_BYTES, noted=False)
         return _ENDS.split(data.decode("utf-8-sig"))
     except (FormatError, UnicodeDecodeError):
         return []

@@ -23,7 +23,7 @@ NEAR = 0.025
 # Over this long a foot that stands hardly moves [s], [size].
 STILL_SECONDS, STILL = 0.1, 0.012
 # Fewer frames in which feet are still show no ground.
-FEWEST_CONTACTS = 4
+MIN_CONTACTS = 4
 # Where it is never still, it slides all along: it stands at the height that it is
 # nearest to for this share of the frames [1].
 MOSTLY_LOW = 0.25
@@ -65,7 +65,7 @@ def feet_of(names: tuple[str, ...] | list[str]) -> IntArray:
 def contacts_of(subject: MotionSubject) -> Contacts | None:
     """Return when feet stand; None where there are none, or they never do."""
     feet = feet_of(subject.take.rig.names)
-    if not len(feet) or subject.frames < FEWEST_CONTACTS:
+    if not len(feet) or subject.frames < MIN_CONTACTS:
         return None
     heights = subject.heights[:, feet]
     lowest = subject.heights.min(axis=1, keepdims=True)
@@ -75,7 +75,7 @@ def contacts_of(subject: MotionSubject) -> Contacts | None:
     flat = np.zeros(len(feet), bool)
     for e in range(len(feet)):
         stands = heights[still[:, e], e]
-        if len(stands) >= FEWEST_CONTACTS:
+        if len(stands) >= MIN_CONTACTS:
             ground[e] = np.median(stands)
             spread = np.percentile(stands, 75) - np.percentile(stands, 25)
             flat[e] = spread < NEAR * subject.size

@@ -9,7 +9,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.errors import Fault
 from animtool.validation.motion.contacts import (
-    FEWEST_CONTACTS,
+    MIN_CONTACTS,
     Contacts,
     contacts_of,
 )
@@ -143,7 +143,7 @@ def _whole_take(subject: MotionSubject, contacts: Contacts) -> Iterator[Fault]:
     if abs(lowest) > STANDS_AT_ZERO * subject.size:
         return
     often = contacts.still.sum(axis=0)
-    fewest = max(FEWEST_CONTACTS, round(SHOWN_SECONDS / subject.interval))
+    fewest = max(MIN_CONTACTS, round(SHOWN_SECONDS / subject.interval))
     shown = (often >= fewest) & contacts.flat
     if not shown.any():
         return

@@ -33,16 +33,16 @@ FLIP = math.radians(120.0)
 STANDS_OUT = 8.0
 TURN_NOISE, SHIFT_NOISE = math.radians(1.0), 0.002
 # Of the steps beside it [1]; fast motion begins and ends over several frames.
-ABOVE_BESIDE = 5.5
+ABOVE_NEIGHBOURS = 5.5
 # Motion around: this long before and after, but some steps at least [s], [1].
-REACH_SECONDS, FEWEST_STEPS = 0.12, 12
+REACH_SECONDS, MIN_STEPS = 0.12, 12
 # A move is as many times what the speed changes by: a ball that bounces turns its speed
 # round in one step, and that is the jump [1].
 ABOVE_CHANGE = 2.5
 # Steps beside a pop that it disturbs itself [1].
 GAP = 2
 # Fewer frames do not show what is usual in them.
-FEWEST_FRAMES = 8
+MIN_FRAMES = 8
 # So many joints that jump from the first frame are a reference pose.
 REFERENCE_JOINTS = 3
 # Below this many degrees a joint starts from rest, and does not leave a pose.
@@ -137,7 +137,7 @@ def _reported(
 
 def _turn_pops(subject: MotionSubject, columns: IntArray) -> _Pops:
     joints = subject.turning[columns]
-    if subject.frames < FEWEST_FRAMES or not len(columns):
+    if subject.frames < MIN_FRAMES or not len(columns):
         return _no_pops(joints)
     turns = subject.turns[:, columns]
     amounts = surprises(turns, _ignored(subject))
@@ -150,7 +150,7 @@ def _turn_pops(subject: MotionSubject, columns: IntArray) -> _Pops:
 
 def _shift_pops(subject: MotionSubject, columns: IntArray, least: float) -> _Pops:
     joints = subject.moving[columns]
-    if subject.frames < FEWEST_FRAMES or not len(columns):
+    if subject.frames < MIN_FRAMES or not len(columns):
         return _no_pops(joints)
     shifts = subject.shifts[:, columns]
     amounts = surprises(shifts, _ignored(subject))
@@ -181,21 +181,21 @@ def _stands_out(
     if not candidates.any():
         return flags
     amounts = amounts[:, candidates]
-    reach = max(FEWEST_STEPS, round(REACH_SECONDS / subject.interval))
+    reach = max(MIN_STEPS, round(REACH_SECONDS / subject.interval))
     usual = noise + mean_around(amounts, reach, GAP)
     flags[:, candidates] = (
         (amounts > least)
         & (amounts > STANDS_OUT * usual)
-        & (amounts > ABOVE_BESIDE * around(amounts))
+        & (amounts > ABOVE_NEIGHBOURS * around(amounts))
     )
     return flags
 
 
 def _leaving_first(subject: MotionSubject) -> IntArray:
     """Return the joints that jump from the first frame to the second."""
-    if subject.frames < FEWEST_FRAMES or not len(subject.turning):
+    if subject.frames < MIN_FRAMES or not len(subject.turning):
         return np.zeros(0, np.int64)
-    sizes = np.linalg.norm(subject.turns[:FEWEST_FRAMES], axis=2)
+    sizes = np.linalg.norm(subject.turns[:MIN_FRAMES], axis=2)
     usual = sizes[1:].max(axis=0)
     away = (sizes[0] > REFERENCE_TURN) & (sizes[0] > STANDS_OUT * usual)
     return np.asarray(subject.turning[away])

@@ -15,12 +15,12 @@ from animtool.validation.motion.subject import MotionSubject
 __all__ = ["frozen_frames", "lost_frames", "repeated_frames"]
 
 # Fewer frames do not show what is usual in them.
-FEWEST_FRAMES = 12
+MIN_FRAMES = 12
 # Fewer joints that move do not tell a lost frame from a key of theirs [1].
-FEWEST_JOINTS = 4
+MIN_JOINTS = 4
 # A step over one lost frame is twice what the steps around predict; in captures none
 # comes to 1.4 where the motion is smooth [1]. More than so many frames are a cut [1].
-DOUBLE, MOST_LOST = 1.6, 8.0
+DOUBLE, MAX_LOST = 1.6, 8.0
 # Share of the step that may go another way than predicted [1].
 ASTRAY = 0.25
 # Steps around count for so many before and after, but the nearest, which the loss
@@ -29,12 +29,12 @@ REACH, GAP, UNEVEN = 10, 3, 0.4
 # Of the usual step: less shows no loss, and is no motion that stops [1].
 LEAST_PACE = 0.3
 # Share of the joints that must show a loss: a single one jumps for itself [1].
-MOST_JOINTS = 0.7
+MAX_JOINTS = 0.7
 # Of the usual step: what is less is a frame repeated, in text of four digits too [1].
 STILL = 1e-4
 # Repeats so regular and so many are a rate of its own; a repeat at least every so many
 # frames [1].
-REGULAR, FEWEST_REPEATS, LONGEST_PERIOD = 0.8, 5, 12
+REGULAR, MIN_REPEATS, LONGEST_PERIOD = 0.8, 5, 12
 # Share of its frames beyond which a take is keyed in poses, and does not freeze [1].
 MOSTLY_STILL = 0.5
 
@@ -45,7 +45,7 @@ def lost_frames(subject: MotionSubject) -> Iterator[Fault]:
     In a file with time codes a lost frame is a hole between them.
     """
     yield from _holes(subject)
-    if subject.frames < FEWEST_FRAMES or len(_columns(subject)) < FEWEST_JOINTS:
+    if subject.frames < MIN_FRAMES or len(_columns(subject)) < MIN_JOINTS:
         return
     ratios, lost = _double_steps(subject)
     found = np.flatnonzero(lost)
@@ -64,7 +64,7 @@ def lost_frames(subject: MotionSubject) -> Iterator[Fault]:
 
 def _holes(subject: MotionSubject) -> Iterator[Fault]:
     """Yield the holes between the time codes of samples."""
-    if subject.codes is None or subject.frames < FEWEST_FRAMES:
+    if subject.codes is None or subject.frames < MIN_FRAMES:
         return
     gaps = np.diff(subject.codes)
     usual = float(np.median(gaps))
@@ -114,11 +114,11 @@ def _double_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     pace = np.sqrt(total)
     fast = pace > LEAST_PACE * np.median(pace)
     unlike = np.where(fast, np.abs(ratio - 1.0), 0.0)
-    found = fast & (ratio > DOUBLE) & (ratio < MOST_LOST) & (astray < ASTRAY)
+    found = fast & (ratio > DOUBLE) & (ratio < MAX_LOST) & (astray < ASTRAY)
     found &= ~(subject.cuts() | _next_to_still(subject))[2:-2]
     if found.any():
         found &= _uneven_around(unlike) < UNEVEN * unlike
-        found &= _share(along, square) > MOST_JOINTS
+        found &= _share(along, square) > MAX_JOINTS
     ratios[2:-2], lost[2:-2] = ratio, found
     return ratios, lost
 
@@ -146,16 +146,16 @@ def _share(along: FloatArray, square: FloatArray) -> FloatArray:
     far = along > 0.5 * (1.0 + DOUBLE) * square
     many = counts.sum(axis=1)
     share = (counts & far).sum(axis=1) / np.maximum(many, 1)
-    return np.where(many >= FEWEST_JOINTS, share, 0.0)
+    return np.where(many >= MIN_JOINTS, share, 0.0)
 
 
 def _still_steps(subject: MotionSubject) -> BoolArray | None:
     """Return which steps repeat a frame within motion; None where that is usual."""
-    if subject.frames < FEWEST_FRAMES or len(_columns(subject)) < 2:
+    if subject.frames < MIN_FRAMES or len(_columns(subject)) < 2:
         return None
     speeds = subject.speeds
     moving = speeds[speeds > STILL * speeds.max()]
-    if len(moving) < FEWEST_FRAMES // 2:
+    if len(moving) < MIN_FRAMES // 2:
         return None
     return np.asarray(speeds < STILL * np.median(moving))
 
@@ -181,7 +181,7 @@ def _repeats(subject: MotionSubject) -> tuple[BoolArray, bool]:
             kept[first : last + 1] = True
             starts.append(first)
     gaps = np.diff(starts)
-    if len(gaps) < FEWEST_REPEATS:
+    if len(gaps) < MIN_REPEATS:
         return kept, False
     usual = float(np.median(gaps))
     regular = float(np.mean(np.abs(gaps - usual) <= 1.0)) >= REGULAR
@@ -233,7 +233,7 @@ def _is_multiple(ratio: float) -> bool:
 
 def _odd_step(subject: MotionSubject) -> Iterator[Fault]:
     """Yield that samples lie evenly, but neither on frames nor on parts of them."""
-    if subject.codes is None or subject.frames < FEWEST_FRAMES:
+    if subject.codes is None or subject.frames < MIN_FRAMES:
         return
     gaps = np.diff(subject.codes)
     step = float(np.median(gaps))

@@ -19,7 +19,7 @@ __all__ = ["dead_side", "swapped_sides"]
 # more [rad].
 STILL, ALIVE = 1e-6, math.radians(20.0)
 # Fewer frames are a pose.
-FEWEST_FRAMES = 2
+MIN_FRAMES = 2
 # Share of the frames in which left lies on the right for the two to be swapped [1].
 MOSTLY = 0.9
 # Toes point ahead, and knees bend, by at least this much of the size [1].
@@ -28,9 +28,9 @@ AHEAD = 0.01
 # more [rad].
 LEAST_EXCHANGE, LEAST_IN_ALL = math.radians(8.0), math.radians(30.0)
 # Fewer frames do not show that both sides move before and after.
-FEWEST_STEPS = 5
+MIN_STEPS = 5
 # Fewer pairs that change places at once are a pose of their own.
-FEWEST_PAIRS = 2
+MIN_PAIRS = 2
 # Where two joints change places, going on as the other leaves a step this much of
 # what going on as oneself does [1].
 EXCHANGED = 0.35
@@ -123,7 +123,7 @@ def _exchanged(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator
     rotations = subject.take.motion.rotations
     moves = set(rotations.animated.tolist())
     pairs = [pair for pair in pairs if moves.issuperset(pair)]
-    if not pairs or subject.frames < FEWEST_STEPS:
+    if not pairs or subject.frames < MIN_STEPS:
         return
     left = rotations.gather(np.array([pair[0] for pair in pairs]))
     right = rotations.gather(np.array([pair[1] for pair in pairs]))
@@ -134,7 +134,7 @@ def _exchanged(subject: MotionSubject, pairs: list[tuple[int, int]]) -> Iterator
     swaps = (own > LEAST_EXCHANGE) & (across < EXCHANGED * own)
     swaps &= _neighbor_moves(own, EXCHANGED * own) & ~subject.cuts()[:, None]
     far = np.where(swaps, own, 0.0).sum(axis=1) > LEAST_IN_ALL
-    many = swaps.sum(axis=1) >= min(FEWEST_PAIRS, len(pairs))
+    many = swaps.sum(axis=1) >= min(MIN_PAIRS, len(pairs))
     swaps &= (far & many)[:, None]
     steps = np.flatnonzero(swaps.any(axis=1))
     if not len(steps):
@@ -168,7 +168,7 @@ def dead_side(subject: MotionSubject) -> Iterator[Fault]:
     channel = subject.take.motion.rotations
     roots = set(subject.take.rig.roots)
     # Where the root stays put, parts were keyed one by one, and one arm may wave.
-    if subject.frames < FEWEST_FRAMES or roots.isdisjoint(
+    if subject.frames < MIN_FRAMES or roots.isdisjoint(
         [*subject.turning.tolist(), *subject.moving.tolist()]
     ):
         return

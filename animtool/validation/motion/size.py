@@ -23,7 +23,7 @@ GROWS, SHORT = 0.5, 0.02
 FACTORS = (10.0, 100.0, 1000.0, 39.37)
 NEAR_FACTOR = 0.15
 # Of animated bones, the share that must have one such factor [1].
-MOST_BONES = 0.8
+MAX_BONES = 0.8
 # From a bird to a dinosaur, of rigs with feet [m]: the diagonal of their joints.
 CHARACTER = (0.1, 25.0)
 # People and most animals [m]; another unit must bring a character into this.
@@ -31,12 +31,12 @@ LIKELY = (0.3, 5.0)
 # What anything with a skeleton spans, feet or not [m]: from an insect to a ship.
 ANYTHING = (0.004, 400.0)
 # Fewer joints are a prop, of any size.
-FEWEST_JOINTS = 10
+MIN_JOINTS = 10
 # Cosine beyond which the body is along an axis, and share of the frames in which it
 # is: a fall or a roll is shorter [1].
 ALONG, MOSTLY = 0.85, 0.9
 # Fewer frames are a pose, which may lie.
-FEWEST_FRAMES = 8
+MIN_FRAMES = 8
 
 
 def stretched(subject: MotionSubject) -> Iterator[Fault]:
@@ -89,7 +89,7 @@ def _unit_factor(ratios: FloatArray) -> float | None:
         return None
     for factor in (*FACTORS, *(1.0 / factor for factor in FACTORS)):
         near = np.abs(ratios / factor - 1.0) < NEAR_FACTOR
-        if float(near.mean()) >= MOST_BONES:
+        if float(near.mean()) >= MAX_BONES:
             return factor
     return None
 
@@ -155,7 +155,7 @@ def _root_factor(subject: MotionSubject) -> tuple[int, float] | None:
 def _is_character(subject: MotionSubject) -> bool:
     """Return whether a rig has feet and joints enough to be of a person or animal."""
     rig = subject.take.rig
-    return len(rig.joints) >= FEWEST_JOINTS and len(feet_of(rig.names)) > 0
+    return len(rig.joints) >= MIN_JOINTS and len(feet_of(rig.names)) > 0
 
 
 def _times(factor: float) -> str:
@@ -223,7 +223,7 @@ def lies_along(subject: MotionSubject) -> tuple[str, float] | None:
     """
     rig = subject.take.rig
     feet = feet_of(rig.names)
-    if subject.frames < FEWEST_FRAMES or not _is_character(subject):
+    if subject.frames < MIN_FRAMES or not _is_character(subject):
         return None
     others = np.setdiff1d(np.arange(len(rig.joints)), feet)
     body = subject.positions[:, others].mean(axis=1)

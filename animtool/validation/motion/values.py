@@ -26,7 +26,7 @@ LARGEST_WEIGHT, SMALLEST_WEIGHT = 2.0, -1.0
 PERCENT = 10.0
 # Bones may differ by this factor between bind and rest; of this share of them, and
 # the bind pose may stand so many sizes away [1].
-OTHER_LENGTH, MOST_BONES, AWAY = 2.0, 0.5, 1.5
+OTHER_LENGTH, MAX_BONES, AWAY = 2.0, 0.5, 1.5
 SHORT = 0.02
 
 
@@ -104,7 +104,7 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
     hint = (
         "bind transforms are in world space, where the joints stood when it was bound"
     )
-    if len(bones) and float(other.mean()) > MOST_BONES:
+    if len(bones) and float(other.mean()) > MAX_BONES:
         worst = int(np.abs(np.log(np.maximum(ratios, 1e-12))).argmax())
         joint = int(bones[worst])
         message = (

@@ -17,11 +17,11 @@ __all__ = ["many_influences", "mesh_size", "no_effect", "weight_sums"]
 # Sums of weights that were rounded to a byte each are within it [1].
 WEIGHT_SLACK = 0.02
 # Engines take four or eight joints a vertex.
-MOST_INFLUENCES = 8
+MAX_INFLUENCES = 8
 # A mesh is seldom larger or smaller than its skeleton by as much [1].
 SIZE_RATIO = 30.0
 # Fewer joints are a prop that may be anywhere in a large mesh.
-FEWEST_JOINTS = 3
+MIN_JOINTS = 3
 
 
 def no_effect(rig: RigSubject) -> Iterator[Fault]:
@@ -74,21 +74,21 @@ def many_influences(rig: RigSubject) -> Iterator[Fault]:
             if mesh.skin is None:
                 continue
             counts = np.count_nonzero(mesh.skin.weights.load(archives), axis=1)
-            wrong = np.flatnonzero(counts > MOST_INFLUENCES)
+            wrong = np.flatnonzero(counts > MAX_INFLUENCES)
             if not len(wrong):
                 continue
             message = (
                 f"{counted(len(wrong), 'point')} of {mesh.name!r} follow more than "
-                f"{MOST_INFLUENCES} joints, point {wrong[0]} follows {counts[wrong[0]]}"
+                f"{MAX_INFLUENCES} joints, point {wrong[0]} follows {counts[wrong[0]]}"
             )
-            hint = f"keep the {MOST_INFLUENCES} largest weights"
+            hint = f"keep the {MAX_INFLUENCES} largest weights"
             at = (*rig.at("meshes", mesh.name), "skin", "weights")
             yield rig.fault("RIG211", at, message, hint)
 
 
 def mesh_size(rig: RigSubject) -> Iterator[Fault]:
     """Yield skinned meshes of quite another size than the skeleton (RIG218)."""
-    if len(rig.rig.joints) < FEWEST_JOINTS or not rig.size:
+    if len(rig.rig.joints) < MIN_JOINTS or not rig.size:
         return
     with Archives() as archives:
         sizes = {

@@ -21,7 +21,7 @@ SLIP_ANGLE = math.radians(0.5)
 # Characters are of such a size [m]; a unit that is wrong is wrong by 39 or more.
 LIKELY_METERS = (0.05, 30.0)
 # Fewer joints are a prop, of any size.
-FEWEST_JOINTS = 8
+MIN_JOINTS = 8
 
 
 def nearly_rest(rig: RigSubject) -> Iterator[Fault]:
@@ -60,7 +60,7 @@ def without_rest(rig: RigSubject) -> Iterator[Fault]:
 def odd_size(rig: RigSubject) -> Iterator[Fault]:
     """Yield a size that fits another unit better (RIG217)."""
     low, high = LIKELY_METERS
-    if len(rig.rig.joints) < FEWEST_JOINTS or low <= rig.size <= high or not rig.size:
+    if len(rig.rig.joints) < MIN_JOINTS or low <= rig.size <= high or not rig.size:
         return
     own = rig.rig.meters_per_unit
     fitting = [

@@ -17,7 +17,7 @@ from animtool.validation.subjects.targets import TargetsSubject
 __all__ = ["idle_holds", "outside_range", "twice", "weightless"]
 
 # Of many goals that ask the same, the first pairs say all.
-MOST_PAIRS = 1000
+MAX_PAIRS = 1000
 
 
 def outside_range(subject: TargetsSubject) -> Iterator[Fault]:
@@ -49,7 +49,7 @@ def twice(subject: TargetsSubject) -> Iterator[Fault]:
     for i, goal in enumerate(goals):
         alike.setdefault(_effector(goal), []).append(i)
     pairs = [pair for group in alike.values() for pair in combinations(group, 2)]
-    for first, i in sorted(pairs)[:MOST_PAIRS]:
+    for first, i in sorted(pairs)[:MAX_PAIRS]:
         one, two = goals[first], goals[i]
         parts = [part for part in PARTS if _asks(one, part) and _asks(two, part)]
         if not parts or not _meet(one.during, two.during):

@@ -68,11 +68,11 @@ def _dt_spike(name: str) -> None:
 def _close_encounter(name: str) -> None:
     # From rest it meets the mass at the origin after this time.
     head_on = kepler_system(1.0, [1.0, 0.0], [0.0, 0.0])
-    meeting = np.pi / 2**1.5
+    contact = np.pi / 2**1.5
     options = IntegrateOptions(name, tolerance=1e-8, floor=1e-7, growth=np.inf)
     found = integrate(head_on, [0, 1, 2], options)
     assert found.stats.status is Status.STEP_TOO_SMALL
-    assert found.stats.time == pytest.approx(meeting, abs=1e-3)
+    assert found.stats.time == pytest.approx(contact, abs=1e-3)
     assert found.notices[-1].code == "SIM103"
     assert "particle 0" in found.notices[-1].message
     assert f"{found.stats.time:.6g} s" in found.notices[-1].message

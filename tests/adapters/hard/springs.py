@@ -12,7 +12,7 @@ from adapters.hard.subsystem import Subsystem
 from animtool.errors import OptionError
 from animtool.sim import (
     INTEGRATORS,
-    Carried,
+    Checkpoint,
     IntegrateOptions,
     Status,
     Trajectory,
@@ -67,7 +67,7 @@ def by_integrator(
     name: str,
     times: Any,
     step: float,
-    carried: Carried | None = None,
+    checkpoint: Checkpoint | None = None,
 ) -> Trajectory:
     if CONTROLS[name] is Control.FIXED:
         if find_integrator(name).implicit:
@@ -75,7 +75,7 @@ def by_integrator(
         options = IntegrateOptions(name, step=step)
     else:
         options = IntegrateOptions(name, tolerance=1e-7)
-    return integrate(system, times, options, carried)
+    return integrate(system, times, options, checkpoint)
 
 
 def codes(motion: Trajectory) -> list[str]:
@@ -256,12 +256,12 @@ def _pinched(way: str) -> None:
         assert "SIM143" in codes(motion)
         check_pinched(motion)
         return
-    carried, touches = None, set()
+    checkpoint, touches = None, set()
     for k in range(24):
         times = np.array([k, k + 1]) * FRAME
-        motion = by_integrator(system, way.split()[1], times, FRAME / 4, carried)
+        motion = by_integrator(system, way.split()[1], times, FRAME / 4, checkpoint)
         check_pinched(motion)
-        carried = motion.carried
+        checkpoint = motion.checkpoint
         assert system.contacts is not None
         touches |= set(system.contacts.touches.tolist())
     assert Touch.UNRESOLVED in touches

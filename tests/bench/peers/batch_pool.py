@@ -17,7 +17,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 # What a pool that lost a process is given to end its other tasks [s].
-PATIENCE = 30.0
+TIMEOUT = 30.0
 
 
 def bake(task: tuple[int, str, str, int]) -> int:
@@ -44,7 +44,7 @@ def main() -> None:
     else:
         with context.Pool(int(jobs)) as pool:
             results = [pool.apply_async(bake, (task,)) for task in tasks]
-            until = time.perf_counter() + PATIENCE
+            until = time.perf_counter() + TIMEOUT
             for result in results:
                 result.wait(max(0.0, until - time.perf_counter()) if killed != "-1"
                             else None)  # fmt: skip

@@ -17,16 +17,16 @@ def model_of(case: Case) -> pin.Model:
     """Return the model; a frame stands for every effector."""
     model = pin.Model()
     # Each joint as the movable one that carries it, and where it is on that.
-    carried: list[tuple[int, pin.SE3]] = []
+    checkpoint: list[tuple[int, pin.SE3]] = []
     for joint in case.joints:
         w, x, y, z = np.array(joint["offset_r"]) / np.linalg.norm(joint["offset_r"])
         placed = pin.SE3(pin.Quaternion(w, x, y, z), np.array(joint["offset_t"]))
         parent = 0
         if joint["parent"] >= 0:
-            parent, before = carried[joint["parent"]]
+            parent, before = checkpoint[joint["parent"]]
             placed = before * placed
         if joint["type"] == "fixed":
-            carried.append((parent, placed))
+            checkpoint.append((parent, placed))
             continue
         kind = _kind(joint["type"], np.array(joint.get("axis", (0, 0, 1)), float))
         size = 4 if joint["type"] == "ball" else 1
@@ -37,9 +37,9 @@ def model_of(case: Case) -> pin.Model:
         index = model.addJoint(
             parent, kind, placed, joint["name"], most, most, low, high
         )
-        carried.append((index, pin.SE3.Identity()))
+        checkpoint.append((index, pin.SE3.Identity()))
     for e, effector in enumerate(case.effectors):
-        joint, placed = carried[case.owners[e]]
+        joint, placed = checkpoint[case.owners[e]]
         offset = pin.SE3(np.eye(3), np.array(effector["offset"], float))
         made = pin.Frame(f"effector{e}", joint, placed * offset, pin.FrameType.OP_FRAME)
         model.addFrame(made)

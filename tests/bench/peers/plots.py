@@ -22,7 +22,7 @@ class Point:
 
 
 # Names in a line of the legend.
-BESIDE = 7
+SIDE = 7
 
 # By the title of their panel and their name.
 Curves = dict[str, dict[str, list[Point]]]
@@ -59,8 +59,8 @@ def draw(curves: Curves, output: str, *, x: str, y: str) -> None:
     for panel in axes.flat[len(curves) :]:
         panel.remove()
     lines = [Line2D([], [], color=colour) for colour in colours.values()]
-    names = -(-len(colours) // BESIDE)
-    beside = -(-len(colours) // names)
-    figure.legend(lines, list(colours), loc="upper center", ncols=beside)
+    names = -(-len(colours) // SIDE)
+    props = -(-len(colours) // names)
+    figure.legend(lines, list(colours), loc="upper center", ncols=props)
     figure.tight_layout(rect=(0, 0, 1, 0.97 - 0.02 * names))
     figure.savefig(output, metadata={"Date": None})

@@ -32,7 +32,7 @@ def frame_by_frame() -> list[np.ndarray]:
     places, last = [system.body.positions], None
     for k in range(asked.frames):
         motion = simulate_springs(system, times[k : k + 2], options, last)
-        last = motion.carried
+        last = motion.checkpoint
         places.append(motion.positions[-1])
     return places
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import bpy
 
-MOST_POINTS = 50
+MAX_POINTS = 50
 
 
 def main() -> None:
@@ -55,7 +55,7 @@ def surfaces():
             continue
         done = item.evaluated_get(graph)
         vertices = done.to_mesh().vertices
-        chosen = range(0, len(vertices), len(vertices) // MOST_POINTS + 1)
+        chosen = range(0, len(vertices), len(vertices) // MAX_POINTS + 1)
         places = [upright(done.matrix_world @ vertices[i].co) for i in chosen]
         yield item.data.name, places
         done.to_mesh_clear()

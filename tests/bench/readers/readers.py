@@ -24,10 +24,10 @@ from pxr import Usd, UsdGeom, UsdSkel
 READERS = Path(__file__).resolve().parent
 sys.path.insert(0, str(READERS.parent))
 
-from figures import Row, Wanted, tables  # noqa: E402
+from figures import PropRequest, Row, tables  # noqa: E402
 from measuring import ROOT, Session, begin, parser  # noqa: E402
 
-MOST_POINTS = 50
+MAX_POINTS = 50
 # [m] Float32 positions of characters and cloths.
 BOUND = 1e-4
 
@@ -193,7 +193,7 @@ def moving_points(stage: Any, code: float) -> list[tuple[str, Any]]:
             continue
         local = np.array(mesh.GetPointsAttr().Get(code), float)
         world = np.array(mesh.ComputeLocalToWorldTransform(code))
-        local = local[:: len(local) // MOST_POINTS + 1]
+        local = local[:: len(local) // MAX_POINTS + 1]
         found.append((prim.GetName(), local @ world[:3, :3] + world[3, :3]))
     return found
 
@@ -215,7 +215,7 @@ def peer(command: list[str], folder: Path | None = None) -> dict[str, Any] | Non
 
 def rows_of(tool: str, name: str, ref: Reference, found: dict[str, Any] | None) -> list:
     """Return the figures of one reader and file."""
-    rows = [Row(name, tool, "opens", [float(found is not None)], Wanted(True, 1))]
+    rows = [Row(name, tool, "opens", [float(found is not None)], PropRequest(True, 1))]
     if found is None:
         return rows
     matched = [joint for joint in ref.joints if joint in found["joints"]]
@@ -234,7 +234,7 @@ def rows_of(tool: str, name: str, ref: Reference, found: dict[str, Any] | None) 
         if error is not None:
             # three.js reads no samples of points.
             known = kind == "point" and tool == "three.js"
-            bound = None if known else Wanted(False, BOUND)
+            bound = None if known else PropRequest(False, BOUND)
             rows.append(Row(name, tool, f"largest {kind} error [m]", [error], bound))
     return rows
 
@@ -295,7 +295,7 @@ def validated(validator: Path, sample: Sample) -> Row:
     for name, count in sorted(found.items()):
         print(f"{sample.name}: {count} x {name}", file=sys.stderr)
     count = float(sum(found.values()))
-    return Row(sample.name, "NVIDIA", "findings", [count], Wanted(False, 0))
+    return Row(sample.name, "NVIDIA", "findings", [count], PropRequest(False, 0))
 
 
 def started(options: argparse.Namespace) -> Session:

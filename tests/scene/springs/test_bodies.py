@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from animtool.scene.springs.bodies import MOST_NAMED, some_of
+from animtool.scene.springs.bodies import MAX_NAMED, some_of
 
 
 @pytest.mark.parametrize(("more", "words"), [(0, ""), (1, " and 1 more")])
 def test_the_first_numbers_stand_for_many(more: int, words: str) -> None:
-    named = ", ".join(str(i) for i in range(MOST_NAMED))
-    assert some_of(np.arange(MOST_NAMED + more)) == named + words
+    named = ", ".join(str(i) for i in range(MAX_NAMED))
+    assert some_of(np.arange(MAX_NAMED + more)) == named + words

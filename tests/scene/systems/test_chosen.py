@@ -99,7 +99,7 @@ def test_only_what_is_needed_is_simulated(
     assert prims(tmp_path / "snow.usdc") == ["snow"]
 
 
-def test_beside_a_character(tmp_path: Path) -> None:
+def test_props_a_character(tmp_path: Path) -> None:
     (tmp_path / "walk.bvh").write_text(small_bvh(random_rows(6)))
     head = "scene: animtool/1\nsource: {file: walk.bvh}\n"
     path = written(

@@ -65,7 +65,7 @@ def points(folder: Path) -> np.ndarray:
     return np.array([np.array(attr.Get(t)) for t in attr.GetTimeSamples()])
 
 
-def test_turns_come_after_rotate_and_beside_moves(tmp_path: Path) -> None:
+def test_turns_come_after_rotate_and_props_moves(tmp_path: Path) -> None:
     keys = (
         f"at: [1, 2, 3], rotate: [{HALF}, {HALF}, 0, 0], "
         "moves: [[0, 0, 0, 0], [2, 4, 0, 0]], "

@@ -39,8 +39,8 @@ CALM = {"drag": 6.0, "damping": 0.7, "frequency": 2.0}
 
 def swing(t: np.ndarray) -> np.ndarray:
     """Return places of a root that swings aside, at rest at first."""
-    aside = 0.3 * (1 - np.cos(2 * np.pi * t))
-    return np.stack([0 * t, 0 * t, aside], axis=1)
+    passthrough = 0.3 * (1 - np.cos(2 * np.pi * t))
+    return np.stack([0 * t, 0 * t, passthrough], axis=1)
 
 
 @pytest.fixture(params=RIGS)
@@ -75,8 +75,8 @@ def test_two_bones_swing_as_a_double_pendulum() -> None:
     )
     found, _ = simulated(take, **LOOSE, rate=8000.0)
     t = np.arange(len(found.motion.rotations.values)) / 60
-    aside = moved(found)[:, 1, 0] / (length * tilt)
-    assert_allclose(aside, np.cos(omega * t), atol=0.05)
+    passthrough = moved(found)[:, 1, 0] / (length * tilt)
+    assert_allclose(passthrough, np.cos(omega * t), atol=0.05)
 
 
 @pytest.mark.parametrize("frequency", [1.0, 3.0])

@@ -12,11 +12,11 @@ from animtool.errors import OptionError
 from animtool.sim import IntegrateOptions
 from animtool.sim.particles import (
     FORCES,
-    Cloud,
     Emitter,
     Force,
     ParticleRun,
     Particles,
+    ParticleState,
     find_force,
 )
 
@@ -38,9 +38,9 @@ EXAMPLES: dict[str, dict[str, object]] = {
 }
 
 
-def some(count: int, seed: int = 0) -> Cloud:
+def some(count: int, seed: int = 0) -> ParticleState:
     random = np.random.default_rng(seed)
-    return Cloud(
+    return ParticleState(
         np.arange(count),
         random.uniform(0.5, 2, count),
         random.normal(0, 1e-5, count),
@@ -75,41 +75,46 @@ def test_the_examples_are_the_table() -> None:
 
 @pytest.mark.parametrize("name", FORCES)
 def test_all_particles_at_once_are_each_alone(name: str) -> None:
-    force, cloud = find_force(name)(**EXAMPLES[name]), some(7)
+    force, particles = find_force(name)(**EXAMPLES[name]), some(7)
     x, v = np.random.default_rng(1).normal(0, 1, (2, 7, 3))
-    whole = force.force(0.3, x, v, cloud)
+    whole = force.force(0.3, x, v, particles)
     assert whole.shape == (7, 3)
     assert np.abs(whole).max() > 0
     assert force.faults() == []
     if not force.pairs:
-        alone = force.force(0.3, x[2:3], v[2:3], cloud.select(np.array([2])))
+        alone = force.force(0.3, x[2:3], v[2:3], particles.select(np.array([2])))
         assert_allclose(whole[2:3], alone, rtol=1e-12)
-    each = force.force(np.full(7, 0.3), x, v, cloud)
+    each = force.force(np.full(7, 0.3), x, v, particles)
     assert_allclose(whole, each)
 
 
 @pytest.mark.parametrize("name", FORCES)
 def test_forces_are_slopes_of_their_potentials(name: str) -> None:
-    force, cloud = find_force(name)(**EXAMPLES[name]), some(5)
+    force, particles = find_force(name)(**EXAMPLES[name]), some(5)
     x = np.random.default_rng(2).normal(0, 1, (5, 3))
-    if force.potential(x, cloud) is None or force.drains:
+    if force.potential(x, particles) is None or force.drains:
         return
     slopes = np.zeros((5, 3))
     for i, step in enumerate(np.eye(3) * 1e-6):
-        up, down = force.potential(x + step, cloud), force.potential(x - step, cloud)
+        up, down = (
+            force.potential(x + step, particles),
+            force.potential(x - step, particles),
+        )
         assert up is not None
         assert down is not None
         slopes[:, i] = (up - down) / 2e-6
-    assert_allclose(force.force(0.0, x, 0 * x, cloud), -slopes, rtol=1e-6, atol=1e-8)
+    assert_allclose(
+        force.force(0.0, x, 0 * x, particles), -slopes, rtol=1e-6, atol=1e-8
+    )
 
 
 @pytest.mark.parametrize("name", FORCES)
 def test_what_drains_never_pushes(name: str) -> None:
-    force, cloud = find_force(name)(**EXAMPLES[name]), some(50)
+    force, particles = find_force(name)(**EXAMPLES[name]), some(50)
     x, v = np.random.default_rng(3).normal(0, 2, (2, 50, 3))
     if force.drains:
-        assert ((force.force(0.0, x, v, cloud) * v).sum(axis=1) <= 0).all()
-        assert force.damping(v, cloud) > 0
+        assert ((force.force(0.0, x, v, particles) * v).sum(axis=1) <= 0).all()
+        assert force.damping(v, particles) > 0
 
 
 def test_a_throw_is_a_parabola() -> None:
@@ -146,10 +151,10 @@ def test_expressions_know_place_time_and_age() -> None:
 
 def test_charges_push_each_other_apart_evenly() -> None:
     charges = find_force("charges")(softening=1e-6)
-    cloud = some(2)
+    particles = some(2)
     x = np.array([[0.0, 0, 0], [2, 0, 0]])
-    found = charges.force(0.0, x, 0 * x, cloud)
-    size = 8.9875517862e9 * cloud.charges.prod() / 4
+    found = charges.force(0.0, x, 0 * x, particles)
+    size = 8.9875517862e9 * particles.charges.prod() / 4
     assert_allclose(found, [[-size, 0, 0], [size, 0, 0]], rtol=1e-6)
 
 

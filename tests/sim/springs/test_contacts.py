@@ -175,6 +175,6 @@ def test_among_colliders_a_motion_in_parts_is_the_whole(solver: Solver) -> None:
         times, options = np.arange(13) / rate, SpringOptions(solver)
         whole = simulate_springs(system, times, options)
         first = simulate_springs(system, times[:6], options)
-        rest = simulate_springs(system, times[5:], options, first.carried)
+        rest = simulate_springs(system, times[5:], options, first.checkpoint)
         parts = np.concatenate([first.states, rest.states[1:]])
         assert whole.states.tobytes() == parts.tobytes()

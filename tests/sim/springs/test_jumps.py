@@ -84,7 +84,7 @@ def test_a_motion_in_parts_is_the_whole(at: float, split: int) -> None:
     times = np.arange(25) * FRAME
     whole = simulate_springs(system, times, options)
     first = simulate_springs(system, times[: split + 1], options)
-    rest = simulate_springs(system, times[split:], options, first.carried)
+    rest = simulate_springs(system, times[split:], options, first.checkpoint)
     assert rest.states.tobytes() == whole.states[split:].tobytes()
     coarse = simulate_springs(system, times[::6], options)
     assert coarse.states.tobytes() == whole.states[::6].tobytes()

@@ -141,7 +141,7 @@ def test_meshes_of_a_ball_come_nearer_to_it_as_they_get_finer() -> None:
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_a_mesh_that_is_carried_is_one_whose_points_move(solver: Solver) -> None:
+def test_a_mesh_that_is_attached_is_one_whose_points_move(solver: Solver) -> None:
     way = np.array([0.4, 0.2, 0.3])
     poses = Poses([0, 1], [[0, 0, 0], way], [UPRIGHT] * 2)
     like = Collider(Mesh(BALL, BALL_FACES), poses, friction=0.3, margin=0.001)
@@ -180,7 +180,7 @@ def test_motions_in_parts_are_the_motion_as_a_whole(
     whole = simulate_springs(parts[0], [0, 0.15, 0.3], options)
     first = simulate_springs(parts[1], [0, 0.1, 0.15], options)
     again = cloth(moving(swelling, BALL_FACES, closed=closed, friction=0.3))
-    last = simulate_springs(again, [0.15, 0.2, 0.3], options, first.carried)
+    last = simulate_springs(again, [0.15, 0.2, 0.3], options, first.checkpoint)
     assert_array_equal(last.states[-1], whole.states[-1])
 
 

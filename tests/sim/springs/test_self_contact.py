@@ -149,7 +149,7 @@ def test_the_same_bits_in_one_run_or_in_parts() -> None:
     assert whole.states.tobytes() == again.states.tobytes()
     for cut in (5, 9, 10, 14):
         first = simulate_springs(system, TIMES[: cut + 1], XPBD)
-        rest = simulate_springs(system, TIMES[cut:], XPBD, first.carried)
+        rest = simulate_springs(system, TIMES[cut:], XPBD, first.checkpoint)
         assert rest.states.tobytes() == whole.states[cut:].tobytes()
 
 
@@ -243,7 +243,7 @@ def solid(points: FloatArray, triangles: object) -> Body:
     return Body(points, np.ones(len(points)), Springs.none(), corners)
 
 
-def test_what_went_through_is_brought_back() -> None:
+def test_what_went_through_is_moved_back() -> None:
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
     inside = np.array([[0.3, 0.3, -0.005]])
     body = solid(np.concatenate([corners, inside]), [[0, 1, 2]])
@@ -251,7 +251,7 @@ def test_what_went_through_is_brought_back() -> None:
     system = SpringSystem(
         body, pins=Pins([0, 1, 2]), gravity=(0, 0, 0), self_contact=contact
     )
-    start = simulate_springs(system, [0, 1 / 240], XPBD).carried
+    start = simulate_springs(system, [0, 1 / 240], XPBD).checkpoint
     for side, end in ((1, 0.02), (-1, -0.02)):
         passages = np.array([[3, 0, side]])
         known = replace(start.memory, passages=passages, state=system.state, index=0)

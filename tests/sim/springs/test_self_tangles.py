@@ -53,7 +53,7 @@ def test_in_parts_the_bytes_are_those_of_the_whole(name: str) -> None:
     system = TANGLES[name](True)
     whole = simulate_springs(system, TIMES, FEW)
     first = simulate_springs(system, TIMES[:14], FEW)
-    rest = simulate_springs(system, TIMES[13:], FEW, first.carried)
+    rest = simulate_springs(system, TIMES[13:], FEW, first.checkpoint)
     assert rest.states.tobytes() == whole.states[13:].tobytes()
 
 
@@ -149,10 +149,10 @@ def test_edges_do_not_cut_through_each_other() -> None:
         assert x[3:5, 2].mean() - x[:2, 2].mean() == pytest.approx(0.015, abs=1e-6)
 
 
-def test_edges_that_went_through_are_brought_back() -> None:
+def test_edges_that_went_through_are_moved_back() -> None:
     system = pair(-0.005, np.ones(6), 0.2, pins=(0, 1, 2, 5))
     options = SpringOptions("xpbd")
-    start = simulate_springs(system, [0, 1 / 240], options).carried
+    start = simulate_springs(system, [0, 1 / 240], options).checkpoint
     # Edges in order: 0-1, 0-2, 1-2, 3-4 and so on.
     for side in (1, -1):
         known = replace(

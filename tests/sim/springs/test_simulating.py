@@ -11,7 +11,7 @@ from support.suite import examples
 
 from animtool._types import FloatArray
 from animtool.errors import OptionError, Severity
-from animtool.sim import Carried, IntegrateOptions, Status, integrate
+from animtool.sim import Checkpoint, IntegrateOptions, Status, integrate
 from animtool.sim.springs import (
     Air,
     Body,
@@ -93,21 +93,21 @@ def test_a_motion_in_parts_is_the_whole(solver: Solver, rate: float) -> None:
     times, options = np.arange(13) / rate, SpringOptions(solver)
     whole = simulate_springs(waved(), times, options)
     first = simulate_springs(waved(), times[:6], options)
-    rest = simulate_springs(waved(), times[5:], options, first.carried)
+    rest = simulate_springs(waved(), times[5:], options, first.checkpoint)
     again = simulate_springs(waved(), times, options)
     assert whole.states.tobytes() == again.states.tobytes()
     parts = np.concatenate([first.states, rest.states[1:]])
     assert whole.states.tobytes() == parts.tobytes()
-    assert whole.carried.state.tobytes() == rest.carried.state.tobytes()
+    assert whole.checkpoint.state.tobytes() == rest.checkpoint.state.tobytes()
 
 
-def test_a_state_alone_begins_anew() -> None:
+def test_a_state_alone_begins_again() -> None:
     system = flag()
     first = simulate_springs(system, FRAMES[:6])
-    shifted = first.carried.state.copy()
+    shifted = first.checkpoint.state.copy()
     shifted[0] += [1, 0, 0]
-    begun = Carried(first.carried.time, shifted)
-    found = simulate_springs(system, FRAMES[5:], carried=begun)
+    begun = Checkpoint(first.checkpoint.time, shifted)
+    found = simulate_springs(system, FRAMES[5:], checkpoint=begun)
     assert found.states[0].tobytes() == shifted.tobytes()
 
 
@@ -210,7 +210,7 @@ def test_springs_tear() -> None:
         fell = motion.positions[-1, 2, 2] - motion.positions[1, 2, 2]
         assert fell < -0.25 * 9.81 * 0.25
         rest = simulate_springs(
-            system, [0.5, 0.6], SpringOptions(solver), motion.carried
+            system, [0.5, 0.6], SpringOptions(solver), motion.checkpoint
         )
         assert (rest.torn >= motion.torn).all()
 
@@ -315,7 +315,7 @@ def test_times_and_starts_are_checked() -> None:
         assert error.value.code == "SIM002"
     for state in (np.zeros((2, 3, 3)), np.full((2, 36, 3), np.nan)):
         with pytest.raises(OptionError) as error:
-            simulate_springs(flag(), [0, 1], carried=Carried(0.0, state))
+            simulate_springs(flag(), [0, 1], checkpoint=Checkpoint(0.0, state))
         assert error.value.code == "SIM003"
 
 

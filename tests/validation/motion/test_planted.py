@@ -68,7 +68,7 @@ class Outcomes:
 
     def others(self, case: Case) -> list[Fault]:
         """Return what is found besides the fault and what follows from it."""
-        expected = {case.code, *case.besides}
+        expected = {case.code, *case.extra}
         return [fault for fault in self.of(case) if fault.code not in expected]
 
 
@@ -103,7 +103,7 @@ def test_a_planted_fault_is_found(
         HEADING,
         f"  {case.sample + ': ' + case.name:<52} {case.code} | "
         f"{'yes' if case.code in codes else 'NO'} | "
-        f"{' '.join(sorted(codes & case.besides)) or '-'} | "
+        f"{' '.join(sorted(codes & case.extra)) or '-'} | "
         f"{' '.join(fault.code for fault in others) or '-'}",
     )
     assert case.code in codes

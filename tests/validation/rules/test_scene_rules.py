@@ -61,7 +61,7 @@ def codes(path: Path) -> list[str]:
 
 
 @pytest.mark.parametrize(("frame", "wanted"), [(1, []), (40, []), (2001, ["SCN213"])])
-def test_things_have_frames_of_the_take(
+def test_props_have_frames_of_the_take(
     frame: int, wanted: list[str], shot: Path
 ) -> None:
     write_props(shot.parent / "props.usda")
@@ -70,7 +70,7 @@ def test_things_have_frames_of_the_take(
     assert codes(shot) == wanted
 
 
-def test_a_pass_that_changes_the_time_of_things_does_something(shot: Path) -> None:
+def test_a_pass_that_changes_the_time_of_props_does_something(shot: Path) -> None:
     write_props(shot.parent / "props.usda")
     still = "clip: animtool/1\nrig: limb.rig.yaml\nfps: 24\nrange: [1, 12]\n"
     (shot.parent / "limb.clip.yaml").write_text(still + "channels: []\n", "utf-8")

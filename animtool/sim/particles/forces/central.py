@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.sim.particles.cloud import Cloud
 from animtool.sim.particles.forces.force import Force, Time, Vector, at_least, three
+from animtool.sim.particles.state import ParticleState
 
 __all__ = ["Central"]
 
@@ -30,25 +30,30 @@ class Central(Force):
     power: float = -2.0
     softening: float = 0.01
 
-    def force(self, t: Time, x: FloatArray, v: FloatArray, cloud: Cloud) -> FloatArray:  # noqa: ARG002
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
         off = np.asarray(self.centre) - x
         distance = self._distance(x)[:, None]
         return np.asarray(
-            cloud.masses[:, None] * off * self.strength * distance ** (self.power - 1)
+            particles.masses[:, None]
+            * off
+            * self.strength
+            * distance ** (self.power - 1)
         )
 
     def _distance(self, x: FloatArray) -> FloatArray:
         off = x - np.asarray(self.centre)
         return np.asarray(np.sqrt((off * off).sum(axis=1) + self.softening**2))
 
-    def potential(self, x: FloatArray, cloud: Cloud) -> FloatArray:
+    def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray:
         """Return energies ``(N,)`` [J]."""
         distance = self._distance(x)
         if self.power == -1:
-            return np.asarray(cloud.masses * self.strength * np.log(distance))
+            return np.asarray(particles.masses * self.strength * np.log(distance))
         raised = distance ** (self.power + 1) / (self.power + 1)
-        return np.asarray(cloud.masses * self.strength * raised)
+        return np.asarray(particles.masses * self.strength * raised)
 
     def faults(self) -> list[tuple[str, str]]:
         """Return which options make no sense, and why."""

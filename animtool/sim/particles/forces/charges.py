@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.sim.particles.cloud import Cloud
 from animtool.sim.particles.forces.force import Force, Time, at_least
+from animtool.sim.particles.state import ParticleState
 
 __all__ = ["Charges"]
 
@@ -30,16 +30,18 @@ class Charges(Force):
 
     pairs = True
 
-    def force(self, t: Time, x: FloatArray, v: FloatArray, cloud: Cloud) -> FloatArray:  # noqa: ARG002
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
         found = np.zeros_like(x)
         for first in range(0, len(x), _ROWS):
             rows = slice(first, first + _ROWS)
             off = x[rows, None] - x
             squared = (off * off).sum(axis=2) + self.softening**2
-            weights = cloud.charges / squared**1.5
+            weights = particles.charges / squared**1.5
             found[rows] = (off * weights[:, :, None]).sum(axis=1)
-        return found * (self.constant * cloud.charges[:, None])
+        return found * (self.constant * particles.charges[:, None])
 
     def faults(self) -> list[tuple[str, str]]:
         """Return which options make no sense, and why."""

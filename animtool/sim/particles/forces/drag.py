@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.sim.particles.cloud import Cloud
 from animtool.sim.particles.forces.force import Force, Time, at_least
+from animtool.sim.particles.state import ParticleState
 
 __all__ = ["Drag"]
 
@@ -27,14 +27,16 @@ class Drag(Force):
 
     drains = True
 
-    def force(self, t: Time, x: FloatArray, v: FloatArray, cloud: Cloud) -> FloatArray:  # noqa: ARG002
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
         if self.quadratic == 0:
             return -self.linear * v
         speed = np.linalg.norm(v, axis=1)[:, None]
         return np.asarray(-(self.linear + self.quadratic * speed) * v)
 
-    def damping(self, v: FloatArray, cloud: Cloud) -> float:  # noqa: ARG002
+    def damping(self, v: FloatArray, particles: ParticleState) -> float:
         """Return how much it grows with velocity [kg/s]."""
         speed = float(np.linalg.norm(v, axis=1).max(initial=0.0))
         return self.linear + 2 * self.quadratic * speed

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.sim.particles.cloud import Cloud
 from animtool.sim.particles.forces.force import Force, Time, Vector, three
+from animtool.sim.particles.state import ParticleState
 
 __all__ = ["Electromagnetic"]
 
@@ -25,19 +25,23 @@ class Electromagnetic(Force):
     electric: Vector = (0.0, 0.0, 0.0)
     magnetic: Vector = (0.0, 0.0, 0.0)
 
-    def force(self, t: Time, x: FloatArray, v: FloatArray, cloud: Cloud) -> FloatArray:  # noqa: ARG002
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
         turned = np.cross(v, np.asarray(self.magnetic, np.float64))
-        return cloud.charges[:, None] * (np.asarray(self.electric) + turned)
+        return particles.charges[:, None] * (np.asarray(self.electric) + turned)
 
-    def potential(self, x: FloatArray, cloud: Cloud) -> FloatArray:
+    def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray:
         """Return energies ``(N,)`` [J]."""
-        return -cloud.charges * (x @ np.asarray(self.electric, np.float64))
+        return -particles.charges * (x @ np.asarray(self.electric, np.float64))
 
-    def turning(self, cloud: Cloud) -> float:
+    def turning(self, particles: ParticleState) -> float:
         """Return how fast it turns velocities [rad/s]."""
         field = float(np.linalg.norm(self.magnetic))
-        return field * float((np.abs(cloud.charges) / cloud.masses).max(initial=0.0))
+        return field * float(
+            (np.abs(particles.charges) / particles.masses).max(initial=0.0)
+        )
 
     def faults(self) -> list[tuple[str, str]]:
         """Return which options make no sense, and why."""

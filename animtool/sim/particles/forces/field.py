@@ -7,8 +7,8 @@ from functools import cached_property
 
 from animtool._types import FloatArray
 from animtool.rig.expressions import Expression, parse_expression
-from animtool.sim.particles.cloud import Cloud
 from animtool.sim.particles.forces.force import Force, Time
+from animtool.sim.particles.state import ParticleState
 from animtool.sim.particles.velocity_field import (
     VARIABLES,
     evaluated,
@@ -37,9 +37,11 @@ class Field(Force):
         """The three, ready to be evaluated."""
         return tuple(parse_expression(text) for text in (self.x, self.y, self.z))
 
-    def force(self, t: Time, x: FloatArray, v: FloatArray, cloud: Cloud) -> FloatArray:
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
-        return evaluated(self.expressions, t, x, v, cloud)
+        return evaluated(self.expressions, t, x, v, particles)
 
     def faults(self) -> list[tuple[str, str]]:
         """Return which options make no sense, and why."""

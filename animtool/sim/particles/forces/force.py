@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.sim.particles.cloud import Cloud
+from animtool.sim.particles.state import ParticleState
 
 __all__ = ["Force", "Time", "Vector", "at_least", "three"]
 
@@ -31,10 +31,12 @@ class Force(ABC):
     drains: bool = False
 
     @abstractmethod
-    def force(self, t: Time, x: FloatArray, v: FloatArray, cloud: Cloud) -> FloatArray:
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
         """Return forces ``(N, 3)`` [N] at positions and velocities ``(N, 3)``."""
 
-    def potential(self, x: FloatArray, cloud: Cloud) -> FloatArray | None:  # noqa: ARG002
+    def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray | None:
         """Return energies ``(N,)`` [J], None of a force that has none."""
         return np.zeros(len(x)) if self.drains else None
 
@@ -42,11 +44,11 @@ class Force(ABC):
         """Return how much it grows with the way from where it is 0 [N/m]."""
         return 0.0
 
-    def damping(self, v: FloatArray, cloud: Cloud) -> float:  # noqa: ARG002
+    def damping(self, v: FloatArray, particles: ParticleState) -> float:
         """Return how much it grows with velocity, against it [kg/s]."""
         return 0.0
 
-    def turning(self, cloud: Cloud) -> float:  # noqa: ARG002
+    def turning(self, particles: ParticleState) -> float:
         """Return how fast it turns velocities [rad/s]."""
         return 0.0
 

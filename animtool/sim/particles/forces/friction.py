@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.sim.particles.cloud import Cloud
 from animtool.sim.particles.forces.force import Force, Time, at_least
+from animtool.sim.particles.state import ParticleState
 
 __all__ = ["Friction"]
 
@@ -29,16 +29,18 @@ class Friction(Force):
 
     drains = True
 
-    def force(self, t: Time, x: FloatArray, v: FloatArray, cloud: Cloud) -> FloatArray:  # noqa: ARG002
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
         speed = np.sqrt((v * v).sum(axis=1) + self.smooth**2)
-        pull = self.deceleration * cloud.masses / speed
+        pull = self.deceleration * particles.masses / speed
         return np.asarray(-pull[:, None] * v)
 
-    def damping(self, v: FloatArray, cloud: Cloud) -> float:
+    def damping(self, v: FloatArray, particles: ParticleState) -> float:
         """Return how much it grows with velocity [kg/s]."""
         speed = np.sqrt((v * v).sum(axis=1) + self.smooth**2)
-        return float((self.deceleration * cloud.masses / speed).max(initial=0.0))
+        return float((self.deceleration * particles.masses / speed).max(initial=0.0))
 
     def faults(self) -> list[tuple[str, str]]:
         """Return which options make no sense, and why."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.sim.particles.cloud import Cloud
 from animtool.sim.particles.forces.force import Force, Time, Vector, three
+from animtool.sim.particles.state import ParticleState
 
 __all__ = ["Gravity"]
 
@@ -23,13 +23,15 @@ class Gravity(Force):
 
     acceleration: Vector = (0.0, -9.81, 0.0)
 
-    def force(self, t: Time, x: FloatArray, v: FloatArray, cloud: Cloud) -> FloatArray:  # noqa: ARG002
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
-        return np.outer(cloud.masses, self.acceleration)
+        return np.outer(particles.masses, self.acceleration)
 
-    def potential(self, x: FloatArray, cloud: Cloud) -> FloatArray:
+    def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray:
         """Return energies ``(N,)`` [J]."""
-        return np.asarray(-cloud.masses * (x @ np.asarray(self.acceleration)))
+        return np.asarray(-particles.masses * (x @ np.asarray(self.acceleration)))
 
     def faults(self) -> list[tuple[str, str]]:
         """Return which options make no sense, and why."""

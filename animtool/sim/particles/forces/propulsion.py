@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.sim.particles.cloud import Cloud
 from animtool.sim.particles.forces.force import Force, Time, Vector, at_least, three
+from animtool.sim.particles.state import ParticleState
 
 __all__ = ["Propulsion"]
 
@@ -28,14 +28,16 @@ class Propulsion(Force):
     direction: Vector | None = None
     duration: float = math.inf
 
-    def force(self, t: Time, x: FloatArray, v: FloatArray, cloud: Cloud) -> FloatArray:
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
         way = v
         if self.direction is not None:
             way = np.broadcast_to(np.asarray(self.direction, np.float64), x.shape)
         length = np.linalg.norm(way, axis=1)[:, None]
         along = np.divide(way, length, out=np.zeros_like(x), where=length > 0)
-        burns = (t - cloud.births <= self.duration)[:, None]
+        burns = (t - particles.births <= self.duration)[:, None]
         return np.asarray(self.thrust * along * burns)
 
     def faults(self) -> list[tuple[str, str]]:

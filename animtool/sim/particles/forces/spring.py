@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.sim.particles.cloud import Cloud
 from animtool.sim.particles.forces.force import Force, Time, Vector, at_least, three
+from animtool.sim.particles.state import ParticleState
 
 __all__ = ["Spring"]
 
@@ -29,9 +29,11 @@ class Spring(Force):
     rest: float = 0.0
     kd: float = 0.0
 
-    def force(self, t: Time, x: FloatArray, v: FloatArray, cloud: Cloud) -> FloatArray:  # noqa: ARG002
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
-        off = x - self._anchors(cloud)
+        off = x - self._anchors(particles)
         if self.rest == 0 and self.kd == 0:
             return -self.k * off
         length = np.linalg.norm(off, axis=1)[:, None]
@@ -39,19 +41,19 @@ class Spring(Force):
         rate = (v * along).sum(axis=1)[:, None]
         return np.asarray(-(self.k * (length - self.rest) + self.kd * rate) * along)
 
-    def _anchors(self, cloud: Cloud) -> FloatArray:
-        return cloud.origins if self.anchor is None else np.asarray(self.anchor)
+    def _anchors(self, particles: ParticleState) -> FloatArray:
+        return particles.origins if self.anchor is None else np.asarray(self.anchor)
 
-    def potential(self, x: FloatArray, cloud: Cloud) -> FloatArray:
+    def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray:
         """Return energies ``(N,)`` [J]."""
-        stretch = np.linalg.norm(x - self._anchors(cloud), axis=1) - self.rest
+        stretch = np.linalg.norm(x - self._anchors(particles), axis=1) - self.rest
         return np.asarray(0.5 * self.k * stretch**2)
 
     def stiffness(self) -> float:
         """Return its stiffness [N/m]."""
         return self.k
 
-    def damping(self, v: FloatArray, cloud: Cloud) -> float:  # noqa: ARG002
+    def damping(self, v: FloatArray, particles: ParticleState) -> float:
         """Return its damping [kg/s]."""
         return self.kd
 

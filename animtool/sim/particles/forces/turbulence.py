@@ -14,8 +14,8 @@ import numpy as np
 
 from animtool import _kernels
 from animtool._types import FloatArray
-from animtool.sim.particles.cloud import Cloud
 from animtool.sim.particles.forces.force import Force, Time, at_least
+from animtool.sim.particles.state import ParticleState
 
 __all__ = ["Turbulence"]
 
@@ -38,7 +38,9 @@ class Turbulence(Force):
     octaves: int = 2
     seed: int = 0
 
-    def force(self, t: Time, x: FloatArray, v: FloatArray, cloud: Cloud) -> FloatArray:  # noqa: ARG002
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
         found = np.zeros_like(x)
         for octave in range(self.octaves):
@@ -47,7 +49,7 @@ class Turbulence(Force):
             times = np.broadcast_to(np.asarray(t, np.float64), len(x)) * self.change
             seed = (self.seed + octave) % 2**64
             found += _kernels.curl_noise(places, times * finer, seed) / finer
-        return found * (self.strength * cloud.masses[:, None])
+        return found * (self.strength * particles.masses[:, None])
 
     def faults(self) -> list[tuple[str, str]]:
         """Return which options make no sense, and why."""

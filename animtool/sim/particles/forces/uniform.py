@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.sim.particles.cloud import Cloud
 from animtool.sim.particles.forces.force import Force, Time, Vector, three
+from animtool.sim.particles.state import ParticleState
 
 __all__ = ["Uniform"]
 
@@ -23,11 +23,13 @@ class Uniform(Force):
 
     push: Vector = (0.0, 0.0, 0.0)
 
-    def force(self, t: Time, x: FloatArray, v: FloatArray, cloud: Cloud) -> FloatArray:  # noqa: ARG002
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
         return np.tile(np.asarray(self.push, np.float64), (len(x), 1))
 
-    def potential(self, x: FloatArray, cloud: Cloud) -> FloatArray:  # noqa: ARG002
+    def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray:
         """Return energies ``(N,)`` [J]."""
         return -(x @ np.asarray(self.push, np.float64))
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.sim.particles.cloud import Cloud
 from animtool.sim.particles.forces.force import Force, Time, at_least
+from animtool.sim.particles.state import ParticleState
 
 __all__ = ["Viscosity"]
 
@@ -25,13 +25,15 @@ class Viscosity(Force):
 
     drains = True
 
-    def force(self, t: Time, x: FloatArray, v: FloatArray, cloud: Cloud) -> FloatArray:  # noqa: ARG002
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
-        return -6 * np.pi * self.viscosity * cloud.radii[:, None] * v
+        return -6 * np.pi * self.viscosity * particles.radii[:, None] * v
 
-    def damping(self, v: FloatArray, cloud: Cloud) -> float:  # noqa: ARG002
+    def damping(self, v: FloatArray, particles: ParticleState) -> float:
         """Return how much it grows with velocity [kg/s]."""
-        return 6 * np.pi * self.viscosity * float(cloud.radii.max(initial=0.0))
+        return 6 * np.pi * self.viscosity * float(particles.radii.max(initial=0.0))
 
     def faults(self) -> list[tuple[str, str]]:
         """Return which options make no sense, and why."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.sim.particles.cloud import Cloud
 from animtool.sim.particles.forces.force import Force, Time, Vector, at_least, three
+from animtool.sim.particles.state import ParticleState
 
 __all__ = ["Wind"]
 
@@ -25,11 +25,13 @@ class Wind(Force):
     velocity: Vector = (0.0, 0.0, 0.0)
     drag: float = 0.0
 
-    def force(self, t: Time, x: FloatArray, v: FloatArray, cloud: Cloud) -> FloatArray:  # noqa: ARG002
+    def force(
+        self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
+    ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
         return self.drag * (np.asarray(self.velocity, np.float64) - v)
 
-    def damping(self, v: FloatArray, cloud: Cloud) -> float:  # noqa: ARG002
+    def damping(self, v: FloatArray, particles: ParticleState) -> float:
         """Return how much it grows with velocity [kg/s]."""
         return self.drag
 

@@ -33,9 +33,9 @@ def folder(walk: Path, tmp_path: Path) -> Path:
     return tmp_path
 
 
-def bake(folder: Path, rest: str, *flags: object, beside: str = BOX + CAMERA) -> Done:
+def bake(folder: Path, rest: str, *flags: object, props: str = BOX + CAMERA) -> Done:
     path = folder / "shot.scene.yaml"
-    path.write_text(f"{HEAD}beside:\n{beside}{rest}", "utf-8")
+    path.write_text(f"{HEAD}beside:\n{props}{rest}", "utf-8")
     return animtool("bake", path, *flags)
 
 
@@ -116,7 +116,7 @@ def test_a_frame_that_is_named(folder: Path) -> None:
     write_props(folder / "props.usda", first=1001)
     entry = "- {from: props.usda, prim: /Set/box, path: box, frame: 1006}\n"
     rest = "fps: 24\nrange: [1, 30]\noutput: {file: out.usda}\n"
-    assert bake(folder, rest, beside=entry).code == 0
+    assert bake(folder, rest, props=entry).code == 0
     times = {t: t + 1005 for t in range(1, 31)}
     same(folder, "out.usda", times, {"/Set/box": "/walk/box"})
 
@@ -161,7 +161,7 @@ def test_a_reference_shows_it(folder: Path) -> None:
     entry = "- {from: props.usda, prim: /Set/box, path: Props/box, reference: true}\n"
     (folder / "out").mkdir()
     rest = "fps: 24\nrange: [1, 40]\noutput: {file: out/out.usda}\n"
-    assert bake(folder, rest, beside=entry).code == 0
+    assert bake(folder, rest, props=entry).code == 0
     text = (folder / "out/out.usda").read_text("utf-8")
     assert "@../props.usda@</Set/box>" in text
     assert str(folder) not in text
@@ -218,7 +218,7 @@ def test_a_layer_over_a_shot(folder: Path) -> None:
     entries = BOX + "- {from: props.usda, prim: /Set/camera, path: /World/shot}\n"
     layer = "rig_layer: set.usda, prim_path: /World/hero, start: 1"
     rest = f"range: [1, 40]\noutput: {{file: out.usda, {layer}}}\n"
-    done = bake(folder, rest, beside=entries)
+    done = bake(folder, rest, props=entries)
     assert done.code == 0, done.stderr
     text = (folder / "out.usda").read_text("utf-8")
     assert 'over "shot"' in text
@@ -243,7 +243,7 @@ def test_they_are_read_back(folder: Path) -> None:
     assert bake(folder, rest).code == 0
     again = "- {from: out.usda, prim: /walk/Props/box, path: b, attributes: [state]}\n"
     again += "- {from: out.usda, prim: /Cameras/main, path: c}\n"
-    assert bake(folder, rest.replace("out.", "two."), beside=again).code == 0
+    assert bake(folder, rest.replace("out.", "two."), props=again).code == 0
     prims = {"/Set/box": "/walk/b", "/Set/camera": "/walk/c"}
     same(folder, "two.usda", {t: t for t in range(1, 41)}, prims)
 
@@ -259,7 +259,7 @@ def notices(done: Done) -> dict[str, str]:
 
 
 def test_frames_that_they_lack_are_named(folder: Path) -> None:
-    done = bake(folder, "output: {file: out.usda}\n", beside=BOX)
+    done = bake(folder, "output: {file: out.usda}\n", props=BOX)
     assert done.code == 0
     line = notices(done)["SCN107"]
     assert "4:3" in line
@@ -267,7 +267,7 @@ def test_frames_that_they_lack_are_named(folder: Path) -> None:
     done = bake(folder, "output: {file: out.usda}\n", "--strict", "--overwrite")
     assert done.code == 1
     write_props(folder / "props.usda", first=1001)
-    done = bake(folder, "output: {file: other.usda}\n", beside=BOX)
+    done = bake(folder, "output: {file: other.usda}\n", props=BOX)
     assert "held at frames 1 to 64" in notices(done)["SCN107"]
     assert "frame:" in done.stderr
 
@@ -285,14 +285,14 @@ def test_frames_that_they_lack_are_named(folder: Path) -> None:
 def test_what_is_worth_saying(folder: Path, entry: str, code: str) -> None:
     write_props(folder / "sheared.usda", shear=True)
     rest = "range: [1, 40]\noutput: {file: out.usda}\n"
-    done = bake(folder, rest, beside=f"- {entry}\n")
+    done = bake(folder, rest, props=f"- {entry}\n")
     assert done.code == 0, done.stderr
     assert "4:3" in notices(done)[code]
 
 
 def test_clips_and_captures_have_no_place_for_them(folder: Path) -> None:
     rest = "output:\n- {file: out.clip.yaml}\n- {file: out.bvh}\n- {file: out.usda}\n"
-    done = bake(folder, rest, beside=BOX)
+    done = bake(folder, rest, props=BOX)
     assert done.code == 0, done.stderr
     lines = [line for line in done.stderr.splitlines() if "SCN112" in line]
     assert len(lines) == 2
@@ -313,7 +313,7 @@ def test_clips_and_captures_have_no_place_for_them(folder: Path) -> None:
     ],
 )
 def test_what_is_refused(folder: Path, entries: str, code: str) -> None:
-    done = bake(folder, "output: {file: out.usda}\n", beside=f"- {entries}\n")
+    done = bake(folder, "output: {file: out.usda}\n", props=f"- {entries}\n")
     assert done.code in {2, 3}
     assert code in done.stderr
     assert "shot.scene.yaml:4:" in done.stderr
@@ -323,13 +323,13 @@ def test_what_is_refused(folder: Path, entries: str, code: str) -> None:
 @pytest.mark.parametrize("other", ["Props/box", "Props", "Props/box/lid"])
 def test_two_at_one_place(folder: Path, other: str) -> None:
     entries = BOX + CAMERA.replace("/Cameras/main", other)
-    done = bake(folder, "", beside=entries)
+    done = bake(folder, "", props=entries)
     assert done.code == 3
     assert "SCN046" in done.stderr
     assert "shot.scene.yaml:5:" in done.stderr
     # What is the same only where the character is known.
     entries = BOX + CAMERA.replace("/Cameras/main", f"/walk/{other}")
-    done = bake(folder, "output: {file: out.usda}\n", beside=entries)
+    done = bake(folder, "output: {file: out.usda}\n", props=entries)
     assert done.code == 3
     assert "SCN046" in done.stderr
     assert "shot.scene.yaml:5:" in done.stderr
@@ -365,7 +365,7 @@ def test_nothing_of_it_is_there_without(folder: Path) -> None:
 
 
 def test_a_library_binds_them_with_its_takes(folder: Path) -> None:
-    bake(folder, "fps: 24\n", "--plan", beside=BOX)
+    bake(folder, "fps: 24\n", "--plan", props=BOX)
     shutil.copy(folder / "walk.bvh", folder / "run.bvh")
     done = animtool("bake", folder / "shot.scene.yaml", folder / "run.bvh",
                     "-o", folder / "lib.usda", "--units", "cm")  # fmt: skip
@@ -385,7 +385,7 @@ def test_a_camera_of_the_shot_is_not_retimed(folder: Path) -> None:
     camera = CAMERA.replace("}", ", retimed: false}")
     rest = "fps: 24\nshot: {start: 1001, cut: [1005, 1030], handles: 3}\n"
     rest += "passes:\n- time_scale: {speed: 0.5}\n- trim: {first: 11}\n"
-    done = bake(folder, rest + "output: {file: out.usda}\n", beside=camera + BOX)
+    done = bake(folder, rest + "output: {file: out.usda}\n", props=camera + BOX)
     assert done.code == 0, done.stderr
     frames = range(1002, 1034)
     camera_times = {t: t for t in frames}

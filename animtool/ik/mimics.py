@@ -8,16 +8,16 @@ from animtool._types import FloatArray
 from animtool.rig.joints import coordinate_slices
 from animtool.rig.skeleton import Rig
 
-__all__ = ["followers", "following"]
+__all__ = ["following", "mimics"]
 
 
-def followers(rig: Rig, moved: Collection[str]) -> list[str]:
+def mimics(rig: Rig, moved: Collection[str]) -> list[str]:
     """Return the joints that follow one of some joints, or one that does, in order.
 
     >>> from animtool.rig.skeleton import Joint, JointType, Mimic
     >>> lead = Joint("lead", -1, JointType.PIN)
     >>> tail = Joint("tail", -1, JointType.PIN, mimic=Mimic("lead"))
-    >>> followers(Rig("pair", (lead, tail)), ["lead"])
+    >>> mimics(Rig("pair", (lead, tail)), ["lead"])
     ['tail']
     """
     found = set(moved)
@@ -29,7 +29,7 @@ def followers(rig: Rig, moved: Collection[str]) -> list[str]:
 
 def following(rig: Rig, coordinates: FloatArray, moved: Collection[str]) -> FloatArray:
     """Return coordinates ``(B, Q)`` whose followers are where moved joints put them."""
-    names = followers(rig, moved)
+    names = mimics(rig, moved)
     if not names:
         return coordinates
     slices = coordinate_slices(rig)

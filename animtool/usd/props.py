@@ -23,7 +23,7 @@ from animtool.usd.layers import usd_errors
 from animtool.usd.prims import find_prim, nearest_prim
 from animtool.usd.rig_prims import decompose, open_stage, up_axis
 
-__all__ = ["ThingSource", "Wanted", "open_thing"]
+__all__ = ["PropRequest", "PropSource", "open_prop"]
 
 # What float64 rounds along a hierarchy is a smaller share of a transform than this.
 ROUNDED = 1e-11
@@ -64,7 +64,7 @@ _LENGTHS = frozenset(_OF_CAMERAS[:7])
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class PropRequest:
     """What is to be read of a file.
 
     Attributes:
@@ -84,7 +84,7 @@ class Wanted:
 
 
 @dataclass(frozen=True, slots=True)
-class ThingSource:
+class PropSource:
     """A prim of a stage that is open.
 
     Attributes:
@@ -108,7 +108,7 @@ class ThingSource:
     shear: Callable[[], float]
 
 
-def open_thing(wanted: Wanted, up: UpAxis) -> ThingSource:
+def open_prop(wanted: PropRequest, up: UpAxis) -> PropSource:
     """Open a prim whose transform and values are to be read over time.
 
     Its place is that in the world of its file: all operations of it and of the prims
@@ -134,7 +134,7 @@ def open_thing(wanted: Wanted, up: UpAxis) -> ThingSource:
         return _opened(wanted, stage, prim, up)
 
 
-def _opened(wanted: Wanted, stage: Any, prim: Any, up: UpAxis) -> ThingSource:
+def _opened(wanted: PropRequest, stage: Any, prim: Any, up: UpAxis) -> PropSource:
     placed = bool(UsdGeom.Xformable(prim))
     attributes = _attributes(prim, wanted)
     if not placed and not attributes:
@@ -162,7 +162,7 @@ def _opened(wanted: Wanted, stage: Any, prim: Any, up: UpAxis) -> ThingSource:
         _reference(wanted, stage),
     )
     lens = _LENS if prim.IsA(UsdGeom.Camera) else ()
-    return ThingSource(
+    return PropSource(
         track,
         rate_from_float(stage.GetTimeCodesPerSecond()),
         sampler.keys,
@@ -173,7 +173,7 @@ def _opened(wanted: Wanted, stage: Any, prim: Any, up: UpAxis) -> ThingSource:
     )
 
 
-def _type_name(prim: Any, wanted: Wanted) -> str:
+def _type_name(prim: Any, wanted: PropRequest) -> str:
     """Return the type to write: that of a camera or light, else of a mere frame."""
     own = str(prim.GetTypeName())
     if prim.IsA(UsdGeom.Gprim) or prim.IsA(UsdGeom.PointInstancer) or not own:
@@ -183,7 +183,7 @@ def _type_name(prim: Any, wanted: Wanted) -> str:
     return own
 
 
-def _reference(wanted: Wanted, stage: Any) -> Reference | None:
+def _reference(wanted: PropRequest, stage: Any) -> Reference | None:
     if wanted.reference is None:
         return None
     if wanted.reference == wanted.file:
@@ -197,7 +197,7 @@ def _reference(wanted: Wanted, stage: Any) -> Reference | None:
     return Reference(str(wanted.reference.resolve()), "", unit)
 
 
-def _attributes(prim: Any, wanted: Wanted) -> list[Any]:
+def _attributes(prim: Any, wanted: PropRequest) -> list[Any]:
     """Return the attributes to read.
 
     Raises:

@@ -9,11 +9,11 @@ from pathlib import Path
 from animtool.scene.systems.character_motion import CharacterMotions
 from animtool.sim.colliders import Collider, Sheet
 
-__all__ = ["CharacterMet", "characters_met"]
+__all__ = ["CharacterCollider", "character_colliders"]
 
 
 @dataclass(frozen=True, slots=True)
-class CharacterMet:
+class CharacterCollider:
     """A character in motion: the capsules of its rig, or a mesh.
 
     Attributes:
@@ -67,8 +67,8 @@ class CharacterMet:
         return [Sheet(motion, *like)]
 
 
-def characters_met(
-    met: Sequence[CharacterMet], characters: CharacterMotions
+def character_colliders(
+    met: Sequence[CharacterCollider], characters: CharacterMotions
 ) -> tuple[list[Collider], list[Sheet]]:
     """Return the capsules and the meshes of characters, each once.
 
@@ -76,7 +76,7 @@ def characters_met(
         FormatError: A file is malformed.
         OptionError: A rig has no capsules (SIM020), or no such mesh (SIM053).
     """
-    ones: dict[tuple[Path, str | None], CharacterMet] = {}
+    ones: dict[tuple[Path, str | None], CharacterCollider] = {}
     for one in met:
         ones.setdefault((one.file, one.mesh), one)
     colliders = [each for one in ones.values() for each in one.colliders(characters)]

@@ -49,7 +49,7 @@ class Part:
     places: FloatArray
     turns: FloatArray
 
-    def brought(self, targets: Targets) -> Targets:
+    def to_chain_frame(self, targets: Targets) -> Targets:
         """Return the targets of all frames as seen from the part's first pose."""
         turn = so3.multiply(self.turns[:1], so3.conjugate(self.turns))
 

@@ -20,7 +20,7 @@ __all__ = ["explained", "jumping", "named", "strain"]
 LEAST_JUMP, LEAST_SPEED, MORE_THAN_TARGETS = 0.1, 8.0, 4.0
 # Slower ones are named too, where the joint moves so many times farther than within
 # so many frames before and after.
-MORE_THAN_BESIDE, BESIDE = 4.0, 2
+MORE_THAN_NEIGHBOURS, NEIGHBOURS = 4.0, 2
 
 
 def explained(path: Path, fps: float) -> FloatArray:
@@ -86,11 +86,11 @@ def named(path: Path, poses: FloatArray, allowed: FloatArray) -> tuple[Jump, ...
 def _jerking(path: Path, steps: FloatArray) -> BoolArray:
     """Return which steps ``(F - 1, D)`` are far larger than those about them."""
     around = np.zeros_like(steps)
-    for away in range(1, BESIDE + 1):
+    for away in range(1, NEIGHBOURS + 1):
         around[away:] = np.maximum(around[away:], steps[:-away])
         around[:-away] = np.maximum(around[:-away], steps[away:])
     least = np.maximum(
-        MORE_THAN_BESIDE * around, (LEAST_JUMP + _by_targets(path))[:, None]
+        MORE_THAN_NEIGHBOURS * around, (LEAST_JUMP + _by_targets(path))[:, None]
     )
     jerks = steps > least
     # Of the first and the last, nothing is known on one side.

@@ -10,16 +10,16 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.sim.springs.body import Springs
 
-__all__ = ["Parting", "part_surface"]
+__all__ = ["Tearing", "tear_surface"]
 
 # What keeps a turn as small as it may be where neighbours leave it open.
 LEAST_TURN = 1e-9
 # Over which points that no particle carries alone are looked at for their speed [s].
-MOMENT = 1e-4
+EPSILON_TIME = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Parting:
+class Tearing:
     """A surface with more points, so that it can part and stays the same polygons.
 
     A tear goes through the middle of each side whose spring tears, from there on
@@ -80,9 +80,9 @@ class Parting:
             speeds: Theirs ``(N, 3)`` [m/s].
             torn: Which springs are ``(S,)``.
         """
-        ahead = self.points(particles + MOMENT * speeds, torn)
-        behind = self.points(particles - MOMENT * speeds, torn)
-        found = (ahead - behind) / (2 * MOMENT)
+        ahead = self.points(particles + EPSILON_TIME * speeds, torn)
+        behind = self.points(particles - EPSILON_TIME * speeds, torn)
+        found = (ahead - behind) / (2 * EPSILON_TIME)
         found[: len(speeds)] = speeds
         return found
 
@@ -161,14 +161,14 @@ class _Middle:
         return found
 
 
-def part_surface(
+def tear_surface(
     counts: IntArray,
     indices: IntArray,
     sides: IntArray,
     springs: Springs,
     torn: BoolArray,
     places: FloatArray,
-) -> Parting:
+) -> Tearing:
     """Return how a surface parts.
 
     Args:
@@ -183,7 +183,7 @@ def part_surface(
     >>> body = sheet(3, 2, mass=1.0, structural=Family(1.0))
     >>> sides = np.array([0, 5, 2, 4, 1, 6, 3, 5])
     >>> torn = np.isin(np.arange(7), [0, 2])
-    >>> made = part_surface(np.array([4, 4]), np.array([0, 1, 4, 3, 1, 2, 5, 4]),
+    >>> made = tear_surface(np.array([4, 4]), np.array([0, 1, 4, 3, 1, 2, 5, 4]),
     ...                     sides, body.springs, torn, body.positions)
     >>> made.counts.tolist(), made.indices.tolist()
     ([4, 4, 4], [1, 2, 5, 4, 7, 1, 4, 9, 8, 3, 0, 6])
@@ -202,7 +202,7 @@ def part_surface(
     shares = springs.rest[crossed] / np.where(lengths > 0, lengths, 1.0) / 2
     at = [ends.ravel(), *(middle.corners for middle in cutter.middles)]
     left = sides[~cut & (sides >= 0)]
-    return Parting(
+    return Tearing(
         np.append(counts[whole], np.array(cutter.counts, np.int64)),
         np.append(
             indices[np.repeat(whole, counts)], np.array(cutter.indices, np.int64)

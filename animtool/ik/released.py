@@ -8,7 +8,7 @@ from dataclasses import replace
 from animtool.ik.tracks import GoalTrack, TargetTracks
 from animtool.take import Take
 
-__all__ = ["Bring", "rounds", "takes_without"]
+__all__ = ["Bring", "rounds", "takes_released"]
 
 # From tracks, and the take without each of them, to the take at its targets.
 Bring = Callable[[TargetTracks, tuple[Take, ...]], Take]
@@ -26,7 +26,7 @@ def rounds(tracks: TargetTracks) -> int:
     return 1 + bare + (spans if spans > 1 else 0)
 
 
-def takes_without(take: Take, tracks: TargetTracks, bring: Bring) -> tuple[Take, ...]:
+def takes_released(take: Take, tracks: TargetTracks, bring: Bring) -> tuple[Take, ...]:
     """Return by goal the take from which it comes, and to which it lets go.
 
     That is the take brought to all goals but those that come and go with it. Where two
@@ -41,12 +41,12 @@ def takes_without(take: Take, tracks: TargetTracks, bring: Bring) -> tuple[Take,
     found: dict[object, Take] = {_NEVER: take}
     if spans:
         always = [track for track in tracks.goals if not track.during]
-        bare = _brought(take, tracks, always, take, bring)
+        bare = _solve_take(take, tracks, always, take, bring)
         found |= dict.fromkeys(spans, bare)
     if len(spans) > 1:
         for span in spans:
             others = [track for track in tracks.goals if _span(track) != span]
-            found[span] = _brought(take, tracks, others, bare, bring)
+            found[span] = _solve_take(take, tracks, others, bare, bring)
     return tuple(found[_span(track)] for track in tracks.goals)
 
 
@@ -62,7 +62,7 @@ def _spans(goals: Sequence[GoalTrack]) -> list[object]:
     return list(dict.fromkeys(_span(track) for track in goals if track.during))
 
 
-def _brought(
+def _solve_take(
     take: Take,
     tracks: TargetTracks,
     goals: Sequence[GoalTrack],

@@ -9,9 +9,9 @@ import numpy as np
 
 from animtool._types import ArrayLike, FloatArray
 from animtool.errors import Fault, OptionError
-from animtool.ik.branches import Stretch, best_path, branches, price, woven
+from animtool.ik.branches import Stretch, best_path, branches, price, search_branches
+from animtool.ik.discontinuities import explained, jumping, named, strain
 from animtool.ik.goals import Targets, rows_of
-from animtool.ik.jumps import explained, jumping, named, strain
 from animtool.ik.methods import IkMethod
 from animtool.ik.path import path_of
 from animtool.ik.problem import Problem
@@ -25,7 +25,7 @@ __all__ = ["FollowOptions", "follow"]
 # A stretch that is looked through begins this long before a jump [s], then twice that.
 FIRST_BACK = 0.25
 # It ends this long after it, at most [s].
-MOST_AHEAD = 0.5
+MAX_AHEAD = 0.5
 # Only a jump that becomes this much smaller is worth another path; at this share of
 # what is taken for a jump, none is looked for that is better still.
 SMALLER, SMOOTH_ENOUGH = 0.9, 0.4
@@ -33,7 +33,7 @@ SMALLER, SMOOTH_ENOUGH = 0.9, 0.4
 NO_WORSE = 1e-3
 # Chains with so many more degrees of freedom than residuals are searched through from
 # end to end, from new starts so many seconds apart, at most so many times.
-MOST_FREE, WEAVE, WEAVES = 2, 0.5, 4
+MAX_FREE, WEAVE, WEAVES = 2, 0.5, 4
 # Poses nearer than this are the same [rad], [share of the length].
 UNCHANGED = 1e-9
 
@@ -175,7 +175,7 @@ class _Clip:
         for attempt in range(WEAVES if self._is_thin() else 0):
             if not self._is_worth_weaving(self._poses(result), attempt):
                 break
-            before, result = result, self._woven(result, attempt)
+            before, result = result, self._search_branches(result, attempt)
             if result is before:
                 break
         done = 0
@@ -215,16 +215,16 @@ class _Clip:
     def _is_thin(self) -> bool:
         """Whether poses that reach the goals of a frame lie close enough to try all."""
         free = self.problem.degrees - self.problem.rows
-        return not self.moving and free <= MOST_FREE
+        return not self.moving and free <= MAX_FREE
 
-    def _woven(self, result: IkResult, attempt: int) -> IkResult:
+    def _search_branches(self, result: IkResult, attempt: int) -> IkResult:
         """Return the best way through the whole clip, if it jumps less."""
         poses = self._poses(result)
         whole = slice(0, self.count)
         stretch = self._stretch(poses, whole, 0)
         spacing = max(round(WEAVE * self.options.fps), 1)
         seed = self.options.solving.seed + attempt * self.count
-        paths, costs = woven(stretch, spacing, seed)
+        paths, costs = search_branches(stretch, spacing, seed)
         found = self._way(stretch, paths, costs, closed=False)
         if self._strain(found, 0) < SMALLER * self._strain(poses, 0):
             return self._joined(result, whole, found)
@@ -250,7 +250,7 @@ class _Clip:
         least = self._strain(poses[frame - 1 : frame + 1], frame - 1)
         best: tuple[slice, FloatArray] | None = None
         for first in self._beginnings(frame):
-            ahead = min(frame - first, round(MOST_AHEAD * self.options.fps))
+            ahead = min(frame - first, round(MAX_AHEAD * self.options.fps))
             window = slice(first, min(frame + ahead + 1, self.count))
             found = self._detour(poses, window, frame)
             strain = self._strain(found, first)

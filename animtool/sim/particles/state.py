@@ -8,11 +8,11 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
 
-__all__ = ["Cloud"]
+__all__ = ["ParticleState"]
 
 
 @dataclass(frozen=True, slots=True)
-class Cloud:
+class ParticleState:
     """N particles, in the order of their births.
 
     Attributes:
@@ -38,19 +38,21 @@ class Cloud:
         return len(self.ids)
 
     @staticmethod
-    def none() -> Cloud:
+    def none() -> ParticleState:
         """Return no particles."""
         flat = np.zeros(0)
         ids, origins = np.zeros(0, np.int64), np.zeros((0, 3))
-        return Cloud(ids, flat, flat, flat, flat, flat, origins)
+        return ParticleState(ids, flat, flat, flat, flat, flat, origins)
 
-    def select(self, kept: BoolArray | IntArray) -> Cloud:
+    def select(self, kept: BoolArray | IntArray) -> ParticleState:
         """Return some of them."""
-        return Cloud(*(getattr(self, field.name)[kept] for field in fields(self)))
+        return ParticleState(
+            *(getattr(self, field.name)[kept] for field in fields(self))
+        )
 
-    def joined(self, others: Cloud) -> Cloud:
+    def joined(self, others: ParticleState) -> ParticleState:
         """Return these, then others."""
-        return Cloud(
+        return ParticleState(
             *(
                 np.concatenate([getattr(self, field.name), getattr(others, field.name)])
                 for field in fields(self)

@@ -14,13 +14,13 @@ from animtool.sim.springs.body import Body
 from animtool.sim.springs.motion import Grid
 from animtool.sim.springs.paths import over_knots
 
-__all__ = ["Jumps"]
+__all__ = ["Teleports"]
 
 # A step ends on a jump that is this much behind its end [s]: rounding of times.
 SLACK = 1e-9
 
 
-class Jumps:
+class Teleports:
     """Where holders of particles are put elsewhere, and take along what they hold.
 
     Holders are pins, then targets. Where one of a group of particles that springs join
@@ -97,7 +97,7 @@ class Jumps:
             for part in np.split(places, [self._pins], axis=1)
         ]
 
-    def carried(self, state: FloatArray, begin: int, end: int) -> FloatArray:
+    def across(self, state: FloatArray, begin: int, end: int) -> FloatArray:
         """Return a state of one stage in a later one ``(2, N, 3)``."""
         moved = state.copy() if end > begin else state
         for row in self._begins[begin:end].tolist():

@@ -10,12 +10,12 @@ from animtool.errors import Fault, OptionError, listed
 from animtool.take import Channel, Motion, TakeStream
 from animtool.transforms import Track
 
-__all__ = ["TracksAside", "checked_tracks"]
+__all__ = ["PassthroughTracks", "checked_tracks"]
 
-MOST_NAMED = 6
+MAX_NAMED = 6
 
 
-class TracksAside:
+class PassthroughTracks:
     """Takes the tracks out of a take, and puts them back frame by frame.
 
     Attributes:
@@ -35,7 +35,7 @@ class TracksAside:
             self._waiting.append(block.track_times)
             yield replace(block, track_times=None)
 
-    def put_back(self, stream: TakeStream) -> TakeStream:
+    def restore(self, stream: TakeStream) -> TakeStream:
         """Return what a pass made of the take, of as many frames, with its tracks."""
         blocks = self._with(stream.blocks)
         return replace(stream, tracks=self._tracks, blocks=blocks)
@@ -72,7 +72,7 @@ def checked_tracks(
     """
     if not before:
         return stream
-    paths = listed([track.path for track in before], MOST_NAMED)
+    paths = listed([track.path for track in before], MAX_NAMED)
     message = f"the pass {name} changes the clock, and loses {paths}"
     hint = "it must treat track_times as the other channels of a motion"
     lost = OptionError(Fault("SCN045", message, hint=hint))

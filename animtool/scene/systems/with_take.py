@@ -19,7 +19,7 @@ from animtool.scene.systems.job import system_job
 from animtool.scene.systems.run import Save, SystemRun, write_systems
 from animtool.transforms import Track
 from animtool.units import UpAxis
-from animtool.usd.beside import thing_paths
+from animtool.usd.author_props import prop_paths
 from animtool.usd.layers import StageMetadata
 from animtool.usd.paths import RigPaths
 from animtool.usd.simulated import SimulatedJob
@@ -27,11 +27,11 @@ from animtool.usd.simulated import SimulatedJob
 if TYPE_CHECKING:
     from animtool.usd.target import RigTarget
 
-__all__ = ["SystemsBeside", "WrittenBeside", "plan_beside"]
+__all__ = ["SystemsWithTake", "WrittenSystems", "plan_with_take"]
 
 
 @dataclass(frozen=True, slots=True)
-class WrittenBeside:
+class WrittenSystems:
     """What became of systems beside a character.
 
     Attributes:
@@ -48,7 +48,7 @@ class WrittenBeside:
 
 
 @dataclass(frozen=True, slots=True)
-class SystemsBeside:
+class SystemsWithTake:
     """Systems that are ready to be simulated beside a take, and what it shows of it.
 
     Attributes:
@@ -75,7 +75,7 @@ class SystemsBeside:
         output: Path | None,
         finish: Callable[[Save], object],
         progress: Progress = None,
-    ) -> WrittenBeside:
+    ) -> WrittenSystems:
         """Simulate, and write a layer whose take is in it already.
 
         Args:
@@ -107,10 +107,10 @@ class SystemsBeside:
             job, run, rows, layer, output, self.chunk, finish, strict=self.strict
         )
         reports = run.reports(made.prims)
-        return WrittenBeside(made.files, reports, run.simulated, run.notices)
+        return WrittenSystems(made.files, reports, run.simulated, run.notices)
 
 
-def plan_beside(
+def plan_with_take(
     scene: Scene,
     paths: RigPaths,
     target: RigTarget | None,
@@ -122,7 +122,7 @@ def plan_beside(
     chunk: int | None,
     strict: bool,
     tracks: Sequence[Track],
-) -> SystemsBeside:
+) -> SystemsWithTake:
     """Return what is to become of the systems of a scene that has a source.
 
     They are below the character's model, so that both are in one world wherever that
@@ -152,7 +152,7 @@ def plan_beside(
     watch = CharacterWatch(
         wanted=any(scene.path in system.setup.files for system in scene.systems)
     )
-    return SystemsBeside(scene.path, scene.systems, job, start, chunk, strict, watch)
+    return SystemsWithTake(scene.path, scene.systems, job, start, chunk, strict, watch)
 
 
 def _check_places(
@@ -164,7 +164,7 @@ def _check_places(
 ) -> None:
     """Refuse systems whose prims something else has."""
     taken = {paths.root: "the character"}
-    taken |= {path: "a thing beside it" for path in thing_paths(tracks, paths.model)}
+    taken |= {path: "a thing beside it" for path in prop_paths(tracks, paths.model)}
     faults = []
     written = [system for system in scene.systems if system.written]
     for system, path in zip(written, job.paths, strict=True):

@@ -9,12 +9,12 @@ from animtool.scene.entries import SceneSystem
 from animtool.scene.progress import Progress
 from animtool.scene.systems.character_motion import CharacterMotion
 from animtool.scene.systems.links import simulated_with
-from animtool.scene.systems.simulation import Tearable, blamed_systems, open_systems
+from animtool.scene.systems.simulation import Tearable, located_systems, open_systems
 
-__all__ = ["foreseen"]
+__all__ = ["predicted_tears"]
 
 
-def foreseen(
+def predicted_tears(
     systems: Sequence[SceneSystem],
     wanted: Sequence[int],
     times: Sequence[float],
@@ -43,7 +43,7 @@ def foreseen(
     found = {i: one for i, one in zip(numbers, opened, strict=True) if i in wanted}
     for k, t in enumerate(times):
         for i, one in found.items():
-            with blamed_systems([systems[i]]):
+            with located_systems([systems[i]]):
                 one.at(t)
         if progress is not None:
             progress((k + 1) / len(times))

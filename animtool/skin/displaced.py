@@ -12,10 +12,10 @@ from animtool.rig.surfaces import Surface
 from animtool.skin.deform import Deformed, extents
 from animtool.take import Channel
 
-__all__ = ["moved_points", "vertex_normals"]
+__all__ = ["displaced_points", "vertex_normals"]
 
 
-def moved_points(
+def displaced_points(
     made: Deformed,
     points: Channel,
     frames: slice,
@@ -36,7 +36,7 @@ def moved_points(
 
     >>> still = Deformed(np.zeros((1, 2, 3)), np.zeros((1, 2, 3)))
     >>> up = Channel(np.zeros((2, 3)), np.arange(2), np.ones((3, 2, 3)))
-    >>> moved_points(still, up, slice(1, 2), None, None).extents.tolist()
+    >>> displaced_points(still, up, slice(1, 2), None, None).extents.tolist()
     [[[1.0, 1.0, 1.0], [1.0, 1.0, 1.0]]]
     """
     margin = 0 if times is None else 1

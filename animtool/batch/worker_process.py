@@ -1,8 +1,9 @@
 """A program that makes items one after another in a process that it may lose.
 
-``python -m animtool.batch.lane`` reads a `Task` and then items, pickled, from stdin,
-and writes to stdout what became of each. It is for workers of others, such as those of
-dask, which may start no processes of their own kind and hold no item to its limits.
+``python -m animtool.batch.worker_process`` reads a `Task` and then items, pickled, from
+stdin, and writes to stdout what became of each. It is for workers of others, such as
+those of dask, which may start no processes of their own kind and hold no item to its
+limits.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from animtool.batch.pool import run_processes
 from animtool.batch.recipe import Item
 from animtool.batch.work import Maker
 
-__all__ = ["Lane", "Task"]
+__all__ = ["Task", "WorkerProcess"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +41,7 @@ class Task:
 
 
 @dataclass(slots=True)
-class Lane:
+class WorkerProcess:
     """Such a program, and the way to it.
 
     Attributes:
@@ -75,7 +76,7 @@ class Lane:
             self._process = None
 
     def _started(self) -> Popen[bytes]:
-        command = [sys.executable, "-P", "-m", "animtool.batch.lane"]
+        command = [sys.executable, "-P", "-m", "animtool.batch.worker_process"]
         self._process = Popen(command, stdin=PIPE, stdout=PIPE, cwd=self.task.folder)
         self._send(self.task)
         return self._process

@@ -16,7 +16,7 @@ def out_of_time(subject: SceneSubject) -> Iterator[Fault]:
     if take.motion.track_times is None:
         return
     times = take.motion.track_times.dense()[..., 0]
-    indices = {thing.path: i for i, thing in enumerate(subject.scene.beside)}
+    indices = {prop.path: i for i, prop in enumerate(subject.scene.props)}
     for column, track in enumerate(take.tracks):
         held = track.at(times[:, column]).held
         if held is None or not held.all():

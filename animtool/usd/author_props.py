@@ -25,18 +25,18 @@ if TYPE_CHECKING:
     from animtool.usd.target import RigTarget
 
 __all__ = [
-    "Beside",
-    "ThingPlaces",
-    "ThingWorld",
-    "author_things",
-    "check_things",
-    "thing_paths",
-    "thing_places",
+    "PropPlacements",
+    "PropSamples",
+    "PropWorld",
+    "author_props",
+    "check_props",
+    "prop_paths",
+    "prop_placements",
 ]
 
 
 @dataclass(slots=True)
-class Beside:
+class PropSamples:
     """The tracks of a take on their way to a layer, apart from the motion of its rig.
 
     Attributes:
@@ -64,7 +64,7 @@ class Beside:
 _Make: TypeAlias = Callable[[Any], Any]
 
 
-def thing_paths(tracks: Sequence[Track], model: str) -> list[str]:
+def prop_paths(tracks: Sequence[Track], model: str) -> list[str]:
     """Return where tracks are on a stage that has a character at a path."""
     return [
         track.path if track.path.startswith("/") else f"{model}/{track.path}"
@@ -73,7 +73,7 @@ def thing_paths(tracks: Sequence[Track], model: str) -> list[str]:
 
 
 @dataclass(frozen=True, slots=True)
-class ThingWorld:
+class PropWorld:
     """The world that numbers of a layer are in.
 
     Attributes:
@@ -86,7 +86,7 @@ class ThingWorld:
 
 
 @dataclass(frozen=True, slots=True)
-class ThingPlaces:
+class PropPlacements:
     """Where things are to be written.
 
     Attributes:
@@ -98,12 +98,12 @@ class ThingPlaces:
     """
 
     model: str
-    inside: ThingWorld
-    outside: ThingWorld
+    inside: PropWorld
+    outside: PropWorld
     exists: Callable[[str], bool]
     variant: str = ""
 
-    def world(self, path: str) -> ThingWorld:
+    def world(self, path: str) -> PropWorld:
         """Return the world of a path."""
         return self.inside if _within(path, self.model) else self.outside
 
@@ -114,14 +114,14 @@ class ThingPlaces:
         return str(Sdf.Path(path).ReplacePrefix(self.model, self.variant))
 
 
-def thing_places(
+def prop_placements(
     paths: RigPaths,
     target: RigTarget | None,
     rig_layer: Any,
     meters_per_unit: float,
     up: UpAxis,
     take: str = "",
-) -> ThingPlaces:
+) -> PropPlacements:
     """Return where a take's tracks go.
 
     Args:
@@ -132,10 +132,10 @@ def thing_places(
         up: Its up axis.
         take: Of a library, the take whose variant holds them.
     """
-    inside = outside = ThingWorld(meters_per_unit)
+    inside = outside = PropWorld(meters_per_unit)
     if target is not None:
         turn = up_from_up(target.up, up)
-        outside = ThingWorld(target.unit, None if turn is None else np.array(turn))
+        outside = PropWorld(target.unit, None if turn is None else np.array(turn))
 
     def exists(path: str) -> bool:
         if take:
@@ -147,16 +147,16 @@ def thing_places(
 
     model = Sdf.Path(paths.model)
     variant = str(model.AppendVariantSelection(TAKE_SET, take)) if take else ""
-    return ThingPlaces(paths.model, inside, outside, exists, variant)
+    return PropPlacements(paths.model, inside, outside, exists, variant)
 
 
-def check_things(
-    things: Sequence[Track], paths: RigPaths, stage: Any = None, *, library: bool
+def check_props(
+    tracks: Sequence[Track], paths: RigPaths, stage: Any = None, *, library: bool
 ) -> None:
     """Refuse things where the character is, or where another thing is.
 
     Args:
-        things: What is to be written.
+        tracks: What is to be written.
         paths: The character's prims.
         stage: What the layer goes over; None is nothing.
         library: Whether takes are variants of the model.
@@ -167,8 +167,8 @@ def check_things(
     """
     faults = []
     model, root = paths.model, paths.root
-    found = thing_paths(things, model)
-    for i, (thing, path) in enumerate(zip(things, found, strict=True)):
+    found = prop_paths(tracks, model)
+    for i, (track, path) in enumerate(zip(tracks, found, strict=True)):
         there = None if stage is None else stage.GetPrimAtPath(path)
         message, hint = "", "name a path of its own, such as Props/box"
         if _meet(path, root) or _within(model, path):
@@ -178,12 +178,12 @@ def check_things(
         elif library and not _within(path, model):
             message = f"{path} is not below {model}, whose variants are the takes"
         if message:
-            faults.append(Fault("SCN047", message, hint=hint, where=thing.path))
+            faults.append(Fault("SCN047", message, hint=hint, where=track.path))
         for other in found[:i]:
             if _meet(path, other):
                 message = f"{path} meets {other}, which another thing has"
                 hint = "each has a path of its own, none below another's"
-                faults.append(Fault("SCN046", message, hint=hint, where=thing.path))
+                faults.append(Fault("SCN046", message, hint=hint, where=track.path))
     if faults:
         raise OptionError(faults)
 
@@ -196,27 +196,27 @@ def _meet(one: str, other: str) -> bool:
     return _within(one, other) or _within(other, one)
 
 
-def author_things(
+def author_props(
     layer: Any,
-    beside: Beside,
-    places: ThingPlaces,
+    samples: PropSamples,
+    places: PropPlacements,
     output: Path | None,
 ) -> tuple[list[str], list[Fault]]:
     """Write the prims of tracks, with samples of what changes.
 
     Args:
         layer: Where to.
-        beside: The tracks, all frames passed.
+        samples: The tracks, all frames passed.
         places: Where they are to be.
         output: The file that it becomes; None is stdout.
 
     Returns:
         Their paths, and what there is to say of their frames.
     """
-    found = thing_paths(beside.tracks, places.model)
-    codes, times = np.concatenate(beside.codes), np.concatenate(beside.times)
+    found = prop_paths(samples.tracks, places.model)
+    codes, times = np.concatenate(samples.codes), np.concatenate(samples.times)
     notices: list[Fault] = []
-    for i, (track, path) in enumerate(zip(beside.tracks, found, strict=True)):
+    for i, (track, path) in enumerate(zip(samples.tracks, found, strict=True)):
         _author_above(layer, path, places)
         there, world = places.exists(path), places.world(path)
         if world.turn is not None:
@@ -246,7 +246,7 @@ def _held_notice(track: Track, path: str, codes: FloatArray, held: BoolArray) ->
     return track.note("SCN107", message, hint=hint, severity=Severity.WARNING)
 
 
-def _author_above(layer: Any, path: str, places: ThingPlaces) -> None:
+def _author_above(layer: Any, path: str, places: PropPlacements) -> None:
     """Define the prims above a path that nothing else does."""
     for above in list(Sdf.Path(path).GetAncestorsRange())[1:]:
         text = str(above)
@@ -265,7 +265,7 @@ def _author_reference(spec: Any, reference: Reference, output: Path | None) -> N
 
 
 def _author_track(
-    spec: Any, track: Track, codes: FloatArray, found: Transforms, world: ThingWorld
+    spec: Any, track: Track, codes: FloatArray, found: Transforms, world: PropWorld
 ) -> None:
     types, unit = Sdf.ValueTypeNames, world.meters_per_unit
     # What is referred to has points in a unit of its own.

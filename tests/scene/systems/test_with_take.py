@@ -362,12 +362,12 @@ def test_a_library_has_no_place_for_systems(tmp_path: Path) -> None:
     assert error.value.code == "SCN067"
 
 
-@pytest.mark.parametrize(("name", "beside"), [("Rig", False), ("box", True)])
+@pytest.mark.parametrize(("name", "props"), [("Rig", False), ("box", True)])
 def test_systems_have_places_of_their_own(
-    name: str, beside: bool, tmp_path: Path
+    name: str, props: bool, tmp_path: Path
 ) -> None:
     (tmp_path / "props.usda").write_text(PROPS, "utf-8")
-    extra = "beside: [{from: props.usda, prim: /box}]\n" if beside else ""
+    extra = "beside: [{from: props.usda, prim: /box}]\n" if props else ""
     path = scene(tmp_path, extra)
     path.write_text(path.read_text("utf-8").replace("name: dust", f"name: {name}"))
     with pytest.raises(FormatError) as error:

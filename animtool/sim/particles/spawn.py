@@ -11,17 +11,17 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.sim.colliders.colliding import Colliders, collide
-from animtool.sim.particles.cloud import Cloud
 from animtool.sim.particles.setup import Particles
+from animtool.sim.particles.state import ParticleState
 from animtool.sim.particles.system import accelerations
 
-__all__ = ["brought_to"]
+__all__ = ["spawned"]
 
 
-def brought_to(
+def spawned(
     setup: Particles,
     colliders: Colliders,
-    cloud: Cloud,
+    particles: ParticleState,
     born: FloatArray,
     t0: float,
     t1: float,
@@ -31,31 +31,31 @@ def brought_to(
     Args:
         setup: What moves them.
         colliders: What they run into.
-        cloud: Who they are.
+        particles: Who they are.
         born: Positions, velocities at birth ``(2, N, 3)``.
         t0: Begin of the step [s].
         t1: Its end [s].
     """
-    done = _moved(setup, cloud, born, t1 - cloud.births)
+    done = _moved(setup, particles, born, t1 - particles.births)
     if not colliders.meet:
         return done
     found = collide(
-        done[0], done[1], born, colliders, t0, t1, cloud.radii, cloud.births
+        done[0], done[1], born, colliders, t0, t1, particles.radii, particles.births
     )
     return np.stack([found.points, found.velocities])
 
 
 def _moved(
-    setup: Particles, cloud: Cloud, born: FloatArray, spans: FloatArray
+    setup: Particles, particles: ParticleState, born: FloatArray, spans: FloatArray
 ) -> FloatArray:
     h = spans[:, None]
 
     def rate(share: float, state: FloatArray) -> FloatArray:
-        times = cloud.births + share * spans
+        times = particles.births + share * spans
         if setup.velocity is not None:
-            speed = setup.velocity.velocity(times, state[0], cloud)
+            speed = setup.velocity.velocity(times, state[0], particles)
             return np.stack([speed, np.zeros_like(speed)])
-        return np.stack([state[1], accelerations(setup, cloud, times, *state)])
+        return np.stack([state[1], accelerations(setup, particles, times, *state)])
 
     k1 = rate(0.0, born)
     k2 = rate(0.5, born + h / 2 * k1)

@@ -6,14 +6,14 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.sim.colliders.colliding import Colliders
-from animtool.sim.particles.cloud import Cloud
 from animtool.sim.particles.setup import Particles
+from animtool.sim.particles.state import ParticleState
 from animtool.sim.particles.system import energies
 
-__all__ = ["CloudWatch"]
+__all__ = ["DivergenceCheck"]
 
 
-class CloudWatch:
+class DivergenceCheck:
     """Looks at particles for numbers and energy beyond bounds.
 
     The energy of each counts from where it was first seen, so that neither births nor
@@ -29,31 +29,31 @@ class CloudWatch:
 
     def __init__(self, setup: Particles, colliders: Colliders) -> None:
         self._setup, self._colliders = setup, colliders
-        self._cloud = Cloud.none()
+        self._particles = ParticleState.none()
         self._ids: IntArray = np.zeros(0, np.int64)
         # Kinetic and potential energy of each, where it was first seen.
         self._first: FloatArray = np.zeros((2, 0))
         self.too_long = False
 
-    def look_at(self, cloud: Cloud, state: FloatArray) -> None:
+    def look_at(self, particles: ParticleState, state: FloatArray) -> None:
         """Look at particles in a state ``(2, N, 3)`` from now on."""
-        if cloud is self._cloud or self._setup.velocity is not None:
+        if particles is self._particles or self._setup.velocity is not None:
             return
-        places = np.searchsorted(self._ids, cloud.ids)
+        places = np.searchsorted(self._ids, particles.ids)
         places = np.minimum(places, max(len(self._ids) - 1, 0))
-        known = np.zeros(len(cloud), bool)
+        known = np.zeros(len(particles), bool)
         if len(self._ids):
-            known = self._ids[places] == cloud.ids
-        first = np.zeros((2, len(cloud)))
+            known = self._ids[places] == particles.ids
+        first = np.zeros((2, len(particles)))
         first[:, known] = self._first[:, places[known]]
         new = ~known
-        first[:, new] = energies(self._setup, cloud.select(new), state[:, new])[0]
-        self._cloud, self._ids, self._first = cloud, cloud.ids, first
+        first[:, new] = energies(self._setup, particles.select(new), state[:, new])[0]
+        self._particles, self._ids, self._first = particles, particles.ids, first
 
-    def begin_anew(self, which: BoolArray, state: FloatArray) -> None:
+    def restart(self, which: BoolArray, state: FloatArray) -> None:
         """Count the energy of some from a state on: what was moved out of colliders."""
         if self._setup.velocity is None and which.any():
-            some = self._cloud.select(which)
+            some = self._particles.select(which)
             self._first[:, which] = energies(self._setup, some, state[:, which])[0]
 
     def sign(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
@@ -62,7 +62,7 @@ class CloudWatch:
             return "its state is not finite"
         if self._setup.velocity is not None:
             return ""
-        now_energies, known = energies(self._setup, self._cloud, state)
+        now_energies, known = energies(self._setup, self._particles, state)
         pairs = any(force.pairs for force in self._setup.forces)
         if not known and (pairs or not self.too_long):
             return ""
@@ -74,7 +74,7 @@ class CloudWatch:
             kinetic,
             abs(potential),
             potential - now_potential,
-            float(self._cloud.masses.sum()) * self._colliders.fastest**2,
+            float(self._particles.masses.sum()) * self._colliders.fastest**2,
         )
         if usual > 0 and not now - first <= self._setup.options.growth * usual:
             return f"its energy is {now:.3g} J, and was {first:.3g} J"

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from support.suite import examples
 
 from animtool.maths import so3
-from animtool.sim.springs import Body, Family, Parting, part_surface, surface
+from animtool.sim.springs import Body, Family, Tearing, surface, tear_surface
 
 Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]
 AWAY = np.array([1.0, 2.0, 3.0])
@@ -67,16 +67,16 @@ def parts(count: int, pairs: np.ndarray) -> np.ndarray:
     return np.asarray(connected_components(graph, directed=False)[1])
 
 
-def made(kind: str, torn: list[int]) -> tuple[Mesh, Body, np.ndarray, Parting]:
+def made(kind: str, torn: list[int]) -> tuple[Mesh, Body, np.ndarray, Tearing]:
     points, counts, indices = grid(kind)
     body = surface(points, counts, indices, mass=1.0, structural=Family(1.0))
     ever = np.isin(np.arange(len(body.springs.rest)), torn)
     along = sides_of(body, counts, indices)
-    found = part_surface(counts, indices, along, body.springs, ever, points)
+    found = tear_surface(counts, indices, along, body.springs, ever, points)
     return (points, counts, indices), body, ever, found
 
 
-def knows_its_turn(found: Parting) -> bool:
+def knows_its_turn(found: Tearing) -> bool:
     """Return whether every particle at a tear has neighbours in two directions."""
     turning = found.turning
     ways = [turning.ways[turning.owners == i] for i in range(len(turning.which))]
@@ -148,7 +148,7 @@ def test_halves_go_with_their_particles() -> None:
     body = surface(points, counts, indices, mass=1.0, structural=Family(1.0))
     ends = body.springs.ends.tolist()
     ever = np.array([end in ([1, 2], [4, 5]) for end in ends])
-    found = part_surface(
+    found = tear_surface(
         counts, indices, sides_of(body, counts, indices), body.springs, ever, points
     )
     moved = points + np.where(points[:, :1] == 2, [[5.0, 0, 0]], 0.0)
@@ -163,7 +163,7 @@ def test_a_face_with_one_torn_side_opens_to_its_middle() -> None:
     points, counts, indices = grid("quads", 2, 2)
     body = surface(points, counts, indices, mass=1.0, structural=Family(1.0))
     ever = np.array([end == [0, 1] for end in body.springs.ends.tolist()])
-    found = part_surface(
+    found = tear_surface(
         counts, indices, sides_of(body, counts, indices), body.springs, ever, points
     )
     assert found.counts.tolist() == [3] * 5
@@ -183,7 +183,7 @@ def test_parts_of_a_face_in_three_meet_until_two_sides_are_torn() -> None:
     body = surface(points, counts, indices, mass=1.0, structural=Family(1.0))
     along = sides_of(body, counts, indices)
     ever = np.isin(np.arange(len(body.springs.rest)), along[:3])
-    found = part_surface(counts, indices, along, body.springs, ever, points)
+    found = tear_surface(counts, indices, along, body.springs, ever, points)
     first, second, third = along[:3]
     for gone, apart in (([], 1), ([first], 1), ([first, third], 2), (along[:3], 3)):
         drawn = found.points(points * 1.2, np.isin(np.arange(len(ever)), gone))

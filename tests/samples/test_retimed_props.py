@@ -104,7 +104,7 @@ def moves(path: Path, rig: Rig) -> FloatArray:
     return np.degrees(so3.angle_between(local.rotations[1:], local.rotations[:-1]))
 
 
-CARRIED = pytest.mark.parametrize("name", ["carry", "carry_scene"])
+MOVED = pytest.mark.parametrize("name", ["carry", "carry_scene"])
 
 
 def box(codes: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -120,7 +120,7 @@ def box(codes: FloatArray) -> tuple[FloatArray, FloatArray]:
     return world[:, 3, :3], world[:, :3, :3].swapaxes(1, 2)
 
 
-@CARRIED
+@MOVED
 def test_hands_stay_on_the_box(made: Path, name: str) -> None:
     played = Played.of(made / f"{name}.usdc")
     assert played.codes.tolist() == list(range(1, 113))
@@ -137,7 +137,7 @@ def test_hands_stay_on_the_box(made: Path, name: str) -> None:
         assert (hand[:, 1, 2] > 0.9).all()
 
 
-@CARRIED
+@MOVED
 @pytest.mark.parametrize(
     ("side", "spans"),
     [("l", [(1, 40), (56, 112)]), ("r", [(1, 60), (76, 112)])],
@@ -159,7 +159,7 @@ def test_feet_stand_where_they_are_held(
     assert ankle[:, 1].max() > 0.12, "the foot is lifted for its step"
 
 
-@CARRIED
+@MOVED
 def test_the_head_looks_at_the_box(made: Path, name: str) -> None:
     played = Played.of(made / f"{name}.usdc")
     to = box(played.codes)[0] - played.places["head"]
@@ -167,7 +167,7 @@ def test_the_head_looks_at_the_box(made: Path, name: str) -> None:
     assert apart(played.turns["head"][:, :, 2], to) < 1e-5
 
 
-@CARRIED
+@MOVED
 def test_the_body_goes_smoothly_within_its_limits(made: Path, name: str) -> None:
     rig = Rig.load(ROOT / "rigs/biped/biped.rig.yaml")
     steps = moves(made / f"{name}.usdc", rig)

@@ -11,21 +11,21 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.errors import AnimtoolError, Fault, FormatError, Severity, listed
 from animtool.rates import rate_label
-from animtool.scene.entries import SceneThing
+from animtool.scene.entries import SceneProp
 from animtool.scene.stats import Meter, StageCost
 from animtool.take import Channel, Motion, TakeStream, time_codes
 from animtool.transforms import Track, Transforms
 from animtool.units import UpAxis
-from animtool.usd.things import ThingSource, Wanted, open_thing
+from animtool.usd.props import PropRequest, PropSource, open_prop
 
-__all__ = ["OpenThing", "open_things", "with_things"]
+__all__ = ["OpenProp", "open_props", "with_props"]
 
 # Between keys a transform may shear by this share, which nobody sees, and not say so.
 SEEN_SHEAR = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class OpenThing:
+class OpenProp:
     """A thing that a scene names, open.
 
     Attributes:
@@ -34,14 +34,14 @@ class OpenThing:
         track: The same, counted by the scene's meter.
     """
 
-    entry: SceneThing
-    source: ThingSource
+    entry: SceneProp
+    source: PropSource
     track: Track
 
 
-def open_things(
-    entries: Sequence[SceneThing], up: UpAxis, meter: Meter, notices: list[Fault]
-) -> list[OpenThing]:
+def open_props(
+    entries: Sequence[SceneProp], up: UpAxis, meter: Meter, notices: list[Fault]
+) -> list[OpenProp]:
     """Return the things that a scene names, open, in a world of an up axis.
 
     Args:
@@ -53,29 +53,29 @@ def open_things(
     Raises:
         FormatError: With every fault of every entry.
     """
-    found: list[OpenThing] = []
+    found: list[OpenProp] = []
     faults: list[Fault] = []
     for entry in entries:
-        wanted = Wanted(
+        wanted = PropRequest(
             entry.file, entry.prim, entry.path, entry.attributes, entry.reference
         )
         stage = meter.stage(entry.file.name, entry.place.where)
         try:
             with meter.running(stage):
-                source = open_thing(wanted, up)
+                source = open_prop(wanted, up)
         except AnimtoolError as error:
             faults += map(entry.place.put, error.faults)
             continue
         track = _counted(entry, source, stage, meter, notices)
-        found.append(OpenThing(entry, source, track))
+        found.append(OpenProp(entry, source, track))
     if faults:
         raise FormatError(faults)
     return found
 
 
-def with_things(
+def with_props(
     stream: TakeStream,
-    opened: Sequence[OpenThing],
+    opened: Sequence[OpenProp],
     first: Fraction | None,
     fps: Fraction | None,
 ) -> TakeStream:
@@ -88,28 +88,30 @@ def with_things(
         fps: Frames a second of the output; None is the take's time codes.
     """
     start = Fraction(1) if stream.start is None else stream.start
-    things = [
-        _Thing(
-            thing,
-            thing.entry.frame if thing.entry.frame is not None else first or start,
-            thing.source.fps * stream.step / stream.fps,
+    props = [
+        _Prop(
+            prop,
+            prop.entry.frame if prop.entry.frame is not None else first or start,
+            prop.source.fps * stream.step / stream.fps,
         )
-        for thing in opened
+        for prop in opened
     ]
-    beside = _Beside(stream, things)
-    for thing in things:
-        stream.notices += thing.notes(fps or stream.fps)
-    tracks = (*stream.tracks, *(thing.track for thing in opened))
-    made = replace(stream, blocks=beside.blocks(), tracks=tracks)
+    props_stream = _PropStream(stream, props)
+    for prop in props:
+        stream.notices += prop.notes(fps or stream.fps)
+    tracks = (*stream.tracks, *(prop.track for prop in opened))
+    made = replace(stream, blocks=props_stream.blocks(), tracks=tracks)
     curve = stream.curve
     if curve is not None:
-        made.curve = lambda times: beside.added(curve(times), beside.times_at(times))
+        made.curve = lambda times: props_stream.added(
+            curve(times), props_stream.times_at(times)
+        )
     return made
 
 
 def _counted(
-    entry: SceneThing,
-    source: ThingSource,
+    entry: SceneProp,
+    source: PropSource,
     stage: StageCost,
     meter: Meter,
     notices: list[Fault],
@@ -119,7 +121,7 @@ def _counted(
 
     def sample(times: FloatArray) -> Transforms:
         nonlocal said
-        with meter.running(stage), entry.place.blamed():
+        with meter.running(stage), entry.place.located():
             found = source.track.sample(times)
         shear = source.shear()
         if shear > SEEN_SHEAR and not said:
@@ -133,7 +135,7 @@ def _counted(
 
 
 @dataclass(frozen=True, slots=True)
-class _Thing:
+class _Prop:
     """A thing on the frames of a take.
 
     Attributes:
@@ -142,7 +144,7 @@ class _Thing:
         step: Time codes of its file from frame to frame.
     """
 
-    opened: OpenThing
+    opened: OpenProp
     begin: Fraction
     step: Fraction
 
@@ -173,11 +175,11 @@ class _Thing:
 
 
 @dataclass(frozen=True, slots=True)
-class _Beside:
+class _PropStream:
     """A take, and what comes beside it."""
 
     stream: TakeStream
-    things: Sequence[_Thing]
+    props: Sequence[_Prop]
 
     @property
     def _start(self) -> Fraction:
@@ -186,7 +188,7 @@ class _Beside:
     def blocks(self) -> Iterator[Motion]:
         first = 0
         for block in self.stream.blocks:
-            times = [thing.times(first, block.frames) for thing in self.things]
+            times = [prop.times(first, block.frames) for prop in self.props]
             yield self.added(block, np.stack(times, axis=1))
             first += block.frames
 
@@ -199,8 +201,8 @@ class _Beside:
     def times_at(self, times: FloatArray) -> FloatArray:
         """Return the times of the tracks at time codes of the take."""
         frames = (times - float(self._start)) / float(self.stream.step)
-        begins = np.array([float(thing.begin) for thing in self.things])
-        steps = np.array([float(thing.step) for thing in self.things])
+        begins = np.array([float(prop.begin) for prop in self.props])
+        steps = np.array([float(prop.step) for prop in self.props])
         return np.asarray(begins + frames[:, None] * steps)
 
 

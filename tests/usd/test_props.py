@@ -13,15 +13,15 @@ from support.props import FRAMES, prop_matrices, write_props
 from animtool.errors import FormatError, OptionError
 from animtool.maths import so3
 from animtool.units import UpAxis, up_from_up
-from animtool.usd.things import ThingSource, Wanted, open_thing
+from animtool.usd.props import PropRequest, PropSource, open_prop
 
 CODES = np.array(FRAMES, np.float64)
 
 
 def opened(
     path: Path, prim: str, up: UpAxis = UpAxis.Y, **wanted: object
-) -> ThingSource:
-    return open_thing(Wanted(path, prim, "thing", **wanted), up)  # type: ignore[arg-type]
+) -> PropSource:
+    return open_prop(PropRequest(path, prim, "thing", **wanted), up)  # type: ignore[arg-type]
 
 
 def in_metres(matrices: np.ndarray, unit: float) -> np.ndarray:
@@ -60,7 +60,7 @@ def test_between_keys_it_is_what_usd_says(tmp_path: Path) -> None:
     assert_allclose(found.matrix(), expected, atol=1e-12)
 
 
-def test_times_that_rounding_left_beside_a_key_are_on_it(tmp_path: Path) -> None:
+def test_times_that_rounding_left_props_a_key_are_on_it(tmp_path: Path) -> None:
     source = opened(
         write_props(tmp_path / "props.usda"), "/Set/box", attributes=("state",)
     )

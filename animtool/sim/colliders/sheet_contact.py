@@ -11,7 +11,7 @@ from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.sheets import Sheet
 
-__all__ = ["Settle", "meet_sheet"]
+__all__ = ["Settle", "collide_with_sheet"]
 
 # From colliders at rest, a start and an end ``(2, N, 3)``, radii and times within a
 # step from when on particles are there, to where these end, whether they touch, and
@@ -21,7 +21,7 @@ Settle: TypeAlias = Callable[
 ]
 
 
-def meet_sheet(
+def collide_with_sheet(
     sheet: Sheet,
     before: FloatArray,
     after: FloatArray,
@@ -56,7 +56,7 @@ def meet_sheet(
     )
     if not len(near) or not len(triangles):
         return None
-    velocity = _carried(before[0, near], begin, end - begin, triangles) / (t1 - t0)
+    velocity = _displacement(before[0, near], begin, end - begin, triangles) / (t1 - t0)
     start, ahead = before[:, near].copy(), after[:, near].copy()
     start[0] += velocity * (t1 - t0 - late[near])[:, None]
     start[1] -= velocity
@@ -84,7 +84,7 @@ def _within(
     return np.asarray((above & below).all(axis=1))
 
 
-def _carried(
+def _displacement(
     points: FloatArray, places: FloatArray, ways: FloatArray, triangles: IntArray
 ) -> FloatArray:
     """Return the ways that a surface goes where it is nearest to points ``(N, 3)``."""
