@@ -208,7 +208,7 @@ def scene_text(found: SceneDescription) -> list[str]:
 def _system_line(system: SystemDescription) -> str:
     parts = [
         f"at most {count} at once"
-        if name == "most"
+        if name == "max_particles"
         else counted(count, name.removesuffix("s"))
         for name, count in system.counts.items()
     ]

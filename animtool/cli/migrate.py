@@ -36,9 +36,10 @@ Examples:
 def migrate(console: Console, /, files: tuple[Path, ...], **given: Any) -> None:
     """Rewrite rig, clip and scene FILES of older versions as the newest, in place.
 
-    Files of the newest version are left alone. Where more than the version's name
-    changes, a YAML file is written anew: its comments are not kept, and a warning says
-    in which lines they were. All files are checked before the first is written.
+    Files of the newest version are left alone, but for keys that have a new name. Where
+    more than the version's name changes, a YAML file is written anew: its comments are
+    not kept, and a warning says in which lines they were. All files are checked before
+    the first is written.
     """
     from animtool.documents.migrate import migrate as run_migrate
     from animtool.errors import ExitCode
@@ -65,6 +66,8 @@ def _say(console: Console, plan: Migration, *, check: bool) -> None:
         return
     done = "would become" if check else "is now"
     steps = f"from animtool/{plan.version} {done} animtool/{plan.newest}"
+    if plan.version == plan.newest:
+        steps = f"keys {'would be' if check else 'are'} renamed"
     console.say(f"{plan.path}: {plan.kind}, {steps}")
     if check:
         console.result(*plan.difference())

@@ -241,7 +241,7 @@ def _take_json(report: BakeReport, take: TakeReport) -> dict[str, object]:
         "source_rate": str(take.source_fps),
         "between_frames": take.between,
         "animation": written.animation,
-        **({"beside": written.props} if written.props else {}),
+        **({"props": written.props} if written.props else {}),
     }
     if "fit" in take.details:
         found["fit"] = take.details["fit"]

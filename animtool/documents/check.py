@@ -19,7 +19,7 @@ from animtool.documents.mend import (
     stand_in,
 )
 from animtool.documents.names import nearest
-from animtool.documents.versions import STEPS, newest, version_of
+from animtool.documents.versions import STEPS, new_key, newest, version_of
 from animtool.errors import counted, excerpt
 from animtool.similar import similar
 
@@ -122,6 +122,14 @@ class _Faults:
         for step in around:
             node = node[step]
         left = node.pop(key)
+        renamed = new_key(location)
+        if renamed in names and renamed not in node:
+            node[renamed] = left
+            self.document.spellings[*around, renamed] = str(key)
+            message = f"the key {key!r} is now called {renamed!r}"
+            hint = "animtool migrate FILE --overwrite renames it"
+            self.document.warn("DOC102", (*around, renamed), message, hint)
+            return
         if self._of_another_kind(location):
             return
         message = f"unknown key {excerpt(str(key))}"

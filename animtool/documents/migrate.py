@@ -5,12 +5,25 @@ from __future__ import annotations
 import copy
 import difflib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from animtool.documents.document import Document, read_document, read_text
-from animtool.documents.versions import STEPS, Steps, newest, version_of
+from animtool.documents.document import (
+    Document,
+    document_of,
+    read_document,
+    read_text,
+    spelled,
+)
+from animtool.documents.edit import EditError, Rename, edited
+from animtool.documents.versions import (
+    STEPS,
+    Steps,
+    newest,
+    renamed_keys,
+    version_of,
+)
 from animtool.documents.yaml_text import comments_in, json_text, yaml_text
 from animtool.errors import (
     AnimtoolError,
@@ -18,6 +31,7 @@ from animtool.errors import (
     FormatError,
     OptionError,
     Severity,
+    listed,
     refuse_warnings,
 )
 from animtool.output import check_outputs, output_error, replacing, together
@@ -49,8 +63,8 @@ class Migration:
 
     @property
     def needed(self) -> bool:
-        """Whether the file is of an older version."""
-        return self.version < self.newest
+        """Whether the file is of an older version, or has keys of old names."""
+        return self.before != self.after
 
     def difference(self) -> list[str]:
         """Return the lines that change, as ``diff -u`` writes them."""
@@ -83,7 +97,7 @@ def plan_migration(path: Path | str, table: Mapping[str, Steps] = STEPS) -> Migr
     kind, version = version_of(document, table)
     last = newest(table[kind])
     if version == last:
-        return Migration(path, kind, version, last, before, before)
+        return _with_new_keys(Migration(path, kind, version, last, before, before))
     old = document.value
     new = copy.deepcopy(old)
     for step in range(version, last):
@@ -107,6 +121,20 @@ def plan_migration(path: Path | str, table: Mapping[str, Steps] = STEPS) -> Migr
         )
     after = yaml_text(ordered)
     return Migration(path, kind, version, last, before, after, tuple(notices))
+
+
+def _with_new_keys(plan: Migration) -> Migration:
+    """Return a file with the new names of its keys; all else stays as it is."""
+    value = document_of(plan.before, plan.path).value
+    edits = [Rename(location, name) for location, name in renamed_keys(value)]
+    if plan.kind != "scene" or not edits:
+        return plan
+    try:
+        return replace(plan, after=edited(plan.before, plan.path, edits))
+    except EditError as error:
+        message = f"its keys cannot be renamed: {error}"
+        hint = f"rename {listed([spelled(edit.location) for edit in edits])} by hand"
+        raise FormatError(Fault("DOC102", message, str(plan.path), (), hint)) from error
 
 
 def migrate(

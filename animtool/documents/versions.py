@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from animtool.documents.document import Document
+from animtool.documents.document import Document, Location
 from animtool.errors import excerpt
 
-__all__ = ["KINDS", "STEPS", "Step", "Steps", "newest", "version_of"]
+__all__ = [
+    "KINDS",
+    "STEPS",
+    "Step",
+    "Steps",
+    "new_key",
+    "newest",
+    "renamed_keys",
+    "version_of",
+]
 
 # A step takes the values of a whole file and returns those of the next version.
 Step = Callable[[dict[str, Any]], dict[str, Any]]
@@ -22,6 +31,12 @@ STEPS: dict[str, dict[int, Step]] = {
     "clip": {},
     "scene": {},
     "targets": {},
+}
+# Keys that have a new name in the same version, by their location: None is any entry of
+# a list. The old one is still read.
+RENAMED: dict[tuple[str | None, ...], str] = {
+    ("beside",): "props",
+    ("systems", None, "particles", "most"): "max_particles",
 }
 # What the first line of a file may name: a batch names a scene too, others their rig.
 KINDS = ("batch", "clip", "scene", "targets", "rig")
@@ -43,6 +58,26 @@ def newest(steps: Steps) -> int:
     (1, 3)
     """
     return max(steps, default=0) + 1
+
+
+def new_key(location: Location) -> str | None:
+    """Return the new name of a key at a location; None where it has none.
+
+    >>> new_key(("systems", 2, "particles", "most"))
+    'max_particles'
+    """
+    return RENAMED.get(tuple(s if isinstance(s, str) else None for s in location))
+
+
+def renamed_keys(value: Any, around: Location = ()) -> Iterator[tuple[Location, str]]:
+    """Yield the locations of keys that have a new name, and that."""
+    pairs = enumerate(value) if isinstance(value, list) else ()
+    for step, inner in value.items() if isinstance(value, dict) else pairs:
+        location = (*around, step)
+        name = new_key(location)
+        if name is not None and name not in value:
+            yield location, name
+        yield from renamed_keys(inner, location)
 
 
 def version_of(

@@ -91,6 +91,7 @@ def scene_of_document(
         variables=found.names,
         idle_variables=found.idle,
         effective_variables=found.effective,
+        notices=tuple(sorted(document.notices, key=lambda notice: notice.lines)),
     )
     document.check()
     return scene
@@ -196,7 +197,7 @@ class _SceneReader:
     def _check_simulated(self) -> None:
         """Refuse what there is only with a source, and outputs of other kinds."""
         model = self.model
-        for key in sorted({"rig", "passes", "shot", "beside"} & model.model_fields_set):
+        for key in sorted({"rig", "passes", "shot", "props"} & model.model_fields_set):
             message = f"{key} is for scenes with a source"
             self.document.add("SCN060", (key,), message, "leave it out")
         if model.range is None:
@@ -213,7 +214,7 @@ class _SceneReader:
 
     def _renamed_props(self) -> tuple[SceneProp, ...]:
         props = [
-            self._prop(("beside", i), entry) for i, entry in enumerate(self.model.props)
+            self._prop(("props", i), entry) for i, entry in enumerate(self.model.props)
         ]
         for i, prop in enumerate(props):
             for other in props[:i]:
@@ -221,7 +222,7 @@ class _SceneReader:
                     message = f"{prop.path!r} meets {other.path!r} of "
                     message += other.place.where
                     hint = "each has a path of its own, none below another's"
-                    self.document.add("SCN046", ("beside", i, "path"), message, hint)
+                    self.document.add("SCN046", ("props", i, "path"), message, hint)
         return tuple(props)
 
     def _prop(self, at: Location, model: PropModel) -> SceneProp:

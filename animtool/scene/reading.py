@@ -48,14 +48,15 @@ class Reading:
         return [*self.files, *named]
 
     def options(self, given: BakeOptions) -> tuple[BakeOptions, list[Fault]]:
-        """Return options with those of the one scene, and what is not used of several.
+        """Return options with those of the one scene, and warnings of scenes.
 
         The given ones come first.
         """
+        notices = [notice for s in self.scenes.values() for notice in s.notices]
         if len(self.files) == 1:
             scenes = list(self.scenes.values())
-            return (merged(given, scenes[0].bake) if scenes else given), []
-        return given, _unused(self.scenes)
+            return (merged(given, scenes[0].bake) if scenes else given), notices
+        return given, notices + _unused(self.scenes)
 
     def open(
         self,

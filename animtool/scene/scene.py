@@ -55,6 +55,7 @@ class Scene:
         variables: Names of the variables that it uses or gives a value.
         idle_variables: Those of them that no text uses.
         effective_variables: Those of them that decide more than the outputs.
+        notices: Warnings of the file itself.
         meter: Counts what its stages cost, each time that it is opened.
     """
 
@@ -69,6 +70,7 @@ class Scene:
     variables: frozenset[str] = frozenset()
     idle_variables: frozenset[str] = frozenset()
     effective_variables: frozenset[str] = frozenset()
+    notices: tuple[Fault, ...] = ()
     meter: Meter = field(default_factory=Meter, compare=False, repr=False)
     systems: tuple[SceneSystem, ...] = ()
 

@@ -14,6 +14,7 @@ from animtool.documents.migrate import migrate, plan_migration
 from animtool.documents.versions import STEPS as TABLES
 from animtool.documents.versions import Steps, newest, version_of
 from animtool.errors import AnimtoolError, FormatError, OptionError, StrictError
+from animtool.scene.file import load_scene
 
 
 def with_joints(value: dict[str, Any]) -> dict[str, Any]:
@@ -180,3 +181,53 @@ def test_the_newest_follows_the_last_step() -> None:
         "clip": 2,
         "scene": 1,
     }
+
+
+RENAMED = """\
+# A shot of before.
+scene: animtool/1
+source: {file: walk.bvh}   # walks
+beside:  # the ball
+- {from: props.usda, prim: /Set/most, path: most}
+systems:
+- particles: {emitters: [{rate: 5, most: 3}], "most": 7}
+output: {file: out.usda}
+"""
+
+
+def test_keys_of_new_names_are_renamed_and_nothing_else(tmp_path: Path) -> None:
+    path = written(tmp_path, RENAMED, "a.scene.yaml")
+    plan = plan_migration(path)
+    assert plan.needed
+    assert [line for line in plan.difference() if line[0] in "+-"][2:] == [
+        "-beside:  # the ball",
+        "+props:  # the ball",
+        '-- particles: {emitters: [{rate: 5, most: 3}], "most": 7}',
+        '+- particles: {emitters: [{rate: 5, most: 3}], "max_particles": 7}',
+    ]
+    migrate([path], overwrite=True)
+    assert path.read_text() == plan.after
+    assert not plan_migration(path).needed
+
+
+def test_keys_of_old_names_are_read_with_a_warning(tmp_path: Path) -> None:
+    path = written(tmp_path, RENAMED.replace(", most: 3", ""), "a.scene.yaml")
+    for name in ("walk.bvh", "props.usda"):
+        written(tmp_path, "", name)
+    scene = load_scene(path)
+    assert [prop.path for prop in scene.props] == ["most"]
+    (system,) = scene.systems
+    assert system.setup.particles.max_particles == 7
+    assert [(n.code, n.lines, n.where) for n in scene.notices] == [
+        ("DOC102", (5,), "beside"),
+        ("DOC102", (7,), "systems[0].particles.most"),
+    ]
+
+
+def test_both_names_of_a_key_are_an_error(tmp_path: Path) -> None:
+    path = written(tmp_path, f"{RENAMED}props: []\n", "a.scene.yaml")
+    with pytest.raises(FormatError) as caught:
+        load_scene(path)
+    unknown = [f.where for f in caught.value.faults if f.code == "DOC020"]
+    assert unknown == ["beside", "systems[0].particles.emitters[0].most"]
+    assert "beside:" in plan_migration(path).after

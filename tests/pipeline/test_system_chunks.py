@@ -141,7 +141,7 @@ def test_nothing_is_left_where_a_bake_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     text = SCENE.replace("bursts: [[0.1, 40]]", "bursts: [[0.3, 40]]")
-    (tmp_path / "full.scene.yaml").write_text(f"{text}    most: 3\n", "utf-8")
+    (tmp_path / "full.scene.yaml").write_text(f"{text}    max_particles: 3\n", "utf-8")
     before = sorted(tmp_path.iterdir())
     options = ("full.scene.yaml", "-o", "o.usdc", "--chunk", "2")
     done = animtool("bake", *options, "--strict", cwd=tmp_path)

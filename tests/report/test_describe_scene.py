@@ -35,7 +35,7 @@ systems:
     pins: [{particles: [start], to: {system: flag, particles: [0]}}]
 - particles:
     name: snow
-    most: 50
+    max_particles: 50
     emitters: [{rate: 20, speed: 1}]
     forces: [{gravity: }]
     systems: [{system: flag}]
@@ -57,7 +57,7 @@ def test_systems_in_numbers(tmp_path: Path) -> None:
     assert (flag["colliders"], flag["joined"], flag["line"]) == (1, [], 6)
     assert cord["counts"] == {"particles": 5, "springs": 4, "curves": 1}
     assert (cord["method"], cord["step"], cord["joined"]) == ("auto", None, ["flag"])
-    assert snow["counts"] == {"emitters": 1, "forces": 1, "most": 50}
+    assert snow["counts"] == {"emitters": 1, "forces": 1, "max_particles": 50}
     assert (snow["method"], snow["meets"]) == ("midpoint", ["flag"])
     assert (found["first"], found["last"], found["rate"]) == (1, 12, "24000/1001")
     (output,) = found["outputs"]

@@ -26,7 +26,11 @@ STIFF = (
         (PARTICLES.format("rate: 10", ", step: 1.0e-12"), 5, "SCN091 systems[0]"),
         (PARTICLES.format("rate: 1.0e+15", ""), 5, "DOC022 systems[0]"),
         (PARTICLES.format("bursts: [[0, 1.0e+15]]", ""), 5, "SIM021 systems[0]"),
-        (PARTICLES.format("rate: 10", ", most: 100000000"), 5, "DOC022 systems[0]"),
+        (
+            PARTICLES.format("rate: 10", ", max_particles: 100000000"),
+            5,
+            "DOC022 systems[0]",
+        ),
         (ROPE.format("preroll: 1.0e+12, "), 5, "SCN091 systems[0].rope"),
         (ROPE.format("step: 1.0e-12, "), 5, "SCN091 systems[0].rope"),
         (STIFF, 5, "SIM004 systems[0].rope.solver"),
@@ -62,7 +66,7 @@ def test_springs_without_a_stable_step_are_no_traceback(
 def test_particles_beyond_the_room_are_counted_and_not_made(tmp_path: Path) -> None:
     path = tmp_path / "a.scene.yaml"
     system = PARTICLES.format(
-        "bursts: [[0, 1.0e+12], [0.01, 3]], rate: 1.0e+9", ", most: 4"
+        "bursts: [[0, 1.0e+12], [0.01, 3]], rate: 1.0e+9", ", max_particles: 4"
     )
     path.write_text(f"scene: animtool/1\nrange: [1, 3]\nsystems:\n- {system}\n")
     done = animtool("bake", path, "-o", tmp_path / "o.usda")

@@ -37,7 +37,7 @@ def add(
     """Bake a scene whose output is a take of a library."""
     path = folder / f"{name}.scene.yaml"
     lines = ["scene: animtool/1", "source: {file: walk.bvh, units: cm}"]
-    lines += ["beside:", props] if props else []
+    lines += ["props:", props] if props else []
     lines += ["passes:", passes or PASSES[name]]
     lines.append(f"output: {{file: lib.usda, as: library, take: {name}}}")
     path.write_text("\n".join(lines) + "\n", "utf-8")

@@ -35,7 +35,7 @@ def folder(walk: Path, tmp_path: Path) -> Path:
 
 def bake(folder: Path, rest: str, *flags: object, props: str = BOX + CAMERA) -> Done:
     path = folder / "shot.scene.yaml"
-    path.write_text(f"{HEAD}beside:\n{props}{rest}", "utf-8")
+    path.write_text(f"{HEAD}props:\n{props}{rest}", "utf-8")
     return animtool("bake", path, *flags)
 
 
@@ -338,7 +338,7 @@ def test_two_at_one_place(folder: Path, other: str) -> None:
 def test_every_fault_is_said_at_once(folder: Path) -> None:
     entries = "- {from: props.usda, prim: /no}\n- {from: props.usda, prim: /none}\n"
     path = folder / "shot.scene.yaml"
-    path.write_text(f"{HEAD}beside:\n{entries}", "utf-8")
+    path.write_text(f"{HEAD}props:\n{entries}", "utf-8")
     with pytest.raises(FormatError) as error:
         load_scene(path).open()
     assert [fault.lines for fault in error.value.faults] == [(4,), (5,)]
@@ -354,7 +354,7 @@ def test_the_plan_and_the_costs(folder: Path) -> None:
     assert kinds == ["source", "beside", "beside", "pass", "output"]
     assert "tracks" not in steps["steps"][3]["reads"]
     done = bake(folder, "output: {file: out.usda}\n", "--stats")
-    assert "props.usda (beside[0])" in done.stderr
+    assert "props.usda (props[0])" in done.stderr
 
 
 def test_nothing_of_it_is_there_without(folder: Path) -> None:
@@ -402,7 +402,7 @@ def test_point_caches_have_them_too(tmp_path: Path, flags: tuple[str, ...]) -> N
     write_props(tmp_path / "props.usda")
     text = "scene: animtool/1\nsource: {file: pair.clip.yaml}\nfps: 24\n"
     path = tmp_path / "pair.scene.yaml"
-    path.write_text(f"{text}beside:\n{BOX}{CAMERA}output: {{file: out.usda}}\n")
+    path.write_text(f"{text}props:\n{BOX}{CAMERA}output: {{file: out.usda}}\n")
     done = animtool("bake", path, "--deform", *flags)
     assert done.code == 0, done.stderr
     prims = {"/Set/box": "/pair/Props/box", "/Set/camera": "/Cameras/main"}

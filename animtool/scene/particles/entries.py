@@ -93,7 +93,7 @@ class _Reader(EntryReader):
             colliders,
             [KillRegion(entry) for entry in kills],
             IntegrateOptions(model.method, model.step, model.tolerance),
-            model.most,
+            model.max_particles,
             model.name,
         )
         try:

@@ -159,6 +159,6 @@ class ParticlesModel(FileModel):
         examples=[1e-5],
     )
     preroll: Preroll = 0.0
-    most: Annotated[Whole, Gt(0), Le(10**7)] = Field(
+    max_particles: Annotated[Whole, Gt(0), Le(10**7)] = Field(
         default=1_000_000, description="Particles at once.", examples=[5000]
     )

@@ -126,7 +126,7 @@ class ParticleSetup:
         counts = {
             "emitters": len(given.emitters),
             "forces": len(given.forces),
-            "most": given.most,
+            "max_particles": given.max_particles,
         }
         many = len(given.colliders) + len(self.meshes)
         return SystemFacts(counts, given.options.method, given.options.step, many)

@@ -173,7 +173,7 @@ class ParticleRun:
         self, state: ParticleRunState, after: float | None, now: float, until: float
     ) -> ParticleRunState:
         """Return a state with those who are born in a step, at its end."""
-        room = max(self.setup.most - len(state.particles), 0)
+        room = max(self.setup.max_particles - len(state.particles), 0)
         particles, born, beyond = self._born(after, until, state.born, room)
         made = len(particles) + beyond
         missed = max(made - room, 0)
@@ -261,8 +261,9 @@ class ParticleRun:
         )
 
     def _say_full(self, t: float) -> None:
-        message = f"there is room for {self.setup.most} particles, from {t:g} s on for"
-        hint = "raise most, or lower rates or lifetimes"
+        room = self.setup.max_particles
+        message = f"there is room for {room} particles, from {t:g} s on for"
+        hint = "raise max_particles, or lower rates or lifetimes"
         self.notices.append(
             Fault(
                 "SIM121",

@@ -54,7 +54,7 @@ class Particles:
         kills: Where they are removed.
         options: Method, and step [s]: steps are of that length from the beginning on,
             whatever times are asked for.
-        most: Particles at once; who would be born beyond is not.
+        max_particles: Particles at once; who would be born beyond is not.
         name: For messages.
         sheets: Surfaces that change their shape, which they run into too.
     """
@@ -67,7 +67,7 @@ class Particles:
     options: IntegrateOptions = field(
         default_factory=lambda: IntegrateOptions("midpoint", step=STEP)
     )
-    most: int = 1_000_000
+    max_particles: int = 1_000_000
     name: str = "particles"
     sheets: Sequence[Sheet] = ()
 
@@ -90,9 +90,9 @@ class Particles:
         if self.options.step is None:
             message = "particles need a step: those who are born begin within one"
             found.append(Fault("SIM024", message, where="step"))
-        if not 1 <= self.most < math.inf:
-            message = f"most must be 1 or more, not {self.most}"
-            found.append(Fault("SIM024", message, where="most"))
+        if not 1 <= self.max_particles < math.inf:
+            message = f"max_particles must be 1 or more, not {self.max_particles}"
+            found.append(Fault("SIM024", message, where="max_particles"))
         if not self.emitters:
             message = "there is no emitter, so nothing is ever born"
             found.append(Fault("SIM024", message, where="emitters"))

@@ -26,5 +26,5 @@ def out_of_time(subject: SceneSubject) -> Iterator[Fault]:
             f"its file has no frame of the take, which asks for {first:g} to {last:g}"
         )
         hint = "frame: says which of its frames comes with the first"
-        at = ("beside", indices[track.path])
+        at = ("props", indices[track.path])
         yield subject.fault("SCN213", at, message, hint)

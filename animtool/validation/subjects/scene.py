@@ -89,6 +89,7 @@ def open_scene(document: Document) -> Opened:
     opened = Opened(Kind.SCENE)
     if not scene.sources:
         # It has no take: its reader has checked all that there is to check.
+        opened.faults = list(scene.notices)
         return opened
     try:
         opened.subject, notices = _played(document, scene)
@@ -99,7 +100,8 @@ def open_scene(document: Document) -> Opened:
         # sense alone.
         said = {None, path, *opened.subject.targets}
         faults = [fault for fault in notices if fault.path in said]
-    opened.faults = [f if f.path else replace(f, path=path) for f in faults]
+    faults = [f if f.path else replace(f, path=path) for f in faults]
+    opened.faults = [*scene.notices, *faults]
     return opened
 
 

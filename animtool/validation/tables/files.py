@@ -45,6 +45,7 @@ RULES = (
     Rule("DOC024", "more values than are read"),
     Rule("DOC025", "a text or a key that is too long"),
     Rule("DOC101", "comments that `migrate` does not keep", Severity.WARNING),
+    Rule("DOC102", "a key that has a new name", Severity.WARNING),
     Rule("IO001", "a file that cannot be read"),
     Rule("IO002", "a file of a kind that is not read"),
     Rule("IO003", "a plug-in reader that cannot be loaded"),

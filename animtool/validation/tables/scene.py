@@ -136,6 +136,6 @@ RULES = (
     _rule(
         "SCN213",
         "something beside the character that has no frame of the take",
-        "scene_beside:out_of_time",
+        "scene_props:out_of_time",
     ),
 )

@@ -85,7 +85,8 @@ systems:
 - particles: {emitters: [{rate: 100, speed: 2, spread: 20, lifetime: 1, radius: 0.01,
     mass: 0.1, at: [0, 1, 0], bursts: [[0, 5]], place: {disc: {radius: 0.2}}}],
     forces: [{gravity: {acceleration: [0, -9.81, 0]}}, {drag: {linear: 0.01}}],
-    colliders: [{shape: {plane: {offset: -1}}, restitution: 0.4}], step: 0.02, most: 50}
+    colliders: [{shape: {plane: {offset: -1}}, restitution: 0.4}],
+    step: 0.02, max_particles: 50}
 """,
     """\
 scene: animtool/1
@@ -119,7 +120,7 @@ COUNTS = (
     ".nan",
 )
 _COUNT = re.compile(
-    r"(resolution: \[(3, )?|count: |most: |range: \[(1, )?|step: |^fps: )$",
+    r"(resolution: \[(3, )?|count: |max_particles: |range: \[(1, )?|step: |^fps: )$",
     re.MULTILINE,
 )
 _NOT_FINITE = re.compile(r"[\s(,\[-](inf|nan)\b")

@@ -256,7 +256,7 @@ def test_what_blows_up_leaves_nothing_and_says_the_step(tmp_path: Path) -> None:
 
 
 def test_warnings_stop_where_none_are_wanted(tmp_path: Path) -> None:
-    text = SCENE.replace("step: 0.02", "most: 3")
+    text = SCENE.replace("step: 0.02", "max_particles: 3")
     scene = written(tmp_path, text)
     report = bake(scene, tmp_path / "o.usdc")
     assert [notice.code for notice in report.notices] == ["SIM121"]

@@ -367,7 +367,7 @@ def test_systems_have_places_of_their_own(
     name: str, props: bool, tmp_path: Path
 ) -> None:
     (tmp_path / "props.usda").write_text(PROPS, "utf-8")
-    extra = "beside: [{from: props.usda, prim: /box}]\n" if props else ""
+    extra = "props: [{from: props.usda, prim: /box}]\n" if props else ""
     path = scene(tmp_path, extra)
     path.write_text(path.read_text("utf-8").replace("name: dust", f"name: {name}"))
     with pytest.raises(FormatError) as error:
@@ -381,7 +381,7 @@ def test_nothing_is_left_where_warnings_are_errors(
     options: dict[str, Any], deform: bool, tmp_path: Path
 ) -> None:
     path = scene(tmp_path)
-    text = path.read_text("utf-8").replace("    step: 0.01", "    most: 3")
+    text = path.read_text("utf-8").replace("    step: 0.01", "    max_particles: 3")
     path.write_text(text, "utf-8")
     if deform and "form" in options:
         options = {}

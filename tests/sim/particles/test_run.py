@@ -139,7 +139,7 @@ def test_kill_regions_remove() -> None:
 
 
 def test_what_there_is_no_room_for_is_not_born() -> None:
-    crowded = Particles([Emitter(rate=100)], most=30)
+    crowded = Particles([Emitter(rate=100)], max_particles=30)
     run = ParticleRun(crowded)
     assert len(run.at(1.0).ids) == 30
     assert run.state.missed == 70
@@ -298,7 +298,7 @@ def test_everything_wrong_is_said_at_once() -> None:
         velocity=VelocityField("y +"),
         colliders=[Collider(Sphere(-1))],
         options=IntegrateOptions("rk5"),
-        most=0,
+        max_particles=0,
     )
     assert sorted(codes(setup)) == [
         *("SIM001", "SIM020", "SIM021", "SIM022", "SIM022"),

@@ -66,7 +66,7 @@ def test_props_have_frames_of_the_take(
 ) -> None:
     write_props(shot.parent / "props.usda")
     entry = f"{{from: props.usda, prim: /Set/box, frame: {frame}}}"
-    shot.write_text(f"{SCENE}beside: [{entry}]\n", "utf-8")
+    shot.write_text(f"{SCENE}props: [{entry}]\n", "utf-8")
     assert codes(shot) == wanted
 
 
@@ -78,7 +78,7 @@ def test_a_pass_that_changes_the_time_of_props_does_something(shot: Path) -> Non
     shot.write_text(SCENE + warp, "utf-8")
     assert codes(shot) == ["SCN201"]
     entry = "{from: props.usda, prim: /Set/box}"
-    shot.write_text(f"{SCENE}beside: [{entry}]\n{warp}", "utf-8")
+    shot.write_text(f"{SCENE}props: [{entry}]\n{warp}", "utf-8")
     assert codes(shot) == []
 
 
