@@ -7,15 +7,6 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-__all__ = [
-    "ArrayLike",
-    "BoolArray",
-    "Float32Array",
-    "FloatArray",
-    "IntArray",
-    "as_floats",
-]
-
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 Float32Array: TypeAlias = npt.NDArray[np.float32]
 IntArray: TypeAlias = npt.NDArray[np.int64]

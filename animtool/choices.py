@@ -8,8 +8,6 @@ from typing import TypeVar
 from animtool.errors import Fault, OptionError, excerpt
 from animtool.similar import similar
 
-__all__ = ["chosen"]
-
 Choice = TypeVar("Choice", bound=StrEnum)
 
 

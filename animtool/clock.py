@@ -13,16 +13,6 @@ from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError
 from animtool.rates import rate_label
 
-__all__ = [
-    "MAX_FRAMES",
-    "Clock",
-    "FrameSpan",
-    "frame_label",
-    "span_label",
-    "time_codes",
-    "time_fraction",
-]
-
 # Days of animation: rather a number that is mistyped.
 MAX_FRAMES = 10_000_000
 # Time codes are doubles of fractions such as 1001 + 1/5: this finds them again.

@@ -14,9 +14,6 @@ from animtool.files import MAX_TEXT_BYTES, read_input
 from animtool.inputs import note_input
 from animtool.rates import LARGEST_FRAME
 
-__all__ = ["Config", "find_config", "project_around", "project_roots"]
-
-
 # What tools of version control keep at the top of a checkout.
 VERSION_CONTROL = (".git", ".hg", ".svn", ".jj")
 

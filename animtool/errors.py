@@ -9,27 +9,6 @@ from typing import ClassVar
 
 from animtool.printing import escaped
 
-__all__ = [
-    "AnimtoolError",
-    "ExitCode",
-    "Fault",
-    "FormatError",
-    "NothingFoundError",
-    "OptionError",
-    "OutputError",
-    "Severity",
-    "StrictError",
-    "ToleranceError",
-    "circle",
-    "counted",
-    "excerpt",
-    "listed",
-    "naming",
-    "percent",
-    "refuse_warnings",
-]
-
-
 # Names in a message in brief.
 MAX_NAMED = 12
 

@@ -15,21 +15,6 @@ from animtool.errors import Fault, FormatError
 from animtool.inputs import FileState, changed_error, note_input
 from animtool.similar import similar
 
-__all__ = [
-    "MAX_INPUT_BYTES",
-    "FoundFile",
-    "InputFile",
-    "Places",
-    "files_meant",
-    "is_there",
-    "nearest_file",
-    "open_input",
-    "read_input",
-    "seen_from",
-    "too_large",
-    "unreadable",
-]
-
 # More names than a person sees in a folder are not looked at.
 MAX_NAMES = 10_000
 

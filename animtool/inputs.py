@@ -15,15 +15,6 @@ from pathlib import Path
 
 from animtool.errors import Fault, FormatError
 
-__all__ = [
-    "FileState",
-    "Inputs",
-    "changed_error",
-    "check_inputs",
-    "note_input",
-    "recorded_inputs",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class FileState:

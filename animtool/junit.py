@@ -10,8 +10,6 @@ from xml.etree import ElementTree
 
 from animtool.printing import escaped, escaped_lines
 
-__all__ = ["JunitCase", "junit_xml"]
-
 
 @dataclass(frozen=True, slots=True)
 class JunitCase:

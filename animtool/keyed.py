@@ -15,8 +15,6 @@ from animtool.errors import Fault, OptionError
 from animtool.maths.curves import cubic_curves, evaluate
 from animtool.maths.tangents import auto_clamped
 
-__all__ = ["Interpolation", "Keys", "Weight", "key_arrays", "keyed", "weights_at"]
-
 Keys: TypeAlias = Sequence[Sequence[float]]
 Weight: TypeAlias = float | Keys
 

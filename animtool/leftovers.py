@@ -25,16 +25,6 @@ from uuid import uuid4
 from animtool.errors import FormatError
 from animtool.files import open_input, read_input
 
-__all__ = [
-    "Journal",
-    "PlacedFile",
-    "is_running",
-    "new_temporary",
-    "remove_leftovers",
-    "take_back",
-    "temporary_prefix",
-]
-
 _OWNER = re.compile(r"\.animtool-(?P<host>[0-9a-f]{8})-(?P<process>[0-9]+)-")
 _JOURNAL = ".set"
 # A longer suffix is no file type, and would make the temporary name too long.

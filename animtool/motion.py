@@ -10,8 +10,6 @@ import numpy as np
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, OptionError
 
-__all__ = ["Channel", "Motion"]
-
 
 @dataclass(frozen=True, slots=True)
 class Channel:

@@ -17,17 +17,6 @@ from animtool.placing import Target, Whole, output_error, place_files, target
 from animtool.signals import deferred_signals, ending, interrupt
 from animtool.supervisor import note_folder, note_said
 
-__all__ = [
-    "ahead",
-    "check_outputs",
-    "once_named",
-    "output_error",
-    "replacing",
-    "size_of",
-    "sparing_inputs",
-    "together",
-]
-
 # Final paths that were free when they were checked, and may not be replaced: who else
 # writes one meanwhile wins.
 _free: ContextVar[frozenset[Path]] = ContextVar("_free", default=frozenset())

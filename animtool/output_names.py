@@ -8,8 +8,6 @@ import unicodedata
 from collections.abc import Iterator
 from pathlib import Path, PurePath
 
-__all__ = ["inside", "is_text", "name_key", "name_problem"]
-
 # Of a name in a folder, on nearly every disk [byte].
 LONGEST_NAME = 255
 # Windows gives these to devices, whatever the suffix.

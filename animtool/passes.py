@@ -20,27 +20,6 @@ from animtool.plugins import load_object, load_plugin, plugin_points
 from animtool.similar import similar
 from animtool.take import Take, TakeStream
 
-__all__ = [
-    "EVERY_PART",
-    "MOTION_PARTS",
-    "PASSES",
-    "PLUGIN_GROUP",
-    "RETIMED_PARTS",
-    "ClipRun",
-    "ListedPass",
-    "OptionChecks",
-    "Pass",
-    "PassContext",
-    "Scope",
-    "StreamRun",
-    "TakePart",
-    "apply_pass",
-    "find_pass",
-    "listed_passes",
-    "named_take",
-    "sees_tracks",
-]
-
 PLUGIN_GROUP = "animtool.passes"
 
 PASSES: dict[str, str] = {

@@ -7,10 +7,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from animtool.errors import Fault, OptionError, listed
-from animtool.take import Channel, Motion, TakeStream
+from animtool.motion import Channel, Motion
+from animtool.take import TakeStream
 from animtool.transforms import Track
-
-__all__ = ["PassthroughTracks", "checked_tracks"]
 
 MAX_NAMED = 6
 

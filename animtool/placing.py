@@ -13,8 +13,6 @@ from pathlib import Path
 from animtool.errors import Fault, OptionError, OutputError
 from animtool.leftovers import Journal, PlacedFile, new_temporary
 
-__all__ = ["Target", "Whole", "output_error", "place_files", "target"]
-
 # What systems say of a disk without hard links.
 _NO_LINKS = frozenset(
     {errno.EPERM, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS, errno.EINVAL}

@@ -10,8 +10,6 @@ from animtool.errors import Fault, OptionError, excerpt
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-__all__ = ["load_object", "load_plugin", "plugin_points"]
-
 Kind = TypeVar("Kind")
 
 

@@ -10,8 +10,6 @@ from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from typing import TypeVar
 
-__all__ = ["prefetch"]
-
 T = TypeVar("T")
 
 

@@ -15,8 +15,6 @@ from __future__ import annotations
 import json
 import re
 
-__all__ = ["CONTROL", "escaped", "escaped_lines", "json_printed"]
-
 # A class of a regular expression: what no name has a use for.
 CONTROL = "\x00-\x1f\x7f-\x9f\ud800-\udfff"
 # Controls, what ends a line, what has no width, what turns the direction of text, and

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["angle_text", "duration_text", "length_text", "plain", "size_text"]
-
 # Least number that a unit is used for, the unit, and its name.
 _LENGTHS = (
     (1.0, 1.0, "m"),

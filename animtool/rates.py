@@ -10,18 +10,6 @@ from numbers import Rational
 
 from animtool.errors import Fault, OptionError, excerpt
 
-__all__ = [
-    "LARGEST_FRAME",
-    "RateChoice",
-    "RateKind",
-    "exact_number",
-    "parse_rate",
-    "rate_from_float",
-    "rate_from_frame_time",
-    "rate_label",
-    "rate_option",
-]
-
 # Beyond it a frame is no frame: times between frames would be lost to rounding.
 LARGEST_FRAME = 10**9
 # Exporters print frame times to 6 or more digits: the error left in a rate up to

@@ -14,18 +14,6 @@ from animtool.errors import Fault, OptionError
 from animtool.files import is_there, unreadable
 from animtool.plugins import load_object, load_plugin, plugin_points
 
-__all__ = [
-    "DOCUMENT",
-    "PLUGIN_GROUP",
-    "READERS",
-    "TIMELINE_SUFFIXES",
-    "USD",
-    "ListedReader",
-    "Reader",
-    "find_reader",
-    "listed_readers",
-]
-
 PLUGIN_GROUP = "animtool.readers"
 
 

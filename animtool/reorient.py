@@ -10,13 +10,12 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError
 from animtool.maths import so3
+from animtool.motion import Channel, Motion
 from animtool.rig.parts import Attachment, HeldArray, IkChain, Mesh
 from animtool.rig.skeleton import Pose, Rig
-from animtool.take import Channel, Motion, TakeStream
+from animtool.take import TakeStream
 from animtool.transforms import turned_track
 from animtool.units import UpAxis, up_from_up
-
-__all__ = ["reorient"]
 
 
 def reorient(stream: TakeStream, up: UpAxis) -> TakeStream:

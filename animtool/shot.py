@@ -13,8 +13,6 @@ from fractions import Fraction
 
 from animtool.rates import rate_label
 
-__all__ = ["SHOT_START", "Shot", "frame_spans", "frames_within"]
-
 # The number of a shot's first frame where nothing states another.
 SHOT_START = 1001
 # Timelines store times as floats: this near to a frame, the frame is meant [frame].

@@ -11,19 +11,6 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import NoReturn
 
-__all__ = [
-    "ENDING",
-    "TerminatedError",
-    "deferred_signals",
-    "ending",
-    "interrupt",
-    "obey_signals",
-    "obeyed_signals",
-    "outlast_signals",
-    "receive_signals",
-    "without_interrupts",
-]
-
 # A terminal that is closed asks as SIGTERM does.
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 ENDING = tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, name))

@@ -6,8 +6,6 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from itertools import islice
 
-__all__ = ["LONGEST", "distinct", "similar"]
-
 # Names that are looked at, and of them those that are compared letter by letter.
 MAX_NAMES, MAX_COMPARED = 2000, 40
 # Nobody misspells a longer one.

@@ -28,21 +28,6 @@ from animtool.signals import ENDING, obey_signals
 if TYPE_CHECKING:
     from typing import NoReturn
 
-__all__ = [
-    "Crash",
-    "can_supervise",
-    "crash_fault",
-    "follow_parent",
-    "has_crashed",
-    "leave",
-    "note_folder",
-    "note_said",
-    "reading",
-    "report_reading",
-    "stdin_lines",
-    "supervise",
-]
-
 # What a child may note, and what it may read of stdin [bytes]. Pages that are not
 # written to take no memory.
 NOTED = 1 << 20

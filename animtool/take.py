@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 
 from animtool._types import FloatArray
-from animtool.clock import MAX_FRAMES, Clock, time_codes
+from animtool.clock import Clock
 from animtool.errors import Fault, OptionError, counted
 from animtool.maths.curves import Curves
 from animtool.motion import Channel, Motion
@@ -20,16 +20,6 @@ from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 from animtool.take_checks import impossible_values, misfits
 from animtool.transforms import Track
-
-__all__ = [
-    "MAX_FRAMES",
-    "Channel",
-    "Clock",
-    "Motion",
-    "Take",
-    "TakeStream",
-    "time_codes",
-]
 
 
 @dataclass(frozen=True, slots=True)

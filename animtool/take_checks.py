@@ -14,8 +14,6 @@ from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Rig
 from animtool.transforms import Track
 
-__all__ = ["impossible_values", "misfits"]
-
 # Half precision, the coarsest that USD keeps rotations in, is off by 5e-4.
 UNIT_TOLERANCE = 1e-3
 

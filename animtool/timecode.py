@@ -5,13 +5,6 @@ from __future__ import annotations
 import re
 from fractions import Fraction
 
-__all__ = [
-    "count_rate",
-    "day_frames",
-    "parse_timecode",
-    "seconds_between",
-]
-
 # Frames a second that are labelled, minutes but every tenth leaving so many out.
 _DROPPED = {Fraction(30000, 1001): 2, Fraction(60000, 1001): 4}
 _LABEL = re.compile(r"(\d\d):(\d\d):(\d\d)([:;])(\d\d+)(\.\d{1,18})?")

@@ -13,8 +13,6 @@ from animtool._types import BoolArray, FloatArray
 from animtool.errors import Fault
 from animtool.maths import so3
 
-__all__ = ["Attribute", "Reference", "Track", "Transforms", "turned_track"]
-
 
 @dataclass(frozen=True, slots=True)
 class Attribute:

@@ -6,8 +6,6 @@ import math
 import re
 from enum import StrEnum
 
-__all__ = ["LengthUnit", "UpAxis", "parse_length", "unit_name", "up_from_up"]
-
 
 class LengthUnit(StrEnum):
     """A unit that a file may be declared to be in."""

@@ -12,12 +12,14 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from animtool._types import FloatArray
+from animtool.clock import Clock
 from animtool.errors import AnimtoolError, Fault, OptionError
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
+from animtool.motion import Channel, Motion
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Channel, Clock, Motion, Take, TakeStream
+from animtool.take import Take, TakeStream
 
 ARM = Rig("arm", (Joint("a", -1), Joint("b", 0, translation=(0.0, 2.0, 0.0))))
 

@@ -28,18 +28,8 @@ from animtool.batch.discover import Batch
 from animtool.batch.outcome import Status
 from animtool.documents.yaml_text import yaml_text
 from animtool.errors import Fault, FormatError
-from animtool.output import check_outputs, output_error, replacing, together
-
-__all__ = [
-    "CHUNK",
-    "TASK_SECONDS",
-    "Bundle",
-    "Cuts",
-    "batch_bundle",
-    "chunk_size",
-    "mean_seconds",
-    "write_bundle",
-]
+from animtool.output import check_outputs, replacing, together
+from animtool.placing import output_error
 
 # A process that makes a chunk takes about 1 s to start, and looks at the whole
 # batch: a hundredth of this [s].

@@ -12,8 +12,6 @@ from animtool.errors import Fault, OptionError, OutputError
 from animtool.files import Places
 from animtool.output_names import name_key
 
-__all__ = ["check_overwrites", "check_places"]
-
 MAX_FAULTS = 50
 
 

@@ -11,18 +11,6 @@ from typing import Any, NoReturn
 from animtool.errors import FormatError, excerpt
 from animtool.files import read_input
 
-__all__ = [
-    "RecordError",
-    "json_object",
-    "json_of_file",
-    "list_in",
-    "number_in",
-    "object_of",
-    "text_in",
-    "texts_in",
-    "whole_in",
-]
-
 # Longer than the longest path that any system has.
 MAX_TEXT = 40_000
 # What sizes, times and inodes have room in.

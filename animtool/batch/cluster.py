@@ -23,8 +23,6 @@ from animtool.batch.versions import made_by
 from animtool.batch.worker_process import Task, WorkerProcess
 from animtool.errors import Fault, OptionError, OutputError, excerpt
 
-__all__ = ["dask"]
-
 # A scheduler that has not answered by then is not there [s].
 TIMEOUT = 10.0
 # How often the workers that there are are counted where nothing ends [s].

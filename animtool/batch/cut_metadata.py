@@ -11,8 +11,6 @@ from animtool.documents.names import nearest
 from animtool.errors import excerpt
 from animtool.rates import LARGEST_FRAME, parse_rate
 
-__all__ = ["CutMetadata", "cut_metadata"]
-
 
 @dataclass(frozen=True, slots=True)
 class CutMetadata:

@@ -40,8 +40,6 @@ from animtool.rates import rate_label
 from animtool.scene.sources import source_stem
 from animtool.shot import SHOT_START, Shot, frames_within
 
-__all__ = ["SHOT_NAMES", "Cut", "CutList", "CutOptions", "read_cut", "read_cuts"]
-
 SHOT_NAMES = (
     "shot",
     "clip",

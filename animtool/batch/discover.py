@@ -35,8 +35,6 @@ from animtool.usd.forms import check_suffix
 if TYPE_CHECKING:
     from animtool.scene.reading import Source
 
-__all__ = ["SUFFIXES", "Batch", "find_batch"]
-
 # How names end of the files that a folder is searched for. USD is left out: outputs
 # are of that kind, and would be inputs of the next run.
 SUFFIXES = (

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from animtool.scene.reading import Source
     from animtool.scene.scene import Scene
 
-__all__ = ["check_columns", "check_effects", "sample_source"]
-
 MAX_FAULTS = 50
 
 

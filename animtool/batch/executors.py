@@ -15,18 +15,6 @@ from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError, excerpt
 from animtool.plugins import load_object, load_plugin, plugin_points
 
-__all__ = [
-    "EXECUTORS",
-    "PLUGIN_GROUP",
-    "Executor",
-    "ListedExecutor",
-    "Work",
-    "find_executor",
-    "listed_executors",
-    "processes",
-    "serial",
-]
-
 PLUGIN_GROUP = "animtool.executors"
 
 

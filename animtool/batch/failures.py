@@ -11,8 +11,6 @@ from animtool.batch.lines import LineReader, LineWriter
 from animtool.errors import Fault
 from animtool.output import replacing
 
-__all__ = ["Failures", "add_failure", "read_failures", "rewrite_failures"]
-
 HEAD = {"failures": "animtool/1"}
 # More than a line says to anybody.
 MAX_WHY = 10_000

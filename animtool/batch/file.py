@@ -25,8 +25,6 @@ from animtool.scene.options import BakeOptions
 from animtool.scene.sources import SourceOptions, is_timeline
 from animtool.units import LengthUnit, UpAxis, parse_length
 
-__all__ = ["batch_of_document", "load_batch"]
-
 Made = TypeVar("Made")
 
 

@@ -30,12 +30,10 @@ from animtool.batch.records import ItemRecord
 from animtool.errors import Fault, OutputError, excerpt
 from animtool.inputs import FileState
 from animtool.leftovers import is_running
-from animtool.output import output_error
+from animtool.placing import output_error
 
 if TYPE_CHECKING:
     from filelock import FileLock
-
-__all__ = ["History", "Ledger", "held_ledger", "read_history"]
 
 # A run of some items holds the lock of the whole for a moment, to see that it is free.
 TIMEOUT = 5.0

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 from animtool.errors import excerpt
 
-__all__ = ["MAX_SECONDS", "Limits", "bytes_text", "parse_bytes", "parse_seconds"]
-
 # Beyond what anybody waits for, and within what systems can count.
 MAX_SECONDS = 1e9
 MAX_BYTES = 10**18

@@ -19,9 +19,7 @@ from typing import IO, Any, Self
 from animtool.batch.checked import RecordError, json_object
 from animtool.errors import Fault, FormatError, OutputError, Severity, counted
 from animtool.files import open_input
-from animtool.output import output_error
-
-__all__ = ["LineReader", "LineWriter"]
+from animtool.placing import output_error
 
 Line = Mapping[str, Any]
 

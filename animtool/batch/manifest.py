@@ -18,8 +18,6 @@ from animtool.batch.records import FileRecord, ItemRecord
 from animtool.errors import Fault
 from animtool.output import replacing
 
-__all__ = ["Manifest", "ManifestWriter", "read_manifest", "rewrite_manifest"]
-
 HEAD = {"manifest": "animtool/1"}
 MAX_FILES = 10**9
 # Names a line: one that is damaged takes few with it.

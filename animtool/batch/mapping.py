@@ -22,8 +22,6 @@ from animtool.batch.checked import (
 from animtool.batch.spec import BatchSpec
 from animtool.errors import Fault, FormatError, excerpt
 
-__all__ = ["PathRule", "mapped_path", "mapped_spec", "read_rules"]
-
 _KINDS: dict[str, type[PurePath]] = {
     "POSIX": PurePosixPath,
     "WINDOWS": PureWindowsPath,

@@ -15,16 +15,6 @@ from animtool.files import FoundFile
 from animtool.output_names import inside, name_problem
 from animtool.scene.sources import source_stem
 
-__all__ = [
-    "INPUT_NAMES",
-    "NamedOutputs",
-    "UnsafeNameError",
-    "file_pattern",
-    "input_names",
-    "output_root",
-    "unknown_names",
-]
-
 INPUT_NAMES = ("input", "folder", "name", "parent", "stem")
 # These are paths that a pattern begins with, to write where the inputs are.
 _PLACES = frozenset({"input", "folder"})

@@ -8,8 +8,6 @@ from enum import StrEnum
 from animtool.batch.records import FileRecord
 from animtool.errors import Fault
 
-__all__ = ["Measured", "Outcome", "Status"]
-
 
 class Status(StrEnum):
     """What became of an item."""

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path, PurePosixPath
 
-__all__ = ["named_from", "place_of"]
-
 UP = ".."
 
 

@@ -16,8 +16,6 @@ from animtool.batch.versions import made_by
 from animtool.errors import FormatError
 from animtool.inputs import FileState
 
-__all__ = ["Decision", "Planner", "Reason"]
-
 
 class Reason(StrEnum):
     """Why an item is made, or not."""

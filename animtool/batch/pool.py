@@ -31,8 +31,6 @@ from animtool.leftovers import remove_leftovers
 from animtool.signals import without_interrupts
 from animtool.supervisor import CRASHES, crash_fault
 
-__all__ = ["run_processes", "warm_up"]
-
 # One thread each: as many processes run as there are processors.
 ENVIRONMENT = {
     # As many processes as processors: more threads would only wait for each other.

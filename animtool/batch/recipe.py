@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from animtool.scene.reading import Source
     from animtool.scene.scene import Scene
 
-__all__ = ["Item", "Recipe", "values_text"]
-
 
 def values_text(values: Mapping[str, str]) -> str:
     """Return the values of a variant behind the name of its input.

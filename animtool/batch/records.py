@@ -20,8 +20,6 @@ from animtool.batch.checked import (
 from animtool.files import open_input
 from animtool.inputs import FileState
 
-__all__ = ["FileRecord", "ItemRecord", "digest_of", "file_digest", "record_of"]
-
 # What names, digests and clocks can be.
 MAX_DIGEST = 200
 CLOCK = 2**63

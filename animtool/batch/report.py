@@ -13,8 +13,6 @@ from animtool.batch.recipe import Item
 from animtool.errors import ExitCode, Fault, Severity
 from animtool.junit import JunitCase, junit_xml
 
-__all__ = ["BatchReport", "ItemReport", "junit_report"]
-
 # How many of the slowest items, and of the worst errors, a summary names.
 NAMED = 3
 

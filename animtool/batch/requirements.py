@@ -9,8 +9,6 @@ from animtool.batch.recipe import Recipe
 from animtool.readers import BVH, DOCUMENT, READERS, USD
 from animtool.scene.sources import is_scene
 
-__all__ = ["import_needed", "needed_modules"]
-
 # The last freezes what the others brought.
 WARM = "animtool.batch.warm"
 ALWAYS = ("animtool.batch.work", "animtool.scene.bake", "animtool.usd.author")

@@ -23,8 +23,6 @@ from animtool.batch.work import Maker
 from animtool.errors import Fault, OptionError
 from animtool.leftovers import remove_leftovers
 
-__all__ = ["Listener", "RunOptions", "run_batch"]
-
 EXECUTOR = "processes"
 
 

@@ -23,8 +23,6 @@ from animtool.scene.output_fields import (
     Sparse,
 )
 
-__all__ = ["BatchModel", "LimitsModel", "OptionsModel", "RangeModel"]
-
 
 class LimitsModel(FileModel):
     """What an item may take."""

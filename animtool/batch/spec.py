@@ -10,8 +10,6 @@ from animtool.batch.limits import Limits
 from animtool.batch.variants import Variants
 from animtool.scene.options import BakeOptions
 
-__all__ = ["BatchSpec", "is_batch"]
-
 BATCH_SUFFIXES = (".batch.yaml", ".batch.yml", ".batch.json")
 
 

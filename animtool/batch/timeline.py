@@ -15,19 +15,6 @@ from animtool.errors import Fault, FormatError, OptionError, excerpt
 from animtool.inputs import FileState
 from animtool.rates import rate_from_float
 
-__all__ = [
-    "NEAR",
-    "exact_rate",
-    "is_remote",
-    "media_path",
-    "picture_rates",
-    "read_timeline",
-    "seconds_of",
-    "shown_span",
-    "speed_of",
-    "transition_sides",
-]
-
 # Times are floats in timelines: this near to a frame, it is meant [frame].
 NEAR = Fraction(1, 1_000_000)
 # Of parts of a frame; two rates that are used have a smaller one in common.

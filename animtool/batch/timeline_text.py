@@ -16,8 +16,6 @@ from zipfile import ZipFile
 from animtool.errors import Fault, FormatError, excerpt
 from animtool.files import open_input
 
-__all__ = ["check_text"]
-
 # A feature film with all its metadata takes a fifth [bytes].
 MAX_BYTES = 100_000_000
 # A stack in a stack takes three.

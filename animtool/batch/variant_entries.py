@@ -18,8 +18,6 @@ from animtool.batch.variants import (
 )
 from animtool.documents.document import Document, Location
 
-__all__ = ["rows_of_document"]
-
 AT = ("variants",)
 
 

@@ -16,21 +16,6 @@ from animtool.documents.document import read_text
 from animtool.documents.names import is_variable_name
 from animtool.errors import Fault, FormatError, OptionError, counted, excerpt
 
-__all__ = [
-    "MAX_VARIANTS",
-    "TOO_MANY",
-    "Variants",
-    "columns_variants",
-    "file_name",
-    "name_problems",
-    "range_values",
-    "read_variants",
-    "value_problem",
-    "values_of_text",
-    "variant_pattern",
-    "variants_of_texts",
-]
-
 # More items than a person means; a slip of a step asks for millions.
 MAX_VARIANTS = 10_000
 # Of a table; a file without line ends has one line of millions of letters.

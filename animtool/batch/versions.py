@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from functools import cache
 
-__all__ = ["made_by"]
-
 PACKAGES = ("animtool", "numpy", "scipy", "usd-core")
 GROUPS = ("animtool.passes", "animtool.readers")
 

@@ -15,12 +15,10 @@ from animtool.batch.recipe import Item, Recipe
 from animtool.batch.records import FileRecord, record_of
 from animtool.errors import AnimtoolError, Fault, excerpt
 from animtool.inputs import FileState, Inputs, note_input, recorded_inputs
-from animtool.output import output_error
+from animtool.placing import output_error
 
 if TYPE_CHECKING:
     from animtool.scene.outputs import OutputReport
-
-__all__ = ["Maker"]
 
 
 @dataclass(slots=True)

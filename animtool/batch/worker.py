@@ -12,8 +12,6 @@ from animtool.batch.requirements import import_needed
 from animtool.batch.work import Maker
 from animtool.supervisor import follow_parent, report_reading
 
-__all__ = ["READY", "Reading", "serve"]
-
 # What a worker sends once it can take items.
 READY = "ready"
 

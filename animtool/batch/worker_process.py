@@ -22,8 +22,6 @@ from animtool.batch.pool import run_processes
 from animtool.batch.recipe import Item
 from animtool.batch.work import Maker
 
-__all__ = ["Task", "WorkerProcess"]
-
 
 @dataclass(frozen=True, slots=True)
 class Task:

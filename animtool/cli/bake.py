@@ -30,8 +30,6 @@ from animtool.cli.shot_options import bake_shot
 if TYPE_CHECKING:
     from animtool.scene.scene import Scene
 
-__all__ = ["bake"]
-
 
 @click.command(
     epilog="""\b

@@ -26,8 +26,6 @@ from animtool.cli.shot_options import SHOT_OPTIONS
 if TYPE_CHECKING:
     from animtool.scene.options import BakeOptions
 
-__all__ = ["bake_options", "bake_options_record"]
-
 
 def _parsed(name: str) -> Parsed:
     def parse(text: str) -> Any:

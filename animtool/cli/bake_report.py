@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from animtool.scene.report import BakeReport
     from animtool.scene.stats import StageCost
 
-__all__ = ["say_bake", "say_outputs"]
-
 
 def say_bake(
     console: Console,

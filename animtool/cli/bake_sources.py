@@ -11,8 +11,6 @@ import click
 if TYPE_CHECKING:
     from animtool.scene.scene import Scene
 
-__all__ = ["default_bake_output", "only_scene", "opened_sources", "until_pass"]
-
 
 def opened_sources(
     sources: Sequence[Path], variables: dict[str, str]

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from animtool.preview.work_precision import Panel
     from animtool.scene.scene import Scene
 
-__all__ = ["measure_bake"]
-
 
 def measure_bake(
     console: Console,

@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from animtool.batch.report import BatchReport, ItemReport
     from animtool.batch.spec import BatchSpec
 
-__all__ = ["batch"]
-
 
 @dataclass(frozen=True, slots=True)
 class _Numbers:
@@ -403,7 +401,8 @@ def _tell(
 
 def _write_junit(path: Path, report: BatchReport) -> None:
     from animtool.batch.report import junit_report
-    from animtool.output import check_outputs, output_error, replacing
+    from animtool.output import check_outputs, replacing
+    from animtool.placing import output_error
 
     check_outputs([path], [], overwrite=True)
     with replacing(path) as temporary:

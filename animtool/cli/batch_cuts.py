@@ -13,8 +13,6 @@ from animtool.cli.options import FILE, Command
 if TYPE_CHECKING:
     from animtool.batch.spec import BatchSpec
 
-__all__ = ["cut_options", "with_cuts"]
-
 
 def cut_options(command: Command) -> Command:
     """Give a command ``--cut`` and ``--handles``."""

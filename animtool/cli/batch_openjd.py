@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from animtool.batch.report import ItemReport
     from animtool.batch.run import Listener
 
-__all__ = ["openjd_failure", "openjd_lines"]
-
 
 def openjd_lines(other: Listener) -> Listener:
     """Return a listener that writes such lines to stdout, and tells another."""

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from animtool.batch.report import ItemReport
     from animtool.batch.run import Listener
 
-__all__ = ["shown_progress"]
-
 WIDTH = 40
 
 

@@ -10,8 +10,6 @@ from animtool.batch.report import BatchReport, ItemReport
 from animtool.errors import counted
 from animtool.quantities import length_text
 
-__all__ = ["batch_text", "ended_text", "planned_text", "report_json"]
-
 
 def batch_text(report: BatchReport, *, dry: bool = False) -> list[str]:
     """Return the lines of a summary.

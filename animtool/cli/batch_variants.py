@@ -13,8 +13,6 @@ from animtool.cli.options import FILE, Command
 if TYPE_CHECKING:
     from animtool.batch.spec import BatchSpec
 
-__all__ = ["variant_options", "variant_words", "with_variants"]
-
 
 def variant_options(command: Command) -> Command:
     """Give a command ``--variants`` and ``--vary``."""

@@ -8,8 +8,6 @@ from click.shell_completion import get_completion_class
 from animtool.cli.console import Console
 from animtool.cli.options import common_options
 
-__all__ = ["completion"]
-
 
 @click.command(
     epilog="""\b

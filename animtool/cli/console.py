@@ -13,8 +13,6 @@ from animtool.errors import Fault, Severity
 from animtool.printing import escaped, json_printed
 from animtool.supervisor import note_said
 
-__all__ = ["Console"]
-
 _COLORS = {Severity.ERROR: "31", Severity.WARNING: "33", Severity.NOTE: "36"}
 
 

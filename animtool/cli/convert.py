@@ -21,8 +21,6 @@ from animtool.cli.options import (
 )
 from animtool.cli.outputs import all_named, existing_options, skipped
 
-__all__ = ["convert"]
-
 
 @click.command(
     epilog="""\b

@@ -26,9 +26,6 @@ from animtool.quantities import length_text, plain
 if TYPE_CHECKING:
     from animtool.report.compare import TakeDifference
 
-__all__ = ["diff"]
-
-
 _KINDS = ("world", "translation", "rotation", "scale")
 
 

@@ -13,8 +13,6 @@ from animtool.printing import escaped_lines
 if TYPE_CHECKING:
     from animtool.validation.rule import Rule
 
-__all__ = ["explain"]
-
 
 @click.command(
     epilog="""\b

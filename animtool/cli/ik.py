@@ -29,8 +29,6 @@ from animtool.cli.outputs import all_named, existing_options, goes_to_stdout, sk
 from animtool.cli.plots import check_plot, draw, plot_option, refuse_alone
 from animtool.cli.shot_options import SHOT_OPTIONS, timeline_shot
 
-__all__ = ["ik"]
-
 FIRST = "first"
 
 

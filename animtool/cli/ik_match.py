@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from animtool.ik.tracks import GoalTrack
     from animtool.scene.ik_match import MatchReport
 
-__all__ = ["match_command"]
-
 # Options of the command that a match heeds, beside those of its source.
 _HEEDED = frozenset(
     {

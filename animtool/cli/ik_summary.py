@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from animtool.scene.ik import IkReport
     from animtool.scene.ik_table import IkTable, IkTableRow
 
-__all__ = ["ik_details", "ik_json", "ik_table_json", "ik_table_text", "ik_text"]
-
 MAX_NAMED = 8
 
 

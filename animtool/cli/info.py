@@ -19,8 +19,6 @@ from animtool.cli.options import (
     take_option,
 )
 
-__all__ = ["info"]
-
 
 @click.command(
     epilog="""\b

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from animtool.report.describe_targets import TargetsDescription
     from animtool.usd.simulated_read import PointPrim
 
-__all__ = ["points_text", "rig_text", "scene_text", "take_text", "targets_text"]
-
 # Of a set with many prims, those that have a line each.
 MAX_PRIMS = 20
 _WORDS = {"": "over", "BasisCurves": "curves"}

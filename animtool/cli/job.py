@@ -18,8 +18,6 @@ from animtool.cli.options import (
     format_option,
 )
 
-__all__ = ["job"]
-
 
 @click.command(
     epilog="""\b

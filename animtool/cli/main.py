@@ -31,8 +31,6 @@ from animtool.supervisor import (
     supervise,
 )
 
-__all__ = ["COMMANDS", "cli", "main"]
-
 COMMANDS = {
     "bake": (
         "animtool.cli.bake:bake",

@@ -11,8 +11,6 @@ from animtool.quantities import duration_text, length_text, size_text
 if TYPE_CHECKING:
     from animtool.scene.report import MeshReport, TakeReport
 
-__all__ = ["mesh_json", "mesh_text"]
-
 
 def mesh_text(take: TakeReport) -> list[str]:
     """Return a line on whose meshes or systems they are, and one on each."""

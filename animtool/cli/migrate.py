@@ -13,8 +13,6 @@ from animtool.cli.options import INPUT, common_options, format_option, strict_op
 if TYPE_CHECKING:
     from animtool.documents.migrate import Migration
 
-__all__ = ["migrate"]
-
 
 @click.command(
     epilog="""\b

@@ -13,29 +13,6 @@ from animtool.cli.console import Console
 if TYPE_CHECKING:
     from animtool.shot import Shot
 
-__all__ = [
-    "DISTANCE",
-    "FILE",
-    "INPUT",
-    "LENGTH",
-    "OUTPUT",
-    "RATE",
-    "TOLERANCE",
-    "Command",
-    "Parsed",
-    "common_options",
-    "count_or_auto",
-    "format_option",
-    "reduce_at_option",
-    "rig_layer_options",
-    "set_option",
-    "source_options",
-    "source_options_record",
-    "source_prim_option",
-    "strict_option",
-    "take_option",
-]
-
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 

@@ -14,8 +14,6 @@ from animtool.cli.options import Command
 from animtool.output import once_named, together
 from animtool.signals import outlast_signals
 
-__all__ = ["all_named", "existing_options", "goes_to_stdout", "skipped"]
-
 
 def existing_options(command: Command) -> Command:
     """Add ``--overwrite`` and ``--skip-existing``."""

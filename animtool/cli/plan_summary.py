@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from animtool.scene.stats import StageCost
     from animtool.scene.steps import Step
 
-__all__ = ["stats_json", "stats_text", "steps_json", "steps_text"]
-
 
 def steps_text(steps: Sequence[Step]) -> list[str]:
     """Return the lines of a plan."""

@@ -14,8 +14,6 @@ from animtool.cli.options import OUTPUT
 if TYPE_CHECKING:
     from animtool.preview.work_precision import Panel
 
-__all__ = ["check_plot", "draw", "plot_option", "refuse_alone"]
-
 
 def plot_option(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add ``--plot``."""

@@ -7,8 +7,6 @@ import click
 from animtool.cli.console import Console
 from animtool.cli.options import common_options, format_option
 
-__all__ = ["plugins"]
-
 
 @click.command(
     epilog="""\b

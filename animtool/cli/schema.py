@@ -9,8 +9,6 @@ import click
 from animtool.cli.console import Console
 from animtool.cli.options import common_options
 
-__all__ = ["MODELS", "schema"]
-
 MODELS = {
     "batch": "animtool.batch.schema:BatchModel",
     "clip": "animtool.clip.schema:ClipModel",

@@ -14,8 +14,6 @@ from animtool.cli.console import Console
 if TYPE_CHECKING:
     from animtool.batch.cuts import Cut
 
-__all__ = ["SHOT_OPTIONS", "bake_shot", "timeline_shot"]
-
 SHOT_OPTIONS = (
     click.option(
         "--shot",

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from animtool.sim.trials.measuring import Reference, TrialRow, TrialTable
     from animtool.sim.trials.trial import Setting
 
-__all__ = ["simulation_table_json", "simulation_table_text"]
-
 LEGEND = "> the file's own   * none as exact is faster   + to take in its place"
 
 

@@ -19,20 +19,6 @@ if TYPE_CHECKING:
     from animtool.scene.report import BakeReport, TakeReport
     from animtool.scene.table import BakeTable
 
-__all__ = [
-    "bake_details",
-    "bake_json",
-    "bake_text",
-    "channel_lines",
-    "channels_json",
-    "convert_json",
-    "convert_text",
-    "output_json",
-    "output_text",
-    "table_json",
-    "table_text",
-]
-
 # Errors of channels that are not worth a line, in their units.
 ROUNDING = 1e-9
 

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from animtool.validation.options import ValidateOptions
     from animtool.validation.run import Report
 
-__all__ = ["validate"]
-
 FORMATS = ("text", "json", "github", "sarif", "junit")
 
 
@@ -261,7 +259,8 @@ def _listed(paths: tuple[str, ...]) -> Iterator[str]:
 
 
 def _write(path: Path, text: str) -> None:
-    from animtool.output import output_error, replacing
+    from animtool.output import replacing
+    from animtool.placing import output_error
 
     with replacing(path) as temporary:
         try:

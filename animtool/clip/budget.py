@@ -11,8 +11,6 @@ from animtool.clip.reduction import ChannelKind
 from animtool.clip.tracks import Track
 from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
 
-__all__ = ["Budget", "subtree_largest"]
-
 
 @dataclass(slots=True)
 class Budget:

@@ -16,8 +16,6 @@ from animtool.maths import so3
 from animtool.maths.extrapolation import Extrapolation
 from animtool.rig.joint_entries import UNIT_LENGTH
 
-__all__ = ["ChannelReader", "file_quaternions"]
-
 _ROTATING = frozenset({Interp.STEP, Interp.SLERP, Interp.SQUAD, Interp.SPLINE})
 _SCALAR = frozenset(Interp) - {Interp.SLERP, Interp.SQUAD, Interp.SPLINE}
 # Whose segments have handles.

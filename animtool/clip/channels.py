@@ -9,8 +9,6 @@ from animtool._types import FloatArray
 from animtool.errors import counted
 from animtool.maths.extrapolation import Extrapolation
 
-__all__ = ["ClipChannel", "Interp", "Parametrization", "Tangent"]
-
 
 class Interp(StrEnum):
     """How a channel runs from a key to the next."""

@@ -10,13 +10,12 @@ from typing import cast
 
 from animtool.clip.channels import ClipChannel
 from animtool.clip.targets import check_targets
+from animtool.clock import MAX_FRAMES, Clock, time_codes
 from animtool.errors import Fault, FormatError, OptionError, counted
 from animtool.plugins import load_object
 from animtool.rates import rate_label, rate_option
 from animtool.rig.skeleton import Rig
-from animtool.take import MAX_FRAMES, Clock, Take, time_codes
-
-__all__ = ["Clip"]
+from animtool.take import Take
 
 
 @dataclass(frozen=True, slots=True)

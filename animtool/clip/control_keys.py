@@ -13,14 +13,13 @@ from animtool.clip.points import SHELL, attached_points, point_errors
 from animtool.clip.reduction import ChannelKind, ReducedChannel
 from animtool.clip.sample import sample_values
 from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
+from animtool.motion import Channel, Motion
 from animtool.rig.control_inverse import SolvedControls, keyed_values, solve_controls
 from animtool.rig.controls import evaluate_controls
 from animtool.rig.kinematics import forward
 from animtool.rig.shapes import own_weights
 from animtool.rig.skeleton import Rig
-from animtool.take import Channel, Motion, Take
-
-__all__ = ["FittedControls", "fit_controls", "own_weights_of", "solved_controls"]
+from animtool.take import Take
 
 # Of the tolerance of the whole, what the keys of controls may use up [1].
 SHARE = 0.5

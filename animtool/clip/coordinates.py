@@ -11,12 +11,10 @@ from animtool._types import BoolArray, FloatArray
 from animtool.clip.reduction import ChannelKind
 from animtool.clip.tracks import Track, euler_order
 from animtool.maths import euler, so3
+from animtool.motion import Motion
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.rig.targets import DRIVEN_PARTS, split_part
-from animtool.take import Motion
-
-__all__ = ["JointMotion", "Same", "joint_motions", "joint_tracks", "wanted_of_joints"]
 
 # Whole turns that the first angle of a pin may be off what is read of its rotation.
 MAX_TURNS = 3

@@ -13,8 +13,6 @@ from animtool.maths import euler
 from animtool.maths.curves import evaluate
 from animtool.maths.rotation_curves import evaluate_rotations
 
-__all__ = ["evaluate_channels"]
-
 # Rotations worked out at once: enough to make few calls, few enough to take 1 MB.
 ROTATIONS_AT_ONCE = 2**15
 

@@ -26,16 +26,6 @@ from animtool.rig.skeleton import Rig
 from animtool.rig.targets import split_part
 from animtool.units import LengthUnit
 
-__all__ = [
-    "ClipFile",
-    "check_clip",
-    "clip_of_document",
-    "load_clip",
-    "load_clip_of",
-    "load_rig_of",
-    "open_clip",
-]
-
 # Motion, and what takes its place: one of them may hold a joint.
 _REPLACED = {
     "translation": "local_translation",

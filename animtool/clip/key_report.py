@@ -14,14 +14,13 @@ from animtool.clip.tracks import Track
 from animtool.clip.units import ClipUnits
 from animtool.errors import Fault, Severity, listed
 from animtool.maths import so3
+from animtool.motion import Channel, Motion
 from animtool.quantities import plain
 from animtool.rig.control_inverse import SolvedControls, keyed_values
 from animtool.rig.skeleton import JointType, Rig
 from animtool.rig.targets import KEYED_PARTS, split_part
-from animtool.take import Channel, Motion, Take
+from animtool.take import Take
 from animtool.units import unit_name
-
-__all__ = ["ChannelError", "channel_errors", "key_notices"]
 
 MAX_NAMES = 6
 

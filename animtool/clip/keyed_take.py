@@ -31,14 +31,13 @@ from animtool.clip.reduction import ChannelKind, Reduction
 from animtool.clip.sample import sample_channels, sample_values
 from animtool.clip.tracks import Track, in_order, tracks_of
 from animtool.errors import Fault
+from animtool.motion import Channel, Motion
 from animtool.rig.control_inverse import SolvedControls
 from animtool.rig.controls import evaluate_controls
 from animtool.rig.kinematics import rest_size
 from animtool.rig.shapes import combination_order
 from animtool.rig.skeleton import Rig
-from animtool.take import Channel, Motion, Take
-
-__all__ = ["KeyedTake", "keyed_take"]
+from animtool.take import Take
 
 # Largest error of a shape's weight that anyone sees [1].
 WEIGHT_TOLERANCE = 1e-3

@@ -15,8 +15,6 @@ from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 from animtool.similar import similar
 
-__all__ = ["SHELL", "attached_points", "joint_bounds", "point_errors", "reach"]
-
 # How far off a joint skin and props are that turn with it, as ACL assumes [m].
 SHELL = 0.03
 

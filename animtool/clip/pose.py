@@ -10,11 +10,9 @@ from animtool._types import FloatArray
 from animtool.clip.reduction import ChannelKind
 from animtool.clip.tracks import Track
 from animtool.maths.additive import scaled, shifted, turned
+from animtool.motion import Motion
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
-from animtool.take import Motion
-
-__all__ = ["Pose", "pose_of"]
 
 
 @dataclass(slots=True)

@@ -21,11 +21,10 @@ from animtool.clip.reduction import ChannelKind, ReducedChannel, Reduction
 from animtool.clip.tracks import Track, tracks_of
 from animtool.maths.fit import FittedKeys, fit_keys
 from animtool.maths.so3 import IDENTITY
+from animtool.motion import Channel, Motion
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
-from animtool.take import Channel, Motion, Take
-
-__all__ = ["reduce_motion"]
+from animtool.take import Take
 
 # Levers are only a first guess: the first rounds scale each channel's tolerance by
 # what came of it in the world, the others tighten where that was too much.

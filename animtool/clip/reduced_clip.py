@@ -12,11 +12,9 @@ from animtool.clip.channels import ClipChannel, Interp, Tangent
 from animtool.clip.clip import Clip
 from animtool.clip.reduction import ChannelKind, ReducedChannel, Reduction
 from animtool.clip.units import ClipUnits
+from animtool.clock import Clock
 from animtool.maths.fit import FittedKeys
 from animtool.rig.skeleton import Rig
-from animtool.take import Clock
-
-__all__ = ["clip_of_reduction", "fitted_channel"]
 
 # Significant digits: beside the tolerance of any reduction, rounding is nothing.
 DIGITS = 10

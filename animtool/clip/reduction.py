@@ -8,11 +8,10 @@ from enum import StrEnum
 import numpy as np
 
 from animtool._types import ArrayLike, FloatArray
+from animtool.clock import Clock
 from animtool.maths import euler
 from animtool.maths.fit import FittedKeys, evaluate_keys
-from animtool.take import Channel, Clock, Motion
-
-__all__ = ["ChannelKind", "ReducedChannel", "Reduction", "evaluate_reduction"]
+from animtool.motion import Channel, Motion
 
 
 class ChannelKind(StrEnum):

@@ -14,8 +14,6 @@ from animtool.documents.check import FileModel
 from animtool.documents.fields import Name, Pair, Real, Vector
 from animtool.documents.ignore import IgnoreModel
 
-__all__ = ["ChannelModel", "ClipModel", "CurveModel", "JoinModel", "KeyModel"]
-
 Tangent = Literal["flat", "linear", "auto", "auto_clamped"]
 Interp = Literal[
     "step",

@@ -12,8 +12,6 @@ from animtool.maths import tangents as rules
 from animtool.maths.curves import Curves, SegmentKind
 from animtool.maths.rotation_curves import RotationKind
 
-__all__ = ["curves_of", "rotation_kinds"]
-
 _Rule = Callable[[FloatArray, FloatArray], FloatArray]
 
 _ALPHA = {

@@ -9,8 +9,6 @@ from animtool.errors import Fault, OptionError
 from animtool.rig.skeleton import Rig
 from animtool.rig.targets import KEYED_PARTS, nearest_part, split_part
 
-__all__ = ["check_targets", "target_kind"]
-
 
 def target_kind(target: str, rig: Rig | None) -> str | Fault:
     """Return what a target of a rig is, or what is wrong with it.

@@ -10,10 +10,8 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.clip.reduction import ChannelKind
 from animtool.maths import euler, so3
+from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Channel, Motion
-
-__all__ = ["PARTS", "Track", "euler_order", "in_order", "tracks_of"]
 
 # Parts of a joint that hold it as a whole, in its parent's space.
 PARTS = {

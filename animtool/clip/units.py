@@ -9,8 +9,6 @@ from animtool.rig.skeleton import Rig
 from animtool.rig.targets import KEYED_PARTS, split_part
 from animtool.units import LengthUnit, unit_name
 
-__all__ = ["ClipUnits"]
-
 _LENGTHS = frozenset({"translation", "local_translation", "slide"})
 
 

@@ -16,8 +16,6 @@ from animtool.maths.extrapolation import Extrapolation
 from animtool.rig.skeleton import Rig
 from animtool.units import unit_name
 
-__all__ = ["clip_text", "curve_lines"]
-
 Choice = TypeVar("Choice", bound=Hashable)
 Tangents = tuple[Tangent, Tangent]
 # Of a channel that does not say.

@@ -20,8 +20,6 @@ from animtool.documents.npy import MAGIC, ArrayError, StoredArray, read_head
 from animtool.errors import FormatError
 from animtool.files import InputFile, open_input
 
-__all__ = ["ARRAY_LIMIT", "Archive", "reading"]
-
 # The most that is read of an archive; a setting and a variable of the environment
 # say otherwise.
 MAX_BYTES = 1_000_000_000

@@ -12,12 +12,6 @@ import numpy.typing as npt
 from animtool._types import FloatArray
 from animtool.documents.archive import Archive, reading
 
-__all__ = [
-    "Archives",
-    "ArrayHeader",
-    "load_array",
-]
-
 # Files held open at once: systems allow a few hundred.
 MAX_OPEN = 16
 

@@ -23,8 +23,6 @@ from animtool.documents.versions import STEPS, new_key, newest, version_of
 from animtool.errors import counted, excerpt
 from animtool.similar import similar
 
-__all__ = ["FileModel", "check_version", "validated", "wrong_values"]
-
 # Faulty values that something stands in for, before the rest is not looked at.
 MAX_MENDED = 200
 

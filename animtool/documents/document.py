@@ -12,15 +12,6 @@ from animtool.documents.yaml_values import read_values
 from animtool.errors import Fault, FormatError, Severity
 from animtool.files import MAX_TEXT_BYTES, open_input
 
-__all__ = [
-    "Document",
-    "Location",
-    "document_of",
-    "read_document",
-    "read_text",
-    "spelled",
-]
-
 Location = tuple[str | int, ...]
 
 MAX_FAULTS = 100

@@ -22,8 +22,6 @@ from animtool.documents.numbers import text as plain_text
 from animtool.documents.yaml_values import compose
 from animtool.errors import FormatError
 
-__all__ = ["Add", "Edit", "EditError", "Put", "Remove", "Rename", "edited"]
-
 # Escapes and ends of lines that YAML takes for others than JSON does, all of a length.
 _JSON_ONLY = re.compile("\\\\u[dD][89a-fA-F][0-9a-fA-F]{2}|[\x85\u2028\u2029]")
 

@@ -8,21 +8,6 @@ from typing import Annotated, Any
 from annotated_types import Len
 from pydantic import Field
 
-__all__ = [
-    "MAX_FRAME",
-    "MAX_NUMBER",
-    "MAX_WHOLE",
-    "Frame",
-    "Name",
-    "Pair",
-    "Quaternion",
-    "Real",
-    "Vector",
-    "Whole",
-    "WholeFrame",
-    "check_numbers",
-]
-
 # The largest number in a file, in its own unit. The square of one is held by float32,
 # which USD has, in any unit; the product of sixteen by float64.
 MAX_NUMBER = 1e18

@@ -6,8 +6,6 @@ from pydantic import Field
 
 from animtool.documents.check import FileModel
 
-__all__ = ["IgnoreModel"]
-
 
 class IgnoreModel(FileModel):
     """A finding of `animtool validate` that is known and stays."""

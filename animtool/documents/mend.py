@@ -11,17 +11,6 @@ from pydantic.fields import FieldInfo
 from animtool.documents.document import Location
 from animtool.documents.names import UNKNOWN
 
-__all__ = [
-    "annotation_at",
-    "annotation_of",
-    "fields_at",
-    "fields_of",
-    "models_of",
-    "replaced",
-    "stand_in",
-    "takes_no_text",
-]
-
 
 def annotation_of(field: FieldInfo) -> Any:
     """Return the type of a field, with what narrows it."""

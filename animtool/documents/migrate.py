@@ -34,9 +34,8 @@ from animtool.errors import (
     listed,
     refuse_warnings,
 )
-from animtool.output import check_outputs, output_error, replacing, together
-
-__all__ = ["Migration", "migrate", "plan_migration"]
+from animtool.output import check_outputs, replacing, together
+from animtool.placing import output_error
 
 
 @dataclass(frozen=True, slots=True)

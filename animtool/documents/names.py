@@ -9,8 +9,6 @@ from itertools import islice
 from animtool.errors import Fault, OptionError
 from animtool.similar import similar
 
-__all__ = ["UNKNOWN", "VARIABLE_NAME", "check_given", "is_variable_name", "nearest"]
-
 # What stands in for a name that is missing, and is none.
 UNKNOWN = "?"
 # Valid names that a hint is looked for among.

@@ -13,8 +13,6 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-__all__ = ["MAGIC", "ArrayError", "Source", "StoredArray", "read_head"]
-
 MAGIC = b"\x93NUMPY"
 # What numpy.load itself takes.
 MAX_HEAD_BYTES = 10_000

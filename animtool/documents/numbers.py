@@ -8,8 +8,6 @@ import re
 from animtool.errors import Fault, FormatError, excerpt
 from animtool.printing import CONTROL
 
-__all__ = ["flow", "number", "scaled", "text", "unreadable"]
-
 # Digits that a float64 needs at most, and those that most need.
 MAX_DIGITS, USUAL_DIGITS = 17, 15
 # What a text may hold of controls: ends of lines, and tabs.

@@ -9,14 +9,6 @@ from animtool.config import find_config, project_around
 from animtool.documents.document import Document, Location
 from animtool.files import is_there, nearest_file, seen_from
 
-__all__ = [
-    "missing_hint",
-    "reference",
-    "referred",
-    "referred_input",
-    "split_reference",
-]
-
 
 def split_reference(text: str, default: str) -> tuple[str, str]:
     """Return file and array name of a reference.

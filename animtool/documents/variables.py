@@ -16,12 +16,6 @@ from animtool.documents.yaml_values import plain_scalar
 from animtool.errors import excerpt
 from animtool.output_names import name_problem
 
-__all__ = [
-    "Variables",
-    "resolve_variables",
-    "with_variables",
-]
-
 # Where a document gives variables their usual values.
 DEFAULTS = "variables"
 # Where a document says where its result goes.

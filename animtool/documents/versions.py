@@ -9,17 +9,6 @@ from typing import Any
 from animtool.documents.document import Document, Location
 from animtool.errors import excerpt
 
-__all__ = [
-    "KINDS",
-    "STEPS",
-    "Step",
-    "Steps",
-    "new_key",
-    "newest",
-    "renamed_keys",
-    "version_of",
-]
-
 # A step takes the values of a whole file and returns those of the next version.
 Step = Callable[[dict[str, Any]], dict[str, Any]]
 Steps = Mapping[int, Step]

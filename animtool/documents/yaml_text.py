@@ -9,8 +9,6 @@ import yaml
 
 from animtool.documents.yaml_values import masked_variables, plain_scalar
 
-__all__ = ["comments_in", "json_text", "yaml_text"]
-
 WIDTH = 88
 
 

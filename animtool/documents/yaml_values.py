@@ -18,8 +18,6 @@ from animtool.documents.names import VARIABLE_NAME
 from animtool.documents.numbers import unreadable
 from animtool.errors import Fault, FormatError, excerpt
 
-__all__ = ["ReadValues", "compose", "masked_variables", "plain_scalar", "read_values"]
-
 # A person nests five or six.
 DEEPEST = 50
 # Ends of lines and what separates values, of which nearly each value has one: a rig of

@@ -10,9 +10,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.edit.combine import Operation, Operations, Strength, combine
 from animtool.maths import additive
-from animtool.take import Motion
-
-__all__ = ["add", "subtract"]
+from animtool.motion import Motion
 
 
 def add(base: Motion, delta: Motion, strength: Strength) -> Motion:

@@ -14,6 +14,7 @@ from animtool.edit.mix import mix
 from animtool.edit.other_take import other_frames
 from animtool.edit.signs import continuous
 from animtool.keyed import Interpolation, Weight, weights_at
+from animtool.motion import Channel
 from animtool.passes import (
     MOTION_PARTS,
     OptionChecks,
@@ -22,9 +23,7 @@ from animtool.passes import (
     Scope,
     named_take,
 )
-from animtool.take import Channel, Take
-
-__all__ = ["PASS", "BlendOptions", "blend"]
+from animtool.take import Take
 
 
 @dataclass(frozen=True, slots=True)

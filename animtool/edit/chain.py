@@ -8,17 +8,8 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.maths import so3
+from animtool.motion import Motion
 from animtool.rig.skeleton import Rig
-from animtool.take import Motion
-
-__all__ = [
-    "Place",
-    "above",
-    "ancestors",
-    "place_of",
-    "rest_rotation",
-    "twist",
-]
 
 
 @dataclass(frozen=True, slots=True)

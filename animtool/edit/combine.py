@@ -13,10 +13,8 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError
+from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Rig
-from animtool.take import Channel, Motion
-
-__all__ = ["Operation", "Operations", "Strength", "check_same_rig", "combine"]
 
 # From values (F, A, K) of both and weights (F, 1, 1) to values (F, A, K).
 Operation: TypeAlias = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]

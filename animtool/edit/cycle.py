@@ -15,6 +15,7 @@ from fractions import Fraction
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
+from animtool.clock import Clock
 from animtool.edit.chain import place_of, rest_rotation, twist
 from animtool.edit.frames import frame_index
 from animtool.edit.travel import traveller
@@ -22,9 +23,7 @@ from animtool.errors import Fault, OptionError
 from animtool.maths import so3
 from animtool.rig.kinematics import forward, rest_size
 from animtool.rig.skeleton import Rig
-from animtool.take import Clock, Take
-
-__all__ = ["Cycle", "find_cycle", "measure_cycle"]
+from animtool.take import Take
 
 # What a difference of speed leads to in this time [s] counts as one of place.
 SPEED_TIME = 0.1

@@ -9,17 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
+from animtool.clock import Clock
 from animtool.edit.additive import subtract
 from animtool.edit.combine import check_same_rig
 from animtool.edit.frames import frame_index
 from animtool.edit.other_take import other_frames
 from animtool.edit.signs import continuous
 from animtool.errors import Fault, OptionError
+from animtool.motion import Channel, Motion
 from animtool.passes import MOTION_PARTS, Pass, PassContext, Scope
 from animtool.rig.skeleton import Rig
-from animtool.take import Channel, Clock, Motion, Take, TakeStream
-
-__all__ = ["PASS", "DifferenceOptions", "difference", "rest_take"]
+from animtool.take import Take, TakeStream
 
 
 @dataclass(frozen=True, slots=True)

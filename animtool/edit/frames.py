@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from fractions import Fraction
 
+from animtool.clock import MAX_FRAMES, Clock
 from animtool.errors import Fault, OptionError
-from animtool.take import MAX_FRAMES, Clock
-
-__all__ = ["check_count", "check_range", "exact", "frame_index", "frame_refusal"]
 
 
 def exact(number: float, name: str) -> Fraction:

@@ -18,8 +18,6 @@ from animtool.rig.skeleton import JointType
 from animtool.take import Take
 from animtool.units import UpAxis
 
-__all__ = ["PASS", "HangOptions", "hang"]
-
 
 @dataclass(frozen=True, slots=True)
 class HangOptions:

@@ -9,8 +9,6 @@ from animtool.errors import Fault, OptionError, excerpt, listed
 from animtool.rig.skeleton import Rig
 from animtool.similar import similar
 
-__all__ = ["joint_index", "joints_matching"]
-
 
 def joint_index(rig: Rig, name: str, option: str) -> int:
     """Return the index of a joint.

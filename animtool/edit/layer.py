@@ -12,6 +12,7 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.choices import chosen
+from animtool.clock import time_codes
 from animtool.edit.additive import add
 from animtool.edit.combine import Strength, check_same_rig
 from animtool.edit.frames import exact
@@ -20,6 +21,7 @@ from animtool.edit.mix import mix
 from animtool.edit.other_take import other_frames
 from animtool.edit.signs import continuous
 from animtool.keyed import Interpolation, Weight, weights_at
+from animtool.motion import Motion
 from animtool.passes import (
     MOTION_PARTS,
     OptionChecks,
@@ -29,9 +31,7 @@ from animtool.passes import (
     named_take,
 )
 from animtool.rig.skeleton import Rig
-from animtool.take import Motion, Take, TakeStream, time_codes
-
-__all__ = ["PASS", "LayerMode", "LayerOptions", "layer"]
+from animtool.take import Take, TakeStream
 
 
 class LayerMode(StrEnum):

@@ -15,6 +15,7 @@ from animtool.edit.track_grid import gridded, mapped_numbers
 from animtool.edit.travel import Travel, travel_of
 from animtool.errors import Fault, OptionError, Severity
 from animtool.maths import so3
+from animtool.motion import Channel, Motion
 from animtool.passes import (
     RETIMED_PARTS,
     OptionChecks,
@@ -24,11 +25,9 @@ from animtool.passes import (
     TakePart,
 )
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Channel, Motion, Take
+from animtool.take import Take
 from animtool.transforms import Track, Transforms
 from animtool.units import UpAxis
-
-__all__ = ["PASS", "LoopOptions", "loop"]
 
 # Ends that differ by more than this share of what the cycle moves are seen to slide.
 POOR_SEAM = 0.2

@@ -15,14 +15,12 @@ from animtool.edit.joint_names import joint_index
 from animtool.edit.mirror_controls import ControlMirror
 from animtool.errors import Fault, OptionError, Severity, listed, percent
 from animtool.maths import so3
+from animtool.motion import Channel, Motion
 from animtool.passes import EVERY_PART, MOTION_PARTS, Pass, PassContext, Scope, TakePart
 from animtool.rig.kinematics import rest_size, rest_world
 from animtool.rig.sides import SidePairs, pair_sides, stray_sides
 from animtool.rig.skeleton import Rig
-from animtool.take import Channel, Motion, Take, TakeStream
-
-__all__ = ["PASS", "Axis", "MirrorOptions", "mirror"]
-
+from animtool.take import Take, TakeStream
 
 # How far the rest position of a joint may be from its partner's mirror image, as a
 # share of the rig's size: measured skeletons of people differ by up to 0.015 [1].

@@ -12,8 +12,6 @@ from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import Rig
 from animtool.rig.targets import DRIVEN_PARTS, split_part
 
-__all__ = ["ControlMirror"]
-
 # How far a control is moved to see what it does, as a share of its range [1].
 NUDGE = 0.1
 # Effects that differ by less are the same [rad], [m].

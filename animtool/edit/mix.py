@@ -7,9 +7,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.edit.combine import Operations, Strength, combine
 from animtool.maths import so3
-from animtool.take import Motion
-
-__all__ = ["mix"]
+from animtool.motion import Motion
 
 
 def mix(base: Motion, other: Motion, strength: Strength) -> Motion:

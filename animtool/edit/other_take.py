@@ -7,9 +7,8 @@ from fractions import Fraction
 import numpy as np
 
 from animtool.edit.places import even_places
-from animtool.take import Motion, Take
-
-__all__ = ["other_frames"]
+from animtool.motion import Motion
+from animtool.take import Take
 
 
 def other_frames(

@@ -9,9 +9,7 @@ import numpy as np
 
 from animtool._types import ArrayLike, FloatArray, IntArray
 from animtool.maths import so3
-from animtool.take import Channel
-
-__all__ = ["Places", "even_places", "nearby_places", "places_between"]
+from animtool.motion import Channel
 
 # A place this near to a frame [frame] is meant to be the frame: what rounding
 # leaves of a time code in the millions is less.

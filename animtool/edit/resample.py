@@ -10,11 +10,12 @@ from fractions import Fraction
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
-from animtool.clock import frame_label
+from animtool.clock import MAX_FRAMES, Clock, frame_label, time_codes
 from animtool.edit.frame_range import FrameRange
 from animtool.edit.frames import check_count
 from animtool.edit.places import Places, even_places
 from animtool.errors import Fault, OptionError, Severity
+from animtool.motion import Motion
 from animtool.passes import (
     RETIMED_PARTS,
     OptionChecks,
@@ -23,17 +24,7 @@ from animtool.passes import (
     Scope,
 )
 from animtool.rates import rate_option
-from animtool.take import MAX_FRAMES, Clock, Motion, Take, time_codes
-
-__all__ = [
-    "PASS",
-    "ResampleOptions",
-    "SampleTimes",
-    "dropped_notice",
-    "plan_samples",
-    "resampled",
-    "sample",
-]
+from animtool.take import Take
 
 BLOCK_FRAMES = 512
 

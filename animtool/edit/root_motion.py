@@ -21,10 +21,9 @@ from animtool.edit.travel import traveller
 from animtool.edit.tree import Placing, inserted, removed, set_joint
 from animtool.errors import Fault, OptionError
 from animtool.maths import so3
+from animtool.motion import Channel
 from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
-from animtool.take import Channel, Take
-
-__all__ = ["PASS", "RootMode", "RootMotionOptions", "extract_root", "recompose_root"]
+from animtool.take import Take
 
 
 class RootMode(StrEnum):

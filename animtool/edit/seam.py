@@ -19,8 +19,6 @@ import numpy.typing as npt
 from animtool._types import FloatArray
 from animtool.maths import so3
 
-__all__ = ["Onward", "SeamBlend", "closed_lines", "closed_turns"]
-
 _Value = TypeVar("_Value", bound=np.generic)
 Onward: TypeAlias = Callable[[FloatArray], FloatArray]
 

@@ -6,9 +6,7 @@ from dataclasses import replace
 
 from animtool._types import FloatArray
 from animtool.maths import so3
-from animtool.take import Motion
-
-__all__ = ["continuous"]
+from animtool.motion import Motion
 
 
 def continuous(motion: Motion, previous: FloatArray | None = None) -> Motion:

@@ -10,11 +10,9 @@ import numpy as np
 from animtool._types import FloatArray, IntArray
 from animtool.clip.points import SHELL, attached_points, joint_bounds, point_errors
 from animtool.edit.places import places_between
+from animtool.motion import Motion
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
-from animtool.take import Motion
-
-__all__ = ["Thinned", "thin_samples"]
 
 # A split this share of a stretch from its ends at least, so that stretches halve.
 SPLIT_MARGIN = 0.125

@@ -11,6 +11,7 @@ from animtool.edit.frames import check_count, exact, frame_refusal
 from animtool.edit.places import even_places
 from animtool.edit.signs import continuous
 from animtool.errors import Fault, OptionError
+from animtool.motion import Channel
 from animtool.passes import (
     RETIMED_PARTS,
     OptionChecks,
@@ -18,9 +19,7 @@ from animtool.passes import (
     PassContext,
     Scope,
 )
-from animtool.take import Channel, Take
-
-__all__ = ["PASS", "TimeScaleOptions", "time_scale"]
+from animtool.take import Take
 
 
 @dataclass(frozen=True, slots=True)

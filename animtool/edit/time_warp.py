@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.clock import Clock
 from animtool.edit.frames import check_count, exact, frame_refusal
 from animtool.edit.places import nearby_places
 from animtool.edit.signs import continuous
 from animtool.keyed import Interpolation, Keys, key_arrays, keyed
+from animtool.motion import Channel
 from animtool.passes import (
     RETIMED_PARTS,
     OptionChecks,
@@ -19,9 +21,7 @@ from animtool.passes import (
     PassContext,
     Scope,
 )
-from animtool.take import Channel, Clock, Take
-
-__all__ = ["PASS", "TimeWarpOptions", "time_warp"]
+from animtool.take import Take
 
 
 @dataclass(frozen=True, slots=True)

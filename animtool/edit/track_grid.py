@@ -9,10 +9,8 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.edit.places import nearby_places
-from animtool.take import Channel
+from animtool.motion import Channel
 from animtool.transforms import Track, Transforms
-
-__all__ = ["gridded", "mapped_numbers"]
 
 
 def mapped_numbers(

@@ -9,11 +9,9 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.edit.chain import above, place_of, twist
 from animtool.maths import so3
+from animtool.motion import Motion
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import JointType, Rig
-from animtool.take import Motion
-
-__all__ = ["Travel", "travel_of", "traveller"]
 
 # A joint that moves by less than this share of the rig's size, or turns by less
 # than this many radians, stands still: files round, and captures tremble.

@@ -10,10 +10,9 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray
 from animtool.errors import Fault, OptionError
 from animtool.maths import so3
+from animtool.motion import Channel
 from animtool.rig.skeleton import Joint, Pose, Rig
-from animtool.take import Channel, Take
-
-__all__ = ["Placing", "inserted", "removed", "set_joint"]
+from animtool.take import Take
 
 # Scales, and angles [rad], that differ by less are the same: they come from files
 # in float32 at best, half at worst, and what is moved by 1e-9 is seen by none.

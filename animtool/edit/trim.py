@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from animtool.edit.frames import check_range, exact, frame_refusal
+from animtool.motion import Motion
 from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
-from animtool.take import Motion, Take, TakeStream
-
-__all__ = ["PASS", "TrimOptions", "trim"]
+from animtool.take import Take, TakeStream
 
 # Time codes are written to a few digits; a frame this near [frame] is meant.
 ON_FRAME = Fraction(1, 1_000_000)

@@ -23,8 +23,6 @@ from animtool.rig.kinematics import forward
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 
-__all__ = ["assemble"]
-
 
 @dataclass
 class _Frame:

@@ -16,8 +16,6 @@ from animtool.ik.result import IkResult
 from animtool.ik.solving import IkOptions, solve
 from animtool.ik.tangent import difference, moved, unwound, with_periods
 
-__all__ = ["Stretch", "best_path", "branches", "price", "search_branches"]
-
 # What a frame that misses its goals costs, in squared radians: more than any jump.
 MISSED = 1e4
 # Poses nearer than this are one branch [rad], [share of the length].

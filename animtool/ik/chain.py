@@ -10,8 +10,6 @@ import numpy as np
 from animtool._types import FloatArray, IntArray
 from animtool.maths import so3
 
-__all__ = ["Chain"]
-
 PIN, SLIDE, BALL = 0, 1, 2
 # Limits this close to a whole turn apart leave no gap [rad].
 GAP = 1e-6

@@ -25,8 +25,6 @@ from animtool.rig.joints import (
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 
-__all__ = ["Part", "Parts", "parts_of"]
-
 # Transforms that differ by less are the same but for rounding [m], [rad].
 SAME = 1e-9
 

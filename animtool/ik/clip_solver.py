@@ -20,8 +20,6 @@ from animtool.ik.smoothing import at_poses, rate_faults, smooth
 from animtool.ik.solving import IkOptions, pose_rows, solve
 from animtool.ik.tangent import difference
 
-__all__ = ["FollowOptions", "follow"]
-
 # A stretch that is looked through begins this long before a jump [s], then twice that.
 FIRST_BACK = 0.25
 # It ends this long after it, at most [s].

@@ -13,8 +13,6 @@ from animtool.ik.tangent import seamless
 from animtool.maths import so3
 from animtool.rig.joints import coordinate_slices
 
-__all__ = ["explained", "jumping", "named", "strain"]
-
 # A joint jumps that moves by more than this [rad], or share of the chain's length, and
 # this a second, and so many times what the targets move by, all together.
 LEAST_JUMP, LEAST_SPEED, MORE_THAN_TARGETS = 0.1, 8.0, 4.0

@@ -28,8 +28,6 @@ from animtool.rig.parts import IkChain, Vector
 from animtool.rig.skeleton import Rig
 from animtool.units import LengthUnit
 
-__all__ = ["TARGETS_SUFFIXES", "is_targets", "load_targets", "targets_of_document"]
-
 TARGETS_SUFFIXES = (".targets.yaml", ".targets.yml", ".targets.json")
 # Shorter, a direction is a slip.
 SHORTEST = 1e-9

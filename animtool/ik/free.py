@@ -15,8 +15,6 @@ from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import JointType, Rig
 
-__all__ = ["FreeEffector", "swung"]
-
 # Shorter than this share of what it points along, a direction is unknown.
 UNKNOWN = 1e-6
 # Limbs that bend by less than the first of these are straight, and those that bend by

@@ -12,8 +12,6 @@ from animtool.rig.parts import Vector
 from animtool.rig.skeleton import Rig
 from animtool.similar import similar
 
-__all__ = ["Goal", "Targets", "rows_of"]
-
 # Numbers beyond this have no square [m]; no character is so large.
 FARTHEST = 1e100
 

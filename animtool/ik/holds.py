@@ -9,8 +9,6 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.maths import so3
 
-__all__ = ["Span", "held", "hold_shares", "smoothstep"]
-
 Span = tuple[float, float]
 
 

@@ -8,8 +8,6 @@ from animtool._types import FloatArray
 from animtool.ik.goals import Goal
 from animtool.rig.skeleton import Rig
 
-__all__ = ["limb_joints"]
-
 # Joints nearer than this share of the rig's size have one origin.
 APART = 1e-9
 

@@ -13,8 +13,6 @@ from animtool.ik.chain import SLIDE, Chain
 from animtool.ik.goals import Goal
 from animtool.rig.skeleton import Rig
 
-__all__ = ["Extension", "Limb", "extend", "find_limbs", "soft_distance"]
-
 # Lengths below this share of the problem's are none.
 NO_LENGTH = 1e-12
 # A limb that lacks less than this share of its reach is straight.

@@ -18,6 +18,7 @@ from animtool.clip.points import SHELL
 from animtool.clip.reduced_clip import fitted_channel
 from animtool.clip.tracks import euler_order
 from animtool.clip.units import ClipUnits
+from animtool.clock import Clock
 from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError, Severity, listed
 from animtool.ik.matching import Matched, match
@@ -28,12 +29,11 @@ from animtool.ik.values import Keyed, Rows, Still, Value
 from animtool.ik.write import USUAL_EASE
 from animtool.maths import euler, so3
 from animtool.maths.fit import fit_keys
+from animtool.motion import Channel
 from animtool.rig.kinematics import forward
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Channel, Clock, Take
-
-__all__ = ["arrays_of", "chains_of", "left_out", "match_take"]
+from animtool.take import Take
 
 # Most frames whose values are written as keys, one each, where none are reduced.
 FEW = 12

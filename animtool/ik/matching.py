@@ -22,8 +22,6 @@ from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import JointType, Rig
 
-__all__ = ["Matched", "match"]
-
 # A middle joint nearer to its limb's line than this share of the limb's length has no
 # side: on a wrong one it is off by less than a hundred-thousandth of that length.
 SIDE = 5e-6

@@ -9,8 +9,6 @@ from animtool.ik.problem import Problem
 from animtool.ik.two_bone import misfit
 from animtool.rig.skeleton import JointType
 
-__all__ = ["IkMethod", "check_method", "serving"]
-
 
 class IkMethod(StrEnum):
     """Which solver.

@@ -8,8 +8,6 @@ from animtool._types import FloatArray
 from animtool.rig.joints import coordinate_slices
 from animtool.rig.skeleton import Rig
 
-__all__ = ["following", "mimics"]
-
 
 def mimics(rig: Rig, moved: Collection[str]) -> list[str]:
     """Return the joints that follow one of some joints, or one that does, in order.

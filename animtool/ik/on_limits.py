@@ -9,8 +9,6 @@ from animtool.ik.problem import Problem
 from animtool.rig.joints import coordinate_slices
 from animtool.rig.limits import BallLimit, RangeLimit
 
-__all__ = ["frames_on_limits"]
-
 # A coordinate this near to its limit is on it [rad] or [m]: farther than what counts as
 # inside a narrower one.
 ON_LIMIT = 1e-8

@@ -28,8 +28,6 @@ from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 from animtool.take import Take
 
-__all__ = ["solve_take"]
-
 # How faults name the goal that they are of.
 _GOAL = re.compile(r"goals\[(\d+)\]")
 

@@ -14,8 +14,6 @@ from animtool.ik.problem import Problem
 from animtool.ik.solving import WARM_DAMPING, IkOptions, chain_targets, pose_rows
 from animtool.ik.tangent import difference, unwound
 
-__all__ = ["Path", "path_of"]
-
 # Rounds of Gauss-Newton at most, each over all frames.
 ROUNDS = 30
 # Of the preference for where a path was when its speed is evened out.

@@ -18,8 +18,6 @@ from animtool.rig.joints import coordinate_slices
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import JointType, Rig
 
-__all__ = ["Problem", "build", "moving_joints", "rest_pose"]
-
 
 @dataclass(frozen=True)
 class Problem:

@@ -8,8 +8,6 @@ from dataclasses import replace
 from animtool.ik.tracks import GoalTrack, TargetTracks
 from animtool.take import Take
 
-__all__ = ["Bring", "rounds", "takes_released"]
-
 # From tracks, and the take without each of them, to the take at its targets.
 Bring = Callable[[TargetTracks, tuple[Take, ...]], Take]
 

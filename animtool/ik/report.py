@@ -15,24 +15,6 @@ from animtool.ik.take_ik import TakeIk
 from animtool.ik.tracks import PARTS
 from animtool.quantities import angle_text, length_text
 
-__all__ = [
-    "BEYOND",
-    "MISSED_ANGLE",
-    "MISSED_LENGTH",
-    "GoalReport",
-    "MissedSpan",
-    "Misses",
-    "apart_notices",
-    "away_notices",
-    "goal_reports",
-    "jump_notices",
-    "limit_counts",
-    "missed_notices",
-    "span_notices",
-    "status_counts",
-    "take_notices",
-]
-
 # A goal that is off by more is missed, where nothing else is asked [m], [rad]: what
 # nobody sees is less.
 MISSED_LENGTH, MISSED_ANGLE = 1e-4, float(np.radians(0.1))

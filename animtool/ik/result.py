@@ -13,8 +13,6 @@ from animtool.ik.on_limits import frames_on_limits
 from animtool.ik.problem import Problem
 from animtool.rig.joints import local_from_coordinates
 
-__all__ = ["IkResult", "IkStatus", "Jump"]
-
 
 class IkStatus(StrEnum):
     """How a solve ended.

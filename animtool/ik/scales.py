@@ -8,8 +8,6 @@ from pathlib import Path
 from animtool.errors import Fault, OptionError
 from animtool.take import Take
 
-__all__ = ["refuse_scales"]
-
 
 def refuse_scales(
     take: Take, effectors: Iterable[tuple[str, str]], path: Path | None = None

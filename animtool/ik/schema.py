@@ -15,8 +15,6 @@ from animtool.documents.check import FileModel
 from animtool.documents.fields import Name, Pair, Quaternion, Real, Vector, Whole
 from animtool.documents.ignore import IgnoreModel
 
-__all__ = ["AimModel", "GoalModel", "TargetsModel", "ValueModel", "WeightsModel"]
-
 Weight = Annotated[Real, Field(ge=0)]
 
 

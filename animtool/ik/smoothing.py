@@ -13,8 +13,6 @@ from animtool.ik.path import Path, path_of
 from animtool.ik.result import IkResult, IkStatus
 from animtool.ik.solving import IkOptions
 
-__all__ = ["at_poses", "rate_faults", "smooth"]
-
 
 def smooth(
     result: IkResult,

@@ -18,8 +18,6 @@ from animtool.ik.result import IkResult, IkStatus
 from animtool.ik.tangent import difference
 from animtool.ik.two_bone import fits, solve_limb, wanted
 
-__all__ = ["IkMethod", "IkOptions", "solve"]
-
 _STATUSES = (
     IkStatus.CONVERGED,
     IkStatus.NEAREST,

@@ -10,8 +10,6 @@ import numpy as np
 from animtool._types import IntArray
 from animtool.rig.skeleton import JointType, Rig
 
-__all__ = ["dressed", "sub_rig", "with_types"]
-
 
 def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
     """Return a rig of some joints, of all that they hang from, and which those are.

@@ -23,8 +23,6 @@ from animtool.rig.joints import (
 )
 from animtool.take import Take
 
-__all__ = ["SolvedPart", "TakeIk", "gathered_take"]
-
 # Coordinates that a solve changes by less, it leaves as they were.
 UNCHANGED = 1e-12
 

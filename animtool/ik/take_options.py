@@ -11,8 +11,6 @@ from animtool.ik.problem import rest_faults
 from animtool.ik.smoothing import rate_faults
 from animtool.ik.solving import IkOptions, option_faults
 
-__all__ = ["TakeOptions", "check_options", "take_option_faults"]
-
 
 @dataclass(frozen=True, slots=True)
 class TakeOptions:

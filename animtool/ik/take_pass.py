@@ -20,8 +20,6 @@ from animtool.rig.skeleton import Rig
 from animtool.take import Take
 from animtool.units import parse_length
 
-__all__ = ["PASS", "IkPassOptions", "asked_of"]
-
 
 @dataclass(frozen=True, slots=True)
 class IkPassOptions:

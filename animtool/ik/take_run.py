@@ -21,8 +21,6 @@ from animtool.ik.tracks import GoalTrack, TargetTracks
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 
-__all__ = ["TakeRun"]
-
 # Those that follow a clip over other branches; the others are there for comparison.
 FOLLOWED = frozenset({IkMethod.AUTO, IkMethod.DAMPED, IkMethod.TWO_BONE})
 # A pole stands this many lengths of its chain away, so that only its side counts.

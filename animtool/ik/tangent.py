@@ -8,8 +8,6 @@ from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.ik.chain import BALL, PIN, Chain
 from animtool.maths import so3
 
-__all__ = ["difference", "moved", "seamless", "unwound", "with_periods"]
-
 # Limits that are wider than a whole turn by no more than this are meant as one [rad].
 HAIR = 0.02
 

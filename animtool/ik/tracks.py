@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.clock import MAX_FRAMES, Clock
 from animtool.errors import Fault, OptionError, counted
 from animtool.ik.free import FreeEffector
 from animtool.ik.goals import Goal, Targets
@@ -19,9 +20,6 @@ from animtool.rates import rate_label
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import Rig
-from animtool.take import MAX_FRAMES, Clock
-
-__all__ = ["PARTS", "GoalTrack", "TargetTracks"]
 
 # Of a goal, in the order of the weights.
 PARTS = ("position", "orientation", "aim", "pole")

@@ -16,16 +16,6 @@ from animtool.ik.chain import BALL, PIN, Chain
 from animtool.ik.problem import Problem
 from animtool.maths import so3
 
-__all__ = [
-    "LimbSolution",
-    "bend",
-    "fits",
-    "misfit",
-    "perpendicular",
-    "solve_limb",
-    "wanted",
-]
-
 # A pin is across a bone within this [1].
 ACROSS = 1e-12
 # Lengths below this share of the limb's are none.

@@ -32,8 +32,6 @@ from animtool.ik.values import (
 from animtool.readers import find_reader
 from animtool.rig.skeleton import Rig
 
-__all__ = ["ValueReader"]
-
 # Of a value that follows a prim only, and of one that has keys only.
 _OF_PRIM = ("file", "space", "offset", "rotate")
 _OF_KEYS = ("interp", "tangents", "parametrization", "euler", "pre", "post")

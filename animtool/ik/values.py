@@ -15,18 +15,6 @@ from animtool.clip.evaluate import evaluate_channels
 from animtool.errors import Fault, OptionError
 from animtool.maths import so3
 
-__all__ = [
-    "Frames",
-    "Keyed",
-    "PrimMotion",
-    "PrimPlace",
-    "PrimTurn",
-    "Rows",
-    "Still",
-    "Value",
-    "between",
-]
-
 # From seconds (F,) to the positions [m] (F, 3) and rotations (F, 4) of a prim, in the
 # world of the rig.
 PrimMotion: TypeAlias = Callable[[FloatArray], tuple[FloatArray, FloatArray]]

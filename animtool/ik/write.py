@@ -17,8 +17,6 @@ from animtool.ik.tracks import PARTS, GoalTrack, TargetTracks
 from animtool.ik.values import Keyed, Rows, Still, Value
 from animtool.units import unit_name
 
-__all__ = ["TargetsText", "targets_text"]
-
 USUAL_EASE = float(GoalModel.model_fields["ease"].default)
 
 

@@ -22,16 +22,6 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.maths import so3
 
-__all__ = [
-    "Difference",
-    "scaled",
-    "shifted",
-    "turned",
-    "unscaled",
-    "unshifted",
-    "unturned",
-]
-
 # From the values of a source and a base to the delta between them.
 Difference: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]
 

@@ -11,8 +11,6 @@ from animtool import _kernels
 from animtool._types import ArrayLike, FloatArray, IntArray, as_floats
 from animtool.maths.extrapolation import Extrapolation, fold
 
-__all__ = ["Curves", "SegmentKind", "cubic_curves", "end_slopes", "evaluate"]
-
 
 class SegmentKind(IntEnum):
     """How a curve runs from a key to the next."""

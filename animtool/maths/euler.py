@@ -12,8 +12,6 @@ from animtool import _kernels
 from animtool._types import ArrayLike, FloatArray
 from animtool.maths.so3 import IDENTITY
 
-__all__ = ["ORDERS", "axes_of", "from_quaternion", "to_quaternion"]
-
 ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
 
 

@@ -9,8 +9,6 @@ import numpy as np
 
 from animtool._types import FloatArray
 
-__all__ = ["Extrapolation", "Folded", "fold"]
-
 
 class Extrapolation(StrEnum):
     """How a curve goes on before its first key or behind its last."""

@@ -6,16 +6,6 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 
-__all__ = [
-    "distinct_pairs",
-    "edge_counts",
-    "edges",
-    "of_one_edge",
-    "sides",
-    "triangulated",
-    "vertex_normals",
-]
-
 
 def sides(counts: IntArray, indices: IntArray) -> IntArray:
     """Return each corner of polygons with the next of the same ``(C, 2)``.

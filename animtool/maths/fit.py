@@ -10,8 +10,6 @@ from animtool import _kernels
 from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_floats
 from animtool.maths.curves import cubic_curves, evaluate
 
-__all__ = ["FittedKeys", "evaluate_keys", "fit_keys"]
-
 
 @dataclass(frozen=True, slots=True)
 class FittedKeys:

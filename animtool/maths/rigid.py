@@ -7,8 +7,6 @@ import numpy as np
 from animtool._types import ArrayLike, FloatArray
 from animtool.maths import so3
 
-__all__ = ["rigid_motion"]
-
 # Of the largest spread: what rounding makes of points on a line, or at one place.
 FLAT = 1e-9
 

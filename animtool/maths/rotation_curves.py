@@ -17,9 +17,6 @@ from animtool.maths.rotation_segments import (
     squad_by_velocities,
 )
 
-__all__ = ["RotationKind", "evaluate_rotations", "spline"]
-
-
 # A velocity at a key turns by no more than this over either segment [rad]. Slerps
 # stay below half of it; more would wind the curve around between keys, and past two
 # turns squad's inner points no longer tell how far to go.

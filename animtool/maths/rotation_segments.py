@@ -14,16 +14,6 @@ import numpy as np
 from animtool._types import ArrayLike, FloatArray, as_floats
 from animtool.maths import so3
 
-__all__ = [
-    "aligned_keys",
-    "cumulative_bspline",
-    "hermite",
-    "log_of_cover",
-    "rotation_between",
-    "squad",
-    "squad_by_velocities",
-]
-
 
 def aligned_keys(keys: ArrayLike, count: int | str = "K") -> FloatArray:
     """Return keys at unit length, signs such that arcs go the short way.

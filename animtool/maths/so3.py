@@ -10,23 +10,6 @@ import numpy as np
 
 from animtool._types import ArrayLike, FloatArray
 
-__all__ = [
-    "IDENTITY",
-    "align_signs",
-    "angle_between",
-    "conjugate",
-    "exp",
-    "from_axis_angle",
-    "from_matrix",
-    "log",
-    "multiply",
-    "normalize",
-    "rotate",
-    "slerp",
-    "split_scale",
-    "to_matrix",
-]
-
 IDENTITY: FloatArray = np.array([0.0, 0.0, 0.0, 1.0])
 IDENTITY.setflags(write=False)
 

@@ -13,15 +13,6 @@ import numpy as np
 
 from animtool._types import ArrayLike, FloatArray, as_floats
 
-__all__ = [
-    "auto_clamped",
-    "catmull_rom_controls",
-    "catmull_rom_spatial",
-    "nonuniform",
-    "secant",
-    "tcb",
-]
-
 
 def secant(times: ArrayLike, values: ArrayLike) -> FloatArray:
     """Return the slope ``(K, D)`` from the key before to the key behind.

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from animtool.scene.table import BakeTable
     from animtool.sim.trials.measuring import TrialTable
 
-__all__ = ["bake_panels", "ik_panels", "simulation_panels"]
-
 
 def simulation_panels(table: SimulationTable) -> list[Panel]:
     """Return a panel for each simulation, with a curve for each method."""

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from animtool.errors import Fault, OptionError
-from animtool.output import output_error, replacing
-
-__all__ = ["SUFFIXES", "Curve", "Panel", "Point", "check_drawable", "draw_panels"]
+from animtool.output import replacing
+from animtool.placing import output_error
 
 SUFFIXES = (".png", ".svg", ".pdf")
 # Of a panel [inch], and dots an inch.

@@ -25,14 +25,6 @@ SCALE_TOLERANCE = 1e-3
 # Of what a weight of one moves by centimetres, less than a micrometre.
 WEIGHT_TOLERANCE = 1e-5
 
-__all__ = [
-    "WEIGHT_TOLERANCE",
-    "Difference",
-    "TakeDifference",
-    "compare",
-    "compare_takes",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class Difference:

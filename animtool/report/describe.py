@@ -18,8 +18,6 @@ from animtool.units import unit_name
 if TYPE_CHECKING:
     from animtool.usd.simulated_read import PointPrim
 
-__all__ = ["TakeDescription", "describe"]
-
 FRAMES_AT_ONCE = 1024
 
 

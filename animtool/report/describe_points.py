@@ -10,8 +10,6 @@ from animtool.errors import Fault
 from animtool.inputs import note_input
 from animtool.usd.simulated_read import ChunkSet, PointPrim, read_points
 
-__all__ = ["PointsDescription", "describe_points"]
-
 
 @dataclass(frozen=True, slots=True)
 class PointsDescription:

@@ -13,8 +13,6 @@ from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import surfaces_of
 from animtool.units import unit_name
 
-__all__ = ["MeshDescription", "RigDescription", "describe_rig"]
-
 
 @dataclass(frozen=True, slots=True)
 class MeshDescription:

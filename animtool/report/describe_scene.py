@@ -10,15 +10,6 @@ from animtool.scene.entries import OutputKind, SceneOutput, SceneSystem, kind_of
 from animtool.scene.files import default_output, form_of, output_files
 from animtool.scene.scene import Scene
 
-__all__ = [
-    "OutputDescription",
-    "PassDescription",
-    "PropDescription",
-    "SceneDescription",
-    "SystemDescription",
-    "describe_scene",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class PropDescription:

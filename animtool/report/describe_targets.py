@@ -10,8 +10,6 @@ from animtool.ik.file import load_targets
 from animtool.ik.tracks import PARTS
 from animtool.rates import rate_label
 
-__all__ = ["GoalDescription", "TargetsDescription", "describe_targets"]
-
 
 @dataclass(frozen=True, slots=True)
 class GoalDescription:

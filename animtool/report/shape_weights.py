@@ -12,8 +12,6 @@ from animtool.errors import counted, listed
 from animtool.rig.arkit import arkit_name
 from animtool.take import Take
 
-__all__ = ["ShapeDifference", "compare_weights"]
-
 
 @dataclass(frozen=True, slots=True)
 class ShapeDifference:

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import re
 
-__all__ = ["ARKIT_SHAPES", "arkit_name"]
-
 _SIDED = """
 browDown browOuterUp cheekSquint eyeBlink eyeLookDown eyeLookIn eyeLookOut eyeLookUp
 eyeSquint eyeWide jaw mouth mouthDimple mouthFrown mouthLowerDown mouthPress mouthSmile

@@ -15,8 +15,6 @@ from animtool.documents.document import Document, Location
 from animtool.documents.references import referred, split_reference
 from animtool.rig.parts import ArrayRef, ArraySource, HeldArray
 
-__all__ = ["ArrayReader"]
-
 Shape = tuple[int | None, ...]
 
 # Roles of arrays that count something, and hold whole numbers.

@@ -12,8 +12,6 @@ from animtool.rig.attach_schema import AttachModel
 from animtool.rig.parts import AttachKind, Attachment
 from animtool.similar import similar
 
-__all__ = ["AttachmentReader"]
-
 Check = Callable[[Location, str], object]
 
 # The keys that an attachment of a kind wants, and those that it takes beside.

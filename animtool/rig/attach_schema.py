@@ -10,12 +10,6 @@ from pydantic import Field
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Name, Real, Vector
 
-__all__ = [
-    "AttachModel",
-    "CapsuleModel",
-    "ColliderModel",
-]
-
 
 class AttachModel(FileModel):
     """What a simulation moves."""

@@ -11,8 +11,6 @@ from animtool.rig.joint_schema import PoseModel
 from animtool.rig.mirror import ORIGIN, Transform, mirrored_pose, placed
 from animtool.rig.skeleton import Joint, Pose
 
-__all__ = ["bind_of"]
-
 
 def bind_of(
     document: Document,

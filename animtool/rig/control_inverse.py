@@ -10,8 +10,6 @@ import numpy as np
 from animtool._types import FloatArray, IntArray
 from animtool.rig.controls import Control, evaluate_controls
 
-__all__ = ["SolvedControls", "keyed_values", "solve_controls"]
-
 # Sweeps over the controls, each followed by Newton steps on all of them.
 SWEEPS = 4
 NEWTON_STEPS = 12

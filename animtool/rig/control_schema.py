@@ -10,11 +10,6 @@ from pydantic import Field
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Name, Pair, Real
 
-__all__ = [
-    "ControlModel",
-    "DriveModel",
-]
-
 
 class DriveModel(FileModel):
     """What a control adds to a shape, a joint's coordinate or another control."""

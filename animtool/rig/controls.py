@@ -12,15 +12,6 @@ from animtool._types import FloatArray
 from animtool.errors import circle
 from animtool.rig.expressions import Expression
 
-__all__ = [
-    "Control",
-    "ControlCycleError",
-    "Drive",
-    "DrivenValues",
-    "evaluate_controls",
-    "evaluation_order",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class Drive:

@@ -19,8 +19,6 @@ import numpy as np
 
 from animtool._types import FloatArray
 
-__all__ = ["FUNCTIONS", "Expression", "parse_expression"]
-
 LONGEST = 1000
 DEEPEST = 60
 MAX_BRACKETS = 90

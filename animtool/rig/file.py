@@ -22,8 +22,6 @@ from animtool.rig.schema import RigModel
 from animtool.rig.skeleton import Mimic, Rig
 from animtool.units import LengthUnit, UpAxis
 
-__all__ = ["load_rig", "rig_of_document"]
-
 # A sidecar of a sidecar is odd; this many of them are no studio's rig.
 MAX_SIDECARS = 8
 

@@ -13,8 +13,6 @@ from animtool.maths.rigid import rigid_motion
 from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import Rig
 
-__all__ = ["FITS", "NOTICEABLE", "Fit", "measure_fit"]
-
 # Below, motion of one rig is wrong on the other; at or above, it is only coarser.
 FITS = 0.7
 # At or above, no difference between the rigs can be seen.

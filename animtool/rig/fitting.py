@@ -9,8 +9,6 @@ from animtool.errors import Fault, FormatError, Severity, naming
 from animtool.rig.fit import FITS, NOTICEABLE, Fit, measure_fit
 from animtool.rig.skeleton import Rig
 
-__all__ = ["check_fit"]
-
 # What a length unit that is off makes of the size, and the units of such a file.
 UNIT_RATIOS = (100.0, 1000.0, 10.0, 2.54, 39.37)
 RATIO_TOLERANCE = 0.15

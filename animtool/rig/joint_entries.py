@@ -23,15 +23,6 @@ from animtool.rig.mirror import ORIGIN, Transform, mirrored_joint, placed
 from animtool.rig.parts import Vector
 from animtool.rig.skeleton import Joint, JointType, Mimic, Pose
 
-__all__ = [
-    "UNIT_LENGTH",
-    "FileJoints",
-    "FileUnits",
-    "joints_of",
-    "quaternion",
-    "unit_vector",
-]
-
 # Shorter, an axis or quaternion is a slip and not a direction.
 SHORTEST = 1e-9
 # Within rounding of unit length: kept as written, so that it is written as read.

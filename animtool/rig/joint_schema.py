@@ -10,18 +10,6 @@ from animtool.documents.check import FileModel
 from animtool.documents.fields import Name, Pair, Quaternion, Real, Vector
 from animtool.rig.skeleton import ChannelName
 
-__all__ = [
-    "BallJointModel",
-    "BallLimitsModel",
-    "FixedJointModel",
-    "FreeJointModel",
-    "JointModel",
-    "MimicModel",
-    "PinJointModel",
-    "PoseModel",
-    "PrismaticJointModel",
-]
-
 
 class BallLimitsModel(FileModel):
     """Cone half-angle, or two, and range of twist."""

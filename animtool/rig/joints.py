@@ -23,13 +23,6 @@ from animtool._types import ArrayLike, FloatArray, as_floats
 from animtool.maths import so3
 from animtool.rig.skeleton import JointType, Rig
 
-__all__ = [
-    "LocalTransforms",
-    "coordinate_slices",
-    "coordinates_from_local",
-    "local_from_coordinates",
-]
-
 _WIDTH = {
     JointType.FREE: 7,
     JointType.BALL: 4,

@@ -11,15 +11,6 @@ from animtool._types import ArrayLike, FloatArray, as_floats
 from animtool.maths import so3
 from animtool.rig.skeleton import Rig
 
-__all__ = [
-    "WorldTransforms",
-    "bind_matrices",
-    "bind_world",
-    "forward",
-    "rest_size",
-    "rest_world",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class WorldTransforms:

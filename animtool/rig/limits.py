@@ -9,8 +9,6 @@ import numpy as np
 from animtool._types import ArrayLike, FloatArray
 from animtool.maths import so3
 
-__all__ = ["BallLimit", "RangeLimit", "swing_twist"]
-
 
 @dataclass(frozen=True, slots=True)
 class RangeLimit:

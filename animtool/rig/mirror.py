@@ -12,16 +12,6 @@ from animtool.rig.limits import BallLimit
 from animtool.rig.parts import Vector
 from animtool.rig.skeleton import Joint, Pose
 
-__all__ = [
-    "ORIGIN",
-    "Transform",
-    "mirrored_joint",
-    "mirrored_pose",
-    "placed",
-    "reflect_rotation",
-    "reflect_vector",
-]
-
 # Translation and rotation, world space.
 Transform = tuple[FloatArray, FloatArray]
 ORIGIN: Transform = (np.zeros(3), so3.IDENTITY)

@@ -37,8 +37,6 @@ from animtool.rig.skeleton import Joint
 from animtool.rig.surface_schema import MeshModel, SkinModel
 from animtool.rig.targets import DRIVEN_PARTS, nearest_part, split_part
 
-__all__ = ["PartReader"]
-
 _LISTS = {"joint": "joints", "mesh": "meshes", "shape": "shapes", "control": "controls"}
 
 

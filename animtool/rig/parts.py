@@ -12,22 +12,6 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.documents.arrays import Archives, load_array
 
-__all__ = [
-    "ArrayRef",
-    "ArraySource",
-    "AttachKind",
-    "Attachment",
-    "Capsule",
-    "Collider",
-    "HeldArray",
-    "IkChain",
-    "Inbetween",
-    "Mesh",
-    "Shape",
-    "Skin",
-    "Subdivision",
-]
-
 Vector = tuple[float, float, float]
 
 

@@ -17,8 +17,6 @@ from animtool.rig.control_schema import ControlModel
 from animtool.rig.joint_schema import JointModel, PoseModel
 from animtool.rig.surface_schema import MeshModel, ShapeModel
 
-__all__ = ["IkModel", "RigModel", "UnitsModel"]
-
 
 class UnitsModel(FileModel):
     """Units of the numbers in a file."""

@@ -9,13 +9,6 @@ from animtool._types import FloatArray
 from animtool.errors import circle
 from animtool.rig.parts import Shape
 
-__all__ = [
-    "ShapeCycleError",
-    "combination_order",
-    "combined_weights",
-    "own_weights",
-]
-
 
 class ShapeCycleError(ValueError):
     """Shapes combine each other in a circle.

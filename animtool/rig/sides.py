@@ -10,8 +10,6 @@ import numpy as np
 
 from animtool._types import IntArray
 
-__all__ = ["SidePairs", "pair_sides", "stray_sides"]
-
 _WORDS = {"left": "right", "lft": "rgt", "lf": "rt", "lt": "rt", "l": "r", "左": "右"}
 _LEFT, _RIGHT = (
     rf"(?<![A-Za-z]){word}|{word.capitalize()}|(?<![A-Za-z]){word.upper()}(?![a-z])"

@@ -28,16 +28,6 @@ from animtool.rig.parts import (
 from animtool.similar import similar
 from animtool.units import UpAxis, unit_name
 
-__all__ = [
-    "CHANNEL_NAMES",
-    "ChannelName",
-    "Joint",
-    "JointType",
-    "Mimic",
-    "Pose",
-    "Rig",
-]
-
 # As BVH calls the numbers of a joint.
 ChannelName: TypeAlias = Literal[
     "Xposition", "Yposition", "Zposition", "Xrotation", "Yrotation", "Zrotation"

@@ -23,8 +23,6 @@ from animtool.rig.parts import (
 )
 from animtool.rig.skeleton import Rig
 
-__all__ = ["StoredArrays", "with_file"]
-
 StoredArrays = dict[str, npt.NDArray[np.generic]]
 
 

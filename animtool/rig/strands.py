@@ -8,8 +8,6 @@ from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError
 from animtool.rig.skeleton import Rig
 
-__all__ = ["Strands", "strands_of"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Strands:

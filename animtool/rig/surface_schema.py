@@ -10,14 +10,6 @@ from pydantic import Field
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Name, Real
 
-__all__ = [
-    "InbetweenModel",
-    "MeshModel",
-    "ShapeModel",
-    "SkinModel",
-]
-
-
 Matrix = Annotated[list[Real], Len(16, 16)]
 
 

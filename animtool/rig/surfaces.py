@@ -12,14 +12,6 @@ from animtool.errors import Fault, FormatError
 from animtool.rig.parts import Mesh, Shape, Skin, Subdivision
 from animtool.rig.skeleton import Rig
 
-__all__ = [
-    "Surface",
-    "SurfaceInbetween",
-    "SurfaceShape",
-    "SurfaceSkin",
-    "surfaces_of",
-]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceInbetween:

@@ -7,8 +7,6 @@ from collections.abc import Iterable
 from animtool.rig.skeleton import JointType
 from animtool.similar import LONGEST, similar
 
-__all__ = ["DRIVEN_PARTS", "KEYED_PARTS", "nearest_part", "split_part"]
-
 _TURNS = (JointType.FREE, JointType.BALL)
 _EVERY = tuple(JointType)
 

@@ -21,8 +21,6 @@ from animtool.rig.parts import (
 from animtool.rig.skeleton import Joint, JointType, Pose, Rig
 from animtool.units import unit_name
 
-__all__ = ["rig_text"]
-
 Pairs = Iterable[tuple[str, str | None]]
 
 

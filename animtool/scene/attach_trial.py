@@ -12,6 +12,7 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.clip.points import SHELL, attached_points
+from animtool.motion import Motion
 from animtool.rig.kinematics import forward
 from animtool.scene.entries import Place, ScenePass
 from animtool.scene.scene import Scene
@@ -20,9 +21,7 @@ from animtool.sim.attach.settings import SimulateOptions
 from animtool.sim.attach.take_pass import moves
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.trial import COARSER, FINER, Outcome, Setting, Shot
-from animtool.take import Motion, Take, TakeStream
-
-__all__ = ["AttachTrial", "attach_trials"]
+from animtool.take import Take, TakeStream
 
 METHOD = "xpbd"
 # Steps over those of the chosen setting: they are mostly more than need be.

@@ -15,6 +15,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.errors import Fault, Severity, refuse_warnings
 from animtool.maths.curves import Curves
+from animtool.motion import Motion
 from animtool.output import size_of, together
 from animtool.prefetch import prefetch
 from animtool.rig.kinematics import rest_size
@@ -32,7 +33,6 @@ from animtool.scene.sources import (
     source_stem,
 )
 from animtool.scene.take_plan import TakePlan
-from animtool.take import Motion
 from animtool.usd.animation import WrittenBlock, round_blocks
 from animtool.usd.author import author, write_usd
 from animtool.usd.forms import Form
@@ -44,8 +44,6 @@ if TYPE_CHECKING:
     from animtool.edit.thin import Thinned
     from animtool.scene.systems.character_watch import CharacterWatch
     from animtool.scene.systems.with_take import WrittenSystems
-
-__all__ = ["bake", "run_bake"]
 
 TimedBlocks = Iterator[tuple[FloatArray, Motion]]
 

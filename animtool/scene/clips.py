@@ -18,11 +18,10 @@ from animtool.clip.schema import ChannelModel
 from animtool.clip.segments import curves_of
 from animtool.documents.document import Location, spelled
 from animtool.errors import Fault, FormatError
+from animtool.motion import Motion
 from animtool.rig.skeleton import Rig
-from animtool.take import Motion, TakeStream
+from animtool.take import TakeStream
 from animtool.units import unit_name
-
-__all__ = ["clip_stream", "open_clip_source"]
 
 
 def open_clip_source(

@@ -12,7 +12,8 @@ from animtool.clock import Clock, FrameSpan
 from animtool.documents.versions import KINDS
 from animtool.errors import Fault, OptionError, Severity, listed, refuse_warnings
 from animtool.files import seen_from
-from animtool.output import check_outputs, output_error, replacing, together
+from animtool.output import check_outputs, replacing, together
+from animtool.placing import output_error
 from animtool.rig.skeleton import JointType, Rig
 from animtool.scene.progress import Progress
 from animtool.scene.sources import (
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
     from animtool.clip.keyed_take import KeyedTake
     from animtool.clip.reduction import Reduction
     from animtool.rig.store import StoredArrays
-
-__all__ = ["ConvertReport", "convert", "convert_outputs"]
 
 _WRITES = ".bvh, .clip.yaml, .usd, .usda, .usdc"
 # Of keys written for samples [m]: under what anyone sees on a person.

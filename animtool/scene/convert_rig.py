@@ -15,26 +15,12 @@ from animtool.errors import (
     refuse_warnings,
 )
 from animtool.inputs import recorded_inputs
-from animtool.output import (
-    check_outputs,
-    output_error,
-    replacing,
-    sparing_inputs,
-    together,
-)
+from animtool.output import check_outputs, replacing, sparing_inputs, together
+from animtool.placing import output_error
 from animtool.rig.skeleton import Rig
 from animtool.rig.store import StoredArrays, with_file
 from animtool.rig.write import rig_text
 from animtool.scene.rigs import open_rig
-
-__all__ = [
-    "RIG_SUFFIXES",
-    "RigReport",
-    "convert_rig",
-    "is_rig",
-    "rig_outputs",
-    "write_arrays",
-]
 
 RIG_SUFFIXES = (".rig.yaml", ".rig.yml", ".rig.json")
 

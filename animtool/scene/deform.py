@@ -13,6 +13,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError
 from animtool.maths import so3
+from animtool.motion import Channel, Motion
 from animtool.rig.kinematics import WorldTransforms, bind_matrices, forward
 from animtool.rig.skeleton import Rig
 from animtool.rig.strands import Strands, strands_of
@@ -25,7 +26,6 @@ from animtool.skin.character import (
 )
 from animtool.skin.deform import Deformed, block_frames, deform, deform_blocks
 from animtool.skin.displaced import displaced_points
-from animtool.take import Channel, Motion
 from animtool.units import UpAxis, up_from_up
 from animtool.usd.point_cache import PointBlock, round_points
 from animtool.usd.point_space import PointSpace
@@ -33,8 +33,6 @@ from animtool.usd.point_space import PointSpace
 if TYPE_CHECKING:
     from animtool.scene.take_plan import TakePlan
     from animtool.usd.target import JointMap, RigTarget
-
-__all__ = ["Character", "PointStream", "open_character", "pieces"]
 
 # Frames whose joints are held at once: 60 joints take 1.5 MB.
 PIECE = 256

@@ -21,18 +21,6 @@ from animtool.scene.tracks import TrackNames
 if TYPE_CHECKING:
     from animtool.scene.systems.kinds import SystemSetup
 
-__all__ = [
-    "OutputKind",
-    "Place",
-    "SceneOutput",
-    "ScenePass",
-    "SceneProp",
-    "SceneSource",
-    "SceneSystem",
-    "kind_of",
-    "place_of_entry",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class Place:

@@ -45,8 +45,6 @@ from animtool.scene.tracks import TrackNames
 from animtool.shot import Shot
 from animtool.units import LengthUnit, UpAxis, parse_length
 
-__all__ = ["load_scene", "scene_of_document", "stated_rate"]
-
 
 def load_scene(
     path: Path | str,

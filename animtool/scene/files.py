@@ -13,8 +13,6 @@ from animtool.usd.forms import Form, output_paths
 if TYPE_CHECKING:
     from animtool.scene.reading import Source
 
-__all__ = ["bake_outputs", "default_output", "form_of", "output_files"]
-
 
 def bake_outputs(
     given: Sequence[Source], output: Path, options: BakeOptions

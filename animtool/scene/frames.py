@@ -9,7 +9,7 @@ from fractions import Fraction
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray
-from animtool.clock import frame_label
+from animtool.clock import Clock, frame_label, time_codes
 from animtool.edit.frame_range import FrameRange
 from animtool.edit.resample import (
     SampleTimes,
@@ -18,12 +18,11 @@ from animtool.edit.resample import (
     sample,
 )
 from animtool.errors import Fault, OptionError, Severity
+from animtool.motion import Motion
 from animtool.rig.skeleton import Rig
 from animtool.scene.take_plan import TakePlan
 from animtool.shot import Shot, frame_spans
-from animtool.take import Clock, Motion, Take, TakeStream, time_codes
-
-__all__ = ["TimedTake", "moving_joints", "timed_blocks"]
+from animtool.take import Take, TakeStream
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,18 +49,6 @@ from animtool.units import unit_name
 if TYPE_CHECKING:
     from animtool.scene.report import BakeReport
 
-__all__ = [
-    "IkJob",
-    "IkReport",
-    "MissedGoalsError",
-    "Opened",
-    "frame_index",
-    "ik_outputs",
-    "naming",
-    "open_ik",
-    "run_ik",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class IkJob:

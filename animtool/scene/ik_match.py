@@ -9,18 +9,14 @@ from pathlib import Path
 
 from animtool._types import FloatArray
 from animtool.clip.units import ClipUnits
+from animtool.clock import Clock
 from animtool.errors import Fault, OptionError, refuse_warnings
 from animtool.ik.file import is_targets
 from animtool.ik.match_take import arrays_of, chains_of, left_out, match_take
 from animtool.ik.tracks import TargetTracks
 from animtool.ik.write import targets_text
-from animtool.output import (
-    check_outputs,
-    output_error,
-    replacing,
-    sparing_inputs,
-    together,
-)
+from animtool.output import check_outputs, replacing, sparing_inputs, together
+from animtool.placing import output_error
 from animtool.rig.store import StoredArrays
 from animtool.scene.convert_rig import write_arrays
 from animtool.scene.ik import frame_index, naming
@@ -28,9 +24,7 @@ from animtool.scene.progress import Progress
 from animtool.scene.rigs import open_rig
 from animtool.scene.sources import SourceOptions
 from animtool.scene.start import open_start
-from animtool.take import Clock, Take
-
-__all__ = ["MatchJob", "MatchReport", "run_match"]
+from animtool.take import Take
 
 
 @dataclass(frozen=True, slots=True)

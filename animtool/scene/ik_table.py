@@ -14,8 +14,6 @@ from animtool.ik.take_ik import TakeIk
 from animtool.scene.ik import IkJob, Opened, open_ik
 from animtool.scene.progress import Progress
 
-__all__ = ["TOLERANCES", "IkTable", "IkTableRow", "ik_table"]
-
 # Shares of the chains' length, and radians.
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 

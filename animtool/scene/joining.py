@@ -9,11 +9,13 @@ from fractions import Fraction
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.clock import time_codes
 from animtool.documents.names import nearest
 from animtool.edit.other_take import other_frames
 from animtool.edit.places import nearby_places
 from animtool.errors import Fault, OptionError, Severity, excerpt, listed
 from animtool.maths.curves import Curves
+from animtool.motion import Channel, Motion
 from animtool.quantities import plain
 from animtool.rates import rate_label
 from animtool.reorient import reorient
@@ -25,10 +27,8 @@ from animtool.scene.tracks import (
     moving_tracks,
     with_tracks,
 )
-from animtool.take import Channel, Motion, Take, TakeStream, time_codes
+from animtool.take import Take, TakeStream
 from animtool.timecode import seconds_between
-
-__all__ = ["Part", "joined"]
 
 MAX_NAMED = 6
 

@@ -11,15 +11,14 @@ import numpy as np
 
 from animtool.errors import Fault, FormatError, Severity
 from animtool.maths import so3
+from animtool.motion import Motion
 from animtool.quantities import length_text
 from animtool.rates import rate_label
 from animtool.rig.skeleton import Rig
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import source_stem
-from animtool.take import Motion, TakeStream
+from animtool.take import TakeStream
 from animtool.usd.names import distinct_names, joint_names, legal_name
-
-__all__ = ["alike", "rate_notice", "take_names"]
 
 # Of the rest pose: apart by less is the same, written with other digits.
 REST_LENGTHS = 1e-5

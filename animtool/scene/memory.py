@@ -6,8 +6,6 @@ import contextlib
 import sys
 from dataclasses import dataclass
 
-__all__ = ["PeakMemory"]
-
 # Written there, the peak of Linux begins anew at what is held.
 _RESET = ("/proc/self/clear_refs", b"5")
 _STATUS = "/proc/self/status"

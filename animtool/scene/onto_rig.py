@@ -10,13 +10,12 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, OptionError, Severity, listed, naming
+from animtool.motion import Channel, Motion
 from animtool.reorient import reorient
 from animtool.rig.fitting import check_fit
 from animtool.rig.skeleton import Rig
 from animtool.scene.rigs import open_rig
-from animtool.take import Channel, Motion, TakeStream
-
-__all__ = ["NameMap", "Noter", "left_out", "map_names", "on_rig", "on_rig_file"]
+from animtool.take import TakeStream
 
 MAX_NAMED = 6
 LOST = "their motion is left out"

@@ -14,16 +14,6 @@ from animtool.scene.sources import SourceOptions
 from animtool.shot import Shot
 from animtool.units import LengthUnit, UpAxis
 
-__all__ = [
-    "BakeOptions",
-    "check_options",
-    "merged",
-    "parse_frame",
-    "parse_frame_range",
-    "parse_offsets",
-    "parse_rest",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class BakeOptions:

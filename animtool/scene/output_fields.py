@@ -6,8 +6,6 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-__all__ = ["Bones", "ForceFit", "FormName", "ReduceAt", "RigLayer", "Sparse"]
-
 FormName = Annotated[
     Literal["stage", "split", "layer"] | None,
     Field(

@@ -8,7 +8,9 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TypeAlias
 
+from animtool.clock import Clock
 from animtool.errors import AnimtoolError, Fault, OptionError, Severity, listed
+from animtool.motion import Motion
 from animtool.output import check_outputs, sparing_inputs, together
 from animtool.output_names import name_key
 from animtool.passthrough import PassthroughTracks
@@ -32,9 +34,7 @@ from animtool.scene.reading import shared
 from animtool.scene.report import BakeReport
 from animtool.scene.scene import Scene
 from animtool.scene.take_plan import TakePlan
-from animtool.take import Clock, Motion, Take, TakeStream
-
-__all__ = ["OutputReport", "bake_scene", "is_several", "scene_files"]
+from animtool.take import Take, TakeStream
 
 MAX_NAMED = 6
 

@@ -34,18 +34,6 @@ if TYPE_CHECKING:
     from animtool.scene.systems.with_take import SystemsWithTake, WrittenSystems
     from animtool.usd.target import JointMap, RigTarget
 
-__all__ = [
-    "BakePlan",
-    "check_output",
-    "plan_bake",
-    "plan_output",
-    "plan_simulated",
-    "rig_paths",
-    "start_of",
-    "take_name",
-    "with_systems",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class BakePlan:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError, refuse_warnings
+from animtool.motion import Motion
 from animtool.output import size_of, together
 from animtool.prefetch import prefetch
 from animtool.rig.kinematics import rest_size
@@ -22,7 +23,6 @@ from animtool.scene.plan import BakePlan
 from animtool.scene.progress import Progress, share_of
 from animtool.scene.report import BakeReport, MeshReport, TakeReport
 from animtool.scene.sources import motion_bytes
-from animtool.take import Motion
 from animtool.units import UpAxis
 from animtool.usd.animation import Rounding
 from animtool.usd.author_props import PropSamples, author_props, prop_placements
@@ -43,8 +43,6 @@ from animtool.usd.strands import WIDTH
 if TYPE_CHECKING:
     from animtool.scene.systems.run import Save
     from animtool.scene.systems.with_take import WrittenSystems
-
-__all__ = ["run_point_bake"]
 
 
 class _Frames:

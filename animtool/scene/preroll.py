@@ -9,9 +9,8 @@ from fractions import Fraction
 
 import numpy as np
 
-from animtool.take import Motion, TakeStream
-
-__all__ = ["Preroll", "begun_early", "without_first"]
+from animtool.motion import Motion
+from animtool.take import TakeStream
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import TypeAlias, TypeVar
 
-__all__ = ["BlockProgress", "Phases", "Progress", "TimeProgress", "share_of", "told"]
-
 Item = TypeVar("Item")
 
 # Told the share done, 0 to 1; None where nobody looks.

@@ -9,16 +9,16 @@ from fractions import Fraction
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.clock import time_codes
 from animtool.errors import AnimtoolError, Fault, FormatError, Severity, listed
+from animtool.motion import Channel, Motion
 from animtool.rates import rate_label
 from animtool.scene.entries import SceneProp
 from animtool.scene.stats import Meter, StageCost
-from animtool.take import Channel, Motion, TakeStream, time_codes
+from animtool.take import TakeStream
 from animtool.transforms import Track, Transforms
 from animtool.units import UpAxis
 from animtool.usd.props import PropRequest, PropSource, open_prop
-
-__all__ = ["OpenProp", "open_props", "with_props"]
 
 # Between keys a transform may shear by this share, which nobody sees, and not say so.
 SEEN_SHEAR = 1e-9

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from animtool.errors import AnimtoolError, Fault, Severity
+from animtool.motion import Channel, Motion
 from animtool.scene.options import BakeOptions, merged
 from animtool.scene.progress import Progress, share_of
 from animtool.scene.scene import Scene
@@ -17,9 +18,7 @@ from animtool.scene.sources import (
     is_scene,
     open_source,
 )
-from animtool.take import Channel, Motion, TakeStream
-
-__all__ = ["Reading", "Source", "found_sources", "shared", "source_file"]
+from animtool.take import TakeStream
 
 Source: TypeAlias = "Path | str | Scene"
 

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from animtool.edit.thin import Thinned
     from animtool.usd.point_cache import CachedMesh
 
-__all__ = ["BakeReport", "MeshReport", "TakeReport"]
-
 
 @dataclass(frozen=True, slots=True)
 class MeshReport:

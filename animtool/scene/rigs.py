@@ -8,8 +8,6 @@ from animtool.errors import Fault, OptionError
 from animtool.readers import USD, find_reader
 from animtool.rig.skeleton import Rig
 
-__all__ = ["open_rig"]
-
 
 def open_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[Fault]]:
     """Return a rig, wherever it lives, and what there is to say of it.

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, cast
 
 from animtool._types import FloatArray
 from animtool.errors import AnimtoolError, Fault, FormatError, OptionError
+from animtool.motion import Motion
 from animtool.passes import PassContext, apply_pass
 from animtool.plugins import load_object
 from animtool.scene.entries import (
@@ -28,12 +29,10 @@ from animtool.scene.shots import in_shot
 from animtool.scene.sources import SourceOptions, open_source
 from animtool.scene.stats import Meter
 from animtool.shot import Shot
-from animtool.take import Motion, Take, TakeStream
+from animtool.take import Take, TakeStream
 
 if TYPE_CHECKING:
     from animtool.scene.props import OpenProp
-
-__all__ = ["Scene"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,8 +29,6 @@ from animtool.scene.output_fields import (
 )
 from animtool.scene.systems.schema import SystemModel
 
-__all__ = ["OutputModel", "PropModel", "SceneModel", "SourceModel"]
-
 
 class TracksModel(FileModel):
     """What one of several sources brings: names or patterns such as `jaw*`."""

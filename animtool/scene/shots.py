@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from animtool._types import FloatArray
+from animtool.motion import Motion
 from animtool.shot import Shot
-from animtool.take import Motion, TakeStream
-
-__all__ = ["in_shot"]
+from animtool.take import TakeStream
 
 
 def in_shot(stream: TakeStream, shot: Shot | None) -> TakeStream:

@@ -19,8 +19,6 @@ from animtool.scene.systems.simulation import system_trials
 from animtool.sim.trials.measuring import TrialTable, measure
 from animtool.sim.trials.trial import Trial
 
-__all__ = ["SimulationTable", "simulates", "simulation_table"]
-
 # Frames that are compared, evenly over the range.
 MAX_INSTANTS = 100
 

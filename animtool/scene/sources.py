@@ -19,18 +19,6 @@ from animtool.units import LengthUnit, UpAxis
 if TYPE_CHECKING:
     from animtool.take import TakeStream
 
-__all__ = [
-    "Opener",
-    "SourceOptions",
-    "fitting_options",
-    "is_scene",
-    "is_timeline",
-    "is_usd",
-    "open_source",
-    "source_stem",
-    "takes_option",
-]
-
 # From a file, what it is, and by keyword whom to tell of the progress, to its motion.
 Opener: TypeAlias = Callable[..., "TakeStream"]
 

@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from animtool.clip.clip import Clip
+from animtool.clock import Clock
 from animtool.errors import Fault, OptionError, Severity, listed
+from animtool.motion import Channel, Motion
 from animtool.reorient import reorient
 from animtool.rig.skeleton import Rig
 from animtool.scene.onto_rig import map_names
@@ -20,9 +22,7 @@ from animtool.scene.sources import (
     takes_option,
 )
 from animtool.shot import Shot
-from animtool.take import Channel, Clock, Motion, Take
-
-__all__ = ["open_start", "rest_take"]
+from animtool.take import Take
 
 MAX_NAMED = 6
 

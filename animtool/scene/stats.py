@@ -8,10 +8,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from animtool._types import FloatArray
+from animtool.motion import Motion
 from animtool.scene.memory import PeakMemory
-from animtool.take import Motion
-
-__all__ = ["Meter", "StageCost"]
 
 
 @dataclass(slots=True)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import cast
 
 from animtool.errors import counted, listed
+from animtool.motion import Motion
 from animtool.passes import TakePart, sees_tracks
 from animtool.rates import rate_label
 from animtool.rig.skeleton import Rig
@@ -25,11 +26,9 @@ from animtool.scene.options import BakeOptions, merged
 from animtool.scene.reading import Source, found_sources
 from animtool.scene.scene import Scene
 from animtool.scene.sources import fitting_options, open_source
-from animtool.take import Motion, TakeStream
+from animtool.take import TakeStream
 from animtool.transforms import Track
 from animtool.usd.forms import Form
-
-__all__ = ["Step", "StepKind", "bake_steps"]
 
 
 class StepKind(StrEnum):

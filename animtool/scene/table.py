@@ -27,8 +27,6 @@ from animtool.scene.reading import Source, source_file
 from animtool.take import Take
 from animtool.usd.play import played_world
 
-__all__ = ["BakeTable", "RowKind", "TableRow", "bake_table"]
-
 # Sample rates over the source's own. A source of samples is exact at its own.
 CURVE_RATES = (Fraction(1, 4), Fraction(1, 2), Fraction(1), Fraction(2), Fraction(4))
 SAMPLE_RATES = (Fraction(1, 8), Fraction(1, 4), Fraction(1, 2), Fraction(1))

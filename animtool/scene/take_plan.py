@@ -14,8 +14,6 @@ from animtool.take import TakeStream
 if TYPE_CHECKING:
     from animtool.usd.target import JointMap
 
-__all__ = ["TakePlan"]
-
 
 @dataclass(frozen=True, slots=True)
 class TakePlan:

@@ -8,20 +8,10 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
+from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Rig
 from animtool.rig.targets import DRIVEN_PARTS, split_part
 from animtool.scene.onto_rig import NameMap
-from animtool.take import Channel, Motion
-
-__all__ = [
-    "TrackNames",
-    "Tracks",
-    "UnknownTrack",
-    "chosen_tracks",
-    "moving_tracks",
-    "still_motion",
-    "with_tracks",
-]
 
 KINDS = ("joints", "shapes", "controls")
 

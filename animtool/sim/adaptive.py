@@ -18,8 +18,6 @@ from animtool.sim.options import IntegrateOptions
 from animtool.sim.run import Run
 from animtool.sim.trajectory import Status
 
-__all__ = ["advance"]
-
 # Of the step whose error would just be allowed, and how far steps may change at once.
 SAFETY, SHRINK, GROW = 0.9, 0.2, 5.0
 # Of a step whose equations were not solved, or which led to no numbers.

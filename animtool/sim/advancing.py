@@ -11,8 +11,6 @@ from animtool.sim.modes import allowed_step, modes_at
 from animtool.sim.run import Run
 from animtool.sim.trajectory import Checkpoint, Stats, Status
 
-__all__ = ["advance", "checkpoint_of", "stats_of"]
-
 _ADVANCE = {
     Control.FIXED: fixed.advance,
     Control.ADAPTIVE: adaptive.advance,

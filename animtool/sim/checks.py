@@ -10,8 +10,6 @@ from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Control, Form, Integrator
 from animtool.sim.trajectory import Checkpoint
 
-__all__ = ["check_fit", "check_start", "check_times"]
-
 
 def check_times(times: ArrayLike, checkpoint: Checkpoint | None) -> FloatArray:
     """Return times as an array.

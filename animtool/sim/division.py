@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-__all__ = ["Division", "divide"]
-
 # A time within this share of a step is on a multiple of it.
 ON_GRID = 1e-9
 

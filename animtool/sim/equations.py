@@ -7,8 +7,6 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.sim.system import FirstOrder, Matrix, SecondOrder
 
-__all__ = ["Equations"]
-
 
 class Equations:
     """The rates of a system, whichever way it says them.

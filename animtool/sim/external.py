@@ -17,8 +17,6 @@ from animtool.sim.run import Run
 from animtool.sim.system import Matrix
 from animtool.sim.trajectory import Status
 
-__all__ = ["advance"]
-
 # They take no sparse derivatives, and go by differences in their place.
 DENSE_ONLY = {"scipy.integrate:LSODA"}
 

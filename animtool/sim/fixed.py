@@ -7,8 +7,6 @@ from animtool.sim.run import LOOK_EVERY, Run
 from animtool.sim.system import Native
 from animtool.sim.trajectory import Status
 
-__all__ = ["advance"]
-
 
 def advance(run: Run, target: float) -> Status:
     """Bring a motion to a later time, in even steps."""

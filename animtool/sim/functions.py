@@ -10,8 +10,6 @@ import numpy as np
 from animtool._types import ArrayLike, BoolArray, FloatArray
 from animtool.sim.system import Energy, FirstOrder, Matrix, SecondOrder
 
-__all__ = ["ForceSystem", "RateSystem"]
-
 Rate: TypeAlias = Callable[[float, FloatArray], FloatArray]
 Acceleration: TypeAlias = Callable[[float, FloatArray, FloatArray], FloatArray]
 EnergyOf: TypeAlias = Callable[[float, FloatArray], Energy]

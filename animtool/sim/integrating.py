@@ -18,8 +18,6 @@ from animtool.sim.system import FirstOrder, SecondOrder
 from animtool.sim.trajectory import Checkpoint, Status, Trajectory
 from animtool.sim.watch import Watch
 
-__all__ = ["integrate"]
-
 
 def integrate(
     system: FirstOrder | SecondOrder,

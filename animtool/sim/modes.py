@@ -11,8 +11,6 @@ from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Integrator
 from animtool.sim.newton import differences
 
-__all__ = ["allowed_step", "modes_at"]
-
 # Components of the largest state whose derivative is taken by differences.
 MAX_COMPONENTS = 240
 

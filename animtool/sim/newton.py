@@ -11,8 +11,6 @@ from animtool._types import FloatArray
 from animtool.sim.equations import Equations
 from animtool.sim.system import Matrix
 
-__all__ = ["differences", "solve_stage"]
-
 Residual: TypeAlias = Callable[[FloatArray], FloatArray]
 
 # The last correction, over the size of the unknowns. Newton's method squares what is

@@ -15,8 +15,6 @@ from animtool.sim.modes import allowed_step
 from animtool.sim.options import IntegrateOptions
 from animtool.sim.trajectory import Stats, Status
 
-__all__ = ["ending", "step_notices"]
-
 # What to take where no step of a method is stable.
 STEADY = "symplectic_euler, velocity_verlet, rk4 or implicit_euler"
 _CODES = {

@@ -10,8 +10,6 @@ from animtool.sim.integrators import find_integrator
 from animtool.sim.integrators.adaptive_doubling import doubled
 from animtool.sim.integrators.integrator import Control, Integrator
 
-__all__ = ["IntegrateOptions", "check_options", "finer"]
-
 # Of methods that choose their steps, where nothing else is said.
 TOLERANCE = 1e-6
 # scipy's solvers take none below.

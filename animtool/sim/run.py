@@ -14,8 +14,6 @@ from animtool.sim.options import IntegrateOptions
 from animtool.sim.trajectory import Status
 from animtool.sim.watch import Signs
 
-__all__ = ["Run"]
-
 # Steps between two looks for signs of a blow-up.
 LOOK_EVERY = 32
 

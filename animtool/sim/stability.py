@@ -16,8 +16,6 @@ from numpy.polynomial import polynomial as poly
 
 from animtool._types import FloatArray
 
-__all__ = ["Limit", "jury_limit", "rate_limit", "unlimited"]
-
 # From angular frequency [rad/s] and damping ratio [1] to a step [s].
 Limit: TypeAlias = Callable[[float, float], float]
 

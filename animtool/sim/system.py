@@ -14,8 +14,6 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 from animtool._types import BoolArray, FloatArray
 from animtool.errors import Fault
 
-__all__ = ["Energy", "FirstOrder", "Matrix", "Native", "SecondOrder", "System"]
-
 # Of derivatives: a dense array, or one of scipy.sparse.
 Matrix: TypeAlias = Any
 # From time [s], state, step [s] and a number of steps to the state after them.

@@ -8,8 +8,6 @@ from enum import StrEnum
 from animtool._types import FloatArray
 from animtool.errors import Fault
 
-__all__ = ["Checkpoint", "Stats", "Status", "Trajectory"]
-
 
 class Status(StrEnum):
     """How integrating ended.

@@ -10,8 +10,6 @@ from animtool._types import FloatArray
 from animtool.sim.options import IntegrateOptions
 from animtool.sim.system import Energy, System
 
-__all__ = ["Signs", "Watch"]
-
 
 class Signs(Protocol):
     """What looks for signs of a blow-up."""

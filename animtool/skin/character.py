@@ -15,8 +15,6 @@ from animtool.skin.deform import DeformedMesh
 from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas, prepare_shapes
 from animtool.skin.skinning import Binding, SkinMethod, prepare_skin
 
-__all__ = ["CharacterMesh", "character_meshes", "character_strands"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CharacterMesh:

@@ -14,15 +14,6 @@ from animtool.rig.kinematics import WorldTransforms
 from animtool.skin.shapes import PreparedShapes, blend_normals, blend_points
 from animtool.skin.skinning import PreparedSkin, skin_normals, skin_points
 
-__all__ = [
-    "Deformed",
-    "DeformedMesh",
-    "block_frames",
-    "deform",
-    "deform_blocks",
-    "extents",
-]
-
 # Points of a block of frames [bytes]: small enough for the processor's caches to pass
 # it from step to step, and to a thread that writes; of large meshes, as many frames as
 # products of matrices need to run near full speed.

@@ -8,11 +8,9 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.maths.faces import triangulated
+from animtool.motion import Channel
 from animtool.rig.surfaces import Surface
 from animtool.skin.deform import Deformed, extents
-from animtool.take import Channel
-
-__all__ = ["displaced_points", "vertex_normals"]
 
 
 def displaced_points(

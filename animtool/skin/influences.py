@@ -10,8 +10,6 @@ import numpy.typing as npt
 from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, FormatError, listed
 
-__all__ = ["InfluenceReport", "Influences", "read_influences"]
-
 # Sums of float32 weights are off by as much without anybody having meant it.
 SUM_TOLERANCE = 1e-6
 

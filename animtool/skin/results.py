@@ -6,8 +6,6 @@ import numpy as np
 
 from animtool._types import FloatArray
 
-__all__ = ["result"]
-
 
 def result(out: FloatArray | None, shape: tuple[int, ...]) -> FloatArray:
     """Return the caller's array if it gave one, else a new one of zeros.

@@ -19,16 +19,6 @@ from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_float
 from animtool.errors import Fault, FormatError, listed
 from animtool.skin.results import result
 
-__all__ = [
-    "InbetweenDeltas",
-    "PreparedShapes",
-    "ShapeDeltas",
-    "blend_normals",
-    "blend_points",
-    "column_weights",
-    "prepare_shapes",
-]
-
 # Inbetweens nearer than this to weight 0, 1 or another are refused: UsdSkel skips them.
 NEAREST_INBETWEEN = 1e-6
 

@@ -17,15 +17,6 @@ from animtool.rig.kinematics import WorldTransforms
 from animtool.skin.influences import InfluenceReport, Influences, read_influences
 from animtool.skin.results import result
 
-__all__ = [
-    "Binding",
-    "PreparedSkin",
-    "SkinMethod",
-    "prepare_skin",
-    "skin_normals",
-    "skin_points",
-]
-
 # A bind matrix whose linear part has a smaller determinant, as a share of the cube of
 # its largest number, has no inverse worth the name.
 SINGULAR = 1e-12

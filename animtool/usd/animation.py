@@ -13,14 +13,12 @@ from pxr import Gf, Sdf, Vt
 from animtool import _kernels
 from animtool._types import BoolArray, Float32Array, FloatArray
 from animtool.maths import so3
+from animtool.motion import Motion
 from animtool.rig.skeleton import Rig
-from animtool.take import Motion
 from animtool.usd.finite import Labels, narrowed
 from animtool.usd.layers import attribute, prim
 from animtool.usd.paths import RigPaths
 from animtool.usd.samples import Samples
-
-__all__ = ["AnimationWriter", "Rounding", "WrittenBlock", "round_blocks"]
 
 
 @dataclass(frozen=True, slots=True)

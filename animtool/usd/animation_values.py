@@ -9,10 +9,8 @@ from pxr import Usd
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError, counted
-from animtool.take import Channel
+from animtool.motion import Channel
 from animtool.usd.values import array_value, numbers
-
-__all__ = ["animated_shapes", "sampled_values", "scale_channel", "shape_weights"]
 
 
 def scale_channel(dense: FloatArray) -> Channel | None:

@@ -35,8 +35,6 @@ from animtool.usd.names import plain_text
 from animtool.usd.skeleton import author_binding, author_rig
 from animtool.usd.stderr import without_version_warnings
 
-__all__ = ["Authored", "author", "write_usd"]
-
 
 def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
     """Author the layers of a job in memory; nothing is written yet.

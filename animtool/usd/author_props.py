@@ -12,7 +12,7 @@ from pxr import Gf, Sdf
 
 from animtool._types import BoolArray, FloatArray
 from animtool.errors import Fault, OptionError, Severity
-from animtool.take import Motion
+from animtool.motion import Motion
 from animtool.transforms import Reference, Track, Transforms, turned_track
 from animtool.units import UpAxis, up_from_up
 from animtool.usd.layers import asset_path, prim
@@ -23,16 +23,6 @@ from animtool.usd.xform import author_order, quaternion
 
 if TYPE_CHECKING:
     from animtool.usd.target import RigTarget
-
-__all__ = [
-    "PropPlacements",
-    "PropSamples",
-    "PropWorld",
-    "author_props",
-    "check_props",
-    "prop_paths",
-    "prop_placements",
-]
 
 
 @dataclass(slots=True)

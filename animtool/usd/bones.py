@@ -14,8 +14,6 @@ from animtool.usd.finite import Labels, narrowed
 from animtool.usd.layers import attribute, prim, relationship
 from animtool.usd.paths import RigPaths
 
-__all__ = ["author_bones", "bone_segments"]
-
 # A bone is an octahedron, widest a fifth of the way along.
 WAIST = 0.2
 HALF_WIDTH = 0.08

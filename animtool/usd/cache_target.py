@@ -21,8 +21,6 @@ from animtool.usd.point_space import PointSpace
 from animtool.usd.strand_read import bound_strands
 from animtool.usd.target import RigTarget, compose_check
 
-__all__ = ["CacheTarget", "TargetMesh", "open_cache_target"]
-
 # A transform between mesh and skeleton nearer to none than this is rounding.
 SAME = 1e-9
 

@@ -27,8 +27,6 @@ from animtool.usd.strand_read import read_strands
 from animtool.usd.target import RigTarget
 from animtool.usd.values import numbers
 
-__all__ = ["StageMeshes", "source_meshes", "target_meshes"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StageMeshes:

@@ -8,8 +8,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["ClipFiles", "point_files", "system_files"]
-
 
 @dataclass(frozen=True, slots=True)
 class ClipFiles:

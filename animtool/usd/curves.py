@@ -47,8 +47,6 @@ from animtool.usd.finite import Labels, check_value
 from animtool.usd.layers import attribute
 from animtool.usd.names import distinct_names
 
-__all__ = ["CONTROL", "CurveReport", "author_controls", "author_curve"]
-
 # What the attributes of controls begin with.
 CONTROL = "animtool:control:"
 

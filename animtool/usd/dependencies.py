@@ -17,8 +17,6 @@ from animtool.inputs import FileState, note_input
 from animtool.usd.layers import layer_state, usd_errors
 from animtool.usd.stderr import without_usd_warnings
 
-__all__ = ["note_layers", "open_composed"]
-
 
 @dataclass(slots=True)
 class _Walk:

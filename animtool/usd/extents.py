@@ -14,8 +14,6 @@ from animtool.usd.animation import AnimationWriter
 from animtool.usd.jobs import UsdJob
 from animtool.usd.layers import attribute, prim
 
-__all__ = ["author_extents"]
-
 
 def author_extents(
     job: UsdJob,

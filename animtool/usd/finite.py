@@ -18,17 +18,6 @@ from animtool import _kernels
 from animtool._types import Float32Array, FloatArray
 from animtool.errors import Fault, OutputError
 
-__all__ = [
-    "Labels",
-    "check_data",
-    "check_rows",
-    "check_value",
-    "floats_of",
-    "largest",
-    "narrowed",
-    "rounded",
-]
-
 # Largest finite number of each type, by the letter that ends names of USD's types.
 _LIMITS = {
     letter: float(np.finfo(dtype).max)

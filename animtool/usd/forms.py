@@ -8,8 +8,6 @@ from pathlib import Path
 from animtool.errors import Fault, OptionError
 from animtool.output_names import is_text
 
-__all__ = ["Form", "check_suffix", "output_paths"]
-
 SUFFIXES = (".usd", ".usda", ".usdc")
 # What `convert` writes, and outputs of scenes too.
 CONVERTED = (".bvh", ".yaml", ".yml")

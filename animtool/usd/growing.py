@@ -12,10 +12,9 @@ from typing import Any
 
 from pxr import Sdf, Tf
 
-from animtool.output import output_error, replacing
+from animtool.output import replacing
+from animtool.placing import output_error
 from animtool.usd.layers import save_layer, usd_reason
-
-__all__ = ["Growing", "growing_crate", "save_grown"]
 
 # Samples in memory before they go to the disk [byte].
 HELD = 32_000_000

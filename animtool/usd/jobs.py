@@ -25,14 +25,6 @@ if TYPE_CHECKING:
     from animtool.usd.curves import CurveReport
     from animtool.usd.target import RigTarget
 
-__all__ = [
-    "UsdJob",
-    "UsdResult",
-    "UsdTake",
-    "WrittenTake",
-    "layer_span",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class UsdJob:

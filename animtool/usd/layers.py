@@ -17,32 +17,12 @@ from pxr import Sdf, Tf, Work
 from animtool.errors import Fault, FormatError, OptionError, excerpt
 from animtool.files import open_input, seen_from, too_large, unreadable
 from animtool.inputs import FileState, changed_error
-from animtool.output import output_error, replacing
+from animtool.output import replacing
+from animtool.placing import output_error
 from animtool.shot import Shot
 from animtool.supervisor import note_said, reading
 from animtool.units import UpAxis
 from animtool.usd.finite import Labels, check_data, check_value, largest
-
-__all__ = [
-    "StageMetadata",
-    "asset_path",
-    "attribute",
-    "author_metadata",
-    "check_prim_path",
-    "compute_alone",
-    "export_layer",
-    "find_layer",
-    "forget_layers",
-    "layer_shot",
-    "layer_state",
-    "new_layer",
-    "prim",
-    "relationship",
-    "save_layer",
-    "usd_errors",
-    "usd_reason",
-]
-
 
 # USD maps binary layers into memory, and reads those of text whole.
 MAX_LAYER_BYTES = 1_000_000_000_000

@@ -22,19 +22,6 @@ from animtool.rates import LARGEST_FRAME
 from animtool.similar import similar
 from animtool.usd.paths import RigPaths
 
-__all__ = [
-    "STRONGER_HINT",
-    "TAKE_SET",
-    "TakeSet",
-    "author_range",
-    "author_selection",
-    "check_variant",
-    "find_take_set",
-    "select_take",
-    "take_paths",
-    "take_range",
-]
-
 TAKE_SET = "take"
 # A layer stack's own opinions are stronger than its variants, whatever their order.
 STRONGER_HINT = (

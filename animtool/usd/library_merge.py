@@ -13,8 +13,6 @@ from animtool.usd.library import TAKE_SET, find_take_set
 from animtool.usd.paths import RigPaths
 from animtool.usd.rig_prims import find_skeletons, open_stage, prim_below
 
-__all__ = ["check_library", "merged_library"]
-
 MAX_NAMED = 40
 
 

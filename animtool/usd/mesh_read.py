@@ -30,8 +30,6 @@ from animtool.usd.skinned import (
 )
 from animtool.usd.values import array_value, integers, numbers_of
 
-__all__ = ["bound_meshes", "bound_shapes", "read_meshes"]
-
 _METHODS = {"classicLinear": "linear", "dualQuaternion": "dual_quaternion"}
 
 

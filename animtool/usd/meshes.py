@@ -19,8 +19,6 @@ from animtool.usd.names import distinct_names
 from animtool.usd.paths import RigPaths
 from animtool.usd.strands import SCOPE
 
-__all__ = ["SUBDIVISION", "author_meshes", "mesh_names"]
-
 # Fewer moving vertices than this share are written with their indices: an index is a
 # third of an offset.
 SPARSE = 0.75

@@ -11,8 +11,6 @@ from animtool.errors import Fault, Severity, excerpt
 from animtool.rig.skeleton import Joint
 from animtool.similar import distinct
 
-__all__ = ["UsdNames", "distinct_names", "joint_names", "legal_name", "plain_text"]
-
 
 @dataclass(frozen=True, slots=True)
 class UsdNames:

@@ -13,8 +13,6 @@ from animtool.usd.finite import Labels, narrowed
 from animtool.usd.layers import attribute, prim
 from animtool.usd.prim_writer import PrimWriter
 
-__all__ = ["PointsRow", "PointsWriter"]
-
 _TYPES = Sdf.ValueTypeNames
 
 

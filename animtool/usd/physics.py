@@ -31,8 +31,6 @@ from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.usd.layers import attribute, prim, relationship
 
-__all__ = ["PhysicsJoint", "author_physics", "read_physics"]
-
 # Low above high is UsdPhysics' way to say that nothing moves there.
 LOCKED = (1.0, -1.0)
 # What is off an axis by less is rounding of float32.

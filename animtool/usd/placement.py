@@ -11,8 +11,6 @@ from animtool.usd.rig_prims import find_skeletons
 
 MAX_NAMED = 40
 
-__all__ = ["MAX_NAMED", "character_paths", "holds_character"]
-
 
 def character_paths(stage: Any) -> list[str]:
     """Return the prims that stand for the characters of a stage.

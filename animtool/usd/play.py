@@ -10,8 +10,6 @@ from pxr import Usd, UsdGeom, UsdSkel
 from animtool._types import FloatArray
 from animtool.rig.kinematics import WorldTransforms
 
-__all__ = ["played_world"]
-
 
 def played_world(path: Path, codes: FloatArray) -> WorldTransforms:
     """Return the world transforms of the first skeleton of a stage, by UsdSkel.

@@ -33,19 +33,6 @@ from animtool.usd.strands import author_strands, strand_paths
 if TYPE_CHECKING:
     from animtool.usd.cache_target import CacheTarget
 
-__all__ = [
-    "CacheJob",
-    "CachedMesh",
-    "MeshWriter",
-    "PointBlock",
-    "author_cache",
-    "author_prims",
-    "cache_metadata",
-    "empty_attribute",
-    "mesh_paths",
-    "round_points",
-]
-
 _TYPES = Sdf.ValueTypeNames
 
 

@@ -35,8 +35,6 @@ from animtool.usd.point_cache import (
 )
 from animtool.usd.value_clips import author_clips
 
-__all__ = ["write_chunks"]
-
 
 def write_chunks(
     job: CacheJob, blocks: Iterator[PointBlock], size: int, check: Any

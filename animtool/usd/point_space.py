@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from animtool._types import FloatArray
 
-__all__ = ["PointSpace"]
-
 
 @dataclass(frozen=True, slots=True)
 class PointSpace:

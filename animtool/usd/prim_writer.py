@@ -11,8 +11,6 @@ from animtool._types import Float32Array, FloatArray
 from animtool.usd.finite import Labels, check_value, largest, rounded
 from animtool.usd.point_cache import CachedMesh
 
-__all__ = ["PrimWriter"]
-
 
 class PrimWriter(ABC):
     """Writes a prim: once what it is, then each frame of it.

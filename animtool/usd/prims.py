@@ -19,8 +19,6 @@ from animtool.units import up_from_up
 from animtool.usd.layers import usd_errors
 from animtool.usd.rig_prims import decompose, open_stage, up_axis
 
-__all__ = ["find_prim", "nearest_prim", "open_prim"]
-
 # Whose names are compared with one that there is not.
 MAX_COMPARED = 20_000
 

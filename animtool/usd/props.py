@@ -23,8 +23,6 @@ from animtool.usd.layers import usd_errors
 from animtool.usd.prims import find_prim, nearest_prim
 from animtool.usd.rig_prims import decompose, open_stage, up_axis
 
-__all__ = ["PropRequest", "PropSource", "open_prop"]
-
 # What float64 rounds along a hierarchy is a smaller share of a transform than this.
 ROUNDED = 1e-11
 # A time this near to a key [time code] is that of the key.

@@ -12,12 +12,13 @@ import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray, IntArray
-from animtool.clock import time_fraction
+from animtool.clock import Clock, time_fraction
 from animtool.errors import Fault, FormatError, Severity, counted, excerpt, listed
 from animtool.maths import so3
+from animtool.motion import Channel, Motion
 from animtool.rates import rate_from_float
 from animtool.rig.parts import AttachKind, Shape
-from animtool.take import Channel, Clock, Motion, Take, TakeStream
+from animtool.take import Take, TakeStream
 from animtool.units import unit_name
 from animtool.usd.animation_values import (
     animated_shapes,
@@ -44,8 +45,6 @@ from animtool.usd.rig_prims import (
 from animtool.usd.root_carriers import carry_roots, moving_carriers
 from animtool.usd.sample_grid import SampleGrid, sample_grid
 from animtool.usd.values import array_value, numbers, stored_data
-
-__all__ = ["read_usd"]
 
 
 def read_usd(

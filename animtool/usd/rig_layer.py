@@ -20,8 +20,6 @@ from animtool.usd.paths import RigPaths
 from animtool.usd.physics import author_physics
 from animtool.usd.skeleton import author_rig
 
-__all__ = ["write_physics_layer", "write_rig_layer"]
-
 # What USD takes where a layer says nothing; an animation over the rig adopts it.
 RATE = Fraction(24)
 

@@ -27,21 +27,6 @@ from animtool.usd.layers import (
 )
 from animtool.usd.values import array_value, numbers, stored_data
 
-__all__ = [
-    "SkeletonRig",
-    "check_moves",
-    "composition_notices",
-    "decompose",
-    "find_skeletons",
-    "open_stage",
-    "others_notice",
-    "prim_below",
-    "rig_from_tokens",
-    "skeleton_rig",
-    "up_axis",
-]
-
-
 # Rates and units outside are no rates and units, and would overflow what they scale.
 SMALLEST_METADATA, LARGEST_METADATA = 1e-9, 1e9
 _CONTROL = re.compile(f"[{CONTROL}]")

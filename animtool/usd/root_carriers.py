@@ -13,8 +13,6 @@ from animtool.maths import so3
 from animtool.rig.skeleton import Rig
 from animtool.usd.rig_prims import decompose
 
-__all__ = ["carry_roots", "moving_carriers"]
-
 UNIT_SCALE_TOLERANCE = 1e-6
 
 

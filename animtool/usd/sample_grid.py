@@ -15,8 +15,6 @@ from animtool.clock import time_fraction
 from animtool.errors import Fault, FormatError
 from animtool.usd.library import take_range
 
-__all__ = ["SampleGrid", "sample_grid"]
-
 # Sub-frame samples about each frame make a grid finer than the samples; beyond this
 # it is no grid but a curve's own keys.
 FINEST_GRID = 8

@@ -13,8 +13,6 @@ from animtool.maths import so3
 from animtool.usd.finite import Labels, check_rows, check_value, largest
 from animtool.usd.layers import attribute
 
-__all__ = ["Samples"]
-
 
 class Samples:
     """An attribute's samples; a default only, while the values do not change.

@@ -10,8 +10,6 @@ from pxr import Usd, UsdGeom, UsdSkel
 
 from animtool._types import Float32Array, FloatArray
 
-__all__ = ["shape_bounds"]
-
 
 def shape_bounds(
     root: Any, shapes: Sequence[str], weights: Sequence[Float32Array]

@@ -28,14 +28,6 @@ from animtool.usd.prim_writer import PrimWriter
 from animtool.usd.value_clips import author_clips
 from animtool.usd.xform import author_order, quaternion
 
-__all__ = [
-    "Rows",
-    "SimulatedJob",
-    "chunk_simulated",
-    "grow_simulated",
-    "simulated_layer",
-]
-
 # Of each frame its time code, and what each prim is then, as its writer takes it.
 Rows: TypeAlias = Iterable[tuple[float, Sequence[Any]]]
 

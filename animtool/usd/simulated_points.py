@@ -14,8 +14,6 @@ from animtool.maths.faces import triangulated, vertex_normals
 from animtool.usd.layers import attribute, prim
 from animtool.usd.prim_writer import PrimWriter
 
-__all__ = ["CurvesRow", "CurvesWriter", "FacesRow", "FacesWriter"]
-
 _TYPES = Sdf.ValueTypeNames
 
 

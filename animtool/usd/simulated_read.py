@@ -25,8 +25,6 @@ from animtool.usd.rig_prims import (
 from animtool.usd.stderr import without_usd_warnings
 from animtool.usd.values import array_of, array_value
 
-__all__ = ["ChunkSet", "PointPrim", "PointStage", "displaced_points", "read_points"]
-
 # What points are joined to, and the attribute with an entry for each.
 _PIECES = {
     "Mesh": ("faces", "faceVertexCounts"),

@@ -21,15 +21,6 @@ from animtool.usd.layers import attribute, prim, relationship
 from animtool.usd.names import UsdNames
 from animtool.usd.paths import RigPaths
 
-__all__ = [
-    "author_binding",
-    "author_rig",
-    "joint_extras",
-    "says_more",
-    "skeleton_hash",
-    "stripped",
-]
-
 _EXTRAS_VERSION = 1
 
 

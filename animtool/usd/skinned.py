@@ -15,15 +15,6 @@ from animtool.usd.rig_prims import (
 )
 from animtool.usd.values import numbers, stored_data
 
-__all__ = [
-    "floats",
-    "is_shown_mesh",
-    "joint_names",
-    "prim_name",
-    "skinned_prims",
-    "unique_name",
-]
-
 
 def is_shown_mesh(prim: Any) -> bool:
     """Return whether a prim is a mesh, and no guide as the bones of a skeleton are."""

@@ -10,8 +10,6 @@ from contextlib import contextmanager
 
 from animtool.printing import escaped_lines
 
-__all__ = ["without_usd_warnings", "without_version_warnings"]
-
 # Of its own writers, about every file with a spline or with time codes in metadata:
 # nothing that a user could change.
 _KNOWN = (

@@ -21,8 +21,6 @@ from animtool.usd.rig_prims import (
 )
 from animtool.usd.values import integers, numbers
 
-__all__ = ["MeshSource", "StillMesh", "open_mesh", "read_still_mesh"]
-
 
 @dataclass(frozen=True, slots=True)
 class StillMesh:

@@ -12,8 +12,6 @@ from animtool.rig.parts import AttachKind, Attachment, HeldArray
 from animtool.rig.skeleton import Rig
 from animtool.usd.skinned import unique_name
 
-__all__ = ["joined_attachments"]
-
 
 def joined_attachments(
     rig: Rig, strands: Mapping[str, Attachment], pins: Mapping[str, Any]

@@ -17,8 +17,6 @@ from animtool.rig.skeleton import Joint, Rig
 from animtool.usd.skeleton import skeleton_hash
 from animtool.usd.stored_attach import joined_attachments
 
-__all__ = ["joined_rig", "with_attachments"]
-
 # Rest transforms nearer than this [m], [1] are the same but for rounding.
 SAME = 1e-9
 

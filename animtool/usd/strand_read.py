@@ -22,8 +22,6 @@ from animtool.usd.skinned import (
 )
 from animtool.usd.values import integers, numbers
 
-__all__ = ["bound_strands", "read_strands"]
-
 
 def read_strands(skeleton: Any, rig: SkeletonRig, where: str) -> tuple[Attachment, ...]:
     """Return the linear curves that one joint each carries, as strands.

@@ -15,8 +15,6 @@ from animtool.usd.layers import attribute, prim
 from animtool.usd.names import distinct_names
 from animtool.usd.paths import RigPaths
 
-__all__ = ["SCOPE", "WIDTH", "author_strands", "strand_paths"]
-
 # Below the SkelRoot, what holds the curves.
 SCOPE = "Strands"
 # How wide curves are drawn [m]: the format of rigs says nothing of it.

@@ -8,9 +8,10 @@ from pathlib import Path
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError
+from animtool.motion import Motion
 from animtool.output import check_outputs
 from animtool.reorient import reorient
-from animtool.take import Motion, Take, TakeStream
+from animtool.take import Take, TakeStream
 from animtool.units import LengthUnit
 from animtool.usd.animation import round_blocks
 from animtool.usd.author import author, write_usd
@@ -19,8 +20,6 @@ from animtool.usd.jobs import UsdJob, UsdResult, UsdTake
 from animtool.usd.layers import check_prim_path
 from animtool.usd.names import joint_names, legal_name
 from animtool.usd.paths import RigPaths
-
-__all__ = ["write"]
 
 BLOCK_FRAMES = 512
 

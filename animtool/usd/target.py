@@ -14,12 +14,12 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, FormatError, Severity, excerpt, naming
+from animtool.motion import Channel, Motion
 from animtool.rates import rate_from_float
 from animtool.rig.arkit import arkit_name
 from animtool.rig.fit import Fit
 from animtool.rig.fitting import check_fit
 from animtool.rig.skeleton import Rig
-from animtool.take import Channel, Motion
 from animtool.units import UpAxis, unit_name
 from animtool.usd.layers import check_prim_path, usd_errors
 from animtool.usd.names import UsdNames, joint_names, legal_name
@@ -37,16 +37,6 @@ from animtool.usd.rig_prims import (
 )
 from animtool.usd.skinned import is_shown_mesh
 from animtool.usd.values import array_value
-
-__all__ = [
-    "JointMap",
-    "RigTarget",
-    "compose_check",
-    "map_joints",
-    "match_shapes",
-    "open_target",
-    "resolved_animation",
-]
 
 
 @dataclass(frozen=True, slots=True)

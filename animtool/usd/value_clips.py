@@ -9,8 +9,6 @@ from pxr import Sdf, Vt
 
 from animtool.usd.clip_files import ClipFiles
 
-__all__ = ["author_clips"]
-
 
 def author_clips(
     layer: Any,

@@ -10,15 +10,6 @@ from pxr import Usd
 
 from animtool._types import FloatArray, IntArray
 
-__all__ = [
-    "array_of",
-    "array_value",
-    "integers",
-    "numbers",
-    "numbers_of",
-    "stored_data",
-]
-
 
 def array_value(attr: Any, time: Any = None) -> Any:
     """Return an attribute's array; an empty one where it has none, or no array.

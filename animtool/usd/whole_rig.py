@@ -30,8 +30,6 @@ from animtool.usd.stored_rig import joined_rig, with_attachments
 from animtool.usd.strand_read import read_strands
 from animtool.usd.values import array_value, numbers, stored_data
 
-__all__ = ["read_rig", "read_whole_rig"]
-
 # A bind pose nearer to rest [rad], [1] is rest with the rounding of other tools.
 BIND_TOLERANCE = 1e-6
 # A scale this near to 1 is that, with the rounding of other tools.

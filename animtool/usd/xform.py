@@ -9,8 +9,6 @@ from pxr import Gf, Sdf, Vt
 from animtool._types import FloatArray
 from animtool.usd.layers import attribute
 
-__all__ = ["author_order", "quaternion"]
-
 
 def author_order(spec: Any, *names: str) -> None:
     """Say in which order a prim's operations follow each other."""

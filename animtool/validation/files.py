@@ -9,8 +9,6 @@ from animtool.errors import Fault, NothingFoundError
 from animtool.files import files_meant
 from animtool.validation.subjects.open import SUFFIXES
 
-__all__ = ["find_files"]
-
 
 def find_files(paths: Iterable[Path | str]) -> list[Path]:
     """Return the files that paths mean, each once, in the order of the paths.

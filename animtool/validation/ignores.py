@@ -12,8 +12,6 @@ from animtool.documents.names import nearest
 from animtool.errors import Fault, Severity
 from animtool.validation.tables import all_rules, current_codes
 
-__all__ = ["Ignores"]
-
 _STEP = re.compile(r"([^.\[\]]+)|\[([^\[\]]*)\]")
 # What an entry of a list is known by.
 _NAMES = ("name", "target", "joint", "effector")

@@ -10,8 +10,6 @@ from animtool.errors import Fault, OptionError, Severity
 from animtool.validation.profiles import PROFILES, load_profile
 from animtool.validation.tables import RULES, all_rules, current_codes
 
-__all__ = ["ValidateOptions", "check_codes"]
-
 
 @dataclass(frozen=True, slots=True)
 class ValidateOptions:

@@ -13,8 +13,6 @@ from animtool.errors import Fault, FormatError, OptionError, Severity
 from animtool.files import MAX_TEXT_BYTES, read_input
 from animtool.validation.tables import all_rules, current_codes
 
-__all__ = ["OFF", "PROFILES", "Levels", "Profile", "load_profile"]
-
 # By code or its beginning; None leaves a code out.
 Levels = Mapping[str, Severity | None]
 

@@ -10,8 +10,6 @@ from typing import Any, cast
 from animtool.errors import Fault, Severity
 from animtool.plugins import load_object
 
-__all__ = ["Check", "Kind", "Rule", "own_rule"]
-
 Check = Callable[[Any], Iterable[Fault]]
 
 

@@ -26,15 +26,6 @@ from animtool.validation.subjects.open import open_file
 from animtool.validation.subjects.subject import Opened
 from animtool.validation.tables import all_rules
 
-__all__ = [
-    "Finding",
-    "Report",
-    "findings_in",
-    "findings_of_rule",
-    "validate",
-    "validate_files",
-]
-
 Finding = Fault
 
 # Fewer files are done before another process has started.

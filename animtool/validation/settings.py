@@ -10,8 +10,6 @@ from animtool.errors import Fault, OptionError, Severity
 from animtool.validation.options import ValidateOptions, check_codes
 from animtool.validation.profiles import load_profile
 
-__all__ = ["settings_of"]
-
 _LISTS = ("select", "ignore")
 
 

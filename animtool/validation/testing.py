@@ -7,8 +7,6 @@ from pathlib import Path
 from animtool.validation.rule import Rule
 from animtool.validation.run import Finding, findings_of_rule
 
-__all__ = ["check_rule"]
-
 
 def check_rule(rule: Rule, wrong: Path | str, right: Path | str) -> list[Finding]:
     """Check that a rule finds what is wrong in one file, and nothing in another.

@@ -19,8 +19,8 @@ from solved import arm_surfaces, checkpoint, welding
 from animtool.clip.file import load_clip, open_clip
 from animtool.clip.sample import sample_channels
 from animtool.documents.arrays import load_array
+from animtool.motion import Motion
 from animtool.scene.file import load_scene
-from animtool.take import Motion
 
 ROOT = Path(__file__).parents[2]
 Pose = Mapping[str, float | tuple[float, ...]]

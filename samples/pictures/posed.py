@@ -15,6 +15,7 @@ from animtool.clip.channels import ClipChannel, Interp, Tangent
 from animtool.clip.clip import Clip
 from animtool.clip.sample import sample_channels
 from animtool.maths import so3
+from animtool.motion import Motion
 from animtool.rig.file import load_rig
 from animtool.rig.kinematics import bind_world, forward, rest_world
 from animtool.rig.parts import Attachment, Mesh
@@ -22,7 +23,6 @@ from animtool.rig.skeleton import Rig
 from animtool.skin.deform import DeformedMesh, deform
 from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas, prepare_shapes
 from animtool.skin.skinning import Binding, SkinMethod, prepare_skin
-from animtool.take import Motion
 
 Array = NDArray[np.float64]
 

@@ -16,9 +16,10 @@ from animtool.clip.clip import Clip
 from animtool.clip.keyed_take import KeyedTake, keyed_take
 from animtool.clip.sample import sample_values
 from animtool.clip.write import clip_text
+from animtool.clock import Clock
 from animtool.maths import so3
 from animtool.rig.skeleton import Rig
-from animtool.take import Clock, Take
+from animtool.take import Take
 
 RIGS = ("arm", "biped", "head", "machine", "quadruped")
 FRAMES = 9

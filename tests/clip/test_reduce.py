@@ -14,12 +14,14 @@ from animtool.clip.pose import pose_of
 from animtool.clip.reduce import reduce_motion
 from animtool.clip.reduction import ChannelKind, Reduction, evaluate_reduction
 from animtool.clip.tracks import euler_order
+from animtool.clock import Clock
 from animtool.errors import OptionError
 from animtool.formats.bvh.read import read_bvh
 from animtool.maths import euler, so3
+from animtool.motion import Channel, Motion
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Channel, Clock, Motion, Take
+from animtool.take import Take
 
 ROOM = 1 + 1e-9
 

@@ -12,12 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.gaits import gait, swinging
 
+from animtool.clock import Clock
 from animtool.edit.cycle import find_cycle, measure_cycle
 from animtool.errors import OptionError
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
+from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Channel, Clock, Motion, Take
+from animtool.take import Take
 from animtool.units import UpAxis
 
 

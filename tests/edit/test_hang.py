@@ -11,14 +11,16 @@ from numpy.testing import assert_allclose
 from pxr import Usd, UsdGeom, UsdSkel
 
 from animtool import bake
+from animtool.clock import Clock
 from animtool.edit.hang import hang
 from animtool.errors import FormatError, OptionError
 from animtool.maths import so3
+from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.scene.file import load_scene
 from animtool.scene.scene import Scene
 from animtool.shot import Shot
-from animtool.take import Channel, Clock, Motion, Take
+from animtool.take import Take
 from animtool.units import UpAxis
 
 FRAMES = 5

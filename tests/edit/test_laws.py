@@ -23,8 +23,9 @@ from animtool.edit.trim import trim
 from animtool.formats.bvh import read_bvh
 from animtool.keyed import Interpolation
 from animtool.maths import so3
+from animtool.motion import Channel
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Channel, Take
+from animtool.take import Take
 
 WITHIN = 1e-12  # [m], [rad], [1], a few roundings
 
@@ -224,7 +225,7 @@ def test_the_same_rate(take: Take) -> None:
 
 @given(rigs(), st.integers(0, 2**31), st.sampled_from([2, 3, 5]))
 def test_a_finer_rate_and_back(rig: Rig, seed: int, finer: int) -> None:
-    from animtool.take import Clock
+    from animtool.clock import Clock
 
     rng = np.random.default_rng(seed)
     motion = motion_of(rig, 7, rng, scaled=True, uniform=False)

@@ -16,16 +16,18 @@ from support.nasty import nasty_take, nasty_track, with_track
 from support.takes import assert_same_motion, rigs
 
 from animtool._types import FloatArray
+from animtool.clock import Clock
 from animtool.edit.chain import twist
 from animtool.edit.loop import PASS, LoopOptions, loop
 from animtool.edit.tree import inserted
 from animtool.errors import OptionError
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
+from animtool.motion import Channel, Motion
 from animtool.passes import PassContext
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.take import Channel, Clock, Motion, Take
+from animtool.take import Take
 
 
 def test_the_seam_is_no_step(walk: Path) -> None:

@@ -7,15 +7,17 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from animtool.clock import Clock
 from animtool.edit.mirror import PASS, MirrorOptions, mirror
 from animtool.errors import Fault, OptionError
 from animtool.formats.bvh import read_bvh
+from animtool.motion import Channel, Motion
 from animtool.passes import PassContext, apply_pass
 from animtool.rig.kinematics import forward
 from animtool.rig.parts import Shape
 from animtool.rig.sides import pair_sides
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Channel, Clock, Motion, Take, TakeStream
+from animtool.take import Take, TakeStream
 
 
 def positions(take: Take) -> np.ndarray:

@@ -15,6 +15,7 @@ from support.small_takes import content, small, with_tracks
 from animtool.errors import OptionError
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
+from animtool.motion import Channel, Motion
 from animtool.passes import (
     PASSES,
     PassContext,
@@ -26,7 +27,7 @@ from animtool.passes import (
 from animtool.rig.controls import Control
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import JointType
-from animtool.take import Channel, Motion, Take, TakeStream
+from animtool.take import Take, TakeStream
 
 # Those of packages that are installed here are tested too, with their usual options.
 NAMES = [entry.name for entry in listed_passes() if entry.scope is not None]

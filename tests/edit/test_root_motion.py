@@ -17,9 +17,10 @@ from animtool.edit.tree import inserted
 from animtool.errors import OptionError
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
+from animtool.motion import Channel
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import Joint, Pose, Rig
-from animtool.take import Channel, Take
+from animtool.take import Take
 from animtool.units import UpAxis
 
 AXES = st.sampled_from(["", "x", "xz", "xyz", "zy"])
@@ -115,7 +116,8 @@ def upright(up: UpAxis, frames: int = 9) -> Take:
     """Return hips that turn about the up axis while they lean."""
     from fractions import Fraction
 
-    from animtool.take import Clock, Motion
+    from animtool.clock import Clock
+    from animtool.motion import Motion
 
     rig = Rig("one", (Joint("hips", -1), Joint("chest", 0)), up=up)
     yaw = np.linspace(0, 1, frames)[:, None, None] * np.array(up.vector)

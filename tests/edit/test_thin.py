@@ -16,9 +16,9 @@ from animtool.clip.points import SHELL, attached_points
 from animtool.edit.thin import Thinned, thin_samples
 from animtool.errors import OptionError
 from animtool.maths import so3
+from animtool.motion import Channel, Motion
 from animtool.rig.kinematics import forward
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Channel, Motion
 
 ARM = Rig("arm", (Joint("a", -1), Joint("b", 0, translation=(0.0, 0.4, 0.0))))
 Floats = npt.NDArray[np.float64]

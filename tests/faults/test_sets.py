@@ -19,7 +19,8 @@ from support.small_takes import small
 from animtool.batch.bundle import Bundle, write_bundle
 from animtool.errors import AnimtoolError, OptionError, OutputError
 from animtool.leftovers import remove_leftovers, take_back, temporary_prefix
-from animtool.output import ahead, check_outputs, output_error, replacing, together
+from animtool.output import ahead, check_outputs, replacing, together
+from animtool.placing import output_error
 from faults.calls import Calls, Files, failing, files_in, in_child, killed, watched
 
 FAULTS = "fault | what happened | what was lost"

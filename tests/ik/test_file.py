@@ -11,10 +11,10 @@ from numpy.testing import assert_allclose
 from support.faults import refused
 from support.targets import HEAD, legs, tracks_of, write_targets
 
+from animtool.clock import Clock
 from animtool.errors import FormatError, OptionError
 from animtool.ik.file import load_targets
 from animtool.ik.values import Frames
-from animtool.take import Clock
 
 FAULTS = {
     "TGT001": "- {effector: leg_lft, position: [0, 0, 0]}",

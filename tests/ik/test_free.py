@@ -14,14 +14,16 @@ from numpy.testing import assert_allclose, assert_array_equal
 from support.targets import HEAD, legs, point_of, tracks_of, walk_of
 
 from animtool._types import FloatArray
+from animtool.clock import Clock
 from animtool.ik.free import FreeEffector, swung
 from animtool.ik.goals import Goal, Targets
 from animtool.ik.on_take import solve_take
 from animtool.ik.result import IkStatus
 from animtool.maths import so3
+from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.scene.start import rest_take
-from animtool.take import Channel, Clock, Motion, Take
+from animtool.take import Take
 
 FIRST, LAST, EASE = 14, 26, 6
 VALUES = (

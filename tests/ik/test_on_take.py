@@ -11,6 +11,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from support.targets import HEAD, legs, point_of, tracks_of, walk_of
 
+from animtool.clock import Clock
 from animtool.errors import FormatError, OptionError, Severity
 from animtool.ik.on_take import solve_take
 from animtool.ik.report import apart_notices, goal_reports
@@ -19,9 +20,10 @@ from animtool.ik.sub_rig import dressed
 from animtool.ik.take_ik import TakeIk
 from animtool.ik.take_options import TakeOptions
 from animtool.maths import so3
+from animtool.motion import Channel, Motion
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
-from animtool.take import Channel, Clock, Motion, Take
+from animtool.take import Take
 
 FEET = "- {effector: leg_l, hold: [[8, 20]]}\n- {effector: leg_r, hold: [[24, 36]]}\n"
 NO_RATE = "targets: animtool/1\nunits: {length: m}\n"

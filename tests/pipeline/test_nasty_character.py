@@ -23,10 +23,11 @@ from support.nasty import (
 )
 from support.usd import joint_transforms, open_stage, skeleton_query, validation_errors
 
+from animtool.motion import Channel
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
-from animtool.take import Channel, Take, TakeStream
+from animtool.take import Take, TakeStream
 from animtool.usd.read import read_usd
 
 

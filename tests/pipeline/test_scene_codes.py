@@ -14,14 +14,16 @@ import numpy as np
 import pytest
 
 import animtool
+from animtool.clock import Clock
 from animtool.edit.root_motion import RootMode
 from animtool.errors import AnimtoolError
 from animtool.maths import so3
+from animtool.motion import Channel, Motion
 from animtool.passes import PassContext, apply_pass, find_pass
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
 from animtool.scene.file import load_scene
-from animtool.take import Channel, Clock, Motion, Take, TakeStream
+from animtool.take import Take, TakeStream
 
 PACKAGE = Path(animtool.__file__).parent
 NAN = float("nan")

@@ -12,6 +12,7 @@ from support.bvh import SPINE, random_rows, small_bvh
 from animtool.errors import OptionError
 from animtool.formats.bvh import read_bvh
 from animtool.maths import so3
+from animtool.motion import Channel
 from animtool.report.compare import (
     SCALE_TOLERANCE,
     TakeDifference,
@@ -21,7 +22,7 @@ from animtool.report.compare import (
 from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
 from animtool.scene.sources import SourceOptions
-from animtool.take import Channel, Take
+from animtool.take import Take
 from animtool.units import LengthUnit, UpAxis
 
 

@@ -10,10 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from animtool.clock import Clock
+from animtool.motion import Channel, Motion
 from animtool.report.compare import compare_takes
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Channel, Clock, Motion, Take
+from animtool.take import Take
 
 FRAMES = 5
 NAMES = ("blink", "jawOpen", "smile")

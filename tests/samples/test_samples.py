@@ -12,10 +12,10 @@ import pytest
 from animtool.clip.clip import Clip
 from animtool.clip.file import load_clip, open_clip
 from animtool.clip.sample import sample_channels
+from animtool.motion import Channel
 from animtool.rig.file import load_rig
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
-from animtool.take import Channel
 
 ROOT = Path(__file__).parents[2]
 GRAVITY = 9.81 / 24**2

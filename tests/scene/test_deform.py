@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
+from animtool.motion import Channel, Motion
 from animtool.scene import deform
 from animtool.scene.deform import pieces
-from animtool.take import Channel, Motion
 
 
 def motion_of(codes: np.ndarray) -> Motion:

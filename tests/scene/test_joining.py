@@ -15,8 +15,10 @@ from support.cli import animtool
 from support.takes import takes
 
 from animtool import open_source
+from animtool.clock import Clock
 from animtool.errors import Fault, FormatError, OptionError, Severity
 from animtool.maths.curves import cubic_curves
+from animtool.motion import Channel, Motion
 from animtool.rig.controls import Control, Drive
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
@@ -24,7 +26,7 @@ from animtool.scene.file import load_scene
 from animtool.scene.joining import Part, joined
 from animtool.scene.onto_rig import on_rig
 from animtool.scene.tracks import TrackNames
-from animtool.take import Channel, Clock, Motion, Take, TakeStream
+from animtool.take import Take, TakeStream
 
 GRIN = Control("grin", drives=(Drive("shape/smile"), Drive("joint/jaw.rotation.x")))
 HERO = Rig(

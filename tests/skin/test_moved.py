@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
+from animtool.motion import Channel
 from animtool.rig.parts import Subdivision
 from animtool.rig.surfaces import Surface
 from animtool.skin.deform import Deformed, extents
 from animtool.skin.displaced import displaced_points, vertex_normals
-from animtool.take import Channel
 
 
 def square() -> Surface:

@@ -7,12 +7,14 @@ from fractions import Fraction
 
 import numpy as np
 
+from animtool.clock import Clock
 from animtool.maths import so3
+from animtool.motion import Channel, Motion
 from animtool.rig.parts import Attachment, Collider, HeldArray, Mesh, Skin
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.sim.attach.settings import SimulateOptions
 from animtool.sim.attach.take_pass import simulate
-from animtool.take import Channel, Clock, Motion, Take, TakeStream
+from animtool.take import Take, TakeStream
 
 __all__ = [
     "GRAVITY",

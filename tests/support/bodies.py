@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from animtool.motion import Motion
 from animtool.rig.kinematics import bind_world, forward
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import surfaces_of
@@ -11,7 +12,6 @@ from animtool.sim.attach.capsules import depth
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.skin.character import character_meshes
 from animtool.skin.deform import deform
-from animtool.take import Motion
 
 from .skins import Array, of_world
 

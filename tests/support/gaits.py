@@ -7,9 +7,11 @@ from fractions import Fraction
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.clock import Clock
 from animtool.maths import so3
+from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Channel, Clock, Motion, Take
+from animtool.take import Take
 from animtool.units import UpAxis
 
 LEG = (

@@ -16,10 +16,12 @@ from typing import Any
 
 import numpy as np
 
+from animtool.clock import Clock
 from animtool.maths import so3
+from animtool.motion import Channel, Motion
 from animtool.rig.file import load_rig
 from animtool.rig.skeleton import Rig
-from animtool.take import Channel, Clock, Motion, Take
+from animtool.take import Take
 from animtool.transforms import Attribute, Track, Transforms
 
 __all__ = [

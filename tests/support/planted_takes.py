@@ -9,9 +9,10 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.maths import so3
+from animtool.motion import Channel
 from animtool.rig.kinematics import rest_size
 from animtool.rig.sides import pair_sides
-from animtool.take import Channel, Take
+from animtool.take import Take
 from animtool.units import UpAxis
 
 Edit = Callable[[Take], Take]

@@ -8,11 +8,13 @@ import numpy as np
 from hypothesis import strategies as st
 
 from animtool._types import FloatArray
+from animtool.clock import Clock
 from animtool.maths import so3
+from animtool.motion import Channel, Motion
 from animtool.rig.controls import Control
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Channel, Clock, Motion, Take
+from animtool.take import Take
 from animtool.units import UpAxis
 
 RATES = [Fraction(24), Fraction(30), Fraction(120), Fraction(24000, 1001)]

@@ -8,13 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.clock import Clock
 from animtool.ik.file import load_targets
 from animtool.ik.tracks import TargetTracks
 from animtool.maths import so3
+from animtool.motion import Channel, Motion
 from animtool.rig.limits import RangeLimit
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.take import Channel, Clock, Motion, Take
+from animtool.take import Take
 
 HEAD = "targets: animtool/1\nunits: {length: m, angle: deg}\nfps: 24\n"
 

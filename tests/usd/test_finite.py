@@ -13,8 +13,8 @@ from support.cli import animtool
 from animtool._types import FloatArray
 from animtool.errors import OutputError
 from animtool.maths.curves import cubic_curves, evaluate
+from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Channel, Motion
 from animtool.usd.animation import round_blocks
 from animtool.usd.curves import author_curve
 from animtool.usd.finite import Labels, narrowed, rounded

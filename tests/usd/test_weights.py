@@ -16,8 +16,8 @@ from support.surfaces import shaped_rig
 from support.usd import open_stage, skeleton_query, validation_errors
 
 from animtool.errors import FormatError, OutputError
+from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Channel, Motion
 from animtool.usd.animation import round_blocks
 from animtool.usd.author import author, write_usd
 from animtool.usd.forms import Form

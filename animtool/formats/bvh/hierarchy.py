@@ -11,8 +11,6 @@ from animtool.printing import CONTROL
 from animtool.rates import RateChoice, RateKind, rate_from_frame_time, rate_label
 from animtool.rig.skeleton import CHANNEL_NAMES
 
-__all__ = ["BvhHeader", "BvhJoint", "read_header"]
-
 _CHANNELS = {name.lower(): name for name in CHANNEL_NAMES}
 
 # Slower than stop motion on sixes, or faster than any capture system: rather a

@@ -8,8 +8,6 @@ from typing import BinaryIO, NoReturn
 
 from animtool.errors import Fault, FormatError
 
-__all__ = ["HeaderLines"]
-
 CHUNK_BYTES = 1 << 19
 # A header line names one joint or its channels; a longer one is not a BVH's.
 LONGEST_LINE_BYTES = 1 << 16

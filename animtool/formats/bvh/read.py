@@ -17,13 +17,12 @@ from animtool.formats.bvh.hierarchy import BvhHeader, BvhJoint, read_header
 from animtool.formats.bvh.lines import HeaderLines
 from animtool.formats.bvh.rows import RowReader, RowSource
 from animtool.maths.so3 import IDENTITY
+from animtool.motion import Channel, Motion
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.similar import distinct
-from animtool.take import Channel, Motion, TakeStream
+from animtool.take import TakeStream
 from animtool.units import LengthUnit, UpAxis
-
-__all__ = ["read_bvh", "read_bvh_rig"]
 
 # A character spans between these at rest; the skeleton of a person between those.
 LIKELY_METERS = (0.3, 6.0)

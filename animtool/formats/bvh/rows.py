@@ -16,8 +16,6 @@ from animtool.formats.bvh.hierarchy import FLOAT32_MAX
 from animtool.formats.bvh.lines import CHUNK_BYTES
 from animtool.inputs import FileState, changed_error
 
-__all__ = ["RowReader", "RowSource"]
-
 # A quarter of a megabyte of float64 a block: it stays in the processor's cache from
 # the parser to the writer.
 BLOCK_VALUES = 1 << 15

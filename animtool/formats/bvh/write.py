@@ -17,8 +17,6 @@ from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Take
 from animtool.units import LengthUnit, UpAxis, unit_name
 
-__all__ = ["BvhText", "write_bvh"]
-
 # Degrees to 7 places are 1e-9 rad, lengths to 9 places 1e-9 of a unit: both far
 # below what float32 holds.
 ANGLE_PLACES = 7

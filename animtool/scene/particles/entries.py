@@ -29,8 +29,6 @@ from animtool.sim.particles import (
     find_force,
 )
 
-__all__ = ["read_particles"]
-
 PLACES: dict[str, type[Any]] = {
     "box": BoxPlace,
     "disc": Disc,

@@ -18,12 +18,6 @@ from animtool.scene.systems.collider_schema import (
 from animtool.scene.systems.fields import Named, Preroll, PrimName
 from animtool.scene.systems.placed_schema import PlacedModel
 
-__all__ = [
-    "EmitterModel",
-    "ParticlesModel",
-    "VelocityModel",
-]
-
 
 class EmitterModel(PlacedModel):
     """What makes particles."""

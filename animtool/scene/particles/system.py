@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from animtool.sim.options import IntegrateOptions
     from animtool.sim.particles.setup import Particles
 
-__all__ = ["ParticleSetup", "RunningParticles", "open_particles", "particle_trial"]
-
 
 @dataclass(frozen=True, slots=True)
 class SurfaceCollider:

@@ -18,18 +18,6 @@ from animtool.scene.springs.shapes import Shape
 from animtool.scene.systems.entries import EntryReader
 from animtool.sim.springs import Body, Family
 
-__all__ = [
-    "MOST",
-    "Families",
-    "SpringBody",
-    "check_grid",
-    "families_of",
-    "mass_of",
-    "refuse_keys",
-    "share_out",
-    "some_of",
-]
-
 # Of many that are odd in the same way, those that are named.
 MAX_NAMED = 5
 # Particles of a system, at most: their springs fit into memory.

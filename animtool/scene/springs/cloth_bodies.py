@@ -22,8 +22,6 @@ from animtool.scene.systems.entries import EntryReader
 from animtool.sim.springs import sheet, surface
 from animtool.units import UpAxis
 
-__all__ = ["cloth_body"]
-
 
 def cloth_body(
     reader: EntryReader,

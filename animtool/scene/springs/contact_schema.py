@@ -10,11 +10,6 @@ from pydantic import Field
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Real
 
-__all__ = [
-    "SelfContactField",
-    "SelfContactModel",
-]
-
 
 class SelfContactModel(FileModel):
     """How a surface keeps apart from itself, in folds and layers."""

@@ -29,8 +29,6 @@ from animtool.scene.systems.entries import EntryReader
 from animtool.sim.springs import SelfContact, SpringOptions
 from animtool.sim.springs.options import check_keeping_apart, check_options
 
-__all__ = ["read_springs"]
-
 _BODIES: dict[type[SpringsModel], Callable[..., SpringBody | None]] = {
     ClothModel: cloth_body,
     RopeModel: rope_body,

@@ -9,15 +9,6 @@ from pydantic import Field
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Real
 
-__all__ = [
-    "ClothSpringsModel",
-    "DiagonalsModel",
-    "FamilyModel",
-    "LineFamilyModel",
-    "LineSpringsModel",
-    "VolumeSpringsModel",
-]
-
 
 class FamilyModel(FileModel):
     """What springs of a family have in common."""

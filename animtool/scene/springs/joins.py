@@ -18,8 +18,6 @@ from animtool.scene.springs.sharing import conflicts
 from animtool.sim.springs import Solver
 from animtool.sim.springs.options import check_keeping_apart
 
-__all__ = ["check_joins", "join_pairs"]
-
 
 def check_joins(document: Document, members: Sequence[SceneSystem]) -> None:
     """Note what keeps systems from being one.

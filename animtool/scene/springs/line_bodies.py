@@ -13,8 +13,6 @@ from animtool.scene.springs.shapes import Curves
 from animtool.scene.systems.entries import EntryReader
 from animtool.sim.springs import join, rope, strand
 
-__all__ = ["rope_body", "strands_body"]
-
 
 def rope_body(
     reader: EntryReader,

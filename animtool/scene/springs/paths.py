@@ -15,8 +15,6 @@ from animtool.sim.colliders import Poses
 from animtool.sim.springs import Pins, Targets
 from animtool.sim.springs.paths import over_knots
 
-__all__ = ["Tie", "Ties", "moved_to_pins", "ties_of", "wind_ties"]
-
 # What keeps a turn as small as it may be where points leave it open.
 LEAST_TURN = 1e-9
 # Times between two gusts at which the air that went by is looked at.

@@ -12,14 +12,6 @@ from animtool.documents.fields import Name, Real, Vector, Whole
 from animtool.scene.systems.fields import CharacterFile, OwnCharacter, TimedVector
 from animtool.scene.systems.placed_schema import FollowedPrimModel
 
-__all__ = [
-    "CarryingJointModel",
-    "CarryingPrimModel",
-    "CarryingVertexModel",
-    "JoinedModel",
-    "PinModel",
-]
-
 
 class _FramedModel(FileModel):
     offset: Vector | None = Field(

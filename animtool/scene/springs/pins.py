@@ -26,8 +26,6 @@ from animtool.scene.systems.entries import EntryReader
 from animtool.sim.colliders import Poses
 from animtool.units import UpAxis
 
-__all__ = ["Join", "Pin", "numbered", "particles_of", "read_pins"]
-
 # The first frame of what carries, in which it is when particles are bound to it.
 BOUND_AT = 0.0
 

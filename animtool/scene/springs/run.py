@@ -21,8 +21,6 @@ from animtool.sim.springs import (
 )
 from animtool.sim.trajectory import Checkpoint, Status
 
-__all__ = ["Keeping", "Moment", "SpringRun"]
-
 # Times of a whole motion that are compared with those of one in half steps.
 COMPARED = 64
 # Notices whose message says how much it is so far.

@@ -24,16 +24,6 @@ from animtool.scene.systems.collider_schema import (
 )
 from animtool.scene.systems.fields import Preroll, PrimName, PrimPath, UsdFile
 
-__all__ = [
-    "ClothModel",
-    "PrimMeshModel",
-    "RopeModel",
-    "SpringsModel",
-    "StrandsModel",
-    "TetrahedraModel",
-    "VolumeModel",
-]
-
 
 class SpringsModel(FileModel):
     """What ropes, strands, cloth and volumes have in common."""

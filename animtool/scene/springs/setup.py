@@ -19,8 +19,6 @@ from animtool.scene.systems.moving_mesh import MovingMesh
 from animtool.sim.colliders import Collider
 from animtool.sim.springs import Air, SelfContact, SpringOptions
 
-__all__ = ["SpringSetup", "Wind"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Wind:

@@ -14,8 +14,6 @@ from animtool.maths.faces import sides
 from animtool.sim.springs import Springs, Tearing, tear_surface
 from animtool.usd.simulated_points import CurvesRow, FacesRow
 
-__all__ = ["Curves", "Faces", "Shape"]
-
 Flags: TypeAlias = npt.NDArray[np.bool_]
 
 

@@ -12,8 +12,6 @@ from animtool._types import FloatArray
 from animtool.scene.springs.setup import SpringSetup, Wind
 from animtool.sim.springs import SelfContact, SpringOptions
 
-__all__ = ["Shared", "conflicts", "shared"]
-
 _OPTIONS = ("solver", "step", "error", "stretch")
 _OWN = ("gravity", "radius", "speed_limit", "self_contact", "preroll", "settle")
 

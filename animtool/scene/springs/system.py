@@ -28,8 +28,6 @@ from animtool.sim.colliders import Colliders
 from animtool.sim.springs import Body, SpringSystem, Welded, find_rest, join, weld
 from animtool.sim.springs.trial import SpringTrial
 
-__all__ = ["RunningSprings", "open_springs", "spring_trial"]
-
 # Particles that are put together, or held, this far from where they are built are
 # said to be apart [m].
 APART = 1e-4

@@ -20,8 +20,6 @@ from animtool.scene.springs.shapes import Faces
 from animtool.scene.systems.entries import EntryReader
 from animtool.sim.springs import Body, block, tetrahedra
 
-__all__ = ["volume_body"]
-
 
 def volume_body(
     reader: EntryReader,

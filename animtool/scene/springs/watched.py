@@ -10,8 +10,6 @@ from animtool.maths.faces import triangulated
 from animtool.scene.springs.run import Keeping, SpringRun
 from animtool.scene.springs.shapes import Faces
 
-__all__ = ["Watched"]
-
 
 class Watched:
     """A surface that is looked at on the way from frame to frame.

@@ -10,12 +10,6 @@ from animtool.documents.check import FileModel
 from animtool.documents.fields import Real, Vector
 from animtool.scene.systems.fields import TimedVector
 
-__all__ = [
-    "FaceWindField",
-    "FaceWindModel",
-    "WindModel",
-]
-
 
 class WindModel(FileModel):
     """The air of ropes and strands: `drag` takes them along with it."""

@@ -27,8 +27,6 @@ from animtool.usd.layers import StageMetadata, check_prim_path
 from animtool.usd.names import legal_name
 from animtool.usd.simulated import SimulatedJob, simulated_layer
 
-__all__ = ["SystemPlan", "plan_systems", "run_system_bake"]
-
 FPS = Fraction(24)
 
 

@@ -19,8 +19,6 @@ from animtool.scene.systems.character_skin import CharacterSkin, no_mesh
 from animtool.sim.colliders import Poses, joint_poses
 from animtool.units import UpAxis
 
-__all__ = ["Carrier", "OnJoint", "OnPrim", "OnVertex"]
-
 # Between two of these a prim goes straight, whatever turns it [1/s].
 PRIM_RATE = 120
 # Times of a prim that are looked at, at most.

@@ -9,8 +9,6 @@ from pathlib import Path
 from animtool.scene.systems.character_motion import CharacterMotions
 from animtool.sim.colliders import Collider, Sheet
 
-__all__ = ["CharacterCollider", "character_colliders"]
-
 
 @dataclass(frozen=True, slots=True)
 class CharacterCollider:

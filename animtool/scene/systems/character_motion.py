@@ -9,15 +9,14 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError
+from animtool.motion import Motion
 from animtool.reorient import reorient
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
 from animtool.scene.sources import is_scene, open_source
 from animtool.sim.colliders import Collider, Sphere, rig_colliders
-from animtool.take import Motion, Take, TakeStream
+from animtool.take import Take, TakeStream
 from animtool.units import UpAxis
-
-__all__ = ["CharacterMotion", "CharacterMotions", "motion_of", "open_take"]
 
 
 @dataclass(frozen=True, slots=True)

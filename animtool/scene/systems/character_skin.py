@@ -18,8 +18,6 @@ from animtool.scene.systems.character_motion import CharacterMotion
 from animtool.skin.character import character_meshes
 from animtool.skin.deform import Deformed, DeformedMesh, deform_blocks
 
-__all__ = ["CharacterSkin", "SkinMotion", "no_mesh"]
-
 # Frames of which the points are kept: both ends of a step, and those of the one before.
 KEPT = 4
 

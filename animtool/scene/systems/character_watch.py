@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.clock import Clock, time_codes
+from animtool.motion import Motion
 from animtool.scene.systems.character_motion import CharacterMotion, motion_of
-from animtool.take import Clock, Motion, Take, TakeStream, time_codes
-
-__all__ = ["CharacterWatch"]
+from animtool.take import Take, TakeStream
 
 
 class CharacterWatch:

@@ -9,13 +9,6 @@ from animtool.documents.fields import Name, Real
 from animtool.scene.systems.fields import CharacterFile, Margin, Named, OwnCharacter
 from animtool.scene.systems.placed_schema import FollowedPrimModel, PlacedModel
 
-__all__ = [
-    "CharacterModel",
-    "MovingMeshModel",
-    "SystemColliderModel",
-    "SystemSurfaceModel",
-]
-
 
 class _MaterialModel(FileModel):
     restitution: Real = Field(

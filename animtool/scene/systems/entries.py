@@ -30,8 +30,6 @@ from animtool.scene.systems.fields import Named
 from animtool.scene.systems.moving_mesh import MovingMesh
 from animtool.sim.colliders import Box, Capsule, Collider, Mesh, Plane, Poses, Sphere
 
-__all__ = ["PLACING", "EntryReader"]
-
 SHAPES: dict[str, type[Any]] = {
     "box": Box,
     "capsule": Capsule,

@@ -9,18 +9,6 @@ from pydantic import AfterValidator, Field
 
 from animtool.documents.fields import Name, Real, check_numbers
 
-__all__ = [
-    "CharacterFile",
-    "Margin",
-    "Named",
-    "OwnCharacter",
-    "Preroll",
-    "PrimName",
-    "PrimPath",
-    "TimedVector",
-    "UsdFile",
-]
-
 # One name of a table, and its options.
 Named = Annotated[
     dict[str, dict[str, Any] | None], Len(1, 1), AfterValidator(check_numbers)

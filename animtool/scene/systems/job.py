@@ -17,8 +17,6 @@ from animtool.usd.names import distinct_names, legal_name
 from animtool.usd.prim_writer import PrimWriter
 from animtool.usd.simulated import SimulatedJob
 
-__all__ = ["named_alike", "system_job"]
-
 
 def system_job(
     systems: Sequence[SceneSystem],

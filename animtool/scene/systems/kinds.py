@@ -9,8 +9,6 @@ from typing import Any, Protocol, TypeAlias
 
 from animtool.documents.document import Document, Location
 
-__all__ = ["SYSTEM_KINDS", "SystemFacts", "SystemKind", "SystemReader", "SystemSetup"]
-
 
 @dataclass(frozen=True, slots=True)
 class SystemFacts:

@@ -12,8 +12,6 @@ from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
 from animtool.scene.systems.kinds import SYSTEM_KINDS
 
-__all__ = ["check_links", "check_names", "in_order", "needed", "simulated_with"]
-
 
 def in_order(systems: Sequence[SceneSystem]) -> list[list[int]]:
     """Return systems by number, those that are simulated as one together.

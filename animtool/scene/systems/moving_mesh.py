@@ -16,8 +16,6 @@ from animtool.units import UpAxis
 if TYPE_CHECKING:
     from animtool.usd.still_mesh import MeshSource
 
-__all__ = ["MovingMesh"]
-
 # Times of which the points are kept: both ends of a step, and those of a look within.
 KEPT = 4
 

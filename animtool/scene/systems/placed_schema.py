@@ -11,8 +11,6 @@ from animtool.documents.check import FileModel
 from animtool.documents.fields import Frame, Quaternion, Real, Vector
 from animtool.scene.systems.fields import PrimPath, TimedVector, UsdFile
 
-__all__ = ["FollowedPrimModel", "PlacedModel"]
-
 
 class FollowedPrimModel(FileModel):
     """A prim of a USD file, as that moves and turns."""

@@ -29,8 +29,6 @@ from animtool.usd.layers import save_layer
 from animtool.usd.point_cache import CachedMesh
 from animtool.usd.simulated import SimulatedJob, chunk_simulated, grow_simulated
 
-__all__ = ["Save", "SystemRun", "WrittenSystems", "write_systems"]
-
 # Steps of one system, from its pre-roll to the last frame; more take hours.
 MAX_STEPS = 10_000_000
 # Where a solver chooses its steps, none is longer [s].

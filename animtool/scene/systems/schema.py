@@ -15,8 +15,6 @@ from animtool.scene.springs.schema import (
     VolumeModel,
 )
 
-__all__ = ["SystemModel"]
-
 # Of an entry's kinds one is given; that one may not be nothing.
 _NOT_GIVEN: Any = None
 _STRUCTURAL = {"structural": {"stiffness": 1000}}

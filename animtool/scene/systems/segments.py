@@ -28,8 +28,6 @@ from animtool.scene.systems.simulation import (
 from animtool.take import Take
 from animtool.units import UpAxis, up_from_up
 
-__all__ = ["segments_of"]
-
 
 def segments_of(
     systems: Sequence[SceneSystem],

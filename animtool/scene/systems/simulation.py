@@ -26,18 +26,6 @@ from animtool.scene.systems.links import in_order, needed
 if TYPE_CHECKING:
     from animtool.sim.trials.trial import Trial
 
-__all__ = [
-    "Opener",
-    "Opening",
-    "Simulation",
-    "SystemProgress",
-    "Tearable",
-    "TrialMaker",
-    "located_systems",
-    "open_systems",
-    "system_trials",
-]
-
 
 class Simulation(Protocol):
     """A system under way."""

@@ -11,8 +11,6 @@ from animtool.scene.systems.character_motion import CharacterMotion
 from animtool.scene.systems.links import simulated_with
 from animtool.scene.systems.simulation import Tearable, located_systems, open_systems
 
-__all__ = ["predicted_tears"]
-
 
 def predicted_tears(
     systems: Sequence[SceneSystem],

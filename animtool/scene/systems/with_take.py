@@ -27,8 +27,6 @@ from animtool.usd.simulated import SimulatedJob
 if TYPE_CHECKING:
     from animtool.usd.target import RigTarget
 
-__all__ = ["SystemsWithTake", "WrittenSystems", "plan_with_take"]
-
 
 @dataclass(frozen=True, slots=True)
 class WrittenSystems:

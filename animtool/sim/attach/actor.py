@@ -31,8 +31,6 @@ from animtool.sim.colliders.on_joints import Capsules
 from animtool.sim.springs.self_contact import tangle_notices
 from animtool.units import UpAxis
 
-__all__ = ["Actor", "Ways", "rigidly_moved", "upwards"]
-
 
 def upwards(rig: Rig) -> FloatArray:
     """Return the direction away from the ground ``(3,)``."""

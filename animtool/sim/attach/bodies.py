@@ -29,8 +29,6 @@ from animtool.skin.character import (
 )
 from animtool.skin.deform import deform
 
-__all__ = ["Body", "ChainBody", "SurfaceBody", "bodies_of", "check_names"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Body(ABC):

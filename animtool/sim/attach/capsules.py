@@ -12,8 +12,6 @@ from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Capsule, Collider, Colliders
 from animtool.sim.colliders.on_joints import Capsules
 
-__all__ = ["CapsuleContacts", "depth", "depth_at_bind"]
-
 # A particle that begins inside a collider is moved out at this speed [m/s].
 DEPENETRATION = 1.0
 # What is deeper than this after every push [m] is left inside.

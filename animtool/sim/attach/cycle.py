@@ -11,8 +11,6 @@ from animtool.maths import so3
 from animtool.rig.skeleton import Rig
 from animtool.sim.attach.poses import Pose
 
-__all__ = ["Travel", "onward", "seam_weights", "travel_between"]
-
 # A root that comes back to within so many of its steps stands in its place [1].
 IN_PLACE = 2.0
 # Part of the cycle over which what is left is brought in [1].

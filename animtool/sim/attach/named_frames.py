@@ -5,8 +5,6 @@ from __future__ import annotations
 from animtool.errors import Fault, Severity, listed
 from animtool.sim.attach.simulation import Simulation
 
-__all__ = ["of_named_frames"]
-
 
 def of_named_frames(simulation: Simulation) -> list[Fault]:
     """Return what is odd about the frames that options name, when all were seen.

@@ -11,16 +11,6 @@ from animtool._types import FloatArray, IntArray
 from animtool.errors import counted
 from animtool.maths.faces import distinct_pairs, edge_counts, of_one_edge, sides
 
-__all__ = [
-    "Links",
-    "Network",
-    "diagonals_of_faces",
-    "folds_of_faces",
-    "lost_links",
-    "odd_surface",
-    "reach",
-]
-
 NO_PAIRS: IntArray = np.zeros((0, 2), np.int64)
 NO_TRIANGLES: IntArray = np.zeros((0, 3), np.int64)
 

@@ -8,11 +8,9 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.maths import so3
+from animtool.motion import Channel, Motion
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig
-from animtool.take import Channel, Motion
-
-__all__ = ["Pose", "Way", "extrapolated", "pose_at", "way"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

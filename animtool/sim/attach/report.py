@@ -13,8 +13,6 @@ from animtool.sim.attach.network import odd_surface
 from animtool.sim.attach.simulation import Closing, Simulation
 from animtool.sim.springs.self_contact import through_notices
 
-__all__ = ["AttachReport", "notices_of", "reports_of"]
-
 # Springs may be this much longer than aimed at before it is worth a warning [1].
 PARDON = 1.5
 # A joint turned by less than this moves nothing that would be missed [rad].

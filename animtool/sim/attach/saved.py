@@ -12,10 +12,9 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.documents.arrays import Archives
 from animtool.errors import Fault, FormatError, OptionError
-from animtool.output import output_error, replacing
+from animtool.output import replacing
+from animtool.placing import output_error
 from animtool.sim.attach.stepping import State, nowhere
-
-__all__ = ["Saved", "read_states", "write_states"]
 
 FORMAT = "animtool-simulate/1"
 # What a simulation of any size has.

@@ -18,8 +18,6 @@ from animtool.passes import OptionChecks
 from animtool.rig.parts import AttachKind
 from animtool.units import parse_length
 
-__all__ = ["Lead", "Settings", "SimulateOptions", "option_checks", "settings_for"]
-
 # How fast each kind swings back to its animated pose, unless the scene says it [Hz].
 _FREQUENCIES = {AttachKind.SPRING_CHAIN: 2.0, AttachKind.STRANDS: 2.0}
 # How much longer springs may become, likewise [1]: many particles in a line cost many

@@ -11,8 +11,10 @@ from itertools import pairwise
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.clock import time_codes
 from animtool.keyed import weights_at
 from animtool.maths import so3
+from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Rig
 from animtool.sim.attach.actor import Actor, Ways, rigidly_moved, upwards
 from animtool.sim.attach.bodies import Body, ChainBody, SurfaceBody
@@ -27,10 +29,7 @@ from animtool.sim.attach.saved import Saved
 from animtool.sim.attach.settings import Lead, SimulateOptions, settings_for
 from animtool.sim.attach.stepping import State
 from animtool.sim.attach.swings import chain_rotations
-from animtool.take import Channel, Motion, time_codes
 from animtool.units import parse_length
-
-__all__ = ["Closing", "Simulation"]
 
 
 @dataclass(frozen=True, slots=True)

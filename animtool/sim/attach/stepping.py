@@ -16,18 +16,6 @@ from animtool.sim.attach.settings import Settings
 from animtool.sim.springs import SelfContact
 from animtool.sim.springs.self_contact import Through
 
-__all__ = [
-    "STIFF",
-    "Motions",
-    "SheetStepper",
-    "State",
-    "Stepper",
-    "Tally",
-    "cells_of",
-    "stepped",
-    "steps_wanted",
-]
-
 # Accelerations that steps are chosen for [m/s²]: twice that of gravity.
 DESIGN_ACCELERATION = 20.0
 # How fast springs of strands turn that steps are chosen for [rad/s].

@@ -12,8 +12,6 @@ from animtool.sim.attach.network import Links, Network
 from animtool.sim.attach.settings import Settings
 from animtool.sim.attach.stepping import STIFF, Motions, State, Tally, stepped
 
-__all__ = ["StrandStepper", "threads_allowed"]
-
 
 def threads_allowed() -> int:
     """Return how many threads loops may have: ``OMP_NUM_THREADS``, else processors.

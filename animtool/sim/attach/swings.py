@@ -9,8 +9,6 @@ from animtool.maths import so3
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 
-__all__ = ["chain_rotations", "least_turns"]
-
 # Bones shorter than this [m] point nowhere.
 SHORTEST = 1e-9
 

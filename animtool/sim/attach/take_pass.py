@@ -8,15 +8,14 @@ from fractions import Fraction
 from pathlib import Path
 
 from animtool.errors import Fault, OptionError
+from animtool.motion import Motion
 from animtool.passes import Pass, PassContext, Scope, TakePart
 from animtool.sim.attach.bodies import Body, SurfaceBody, bodies_of
 from animtool.sim.attach.report import notices_of, reports_of
 from animtool.sim.attach.saved import Saved, read_states, write_states
 from animtool.sim.attach.settings import SimulateOptions, option_checks
 from animtool.sim.attach.simulation import Simulation
-from animtool.take import Motion, TakeStream
-
-__all__ = ["PASS", "moves", "simulate"]
+from animtool.take import TakeStream
 
 
 def simulate(

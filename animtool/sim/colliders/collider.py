@@ -12,8 +12,6 @@ from animtool.errors import Fault
 from animtool.sim.colliders.poses import Poses
 from animtool.sim.colliders.shapes import Shape
 
-__all__ = ["Collider"]
-
 # No body of a shot is as fast as this [m/s]: what is has been put elsewhere.
 SPEED_LIMIT = 200.0
 

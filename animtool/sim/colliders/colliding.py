@@ -19,8 +19,6 @@ from animtool.sim.colliders.sheet_contact import collide_with_sheet
 from animtool.sim.colliders.sheets import Sheet
 from animtool.sim.colliders.surfaces import Surfaces
 
-__all__ = ["Collided", "Colliders", "Contacts", "Samples", "Touch", "collide"]
-
 _KINDS: dict[type, int] = {Plane: 0, Sphere: 1, Capsule: 2, Box: 3, Mesh: 4}
 _SIZES = 7
 _NO_MESH: tuple[Any, ...] = (

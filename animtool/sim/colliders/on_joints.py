@@ -14,8 +14,6 @@ from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.poses import Poses
 from animtool.sim.colliders.shapes import Capsule
 
-__all__ = ["Capsules", "joint_poses", "rig_colliders"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Capsules:

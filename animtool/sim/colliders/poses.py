@@ -10,8 +10,6 @@ import numpy as np
 from animtool._types import ArrayLike, BoolArray, FloatArray
 from animtool.maths import so3
 
-__all__ = ["Poses"]
-
 
 @dataclass(frozen=True)
 class Poses:

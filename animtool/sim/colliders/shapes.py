@@ -12,8 +12,6 @@ import numpy.typing as npt
 
 from animtool._types import ArrayLike, FloatArray
 
-__all__ = ["Box", "Capsule", "Mesh", "Plane", "Shape", "Sphere"]
-
 Vector: TypeAlias = Sequence[float]
 ORIGIN = (0.0, 0.0, 0.0)
 

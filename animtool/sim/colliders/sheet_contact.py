@@ -11,8 +11,6 @@ from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.sheets import Sheet
 
-__all__ = ["Settle", "collide_with_sheet"]
-
 # From colliders at rest, a start and an end ``(2, N, 3)``, radii and times within a
 # step from when on particles are there, to where these end, whether they touch, and
 # how ``(N,)`` and ``(N, 3)``.

@@ -12,8 +12,6 @@ from animtool.errors import Fault
 from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.shapes import Mesh
 
-__all__ = ["Sheet", "SheetMotion", "hull", "hull_faces", "hull_points"]
-
 
 class SheetMotion(Protocol):
     """Where a surface is over time; it does not feel what runs into it."""

@@ -14,8 +14,6 @@ from animtool.errors import Fault, Severity
 from animtool.sim.colliders.collider import SPEED_LIMIT
 from animtool.sim.colliders.sheets import Sheet, hull_faces, hull_points
 
-__all__ = ["Surfaces"]
-
 # Where points are is asked for no more often than this [s]: between, they go straight.
 KNOT = 1 / 240
 # Share of a cell that whole numbers of them may be off.

@@ -13,8 +13,6 @@ from animtool.sim.integrators.integrator import Control, Integrator, Step
 from animtool.sim.integrators.rk4 import INTEGRATOR as RK4
 from animtool.sim.stability import rate_limit
 
-__all__ = ["INTEGRATOR", "doubled"]
-
 
 def doubled(base: Integrator) -> Integrator:
     """Return step doubling with steps of another method.

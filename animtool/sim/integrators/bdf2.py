@@ -14,8 +14,6 @@ from animtool.sim.integrators.integrator import Integrator, Step
 from animtool.sim.newton import solve_stage
 from animtool.sim.stability import unlimited
 
-__all__ = ["INTEGRATOR"]
-
 # Beyond it the difference of two unequal steps is not stable: 1 + √2 is the limit.
 LARGEST_RATIO = 2.4
 

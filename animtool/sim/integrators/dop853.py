@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from animtool.sim.integrators.integrator import Control, Integrator
 
-__all__ = ["INTEGRATOR"]
-
 INTEGRATOR = Integrator(
     "dop853",
     "scipy's, steps by their error: for smooth motion to many digits",

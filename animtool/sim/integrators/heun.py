@@ -6,8 +6,6 @@ from animtool.sim.integrators.integrator import Integrator
 from animtool.sim.integrators.tableau import Tableau
 from animtool.sim.stability import rate_limit
 
-__all__ = ["INTEGRATOR"]
-
 TABLEAU = Tableau((0.0, 1.0), ((), (1.0,)), (0.5, 0.5))
 
 INTEGRATOR = Integrator(

@@ -11,8 +11,6 @@ from animtool._types import FloatArray
 from animtool.sim.equations import Equations
 from animtool.sim.stability import Limit
 
-__all__ = ["Control", "Form", "Integrator", "Step", "StepFunction"]
-
 
 class Form(StrEnum):
     """What of a system a method uses.

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from animtool.sim.integrators.integrator import Control, Integrator
 
-__all__ = ["INTEGRATOR"]
-
 INTEGRATOR = Integrator(
     "lsoda",
     "scipy's, changes between methods for stiff and other systems by itself",

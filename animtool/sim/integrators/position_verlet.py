@@ -18,8 +18,6 @@ from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Form, Integrator, Step
 from animtool.sim.stability import jury_limit
 
-__all__ = ["INTEGRATOR"]
-
 
 def _step(
     equations: Equations,

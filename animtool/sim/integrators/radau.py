@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from animtool.sim.integrators.integrator import Control, Integrator
 
-__all__ = ["INTEGRATOR"]
-
 INTEGRATOR = Integrator(
     "radau",
     "scipy's, implicit, steps by their error: for stiff systems",

@@ -11,8 +11,6 @@ from animtool.sim.integrators.integrator import Control, Integrator
 from animtool.sim.integrators.tableau import Tableau
 from animtool.sim.stability import rate_limit
 
-__all__ = ["INTEGRATOR"]
-
 FIFTH = (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84)
 FOURTH = (
     5179 / 57600,

@@ -14,8 +14,6 @@ from animtool._types import FloatArray
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Step
 
-__all__ = ["Tableau"]
-
 
 @dataclass(frozen=True, slots=True)
 class Tableau:

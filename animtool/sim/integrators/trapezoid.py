@@ -8,8 +8,6 @@ from animtool.sim.integrators.integrator import Integrator, Step
 from animtool.sim.newton import solve_stage
 from animtool.sim.stability import unlimited
 
-__all__ = ["INTEGRATOR"]
-
 
 def _step(
     equations: Equations,

@@ -10,8 +10,6 @@ from animtool.sim.particles.setup import Particles
 from animtool.sim.particles.state import ParticleState
 from animtool.sim.particles.system import energies
 
-__all__ = ["DivergenceCheck"]
-
 
 class DivergenceCheck:
     """Looks at particles for numbers and energy beyond bounds.

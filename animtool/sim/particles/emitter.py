@@ -15,8 +15,6 @@ from animtool.sim.colliders.poses import Poses
 from animtool.sim.particles.places import Place, Point
 from animtool.sim.particles.rng import uniforms
 
-__all__ = ["Births", "Emitter"]
-
 # Keys of what bursts make, apart from those of the steady rate.
 _BURST = 1 << 40
 # Of a burst, so that numbers of all bursts are apart.

@@ -21,8 +21,6 @@ from animtool.sim.particles.system import ParticleFlow, ParticleForces, particle
 from animtool.sim.run import Run
 from animtool.sim.trajectory import Checkpoint, Stats, Status
 
-__all__ = ["Moved", "Mover"]
-
 # Motions that are faster by less than this share need no other steps [1].
 NOTABLE = 0.05
 

@@ -11,8 +11,6 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.sim.colliders.shapes import Mesh
 
-__all__ = ["BoxPlace", "Disc", "MeshSurface", "Place", "Point", "SpherePlace"]
-
 # Of a place: points ``(N, 3)``, and the way out there or None where there is none.
 Placed: TypeAlias = tuple[FloatArray, FloatArray | None]
 

@@ -6,8 +6,6 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 
-__all__ = ["mixed", "uniforms"]
-
 # Of splitmix64: S. Vigna, 2015, after G. Steele, D. Lea, C. Flood, "Fast splittable
 # pseudorandom number generators", 2014.
 _STEP = np.uint64(0x9E3779B97F4A7C15)

@@ -16,8 +16,6 @@ from animtool.sim.particles.spawn import spawned
 from animtool.sim.particles.state import ParticleState
 from animtool.sim.trajectory import Checkpoint, Stats
 
-__all__ = ["ParticleFrame", "ParticleRun", "ParticleRunState"]
-
 _NONE = np.zeros((2, 0, 3))
 
 

@@ -19,8 +19,6 @@ from animtool.sim.particles.forces import FORCES
 from animtool.sim.particles.forces.force import Force
 from animtool.sim.particles.velocity_field import VelocityField
 
-__all__ = ["KillRegion", "Particles"]
-
 # Twice over for a film frame, and for its half.
 STEP = 1 / 96
 

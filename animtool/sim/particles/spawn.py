@@ -15,8 +15,6 @@ from animtool.sim.particles.setup import Particles
 from animtool.sim.particles.state import ParticleState
 from animtool.sim.particles.system import accelerations
 
-__all__ = ["spawned"]
-
 
 def spawned(
     setup: Particles,

@@ -8,8 +8,6 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
 
-__all__ = ["ParticleState"]
-
 
 @dataclass(frozen=True, slots=True)
 class ParticleState:

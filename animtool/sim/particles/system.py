@@ -12,8 +12,6 @@ from animtool.sim.particles.setup import Particles
 from animtool.sim.particles.state import ParticleState
 from animtool.sim.system import Energy, FirstOrder, SecondOrder
 
-__all__ = ["ParticleFlow", "ParticleForces", "energies", "particle_system"]
-
 
 class _Living:
     """What particles under forces and in a field have in common."""

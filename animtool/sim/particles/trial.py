@@ -23,8 +23,6 @@ from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.trial import FINER, Outcome, Setting, Shot, ladder
 
-__all__ = ["ParticleTrial"]
-
 # What others are compared with: of high order, and yet with a step that ends at each
 # contact.
 EXACT = "rk4"

@@ -11,8 +11,6 @@ from animtool._types import FloatArray
 from animtool.rig.expressions import Expression, parse_expression
 from animtool.sim.particles.state import ParticleState
 
-__all__ = ["VARIABLES", "VelocityField", "evaluated", "expression_faults"]
-
 # What expressions of fields may name: place [m], velocity [m/s], time and age [s].
 VARIABLES = ("x", "y", "z", "vx", "vy", "vz", "t", "age", "mass", "charge")
 _OF_PLACE = ("x", "y", "z", "t", "age")

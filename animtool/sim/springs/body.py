@@ -10,8 +10,6 @@ import numpy as np
 
 from animtool._types import ArrayLike, FloatArray, IntArray, as_floats
 
-__all__ = ["Body", "Family", "Springs", "join", "springs_between"]
-
 
 @dataclass(frozen=True, slots=True)
 class Family:

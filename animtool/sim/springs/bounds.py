@@ -7,8 +7,6 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.sim.springs.loaded import LoadedBody
 
-__all__ = ["fastest"]
-
 
 def fastest(system: LoadedBody) -> FloatArray | None:
     """Return bounds of the fastest motions (ω, ζ) ``(2, 2)``, None without springs.

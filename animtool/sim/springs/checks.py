@@ -9,8 +9,6 @@ from animtool.errors import Fault, OptionError, Severity
 from animtool.sim.springs.body import Body, Springs
 from animtool.sim.springs.paths import Pins, Targets
 
-__all__ = ["check_body", "check_limit", "check_path", "start_notices"]
-
 # Of many that are wrong in the same way, those that are named.
 MAX_NAMED = 5
 

@@ -19,8 +19,6 @@ from animtool.sim.springs.options import (
 )
 from animtool.sim.springs.system import SpringSystem
 
-__all__ = ["SAFE", "Choice", "choose", "explicit_limit"]
-
 # Cells of time where nothing else is said [s]: whole numbers of them are frames of 24,
 # 30, 48, 60 and 120 a second.
 CELL = 1 / 240

@@ -11,8 +11,6 @@ from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders
 from animtool.sim.springs.motion import Grid
 
-__all__ = ["cell_colliders"]
-
 # Particles that are deeper than this are left inside [m].
 INSIDE = 1e-6
 

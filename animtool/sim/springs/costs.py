@@ -8,8 +8,6 @@ from animtool.sim.springs.loaded import LoadedBody
 from animtool.sim.springs.options import Solver
 from animtool.sim.springs.solvers import SHORTEST
 
-__all__ = ["COSTS", "projected_rate"]
-
 # Time of a step, for each spring of a sheet of 20 by 20 [s], on one core of a server of
 # 2024 (tests/bench/results/sim_springs.csv). Where there are few springs a step costs
 # more of each, in all solvers about alike. Only how they compare decides.

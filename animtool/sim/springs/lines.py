@@ -7,8 +7,6 @@ import numpy as np
 from animtool._types import ArrayLike, as_floats
 from animtool.sim.springs.body import Body, Family, built
 
-__all__ = ["rope", "strand"]
-
 
 def rope(
     start: ArrayLike,

@@ -7,8 +7,6 @@ from typing import Protocol
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.sim.springs.body import Body
 
-__all__ = ["LoadedBody"]
-
 
 class LoadedBody(Protocol):
     """A body of N particles with what holds, draws and slows them."""

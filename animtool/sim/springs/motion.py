@@ -12,8 +12,6 @@ from animtool.sim.springs.options import Solver
 from animtool.sim.springs.self_contact import Through
 from animtool.sim.trajectory import Trajectory
 
-__all__ = ["Grid", "SpringMotion"]
-
 
 @dataclass(frozen=True, slots=True)
 class Grid:

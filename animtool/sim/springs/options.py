@@ -8,15 +8,6 @@ from enum import StrEnum
 
 from animtool.errors import Fault, OptionError
 
-__all__ = [
-    "MAX_SUBSTEPS",
-    "Solver",
-    "SpringOptions",
-    "check_keeping_apart",
-    "check_options",
-    "check_substeps",
-]
-
 # Steps that a cell of time is divided into, at most.
 MAX_SUBSTEPS = 4096
 

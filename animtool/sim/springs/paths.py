@@ -9,8 +9,6 @@ import numpy as np
 
 from animtool._types import ArrayLike, FloatArray
 
-__all__ = ["Air", "Pins", "Targets", "over_knots"]
-
 
 @dataclass(frozen=True, slots=True)
 class Pins:

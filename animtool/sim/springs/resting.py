@@ -13,8 +13,6 @@ from animtool.sim.springs.body import Body
 from animtool.sim.springs.choosing import SAFE, explicit_limit
 from animtool.sim.springs.system import SpringSystem
 
-__all__ = ["Rest", "find_rest"]
-
 # Of the weight, or pull, of a particle, what is left of the forces on it.
 SOLVED = 1e-9
 # Of an energy, what the sum of those of some ten thousand springs is rounded by.

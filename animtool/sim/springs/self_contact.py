@@ -12,14 +12,6 @@ from animtool._types import ArrayLike, FloatArray, IntArray
 from animtool.errors import Fault, OptionError, Severity, counted
 from animtool.sim.springs.body import Body
 
-__all__ = [
-    "SelfContact",
-    "Through",
-    "check_self_contact",
-    "tangle_notices",
-    "through_notices",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class SelfContact:

@@ -7,8 +7,6 @@ import numpy as np
 from animtool._types import ArrayLike, FloatArray, IntArray
 from animtool.sim.springs.body import Body, Family, built
 
-__all__ = ["sheet"]
-
 
 def sheet(
     columns: int,

@@ -27,8 +27,6 @@ from animtool.sim.springs.system import SpringSystem
 from animtool.sim.trajectory import Checkpoint, Stats, Status
 from animtool.sim.watch import Watch
 
-__all__ = ["simulate_springs"]
-
 # A time within this share of a cell is at its start.
 ON_GRID = 1e-9
 # Cells between two looks for signs of a blow-up.

@@ -9,8 +9,6 @@ from animtool._types import FloatArray, IntArray
 from animtool.sim.springs.loaded import LoadedBody
 from animtool.sim.system import Matrix
 
-__all__ = ["place_slopes", "slopes"]
-
 # Differences of the forces of air: a share of lengths, or of speeds.
 NUDGE = 1e-5
 

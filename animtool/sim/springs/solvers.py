@@ -13,8 +13,6 @@ from animtool.sim.springs.options import Solver, SpringOptions
 from animtool.sim.springs.self_contact import Through
 from animtool.sim.springs.system import SpringSystem
 
-__all__ = ["ADVANCE", "Advance"]
-
 Advance: TypeAlias = Callable[[SpringSystem, SpringOptions, Grid, int], Grid]
 
 # Steps of xpbd are not shorter than this [s].

@@ -13,8 +13,6 @@ from animtool.maths.faces import (
 )
 from animtool.sim.springs.body import Body, Family, built
 
-__all__ = ["surface"]
-
 
 def surface(
     points: ArrayLike,

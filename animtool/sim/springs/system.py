@@ -32,8 +32,6 @@ from animtool.sim.springs.self_contact import (
 from animtool.sim.springs.teleports import Teleports
 from animtool.sim.system import Energy, Matrix, Native, SecondOrder
 
-__all__ = ["SpringSystem"]
-
 # Of the speed of targets, where no step says over which time to take it [s].
 EPSILON_TIME = 1e-6
 # Steps that a kernel takes in one call, at most.

@@ -10,8 +10,6 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.sim.springs.body import Springs
 
-__all__ = ["Tearing", "tear_surface"]
-
 # What keeps a turn as small as it may be where neighbours leave it open.
 LEAST_TURN = 1e-9
 # Over which points that no particle carries alone are looked at for their speed [s].

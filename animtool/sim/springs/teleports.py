@@ -14,8 +14,6 @@ from animtool.sim.springs.body import Body
 from animtool.sim.springs.motion import Grid
 from animtool.sim.springs.paths import over_knots
 
-__all__ = ["Teleports"]
-
 # A step ends on a jump that is this much behind its end [s]: rounding of times.
 SLACK = 1e-9
 

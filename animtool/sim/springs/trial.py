@@ -16,8 +16,6 @@ from animtool.sim.springs.system import SpringSystem
 from animtool.sim.system import Energy
 from animtool.sim.trials.trial import FINER, Outcome, Setting, Shot, ladder
 
-__all__ = ["SpringTrial"]
-
 # What others are compared with: of the second order, and stable.
 EXACT = Solver.BDF2
 # Of a trial, instead, where the stiffest springs let no implicit step be solved.

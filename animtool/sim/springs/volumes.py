@@ -9,8 +9,6 @@ import numpy as np
 from animtool._types import ArrayLike, IntArray
 from animtool.sim.springs.body import Body, Family, built
 
-__all__ = ["block", "tetrahedra"]
-
 
 def block(
     counts: tuple[int, int, int],

@@ -9,8 +9,6 @@ import numpy as np
 from animtool._types import ArrayLike, FloatArray, IntArray
 from animtool.sim.springs.body import Body
 
-__all__ = ["Welded", "weld"]
-
 
 @dataclass(frozen=True, slots=True)
 class Welded:

@@ -11,8 +11,6 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.sim.trials.trial import Shot
 
-__all__ = ["Distances", "distances", "extent_of", "order_seen"]
-
 
 @dataclass(frozen=True, slots=True)
 class Distances:

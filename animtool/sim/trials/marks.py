@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-__all__ = ["Cost", "best_of", "recommended_of"]
-
 # An error this much larger is as good, and a time this much shorter is worth it.
 AS_GOOD, WORTH_IT = 1.05, 0.8
 

@@ -21,8 +21,6 @@ from animtool.sim.trials.distances import (
 from animtool.sim.trials.marks import Cost, best_of, recommended_of
 from animtool.sim.trials.trial import Outcome, Setting, Trial
 
-__all__ = ["Reference", "TrialRow", "TrialTable", "measure"]
-
 # A motion that halving the steps does not bring nearer by a power of this is sensitive.
 LEAST_ORDER = 0.5
 # Beside the size of a motion, distances that rounding makes, and those that nobody

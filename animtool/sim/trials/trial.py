@@ -10,8 +10,6 @@ from animtool._types import FloatArray, IntArray
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
 
-__all__ = ["COARSER", "FINER", "Outcome", "Setting", "Shot", "Trial", "ladder"]
-
 # Steps over the chosen one: of settings to try, and of the motion that they are
 # compared with, each of which is half of the one before.
 COARSER = (4.0, 2.0, 1.0, 0.5)

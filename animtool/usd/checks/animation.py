@@ -15,8 +15,6 @@ from animtool.usd.checks.subject import AnyArray, Sampled, Subject, at_samples
 from animtool.usd.checks.table import finding
 from animtool.usd.skinned import is_shown_mesh
 
-__all__ = ["check_animations", "check_known_joints", "duplicates"]
-
 # Of a quaternion's length. Text files with four digits are within.
 UNIT_TOLERANCE = 1e-3
 # |cos| of half the angle: nearer than this, two quaternions are one rotation.

@@ -11,8 +11,6 @@ from animtool.errors import Fault
 from animtool.usd.checks.subject import Subject
 from animtool.usd.checks.table import finding
 
-__all__ = ["check_bindings"]
-
 _WANTED = {
     "skel:animationSource": UsdSkel.Animation,
     "skel:skeleton": UsdSkel.Skeleton,

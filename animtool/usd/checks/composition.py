@@ -13,8 +13,6 @@ from animtool.errors import Fault, excerpt
 from animtool.usd.checks.subject import Subject
 from animtool.usd.checks.table import finding
 
-__all__ = ["check_assets", "check_composition"]
-
 
 def check_composition(subject: Subject) -> Iterator[Fault]:
     """Check that all arcs of the stage resolve."""

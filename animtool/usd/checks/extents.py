@@ -22,8 +22,6 @@ from animtool.usd.checks.subject import AnyArray, Sampled, Subject, at_samples
 from animtool.usd.checks.table import finding
 from animtool.usd.rig_prims import decompose
 
-__all__ = ["bounds_apart", "check_extents", "extent_sources"]
-
 # Of the diagonal: text files with four digits are within.
 TOLERANCE = 1e-3
 # Where nothing but USD itself can tell.

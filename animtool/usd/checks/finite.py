@@ -22,8 +22,6 @@ from animtool.usd.checks.subject import Subject
 from animtool.usd.checks.table import finding
 from animtool.usd.finite import floats_of, largest
 
-__all__ = ["ALREADY", "check_finite"]
-
 # Codes that say the same of one kind of attribute.
 ALREADY = frozenset(
     {"USD202", "USD225", "USD233", "USD235", "USD243", "USD265", "USD271", "USD272"}

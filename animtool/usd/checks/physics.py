@@ -14,8 +14,6 @@ from animtool.usd.checks.animation import UNIT_TOLERANCE
 from animtool.usd.checks.subject import Subject
 from animtool.usd.checks.table import finding
 
-__all__ = ["check_physics"]
-
 
 def check_physics(subject: Subject) -> Iterator[Fault]:
     """Check bodies, frames, axes and limits of every joint prim."""

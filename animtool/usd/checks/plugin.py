@@ -15,8 +15,6 @@ from animtool.errors import Fault, Severity
 from animtool.usd.checks.run import check_stage
 from animtool.usd.checks.usd_validators import OWN_KEYWORD
 
-__all__ = ["register", "validate"]
-
 # What plugInfo.json says, and what `register` does without it.
 PLUGIN_NAME = "animtool.usd.checks.plugin:Checks"
 NAME = "animtool:Checks"

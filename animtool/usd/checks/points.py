@@ -17,8 +17,6 @@ from animtool.usd.checks.extents import bounds_apart
 from animtool.usd.checks.subject import Sampled, Subject, at_samples
 from animtool.usd.checks.table import finding
 
-__all__ = ["check_points"]
-
 
 def check_points(subject: Subject) -> Iterator[Fault]:
     """Check the points and velocities of every prim, in every sample."""

@@ -34,8 +34,6 @@ from animtool.usd.dependencies import open_composed
 from animtool.usd.layers import find_layer, usd_errors
 from animtool.usd.stderr import without_usd_warnings
 
-__all__ = ["Inspection", "check_layer", "check_stage", "inspect_layer"]
-
 Check: TypeAlias = Callable[[Subject], Iterator[Fault]]
 
 # These ask for no sample; the others need rates that are such.

@@ -15,8 +15,6 @@ from animtool.usd.checks.skin import has_points, point_count
 from animtool.usd.checks.subject import Subject
 from animtool.usd.checks.table import finding
 
-__all__ = ["check_shapes", "check_targets"]
-
 
 def check_targets(subject: Subject) -> Iterator[Fault]:
     """Check that a prim with points names one target for each shape."""

@@ -14,8 +14,6 @@ from animtool.usd.checks.animation import duplicates, tokens
 from animtool.usd.checks.subject import Subject
 from animtool.usd.checks.table import finding
 
-__all__ = ["check_skeletons", "joint_parents", "own_matrices"]
-
 # Of the largest number in a transform.
 SAME = 1e-4
 # Of what a transform with axes of its lengths could enclose.

@@ -15,8 +15,6 @@ from animtool.usd.checks.skeleton import singular
 from animtool.usd.checks.subject import Subject
 from animtool.usd.checks.table import finding
 
-__all__ = ["check_skins", "has_points", "point_count"]
-
 # Text files with three digits and eight influences are within.
 SUM_TOLERANCE = 4e-3
 

@@ -10,8 +10,6 @@ from animtool.errors import Fault, counted
 from animtool.usd.checks.subject import Subject
 from animtool.usd.checks.table import finding
 
-__all__ = ["check_splines", "check_uniform"]
-
 
 def check_splines(subject: Subject) -> Iterator[Fault]:
     """Check that splines go forward in time, and that no samples hide them.

@@ -13,8 +13,6 @@ from animtool.errors import Fault
 from animtool.usd.checks.subject import Subject
 from animtool.usd.checks.table import finding
 
-__all__ = ["check_range", "check_rate_values", "check_rates", "check_units"]
-
 ROOT = "/"
 RATES = ("framesPerSecond", "timeCodesPerSecond")
 # [m], of those that UsdGeom names.

@@ -14,8 +14,6 @@ from pxr import Usd
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import counted
 
-__all__ = ["Sampled", "Subject", "at_samples"]
-
 AnyArray = npt.NDArray[Any]
 
 

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 
 from animtool.errors import Fault, Severity
 
-__all__ = ["CODES", "Code", "finding"]
-
 
 @dataclass(frozen=True, slots=True)
 class Code:

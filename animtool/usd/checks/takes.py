@@ -12,13 +12,14 @@ import numpy as np
 from pxr import UsdGeom, UsdSkel
 
 from animtool._types import FloatArray, IntArray
-from animtool.clock import time_fraction
+from animtool.clock import Clock, time_fraction
 from animtool.errors import AnimtoolError
 from animtool.maths import so3
+from animtool.motion import Channel, Motion
 from animtool.rates import rate_from_float
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Channel, Clock, Motion, Take
+from animtool.take import Take
 from animtool.usd.animation_values import scale_channel
 from animtool.usd.checks.animation import tokens
 from animtool.usd.checks.skeleton import own_matrices
@@ -31,8 +32,6 @@ from animtool.usd.rig_prims import (
     up_axis,
 )
 from animtool.usd.root_carriers import carry_roots, moving_carriers
-
-__all__ = ["AnimationTake", "animation_takes"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,8 +11,6 @@ from animtool.errors import Fault
 from animtool.usd.checks.subject import Subject
 from animtool.usd.checks.table import finding
 
-__all__ = ["check_types"]
-
 
 def check_types(subject: Subject) -> Iterator[Fault]:
     """Check that the strongest opinion on an attribute is of its schema's type.

@@ -11,8 +11,6 @@ from animtool.errors import Fault, Severity
 from animtool.usd.checks.subject import Subject
 from animtool.usd.checks.table import finding
 
-__all__ = ["OWN_KEYWORD", "check_with_usd"]
-
 # Of ours inside of UsdValidation, which need not run twice.
 OWN_KEYWORD = "animtool"
 # What ours find too, with the prim: no need to ask.

@@ -14,8 +14,6 @@ from animtool.errors import Fault, counted, excerpt, listed
 from animtool.usd.checks.subject import Subject
 from animtool.usd.checks.table import finding
 
-__all__ = ["check_value_clips"]
-
 
 def check_value_clips(subject: Subject) -> Iterator[Fault]:
     """Check every clip set of every prim."""

@@ -16,21 +16,14 @@ from pxr import Sdf, UsdUtils
 
 from animtool.errors import Fault, OptionError, counted
 from animtool.files import open_input
-from animtool.output import once_named, output_error, replacing
+from animtool.output import once_named, replacing
+from animtool.placing import output_error
 from animtool.plugins import load_object
 from animtool.usd.dependencies import open_composed
 from animtool.usd.fixes.table import EDITS
 from animtool.usd.fixes.target import Edit, NotFixableError, Target
 from animtool.usd.layers import asset_path, export_layer, find_layer, usd_errors
 from animtool.usd.stderr import without_usd_warnings
-
-__all__ = [
-    "EditedLayer",
-    "check_copy",
-    "edited_layer",
-    "spare_composed_layers",
-    "write_copy",
-]
 
 # Raises NotFixableError where it would not be safe.
 Fix: TypeAlias = Callable[[Target, Fault], Edit]

@@ -13,8 +13,6 @@ from animtool.usd.checks.extents import extent_sources
 from animtool.usd.checks.subject import Subject
 from animtool.usd.fixes.target import Change, Edit, NotFixableError, Target
 
-__all__ = ["computed"]
-
 NAME = "extent"
 
 

@@ -11,8 +11,6 @@ from animtool.maths import so3
 from animtool.usd.fixes.target import AnyArray, Change, Edit, NotFixableError, Target
 from animtool.usd.fixes.target import rewrite as rewrite_arrays
 
-__all__ = ["continuous", "unit"]
-
 # Shorter quaternions have no direction that can be trusted.
 MIN_LENGTH = 1e-3
 

@@ -12,14 +12,6 @@ from animtool.usd.checks.animation import tokens
 from animtool.usd.checks.skeleton import joint_parents, own_matrices
 from animtool.usd.fixes.target import Change, Edit, NotFixableError, Target
 
-__all__ = [
-    "binding_api",
-    "default_prim",
-    "default_value",
-    "rest_from_bind",
-    "unit_scales",
-]
-
 
 def default_prim(target: Target, _: Fault) -> Edit:
     """State the only root prim as the default."""

@@ -5,8 +5,6 @@ No pxr is needed.
 
 from __future__ import annotations
 
-__all__ = ["EDITS"]
-
 # In the order of application: times first, since extents follow from all the others.
 EDITS = {
     "MOT216": "animtool.usd.fixes.timing:whole_frames",

@@ -12,8 +12,6 @@ from pxr import Sdf, Usd
 
 from animtool.errors import Fault
 
-__all__ = ["Change", "Edit", "NotFixableError", "Rewrite", "Target", "rewrite"]
-
 AnyArray = npt.NDArray[Any]
 # From the arrays of an attribute, in time order, to those that replace them.
 Rewrite: TypeAlias = Callable[[list[AnyArray]], list[AnyArray]]

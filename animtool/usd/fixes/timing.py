@@ -12,8 +12,6 @@ from animtool.errors import Fault, counted
 from animtool.usd.checks.subject import Subject
 from animtool.usd.fixes.target import Change, Edit, NotFixableError, Target
 
-__all__ = ["rates", "sample_range", "whole_frames", "wider_range"]
-
 # [frame] Further from a whole frame, a sample may be meant where it is.
 MAX_DRIFT = 0.05
 # [1/s] What USD assumes of a layer that states no rate.

@@ -14,8 +14,6 @@ from animtool.usd.fixes.target import (
     rewrite,
 )
 
-__all__ = ["normalised"]
-
 # Of a sum: float32 weights cannot do better.
 ROUNDING = 1e-6
 

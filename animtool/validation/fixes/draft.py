@@ -10,8 +10,6 @@ from typing import Protocol
 from animtool.errors import Fault
 from animtool.validation.subjects.subject import Opened
 
-__all__ = ["Draft", "Step"]
-
 
 class Draft(Protocol):
     """Content of a file; a step returns another draft and leaves this one."""

@@ -8,8 +8,6 @@ from animtool.validation.fixes.mend import Mend, NotMendedError
 from animtool.validation.fixes.places import place_of
 from animtool.validation.subjects.subject import Opened
 
-__all__ = ["left_out"]
-
 
 def left_out(opened: Opened, fault: Fault) -> Mend:
     """Return the file without an entry, and without the list that it was alone in."""

@@ -18,8 +18,6 @@ from animtool.validation.subjects.subject import Opened
 if TYPE_CHECKING:
     from animtool.usd.fixes.copy import EditedLayer
 
-__all__ = ["LayerDraft"]
-
 
 @dataclass(frozen=True, eq=False)
 class LayerDraft:

@@ -15,8 +15,6 @@ from animtool.plugins import load_object
 from animtool.usd.fixes.table import EDITS
 from animtool.validation.subjects.subject import Opened
 
-__all__ = ["FIXES", "Fix", "Mend", "NotMendedError", "fix_of", "has_fix"]
-
 # What a finding's code is mended by in documents; USD layers have edits of their own.
 FIXES = {
     "RIG210": "animtool.validation.fixes.weights:summed",

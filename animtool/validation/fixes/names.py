@@ -17,8 +17,6 @@ from animtool.validation.rules.names import legal, names_in
 from animtool.validation.subjects.rig import RigSubject
 from animtool.validation.subjects.subject import Opened
 
-__all__ = ["USES", "allowed", "distinct", "renaming"]
-
 # Where a rig file has the names of each list; * is every entry, {} every key.
 USES = {
     "joints": (

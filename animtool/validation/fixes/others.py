@@ -14,8 +14,6 @@ from animtool.files import files_meant
 from animtool.readers import DOCUMENT, READERS
 from animtool.validation.subjects.open import DOCUMENT_SUFFIXES
 
-__all__ = ["naming"]
-
 
 def naming(rig: Path, names: Sequence[str]) -> Iterator[tuple[Path, str]]:
     """Yield files that use one of the names of a rig, and the first of them.

@@ -7,8 +7,6 @@ from typing import Any
 
 from animtool.errors import Fault
 
-__all__ = ["place_of"]
-
 _STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 
 

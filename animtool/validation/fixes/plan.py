@@ -14,8 +14,6 @@ from animtool.validation.fixes.mend import has_fix
 from animtool.validation.options import ValidateOptions
 from animtool.validation.run import Report
 
-__all__ = ["FileMend", "is_layer", "is_package", "plan_file", "with_fixable"]
-
 
 @dataclass(slots=True)
 class FileMend:

@@ -9,8 +9,6 @@ from animtool.validation.fixes.places import place_of
 from animtool.validation.subjects.rig import RigSubject
 from animtool.validation.subjects.subject import Opened
 
-__all__ = ["from_bind"]
-
 
 def from_bind(opened: Opened, fault: Fault) -> Mend:
     """Return the file with a joint's rest pose, taken from its bind pose."""

@@ -20,8 +20,6 @@ from animtool.validation.options import ValidateOptions
 from animtool.validation.run import Report, validate_files
 from animtool.validation.settings import settings_of
 
-__all__ = ["Fixes", "fix_copy", "fix_files", "plan_files"]
-
 
 @dataclass(frozen=True, slots=True)
 class Fixes:

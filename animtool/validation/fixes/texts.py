@@ -16,15 +16,14 @@ from animtool.documents.document import document_of, read_text
 from animtool.documents.edit import EditError, edited
 from animtool.errors import AnimtoolError, Fault
 from animtool.files import read_input
-from animtool.output import ahead, output_error, replacing, together
+from animtool.output import ahead, replacing, together
+from animtool.placing import output_error
 from animtool.scene.convert_rig import write_arrays
 from animtool.validation.fixes.draft import Step
 from animtool.validation.fixes.mend import Mend, NotMendedError, fix_of
 from animtool.validation.run import findings_in
 from animtool.validation.subjects.open import open_document
 from animtool.validation.subjects.subject import Opened
-
-__all__ = ["TextDraft"]
 
 
 @dataclass(frozen=True, eq=False)

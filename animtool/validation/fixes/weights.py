@@ -17,8 +17,6 @@ from animtool.validation.fixes.places import place_of
 from animtool.validation.subjects.rig import RigSubject
 from animtool.validation.subjects.subject import Opened
 
-__all__ = ["summed"]
-
 
 def summed(opened: Opened, fault: Fault) -> Mend:
     """Return the file with weights that are divided by their sums, in a new npz.

@@ -11,8 +11,6 @@ from animtool.errors import Fault, Severity
 from animtool.printing import escaped
 from animtool.validation.run import Report
 
-__all__ = ["github_report"]
-
 _LEVELS = {
     Severity.ERROR: "error",
     Severity.WARNING: "warning",

@@ -6,8 +6,6 @@ from animtool.errors import Severity
 from animtool.printing import json_printed
 from animtool.validation.run import Report
 
-__all__ = ["json_report"]
-
 
 def json_report(report: Report) -> str:
     """Return every file that was looked at, and every finding."""

@@ -12,8 +12,6 @@ from animtool.errors import Fault, Severity
 from animtool.junit import JunitCase, junit_xml
 from animtool.validation.run import Report
 
-__all__ = ["junit_report"]
-
 
 def junit_report(report: Report) -> str:
     """Return a suite of all files; warnings and notes are what a case says."""

@@ -11,8 +11,6 @@ from animtool.printing import escaped
 from animtool.validation.formats.source import Sources, cut
 from animtool.validation.run import Report
 
-__all__ = ["summary", "text_report"]
-
 _Kind: TypeAlias = tuple[str | None, str, Severity]
 
 

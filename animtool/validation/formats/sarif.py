@@ -22,8 +22,6 @@ from animtool.validation.rule import Rule
 from animtool.validation.run import Report
 from animtool.validation.tables import all_rules, page
 
-__all__ = ["sarif_report"]
-
 SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 LONGEST_SNIPPET = 1000
 _LEVELS = {

@@ -10,8 +10,6 @@ from pathlib import Path
 from animtool.errors import FormatError
 from animtool.files import read_input
 
-__all__ = ["Sources", "cut"]
-
 # What YAML takes for the end of a line.
 _ENDS = re.compile("\r\n|[\n\r\x85\u2028\u2029]")
 # Longer files are arrays, of which no one reads a line.

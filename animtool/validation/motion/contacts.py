@@ -10,8 +10,6 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.validation.motion.subject import MotionSubject
 
-__all__ = ["Contacts", "contacts_of", "feet_of"]
-
 # Words for feet, whole or as part of a name put together: not flyWHEEL.
 _WORDS = "foot|feet|toe|ankle|heel|paw|hoof"
 _FOOT = re.compile(

@@ -17,8 +17,6 @@ from animtool.validation.motion.size import lies_along
 from animtool.validation.motion.steps import runs
 from animtool.validation.motion.subject import MotionSubject
 
-__all__ = ["feet_off_ground", "foot_slide"]
-
 # A take that travels less is one on the spot, whose feet slide on purpose [size].
 TRAVEL = 0.2
 # The foot that carries slides at this speed [size/s], for so long at least [s].

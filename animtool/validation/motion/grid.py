@@ -10,8 +10,6 @@ from animtool.clock import span_label
 from animtool.errors import Fault
 from animtool.validation.motion.subject import MotionSubject
 
-__all__ = ["off_frame", "other_range"]
-
 # Nearer to a frame than this a time code is that frame, rounded [time codes].
 ROUNDING = 1e-6
 # Further from it, a sample is one of its own, as for motion blur [time codes].

@@ -18,8 +18,6 @@ from animtool.validation.motion.steps import (
 )
 from animtool.validation.motion.subject import MotionSubject
 
-__all__ = ["joint_pops", "reference_pose", "root_pops"]
-
 # A smaller difference to the motion around is seen as a part of it [rad].
 LEAST_TURN = math.radians(18.5)
 # The same of moves, of the rig's size: of a joint against its parent, where rigs that

@@ -12,8 +12,6 @@ from animtool.errors import Fault, counted
 from animtool.validation.motion.steps import runs
 from animtool.validation.motion.subject import MotionSubject
 
-__all__ = ["frozen_frames", "lost_frames", "repeated_frames"]
-
 # Fewer frames do not show what is usual in them.
 MIN_FRAMES = 12
 # Fewer joints that move do not tell a lost frame from a key of theirs [1].

@@ -13,8 +13,6 @@ from animtool.maths import so3
 from animtool.validation.motion.contacts import feet_of
 from animtool.validation.motion.subject import MotionSubject
 
-__all__ = ["dead_side", "swapped_sides"]
-
 # A joint is still that turns less in all frames; its other side is alive that turns
 # more [rad].
 STILL, ALIVE = 1e-6, math.radians(20.0)

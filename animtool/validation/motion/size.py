@@ -14,8 +14,6 @@ from animtool.units import UpAxis
 from animtool.validation.motion.contacts import feet_of
 from animtool.validation.motion.subject import MotionSubject
 
-__all__ = ["lies_along", "other_units", "strange_size", "stretched", "wrong_up"]
-
 # Share of its length that a bone may change by, and of the rig's size below which a
 # bone has none to speak of [1].
 GROWS, SHORT = 0.5, 0.02

@@ -8,8 +8,6 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray
 
-__all__ = ["around", "changes", "mean_around", "runs", "surprises"]
-
 
 def surprises(steps: FloatArray, cuts: BoolArray) -> FloatArray:
     """Return how far each step is from those around it ``(S, N)``.

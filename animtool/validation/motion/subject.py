@@ -16,8 +16,6 @@ from animtool.rig.kinematics import rest_world
 from animtool.rig.sides import SidePairs, pair_sides
 from animtool.take import Take
 
-__all__ = ["FaultAt", "MotionSubject"]
-
 # Code, joint (empty: the whole take), frame (None: all of them), message, hint.
 FaultAt: TypeAlias = Callable[[str, str, float | None, str, str], Fault]
 

@@ -9,14 +9,6 @@ import numpy as np
 from animtool.errors import Fault, counted, listed
 from animtool.validation.motion.subject import MotionSubject
 
-__all__ = [
-    "bind_far_from_rest",
-    "large_weights",
-    "motionless",
-    "no_influence",
-    "zero_scale",
-]
-
 # Fewer frames are a pose.
 POSE_FRAMES = 2
 # A smaller scale leaves nothing to see [1].

@@ -17,8 +17,6 @@ from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Rig
 from animtool.validation.subjects.clip import ClipSubject
 
-__all__ = ["open_cycles", "overshoot", "wrong_way_round"]
-
 # How far values lie beyond what is allowed, signed or not.
 Excess = Callable[[FloatArray], FloatArray]
 

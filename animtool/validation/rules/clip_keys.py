@@ -14,8 +14,6 @@ from animtool.maths import so3
 from animtool.maths.extrapolation import Extrapolation
 from animtool.validation.subjects.clip import ClipSubject
 
-__all__ = ["beyond", "half_turns", "outside_range"]
-
 # Nearer to half a turn, rounding decides which way a turn goes.
 HALF_TURN = math.radians(178.0)
 # What goes on beyond the keys without repeating them.

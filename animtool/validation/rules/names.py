@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from animtool.validation.subjects.capture import TakeSubject
     from animtool.validation.subjects.rig import RigSubject
 
-__all__ = ["GROUPS", "in_capture", "in_rig", "legal", "names_in", "not_in_usd"]
-
 # Lists of a rig file whose names are names in USD.
 GROUPS = ("joints", "meshes", "shapes")
 HINT = "the second gets a number there; rename one"

@@ -14,8 +14,6 @@ from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import Joint, JointType
 from animtool.validation.subjects.rig import RigSubject
 
-__all__ = ["cannot_bend", "open_bend"]
-
 # Limits narrower than this leave no bend to speak of [rad], [m].
 STILL = 1e-3
 # Directions nearer than this are one; sin 0.6°.

@@ -20,8 +20,6 @@ from animtool.rig.skeleton import Joint
 from animtool.validation.rules.rig_limits import shown
 from animtool.validation.subjects.rig import RigSubject
 
-__all__ = ["beyond_limits", "beyond_range", "idle", "never_acts", "undefined"]
-
 # Values of each control that are looked at, beside the points of its curves.
 SAMPLES = 17
 # Poses of all controls at once, in which a corrective must act in some.

@@ -14,8 +14,6 @@ from animtool.rig.skeleton import Joint, JointType
 from animtool.units import unit_name
 from animtool.validation.subjects.rig import RigSubject
 
-__all__ = ["across", "follower", "motionless", "rest_outside", "shown"]
-
 # Beyond rounding of degrees in a file [rad], [m].
 SLACK = 1e-6
 # A twist axis nearer than this to a right angle with its bone does not turn the bone

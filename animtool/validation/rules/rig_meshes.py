@@ -12,8 +12,6 @@ from animtool.errors import Fault, counted
 from animtool.rig.parts import Mesh, Shape
 from animtool.validation.subjects.rig import RigSubject
 
-__all__ = ["many_influences", "mesh_size", "no_effect", "weight_sums"]
-
 # Sums of weights that were rounded to a byte each are within it [1].
 WEIGHT_SLACK = 0.02
 # Engines take four or eight joints a vertex.

@@ -13,8 +13,6 @@ from animtool.quantities import length_text
 from animtool.units import LengthUnit, unit_name
 from animtool.validation.subjects.rig import RigSubject
 
-__all__ = ["nearly_rest", "odd_size", "without_rest"]
-
 # A bind pose that differs by less of the rig's size, and by a smaller angle, is a slip.
 SLIP = 1e-3
 SLIP_ANGLE = math.radians(0.5)

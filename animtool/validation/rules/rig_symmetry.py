@@ -14,8 +14,6 @@ from animtool.rig.sides import pair_sides
 from animtool.rig.skeleton import Joint
 from animtool.validation.subjects.rig import RigSubject
 
-__all__ = ["other_limits", "other_place"]
-
 # Bones that differ by less of the rig's size are alike [1].
 SAME_PLACE = 1e-4
 # Limits that differ by less are alike [rad], [m].

@@ -19,8 +19,6 @@ from animtool.scene.schema import SceneModel
 from animtool.scene.sources import SCENE_SUFFIXES
 from animtool.validation.subjects.scene import SceneSubject
 
-__all__ = ["homeless", "over_input", "over_other", "refused", "without_curves"]
-
 
 def over_input(subject: SceneSubject) -> Iterator[Fault]:
     """Yield outputs that are inputs too (SCN203)."""

@@ -11,14 +11,6 @@ from animtool.passes import Pass, TakePart
 from animtool.rates import rate_label
 from animtool.validation.subjects.scene import SceneSubject
 
-__all__ = [
-    "idle",
-    "near_rate",
-    "outside_take",
-    "undone_goals",
-    "without_frames",
-]
-
 # Rates that differ by less are meant to be one: 24 and 23.976, 30 and 29.97 [1].
 NEAR_RATES = Fraction(1, 50)
 

@@ -7,8 +7,6 @@ from collections.abc import Iterator
 from animtool.errors import Fault
 from animtool.validation.subjects.scene import SceneSubject
 
-__all__ = ["out_of_time"]
-
 
 def out_of_time(subject: SceneSubject) -> Iterator[Fault]:
     """Yield things whose files have no frame of the take (SCN213)."""

@@ -7,8 +7,6 @@ from collections.abc import Iterator
 from animtool.errors import Fault
 from animtool.validation.subjects.scene import SceneSubject
 
-__all__ = ["idle"]
-
 
 def idle(subject: SceneSubject) -> Iterator[Fault]:
     """Yield variables that no text uses (SCN209)."""

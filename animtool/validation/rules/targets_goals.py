@@ -14,8 +14,6 @@ from animtool.ik.values import Keyed, Rows, Still, Value
 from animtool.validation.rules.clip_keys import beyond
 from animtool.validation.subjects.targets import TargetsSubject
 
-__all__ = ["idle_holds", "outside_range", "twice", "weightless"]
-
 # Of many goals that ask the same, the first pairs say all.
 MAX_PAIRS = 1000
 

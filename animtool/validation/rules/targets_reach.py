@@ -25,8 +25,6 @@ from animtool.units import LengthUnit, unit_name
 from animtool.validation.rules.clip_keys import beyond
 from animtool.validation.subjects.scene import SceneSubject
 
-__all__ = ["beyond_take", "odd_unit", "out_of_reach"]
-
 # Of a chain's reach, beyond rounding and what limits of a tolerance leave [1].
 SLACK = 1e-3
 # Points farther from the root joint than so many sizes of the rig, all of them, are in

@@ -7,8 +7,6 @@ from animtool.documents.document import Document
 from animtool.validation.rule import Kind
 from animtool.validation.subjects.subject import Opened
 
-__all__ = ["open_batch"]
-
 
 def open_batch(document: Document) -> Opened:
     """Return what a batch file asks for.

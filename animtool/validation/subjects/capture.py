@@ -19,8 +19,6 @@ from animtool.validation.subjects.subject import Opened
 if TYPE_CHECKING:
     from animtool.usd.checks.takes import AnimationTake
 
-__all__ = ["TakeSubject", "open_bvh", "open_usd"]
-
 
 @dataclass(frozen=True, eq=False)
 class TakeSubject:

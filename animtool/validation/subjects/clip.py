@@ -27,8 +27,6 @@ from animtool.validation.motion.subject import MotionSubject
 from animtool.validation.rule import Kind
 from animtool.validation.subjects.subject import DocumentSubject, Opened
 
-__all__ = ["ClipSubject", "open_clip_document"]
-
 
 @dataclass(frozen=True, eq=False)
 class ClipSubject(DocumentSubject):

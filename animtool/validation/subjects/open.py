@@ -15,8 +15,6 @@ from animtool.readers import BVH, DOCUMENT, READERS, USD
 from animtool.validation.rule import Kind
 from animtool.validation.subjects.subject import Opened
 
-__all__ = ["DOCUMENT_SUFFIXES", "SUFFIXES", "open_document", "open_file"]
-
 _DOCUMENTS = {kind for kind in Kind if kind in STEPS}
 # How names end of the files that a folder is searched for.
 DOCUMENT_SUFFIXES = tuple(

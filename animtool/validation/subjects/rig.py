@@ -16,8 +16,6 @@ from animtool.rig.skeleton import Rig
 from animtool.validation.rule import Kind
 from animtool.validation.subjects.subject import DocumentSubject, Opened
 
-__all__ = ["RigSubject", "open_rig"]
-
 
 @dataclass(frozen=True, eq=False)
 class RigSubject(DocumentSubject):

@@ -12,8 +12,6 @@ from animtool.validation.rule import Kind
 if TYPE_CHECKING:
     from animtool.validation.motion.subject import MotionSubject
 
-__all__ = ["DocumentSubject", "Opened"]
-
 
 @dataclass(slots=True)
 class Opened:

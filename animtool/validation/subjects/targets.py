@@ -11,8 +11,6 @@ from animtool.ik.tracks import TargetTracks
 from animtool.validation.rule import Kind
 from animtool.validation.subjects.subject import DocumentSubject, Opened
 
-__all__ = ["TargetsSubject", "open_targets"]
-
 
 @dataclass(frozen=True, eq=False)
 class TargetsSubject(DocumentSubject):

@@ -5,8 +5,6 @@ from __future__ import annotations
 from animtool.errors import Severity
 from animtool.validation.rule import Rule
 
-__all__ = ["RULES"]
-
 RULES = (
     Rule("BAT001", "a scene with options"),
     Rule("BAT002", "a length, rate, size, range or name that is none"),

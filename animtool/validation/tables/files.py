@@ -5,8 +5,6 @@ from __future__ import annotations
 from animtool.errors import Severity
 from animtool.validation.rule import Rule
 
-__all__ = ["RULES"]
-
 RULES = (
     Rule("CFG001", "settings that cannot be read"),
     Rule("CFG002", "an unknown setting"),

@@ -5,8 +5,6 @@ from __future__ import annotations
 from animtool.errors import Severity
 from animtool.validation.rule import Rule
 
-__all__ = ["RULES"]
-
 RULES = (
     Rule("VAL001", "an entry of ignore that hides nothing", Severity.WARNING),
     Rule("VAL002", "an entry of ignore with a code that there is none of"),

@@ -5,8 +5,6 @@ from __future__ import annotations
 from animtool.errors import Severity
 from animtool.validation.rule import Kind, Rule
 
-__all__ = ["ALIASES", "RULES"]
-
 _ANY = frozenset({Kind.BVH, Kind.CLIP, Kind.USD})
 # Keys hold, repeat and leave out what they are meant to: only samples do so by mistake.
 _SAMPLED = frozenset({Kind.BVH, Kind.USD})

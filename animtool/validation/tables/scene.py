@@ -7,8 +7,6 @@ from functools import partial
 from animtool.errors import Severity
 from animtool.validation.rule import Kind, Rule, own_rule
 
-__all__ = ["RULES"]
-
 _rule = partial(own_rule, Kind.SCENE)
 
 

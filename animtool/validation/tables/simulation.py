@@ -5,8 +5,6 @@ from __future__ import annotations
 from animtool.errors import Severity
 from animtool.validation.rule import Rule
 
-__all__ = ["RULES"]
-
 RULES = (
     Rule("SIM001", "an integrator that there is none of"),
     Rule("SIM002", "times that run backwards, are not finite, or none"),

@@ -5,8 +5,6 @@ from __future__ import annotations
 from animtool.errors import Severity
 from animtool.validation.rule import Rule
 
-__all__ = ["RULES"]
-
 RULES = (
     Rule("IK001", "a goal on a joint that the rig lacks, or one allowed to move"),
     Rule(

@@ -6,8 +6,6 @@ from animtool.errors import Severity
 from animtool.usd.checks.table import CODES
 from animtool.validation.rule import Rule
 
-__all__ = ["RULES"]
-
 RULES = (
     Rule("USD001", "not a USD layer, or it does not compose"),
     Rule("USD002", "a Skeleton without joints and without blend shapes"),

@@ -18,10 +18,11 @@ from support.attached import (
     take_of,
 )
 
+from animtool.motion import Channel
 from animtool.rig.parts import Capsule, Collider, HeldArray, Shape
 from animtool.rig.skeleton import Joint, Pose, Rig
 from animtool.sim.attach.capsules import DEPENETRATION
-from animtool.take import Channel, Take
+from animtool.take import Take
 
 __all__ = ["ATTACHED"]
 

@@ -9,13 +9,15 @@ import pytest
 from numpy.testing import assert_allclose
 from support.bvh import HEADER, random_rows, small_bvh
 
+from animtool.clock import Clock
 from animtool.formats.bvh import read_bvh, write_bvh
 from animtool.formats.bvh.write import frame_time
 from animtool.maths import so3
+from animtool.motion import Channel, Motion
 from animtool.rates import rate_from_frame_time
 from animtool.report.compare import compare_takes
 from animtool.rig.skeleton import Joint, Rig
-from animtool.take import Channel, Clock, Motion, Take
+from animtool.take import Take
 
 
 def written(take: Take, path: Path) -> Take:

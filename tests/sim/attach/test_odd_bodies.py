@@ -16,9 +16,9 @@ from support.attached import (
 )
 
 from animtool.maths import so3
+from animtool.motion import Channel, Motion
 from animtool.rig.parts import Attachment, HeldArray
 from animtool.rig.skeleton import JointType
-from animtool.take import Channel, Motion
 
 
 def test_degenerate_faces() -> None:

@@ -22,12 +22,13 @@ from support.attached import (
 
 from animtool.errors import OptionError
 from animtool.maths import so3
+from animtool.motion import Motion
 from animtool.passes import PassContext, apply_pass, find_pass
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import JointType
 from animtool.sim.attach.settings import SimulateOptions
 from animtool.sim.attach.take_pass import simulate
-from animtool.take import Motion, Take, TakeStream
+from animtool.take import Take, TakeStream
 
 RIGS = {"chain": tail_rig(3, 0.2), "strands": strands_rig(), "cloth": sheet_rig()}
 # Hangs still where it is put, without anything but gravity.

@@ -13,13 +13,15 @@ from support.cli import animtool
 from support.planted_takes import at_frames, eased, edited, scaled, step, turned
 
 from animtool._types import FloatArray
+from animtool.clock import Clock
 from animtool.edit.resample import resampled
 from animtool.errors import Fault, Severity
 from animtool.maths import so3
+from animtool.motion import Channel, Motion
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Rig
 from animtool.scene.sources import open_source
-from animtool.take import Channel, Clock, Motion, Take
+from animtool.take import Take
 from animtool.validation.motion.sampling import repeated_frames
 from animtool.validation.motion.subject import MotionSubject
 from animtool.validation.options import ValidateOptions

@@ -10,8 +10,6 @@ from animtool._types import FloatArray
 from animtool.sim.particles.forces.force import Force, Time, at_least
 from animtool.sim.particles.state import ParticleState
 
-__all__ = ["Charges"]
-
 # Pairs at once: this bounds memory.
 _ROWS = 256
 

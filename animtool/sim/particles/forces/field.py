@@ -15,8 +15,6 @@ from animtool.sim.particles.velocity_field import (
     expression_faults,
 )
 
-__all__ = ["Field"]
-
 
 @dataclass(frozen=True)
 class Field(Force):

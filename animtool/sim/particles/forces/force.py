@@ -12,8 +12,6 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.sim.particles.state import ParticleState
 
-__all__ = ["Force", "Time", "Vector", "at_least", "three"]
-
 Vector: TypeAlias = tuple[float, float, float]
 # One for all particles, or one each ``(N,)`` [s].
 Time: TypeAlias = "float | FloatArray"

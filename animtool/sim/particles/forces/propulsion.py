@@ -11,8 +11,6 @@ from animtool._types import FloatArray
 from animtool.sim.particles.forces.force import Force, Time, Vector, at_least, three
 from animtool.sim.particles.state import ParticleState
 
-__all__ = ["Propulsion"]
-
 
 @dataclass(frozen=True)
 class Propulsion(Force):

@@ -17,8 +17,6 @@ from animtool._types import FloatArray
 from animtool.sim.particles.forces.force import Force, Time, at_least
 from animtool.sim.particles.state import ParticleState
 
-__all__ = ["Turbulence"]
-
 
 @dataclass(frozen=True)
 class Turbulence(Force):

@@ -10,8 +10,6 @@ from animtool._types import FloatArray
 from animtool.sim.particles.forces.force import Force, Time, Vector, three
 from animtool.sim.particles.state import ParticleState
 
-__all__ = ["Uniform"]
-
 
 @dataclass(frozen=True)
 class Uniform(Force):
