@@ -33,7 +33,9 @@ def _line(a: FloatArray, b: FloatArray, weight: FloatArray) -> FloatArray:
 
 def _arc(a: FloatArray, b: FloatArray, weight: FloatArray) -> FloatArray:
     between = so3.slerp(a, b, weight[..., 0])
-    return np.where(weight == 0, a, np.where(weight == 1, b, between))
+    # What both hold alike stays as it is, to the last bit.
+    kept = (weight == 0) | (a == b).all(axis=-1, keepdims=True)
+    return np.where(kept, a, np.where(weight == 1, b, between))
 
 
 _MIX = Operations(_line, _arc, _line, _line)

@@ -20,7 +20,7 @@ RIG = """rig: animtool/1
 name: hero
 units: {length: cm, angle: deg}
 joints:
-- {name: hips, type: free, translate: [0, 95, 0], rotate: [0.6, 0.8, 0, 0]}
+- {name: hips, type: free, translate: [7, 95, -3], rotate: [0.6, 0.8, 0, 0]}
 - {name: chest, parent: hips, type: ball, translate: [0, 40, 0],
    limits: {swing: 40, twist: [-45, 45], twist_axis: [0, 1, 0]}}
 - {name: shoulder_l, parent: chest, type: ball, translate: [20, 10, 0],
@@ -33,6 +33,9 @@ joints:
    translate: [5, 0, 0], rotate: [0.6, 0.8, 0, 0], limits: [0, 10]}
 - {name: rod, parent: hips, type: prismatic, axis: [1, 0, 0],
    mimic: {joint: elbow_l, gain: 0.1, offset: 1}}
+bind:
+  hips: {translate: [5, 94, 2], rotate: [0.8, 0, 0.6, 0]}
+  elbow_l: {translate: [28, 1, 0], rotate: [0.28, 0.96, 0, 0]}
 controls:
 - {name: grin, range: [0, 1], default: 0.25}
 - {name: curl, range: [0, 1], drives: [{joint: elbow_l.angle, expr: "curl * 90"}]}

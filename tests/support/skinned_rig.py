@@ -12,11 +12,15 @@ name: pair
 units: {{length: cm, angle: deg}}
 up: Y
 joints:
-- {{name: hips, type: free, translate: [0, 90, 0]}}
-- {{name: chest, parent: hips, type: ball, translate: [0, 40, 0]}}
-- {{name: arm, parent: chest, type: ball, translate: [20, 10, 0], rotate: [1, 0, 0, 0]}}
-- {{name: post, type: fixed, translate: [100, 0, 0]}}
-bind: {{hips: {{translate: [1, 90, 0]}}}}
+- {{name: hips, type: free, translate: [3, 90, -7], rotate: [.8, 0, .6, 0]}}
+- {{name: chest, parent: hips, type: ball, translate: [0, 40, 2],
+   rotate: [.6, .8, 0, 0]}}
+- {{name: arm, parent: chest, type: ball, translate: [20, 10, 0],
+   rotate: [.48, .6, .64, 0]}}
+- {{name: post, type: fixed, translate: [100, 0, 4], rotate: [0, .6, 0, .8]}}
+bind:
+  hips: {{translate: [1, 90, -4], rotate: [.6, 0, 0, .8]}}
+  arm: {{translate: [21, 10, 2], rotate: [.28, 0, .96, 0]}}
 meshes:
 - {{name: body, points: pair.npz#a, faces: pair.npz#f, normals: pair.npz#n,
    geom_bind: [1,0,0,2, 0,0,-1,0, 0,1,0,0, 0,0,0,1],

@@ -16,15 +16,23 @@ from animtool.transforms import Track, Transforms
 
 __all__ = ["content", "small", "with_tracks"]
 
+JOINTS = (
+    Joint("hips", -1, translation=(0.3, 0.9, -0.2), rotation=(0.6, 0.0, 0.0, 0.8)),
+    Joint("arm_l", 0, translation=(0.2, 0.5, 0.1), rotation=(0.0, 0.8, 0.0, 0.6)),
+    Joint("arm_r", 0, translation=(-0.3, 0.4, 0.1), rotation=(0.0, -0.6, 0.0, 0.8)),
+)
+
 
 def small(count: int = 12) -> Take:
-    """Return three joints, of which the last never moves."""
+    """Return three joints off the origin and turned, of which the last is still."""
     rng = np.random.default_rng(3)
     turns = so3.exp(np.cumsum(rng.normal(0, 0.1, (count, 3, 3)), axis=0))
     turns[:, 2] = so3.IDENTITY
+    turns = so3.multiply(np.array([joint.rotation for joint in JOINTS]), turns)
     slides = np.cumsum(rng.normal(0, 0.1, (count, 3, 3)), axis=0)
-    slides[:, 1:] = [0.0, 0.5, 0.0]
-    rig = Rig("small", (Joint("hips", -1), Joint("arm_l", 0), Joint("arm_r", 0)))
+    slides[:, 1:] = 0
+    slides += np.array([joint.translation for joint in JOINTS])
+    rig = Rig("small", JOINTS)
     motion = Motion(
         Channel.from_dense(slides), Channel.from_dense(so3.align_signs(turns))
     )

@@ -13,10 +13,12 @@ from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rig.controls import Control
 from animtool.rig.parts import Shape
-from animtool.rig.skeleton import Joint, Rig
+from animtool.rig.skeleton import Joint, Pose, Rig
 from animtool.take import Take
 from animtool.units import UpAxis
 
+STARTS = [Fraction(0), Fraction(3, 7)]
+STEPS = [Fraction(1), Fraction(1, 2), Fraction(3, 7)]
 RATES = [Fraction(24), Fraction(30), Fraction(120), Fraction(24000, 1001)]
 
 
@@ -28,31 +30,43 @@ def rigs(draw: st.DrawFn, most: int = 6) -> Rig:
     parents[0] = -1
     rng = np.random.default_rng(draw(st.integers(0, 2**31)))
     turns = so3.exp(rng.normal(0, 1, (count, 3)))
-    joints = []
+    joints, bind = [], {}
     for i, parent in enumerate(parents):
         x, y, z = rng.normal(0, 0.5, 3).tolist()
         a, b, c, w = turns[i].tolist()
-        joints.append(
-            Joint(f"j{i}", parent, translation=(x, y, z), rotation=(a, b, c, w))
-        )
+        # Every other name is none of USD.
+        name = f"j{i}" if i % 2 else f"j:{i}.x"
+        joints.append(Joint(name, parent, translation=(x, y, z), rotation=(a, b, c, w)))
+        if draw(st.booleans()):
+            moved, bent = rng.normal(0, 0.5, 3).tolist(), so3.exp(rng.normal(0, 1, 3))
+            bind[name] = Pose((moved[0], moved[1], moved[2]), tuple(bent.tolist()))
     shapes = tuple(Shape(name) for name in ("smile", "jaw")[: draw(st.integers(0, 2))])
     controls = (Control("grin"),) if draw(st.booleans()) else ()
     up = draw(st.sampled_from(UpAxis))
-    return Rig("any", tuple(joints), up=up, shapes=shapes, controls=controls)
+    return Rig("any", tuple(joints), up=up, bind=bind, shapes=shapes, controls=controls)
 
 
 @st.composite
 def takes(
-    draw: st.DrawFn, *, least: int = 2, most: int = 12, uniform: bool = False
+    draw: st.DrawFn,
+    *,
+    least: int = 2,
+    most: int = 12,
+    uniform: bool = False,
+    whole: bool = False,
 ) -> Take:
-    """Return a take of any rig: joints that move or not, scales, weights, controls."""
+    """Return a take of any rig: joints that move or not, scales, weights, controls.
+
+    Its clock may begin and step between frames, unless it is ``whole``.
+    """
     rig = draw(rigs())
     frames = draw(st.integers(least, most))
     rng = np.random.default_rng(draw(st.integers(0, 2**31)))
     clock = Clock(
         draw(st.sampled_from(RATES)),
-        Fraction(draw(st.integers(-50, 1001))),
-        Fraction(1, draw(st.sampled_from([1, 2]))),
+        Fraction(draw(st.integers(-50, 1001)))
+        + draw(st.sampled_from(STARTS[: 1 if whole else None])),
+        draw(st.sampled_from(STEPS[: 2 if whole else None])),
         frames,
     )
     return Take(rig, clock, motion_of(rig, frames, rng, draw(st.booleans()), uniform))
@@ -66,6 +80,8 @@ def motion_of(
 
     def walk(width: int, size: float, number: int = count) -> FloatArray:
         steps = rng.normal(0, size, (frames, number, width))
+        # Some move by as little as nothing may take for rest.
+        steps *= rng.choice([1.0, 1.0, 1e-7], (number, 1))
         moving = rng.random((number, 1)) < 0.6
         start = rng.normal(0, 4 * size, (1, number, width))
         return start + np.cumsum(steps * moving, axis=0)
