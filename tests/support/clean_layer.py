@@ -40,12 +40,11 @@ def make_layer(path: Path, frames: int = 12, *, mesh: bool = True) -> Path:
     root = UsdSkel.Root.Define(stage, ROOT)
     skeleton = UsdSkel.Skeleton.Define(stage, SKELETON)
     skeleton.CreateJointsAttr(JOINTS)
-    moves = [Gf.Matrix4d().SetTranslate(Gf.Vec3d(0, 0.5, 0)) for _ in JOINTS]
-    worlds = [
-        Gf.Matrix4d().SetTranslate(Gf.Vec3d(0, 0.5 * (i + 1), 0)) for i in (0, 1, 2)
-    ]
-    skeleton.CreateRestTransformsAttr(moves)
-    skeleton.CreateBindTransformsAttr(worlds)
+    # At rest turned and off the origin; bound elsewhere, and turned otherwise.
+    rest = [_placed((0.2, 0.5, -0.1 * i), (0, 30, 20 * i)) for i in range(3)]
+    bind = [_placed((0.1 * i, 0.5 * (i + 1), 0.05), (40 * i, 0, -15)) for i in range(3)]
+    skeleton.CreateRestTransformsAttr(rest)
+    skeleton.CreateBindTransformsAttr(bind)
     _animate(stage, frames)
     binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
     binding.CreateAnimationSourceRel().SetTargets([ANIMATION])
@@ -54,6 +53,14 @@ def make_layer(path: Path, frames: int = 12, *, mesh: bool = True) -> Path:
     _author_extents(root, range(1, frames + 1))
     stage.Save()
     return path
+
+
+def _placed(at: tuple[float, ...], turn: tuple[float, ...]) -> Gf.Matrix4d:
+    """Return a matrix from a place and Euler angles [deg], in the order XYZ."""
+    matrix = Gf.Matrix4d(1)
+    for axis, angle in zip(np.eye(3).tolist(), turn, strict=True):
+        matrix *= Gf.Matrix4d().SetRotate(Gf.Rotation(Gf.Vec3d(*axis), angle))
+    return matrix * Gf.Matrix4d().SetTranslate(Gf.Vec3d(*at))
 
 
 def rotations(frames: int) -> np.ndarray[Any, Any]:
