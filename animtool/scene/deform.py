@@ -31,7 +31,7 @@ from animtool.usd.point_cache import PointBlock, round_points
 from animtool.usd.point_space import PointSpace
 
 if TYPE_CHECKING:
-    from animtool.scene.take_plan import TakePlan
+    from animtool.scene.frames import TakePlan
     from animtool.usd.target import JointMap, RigTarget
 
 # Frames whose joints are held at once: 60 joints take 1.5 MB.

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,9 +22,26 @@ from animtool.edit.resample import (
 from animtool.errors import Fault, OptionError, Severity
 from animtool.motion import Motion
 from animtool.rig.skeleton import Rig
-from animtool.scene.take_plan import TakePlan
+from animtool.scene.options import BakeOptions
 from animtool.shot import Shot, frame_spans
 from animtool.take import Take, TakeStream
+
+if TYPE_CHECKING:
+    from animtool.usd.target import JointMap
+
+
+@dataclass(frozen=True, slots=True)
+class TakePlan:
+    """One take of a bake."""
+
+    source: Path
+    name: str  # of a library's take, legal and distinct; else empty
+    stream: TakeStream  # opened, with the joints in the order written
+    mapping: JointMap | None  # from the take's joints to those of a rig layer
+    options: BakeOptions  # those of takes after the first have no rest frame
+    fps: Fraction  # time codes a second of the output
+    start: Fraction  # time code of the first frame
+    notices: list[Fault]  # the plan's
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,21 +19,20 @@ from animtool.scene.bake import run_bake
 from animtool.scene.convert import ConvertReport, convert, convert_outputs
 from animtool.scene.entries import OutputKind, SceneOutput, kind_of
 from animtool.scene.files import output_files
-from animtool.scene.frames import timed_blocks
+from animtool.scene.frames import TakePlan, timed_blocks
 from animtool.scene.options import BakeOptions, merged
 from animtool.scene.plan import (
-    BakePlan,
     check_output,
     plan_output,
     plan_simulated,
     start_of,
     with_systems,
 )
+from animtool.scene.prims import BakePlan
 from animtool.scene.progress import Progress, share_of
 from animtool.scene.reading import shared
 from animtool.scene.report import BakeReport
 from animtool.scene.scene import Scene
-from animtool.scene.take_plan import TakePlan
 from animtool.take import Take, TakeStream
 
 MAX_NAMED = 6

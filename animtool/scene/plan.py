@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 from animtool.config import find_config
 from animtool.errors import Fault, OptionError, Severity, listed
@@ -15,83 +15,20 @@ from animtool.output import check_outputs, sparing_inputs
 from animtool.rates import rate_label
 from animtool.reorient import reorient
 from animtool.scene.files import form_of, output_files
+from animtool.scene.frames import TakePlan
 from animtool.scene.options import BakeOptions, check_options
+from animtool.scene.prims import BakePlan, OutputPrims, rig_paths
 from animtool.scene.progress import Progress, share_of
 from animtool.scene.reading import Source, found_sources
 from animtool.scene.sources import Opener, open_source, source_stem
-from animtool.scene.take_plan import TakePlan
 from animtool.take import TakeStream
 from animtool.usd.forms import Form, check_suffix
 from animtool.usd.layers import check_prim_path
 from animtool.usd.names import legal_name
-from animtool.usd.paths import RigPaths
 
 if TYPE_CHECKING:
-    from animtool.scene.deform import Character
     from animtool.scene.scene import Scene
-    from animtool.scene.systems.bake import SystemPlan
-    from animtool.scene.systems.run import Save
-    from animtool.scene.systems.with_take import SystemsWithTake, WrittenSystems
     from animtool.usd.target import JointMap, RigTarget
-
-
-@dataclass(frozen=True, slots=True)
-class BakePlan:
-    """A bake that is ready to run.
-
-    Attributes:
-        takes: One, or those of a library.
-        output: The file to write; None is stdout.
-        options: As given.
-        form: Stage, split or layer.
-        reason: Why that form.
-        target: The rig of a layer.
-        fps: Time codes a second of the output.
-        start: Time code of the first frame.
-        notices: What is odd so far.
-        character: What it deforms, where point caches are asked for.
-        systems: What is simulated, in place of takes.
-        with_take: What is simulated beside the take.
-    """
-
-    takes: tuple[TakePlan, ...]
-    output: Path | None
-    options: BakeOptions
-    form: Form
-    reason: str
-    target: RigTarget | None
-    fps: Fraction
-    start: Fraction
-    notices: list[Fault]
-    character: Character | None = None
-    systems: SystemPlan | None = None
-    with_take: SystemsWithTake | None = None
-
-    def finish(
-        self,
-        layer: Any,
-        write: Callable[[Save], object],
-        progress: Progress = None,
-    ) -> WrittenSystems | None:
-        """Write a layer that has the take, and what is simulated beside it.
-
-        Args:
-            layer: In memory.
-            write: Writes it with what it is given, and others that belong to it.
-            progress: Called with the share of the systems done, 0 to 1.
-
-        Raises:
-            FormatError: A system makes no sense, or has no colliders to run into.
-            OutputError: A file cannot be written.
-            StrictError: There were warnings, and ``strict`` is on.
-            ToleranceError: A system blew up.
-        """
-        if self.with_take is not None:
-            return self.with_take.write(layer, self.output, write, progress)
-        from animtool.usd.layers import save_layer
-
-        write(save_layer)
-        return None
 
 
 def plan_bake(
@@ -161,7 +98,7 @@ def plan_simulated(
     """
     from animtool.scene.systems.bake import plan_systems
 
-    systems = plan_systems(scene, path, options)
+    systems = plan_systems(scene, options)
     return BakePlan(
         (),
         path,
@@ -172,7 +109,7 @@ def plan_simulated(
         systems.job.metadata.fps,
         systems.job.metadata.first,
         notices,
-        systems=systems,
+        (systems,),
     )
 
 
@@ -189,7 +126,7 @@ def with_systems(plan: BakePlan, scene: Scene) -> BakePlan:
         message = "a clip library has no place for what is simulated"
         hint = "bake the systems in a scene of their own, or as: stage"
         raise OptionError(Fault("SCN067", message, str(scene.path), (), hint))
-    from animtool.scene.systems.with_take import plan_with_take
+    from animtool.scene.systems.bake import plan_with_take
 
     stream, options, target = plan.takes[0].stream, plan.options, plan.target
     paths = rig_paths([stream.rig.name], target, options, plan.output)
@@ -197,7 +134,7 @@ def with_systems(plan: BakePlan, scene: Scene) -> BakePlan:
     meters = rig.meters_per_unit
     if target is None and options.to_units is not None:
         meters = options.to_units.meters
-    with_take = plan_with_take(
+    systems = plan_with_take(
         scene,
         paths,
         target,
@@ -205,11 +142,9 @@ def with_systems(plan: BakePlan, scene: Scene) -> BakePlan:
         start=plan.start,
         meters_per_unit=meters,
         up=rig.up,
-        chunk=options.chunk,
-        strict=options.strict,
         tracks=stream.tracks,
     )
-    return replace(plan, with_take=with_take)
+    return replace(plan, prims=(*plan.prims, systems), watch=systems.watch)
 
 
 def check_output(
@@ -333,9 +268,9 @@ def plan_output(
         )
     )
     _check_props(streams, target, options, path, library=bool(names[0]))
-    character = _character(takes[0], target) if options.deform else None
+    prims = (_take_prims(takes[0], target),)
     return BakePlan(
-        takes, path, options, form, reason, target, fps, start, notices, character
+        takes, path, options, form, reason, target, fps, start, notices, prims
     )
 
 
@@ -358,27 +293,6 @@ def _check_props(
         check_props(stream.tracks, paths, stage, library=library)
 
 
-def rig_paths(
-    names: Sequence[str],
-    target: RigTarget | None,
-    options: BakeOptions,
-    output: Path | None,
-) -> RigPaths:
-    """Return where a character's prims are to be.
-
-    Args:
-        names: What the rigs of the takes are called; where several have several names,
-            the character has that of the output.
-        target: The rig of a layer.
-        options: Of the bake.
-        output: The file; None is stdout.
-    """
-    if target is not None:
-        return target.paths
-    name = names[0] if len(set(names)) == 1 or output is None else output.stem
-    return RigPaths.below(options.prim_path or f"/{legal_name(name)}")
-
-
 def _check_count(count: int, options: BakeOptions) -> None:
     message = ""
     if not count:
@@ -391,10 +305,15 @@ def _check_count(count: int, options: BakeOptions) -> None:
         raise OptionError(Fault("CLI002", message))
 
 
-def _character(take: TakePlan, target: RigTarget | None) -> Character:
-    from animtool.scene.deform import open_character
+def _take_prims(take: TakePlan, target: RigTarget | None) -> OutputPrims:
+    if not take.options.deform:
+        from animtool.scene.joint_prims import JointPrims
 
-    return open_character(take, target)
+        return JointPrims()
+    from animtool.scene.deform import open_character
+    from animtool.scene.point_prims import PointPrims
+
+    return PointPrims(open_character(take, target))
 
 
 def _mapped(

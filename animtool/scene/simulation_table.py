@@ -11,9 +11,11 @@ from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError
 from animtool.scene.entries import Place
 from animtool.scene.options import BakeOptions
-from animtool.scene.plan import BakePlan, plan_bake
+from animtool.scene.plan import plan_bake
+from animtool.scene.prims import BakePlan
 from animtool.scene.progress import Progress, share_of
 from animtool.scene.scene import Scene
+from animtool.scene.systems.bake import SystemPrims
 from animtool.scene.systems.character_motion import CharacterMotion, motion_of
 from animtool.scene.systems.simulation import system_trials
 from animtool.sim.trials.measuring import TrialTable, measure
@@ -102,11 +104,12 @@ def _times(
     first = scene.outputs[0]
     plain = replace(first, bake=replace(first.bake, chunk=None))
     plan = plan_bake(replace(scene, outputs=(plain,)), None, options)
-    if plan.systems is None:
+    if plan.takes:
         own = motion_of(scene.path, plan.takes[0].stream.collect())
         return _within(own.times, plan), own
-    seconds = map(plan.systems.seconds, plan.systems.codes)
-    return np.array(list(seconds)), None
+    (systems,) = plan.prims
+    assert isinstance(systems, SystemPrims)
+    return np.array([systems.seconds(code) for code in systems.codes]), None
 
 
 def _within(times: FloatArray, plan: BakePlan) -> FloatArray:

@@ -153,10 +153,10 @@ class _Truth:
 
 def _truth(source: Source, options: BakeOptions) -> tuple[_Truth, Take]:
     plan = plan_bake(source, None, options)
-    if plan.character is not None:
+    if plan.options.deform:
         message = "--table measures joints, and the scene writes deformed points"
         raise OptionError(Fault("CLI002", message, str(source_file(source))))
-    if plan.systems is not None:
+    if not plan.takes:
         message = "is simulated, and --table measures joints"
         raise OptionError(Fault("SCN062", message, str(source_file(source))))
     stream = plan.takes[0].stream
@@ -189,7 +189,7 @@ def _baked(
     began = time.perf_counter()
     plan = plan_bake(source, output, replace(options, overwrite=True))
     # What is simulated beside the take has no joints to measure.
-    result = run_bake(replace(plan, with_take=None)).result
+    result = run_bake(replace(plan, prims=plan.prims[:1], watch=None)).result
     seconds = time.perf_counter() - began
     codes = float(plan.start) + truth.seconds * float(plan.fps)
     found = played_world(output, codes)

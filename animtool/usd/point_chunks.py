@@ -6,8 +6,8 @@ three are in memory, however long the take.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -36,10 +36,37 @@ from animtool.usd.point_cache import (
 from animtool.usd.value_clips import author_clips
 
 
+@dataclass(frozen=True, slots=True)
+class ChunkedCache:
+    """A cache whose chunks are written, and a layer in memory that joins them."""
+
+    layer: Any
+    reports: list[CachedMesh]
+    _job: CacheJob
+    _chunks: _Chunks
+    _clips: ClipFiles
+
+    def finish(self, save: Callable[[Any, Path | None], int]) -> list[Path]:
+        """Write the manifest, then the layer; return all files, the layer last.
+
+        Raises:
+            OutputError: A file cannot be written.
+        """
+        output, clips = self._clips.output, self._clips
+        if self._job.target is None and any(report.samples for report in self.reports):
+            self.layer.subLayerPaths.append(clips.defaults)
+        with replacing(clips.manifest) as temporary:
+            manifest = _manifest(self._job, self._chunks)
+            export_layer(manifest, temporary, clips.manifest)
+        save(self.layer, output)
+        once_named(lambda: clips.remove_others(self._chunks.paths))
+        return [*self._chunks.paths, clips.manifest, output]
+
+
 def write_chunks(
-    job: CacheJob, blocks: Iterator[PointBlock], size: int, check: Any
-) -> tuple[list[Path], list[CachedMesh], Any]:
-    """Write a cache as a layer, and its points in files of some samples each.
+    job: CacheJob, blocks: Iterator[PointBlock], size: int
+) -> ChunkedCache:
+    """Write the points of a cache in files of some samples each.
 
     Every file also has the first sample of the next, for what lies between them.
     Nothing is there under its name before all is written, the layer last. Only then do
@@ -49,11 +76,6 @@ def write_chunks(
         job: What to write; with an output.
         blocks: Frames of the meshes, in time order for each.
         size: Samples a file.
-        check: Called with the layer before anything gets its name; what it raises
-            leaves nothing behind.
-
-    Returns:
-        The files, what was written of each mesh, and the layer.
 
     Raises:
         OutputError: A file cannot be written.
@@ -61,31 +83,20 @@ def write_chunks(
     output = job.output
     assert output is not None
     clips = point_files(output)
-    with ExitStack() as stack:
-        # Left in the reverse order: the layer gets its name last.
-        whole = stack.enter_context(replacing(output))
-        manifest = stack.enter_context(replacing(clips.manifest))
-        layer = new_layer(output)
-        with Sdf.ChangeBlock():
-            specs = author_prims(layer, job)
-        chunks = _Chunks(job, clips, size, stack)
-        for block in blocks:
-            chunks.add(block)
-        chunks.finish()
-        with Sdf.ChangeBlock():
-            _author_still(specs, job, chunks)
-            author_metadata(layer, chunks.metadata())
-            author_clips(layer, job.paths.root, clips, chunks.starts, chunks.last)
-        if job.target is not None:
-            job.target.check(layer, points=False)
-        check(layer)
-        if job.target is None and any(report.samples for report in chunks.reports):
-            layer.subLayerPaths.append(clips.defaults)
-        export_layer(_manifest(job, chunks), manifest, clips.manifest)
-        export_layer(layer, whole, output)
-    once_named(lambda: clips.remove_others(chunks.paths))
-    files = [*chunks.paths, clips.manifest, output]
-    return files, chunks.reports, layer
+    layer = new_layer(output)
+    with Sdf.ChangeBlock():
+        specs = author_prims(layer, job)
+    chunks = _Chunks(job, clips, size)
+    for block in blocks:
+        chunks.add(block)
+    chunks.finish()
+    with Sdf.ChangeBlock():
+        _author_still(specs, job, chunks)
+        author_metadata(layer, chunks.metadata())
+        author_clips(layer, job.paths.root, clips, chunks.starts, chunks.last)
+    if job.target is not None:
+        job.target.check(layer, points=False)
+    return ChunkedCache(layer, chunks.reports, job, chunks, clips)
 
 
 class _Chunk:
@@ -118,11 +129,8 @@ class _Chunks:
         names: Attributes of each mesh.
     """
 
-    def __init__(
-        self, job: CacheJob, clips: ClipFiles, size: int, stack: ExitStack
-    ) -> None:
-        self._job, self._clips = job, clips
-        self._size, self._stack = size, stack
+    def __init__(self, job: CacheJob, clips: ClipFiles, size: int) -> None:
+        self._job, self._clips, self._size = job, clips, size
         self._done = [0] * len(job.meshes)
         self._open: dict[int, _Chunk] = {}
         self._written = 0
@@ -181,8 +189,8 @@ class _Chunks:
             metadata = cache_metadata(self._job, chunk.first, chunk.last)
             author_metadata(chunk.layer, metadata)
             chunk.layer.startTimeCode, chunk.layer.endTimeCode = chunk.first, chunk.last
-        temporary = self._stack.enter_context(replacing(chunk.path))
-        export_layer(chunk.layer, temporary, chunk.path)
+        with replacing(chunk.path) as temporary:
+            export_layer(chunk.layer, temporary, chunk.path)
         self.paths.append(chunk.path)
         self.starts.append(chunk.first)
         self.last = max(self.last, chunk.last)

@@ -12,9 +12,8 @@ from support.small_takes import small
 
 from animtool.clock import Clock
 from animtool.rig.skeleton import Joint
-from animtool.scene.frames import moving_joints, timed_blocks
+from animtool.scene.frames import TakePlan, moving_joints, timed_blocks
 from animtool.scene.options import BakeOptions
-from animtool.scene.take_plan import TakePlan
 from animtool.shot import Shot
 from animtool.take import Take, TakeStream
 

@@ -1,68 +1,170 @@
-"""The bake of a scene that is simulated: systems without a source."""
+"""Systems as prims of a bake: alone, or alongside a take."""
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from fractions import Fraction
+from math import ceil
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from animtool.clock import MAX_FRAMES
 from animtool.edit.frame_range import FrameRange
-from animtool.errors import Fault, FormatError, OptionError
-from animtool.output import size_of
-from animtool.scene.entries import SceneSystem
+from animtool.errors import Fault, FormatError, OptionError, refuse_warnings
+from animtool.output import once_named, size_of
 from animtool.scene.options import BakeOptions
-from animtool.scene.progress import Progress
+from animtool.scene.prims import Draft, Save
 from animtool.scene.report import BakeReport, TakeReport
 from animtool.scene.scene import Scene
 from animtool.scene.sources import source_stem
+from animtool.scene.systems.character_watch import CharacterWatch
 from animtool.scene.systems.job import system_job
-from animtool.scene.systems.run import SystemRun, write_systems
+from animtool.scene.systems.run import SystemRun
+from animtool.transforms import Track
 from animtool.units import UpAxis
 from animtool.usd.animation import Rounding
+from animtool.usd.author_props import prop_paths
+from animtool.usd.clip_files import system_files
 from animtool.usd.forms import Form
+from animtool.usd.growing import Growing, save_grown
 from animtool.usd.jobs import UsdResult, WrittenTake, layer_span
 from animtool.usd.layers import StageMetadata, check_prim_path
 from animtool.usd.names import legal_name
-from animtool.usd.simulated import SimulatedJob, simulated_layer
+from animtool.usd.paths import RigPaths
+from animtool.usd.point_cache import CachedMesh
+from animtool.usd.simulated import (
+    SimulatedJob,
+    chunk_simulated,
+    grow_simulated,
+    simulated_layer,
+)
+
+if TYPE_CHECKING:
+    from animtool.usd.target import RigTarget
 
 FPS = Fraction(24)
 
 
 @dataclass(frozen=True, slots=True)
-class SystemPlan:
-    """Systems that are ready to run.
+class SystemPrims:
+    """Points, curves and meshes that systems simulate."""
 
-    Attributes:
-        scene: The file.
-        systems: What is simulated.
-        output: The file to write; None is stdout.
-        job: What is written.
-        codes: Time codes to write, ascending.
-        first: Time code at 0 s.
-        options: As given.
-    """
-
-    scene: Path
-    systems: tuple[SceneSystem, ...]
-    output: Path | None
+    scene: Scene
     job: SimulatedJob
-    codes: tuple[Fraction, ...]
-    first: Fraction
-    options: BakeOptions
+    start: Fraction  # time code at 0 s; with a take, that of its first frame
+    codes: tuple[Fraction, ...] = ()  # to write, ascending; empty takes the take's
+    watch: CharacterWatch | None = None  # sees the take
 
     def seconds(self, code: Fraction) -> float:
         """Return when a time code is, on the clock of the systems [s]."""
-        return float((code - self.first) / self.job.metadata.fps)
+        return float((code - self.start) / self.job.metadata.fps)
+
+    def author(self, draft: Draft) -> Callable[[], None]:
+        """Simulate; without chunks, as soon as the layer is saved."""
+        plan = draft.plan
+        prims = self if self.watch is None else self._on_take(self.watch)
+        codes, job = prims.codes, prims.job
+        own = None if self.watch is None else self.watch.motion(self.scene.path)
+        if own is not None and prims.start < self.start:
+            held = float((self.start - prims.start) / job.metadata.fps)
+            own = replace(own, times=own.times + held)
+        systems = self.scene.systems
+        run = SystemRun(systems, prims.seconds(codes[-1]), own, draft.progress)
+        rows = run.rows(codes, prims.start, job.metadata.fps)
+        if draft.report is None:
+            self._begin(draft)
+        files: list[Path] = []
+        written: list[CachedMesh] = []
+        if plan.options.chunk is not None:
+            assert plan.output is not None
+            names, size = system_files(plan.output), plan.options.chunk
+            files, written = chunk_simulated(job, rows, draft.layer, names, size)
+            refuse_warnings(run.notices, strict=plan.options.strict)
+            # A layer always has its own.
+            once_named(lambda: names.remove_others(files))
+        else:
+
+            def grow(growing: Growing) -> None:
+                written.extend(grow_simulated(job, rows, growing))
+                refuse_warnings(run.notices, strict=plan.options.strict)
+
+            draft.save = lambda layer, path: save_grown(layer, path, grow)
+        return lambda: self._report(draft, run, files, written)
+
+    def _on_take(self, watch: CharacterWatch) -> SystemPrims:
+        """Return these with the time codes of the take."""
+        codes = [Fraction(code) for code in watch.codes.tolist()]
+        metadata = replace(self.job.metadata, first=codes[0], last=codes[-1])
+        # Where a shot begins before its take, the take's first pose is held.
+        start = min(self.start, Fraction(ceil(codes[0])))
+        job = replace(self.job, metadata=metadata)
+        return replace(self, job=job, start=start, codes=tuple(codes))
+
+    def _begin(self, draft: Draft) -> None:
+        """Begin a layer of systems alone, and its report."""
+        plan, metadata = draft.plan, self.job.metadata
+        layer = draft.layer = simulated_layer(self.job, plan.output)
+        take = WrittenTake("", "", len(self.codes), metadata.first, metadata.last)
+        result = UsdResult(layer_span(layer), takes=[take])
+
+        def write(save: Save) -> None:
+            result.bytes = save(layer, plan.output)
+            result.outputs += [] if plan.output is None else [plan.output]
+
+        draft.write = write
+        draft.report = BakeReport(
+            [
+                TakeReport(
+                    self.scene.path,
+                    take,
+                    len(self.codes),
+                    metadata.fps,
+                    "",
+                    meshes_of=self.scene.path.name,
+                )
+            ],
+            result,
+            f"{plan.form} ({plan.reason})",
+            0,
+            metadata.meters_per_unit,
+            metadata.up.value,
+            0.0,
+            list(plan.notices),
+            shot=plan.options.shot,
+        )
+
+    def _report(
+        self,
+        draft: Draft,
+        run: SystemRun,
+        files: list[Path],
+        written: list[CachedMesh],
+    ) -> None:
+        """Add what was simulated to the report."""
+        report = draft.report
+        assert report is not None
+        report.notices += run.notices
+        report.result.outputs[:0] = files
+        report.result.bytes += sum(map(size_of, files))
+        for take in report.takes:
+            take.meshes += run.reports(written)
+            take.simulated += run.simulated
+        if self.watch is None:
+            worst = max(written, key=lambda found: found.error)
+            (take,) = report.takes
+            take.written.sampled = list(worst.sampled)
+            take.written.rounding = Rounding(worst.error, worst.error_code)
+            at = run.written[written.index(worst)]
+            take.error_joint = self.scene.systems[at].name
+            draft.read += run.seconds
 
 
-def plan_systems(scene: Scene, output: Path | None, options: BakeOptions) -> SystemPlan:
+def plan_systems(scene: Scene, options: BakeOptions) -> SystemPrims:
     """Return what is to become of the systems of a scene.
 
     Args:
         scene: It has systems, and no source.
-        output: The file to write; None is stdout.
         options: Those of the scene among them.
 
     Raises:
@@ -86,7 +188,7 @@ def plan_systems(scene: Scene, output: Path | None, options: BakeOptions) -> Sys
     span = Fraction(frames.first), Fraction(frames.last)
     metadata = StageMetadata(model.split("/")[1], fps, *span, unit, up, options.shot)
     job = system_job(scene.systems, model, metadata, unit, up)
-    return SystemPlan(scene.path, scene.systems, output, job, codes, first, options)
+    return SystemPrims(scene, job, first, codes)
 
 
 def _codes(frames: FrameRange, offsets: tuple[Fraction, ...]) -> tuple[Fraction, ...]:
@@ -126,69 +228,75 @@ def _check(scene: Scene, options: BakeOptions) -> None:
         raise OptionError(faults)
 
 
-def run_system_bake(plan: SystemPlan, *, progress: Progress = None) -> BakeReport:
-    """Run systems and write what comes of them, frame by frame.
+def plan_with_take(
+    scene: Scene,
+    paths: RigPaths,
+    target: RigTarget | None,
+    *,
+    fps: Fraction,
+    start: Fraction,
+    meters_per_unit: float,
+    up: UpAxis,
+    tracks: Sequence[Track],
+) -> SystemPrims:
+    """Return what is to become of the systems of a scene that has a source.
+
+    They are below the character's model, so that both are in one world wherever that
+    stands: in its unit, turned to its up axis.
 
     Args:
-        plan: What is to become of them.
-        progress: Called with the share done, 0 to 1.
+        scene: It has both.
+        paths: The character's prims.
+        target: The rig of a layer.
+        fps: Time codes a second.
+        start: Time code of the take's first frame.
+        meters_per_unit: Of what is below the model [m].
+        up: Its up axis.
+        tracks: Things beside the character.
 
     Raises:
-        OutputError: The output cannot be written.
-        StrictError: There were warnings, and ``strict`` is on.
-        ToleranceError: A system blew up.
+        FormatError: A system has the place of something else (SCN068).
     """
-    began = time.perf_counter()
-    job, options = plan.job, plan.options
-    last = plan.seconds(plan.codes[-1])
-    run = SystemRun(plan.systems, last, progress=progress)
-    rows = run.rows(plan.codes, plan.first, job.metadata.fps)
-    layer = simulated_layer(job, plan.output)
-    sizes: list[int] = []
-    made = write_systems(
-        job,
-        run,
-        rows,
-        layer,
-        plan.output,
-        options.chunk,
-        lambda save: sizes.append(save(layer, plan.output)),
-        strict=options.strict,
+    unit, axis = (meters_per_unit, up) if target is None else (target.unit, target.up)
+    metadata = StageMetadata(
+        paths.model.split("/")[1], fps, Fraction(0), Fraction(0), unit, axis
     )
-    total = time.perf_counter() - began
-    written = made.prims
-    worst = max(written, key=lambda found: found.error)
-    metadata = job.metadata
-    take = WrittenTake(
-        "",
-        samples=len(plan.codes),
-        first=metadata.first,
-        last=metadata.last,
-        sampled=list(worst.sampled),
-        rounding=Rounding(worst.error, worst.error_code),
+    job = system_job(scene.systems, paths.model, metadata, meters_per_unit, up)
+    _check_places(scene, job, paths, target, tracks)
+    watch = CharacterWatch(
+        wanted=any(scene.path in system.setup.files for system in scene.systems)
     )
-    report = TakeReport(
-        plan.scene,
-        take,
-        len(plan.codes),
-        metadata.fps,
-        plan.systems[run.written[written.index(worst)]].name,
-        meshes=run.reports(written),
-        meshes_of=plan.scene.name,
-        simulated=run.simulated,
-    )
-    outputs = [*made.files, *([] if plan.output is None else [plan.output])]
-    size = sum(sizes) + sum(map(size_of, made.files))
-    spent = sum(run.seconds)
-    return BakeReport(
-        [report],
-        UsdResult(layer_span(layer), outputs, size, [take]),
-        f"{Form.STAGE} (it is simulated)",
-        0,
-        metadata.meters_per_unit,
-        metadata.up.value,
-        0.0,
-        run.notices,
-        {"read": spent, "author": total - spent, "save": 0.0, "total": total},
-        options.shot,
-    )
+    return SystemPrims(scene, job, start, watch=watch)
+
+
+def _check_places(
+    scene: Scene,
+    job: SimulatedJob,
+    paths: RigPaths,
+    target: RigTarget | None,
+    tracks: Sequence[Track],
+) -> None:
+    """Refuse systems whose prims something else has."""
+    taken = {paths.root: "the character"}
+    taken |= {path: "a thing beside it" for path in prop_paths(tracks, paths.model)}
+    faults = []
+    written = [system for system in scene.systems if system.written]
+    for system, path in zip(written, job.paths, strict=True):
+        whose = [owner for place, owner in taken.items() if _meet(path, place)]
+        if not whose and target is not None and _is_other(target, path):
+            whose = ["the rig layer"]
+        if whose:
+            message = f"{path} is of {whose[0]}"
+            faults.append(system.place.fault("SCN068", message, "give it another name"))
+    if faults:
+        raise FormatError(faults)
+
+
+def _meet(one: str, other: str) -> bool:
+    return f"{one}/".startswith(f"{other}/") or f"{other}/".startswith(f"{one}/")
+
+
+def _is_other(target: RigTarget, path: str) -> bool:
+    """Return whether a shot has another prim there than an earlier bake's."""
+    prim = target.stage.GetPrimAtPath(target.on_stage(path))
+    return bool(prim) and not prim.IsA("PointBased")

@@ -44,13 +44,9 @@ class CharacterWatch:
         self._stream = stream
         return replace(stream, blocks=self._seen(stream.blocks))
 
-    def written(
-        self, timed: Iterator[tuple[FloatArray, Motion]]
-    ) -> Iterator[tuple[FloatArray, Motion]]:
-        """Yield frames of an output, whose time codes are kept."""
-        for codes, motion in timed:
-            self._codes.append(codes)
-            yield codes, motion
+    def see(self, codes: FloatArray) -> None:
+        """Keep time codes of frames that are written ``(F,)``."""
+        self._codes.append(codes)
 
     def motion(self, path: Path) -> CharacterMotion | None:
         """Return the whole motion, when all is read; None where it is not wanted.

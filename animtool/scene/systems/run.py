@@ -1,16 +1,13 @@
-"""Systems under way, frame by frame, and how they come into a layer."""
+"""Systems under way, frame by frame."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
-from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
-from animtool.errors import Fault, FormatError, refuse_warnings
-from animtool.output import once_named, together
+from animtool.errors import Fault, FormatError
 from animtool.quantities import plain
 from animtool.scene.entries import SceneSystem
 from animtool.scene.progress import Phases, Progress, TimeProgress
@@ -23,19 +20,12 @@ from animtool.scene.systems.simulation import (
     located_systems,
     open_systems,
 )
-from animtool.usd.clip_files import system_files
-from animtool.usd.growing import Growing, save_grown
-from animtool.usd.layers import save_layer
 from animtool.usd.point_cache import CachedMesh
-from animtool.usd.simulated import SimulatedJob, chunk_simulated, grow_simulated
 
 # Steps of one system, from its pre-roll to the last frame; more take hours.
 MAX_STEPS = 10_000_000
 # Where a solver chooses its steps, none is longer [s].
 LONGEST_STEP = 1 / 240
-
-# Writes a layer to a file, or as text to stdout; returns the bytes.
-Save: TypeAlias = Callable[[Any, Path | None], int]
 
 
 class SystemRun:
@@ -179,65 +169,3 @@ def _check_steps(systems: Sequence[SceneSystem], last: float) -> None:
             faults.append(system.place.fault("SCN091", message, hint))
     if faults:
         raise FormatError(faults)
-
-
-@dataclass(frozen=True, slots=True)
-class WrittenSystems:
-    """What was written of systems.
-
-    Attributes:
-        files: Beside the layer.
-        prims: What was written of each.
-    """
-
-    files: list[Path]
-    prims: list[CachedMesh]
-
-
-def write_systems(
-    job: SimulatedJob,
-    run: SystemRun,
-    rows: Iterator[tuple[float, list[Any]]],
-    layer: Any,
-    output: Path | None,
-    chunk: int | None,
-    finish: Callable[[Save], object],
-    *,
-    strict: bool,
-) -> WrittenSystems:
-    """Write systems with the layer that they are of, or nothing.
-
-    Args:
-        job: What to write.
-        run: The systems.
-        rows: Theirs.
-        layer: In memory, with the prim above the systems.
-        output: The file that it becomes; None is stdout.
-        chunk: Samples in each of several files; None is the layer's own.
-        finish: Writes the layer with what it is given, and others that belong to it.
-        strict: Whether warnings are errors.
-
-    Raises:
-        OutputError: A file cannot be written.
-        StrictError: There were warnings, and ``strict`` is on.
-        ToleranceError: A system blew up.
-    """
-    if chunk is not None:
-        assert output is not None
-        files = system_files(output)
-        with together():
-            paths, prims = chunk_simulated(job, rows, layer, files, chunk)
-            refuse_warnings(run.notices, strict=strict)
-            finish(save_layer)
-            # A layer always has its own.
-            once_named(lambda: files.remove_others(paths))
-        return WrittenSystems(paths, prims)
-    prims = []
-
-    def grow(growing: Growing) -> None:
-        prims.extend(grow_simulated(job, rows, growing))
-        refuse_warnings(run.notices, strict=strict)
-
-    with together():
-        finish(lambda layer, path: save_grown(layer, path, grow))
-    return WrittenSystems([], prims)

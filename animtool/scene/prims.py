@@ -1,0 +1,180 @@
+"""What a bake writes: groups of prims that are authored one after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+
+from animtool._types import FloatArray
+from animtool.errors import Fault
+from animtool.motion import Motion
+from animtool.rig.skeleton import Rig
+from animtool.scene.frames import TakePlan, TimedTake, timed_blocks
+from animtool.scene.options import BakeOptions
+from animtool.scene.progress import Progress
+from animtool.scene.report import BakeReport, MeshReport, TakeReport
+from animtool.scene.sources import motion_bytes
+from animtool.usd.forms import Form
+from animtool.usd.jobs import WrittenTake
+from animtool.usd.layers import save_layer
+from animtool.usd.names import legal_name
+from animtool.usd.paths import RigPaths
+
+if TYPE_CHECKING:
+    from animtool.scene.systems.character_watch import CharacterWatch
+    from animtool.usd.author_props import PropSamples
+    from animtool.usd.target import RigTarget
+
+# Writes a layer to a file, or as text to stdout; returns the bytes.
+Save: TypeAlias = Callable[[Any, Path | None], int]
+
+
+@dataclass(frozen=True, slots=True)
+class BakePlan:
+    """A bake that is ready to run."""
+
+    takes: tuple[TakePlan, ...]  # one, those of a library, or none of systems alone
+    output: Path | None  # the file to write; None is stdout
+    options: BakeOptions
+    form: Form
+    reason: str  # why that form
+    target: RigTarget | None  # the rig of a layer
+    fps: Fraction  # time codes a second of the output
+    start: Fraction  # time code of the first frame
+    notices: list[Fault]  # warnings collected so far
+    prims: tuple[OutputPrims, ...]  # what is written, in order
+    watch: CharacterWatch | None = None  # what systems see of the take
+
+
+@dataclass(slots=True)
+class Draft:
+    """A bake under way: a layer in memory, and what will be reported of it."""
+
+    plan: BakePlan
+    progress: Progress  # share of what comes after the takes
+    runs: list[TakeRun]
+    layer: Any = None  # None until the first prims have authored one
+    report: BakeReport | None = None
+    save: Save = save_layer  # writes the layer
+    write: Callable[[Save], object] | None = None  # writes all files with that
+    read: list[float] = field(default_factory=list)  # spent on making frames [s]
+
+
+class OutputPrims(Protocol):
+    """Prims of one kind that a bake writes: joints, points, or systems."""
+
+    def author(self, draft: Draft) -> Callable[[], None]:
+        """Put the prims into a draft, whose layer is made by the first.
+
+        Returns:
+            What completes the report when all files are written.
+
+        Raises:
+            FormatError: Rows of a source, or a system, are malformed.
+            OptionError: The range has no frame of the take.
+            OutputError: USD would not show what is authored, or a file cannot be
+                written.
+            StrictError: There were warnings, and ``strict`` is on.
+            ToleranceError: A system blew up.
+        """
+
+
+def with_seen(
+    blocks: Iterator[tuple[FloatArray, Motion]], see: Callable[[FloatArray], None]
+) -> Iterator[tuple[FloatArray, Motion]]:
+    """Yield frames, each block's time codes shown first."""
+    for codes, motion in blocks:
+        see(codes)
+        yield codes, motion
+
+
+class TakeRun:
+    """One take on its way from its source to the writer."""
+
+    def __init__(self, plan: TakePlan, watch: CharacterWatch | None = None) -> None:
+        self.plan = plan
+        self.frames = self.samples = 0  # read of the source, and made for the output
+        self.props: PropSamples | None = None
+        self._watch = watch
+        self._timed: TimedTake | None = None
+
+    def open(self) -> TimedTake:
+        """Return the source's frames at the output's times, counted as they pass."""
+        if self._timed is not None:
+            return self._timed
+        stream = self.plan.stream
+        stream = replace(stream, blocks=self._counted(stream.blocks))
+        if self._watch is not None:
+            stream = self._watch.read(stream)
+        opened = timed_blocks(self.plan, stream)
+        blocks = with_seen(opened.blocks, self._see)
+        if stream.tracks:
+            from animtool.usd.author_props import PropSamples
+
+            self.props = PropSamples(stream.tracks)
+            blocks = self.props.watched(blocks)
+        self._timed = replace(opened, blocks=blocks)
+        return self._timed
+
+    @property
+    def rig(self) -> Rig:
+        """The rig at rest."""
+        return self.open().rig
+
+    def report(
+        self,
+        written: WrittenTake,
+        joint: str = "",
+        meshes: Sequence[MeshReport] = (),
+        meshes_of: str = "",
+    ) -> TakeReport:
+        """Return the result of the take: what rounding moved most, and its meshes."""
+        plan, stream, times = self.plan, self.plan.stream, self.open().times
+        return TakeReport(
+            plan.source,
+            written,
+            stream.count or self.frames,
+            stream.fps / stream.step,
+            joint,
+            plan.options.source.unit is None and "units" not in stream.details,
+            motion_bytes(plan.source),
+            stream.details,
+            meshes=list(meshes),
+            meshes_of=meshes_of,
+            simulated=list(stream.simulated),
+            between=0 if times is None else times.between,
+        )
+
+    def _counted(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
+        for block in blocks:
+            self.frames += block.frames
+            yield block
+
+    def _see(self, codes: FloatArray) -> None:
+        self.samples += len(codes)
+        if self._watch is not None:
+            self._watch.see(codes)
+
+
+def rig_paths(
+    names: Sequence[str],
+    target: RigTarget | None,
+    options: BakeOptions,
+    output: Path | None,
+) -> RigPaths:
+    """Return where a character's prims are to be.
+
+    Args:
+        names: What the rigs of the takes are called; where several have several names,
+            the character has that of the output.
+        target: The rig of a layer.
+        options: Of the bake.
+        output: The file; None is stdout.
+    """
+    if target is not None:
+        return target.paths
+    name = names[0] if len(set(names)) == 1 or output is None else output.stem
+    return RigPaths.below(options.prim_path or f"/{legal_name(name)}")
