@@ -12,8 +12,7 @@ from pydantic import Field
 
 from animtool.batch.limits import MAX_SECONDS
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Frame, Name, Real, Whole, WholeFrame
-from animtool.documents.ignore import IgnoreModel
+from animtool.documents.fields import Frame, IgnoreModel, Name, Real, Whole, WholeFrame
 from animtool.scene.output_fields import (
     Bones,
     ForceFit,

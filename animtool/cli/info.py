@@ -95,7 +95,7 @@ def _described(
     if is_rig(path):
         return _rig(path), info_summary.rig_text
     if is_targets(path):
-        from animtool.report.describe_targets import describe_targets
+        from animtool.report.describe_rig import describe_targets
 
         return describe_targets(path), info_summary.targets_text
     from animtool.report.describe import describe

@@ -13,13 +13,12 @@ from animtool.rates import rate_label
 if TYPE_CHECKING:
     from animtool.report.describe import TakeDescription
     from animtool.report.describe_points import PointsDescription
-    from animtool.report.describe_rig import RigDescription
+    from animtool.report.describe_rig import RigDescription, TargetsDescription
     from animtool.report.describe_scene import (
         OutputDescription,
         SceneDescription,
         SystemDescription,
     )
-    from animtool.report.describe_targets import TargetsDescription
     from animtool.usd.simulated_read import PointPrim
 
 # Of a set with many prims, those that have a line each.

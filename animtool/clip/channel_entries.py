@@ -13,7 +13,7 @@ from animtool.documents.document import Document, Location
 from animtool.documents.fields import MAX_FRAME
 from animtool.errors import counted
 from animtool.maths import so3
-from animtool.maths.extrapolation import Extrapolation
+from animtool.maths.curves import Extrapolation
 from animtool.rig.joint_entries import UNIT_LENGTH
 
 _ROTATING = frozenset({Interp.STEP, Interp.SLERP, Interp.SQUAD, Interp.SPLINE})

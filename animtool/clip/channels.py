@@ -1,13 +1,24 @@
-"""Channels of keys on named targets, and how each runs from key to key."""
+"""Channels of keys on named targets: units, curves between keys, values at any time."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from animtool._types import FloatArray
-from animtool.errors import counted
-from animtool.maths.extrapolation import Extrapolation
+import numpy as np
+
+from animtool._types import FloatArray, IntArray
+from animtool.documents.names import nearest
+from animtool.errors import Fault, OptionError, counted
+from animtool.maths import euler
+from animtool.maths import tangents as rules
+from animtool.maths.curves import Curves, Extrapolation, SegmentKind, evaluate
+from animtool.maths.rotation_curves import RotationKind, evaluate_rotations
+from animtool.rig.joints import KEYED_PARTS, nearest_part, split_part
+from animtool.rig.skeleton import Rig
+from animtool.units import LengthUnit, unit_name
 
 
 class Interp(StrEnum):
@@ -79,3 +90,339 @@ class ClipChannel:
     def __repr__(self) -> str:
         """Return the target and the number of keys."""
         return f"<ClipChannel {self.target!r}: {counted(len(self.times), 'key')}>"
+
+
+def target_kind(target: str, rig: Rig | None) -> str | Fault:
+    """Return what a target of a rig is, or what is wrong with it.
+
+    One of control, shape, angle, slide, translation, rotation, scale. Where the rig is
+    not known, all names are right.
+
+    >>> from animtool.rig.skeleton import Joint, JointType
+    >>> arm = Rig("arm", (Joint("elbow", -1, JointType.PIN),))
+    >>> target_kind("joint/elbow.angle", arm)
+    'angle'
+    >>> print(target_kind("joint/elbow.slide", arm))
+    CLIP003 a pin joint has no slide, it has angle, local_translation, \
+local_rotation, scale
+    """
+    group, _, name = target.partition("/")
+    if group in {"control", "shape"} and name:
+        if rig is None:
+            return group
+        props = rig.controls if group == "control" else rig.shapes
+        names = [prop.name for prop in props]
+        if name not in names:
+            return Fault(
+                "CLIP002", f"{name!r} is no {group}", hint=nearest(name, names)
+            )
+        return group
+    if group != "joint" or not name:
+        hint = "control/NAME, shape/NAME or joint/NAME.PART"
+        return Fault("CLIP001", f"{target!r} is no target", hint=hint)
+    return _joint_kind(name, rig)
+
+
+def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
+    joint, part = split_part(name, KEYED_PARTS)
+    if not part:
+        hint = f"a joint's name and one of .{', .'.join(KEYED_PARTS)}"
+        hint = nearest_part(name, KEYED_PARTS) or hint
+        return Fault("CLIP001", f"{name!r} names no part of a joint", hint=hint)
+    kind = {"angle": "angle", "slide": "slide", "scale": "scale"}.get(
+        part, "rotation" if part.endswith("rotation") else "translation"
+    )
+    if rig is None:
+        return kind
+    if joint not in rig.names:
+        hint = nearest(joint, rig.names)
+        return Fault("CLIP002", f"{joint!r} is no joint", hint=hint)
+    found = rig.joints[rig.index(joint)]
+    if found.type not in KEYED_PARTS[part]:
+        fitting = [p for p, types in KEYED_PARTS.items() if found.type in types]
+        message = f"a {found.type} joint has no {part}"
+        return Fault("CLIP003", message, hint=f"it has {', '.join(fitting)}")
+    return kind
+
+
+def check_targets(targets: Iterable[str], rig: Rig) -> None:
+    """Refuse targets that a rig has not.
+
+    Raises:
+        OptionError: With a fault for each.
+    """
+    found = [target_kind(target, rig) for target in targets]
+    faults = [fault for fault in found if isinstance(fault, Fault)]
+    if faults:
+        raise OptionError(faults)
+
+
+_LENGTHS = frozenset({"translation", "local_translation", "slide"})
+
+
+@dataclass(frozen=True, slots=True)
+class ClipUnits:
+    """Metres a length of 1, radians an angle of 1."""
+
+    length: float
+    angle: float
+
+    @staticmethod
+    def of_rig(rig: Rig) -> ClipUnits:
+        """Return a rig's units; metres where the format has no name for its own."""
+        name = unit_name(rig.meters_per_unit)
+        radian = rig.radians_per_unit == 1.0
+        return ClipUnits(
+            1.0 if " " in name else LengthUnit(name).meters,
+            1.0 if radian else math.radians(1.0),
+        )
+
+    def of(self, target: str, euler: str) -> float:
+        """Return what a value of 1 means: [m], [rad] or [1].
+
+        Args:
+            target: Of the channel.
+            euler: Order of its angles; empty where it holds none.
+
+        >>> ClipUnits(0.01, 1.0).of("joint/hips.translation", "")
+        0.01
+        """
+        group, _, name = target.partition("/")
+        part = split_part(name, KEYED_PARTS)[1] if group == "joint" else ""
+        if part in _LENGTHS:
+            return self.length
+        return self.angle if part == "angle" or euler else 1.0
+
+
+_Rule = Callable[[FloatArray, FloatArray], FloatArray]
+
+_ALPHA = {
+    Parametrization.UNIFORM: 0.0,
+    Parametrization.CENTRIPETAL: 0.5,
+    Parametrization.CHORDAL: 1.0,
+}
+_KINDS = {Interp.STEP: SegmentKind.HOLD, Interp.LINEAR: SegmentKind.LINEAR}
+_ROTATION_KINDS = {
+    Interp.STEP: RotationKind.STEP,
+    Interp.SLERP: RotationKind.SLERP,
+    Interp.SQUAD: RotationKind.SQUAD,
+    Interp.SPLINE: RotationKind.SPLINE,
+}
+
+
+def rotation_kinds(channel: ClipChannel) -> IntArray:
+    """Return how a quaternion channel runs behind each key ``(K,)``."""
+    return np.array([_ROTATION_KINDS[interp] for interp in channel.interps], np.int64)
+
+
+def curves_of(channels: Sequence[ClipChannel]) -> Curves:
+    """Return the components of channels as curves, in order: C = ΣD.
+
+    Handles by a rule lie at thirds of their segments, so that time runs evenly; free
+    ones stay where they are. Catmull-Rom takes, uniform, the secant through the
+    neighbours over time, which keeps the velocity continuous for keys at any times;
+    centripetal and chordal trace the path of Barry and Goldman's pyramid.
+    """
+    parts = [_channel_curves(channel) for channel in channels]
+    first = [0]
+    for channel in channels:
+        keys = len(channel.times)
+        first += [first[-1] + keys * (i + 1) for i in range(channel.values.shape[1])]
+    return Curves(
+        np.array(first, np.int64),
+        _joined([times for times, *_ in parts]),
+        _joined([values for _, values, *_ in parts]),
+        np.concatenate([np.zeros(0, np.int64), *[kinds for _, _, kinds, *_ in parts]]),
+        np.concatenate([np.zeros((0, 2)), *[ins for *_, ins, _ in parts]]),
+        np.concatenate([np.zeros((0, 2)), *[outs for *_, outs in parts]]),
+        tuple(c.pre for c in channels for _ in range(c.values.shape[1])),
+        tuple(c.post for c in channels for _ in range(c.values.shape[1])),
+    )
+
+
+def _joined(parts: list[FloatArray]) -> FloatArray:
+    return np.concatenate([np.zeros(0), *parts])
+
+
+def _channel_curves(
+    channel: ClipChannel,
+) -> tuple[FloatArray, FloatArray, IntArray, FloatArray, FloatArray]:
+    """Return times, values, kinds, handles of a channel, component by component."""
+    keys, width = channel.values.shape
+    ins, outs, kinds = _handles(channel)
+    return (
+        np.tile(channel.times, width),
+        channel.values.T.ravel(),
+        np.tile(kinds, width),
+        np.stack([np.repeat(ins[None, :, 0], width, 0), ins[:, 1:].T], -1).reshape(
+            keys * width, 2
+        ),
+        np.stack([np.repeat(outs[None, :, 0], width, 0), outs[:, 1:].T], -1).reshape(
+            keys * width, 2
+        ),
+    )
+
+
+def _handles(channel: ClipChannel) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Return handles ``(K, 1 + D)`` before and behind the keys, and segment kinds."""
+    keys, width = channel.values.shape
+    ins, outs = np.zeros((keys, 1 + width)), np.zeros((keys, 1 + width))
+    kinds = np.full(keys, int(SegmentKind.HOLD), np.int64)
+    if keys == 1:
+        return ins, outs, kinds
+    lengths = np.diff(channel.times)
+    slopes = _Slopes(channel)
+    for k, interp in enumerate(channel.interps[:-1]):
+        third = lengths[k] / 3
+        if interp in _KINDS:
+            kinds[k] = _KINDS[interp]
+            continue
+        kinds[k] = SegmentKind.CUBIC
+        outs[k], ins[k + 1, 0] = third, -third
+        if interp is Interp.CATMULL_ROM:
+            outs[k, 1:], ins[k + 1, 1:] = slopes.catmull_rom(k, third)
+            continue
+        for key, side in ((k, 1), (k + 1, 0)):
+            handles = outs if side else ins
+            given = (channel.outs if side else channel.ins)[key]
+            tangent = channel.tangents[key][side]
+            signed = third if side else -third
+            if interp is Interp.TCB:
+                handles[key, 1:] = slopes.tcb[side][key] * signed
+            elif tangent is not Tangent.FREE:
+                slope = slopes.by_rule(tangent, key, k)
+                handles[key] = [signed, *(slope * signed)]
+            elif interp is Interp.HERMITE:
+                slope = given[1:] / given[0] if given[0] else np.zeros(width)
+                handles[key] = [signed, *(slope * signed)]
+            else:
+                handles[key] = given
+                if given[0] != signed:
+                    kinds[k] = SegmentKind.BEZIER
+    return ins, outs, kinds
+
+
+class _Slopes:
+    """Slopes of a channel at its keys, by the rules that it uses."""
+
+    def __init__(self, channel: ClipChannel) -> None:
+        self.channel = channel
+        self._made: dict[str, FloatArray] = {}
+        self._paths: tuple[FloatArray, FloatArray] | None = None
+        self._tcb: tuple[FloatArray, FloatArray] | None = None
+
+    @property
+    def tcb(self) -> tuple[FloatArray, FloatArray]:
+        """Slopes before and behind each key ``(K, D)``."""
+        if self._tcb is None:
+            c = self.channel
+            self._tcb = rules.tcb(c.times, c.values, c.tcb)
+        return self._tcb
+
+    def by_rule(self, tangent: Tangent, key: int, segment: int) -> FloatArray:
+        """Return the slope at a key, of a segment that it ends ``(D,)``."""
+        c = self.channel
+        if tangent is Tangent.FLAT:
+            return np.zeros(c.values.shape[1])
+        if tangent is Tangent.LINEAR:
+            rise = c.values[segment + 1] - c.values[segment]
+            return np.asarray(rise / (c.times[segment + 1] - c.times[segment]))
+        rule = {
+            Tangent.AUTO: rules.nonuniform,
+            Tangent.AUTO_CLAMPED: rules.auto_clamped,
+        }[tangent]
+        return np.asarray(self._slopes(rule.__name__, rule)[key])
+
+    def catmull_rom(self, k: int, third: float) -> tuple[FloatArray, FloatArray]:
+        """Return the handles' values of a segment, behind and before its keys."""
+        c = self.channel
+        if c.parametrization is Parametrization.UNIFORM:
+            slopes = self._slopes("secant", rules.secant)
+            return slopes[k] * third, -slopes[k + 1] * third
+        if self._paths is None:
+            alpha = _ALPHA[c.parametrization]
+            self._paths = rules.catmull_rom_controls(c.values, alpha)
+        ins, outs = self._paths
+        return outs[k], ins[k + 1]
+
+    def _slopes(self, name: str, rule: _Rule) -> FloatArray:
+        if name not in self._made:
+            self._made[name] = rule(self.channel.times, self.channel.values)
+        return self._made[name]
+
+
+# Rotations worked out at once: enough to make few calls, few enough to take 1 MB.
+ROTATIONS_AT_ONCE = 2**15
+
+
+def evaluate_channels(
+    channels: Sequence[ClipChannel], times: FloatArray
+) -> dict[str, FloatArray]:
+    """Return the value of every target ``(F, D)``, ``(1, D)`` where it never moves.
+
+    Rotations are quaternions (x, y, z, w), Euler angles made into some.
+
+    Args:
+        channels: Each of a target of its own.
+        times: Any [frames] ``(F,)``; ascending ones are quickest.
+    """
+    values: dict[str, FloatArray] = {}
+    curves: list[ClipChannel] = []
+    turning: list[ClipChannel] = []
+    for channel in channels:
+        if _is_static(channel):
+            values[channel.target] = _turned(channel, channel.values[:1])
+        elif channel.values.shape[1] == 4:
+            turning.append(channel)
+        else:
+            curves.append(channel)
+    values |= _rotations(turning, times)
+    if curves:
+        rows = evaluate(curves_of(curves), times)
+        begin = 0
+        for channel in curves:
+            end = begin + channel.values.shape[1]
+            values[channel.target] = _turned(channel, rows[begin:end].T)
+            begin = end
+    return {channel.target: values[channel.target] for channel in channels}
+
+
+def _rotations(channels: list[ClipChannel], times: FloatArray) -> dict[str, FloatArray]:
+    """Return the rotations ``(F, 4)`` of every target, those keyed alike at once."""
+    alike: dict[tuple[object, ...], list[ClipChannel]] = {}
+    for channel in channels:
+        how = channel.interps, channel.pre, channel.post
+        alike.setdefault((channel.times.tobytes(), *how), []).append(channel)
+    size = max(1, ROTATIONS_AT_ONCE // max(len(times), 1))
+    values: dict[str, FloatArray] = {}
+    groups = (
+        same[begin : begin + size]
+        for same in alike.values()
+        for begin in range(0, len(same), size)
+    )
+    for group in groups:
+        first = group[0]
+        made = evaluate_rotations(
+            first.times,
+            np.stack([channel.values for channel in group], axis=1),
+            rotation_kinds(first),
+            times,
+            first.pre,
+            first.post,
+        )
+        rows = np.ascontiguousarray(made.swapaxes(0, 1))
+        values |= {c.target: own for c, own in zip(group, rows, strict=True)}
+    return values
+
+
+def _is_static(channel: ClipChannel) -> bool:
+    """Return whether no key and no handle says another value than the first key."""
+    still = bool((channel.values == channel.values[0]).all())
+    return still and not channel.ins[:, 1:].any() and not channel.outs[:, 1:].any()
+
+
+def _turned(channel: ClipChannel, values: FloatArray) -> FloatArray:
+    """Return Euler angles as quaternions, everything else as it is."""
+    if not channel.euler:
+        return values
+    return euler.to_quaternion(np.degrees(values), channel.euler)

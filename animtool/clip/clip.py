@@ -8,8 +8,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import cast
 
-from animtool.clip.channels import ClipChannel
-from animtool.clip.targets import check_targets
+from animtool.clip.channels import ClipChannel, check_targets
 from animtool.clock import MAX_FRAMES, Clock, time_codes
 from animtool.errors import Fault, FormatError, OptionError, counted
 from animtool.plugins import load_object

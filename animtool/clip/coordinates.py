@@ -12,9 +12,9 @@ from animtool.clip.reduction import ChannelKind
 from animtool.clip.tracks import Track, euler_order
 from animtool.maths import euler, so3
 from animtool.motion import Motion
+from animtool.rig.joints import DRIVEN_PARTS, split_part
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.rig.targets import DRIVEN_PARTS, split_part
 
 # Whole turns that the first angle of a pin may be off what is read of its rotation.
 MAX_TURNS = 3

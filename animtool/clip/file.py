@@ -9,11 +9,9 @@ from pathlib import Path
 from typing import NoReturn
 
 from animtool.clip.channel_entries import ChannelReader
-from animtool.clip.channels import ClipChannel
+from animtool.clip.channels import ClipChannel, ClipUnits, target_kind
 from animtool.clip.clip import Clip
 from animtool.clip.schema import ChannelModel, ClipModel
-from animtool.clip.targets import target_kind
-from animtool.clip.units import ClipUnits
 from animtool.config import project_roots
 from animtool.documents.check import check_version, validated
 from animtool.documents.document import Document, Location, read_document
@@ -22,8 +20,8 @@ from animtool.documents.references import missing_hint, referred
 from animtool.errors import Fault, FormatError, OptionError
 from animtool.files import is_there
 from animtool.rates import parse_rate
+from animtool.rig.joints import split_part
 from animtool.rig.skeleton import Rig
-from animtool.rig.targets import split_part
 from animtool.units import LengthUnit
 
 # Motion, and what takes its place: one of them may hold a joint.

@@ -24,12 +24,10 @@ from animtool.clip.coordinates import (
 )
 from animtool.clip.key_report import ChannelError, channel_errors, key_notices
 from animtool.clip.points import SHELL, attached_points, joint_bounds, point_errors
-from animtool.clip.pose import pose_of
 from animtool.clip.reduce import reduce_motion
-from animtool.clip.reduced_clip import clip_of_reduction
-from animtool.clip.reduction import ChannelKind, Reduction
+from animtool.clip.reduction import ChannelKind, Reduction, clip_of_reduction
 from animtool.clip.sample import sample_channels, sample_values
-from animtool.clip.tracks import Track, in_order, tracks_of
+from animtool.clip.tracks import Track, in_order, pose_of, tracks_of
 from animtool.errors import Fault
 from animtool.motion import Channel, Motion
 from animtool.rig.control_inverse import SolvedControls

@@ -8,17 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.clip.budget import Budget, subtree_largest
 from animtool.clip.points import (
     SHELL,
+    Budget,
     attached_points,
     joint_bounds,
     point_errors,
     reach,
+    subtree_largest,
 )
-from animtool.clip.pose import Pose, pose_of
 from animtool.clip.reduction import ChannelKind, ReducedChannel, Reduction
-from animtool.clip.tracks import Track, tracks_of
+from animtool.clip.tracks import Pose, Track, pose_of, tracks_of
 from animtool.maths.fit import FittedKeys, fit_keys
 from animtool.maths.so3 import IDENTITY
 from animtool.motion import Channel, Motion

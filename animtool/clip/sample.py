@@ -8,16 +8,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.clip.channels import ClipChannel
-from animtool.clip.evaluate import evaluate_channels
+from animtool.clip.channels import ClipChannel, evaluate_channels
 from animtool.errors import Fault, FormatError, Severity
 from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rig.controls import DrivenValues, evaluate_controls
+from animtool.rig.joints import DRIVEN_PARTS, KEYED_PARTS, split_part
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.shapes import combined_weights
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.rig.targets import DRIVEN_PARTS, KEYED_PARTS, split_part
 
 # Beyond a limit by less is rounding [rad], [m], [1].
 LIMIT_TOLERANCE = 1e-9

@@ -11,8 +11,7 @@ from annotated_types import Len
 from pydantic import Field
 
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name, Pair, Real, Vector
-from animtool.documents.ignore import IgnoreModel
+from animtool.documents.fields import IgnoreModel, Name, Pair, Real, Vector
 
 Tangent = Literal["flat", "linear", "auto", "auto_clamped"]
 Interp = Literal[

@@ -8,11 +8,16 @@ from collections.abc import Hashable, Iterable, Iterator, Sequence
 from itertools import chain
 from typing import TypeVar
 
-from animtool.clip.channels import ClipChannel, Interp, Parametrization, Tangent
+from animtool.clip.channels import (
+    ClipChannel,
+    ClipUnits,
+    Interp,
+    Parametrization,
+    Tangent,
+)
 from animtool.clip.clip import Clip
-from animtool.clip.units import ClipUnits
-from animtool.documents.numbers import flow, number, scaled, text
-from animtool.maths.extrapolation import Extrapolation
+from animtool.documents.names import flow, number, scaled, text
+from animtool.maths.curves import Extrapolation
 from animtool.rig.skeleton import Rig
 from animtool.units import unit_name
 

@@ -17,8 +17,8 @@ from typing import Any, cast
 import yaml
 
 from animtool.documents.document import Location, document_of, spelled
-from animtool.documents.numbers import flow, number
-from animtool.documents.numbers import text as plain_text
+from animtool.documents.names import flow, number
+from animtool.documents.names import text as plain_text
 from animtool.documents.yaml_values import compose
 from animtool.errors import FormatError
 

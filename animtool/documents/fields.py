@@ -8,6 +8,8 @@ from typing import Annotated, Any
 from annotated_types import Len
 from pydantic import Field
 
+from animtool.documents.check import FileModel
+
 # The largest number in a file, in its own unit. The square of one is held by float32,
 # which USD has, in any unit; the product of sixteen by float64.
 MAX_NUMBER = 1e18
@@ -67,3 +69,22 @@ def _numbers(
             yield from _numbers(item, keys)
     elif isinstance(value, (int, float)) and not isinstance(value, bool):
         yield keys, value
+
+
+class IgnoreModel(FileModel):
+    """A finding of `animtool validate` that is known and stays."""
+
+    code: str = Field(min_length=1, description="Of the finding.", examples=["RIG201"])
+    where: str | None = Field(
+        default=None,
+        min_length=1,
+        description="Where it is, as the finding says it, or a place around that; an "
+        "entry of a list by number or name, `*` for anything. Not given: anywhere in "
+        "the file.",
+        examples=["joints[knee_l].limits"],
+    )
+    why: str = Field(
+        min_length=1,
+        description="Why it stays: for those who read the file next.",
+        examples=["this crouch is the rest pose"],
+    )

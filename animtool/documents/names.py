@@ -1,12 +1,14 @@
-"""Names that people write: what a variable may be called, and the nearest valid one."""
+"""Names, numbers and texts that people write and read."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable
 from itertools import islice
 
-from animtool.errors import Fault, OptionError
+from animtool.errors import Fault, FormatError, OptionError, excerpt
+from animtool.printing import CONTROL
 from animtool.similar import similar
 
 # What stands in for a name that is missing, and is none.
@@ -58,3 +60,85 @@ def check_given(given: Iterable[str], used: Iterable[str]) -> None:
     ]
     if faults:
         raise OptionError(faults)
+
+
+# Digits that a float64 needs at most, and those that most need.
+MAX_DIGITS, USUAL_DIGITS = 17, 15
+# What a text may hold of controls: ends of lines, and tabs.
+_UNREADABLE = re.compile(f"(?![\n\t])[{CONTROL}]")
+
+
+def number(value: float) -> str:
+    """Return the shortest decimal that reads back as a float; zero has no sign.
+
+    >>> number(0.1), number(2.0), number(1e-20), number(-0.0)
+    ('0.1', '2', '1e-20', '0')
+    """
+    value += 0.0
+    return f"{value:.0f}" if value == int(value) and abs(value) < 1e15 else repr(value)
+
+
+def scaled(value: float, unit: float) -> str:
+    """Return the shortest decimal that, times a unit, is a float again.
+
+    Where none is, as a product skips some floats, the nearest is taken.
+
+    >>> scaled(0.0254, 0.0254), scaled(math.radians(35), math.radians(1))
+    ('1', '35')
+    """
+    if unit == 1.0:
+        return number(value)
+    quotient = value / unit
+    for digits in range(USUAL_DIGITS, MAX_DIGITS + 1):
+        near = float(f"{quotient:.{digits}g}")
+        for candidate in (
+            near,
+            math.nextafter(near, math.inf),
+            math.nextafter(near, 0),
+        ):
+            if candidate * unit == value:
+                return number(candidate)
+    return number(quotient)
+
+
+def text(value: str) -> str:
+    """Return text as YAML reads it back as text.
+
+    Raises:
+        FormatError: It holds a control character, with which no file is read (DOC023).
+
+    >>> text("hips"), text("no: 1"), text("12")
+    ('hips', '"no: 1"', '"12"')
+    """
+    plain = value
+    for mark in "_.-/":
+        plain = plain.replace(mark, "")
+    named = {"null", "true", "false", "nan", "inf"}
+    safe = plain.isascii() and plain.isalnum() and value[0].isalpha()
+    if safe and value.lower() not in named:
+        return value
+    if found := unreadable(value):
+        message = f"the name {excerpt(value)} holds {found!r}, which no file may"
+        raise FormatError(Fault("DOC023", message, hint="rename it"))
+    escaped = value.replace("\\", "\\\\").replace('"', '\\"')
+    escaped = "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped)
+    return f'"{escaped}"'
+
+
+def unreadable(value: str) -> str:
+    r"""Return the first control character that no text of a file may hold; else none.
+
+    >>> unreadable("a\x1bb"), unreadable("a\n")
+    ('\x1b', '')
+    """
+    found = _UNREADABLE.search(value)
+    return found[0] if found else ""
+
+
+def flow(items: list[str]) -> str:
+    """Return a list on one line.
+
+    >>> flow(["1", "2"])
+    '[1, 2]'
+    """
+    return f"[{', '.join(items)}]"

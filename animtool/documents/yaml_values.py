@@ -14,8 +14,7 @@ from typing import Any, NamedTuple, NoReturn, cast
 
 import yaml
 
-from animtool.documents.names import VARIABLE_NAME
-from animtool.documents.numbers import unreadable
+from animtool.documents.names import VARIABLE_NAME, unreadable
 from animtool.errors import Fault, FormatError, excerpt
 
 # A person nests five or six.

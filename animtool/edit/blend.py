@@ -8,11 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool.edit.combine import Strength, check_same_rig
+from animtool.edit.combine import (
+    Strength,
+    check_same_rig,
+    continuous,
+    mix,
+    other_frames,
+)
 from animtool.edit.frames import check_count, exact
-from animtool.edit.mix import mix
-from animtool.edit.other_take import other_frames
-from animtool.edit.signs import continuous
 from animtool.keyed import Interpolation, Weight, weights_at
 from animtool.motion import Channel
 from animtool.passes import (

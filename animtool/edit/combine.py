@@ -1,20 +1,38 @@
-"""Two motions of one rig made into one, joint by joint.
-
-What moves in neither stays stored once, unless the weight changes over time.
-"""
+"""Two motions of one rig made into one: mixed, added, with continuous signs."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from typing import TypeAlias
 
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.edit.travel import even_places
 from animtool.errors import Fault, OptionError
+from animtool.maths import additive, so3
 from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Rig
+from animtool.take import Take
+
+
+def continuous(motion: Motion, previous: FloatArray | None = None) -> Motion:
+    """Return the motion with rotation signs continuous along its frames.
+
+    Args:
+        motion: F frames, A joints that turn.
+        previous: Rotations of the frame before ``(A, 4)``; None keeps the signs of
+            the first frame.
+    """
+    channel = motion.rotations
+    if not channel.values.size:
+        return motion
+    before = channel.values[0] if previous is None else previous
+    values = so3.align_signs(channel.values, before)
+    return replace(motion, rotations=replace(channel, values=values))
+
 
 # From values (F, A, K) of both and weights (F, 1, 1) to values (F, A, K).
 Operation: TypeAlias = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
@@ -148,3 +166,103 @@ def _joined(
         both = a.gather(moving), b.gather(moving)
         result = result.put(moving, operation(*both, weights))
     return result
+
+
+def add(base: Motion, delta: Motion, strength: Strength) -> Motion:
+    """Return a motion with a weighted delta on top.
+
+    A weight may be beyond 1 or negative. Signs of rotations may jump.
+
+    >>> from animtool.take import Channel
+    >>> one = Channel.from_dense(np.ones((1, 1, 3)))
+    >>> turn = Channel.from_dense(np.array([[[0.6, 0, 0, 0.8]]]))
+    >>> found = add(Motion(one, turn), Motion(one, turn), Strength(np.ones(1)))
+    >>> found.translations.rest.tolist(), found.rotations.rest.round(2).tolist()
+    ([[2.0, 2.0, 2.0]], [[0.96, 0.0, 0.0, 0.28]])
+    """
+    return combine(base, delta, _ADD, strength)
+
+
+def subtract(source: Motion, base: Motion) -> Motion:
+    """Return the delta that makes ``source`` of ``base``; `add` undoes it.
+
+    Scales of the base must not be 0. Signs of rotations may jump.
+
+    >>> from animtool.take import Channel
+    >>> one = Channel.from_dense(np.ones((1, 1, 3)))
+    >>> turn = Channel.from_dense(np.array([[[0.6, 0, 0, 0.8]]]))
+    >>> subtract(Motion(one, turn), Motion(one, turn)).rotations.rest.tolist()
+    [[0.0, 0.0, 0.0, 1.0]]
+    """
+    return combine(source, base, _SUBTRACT, Strength(np.ones(source.frames)))
+
+
+def _whole(operation: additive.Difference) -> Operation:
+    def apply(source: FloatArray, base: FloatArray, _: FloatArray) -> FloatArray:
+        return operation(source, base)
+
+    return apply
+
+
+_ADD = Operations(additive.shifted, additive.turned, additive.scaled, additive.shifted)
+_SUBTRACT = Operations(
+    _whole(additive.unshifted),
+    _whole(additive.unturned),
+    _whole(additive.unscaled),
+    _whole(additive.unshifted),
+)
+
+
+def mix(base: Motion, other: Motion, strength: Strength) -> Motion:
+    """Return a motion on the way from one to another, weight 0 to 1.
+
+    Rotations go along the shortest arc (slerp), the rest in a straight line; at
+    weight 0 and 1 the values are exactly those of one motion. Signs of rotations
+    may jump.
+
+    >>> from animtool.take import Channel
+    >>> zero, one = (Channel.from_dense(np.full((1, 1, 3), x)) for x in (0.0, 1.0))
+    >>> turn = Channel.from_dense(np.array([[[0.0, 0, 0, 1]]]))
+    >>> half = mix(Motion(zero, turn), Motion(one, turn), Strength(np.array([0.5])))
+    >>> half.translations.rest.tolist()
+    [[0.5, 0.5, 0.5]]
+    """
+    return combine(base, other, _MIX, strength)
+
+
+def _line(a: FloatArray, b: FloatArray, weight: FloatArray) -> FloatArray:
+    return np.where(weight == 1, b, a + (b - a) * weight)
+
+
+def _arc(a: FloatArray, b: FloatArray, weight: FloatArray) -> FloatArray:
+    between = so3.slerp(a, b, weight[..., 0])
+    # What both hold alike stays as it is, to the last bit.
+    kept = (weight == 0) | (a == b).all(axis=-1, keepdims=True)
+    return np.where(kept, a, np.where(weight == 1, b, between))
+
+
+_MIX = Operations(_line, _arc, _line, _line)
+
+
+def other_frames(
+    other: Take,
+    rate: Fraction,
+    first: int,
+    count: int,
+    delay: Fraction = Fraction(0),
+) -> Motion:
+    """Return another take at some frames of a take, held at its ends.
+
+    First frames coincide, whatever the time codes say.
+
+    Args:
+        other: The take to sample.
+        rate: Frames a second of the take.
+        first: Index of the first frame wanted.
+        count: Number of frames wanted.
+        delay: By how much the other starts later [frame].
+    """
+    ratio = other.clock.rate / rate
+    index = np.arange(first, first + count)
+    places = even_places(index, -delay, ratio, other.clock.count)
+    return other.motion.map(places.blend)

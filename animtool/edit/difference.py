@@ -10,11 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from animtool.clock import Clock
-from animtool.edit.additive import subtract
-from animtool.edit.combine import check_same_rig
+from animtool.edit.combine import check_same_rig, continuous, other_frames, subtract
 from animtool.edit.frames import frame_index
-from animtool.edit.other_take import other_frames
-from animtool.edit.signs import continuous
 from animtool.errors import Fault, OptionError
 from animtool.motion import Channel, Motion
 from animtool.passes import MOTION_PARTS, Pass, PassContext, Scope

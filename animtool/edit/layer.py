@@ -13,13 +13,16 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.choices import chosen
 from animtool.clock import time_codes
-from animtool.edit.additive import add
-from animtool.edit.combine import Strength, check_same_rig
+from animtool.edit.combine import (
+    Strength,
+    add,
+    check_same_rig,
+    continuous,
+    mix,
+    other_frames,
+)
 from animtool.edit.frames import exact
-from animtool.edit.joint_names import joints_matching
-from animtool.edit.mix import mix
-from animtool.edit.other_take import other_frames
-from animtool.edit.signs import continuous
+from animtool.edit.tree import joints_matching
 from animtool.keyed import Interpolation, Weight, weights_at
 from animtool.motion import Motion
 from animtool.passes import (

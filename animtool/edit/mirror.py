@@ -11,8 +11,8 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.choices import chosen
-from animtool.edit.joint_names import joint_index
 from animtool.edit.mirror_controls import ControlMirror
+from animtool.edit.tree import joint_index
 from animtool.errors import Fault, OptionError, Severity, listed, percent
 from animtool.maths import so3
 from animtool.motion import Channel, Motion

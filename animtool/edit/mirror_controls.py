@@ -8,9 +8,9 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.rig.controls import Control, evaluate_controls
+from animtool.rig.joints import DRIVEN_PARTS, split_part
 from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import Rig
-from animtool.rig.targets import DRIVEN_PARTS, split_part
 
 # How far a control is moved to see what it does, as a share of its range [1].
 NUDGE = 0.1

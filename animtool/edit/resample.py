@@ -13,7 +13,7 @@ from animtool._types import FloatArray, IntArray
 from animtool.clock import MAX_FRAMES, Clock, frame_label, time_codes
 from animtool.edit.frame_range import FrameRange
 from animtool.edit.frames import check_count
-from animtool.edit.places import Places, even_places
+from animtool.edit.travel import Places, even_places
 from animtool.errors import Fault, OptionError, Severity
 from animtool.motion import Motion
 from animtool.passes import (

@@ -15,10 +15,9 @@ from animtool.edit.chain import (
     rest_rotation,
     twist,
 )
-from animtool.edit.joint_names import joint_index
-from animtool.edit.signs import continuous
+from animtool.edit.combine import continuous
 from animtool.edit.travel import traveller
-from animtool.edit.tree import Placing, inserted, removed, set_joint
+from animtool.edit.tree import Placing, inserted, joint_index, removed, set_joint
 from animtool.errors import Fault, OptionError
 from animtool.maths import so3
 from animtool.motion import Channel

@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.clip.points import SHELL, attached_points, joint_bounds, point_errors
-from animtool.edit.places import places_between
+from animtool.edit.travel import places_between
 from animtool.motion import Motion
 from animtool.rig.kinematics import WorldTransforms, forward
 from animtool.rig.skeleton import Rig

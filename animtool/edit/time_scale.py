@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from animtool.edit.combine import continuous
 from animtool.edit.frames import check_count, exact, frame_refusal
-from animtool.edit.places import even_places
-from animtool.edit.signs import continuous
+from animtool.edit.travel import even_places
 from animtool.errors import Fault, OptionError
 from animtool.motion import Channel
 from animtool.passes import (

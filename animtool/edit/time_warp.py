@@ -9,9 +9,9 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.clock import Clock
+from animtool.edit.combine import continuous
 from animtool.edit.frames import check_count, exact, frame_refusal
-from animtool.edit.places import nearby_places
-from animtool.edit.signs import continuous
+from animtool.edit.travel import nearby_places
 from animtool.keyed import Interpolation, Keys, key_arrays, keyed
 from animtool.motion import Channel
 from animtool.passes import (

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from animtool.clip.channels import ClipUnits
 from animtool.clip.schema import CurveModel
-from animtool.clip.units import ClipUnits
 from animtool.config import project_roots
 from animtool.documents.arrays import Archives
 from animtool.documents.check import check_version, validated

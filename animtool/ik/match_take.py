@@ -13,11 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.clip.channels import ClipChannel, Interp, Tangent
+from animtool.clip.channels import ClipChannel, ClipUnits, Interp, Tangent
 from animtool.clip.points import SHELL
-from animtool.clip.reduced_clip import fitted_channel
+from animtool.clip.reduction import fitted_channel
 from animtool.clip.tracks import euler_order
-from animtool.clip.units import ClipUnits
 from animtool.clock import Clock
 from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError, Severity, listed

@@ -12,8 +12,15 @@ from pydantic import Field
 
 from animtool.clip.schema import CurveModel, JoinModel, KeyModel
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Name, Pair, Quaternion, Real, Vector, Whole
-from animtool.documents.ignore import IgnoreModel
+from animtool.documents.fields import (
+    IgnoreModel,
+    Name,
+    Pair,
+    Quaternion,
+    Real,
+    Vector,
+    Whole,
+)
 
 Weight = Annotated[Real, Field(ge=0)]
 

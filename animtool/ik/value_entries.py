@@ -12,8 +12,8 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.clip.channel_entries import ChannelReader, file_quaternions
+from animtool.clip.channels import ClipUnits
 from animtool.clip.schema import CurveModel
-from animtool.clip.units import ClipUnits
 from animtool.documents.arrays import Archives
 from animtool.documents.document import Document, Location
 from animtool.documents.references import missing_hint, referred, split_reference

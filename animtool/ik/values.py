@@ -10,8 +10,7 @@ from typing import Protocol, TypeAlias
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.clip.channels import ClipChannel
-from animtool.clip.evaluate import evaluate_channels
+from animtool.clip.channels import ClipChannel, evaluate_channels
 from animtool.errors import Fault, OptionError
 from animtool.maths import so3
 

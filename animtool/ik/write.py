@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from animtool._types import FloatArray
-from animtool.clip.units import ClipUnits
+from animtool.clip.channels import ClipUnits
 from animtool.clip.write import curve_lines
-from animtool.documents.numbers import flow, number, scaled, text
+from animtool.documents.names import flow, number, scaled, text
 from animtool.ik.goals import Goal
 from animtool.ik.schema import GoalModel
 from animtool.ik.tracks import PARTS, GoalTrack, TargetTracks

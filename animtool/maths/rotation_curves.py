@@ -9,13 +9,199 @@ import numpy as np
 
 from animtool._types import ArrayLike, FloatArray, IntArray, as_floats
 from animtool.maths import so3
-from animtool.maths.extrapolation import Extrapolation, fold
-from animtool.maths.rotation_segments import (
-    aligned_keys,
-    hermite,
-    rotation_between,
-    squad_by_velocities,
-)
+from animtool.maths.curves import Extrapolation, fold
+
+
+def aligned_keys(keys: ArrayLike, count: int | str = "K") -> FloatArray:
+    """Return keys at unit length, signs such that arcs go the short way.
+
+    The first keeps its sign. Neighbours exactly half a turn apart keep their signs
+    relative to each other.
+
+    Args:
+        keys: Quaternions of any length but zero ``(K, 4)``, or ``(K, C, 4)`` of C
+            curves.
+        count: How many there must be; a letter where any number will do.
+
+    Raises:
+        ValueError: The shape is another one, or a key is zero or not finite.
+
+    >>> aligned_keys([[0, 0, 0, 2], [0, 0, 0, -1]]).tolist()
+    [[0.0, 0.0, 0.0, 1.0], [-0.0, -0.0, -0.0, 1.0]]
+    """
+    several = np.ndim(keys) == 3
+    q = as_floats(keys, (count, "C", 4) if several else (count, 4), "keys")
+    for fault, rows in (
+        ("is not finite", ~np.isfinite(q).all(axis=-1)),
+        ("is zero: no rotation", ~q.any(axis=-1)),
+    ):
+        if rows.any():
+            raise ValueError(f"key {int(np.argwhere(rows)[0, 0])} {fault}")
+    q = so3.normalize(q)
+    return so3.align_signs(q, q[0]) if len(q) else q
+
+
+def log_of_cover(q: ArrayLike) -> FloatArray:
+    """Return the rotation vector ``(..., 3)`` [rad] whose `so3.exp` is q, sign and all.
+
+    Its length is at most 2π; q = (0, 0, 0, -1), where no axis is given, returns 0.
+
+    >>> np.allclose(log_of_cover([0, 0, -1, 0]), [0, 0, -np.pi])
+    True
+    """
+    # q + 1 is twice the half of the rotation, up to its length.
+    return 2.0 * so3.log(so3.normalize(np.asarray(q, np.float64) + so3.IDENTITY))
+
+
+def rotation_between(a: ArrayLike, b: ArrayLike) -> FloatArray:
+    """Return the rotation vector ``(..., 3)`` [rad] in body space from a to b.
+
+    ``b == a·exp(rotation_between(a, b))``, sign included.
+
+    >>> rotation_between([0, 0, 1, 0], [0, 0, 1, 0]).tolist()
+    [0.0, 0.0, 0.0]
+    """
+    return log_of_cover(so3.multiply(so3.conjugate(a), b))
+
+
+def squad(q: ArrayLike, u: ArrayLike) -> FloatArray:
+    """Return the squad curve between the middle two of four evenly timed keys.
+
+    Args:
+        q: The keys, sign-aligned here ``(4, 4)``.
+        u: From the second key, 0, to the third, 1 ``(U,)`` [1].
+
+    Returns:
+        Unit quaternions ``(U, 4)``.
+
+    Raises:
+        ValueError: The shapes are others, or a key is zero or not finite.
+
+    References:
+        K. Shoemake, Quaternion calculus and fast animation, SIGGRAPH course notes,
+        1987: s = q·exp(-(log(q⁻¹·next) + log(q⁻¹·previous))/4).
+
+    >>> keys = so3.from_axis_angle([0, 0, 1], [0.0, 0.5, 1.0, 1.5])
+    >>> np.allclose(squad(keys, [0.5]), so3.from_axis_angle([0, 0, 1], [0.75]))
+    True
+    """
+    keys = aligned_keys(q, 4)
+    steps = rotation_between(keys[:-1], keys[1:])
+    # Segments of length 1: Shoemake's points are those of the central differences.
+    velocities = (steps[:-1] + steps[1:]) / 2
+    return squad_by_velocities(keys[1:3], velocities, as_floats(u, ("U",), "u"))
+
+
+def squad_by_velocities(
+    ends: ArrayLike, velocities: ArrayLike, u: ArrayLike
+) -> FloatArray:
+    """Return squad segments whose inner points follow from the velocities at the ends.
+
+    Its derivative is that of the arc between the ends and twice the rotation towards
+    the inner point; each inner point is put where that gives the velocity asked for.
+    Neighbours of other lengths then join with one velocity. At even times and with
+    central differences these are Shoemake's points.
+
+    Args:
+        ends: Unit quaternions at u = 0 and 1 ``(2, ..., 4)``.
+        velocities: In the body frames there, times the segment's length
+            ``(2, ..., 3)`` [rad].
+        u: ``(...)`` [1].
+
+    >>> ends = so3.from_axis_angle([0, 0, 1], [0.0, 1.0])
+    >>> np.allclose(squad_by_velocities(ends, [[0, 0, 1], [0, 0, 1]], 1), ends[1])
+    True
+    """
+    start, end = np.asarray(ends, np.float64)
+    leaving, arriving = np.asarray(velocities, np.float64)
+    step = rotation_between(start, end)
+    outer = so3.multiply(start, so3.exp((leaving - step) / 2))
+    inner = so3.multiply(end, so3.exp((step - arriving) / 2))
+    u = np.asarray(u, np.float64)
+    along = so3.multiply(start, so3.exp(u[..., None] * step))
+    across = _arc(outer, inner, u)
+    return so3.normalize(_arc(along, across, 2 * u * (1 - u)))
+
+
+def hermite(ends: ArrayLike, velocities: ArrayLike, u: ArrayLike) -> FloatArray:
+    """Return cubic segments by the rotations and angular velocities at their ends.
+
+    The cumulative cubic Bézier form: q₀·exp(β₁ω₁)·exp(β₂ω₂)·exp(β₃ω₃). The three are
+    applied in this order, so that the curve of the ends swapped is not quite this one
+    run backwards, unless all turn about one axis.
+
+    Args:
+        ends: Unit quaternions at u = 0 and 1 ``(2, ..., 4)``.
+        velocities: In the body frames there, times the segment's length
+            ``(2, ..., 3)`` [rad].
+        u: ``(...)`` [1].
+
+    References:
+        M.-J. Kim, M.-S. Kim, S. Y. Shin, A general construction scheme for unit
+        quaternion curves with simple high order derivatives, SIGGRAPH 1995, section 4.
+
+    >>> ends = so3.from_axis_angle([0, 0, 1], [0.0, 1.0])
+    >>> middle = hermite(ends, [[0, 0, 1], [0, 0, 1]], 0.5)
+    >>> np.allclose(middle, so3.from_axis_angle([0, 0, 1], 0.5))
+    True
+    """
+    start, end = np.asarray(ends, np.float64)
+    first, last = np.asarray(velocities, np.float64) / 3
+    middle = rotation_between(
+        so3.multiply(start, so3.exp(first)), so3.multiply(end, so3.exp(-last))
+    )
+    u = np.asarray(u, np.float64)[..., None]
+    weights = (1 - (1 - u) ** 3, u**2 * (3 - 2 * u), u**3)
+    return _cumulate(start, weights, (first, middle, last))
+
+
+def cumulative_bspline(q: ArrayLike, u: ArrayLike) -> FloatArray:
+    """Return the uniform cubic B-spline segment of four evenly timed keys.
+
+    It is C2 where segments join and stays near the keys, but does not pass through
+    them.
+
+    Args:
+        q: The keys, sign-aligned here ``(4, 4)``.
+        u: Along the segment, 0 near the second key, 1 near the third ``(U,)`` [1].
+
+    Returns:
+        Unit quaternions ``(U, 4)``.
+
+    Raises:
+        ValueError: The shapes are others, or a key is zero or not finite.
+
+    References:
+        M.-J. Kim, M.-S. Kim, S. Y. Shin, A general construction scheme for unit
+        quaternion curves with simple high order derivatives, SIGGRAPH 1995, section 5.
+
+    >>> keys = so3.from_axis_angle([0, 0, 1], [0.0, 0.5, 1.0, 1.5])
+    >>> middle = cumulative_bspline(keys, [0.5])
+    >>> np.allclose(middle, so3.from_axis_angle([0, 0, 1], [0.75]))
+    True
+    """
+    keys = aligned_keys(q, 4)
+    u = as_floats(u, ("U",), "u")[:, None]
+    weights = (1 - (1 - u) ** 3 / 6, (1 + u * (3 + u * (3 - 2 * u))) / 6, u**3 / 6)
+    return _cumulate(keys[0], weights, tuple(rotation_between(keys[:-1], keys[1:])))
+
+
+def _arc(a: FloatArray, b: FloatArray, u: FloatArray) -> FloatArray:
+    """Return the arc from a to b, sign to sign, at u."""
+    return so3.multiply(a, so3.exp(u[..., None] * rotation_between(a, b)))
+
+
+def _cumulate(
+    start: FloatArray,
+    weights: tuple[FloatArray, ...],
+    rotations: tuple[FloatArray, ...],
+) -> FloatArray:
+    """Return start·exp(w₁ω₁)·exp(w₂ω₂)…, normalized."""
+    q = start
+    for weight, rotation in zip(weights, rotations, strict=True):
+        q = so3.multiply(q, so3.exp(weight * rotation))
+    return so3.normalize(q)
+
 
 # A velocity at a key turns by no more than this over either segment [rad]. Slerps
 # stay below half of it; more would wind the curve around between keys, and past two

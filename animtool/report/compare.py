@@ -1,8 +1,9 @@
-"""How far two takes are apart, and where."""
+"""How far two takes are apart, and where: joints, shapes, controls."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,12 +14,93 @@ from animtool.edit.resample import resampled
 from animtool.errors import Fault, counted, listed
 from animtool.maths import so3
 from animtool.reorient import reorient
-from animtool.report.shape_weights import ShapeDifference, compare_weights
 from animtool.rig.kinematics import forward
+from animtool.rig.shapes import arkit_name
 from animtool.rig.skeleton import Rig
 from animtool.scene.sources import SourceOptions, fitting_options, open_source
 from animtool.take import Take
 from animtool.units import unit_name
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeDifference:
+    """The largest difference of weights.
+
+    Attributes:
+        value: How large [1].
+        shape: Of which shape, as the first take has it.
+        code: Time code in the first take.
+    """
+
+    value: float = 0.0
+    shape: str = ""
+    code: float = 0.0
+
+
+def compare_weights(
+    first: Take, second: Take, frames: int
+) -> tuple[ShapeDifference, int, list[str]]:
+    """Compare the weights of two takes of one rate, shapes by name.
+
+    Shapes of ARKit's are the same however they are spelled. A shape that only one take
+    has is a mismatch where its weight is ever other than 0.
+
+    Args:
+        first: A take.
+        second: Another, of the same rate.
+        frames: How many frames to compare.
+
+    Returns:
+        The largest difference, how many shapes were compared, and which only one has.
+    """
+    a, b = (_weights(take) for take in (first, second))
+    names = [[shape.name for shape in take.rig.shapes] for take in (first, second)]
+    pairs = _pairs(*names)
+    mismatches = []
+    for column, (weights, other) in enumerate(((a, "second"), (b, "first"))):
+        alone = set(range(weights.shape[1])) - {pair[column] for pair in pairs}
+        lost = [names[column][s] for s in sorted(alone) if weights[:, s].any()]
+        if lost:
+            are = "is" if len(lost) == 1 else "are"
+            mismatches.append(
+                f"{counted(len(lost), 'shape')} {are} not in the {other}: "
+                f"{listed(lost)}"
+            )
+    mine, theirs = [s for s, _ in pairs], [s for _, s in pairs]
+    apart = np.abs(a[:frames, mine] - b[:frames, theirs])
+    if not apart.size:
+        return ShapeDifference(), 0, mismatches
+    frame, pair = np.unravel_index(np.argmax(apart), apart.shape)
+    largest = ShapeDifference(
+        float(apart[frame, pair]),
+        names[0][mine[int(pair)]],
+        float(first.clock.times[frame]),
+    )
+    return largest, len(pairs), mismatches
+
+
+def _weights(take: Take) -> FloatArray:
+    """Return the weights of every shape ``(F, S)``; those of a take without are 0."""
+    if take.motion.weights is None:
+        return np.zeros((take.clock.count, len(take.rig.shapes)))
+    return take.motion.weights.dense()[..., 0]
+
+
+def _pairs(first: Sequence[str], second: Sequence[str]) -> list[tuple[int, int]]:
+    """Match shapes by name, then by ARKit's name for them, in order."""
+    pairs = [(i, second.index(name)) for i, name in enumerate(first) if name in second]
+    mine, theirs = {i for i, _ in pairs}, {k for _, k in pairs}
+    spelled = {
+        arkit: k
+        for k, name in enumerate(second)
+        if k not in theirs and (arkit := arkit_name(name)) is not None
+    }
+    for i, name in enumerate(first):
+        found = None if i in mine else spelled.pop(arkit_name(name) or "", None)
+        if found is not None:
+            pairs.append((i, found))
+    return sorted(pairs)
+
 
 # USD holds scales as 16-bit floats, which are 5e-4 apart near one.
 SCALE_TOLERANCE = 1e-3
@@ -136,7 +218,7 @@ def _space_notes(first: Rig, second: Rig) -> list[str]:
 
 def compare_takes(first: Take, second: Take) -> TakeDifference:
     """Compare two takes; those of no common joint or frame differ by nothing else."""
-    pairs = _pairs(first.rig, second.rig)
+    pairs = _joint_pairs(first.rig, second.rig)
     mismatches = _mismatches(first, second, pairs)
     if first.clock.rate != second.clock.rate:
         second = resampled(second, first.clock.rate)
@@ -179,7 +261,7 @@ def _scales(
     return np.ones(translations.shape) if scales is None else scales
 
 
-def _pairs(first: Rig, second: Rig) -> list[tuple[int, int]]:
+def _joint_pairs(first: Rig, second: Rig) -> list[tuple[int, int]]:
     """Match joints by source name, then by name, in order."""
     index: dict[str, list[int]] = {}
     for i, joint in enumerate(second.joints):

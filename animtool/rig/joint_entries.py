@@ -19,8 +19,8 @@ from animtool.rig.joint_schema import (
     PrismaticJointModel,
 )
 from animtool.rig.limits import BallLimit, RangeLimit
-from animtool.rig.mirror import ORIGIN, Transform, mirrored_joint, placed
 from animtool.rig.parts import Vector
+from animtool.rig.sides import ORIGIN, Transform, mirrored_joint, placed
 from animtool.rig.skeleton import Joint, JointType, Mimic, Pose
 
 # Shorter, an axis or quaternion is a slip and not a direction.

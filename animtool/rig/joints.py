@@ -1,20 +1,8 @@
-"""Joint coordinates to local transforms and back.
-
-Coordinates q of a joint, in this order in one row of a ``(F, Q)`` array:
-
-========== = ==========================================================
-free       7 translation [m], quaternion (x, y, z, w)
-ball       4 quaternion (x, y, z, w)
-pin        1 angle about the axis [rad]
-prismatic  1 slide along the axis [m]
-fixed      0
-========== = ==========================================================
-
-All are relative to the rest frame: ``local = T(rest) · R(rest) · motion(q)``.
-"""
+"""Joint coordinates to local transforms and back, and the names of their parts."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +10,7 @@ import numpy as np
 from animtool._types import ArrayLike, FloatArray, as_floats
 from animtool.maths import so3
 from animtool.rig.skeleton import JointType, Rig
+from animtool.similar import LONGEST, similar
 
 _WIDTH = {
     JointType.FREE: 7,
@@ -126,3 +115,50 @@ def coordinates_from_local(rig: Rig, local: LocalTransforms) -> FloatArray:
             case JointType.FIXED:
                 continue
     return q
+
+
+_TURNS = (JointType.FREE, JointType.BALL)
+_EVERY = tuple(JointType)
+
+# Parts that a control may add to, and the joints that have them.
+DRIVEN_PARTS: dict[str, tuple[JointType, ...]] = {
+    "angle": (JointType.PIN,),
+    "slide": (JointType.PRISMATIC,),
+    **{f"rotation.{axis}": _TURNS for axis in "xyz"},
+    **{f"translation.{axis}": (JointType.FREE,) for axis in "xyz"},
+}
+# Parts that a channel of a clip may hold.
+KEYED_PARTS: dict[str, tuple[JointType, ...]] = {
+    "angle": (JointType.PIN,),
+    "slide": (JointType.PRISMATIC,),
+    "rotation": _TURNS,
+    "translation": (JointType.FREE,),
+    "local_translation": _EVERY,
+    "local_rotation": _EVERY,
+    "scale": _EVERY,
+}
+
+
+def nearest_part(text: str, parts: Iterable[str]) -> str | None:
+    """Return a hint that names the part that a joint's misspelt part is nearest to.
+
+    >>> nearest_part("elbow_l.angel", KEYED_PARTS)
+    "did you mean '.angle'?"
+    """
+    words = text[-LONGEST:].split(".")
+    tails = [".".join(words[i:]) for i in range(1, len(words))]
+    names = list(parts)
+    near = next(filter(None, (similar(tail, names) for tail in tails)), None)
+    return f"did you mean '.{near}'?" if near else None
+
+
+def split_part(text: str, parts: Iterable[str]) -> tuple[str, str]:
+    """Return a joint's name and its part, the part empty where there is none.
+
+    >>> split_part("arm.l.rotation.x", DRIVEN_PARTS)
+    ('arm.l', 'rotation.x')
+    """
+    for part in sorted(parts, key=len, reverse=True):
+        if text.endswith(f".{part}"):
+            return text[: -len(part) - 1], part
+    return text, ""

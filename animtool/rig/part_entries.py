@@ -8,9 +8,7 @@ from dataclasses import dataclass, field
 
 from animtool.documents.document import Document, Location
 from animtool.documents.names import nearest
-from animtool.rig.array_entries import ArrayReader
-from animtool.rig.attach_entries import AttachmentReader
-from animtool.rig.control_schema import ControlModel, DriveModel
+from animtool.rig.array_entries import ArrayReader, AttachmentReader
 from animtool.rig.controls import (
     Control,
     ControlCycleError,
@@ -19,6 +17,8 @@ from animtool.rig.controls import (
 )
 from animtool.rig.expressions import FUNCTIONS, Expression, parse_expression
 from animtool.rig.joint_entries import FileJoints, FileUnits, unit_vector
+from animtool.rig.joint_schema import MeshModel, SkinModel
+from animtool.rig.joints import DRIVEN_PARTS, nearest_part, split_part
 from animtool.rig.parts import (
     ArraySource,
     Attachment,
@@ -31,11 +31,9 @@ from animtool.rig.parts import (
     Skin,
     Subdivision,
 )
-from animtool.rig.schema import RigModel
+from animtool.rig.schema import ControlModel, DriveModel, RigModel
 from animtool.rig.shapes import ShapeCycleError, combination_order
 from animtool.rig.skeleton import Joint
-from animtool.rig.surface_schema import MeshModel, SkinModel
-from animtool.rig.targets import DRIVEN_PARTS, nearest_part, split_part
 
 _LISTS = {"joint": "joints", "mesh": "meshes", "shape": "shapes", "control": "controls"}
 

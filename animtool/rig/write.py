@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from animtool.documents.numbers import flow, number, scaled, text
+from animtool.documents.names import flow, number, scaled, text
 from animtool.rig.controls import Control, Drive
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import (

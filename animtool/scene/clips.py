@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.clip.channels import curves_of
 from animtool.clip.clip import Clip
 from animtool.clip.file import ClipFile, load_clip, load_rig_of, open_clip
 from animtool.clip.sample import ClipNotice, sample_channels
 from animtool.clip.schema import ChannelModel
-from animtool.clip.segments import curves_of
 from animtool.documents.document import Location, spelled
 from animtool.errors import Fault, FormatError
 from animtool.motion import Motion

@@ -286,8 +286,7 @@ def _left_out(take: Take) -> list[Fault]:
 
 def _below(take: Take, path: Path, options: SourceOptions | None) -> Take:
     """Return what an additive take is put on, at its frames."""
-    from animtool.edit.combine import check_same_rig
-    from animtool.edit.other_take import other_frames
+    from animtool.edit.combine import check_same_rig, other_frames
 
     base = open_source(path, options).collect()
     check_same_rig(take.rig, base.rig)

@@ -16,8 +16,7 @@ from animtool.maths import so3
 from animtool.motion import Channel, Motion
 from animtool.rig.kinematics import WorldTransforms, bind_matrices, forward
 from animtool.rig.skeleton import Rig
-from animtool.rig.strands import Strands, strands_of
-from animtool.rig.surfaces import Surface, surfaces_of
+from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
 from animtool.scene.sources import is_usd
 from animtool.skin.character import (
     CharacterMesh,

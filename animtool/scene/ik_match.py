@@ -8,7 +8,7 @@ from fractions import Fraction
 from pathlib import Path
 
 from animtool._types import FloatArray
-from animtool.clip.units import ClipUnits
+from animtool.clip.channels import ClipUnits
 from animtool.clock import Clock
 from animtool.errors import Fault, OptionError, refuse_warnings
 from animtool.ik.file import is_targets

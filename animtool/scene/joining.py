@@ -11,8 +11,8 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.clock import time_codes
 from animtool.documents.names import nearest
-from animtool.edit.other_take import other_frames
-from animtool.edit.places import nearby_places
+from animtool.edit.combine import other_frames
+from animtool.edit.travel import nearby_places
 from animtool.errors import Fault, OptionError, Severity, excerpt, listed
 from animtool.maths.curves import Curves
 from animtool.motion import Channel, Motion

@@ -12,7 +12,7 @@ from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, OptionError, Severity, listed, naming
 from animtool.motion import Channel, Motion
 from animtool.reorient import reorient
-from animtool.rig.fitting import check_fit
+from animtool.rig.fit import check_fit
 from animtool.rig.skeleton import Rig
 from animtool.scene.rigs import open_rig
 from animtool.take import TakeStream

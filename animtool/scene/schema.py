@@ -13,13 +13,13 @@ from pydantic import AfterValidator, Discriminator, Field, Tag
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
     Frame,
+    IgnoreModel,
     Name,
     Real,
     Whole,
     WholeFrame,
     check_numbers,
 )
-from animtool.documents.ignore import IgnoreModel
 from animtool.scene.output_fields import (
     Bones,
     ForceFit,

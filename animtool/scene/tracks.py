@@ -9,8 +9,8 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.motion import Channel, Motion
+from animtool.rig.joints import DRIVEN_PARTS, split_part
 from animtool.rig.skeleton import Rig
-from animtool.rig.targets import DRIVEN_PARTS, split_part
 from animtool.scene.onto_rig import NameMap
 
 KINDS = ("joints", "shapes", "controls")

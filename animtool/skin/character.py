@@ -9,8 +9,7 @@ import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, FormatError
-from animtool.rig.strands import Strands
-from animtool.rig.surfaces import Surface, SurfaceShape
+from animtool.rig.surfaces import Strands, Surface, SurfaceShape
 from animtool.skin.deform import DeformedMesh
 from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas, prepare_shapes
 from animtool.skin.skinning import Binding, SkinMethod, prepare_skin

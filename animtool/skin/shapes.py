@@ -17,7 +17,7 @@ import numpy.typing as npt
 from animtool import _kernels
 from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray, as_floats
 from animtool.errors import Fault, FormatError, listed
-from animtool.skin.results import result
+from animtool.skin.skinning import result
 
 # Inbetweens nearer than this to weight 0, 1 or another are refused: UsdSkel skips them.
 NEAREST_INBETWEEN = 1e-6

@@ -1,7 +1,4 @@
-"""Skinning over frames: linear blend and dual quaternions, as UsdSkel does them.
-
-Everything is for column vectors, in the space of the skeleton: the rig's world.
-"""
+"""Skinning over frames: linear blend and dual quaternions, as UsdSkel does them."""
 
 from __future__ import annotations
 
@@ -15,7 +12,25 @@ from animtool._types import ArrayLike, FloatArray, IntArray, as_floats
 from animtool.errors import Fault, FormatError, listed
 from animtool.rig.kinematics import WorldTransforms
 from animtool.skin.influences import InfluenceReport, Influences, read_influences
-from animtool.skin.results import result
+
+
+def result(out: FloatArray | None, shape: tuple[int, ...]) -> FloatArray:
+    """Return the caller's array if it gave one, else a new one of zeros.
+
+    Of many frames, fresh memory takes about as long as the arithmetic.
+
+    Raises:
+        ValueError: It is of another shape or type, or not in one piece.
+
+    >>> result(None, (1, 2)).tolist()
+    [[0.0, 0.0]]
+    """
+    if out is None:
+        return np.zeros(shape)
+    if out.shape != shape or out.dtype != np.float64 or not out.flags.c_contiguous:
+        raise ValueError(f"out must be float64 {shape}, in C order")
+    return out
+
 
 # A bind matrix whose linear part has a smaller determinant, as a share of the cube of
 # its largest number, has no inverse worth the name.

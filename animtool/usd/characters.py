@@ -11,8 +11,7 @@ from pxr import UsdSkel
 
 from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError, counted
-from animtool.rig.strands import Strands, strands_of
-from animtool.rig.surfaces import Surface, surfaces_of
+from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
 from animtool.units import UpAxis
 from animtool.usd.layers import usd_errors
 from animtool.usd.mesh_read import read_meshes

@@ -41,8 +41,7 @@ import numpy as np
 from pxr import Sdf, Ts
 
 from animtool._types import FloatArray
-from animtool.maths.curves import Curves, SegmentKind, evaluate
-from animtool.maths.extrapolation import Extrapolation
+from animtool.maths.curves import Curves, Extrapolation, SegmentKind, evaluate
 from animtool.usd.finite import Labels, check_value
 from animtool.usd.layers import attribute
 from animtool.usd.names import distinct_names

@@ -12,8 +12,7 @@ import numpy as np
 from pxr import Sdf, Vt
 
 from animtool._types import Float32Array, FloatArray
-from animtool.rig.strands import Strands
-from animtool.rig.surfaces import Surface
+from animtool.rig.surfaces import Strands, Surface
 from animtool.shot import Shot
 from animtool.skin.deform import Deformed
 from animtool.units import UpAxis

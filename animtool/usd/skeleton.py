@@ -50,7 +50,7 @@ def author_rig(
     attribute(spec, "bindTransforms", matrices, bind, uniform=True)
     attribute(spec, "restTransforms", matrices, rest, uniform=True)
     if any(entry.points is not None for entry in rig.attach):
-        from animtool.rig.strands import strands_of
+        from animtool.rig.surfaces import strands_of
         from animtool.usd.strands import author_strands
 
         named = dict(zip(rig.names, map(str, tokens), strict=True))

@@ -9,7 +9,7 @@ import numpy as np
 from pxr import Sdf, UsdGeom, Vt
 
 from animtool._types import FloatArray
-from animtool.rig.strands import Strands
+from animtool.rig.surfaces import Strands
 from animtool.usd.finite import Labels, narrowed
 from animtool.usd.layers import attribute, prim
 from animtool.usd.names import distinct_names

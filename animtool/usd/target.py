@@ -16,9 +16,8 @@ from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, FormatError, Severity, excerpt, naming
 from animtool.motion import Channel, Motion
 from animtool.rates import rate_from_float
-from animtool.rig.arkit import arkit_name
-from animtool.rig.fit import Fit
-from animtool.rig.fitting import check_fit
+from animtool.rig.fit import Fit, check_fit
+from animtool.rig.shapes import arkit_name
 from animtool.rig.skeleton import Rig
 from animtool.units import UpAxis, unit_name
 from animtool.usd.layers import check_prim_path, usd_errors

@@ -30,8 +30,7 @@ from measuring import (
 )
 from pxr import Ts
 
-from animtool.maths.curves import Curves, SegmentKind, evaluate
-from animtool.maths.extrapolation import Extrapolation
+from animtool.maths.curves import Curves, Extrapolation, SegmentKind, evaluate
 
 Array = npt.NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from animtool.clip.channels import Interp, Parametrization, Tangent
 from animtool.clip.clip import Clip
 from animtool.clip.file import check_clip, load_clip, open_clip
 from animtool.errors import FormatError
-from animtool.maths.extrapolation import Extrapolation
+from animtool.maths.curves import Extrapolation
 from animtool.rig.file import load_rig
 
 GOOD = """\

@@ -5,8 +5,13 @@ import pytest
 from support.clips import channel_of
 
 from animtool._types import ArrayLike, FloatArray
-from animtool.clip.channels import ClipChannel, Interp, Parametrization, Tangent
-from animtool.clip.segments import curves_of
+from animtool.clip.channels import (
+    ClipChannel,
+    Interp,
+    Parametrization,
+    Tangent,
+    curves_of,
+)
 from animtool.maths import tangents
 from animtool.maths.curves import SegmentKind, evaluate
 

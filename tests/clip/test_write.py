@@ -24,8 +24,8 @@ from animtool.clip.clip import Clip
 from animtool.clip.file import load_clip, open_clip
 from animtool.clip.write import clip_text
 from animtool.maths import so3
+from animtool.maths.curves import Extrapolation
 from animtool.maths.euler import ORDERS
-from animtool.maths.extrapolation import Extrapolation
 from animtool.rig.file import load_rig
 from animtool.rig.skeleton import Rig
 from animtool.units import unit_name

@@ -14,8 +14,12 @@ from support.data import data_files
 
 from animtool._types import FloatArray
 from animtool.maths import so3
-from animtool.maths.rotation_curves import RotationKind, evaluate_rotations
-from animtool.maths.rotation_segments import cumulative_bspline, squad
+from animtool.maths.rotation_curves import (
+    RotationKind,
+    cumulative_bspline,
+    evaluate_rotations,
+    squad,
+)
 
 TOLERANCE = 1e-14
 XYZW = [1, 2, 3, 0]

@@ -12,8 +12,7 @@ from support.curves import one_curve
 from support.data import data_files
 
 from animtool._types import BoolArray, FloatArray
-from animtool.maths.curves import Curves, SegmentKind, evaluate
-from animtool.maths.extrapolation import Extrapolation
+from animtool.maths.curves import Curves, Extrapolation, SegmentKind, evaluate
 
 # Of the largest value: Ts evaluates in float64 too, in another way.
 TS_TOLERANCE = 1e-13

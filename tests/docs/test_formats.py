@@ -23,8 +23,8 @@ from animtool.cli.schema import MODELS
 from animtool.ik.file import load_targets
 from animtool.ik.on_take import solve_take
 from animtool.rig.expressions import FUNCTIONS
+from animtool.rig.joints import DRIVEN_PARTS, KEYED_PARTS
 from animtool.rig.parts import AttachKind
-from animtool.rig.targets import DRIVEN_PARTS, KEYED_PARTS
 from animtool.scene.file import load_scene
 from animtool.scene.start import rest_take
 from animtool.sim.particles.forces import FORCES, find_force

@@ -10,7 +10,12 @@ import pytest
 
 from animtool.report.describe import TakeDescription
 from animtool.report.describe_points import PointsDescription
-from animtool.report.describe_rig import MeshDescription, RigDescription
+from animtool.report.describe_rig import (
+    GoalDescription,
+    MeshDescription,
+    RigDescription,
+    TargetsDescription,
+)
 from animtool.report.describe_scene import (
     OutputDescription,
     PassDescription,
@@ -18,7 +23,6 @@ from animtool.report.describe_scene import (
     SceneDescription,
     SystemDescription,
 )
-from animtool.report.describe_targets import GoalDescription, TargetsDescription
 from animtool.usd.simulated_read import ChunkSet, PointPrim
 
 TABLES = {

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from animtool.documents.document import document_of
-from animtool.documents.numbers import number, scaled, text, unreadable
+from animtool.documents.names import number, scaled, text, unreadable
 from animtool.errors import FormatError
 
 FLOATS = st.floats(-1e9, 1e9, allow_nan=False)

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from support.targets import HEAD, legs, tracks_of
 
-from animtool.clip.units import ClipUnits
+from animtool.clip.channels import ClipUnits
 from animtool.ik.file import load_targets
 from animtool.ik.tracks import TargetTracks
 from animtool.ik.values import Keyed, Rows, Still, Value

@@ -11,8 +11,13 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from support.curves import one_curve
 
-from animtool.maths.curves import Curves, SegmentKind, end_slopes, evaluate
-from animtool.maths.extrapolation import Extrapolation
+from animtool.maths.curves import (
+    Curves,
+    Extrapolation,
+    SegmentKind,
+    end_slopes,
+    evaluate,
+)
 
 SEEDS = st.integers(0, 10_000)
 TIGHT = 1e-14

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from animtool.maths.extrapolation import Extrapolation, fold
+from animtool.maths.curves import Extrapolation, fold
 
 TIMES = np.array([-9.0, -8, -5, -4, -1, 0, 3, 4, 5, 8, 9, 12, 13])
 INSIDE = {

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from animtool.maths import so3
-from animtool.maths.rigid import rigid_motion
+from animtool.maths.faces import rigid_motion
 
 
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(3, 9))

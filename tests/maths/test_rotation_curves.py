@@ -10,12 +10,14 @@ from numpy.testing import assert_allclose
 
 from animtool._types import FloatArray
 from animtool.maths import so3
-from animtool.maths.extrapolation import Extrapolation
-from animtool.maths.rotation_curves import RotationKind, evaluate_rotations, spline
-from animtool.maths.rotation_segments import (
+from animtool.maths.curves import Extrapolation
+from animtool.maths.rotation_curves import (
+    RotationKind,
     aligned_keys,
     cumulative_bspline,
+    evaluate_rotations,
     log_of_cover,
+    spline,
     squad,
 )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from animtool.report.describe_targets import describe_targets
+from animtool.report.describe_rig import describe_targets
 
 TEXT = """\
 targets: animtool/1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from animtool.rig.arkit import ARKIT_SHAPES, arkit_name
+from animtool.rig.shapes import ARKIT_SHAPES, arkit_name
 from animtool.rig.sides import pair_sides
 
 

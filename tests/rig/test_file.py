@@ -24,8 +24,8 @@ from animtool.rig.file import load_rig, rig_of_document
 from animtool.rig.joints import coordinate_slices, local_from_coordinates
 from animtool.rig.kinematics import forward
 from animtool.rig.limits import BallLimit, RangeLimit
-from animtool.rig.mirror import reflect_rotation
 from animtool.rig.parts import Mesh, Shape
+from animtool.rig.sides import reflect_rotation
 from animtool.rig.skeleton import Joint, JointType, Mimic, Pose, Rig
 from animtool.rig.write import rig_text
 

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 
 from animtool.maths import so3
 from animtool.rig.limits import BallLimit
-from animtool.rig.mirror import mirrored_joint, reflect_rotation, reflect_vector
+from animtool.rig.sides import mirrored_joint, reflect_rotation, reflect_vector
 from animtool.rig.skeleton import Joint, JointType
 
 ORIGIN = (np.zeros(3), so3.IDENTITY)

@@ -11,8 +11,7 @@ from support.point_caches import skinned_points, world_points
 from support.usd import open_stage, validation_errors
 
 from animtool.rig.skeleton import Rig
-from animtool.rig.strands import strands_of
-from animtool.rig.surfaces import surfaces_of
+from animtool.rig.surfaces import strands_of, surfaces_of
 
 ROOT = Path(__file__).parents[2]
 SAMPLES = {

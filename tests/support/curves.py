@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from animtool._types import ArrayLike
-from animtool.maths.curves import Curves, SegmentKind
-from animtool.maths.extrapolation import Extrapolation
+from animtool.maths.curves import Curves, Extrapolation, SegmentKind
 
 
 def one_curve(

@@ -12,8 +12,7 @@ import pytest
 from numpy.testing import assert_allclose
 from pxr import Sdf, Ts, Usd
 
-from animtool.maths.curves import Curves, SegmentKind
-from animtool.maths.extrapolation import Extrapolation, fold
+from animtool.maths.curves import Curves, Extrapolation, SegmentKind, fold
 from animtool.usd.curves import author_curve
 
 Floats = npt.NDArray[np.float64]

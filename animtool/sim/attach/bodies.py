@@ -14,8 +14,7 @@ from animtool.maths.faces import edges, triangulated
 from animtool.rig.kinematics import bind_matrices, bind_world
 from animtool.rig.parts import AttachKind, Attachment
 from animtool.rig.skeleton import Rig
-from animtool.rig.strands import strands_of
-from animtool.rig.surfaces import Surface, surfaces_of
+from animtool.rig.surfaces import Surface, strands_of, surfaces_of
 from animtool.sim.attach.network import (
     Network,
     diagonals_of_faces,

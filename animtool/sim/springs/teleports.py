@@ -9,7 +9,7 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.errors import Fault, Severity
 from animtool.maths import so3
-from animtool.maths.rigid import rigid_motion
+from animtool.maths.faces import rigid_motion
 from animtool.sim.springs.body import Body
 from animtool.sim.springs.motion import Grid
 from animtool.sim.springs.paths import over_knots

@@ -9,7 +9,7 @@ from typing import Any
 from animtool.documents.document import Location
 from animtool.documents.edit import Edit, Put, Rename
 from animtool.errors import Fault, counted, listed
-from animtool.rig.targets import DRIVEN_PARTS, split_part
+from animtool.rig.joints import DRIVEN_PARTS, split_part
 from animtool.validation.fixes.mend import Mend, NotMendedError
 from animtool.validation.fixes.others import naming
 from animtool.validation.fixes.places import place_of

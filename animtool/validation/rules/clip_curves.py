@@ -8,11 +8,10 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from animtool._types import FloatArray, IntArray
-from animtool.clip.channels import ClipChannel, Interp
-from animtool.clip.evaluate import evaluate_channels
+from animtool.clip.channels import ClipChannel, Interp, evaluate_channels
 from animtool.errors import Fault
 from animtool.maths import so3
-from animtool.maths.extrapolation import Extrapolation
+from animtool.maths.curves import Extrapolation
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Rig
 from animtool.validation.subjects.clip import ClipSubject

@@ -11,7 +11,7 @@ from animtool._types import IntArray
 from animtool.clip.channels import ClipChannel, Interp
 from animtool.errors import Fault, counted, listed
 from animtool.maths import so3
-from animtool.maths.extrapolation import Extrapolation
+from animtool.maths.curves import Extrapolation
 from animtool.validation.subjects.clip import ClipSubject
 
 # Nearer to half a turn, rounding decides which way a turn goes.
