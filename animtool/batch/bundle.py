@@ -25,7 +25,7 @@ from animtool.batch.checked import (
     text_in,
 )
 from animtool.batch.discover import Batch
-from animtool.batch.outcome import Status
+from animtool.batch.work import Status
 from animtool.documents.yaml_text import yaml_text
 from animtool.errors import Fault, FormatError
 from animtool.output import check_outputs, replacing, together

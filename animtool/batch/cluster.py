@@ -17,9 +17,9 @@ from uuid import uuid4
 
 from animtool.batch.checked import RecordError, json_of_file, text_in
 from animtool.batch.executors import Work
-from animtool.batch.outcome import Outcome, Status
 from animtool.batch.recipe import Item
-from animtool.batch.versions import made_by
+from animtool.batch.spec import made_by
+from animtool.batch.work import Outcome, Status
 from animtool.batch.worker_process import Task, WorkerProcess
 from animtool.errors import Fault, OptionError, OutputError, excerpt
 

@@ -11,9 +11,10 @@ from math import ceil, floor
 from pathlib import Path
 from typing import Any
 
-from animtool.batch.cut_metadata import CutMetadata, cut_metadata
 from animtool.batch.timeline import (
     NEAR,
+    CutMetadata,
+    cut_metadata,
     exact_rate,
     is_remote,
     media_path,

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 from animtool.batch.cuts import SHOT_NAMES, Cut, CutList, CutOptions, read_cuts
 from animtool.batch.effects import check_columns, check_effects, sample_source
-from animtool.batch.limits import Limits
 from animtool.batch.names import (
     INPUT_NAMES,
     NamedOutputs,
@@ -22,7 +21,7 @@ from animtool.batch.names import (
     unknown_names,
 )
 from animtool.batch.recipe import Item, Recipe
-from animtool.batch.spec import BatchSpec
+from animtool.batch.spec import BatchSpec, Limits
 from animtool.batch.variants import file_name, variant_pattern
 from animtool.documents.names import check_given
 from animtool.errors import Fault, NothingFoundError, OptionError, listed

@@ -6,11 +6,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TypeAlias, cast
 
-from animtool.batch.limits import Limits
-from animtool.batch.outcome import Outcome
 from animtool.batch.pool import run_processes
 from animtool.batch.recipe import Item, Recipe
-from animtool.batch.work import Maker
+from animtool.batch.spec import Limits
+from animtool.batch.work import Maker, Outcome
 from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError, excerpt
 from animtool.plugins import load_object, load_plugin, plugin_points

@@ -9,10 +9,9 @@ from functools import cached_property
 
 from animtool.batch.discover import Batch
 from animtool.batch.ledger import History
-from animtool.batch.places import named_from, place_of
+from animtool.batch.manifest import FileRecord, ItemRecord, digest_of, file_digest
 from animtool.batch.recipe import Item
-from animtool.batch.records import FileRecord, ItemRecord, digest_of, file_digest
-from animtool.batch.versions import made_by
+from animtool.batch.spec import made_by, named_from, place_of
 from animtool.errors import FormatError
 from animtool.inputs import FileState
 

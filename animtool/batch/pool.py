@@ -20,11 +20,10 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, cast
 
-from animtool.batch.limits import Limits, bytes_text
-from animtool.batch.outcome import Outcome, Status
 from animtool.batch.recipe import Item, Recipe
 from animtool.batch.requirements import needed_modules
-from animtool.batch.work import Maker
+from animtool.batch.spec import Limits, bytes_text
+from animtool.batch.work import Maker, Outcome, Status
 from animtool.batch.worker import READY, Reading, serve
 from animtool.errors import Fault, OutputError
 from animtool.leftovers import remove_leftovers

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
+from animtool.batch.manifest import digest_of
 from animtool.batch.names import input_names
-from animtool.batch.places import named_from
-from animtool.batch.records import digest_of
+from animtool.batch.spec import named_from
 from animtool.errors import OptionError
 from animtool.files import FoundFile
 from animtool.scene.options import BakeOptions

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from animtool.batch.discover import Batch
-from animtool.batch.outcome import Measured, Outcome, Status
 from animtool.batch.plan import Reason
 from animtool.batch.recipe import Item
+from animtool.batch.work import Measured, Outcome, Status
 from animtool.errors import ExitCode, Fault, Severity
 from animtool.junit import JunitCase, junit_xml
 

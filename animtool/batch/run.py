@@ -12,14 +12,12 @@ from animtool.batch.check import check_overwrites, check_places
 from animtool.batch.discover import Batch, find_batch
 from animtool.batch.executors import Executor, Work, find_executor
 from animtool.batch.ledger import History, Ledger, held_ledger, read_history
-from animtool.batch.outcome import Outcome, Status
-from animtool.batch.places import named_from, place_of
+from animtool.batch.manifest import ItemRecord
 from animtool.batch.plan import Decision, Planner
 from animtool.batch.recipe import Item
-from animtool.batch.records import ItemRecord
 from animtool.batch.report import BatchReport, ItemReport
-from animtool.batch.spec import BatchSpec
-from animtool.batch.work import Maker
+from animtool.batch.spec import BatchSpec, named_from, place_of
+from animtool.batch.work import Maker, Outcome, Status
 from animtool.errors import Fault, OptionError
 from animtool.leftovers import remove_leftovers
 

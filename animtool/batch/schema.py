@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 from annotated_types import Ge, Gt, Le, Len
 from pydantic import Field
 
-from animtool.batch.limits import MAX_SECONDS
+from animtool.batch.spec import MAX_SECONDS
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Frame, IgnoreModel, Name, Real, Whole, WholeFrame
 from animtool.scene.output_fields import (

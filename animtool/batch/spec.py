@@ -1,14 +1,158 @@
-"""What a batch is asked to do, as a file or the command line says it."""
+"""What a batch is to do: inputs, outputs, limits, places and versions."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
+from functools import cache
+from pathlib import Path, PurePosixPath
 
-from animtool.batch.limits import Limits
 from animtool.batch.variants import Variants
+from animtool.errors import excerpt
 from animtool.scene.options import BakeOptions
+
+# Beyond what anybody waits for, and within what systems can count.
+MAX_SECONDS = 1e9
+MAX_BYTES = 10**18
+
+_UNITS = {
+    **{name: 1000**i for i, name in enumerate(("B", "KB", "MB", "GB", "TB"))},
+    **{name: 1024**i for i, name in enumerate(("KiB", "MiB", "GiB", "TiB"), 1)},
+}
+_SIZE = re.compile(r"([0-9]+(?:\.[0-9]+)?)\s*([KMGT]i?B|B)")
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What an item may take.
+
+    Attributes:
+        seconds: Of wall time; None is as long as it takes.
+        memory: Of the process that makes it, all told [bytes]; None is any.
+    """
+
+    seconds: float | None = None
+    memory: int | None = None
+
+
+def parse_bytes(text: str) -> int:
+    """Return the size [bytes] of a text such as ``2GB`` or ``512MiB``.
+
+    Raises:
+        ValueError: It is none.
+
+    >>> parse_bytes("1.5GB"), parse_bytes("2 KiB")
+    (1500000000, 2048)
+    """
+    found = _SIZE.fullmatch(text.strip())
+    size = float(found[1]) * _UNITS[found[2]] if found else 0.0
+    if not 1 <= size <= MAX_BYTES:
+        raise ValueError(f"{excerpt(text)} is no size such as 2GB or 512MiB")
+    return int(size)
+
+
+def parse_seconds(text: str) -> float:
+    """Return the time [s] of a text.
+
+    Raises:
+        ValueError: It is none that is above 0, and up to `MAX_SECONDS`.
+    """
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = 0.0
+    if not 0 < seconds <= MAX_SECONDS:
+        raise ValueError(f"{excerpt(text)} is no number of seconds above 0")
+    return seconds
+
+
+def bytes_text(size: int) -> str:
+    """Return a size in words.
+
+    >>> bytes_text(1_500_000_000), bytes_text(20)
+    ('1.5 GB', '20 B')
+    """
+    value, names = float(size), ["B", "KB", "MB", "GB", "TB"]
+    while value >= 1000 and len(names) > 1:
+        value, names = value / 1000, names[1:]
+    return f"{value:.3g} {names[0]}"
+
+
+UP = ".."
+
+
+def named_from(path: Path, root: Path) -> str:
+    """Return the name of a file, seen from a folder; absolute where they share none.
+
+    Args:
+        path: The file.
+        root: The folder, absolute.
+
+    >>> named_from(Path("/job/takes/a.bvh"), Path("/job/out"))
+    '../takes/a.bvh'
+    """
+    where = path.absolute()
+    # What a step up leads to is not known where a folder may be a link.
+    if UP in where.parts or UP in root.parts:
+        return where.as_posix()
+    shared = 0
+    for one, other in zip(where.parts, root.parts, strict=False):
+        if one != other:
+            break
+        shared += 1
+    if shared < 2:
+        return where.as_posix()
+    steps = [UP] * (len(root.parts) - shared)
+    return PurePosixPath(*steps, *where.parts[shared:]).as_posix()
+
+
+def place_of(name: str, root: Path) -> Path:
+    """Return the file that a name means; the inverse of `named_from`.
+
+    >>> place_of("../takes/a.bvh", Path("/job/out")).as_posix()
+    '/job/takes/a.bvh'
+    """
+    path = Path(name)
+    if path.is_absolute():
+        return path
+    steps = 0
+    while steps < len(path.parts) and path.parts[steps] == UP:
+        steps += 1
+    # Above the uppermost folder is that itself.
+    above = (root, *root.parents)[min(steps, len(root.parents))]
+    return above.joinpath(*path.parts[steps:])
+
+
+PACKAGES = ("animtool", "numpy", "scipy", "usd-core")
+GROUPS = ("animtool.passes", "animtool.readers")
+
+
+@cache
+def made_by() -> dict[str, str]:
+    """Return the version of each package that decides what is made, plug-ins included.
+
+    A package whose files were changed without another version is taken for the same.
+
+    >>> sorted(made_by())[0]
+    'animtool'
+    """
+    from importlib.metadata import PackageNotFoundError, version
+
+    from animtool.plugins import plugin_points
+
+    found = {}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = ""
+    for group in GROUPS:
+        for point in plugin_points(group).values():
+            if point.dist is not None:
+                found[point.dist.name] = point.dist.version
+    return found
+
 
 BATCH_SUFFIXES = (".batch.yaml", ".batch.yml", ".batch.json")
 

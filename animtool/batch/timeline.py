@@ -1,19 +1,153 @@
-"""A timeline as OpenTimelineIO has it: its clips, their media, times and speeds."""
+"""Cut lists as editing systems write them, and what they say of media."""
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields, replace
 from fractions import Fraction
+from itertools import accumulate
 from math import isfinite
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
+from zipfile import ZipFile
 
-from animtool.batch.timeline_text import check_text
+from animtool.documents.names import nearest
 from animtool.errors import Fault, FormatError, OptionError, excerpt
+from animtool.files import open_input
 from animtool.inputs import FileState
-from animtool.rates import rate_from_float
+from animtool.rates import LARGEST_FRAME, parse_rate, rate_from_float
+
+# A feature film with all its metadata takes a fifth [bytes].
+MAX_BYTES = 100_000_000
+# A stack in a stack takes three.
+MAX_NESTING = 300
+CONTENT = "content.otio"
+
+_STRING = re.compile(rb'"(?:[^"\\]|\\.)*"', re.S)
+_BRACKETS = b"[]{}"
+_OTHERS = bytes(set(range(256)) - set(_BRACKETS))
+
+
+def check_text(path: Path) -> None:
+    """Refuse a timeline that is too large, nests too deeply, or is no file.
+
+    Raises:
+        FormatError: It is one of these (BAT041).
+    """
+    try:
+        problem = _problem(path)
+    except FormatError as error:
+        raise FormatError(replace(error.faults[0], code="BAT041")) from error
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or excerpt(str(error), 200)
+        problem = f"cannot be read as a timeline: {why}"
+    if problem is not None:
+        raise FormatError(Fault("BAT041", problem, str(path)))
+
+
+def _problem(path: Path) -> str | None:
+    kind = path.suffix.lower()
+    if kind == ".otiod":
+        path = path / CONTENT
+    text = b"null"
+    with open_input(path, None if kind == ".otioz" else MAX_BYTES) as file:
+        if kind in {".otio", ".otiod"}:
+            text = file.whole()
+        elif kind == ".otioz":
+            try:
+                with ZipFile(file) as archive, archive.open(CONTENT) as content:
+                    text = content.read(MAX_BYTES + 1)
+            except MemoryError:
+                raise
+            except Exception as error:
+                # Of archives that are damaged, the library raises almost anything.
+                return f"cannot be read: {excerpt(str(error), 200)}"
+        if len(text) > MAX_BYTES:
+            return f"holds more than {MAX_BYTES // 1_000_000} MB"
+    if nesting(text) > MAX_NESTING:
+        return f"nests more than {MAX_NESTING} deep"
+    json.loads(text.decode("utf-8"))
+    return None
+
+
+def nesting(text: bytes) -> int:
+    """Return how deep JSON nests.
+
+    >>> nesting(b'[{"a": "[[[", "b": [1]}, 2]')
+    3
+    """
+    brackets = _STRING.sub(b"", text).translate(None, _OTHERS)
+    return max(accumulate(1 if b in b"[{" else -1 for b in brackets), default=0)
+
+
+@dataclass(frozen=True, slots=True)
+class CutMetadata:
+    """What is stated of shots; None is not stated.
+
+    Attributes:
+        start_frame: First frame of the shot, that of its head handle.
+        handles: Shot frames before and after the cut.
+        fps: Of a timeline: the rate of its shots.
+    """
+
+    start_frame: int | None = None
+    handles: int | None = None
+    fps: Fraction | None = None
+
+
+def cut_metadata(
+    metadata: Mapping[str, Any], named: str, *, rate: bool = False
+) -> tuple[CutMetadata, list[tuple[str, str]]]:
+    """Return what metadata says, and what is wrong with it and what to do.
+
+    Args:
+        metadata: Of a clip or a timeline.
+        named: What that is called in messages.
+        rate: Whether it may state the rate of shots, as timelines do.
+
+    >>> cut_metadata({"animtool": {"handles": 8.0}}, "clip 'a'")[0].handles
+    8
+    >>> cut_metadata({"animtool": {"handels": 8}}, "clip 'a'")[1]
+    [("metadata.animtool of clip 'a' has no key 'handels'", "did you mean 'handles'?")]
+    """
+    given = metadata.get("animtool")
+    if given is None:
+        return CutMetadata(), []
+    where = f"metadata.animtool of {named}"
+    names = [f.name for f in fields(CutMetadata) if rate or f.name != "fps"]
+    if not isinstance(given, Mapping):
+        return CutMetadata(), [(f"{where} is not a table", f"keys: {', '.join(names)}")]
+    found: dict[str, Any] = {}
+    faults = []
+    for key, value in given.items():
+        if key not in names:
+            faults.append((f"{where} has no key {excerpt(key)}", nearest(key, names)))
+            continue
+        try:
+            found[key] = parse_rate(value) if key == "fps" else _whole(key, value)
+        except (TypeError, ValueError) as error:
+            hint = f"write a number such as {EXAMPLES[key]}"
+            faults.append((f"{where}: {key}: {error}", hint))
+    return CutMetadata(**found), faults
+
+
+EXAMPLES = {"start_frame": "1001", "handles": "8", "fps": "24 or 24000/1001"}
+
+
+def _whole(key: str, value: object) -> int:
+    shown = excerpt(str(value))
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError(f"{shown} is not a whole number")
+    if abs(value) > LARGEST_FRAME or value != int(value):
+        raise ValueError(f"{shown} is not a whole number up to {LARGEST_FRAME}")
+    if key == "handles" and value < 0:
+        raise ValueError(f"{shown} is below 0")
+    return int(value)
+
 
 # Times are floats in timelines: this near to a frame, it is meant [frame].
 NEAR = Fraction(1, 1_000_000)

@@ -1,4 +1,4 @@
-"""Making one item, whatever happens, and what it was made of."""
+"""Making one item, in this process or in one of a pool."""
 
 from __future__ import annotations
 
@@ -6,19 +6,72 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from animtool.batch.outcome import Measured, Outcome, Status
-from animtool.batch.places import named_from
+from animtool.batch.manifest import FileRecord, record_of
 from animtool.batch.recipe import Item, Recipe
-from animtool.batch.records import FileRecord, record_of
+from animtool.batch.spec import named_from
 from animtool.errors import AnimtoolError, Fault, excerpt
 from animtool.inputs import FileState, Inputs, note_input, recorded_inputs
 from animtool.placing import output_error
 
 if TYPE_CHECKING:
     from animtool.scene.outputs import OutputReport
+
+
+class Status(StrEnum):
+    """What became of an item."""
+
+    DONE = "done"
+    SKIPPED = "skipped"
+    FAILED = "failed"
+    NOT_RUN = "not run"
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What a bake measured.
+
+    Attributes:
+        samples: Written.
+        error: Largest distance between a joint and where its file has it [m].
+        joint: Which joint's.
+    """
+
+    samples: int
+    error: float
+    joint: str
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of an item that was to be made.
+
+    Attributes:
+        number: The item's.
+        status: Done or failed.
+        seconds: Wall time of making it.
+        faults: Why it failed.
+        notices: Warnings and notes.
+        measured: What the bake measured.
+        inputs: The files that were looked at.
+        outputs: The files that were written.
+        at: When, by the clock of the disk that it was written to [ns].
+        retired: Whether the process that made it had better make no other.
+    """
+
+    number: int
+    status: Status
+    seconds: float
+    faults: tuple[Fault, ...] = ()
+    notices: tuple[Fault, ...] = ()
+    measured: Measured | None = None
+    inputs: tuple[FileRecord, ...] = ()
+    outputs: tuple[FileRecord, ...] = ()
+    at: int = 0
+    retired: bool = False
 
 
 @dataclass(slots=True)

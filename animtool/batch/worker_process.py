@@ -16,11 +16,10 @@ from dataclasses import dataclass, field
 from subprocess import PIPE, Popen
 from typing import IO, cast
 
-from animtool.batch.limits import Limits
-from animtool.batch.outcome import Outcome
 from animtool.batch.pool import run_processes
 from animtool.batch.recipe import Item
-from animtool.batch.work import Maker
+from animtool.batch.spec import Limits
+from animtool.batch.work import Maker, Outcome
 
 
 @dataclass(frozen=True, slots=True)

@@ -69,13 +69,13 @@ def _name(text: str) -> str:
 
 
 def _size(text: str) -> int:
-    from animtool.batch.limits import parse_bytes
+    from animtool.batch.spec import parse_bytes
 
     return parse_bytes(text)
 
 
 def _seconds(text: str) -> float:
-    from animtool.batch.limits import parse_seconds
+    from animtool.batch.spec import parse_seconds
 
     return parse_seconds(text)
 
@@ -287,7 +287,7 @@ def _spec(inputs: tuple[str, ...], given: dict[str, Any]) -> BatchSpec:
     else:
         spec = BatchSpec(_listed(inputs))
     if given["path_mapping"] is not None:
-        from animtool.batch.mapping import mapped_spec, read_rules
+        from animtool.batch.names import mapped_spec, read_rules
 
         spec = mapped_spec(spec, read_rules(given["path_mapping"]))
     here = Path.cwd()

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 def openjd_lines(other: Listener) -> Listener:
     """Return a listener that writes such lines to stdout, and tells another."""
-    from animtool.batch.outcome import Status
     from animtool.batch.run import Listener
+    from animtool.batch.work import Status
 
     class Lines(Listener):
         """Writes progress, status and failures."""

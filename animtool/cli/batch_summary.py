@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from animtool.batch.outcome import Status
 from animtool.batch.recipe import values_text
 from animtool.batch.report import BatchReport, ItemReport
+from animtool.batch.work import Status
 from animtool.errors import counted
 from animtool.quantities import length_text
 

@@ -356,7 +356,7 @@ def _outputs(given: dict[str, Any]) -> Sequence[Path]:
 
 
 def _job(given: dict[str, Any], to_stdout: bool) -> Any:
-    from animtool.ik.take_options import TakeOptions
+    from animtool.ik.take_run import TakeOptions
     from animtool.scene.ik import IkJob
 
     names = (given["joints"] or "").split(",")

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from animtool.ik.solving import IkOptions as IkOptions
     from animtool.ik.solving import solve as solve
     from animtool.ik.take_ik import TakeIk as TakeIk
-    from animtool.ik.take_options import TakeOptions as TakeOptions
+    from animtool.ik.take_run import TakeOptions as TakeOptions
     from animtool.ik.tracks import TargetTracks as TargetTracks
 
 _PUBLIC = {
@@ -39,7 +39,7 @@ _PUBLIC = {
     "Matched": "animtool.ik.matching",
     "Problem": "animtool.ik.problem",
     "TakeIk": "animtool.ik.take_ik",
-    "TakeOptions": "animtool.ik.take_options",
+    "TakeOptions": "animtool.ik.take_run",
     "TargetTracks": "animtool.ik.tracks",
     "Targets": "animtool.ik.goals",
     "build": "animtool.ik.problem",

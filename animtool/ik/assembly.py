@@ -12,7 +12,7 @@ from animtool._types import FloatArray
 from animtool.errors import Fault
 from animtool.ik.chain import BALL, GAP, PIN, SLIDE, Chain
 from animtool.ik.goals import Goal
-from animtool.ik.limb_ends import limb_joints
+from animtool.ik.limbs import limb_joints
 from animtool.maths import so3
 from animtool.rig.joints import (
     LocalTransforms,

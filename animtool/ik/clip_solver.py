@@ -10,10 +10,9 @@ import numpy as np
 from animtool._types import ArrayLike, FloatArray
 from animtool.errors import Fault, OptionError
 from animtool.ik.branches import Stretch, best_path, branches, price, search_branches
-from animtool.ik.discontinuities import explained, jumping, named, strain
 from animtool.ik.goals import Targets, rows_of
 from animtool.ik.methods import IkMethod
-from animtool.ik.path import path_of
+from animtool.ik.path import explained, jumping, named, path_of, strain
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult
 from animtool.ik.smoothing import at_poses, rate_faults, smooth

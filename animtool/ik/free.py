@@ -8,9 +8,9 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray
 from animtool.ik.goals import Goal
-from animtool.ik.holds import smoothstep
-from animtool.ik.limb_ends import limb_joints
+from animtool.ik.limbs import limb_joints
 from animtool.ik.two_bone import bend
+from animtool.ik.values import smoothstep
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import JointType, Rig

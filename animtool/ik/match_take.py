@@ -20,8 +20,8 @@ from animtool.clip.tracks import euler_order
 from animtool.clock import Clock
 from animtool.documents.names import nearest
 from animtool.errors import Fault, OptionError, Severity, listed
+from animtool.ik.chain import refuse_scales
 from animtool.ik.matching import Matched, match
-from animtool.ik.scales import refuse_scales
 from animtool.ik.sub_rig import sub_rig
 from animtool.ik.tracks import PARTS, GoalTrack, TargetTracks
 from animtool.ik.values import Keyed, Rows, Still, Value

@@ -13,7 +13,7 @@ import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.ik.goals import Goal, Targets
-from animtool.ik.limb_ends import limb_joints
+from animtool.ik.limbs import limb_joints
 from animtool.ik.problem import moving_joints
 from animtool.ik.sub_rig import with_types
 from animtool.ik.two_bone import perpendicular

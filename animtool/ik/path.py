@@ -1,4 +1,4 @@
-"""Frames of one problem through time, evened out or measured as a whole."""
+"""Frames of one problem through time: smooth, without discontinuities, as a whole."""
 
 from __future__ import annotations
 
@@ -7,12 +7,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import ArrayLike, FloatArray
+from animtool._types import ArrayLike, BoolArray, FloatArray, IntArray
+from animtool.ik.chain import BALL
 from animtool.ik.goals import Targets
 from animtool.ik.limbs import Extension, extend
 from animtool.ik.problem import Problem
+from animtool.ik.result import Jump
 from animtool.ik.solving import WARM_DAMPING, IkOptions, chain_targets, pose_rows
-from animtool.ik.tangent import difference, unwound
+from animtool.ik.tangent import difference, seamless, unwound
+from animtool.maths import so3
+from animtool.rig.joints import coordinate_slices
 
 # Rounds of Gauss-Newton at most, each over all frames.
 ROUNDS = 30
@@ -118,3 +122,102 @@ def path_of(
         own = problem.chain.from_rig(pose_rows(problem, start, len(packed), "start"))
         drifts = difference(problem.chain, own[:-1], own[1:])
     return Path(problem, packed, extend(problem.limbs, packed), drifts, options)
+
+
+# A joint jumps that moves by more than this [rad], or share of the chain's length, and
+# this a second, and so many times what the targets move by, all together.
+LEAST_JUMP, LEAST_SPEED, MORE_THAN_TARGETS = 0.1, 8.0, 4.0
+# Slower ones are named too, where the joint moves so many times farther than within
+# so many frames before and after.
+MORE_THAN_NEIGHBOURS, NEIGHBOURS = 4.0, 2
+
+
+def explained(path: Path, fps: float) -> FloatArray:
+    """Return how far joints may go from frame to frame ``(F - 1,)``.
+
+    In radians, and shares of the problem's length.
+    """
+    return np.asarray(LEAST_JUMP + LEAST_SPEED / fps + _by_targets(path))
+
+
+def _by_targets(path: Path) -> FloatArray:
+    """Return how far joints may go with their targets ``(F - 1,)``."""
+    targets = path.targets
+    weighed = targets[:, :, 13:] > 0
+    asked = weighed[1:] & weighed[:-1]
+    goals = np.array([goal.weights for goal in path.problem.goals]) > 0
+    moves = np.stack(
+        [
+            _distances(targets[:, :, 0:3]),
+            so3.angle_between(targets[1:, :, 3:7], targets[:-1, :, 3:7]),
+            _distances(targets[:, :, 7:10]),
+            _distances(targets[:, :, 10:13]),
+        ],
+        axis=2,
+    )
+    most = np.where(asked & goals, moves, 0.0).max(axis=(1, 2), initial=0.0)
+    own = np.abs(path.drifts).max(axis=1, initial=0.0)
+    return np.asarray(MORE_THAN_TARGETS * (most + own))
+
+
+def _distances(points: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(np.diff(points, axis=0), axis=2))
+
+
+def strain(path: Path, poses: FloatArray, allowed: FloatArray) -> float:
+    """Return the largest step of poses ``(F, C)``, in shares of what is a jump."""
+    steps = np.abs(path.steps(poses)).max(axis=1, initial=0.0)
+    return float((steps / allowed).max(initial=0.0))
+
+
+def jumping(path: Path, poses: FloatArray, allowed: FloatArray) -> IntArray:
+    """Return the frames to which a joint jumps."""
+    steps = np.abs(path.steps(poses)).max(axis=1, initial=0.0)
+    return np.flatnonzero(steps > allowed) + 1
+
+
+def named(path: Path, poses: FloatArray, allowed: FloatArray) -> tuple[Jump, ...]:
+    """Return the jumps of poses: frame, joint and size.
+
+    Those too of joints that jerk, slower, out of rest and back to it. One from a limit
+    to that a whole turn away is none: the joint stays as it is.
+    """
+    steps = np.abs(seamless(path.problem.chain, path.steps(poses)))
+    joints = _joints(path.problem)
+    found = []
+    far = np.where((steps > allowed[:, None]) | _jerking(path, steps), steps, 0.0)
+    for frame in np.flatnonzero(far.any(axis=1)) + 1:
+        d = int(far[frame - 1].argmax())
+        found.append(Jump(int(frame), joints[d], float(steps[frame - 1, d])))
+    return tuple(found)
+
+
+def _jerking(path: Path, steps: FloatArray) -> BoolArray:
+    """Return which steps ``(F - 1, D)`` are far larger than those about them."""
+    around = np.zeros_like(steps)
+    for away in range(1, NEIGHBOURS + 1):
+        around[away:] = np.maximum(around[away:], steps[:-away])
+        around[:-away] = np.maximum(around[:-away], steps[away:])
+    least = np.maximum(
+        MORE_THAN_NEIGHBOURS * around, (LEAST_JUMP + _by_targets(path))[:, None]
+    )
+    jerks = steps > least
+    # Of the first and the last, nothing is known on one side.
+    jerks[:1] = jerks[-1:] = False
+    return np.asarray(jerks, np.bool_)
+
+
+def _joints(problem: Problem) -> list[str]:
+    """Return the joint of each degree of freedom."""
+    rig, chain = problem.rig, problem.chain
+    owners = [
+        joint.name
+        for joint, place in zip(rig.joints, coordinate_slices(rig), strict=True)
+        for _ in range(place.stop - place.start)
+    ]
+    names: list[str] = []
+    for kind, _, column, follows in chain.nodes[:, :4]:
+        if not follows:
+            name = owners[int(chain.columns[column])]
+            names += [name] * (3 if kind == BALL else 1)
+    return names

@@ -9,8 +9,8 @@ from enum import StrEnum
 import numpy as np
 
 from animtool._types import BoolArray, FloatArray, IntArray
-from animtool.ik.on_limits import frames_on_limits
 from animtool.ik.problem import Problem
+from animtool.ik.tangent import frames_on_limits
 from animtool.rig.joints import local_from_coordinates
 
 

@@ -12,9 +12,9 @@ from animtool.errors import Fault, OptionError
 from animtool.ik.goals import Targets, pack
 from animtool.ik.limbs import Extension, extend
 from animtool.ik.methods import KERNEL_METHODS, IkMethod, check_method
-from animtool.ik.mimics import following
 from animtool.ik.problem import Problem, rest_pose
 from animtool.ik.result import IkResult, IkStatus
+from animtool.ik.sub_rig import following
 from animtool.ik.tangent import difference
 from animtool.ik.two_bone import fits, solve_limb, wanted
 

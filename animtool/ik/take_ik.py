@@ -10,10 +10,10 @@ import numpy as np
 from animtool._types import BoolArray, FloatArray, IntArray
 from animtool.ik.chain_frame import Part
 from animtool.ik.goals import Targets
-from animtool.ik.mimics import mimics
-from animtool.ik.on_limits import frames_on_limits
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult, IkStatus, Jump
+from animtool.ik.sub_rig import mimics
+from animtool.ik.tangent import frames_on_limits
 from animtool.ik.tracks import TargetTracks
 from animtool.maths import so3
 from animtool.rig.joints import (

@@ -13,7 +13,7 @@ from animtool.ik.methods import IkMethod
 from animtool.ik.on_take import solve_take
 from animtool.ik.report import MISSED_ANGLE, MISSED_LENGTH, goal_reports, take_notices
 from animtool.ik.sub_rig import dressed
-from animtool.ik.take_options import TakeOptions, take_option_faults
+from animtool.ik.take_run import TakeOptions, take_option_faults
 from animtool.ik.tracks import TargetTracks
 from animtool.passes import OptionChecks, Pass, PassContext, Scope, TakePart
 from animtool.rig.skeleton import Rig

@@ -14,8 +14,16 @@ from animtool.clock import MAX_FRAMES, Clock
 from animtool.errors import Fault, OptionError, counted
 from animtool.ik.free import FreeEffector
 from animtool.ik.goals import Goal, Targets
-from animtool.ik.holds import Span, held, hold_shares
-from animtool.ik.values import Frames, Keyed, Rows, Value, between
+from animtool.ik.values import (
+    Frames,
+    Keyed,
+    Rows,
+    Span,
+    Value,
+    between,
+    held,
+    hold_shares,
+)
 from animtool.rates import rate_label
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.parts import IkChain

@@ -33,7 +33,7 @@ from animtool.ik.report import (
     span_notices,
 )
 from animtool.ik.take_ik import TakeIk
-from animtool.ik.take_options import TakeOptions
+from animtool.ik.take_run import TakeOptions
 from animtool.ik.tracks import TargetTracks
 from animtool.output import check_outputs, sparing_inputs
 from animtool.scene.convert import ConvertReport, convert, convert_outputs

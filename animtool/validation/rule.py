@@ -69,8 +69,8 @@ def own_rule(
 ) -> Rule:
     """Return a rule whose check is a function of a module of ``validation.rules``.
 
-    >>> own_rule(Kind.RIG, "RIG219", "names alike", "names:in_rig").check
-    'animtool.validation.rules.names:in_rig'
+    >>> own_rule(Kind.RIG, "RIG219", "names alike", "rig_meshes:in_rig").check
+    'animtool.validation.rules.rig_meshes:in_rig'
     """
     place = f"animtool.validation.rules.{check}"
     return Rule(code, title, severity, kind, place)

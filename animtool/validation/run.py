@@ -19,9 +19,8 @@ from animtool.signals import without_interrupts
 from animtool.supervisor import follow_parent, has_crashed
 from animtool.validation.files import find_files
 from animtool.validation.ignores import Ignores
-from animtool.validation.options import ValidateOptions, check_codes
+from animtool.validation.options import ValidateOptions, check_codes, settings_of
 from animtool.validation.rule import Rule
-from animtool.validation.settings import settings_of
 from animtool.validation.subjects.open import open_file
 from animtool.validation.subjects.subject import Opened
 from animtool.validation.tables import all_rules

@@ -6,7 +6,7 @@ import pytest
 from support.batch import trouble_plug_in
 from support.cluster import local_cluster
 
-from animtool.batch.versions import made_by
+from animtool.batch.spec import made_by
 
 
 @pytest.fixture(scope="package")

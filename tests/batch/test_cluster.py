@@ -16,10 +16,8 @@ from support.cluster import small_cluster
 from animtool.batch.cluster import _address, _sent, dask
 from animtool.batch.discover import find_batch
 from animtool.batch.executors import Work
-from animtool.batch.limits import Limits
-from animtool.batch.outcome import Status
-from animtool.batch.spec import BatchSpec
-from animtool.batch.work import Maker
+from animtool.batch.spec import BatchSpec, Limits
+from animtool.batch.work import Maker, Status
 from animtool.batch.worker_process import Task, WorkerProcess
 from animtool.errors import OptionError, OutputError
 

@@ -21,11 +21,9 @@ from animtool.batch.executors import (
     find_executor,
     listed_executors,
 )
-from animtool.batch.limits import Limits
-from animtool.batch.outcome import Status
 from animtool.batch.recipe import Item
-from animtool.batch.spec import BatchSpec
-from animtool.batch.work import Maker
+from animtool.batch.spec import BatchSpec, Limits
+from animtool.batch.work import Maker, Status
 from animtool.errors import OptionError, OutputError
 
 OTHER = Executor("another", "animtool.batch.executors:serial")

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from animtool.batch.file import load_batch
-from animtool.batch.limits import Limits, parse_bytes, parse_seconds
+from animtool.batch.spec import Limits, parse_bytes, parse_seconds
 from animtool.errors import FormatError
 from animtool.units import LengthUnit, UpAxis
 

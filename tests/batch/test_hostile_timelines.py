@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from support.batch import take_files
 
-from animtool.batch import timeline_text
+from animtool.batch import timeline as texts
 from animtool.batch.cuts import CutList, CutOptions, read_cut, read_cuts
 from animtool.errors import AnimtoolError
 from animtool.files import FoundFile
@@ -111,7 +111,7 @@ def test_an_archive_that_unpacks_to_more_than_fits(
         file.writestr("content.otio", data + b" " * 1_000_000)
         file.writestr("version.txt", "1.0.0")
     assert len(read_cuts(path).shots) == 1
-    monkeypatch.setattr(timeline_text, "MAX_BYTES", 500_000)
+    monkeypatch.setattr(texts, "MAX_BYTES", 500_000)
     assert code(path) == "BAT041"
 
 

@@ -9,13 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from animtool.batch.manifest import (
+    FileRecord,
+    ItemRecord,
     Manifest,
     ManifestWriter,
     read_manifest,
     rewrite_manifest,
 )
-from animtool.batch.places import named_from, place_of
-from animtool.batch.records import FileRecord, ItemRecord
+from animtool.batch.spec import named_from, place_of
 from animtool.inputs import FileState
 
 SHARED = FileRecord("../rig.yaml", FileState(3, 4, 5), "ab")

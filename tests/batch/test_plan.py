@@ -12,8 +12,7 @@ from support.batch import take_files
 
 from animtool.batch.report import BatchReport
 from animtool.batch.run import RunOptions, run_batch
-from animtool.batch.spec import BatchSpec
-from animtool.batch.versions import made_by
+from animtool.batch.spec import BatchSpec, made_by
 from animtool.scene.options import BakeOptions
 
 SERIAL = RunOptions(executor="serial")

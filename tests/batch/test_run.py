@@ -12,11 +12,11 @@ from support.batch import take_files, whole_outputs
 
 import animtool
 from animtool.batch.executors import EXECUTORS, Executor, Work
-from animtool.batch.outcome import Outcome, Status
 from animtool.batch.recipe import Item
 from animtool.batch.report import BatchReport, ItemReport
 from animtool.batch.run import Listener, RunOptions, run_batch
 from animtool.batch.spec import BatchSpec
+from animtool.batch.work import Outcome, Status
 from animtool.errors import ExitCode, OptionError
 from animtool.scene.options import BakeOptions
 from animtool.units import UpAxis

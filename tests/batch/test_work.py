@@ -10,10 +10,9 @@ from support.batch import take_files
 
 from animtool.batch import work
 from animtool.batch.discover import find_batch
-from animtool.batch.outcome import Outcome, Status
 from animtool.batch.recipe import Recipe
 from animtool.batch.spec import BatchSpec
-from animtool.batch.work import Maker
+from animtool.batch.work import Maker, Outcome, Status
 
 
 def made(folder: Path, count: int = 1) -> list[Outcome]:

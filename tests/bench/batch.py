@@ -23,10 +23,9 @@ from measuring import HERE, ROOT, Run, begin, parser, run
 
 from animtool.batch.discover import find_batch
 from animtool.batch.ledger import held_ledger
-from animtool.batch.places import named_from
+from animtool.batch.manifest import ItemRecord, record_of
 from animtool.batch.plan import Planner
-from animtool.batch.records import ItemRecord, record_of
-from animtool.batch.spec import BatchSpec
+from animtool.batch.spec import BatchSpec, named_from
 from animtool.inputs import FileState
 
 SMALL = ROOT / "samples/batch/takes/left/wave1.bvh"

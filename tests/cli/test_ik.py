@@ -20,7 +20,7 @@ from animtool import Rig, open_source
 from animtool.cli.ik import ik
 from animtool.ik.methods import IkMethod
 from animtool.ik.report import MISSED_ANGLE, MISSED_LENGTH
-from animtool.ik.take_options import TakeOptions
+from animtool.ik.take_run import TakeOptions
 from animtool.scene.sources import SourceOptions
 from animtool.units import LengthUnit, parse_length
 

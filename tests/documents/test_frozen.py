@@ -10,7 +10,7 @@ import pytest
 from support.cli import animtool
 
 from animtool.batch.file import load_batch
-from animtool.batch.limits import Limits
+from animtool.batch.spec import Limits
 from animtool.clip.file import load_clip, open_clip
 from animtool.documents.migrate import plan_migration
 from animtool.documents.versions import STEPS, newest

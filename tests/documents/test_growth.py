@@ -16,7 +16,7 @@ from animtool.ik.file import load_targets
 from animtool.rig.file import load_rig
 from animtool.scene.file import load_scene
 from animtool.similar import distinct, similar
-from animtool.validation.formats.source import cut
+from animtool.validation.formats.plain import cut
 
 RIG = "rig: animtool/1\nname: a\njoints:\n"
 PIN = RIG + "- {name: p, type: pin, axis: [1, 0, 0]}\ncontrols:\n"

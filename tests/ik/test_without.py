@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from support.targets import legs, tracks_of, walk_of
 
-from animtool.ik.released import rounds, takes_released
+from animtool.ik.on_take import rounds, takes_released
 from animtool.ik.tracks import TargetTracks
 from animtool.take import Take
 

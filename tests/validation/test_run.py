@@ -287,7 +287,7 @@ def _fails(_: object) -> list[object]:
 
 
 def test_a_rule_that_fails(leg: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("animtool.validation.rules.rig_limits.motionless", _fails)
+    monkeypatch.setattr("animtool.validation.rules.rig_joints.motionless", _fails)
     found = validate(leg)
     assert [fault.code for fault in found] == ["VAL003", "RIG201"]
     assert "RIG202 failed: ZeroDivisionError" in found[0].message

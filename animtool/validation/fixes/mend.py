@@ -17,11 +17,11 @@ from animtool.validation.subjects.subject import Opened
 
 # What a finding's code is mended by in documents; USD layers have edits of their own.
 FIXES = {
-    "RIG210": "animtool.validation.fixes.weights:summed",
+    "RIG210": "animtool.validation.fixes.texts:summed",
     "RIG219": "animtool.validation.fixes.names:distinct",
     "RIG221": "animtool.validation.fixes.names:allowed",
-    "RIG222": "animtool.validation.fixes.rest:from_bind",
-    "VAL001": "animtool.validation.fixes.ignores:left_out",
+    "RIG222": "animtool.validation.fixes.texts:from_bind",
+    "VAL001": "animtool.validation.fixes.texts:left_out",
 }
 
 

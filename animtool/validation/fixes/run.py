@@ -16,9 +16,8 @@ from animtool.validation.fixes.plan import (
     plan_file,
     with_fixable,
 )
-from animtool.validation.options import ValidateOptions
+from animtool.validation.options import ValidateOptions, settings_of
 from animtool.validation.run import Report, validate_files
-from animtool.validation.settings import settings_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,26 +4,109 @@ from __future__ import annotations
 
 import codecs
 import difflib
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
 from animtool.documents.document import document_of, read_text
-from animtool.documents.edit import EditError, edited
-from animtool.errors import AnimtoolError, Fault
+from animtool.documents.edit import Add, EditError, Put, Remove, edited
+from animtool.documents.references import split_reference
+from animtool.errors import AnimtoolError, Fault, excerpt
 from animtool.files import read_input
 from animtool.output import ahead, replacing, together
+from animtool.output_names import name_problem
 from animtool.placing import output_error
+from animtool.rig.parts import ArrayRef
 from animtool.scene.convert_rig import write_arrays
 from animtool.validation.fixes.draft import Step
 from animtool.validation.fixes.mend import Mend, NotMendedError, fix_of
 from animtool.validation.run import findings_in
 from animtool.validation.subjects.open import open_document
+from animtool.validation.subjects.rig import RigSubject
 from animtool.validation.subjects.subject import Opened
+
+_STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
+
+
+def place_of(fault: Fault) -> tuple[Any, ...]:
+    """Return the keys and numbers of a finding's ``where``.
+
+    >>> place_of(Fault("RIG210", "", where="meshes[2].skin.weights"))
+    ('meshes', 2, 'skin', 'weights')
+    """
+    steps = _STEP.findall(fault.where or "")
+    return tuple(int(number) if number else key for key, number in steps)
+
+
+def left_out(opened: Opened, fault: Fault) -> Mend:
+    """Return the file without an entry, and without the list that it was alone in."""
+    if opened.document is None:
+        raise NotMendedError("the file has no text")
+    entries = opened.document.value["ignore"]
+    place = place_of(fault)
+    entry = entries[place[1]]
+    location = place if len(entries) > 1 else ("ignore",)
+    return Mend(f"leaves out the entry for {entry['code']}", (Remove(location),))
+
+
+def from_bind(opened: Opened, fault: Fault) -> Mend:
+    """Return the file with a joint's rest pose, taken from its bind pose."""
+    rig: RigSubject = opened.subject
+    place = place_of(fault)
+    entry = rig.written("joints")[place[1]]
+    pose = rig.document.value["bind"][entry["name"]]
+    keys = [key for key in ("translate", "rotate") if pose.get(key) is not None]
+    edits = tuple(Add(place, key, pose[key]) for key in keys)
+    return Mend(f"gives {entry['name']!r} the rest pose that bind has", edits)
+
+
+def summed(opened: Opened, fault: Fault) -> Mend:
+    """Return the file with weights that are divided by their sums, in a new npz.
+
+    That is what every reader of the file does with them. The npz that holds them now
+    may be another rig's too, and stays as it is.
+    """
+    rig: RigSubject = opened.subject
+    place = place_of(fault)
+    skin = rig.rig.meshes[place[1]].skin
+    if "from" in rig.document.value or skin is None:
+        raise NotMendedError("the mesh comes from another file")
+    weights = skin.weights
+    if not isinstance(weights, ArrayRef):
+        raise NotMendedError("the weights are in no npz file")
+    path = _free(weights.path, weights.key)
+    name, _ = split_reference(weights.text, weights.key)
+    text = f"{name[: -len(weights.path.name)]}{path.name}#{weights.key}"
+    said = f"writes {path.name} with the weights divided by their sums"
+    arrays = {path: {weights.key: _divided(weights)}}
+    return Mend(said, (Put(place, text),), arrays)
+
+
+def _free(path: Path, key: str) -> Path:
+    """Return a file beside another that is not there yet.
+
+    Raises:
+        NotMendedError: The key cannot be a part of its name.
+    """
+    problem = name_problem(f"{path.stem}_{key}.npz")
+    if problem is not None:
+        raise NotMendedError(f"the name of the array, {excerpt(key)}, {problem}")
+    number, found = 2, path.with_name(f"{path.stem}_{key}.npz")
+    while found.exists():
+        found = path.with_name(f"{path.stem}_{key}_{number}.npz")
+        number += 1
+    return found
+
+
+def _divided(weights: ArrayRef) -> npt.NDArray[np.float32]:
+    values = weights.load()
+    return np.asarray(values / values.sum(axis=1, keepdims=True), np.float32)
 
 
 @dataclass(frozen=True, eq=False)

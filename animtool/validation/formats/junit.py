@@ -1,7 +1,4 @@
-"""A report as JUnit XML: a test case a file, which fails where errors are in it.
-
-No times: the same files give the same bytes.
-"""
+"""Reports for services: JUnit, GitHub and JSON."""
 
 from __future__ import annotations
 
@@ -10,7 +7,58 @@ from collections.abc import Sequence
 
 from animtool.errors import Fault, Severity
 from animtool.junit import JunitCase, junit_xml
+from animtool.printing import escaped, json_printed
 from animtool.validation.run import Report
+
+_LEVELS = {
+    Severity.ERROR: "error",
+    Severity.WARNING: "warning",
+    Severity.NOTE: "notice",
+}
+
+
+def github_report(report: Report) -> str:
+    """Return a command for each finding."""
+    return "".join(_command(fault) + "\n" for fault in report.findings)
+
+
+def _command(fault: Fault) -> str:
+    properties: dict[str, object] = {}
+    if fault.path is not None:
+        properties["file"] = fault.path.replace("\\", "/")
+    if fault.lines:
+        properties["line"] = fault.lines[0]
+        if fault.column is not None:
+            properties["col"] = fault.column
+    properties["title"] = fault.code
+    listed = ",".join(f"{key}={_property(value)}" for key, value in properties.items())
+    where = f"{fault.where}: " if fault.where else ""
+    hint = f", {fault.hint}" if fault.hint else ""
+    text = _data(f"{where}{fault.message}{hint}")
+    return f"::{_LEVELS[fault.severity]} {listed}::{text}"
+
+
+def _data(text: str) -> str:
+    return escaped(text).replace("%", "%25")
+
+
+def _property(value: object) -> str:
+    return _data(str(value)).replace(":", "%3A").replace(",", "%2C")
+
+
+def json_report(report: Report) -> str:
+    """Return every file that was looked at, and every finding."""
+    value = {
+        "validate": "animtool/1",
+        "files": [str(path) for path in report.files],
+        "findings": [
+            {**fault.as_dict(), "fixable": fault in report.fixable}
+            for fault in report.findings
+        ],
+        "mended": [{**fault.as_dict(), "done": done} for fault, done in report.mended],
+        "summary": {str(kind): report.count(kind) for kind in Severity},
+    }
+    return json_printed(value, indent=2) + "\n"
 
 
 def junit_report(report: Report) -> str:

@@ -17,7 +17,7 @@ from urllib.parse import quote
 
 from animtool.errors import Fault, Severity
 from animtool.printing import json_printed
-from animtool.validation.formats.source import Sources
+from animtool.validation.formats.plain import Sources
 from animtool.validation.rule import Rule
 from animtool.validation.run import Report
 from animtool.validation.tables import all_rules, page

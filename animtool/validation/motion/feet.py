@@ -13,8 +13,8 @@ from animtool.validation.motion.contacts import (
     Contacts,
     contacts_of,
 )
+from animtool.validation.motion.pops import runs
 from animtool.validation.motion.size import lies_along
-from animtool.validation.motion.steps import runs
 from animtool.validation.motion.subject import MotionSubject
 
 # A take that travels less is one on the spot, whose feet slide on purpose [size].

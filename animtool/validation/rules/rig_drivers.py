@@ -17,7 +17,7 @@ from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import Shape
 from animtool.rig.shapes import combination_order
 from animtool.rig.skeleton import Joint
-from animtool.validation.rules.rig_limits import shown
+from animtool.validation.rules.rig_joints import shown
 from animtool.validation.subjects.rig import RigSubject
 
 # Values of each control that are looked at, beside the points of its curves.

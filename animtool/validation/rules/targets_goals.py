@@ -8,10 +8,9 @@ from itertools import combinations
 import numpy as np
 
 from animtool.errors import Fault, listed
-from animtool.ik.holds import Span
 from animtool.ik.tracks import PARTS, GoalTrack
-from animtool.ik.values import Keyed, Rows, Still, Value
-from animtool.validation.rules.clip_keys import beyond
+from animtool.ik.values import Keyed, Rows, Span, Still, Value
+from animtool.validation.rules.clip import beyond
 from animtool.validation.subjects.targets import TargetsSubject
 
 # Of many goals that ask the same, the first pairs say all.

@@ -22,7 +22,7 @@ from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.take import Take
 from animtool.units import LengthUnit, unit_name
-from animtool.validation.rules.clip_keys import beyond
+from animtool.validation.rules.clip import beyond
 from animtool.validation.subjects.scene import SceneSubject
 
 # Of a chain's reach, beyond rounding and what limits of a tolerance leave [1].

@@ -58,5 +58,7 @@ RULES = (
         "a BVH written in another unit or up axis than is usual",
         Severity.NOTE,
     ),
-    _rule("BVH201", "names of joints that USD cannot tell apart", "names:in_capture"),
+    _rule(
+        "BVH201", "names of joints that USD cannot tell apart", "rig_meshes:in_capture"
+    ),
 )

@@ -59,22 +59,22 @@ RULES = (
     _rule(
         "CLIP201",
         "keys outside the clip's range that do nothing",
-        "clip_keys:outside_range",
+        "clip:outside_range",
     ),
-    _rule("CLIP202", "keys half a turn apart", "clip_keys:half_turns"),
+    _rule("CLIP202", "keys half a turn apart", "clip:half_turns"),
     _rule(
         "CLIP205",
         "a curve that leaves limits between keys that keep them",
-        "clip_curves:overshoot",
+        "clip:overshoot",
     ),
     _rule(
         "CLIP206",
         "an angle that goes a whole turn round between keys",
-        "clip_curves:wrong_way_round",
+        "clip:wrong_way_round",
     ),
     _rule(
         "CLIP207",
         "a cycle that jumps where it begins again",
-        "clip_curves:open_cycles",
+        "clip:open_cycles",
     ),
 )

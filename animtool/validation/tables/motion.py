@@ -24,7 +24,7 @@ def _rule(
 
 
 RULES = (
-    _rule("MOT201", "a take in which nothing moves", "values:motionless", _SAMPLED),
+    _rule("MOT201", "a take in which nothing moves", "sides:motionless", _SAMPLED),
     _rule("MOT202", "a joint that jumps in one frame", "pops:joint_pops"),
     _rule("MOT203", "a root that jumps in one frame", "pops:root_pops"),
     _rule(
@@ -57,25 +57,25 @@ RULES = (
     _rule("MOT213", "motion or a character in another unit", "size:other_units"),
     _rule("MOT214", "a body that stands along another axis than up", "size:wrong_up"),
     _rule("MOT215", "a skeleton of an implausible size", "size:strange_size", _STATED),
-    _rule("MOT216", "sample times off the frame", "grid:off_frame", _USD),
+    _rule("MOT216", "sample times off the frame", "sampling:off_frame", _USD),
     _rule(
         "MOT217",
         "a range that begins or ends elsewhere than the samples",
-        "grid:other_range",
+        "sampling:other_range",
         _USD,
     ),
-    _rule("MOT218", "a joint scaled to zero", "values:zero_scale", _STATED),
-    _rule("MOT219", "shape weights far beyond 1", "values:large_weights", _STATED),
+    _rule("MOT218", "a joint scaled to zero", "sides:zero_scale", _STATED),
+    _rule("MOT219", "shape weights far beyond 1", "sides:large_weights", _STATED),
     _rule(
         "MOT220",
         "a bind pose far from the rest pose",
-        "values:bind_far_from_rest",
+        "sides:bind_far_from_rest",
         _USD,
     ),
     _rule(
         "MOT221",
         "joints that move no mesh",
-        "values:no_influence",
+        "sides:no_influence",
         _USD,
         Severity.NOTE,
     ),

@@ -76,9 +76,9 @@ RULES = (
         "a kind of attachment that is nearly the name of one that is known",
         Severity.WARNING,
     ),
-    _rule("RIG201", "limits that leave out the rest pose", "rig_limits:rest_outside"),
-    _rule("RIG202", "limits that leave a joint no motion", "rig_limits:motionless"),
-    _rule("RIG203", "a twist axis across its bone", "rig_limits:across"),
+    _rule("RIG201", "limits that leave out the rest pose", "rig_joints:rest_outside"),
+    _rule("RIG202", "limits that leave a joint no motion", "rig_joints:motionless"),
+    _rule("RIG203", "a twist axis across its bone", "rig_joints:across"),
     _rule(
         "RIG204",
         "a control that drives a joint beyond its limits",
@@ -87,7 +87,7 @@ RULES = (
     _rule(
         "RIG205",
         "a joint that follows another beyond its own limits",
-        "rig_limits:follower",
+        "rig_joints:follower",
     ),
     _rule(
         "RIG206",
@@ -111,12 +111,12 @@ RULES = (
     _rule(
         "RIG212",
         "left and right that are no mirror images at rest",
-        "rig_symmetry:other_place",
+        "rig_joints:other_place",
     ),
     _rule(
         "RIG213",
         "left and right with other types or limits",
-        "rig_symmetry:other_limits",
+        "rig_joints:other_limits",
     ),
     _rule("RIG214", "a chain that cannot bend", "rig_chains:cannot_bend"),
     _rule(
@@ -124,20 +124,22 @@ RULES = (
         "a chain that is straight at rest and may bend any way",
         "rig_chains:open_bend",
     ),
-    _rule("RIG216", "a bind pose that is nearly the rest pose", "rig_pose:nearly_rest"),
-    _rule("RIG217", "a size that fits another unit better", "rig_pose:odd_size"),
+    _rule(
+        "RIG216", "a bind pose that is nearly the rest pose", "rig_joints:nearly_rest"
+    ),
+    _rule("RIG217", "a size that fits another unit better", "rig_joints:odd_size"),
     _rule(
         "RIG218",
         "a mesh of quite another size than its skeleton",
         "rig_meshes:mesh_size",
     ),
-    _rule("RIG219", "names that USD cannot tell apart", "names:in_rig"),
+    _rule("RIG219", "names that USD cannot tell apart", "rig_meshes:in_rig"),
     _rule("RIG220", "a control without use", "rig_drivers:idle"),
     _rule(
         "RIG221",
         "names that USD does not allow",
-        "names:not_in_usd",
+        "rig_meshes:not_in_usd",
         Severity.NOTE,
     ),
-    _rule("RIG222", "a bind pose without a rest pose", "rig_pose:without_rest"),
+    _rule("RIG222", "a bind pose without a rest pose", "rig_joints:without_rest"),
 )

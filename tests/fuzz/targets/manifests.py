@@ -16,14 +16,13 @@ from animtool.batch.cluster import _address
 from animtool.batch.discover import find_batch
 from animtool.batch.file import load_batch
 from animtool.batch.ledger import _Files, _owner, held_ledger, read_history
-from animtool.batch.mapping import mapped_path, read_rules
-from animtool.batch.outcome import Status
-from animtool.batch.places import named_from
+from animtool.batch.manifest import ItemRecord, record_of
+from animtool.batch.names import mapped_path, read_rules
 from animtool.batch.plan import Planner
-from animtool.batch.records import ItemRecord, record_of
 from animtool.batch.run import RunOptions, run_batch
-from animtool.batch.spec import BatchSpec
+from animtool.batch.spec import BatchSpec, named_from
 from animtool.batch.variants import read_variants
+from animtool.batch.work import Status
 from animtool.errors import AnimtoolError
 from animtool.inputs import FileState
 from fuzz.mutations import spoil, spoil_values

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from animtool.validation.fixes.others import naming
+from animtool.validation.fixes.names import naming
 
 RIG = "rig: animtool/1\nname: hero\njoints: [{name: a.l, type: free}]\n"
 SIDECAR = "rig: animtool/1\nname: side\nfrom: hero.rig.yaml\n"

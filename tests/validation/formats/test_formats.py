@@ -19,7 +19,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from animtool.errors import Fault, Severity
 from animtool.printing import escaped
 from animtool.validation.formats import FORMATS, written
-from animtool.validation.formats.source import cut
+from animtool.validation.formats.plain import cut
 from animtool.validation.run import Report
 from animtool.validation.tables import RULES
 
