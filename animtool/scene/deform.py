@@ -26,8 +26,8 @@ from animtool.skin.character import (
 from animtool.skin.deform import Deformed, block_frames, deform, deform_blocks
 from animtool.skin.displaced import displaced_points
 from animtool.units import UpAxis, up_from_up
-from animtool.usd.point_cache import PointBlock, round_points
-from animtool.usd.point_space import PointSpace
+from animtool.usd.point_based import PointBlock, PointSpace
+from animtool.usd.point_cache import round_points
 
 if TYPE_CHECKING:
     from animtool.scene.frames import TakePlan

@@ -21,9 +21,9 @@ from animtool.usd.author_props import author_props, prop_placements
 from animtool.usd.jobs import UsdResult, WrittenTake, layer_span
 from animtool.usd.names import legal_name
 from animtool.usd.paths import RigPaths
-from animtool.usd.point_cache import CachedMesh, CacheJob, author_cache, mesh_paths
+from animtool.usd.point_based import CachedMesh, PointSpace
+from animtool.usd.point_cache import CacheJob, author_cache, mesh_paths
 from animtool.usd.point_chunks import write_chunks
-from animtool.usd.point_space import PointSpace
 from animtool.usd.strands import WIDTH
 
 

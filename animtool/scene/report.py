@@ -14,7 +14,7 @@ from animtool.usd.jobs import UsdResult, WrittenTake
 
 if TYPE_CHECKING:
     from animtool.edit.thin import Thinned
-    from animtool.usd.point_cache import CachedMesh
+    from animtool.usd.point_based import CachedMesh
 
 
 @dataclass(frozen=True, slots=True)

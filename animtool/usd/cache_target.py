@@ -17,7 +17,7 @@ from animtool.units import UpAxis
 from animtool.usd.layers import attribute, prim
 from animtool.usd.mesh_read import bound_meshes
 from animtool.usd.placement import MAX_NAMED
-from animtool.usd.point_space import PointSpace
+from animtool.usd.point_based import PointSpace
 from animtool.usd.strand_read import bound_strands
 from animtool.usd.target import RigTarget, compose_check
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pxr import Sdf, Vt
+from pxr import Sdf
 
 from animtool._types import Float32Array, FloatArray
 from animtool.rig.surfaces import Strands, Surface
@@ -25,119 +25,31 @@ from animtool.usd.layers import (
 )
 from animtool.usd.meshes import author_meshes, mesh_names
 from animtool.usd.paths import RigPaths
-from animtool.usd.point_space import PointSpace
-from animtool.usd.samples import Samples
+from animtool.usd.point_based import BlockWriter, CachedMesh, PointBlock, PointSpace
 from animtool.usd.strands import author_strands, strand_paths
 
 if TYPE_CHECKING:
     from animtool.usd.cache_target import CacheTarget
 
-_TYPES = Sdf.ValueTypeNames
-
-
-@dataclass(frozen=True, slots=True)
-class PointBlock:
-    """Frames of one mesh, or of strands, as the layer will hold them, in its unit.
-
-    Attributes:
-        mesh: The mesh's place in the job.
-        codes: Time codes ``(F,)``.
-        points: ``(F, V, 3)`` float32, in the mesh's own space.
-        extents: Bounds of the points, or of curves about them ``(F, 2, 3)`` float32.
-        normals: ``(F, V, 3)`` float32; None where they are not written.
-        velocities: ``(F, V, 3)`` float32, per second; None likewise.
-        error: Largest distance that rounding moved a point [m].
-        error_code: Time code of that.
-        error_vertex: The point that moved.
-    """
-
-    mesh: int
-    codes: FloatArray
-    points: Float32Array
-    extents: Float32Array
-    normals: Float32Array | None
-    velocities: Float32Array | None
-    error: float
-    error_code: float
-    error_vertex: int
-
-    def select(self, frames: slice) -> PointBlock:
-        """Return some of the frames; the error stays that of all."""
-        return replace(
-            self,
-            codes=self.codes[frames],
-            points=self.points[frames],
-            extents=self.extents[frames],
-            normals=None if self.normals is None else self.normals[frames],
-            velocities=None if self.velocities is None else self.velocities[frames],
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class CacheJob:
-    """What `author_cache` needs beside the blocks.
+    """What `author_cache` needs beside the blocks."""
 
-    Attributes:
-        output: The file; None is usda for stdout.
-        paths: The character's prims.
-        meshes: Paths of the prims of meshes, then of strands, as the blocks count them.
-        fps: Time codes a second.
-        frames: First and last time code; None takes those of the samples.
-        meters_per_unit: Unit of the layer's numbers [m].
-        up: Up axis of a stage.
-        surfaces: Of a stage, the meshes.
-        strands: Of a stage, likewise.
-        normals: Of a layer, whether the blocks have those of meshes that have them;
-            False blocks those of the rig.
-        target: Of a layer, the rig; None is a stage.
-        shot: The shot that is written; None is no shot.
-    """
-
-    output: Path | None
+    output: Path | None  # the file; None is usda for stdout
     paths: RigPaths
-    meshes: tuple[str, ...]
-    fps: Fraction
-    frames: tuple[Fraction, Fraction] | None
-    meters_per_unit: float
-    up: UpAxis
-    surfaces: tuple[Surface, ...] = ()
-    strands: tuple[Strands, ...] = ()
+    meshes: tuple[str, ...]  # prims of meshes, then of strands, as blocks count them
+    fps: Fraction  # time codes a second
+    frames: tuple[Fraction, Fraction] | None  # first and last; None takes the samples'
+    meters_per_unit: float  # of the layer [m]
+    up: UpAxis  # of a stage
+    surfaces: tuple[Surface, ...] = ()  # of a stage
+    strands: tuple[Strands, ...] = ()  # of a stage
+    # Of a layer, whether blocks have those of meshes that have them; False blocks the
+    # rig's.
     normals: bool = True
-    target: CacheTarget | None = None
-    shot: Shot | None = None
-
-
-@dataclass(slots=True)
-class CachedMesh:
-    """What was written of a mesh, or of strands.
-
-    Attributes:
-        path: Its prim.
-        vertices: Number of its points.
-        samples: Time samples of its points; 0 where it never moves.
-        bytes: Size of its samples in memory.
-        sampled: Names of the attributes that change.
-        error: Largest distance that rounding moved a point [m].
-        error_code: Time code of that.
-        error_vertex: The point that moved.
-    """
-
-    path: str
-    vertices: int = 0
-    samples: int = 0
-    bytes: int = 0
-    sampled: list[str] = field(default_factory=list)
-    error: float = 0.0
-    error_code: float = 0.0
-    error_vertex: int = 0
-
-    def add(self, block: PointBlock) -> None:
-        """Count a block, and keep the larger error."""
-        self.vertices = block.points.shape[1]
-        self.samples += len(block.codes)
-        if block.error > self.error:
-            self.error, self.error_code = block.error, block.error_code
-            self.error_vertex = block.error_vertex
+    target: CacheTarget | None = None  # of a layer, the rig; None is a stage
+    shot: Shot | None = None  # that is written
 
 
 def mesh_paths(
@@ -225,7 +137,7 @@ def author_cache(
     layer = new_layer(job.output or Path("stdout.usda"))
     with Sdf.ChangeBlock():
         specs = author_prims(layer, job)
-        writers = [MeshWriter(specs[path]) for path in job.meshes]
+        writers = [BlockWriter(specs[path]) for path in job.meshes]
         whole = job.target is None
         first, last = np.inf, -np.inf
         for block in blocks:
@@ -266,87 +178,3 @@ def _author_stage(layer: Any, job: CacheJob) -> Mapping[str, Any]:
     author_meshes(layer, job.surfaces, job.paths, {}, unit, bound=False)
     author_strands(layer, job.strands, job.paths, {}, unit, bound=False)
     return {path: layer.GetPrimAtPath(path) for path in job.meshes}
-
-
-class MeshWriter:
-    """Writes a mesh: samples of what changes, a default of what does not."""
-
-    def __init__(self, spec: Any) -> None:
-        self._spec = spec
-        self._report = CachedMesh(str(spec.path))
-        self._channels: dict[str, Samples] = {}
-
-    def add(self, block: PointBlock) -> None:
-        """Write a block of frames."""
-        self._report.add(block)
-        for name, rows in (
-            ("points", block.points),
-            ("extent", block.extents),
-            ("normals", block.normals),
-            ("velocities", block.velocities),
-        ):
-            if rows is not None:
-                self._channel(name).add(block.codes, rows)
-                self._report.bytes += rows.nbytes
-
-    def _channel(self, name: str) -> Samples:
-        if name not in self._channels:
-            self._channels[name] = empty_attribute(self._spec, name)
-        return self._channels[name]
-
-    def release(self) -> None:
-        """Sample everything, whether it changes or not."""
-        for channel in self._channels.values():
-            channel.release()
-
-    def rest(self) -> None:
-        """Write defaults of what has samples, but for velocities: a mesh at no time."""
-        for name, channel in self._channels.items():
-            if name != "velocities":
-                channel.rest()
-
-    def finish(self, *, rest: bool) -> CachedMesh:
-        """Write the defaults of what never changed; return what there is now.
-
-        Args:
-            rest: Whether what has samples has a default too; a rig has its own.
-        """
-        report, channels = self._report, self._channels
-        velocities = channels.pop("velocities", None)
-        moves = bool(channels) and channels["points"].sampled
-        if velocities is not None:
-            if moves:
-                # UsdGeomPointBased uses them beside points of the same times only.
-                velocities.release()
-                channels["velocities"] = velocities
-            else:
-                _remove(self._spec, "velocities")
-        if rest:
-            self.rest()
-        nothing = np.zeros((0, 3), np.float32)
-        for channel in channels.values():
-            channel.finish(nothing)
-        report.sampled = [name for name, made in channels.items() if made.sampled]
-        if not moves:
-            report.samples = report.bytes = 0
-        return report
-
-
-def empty_attribute(spec: Any, name: str) -> Samples:
-    """Return an attribute without value in place of what a mesh at rest has."""
-    _remove(spec, name)
-    kinds = {
-        "points": _TYPES.Point3fArray,
-        "extent": _TYPES.Float3Array,
-        "normals": _TYPES.Normal3fArray,
-        "velocities": _TYPES.Vector3fArray,
-    }
-    interpolation = "vertex" if name == "normals" else ""
-    return Samples(
-        spec, name, kinds[name], Vt.Vec3fArray.FromNumpy, interpolation=interpolation
-    )
-
-
-def _remove(spec: Any, name: str) -> None:
-    if name in spec.attributes:
-        spec.RemoveProperty(spec.attributes[name])

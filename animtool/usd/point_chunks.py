@@ -24,15 +24,13 @@ from animtool.usd.layers import (
     new_layer,
     prim,
 )
-from animtool.usd.point_cache import (
+from animtool.usd.point_based import (
+    BlockWriter,
     CachedMesh,
-    CacheJob,
-    MeshWriter,
     PointBlock,
-    author_prims,
-    cache_metadata,
     empty_attribute,
 )
+from animtool.usd.point_cache import CacheJob, author_prims, cache_metadata
 from animtool.usd.value_clips import author_clips
 
 
@@ -107,7 +105,7 @@ class _Chunk:
         self.layer = new_layer(self.path)
         self.first, self.last = np.inf, -np.inf
         self.writers = [
-            MeshWriter(prim(self.layer, path, over=True)) for path in job.meshes
+            BlockWriter(prim(self.layer, path, over=True)) for path in job.meshes
         ]
 
     def add(self, block: PointBlock) -> None:
@@ -160,17 +158,9 @@ class _Chunks:
             self._close(self._written)
 
     def _count(self, block: PointBlock) -> None:
-        report = self.reports[block.mesh]
-        report.add(block)
-        values = {
-            "points": block.points,
-            "extent": block.extents,
-            "normals": block.normals,
-            "velocities": block.velocities,
-        }
-        given = {name: rows for name, rows in values.items() if rows is not None}
+        block.count(self.reports[block.mesh])
+        given = dict(block.values())
         self.names[block.mesh] = list(given)
-        report.bytes += sum(rows.nbytes for rows in given.values())
         still = self.still[block.mesh]
         if still is None:
             return

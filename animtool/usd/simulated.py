@@ -23,13 +23,12 @@ from animtool.usd.layers import (
     new_layer,
     prim,
 )
-from animtool.usd.point_cache import CachedMesh
-from animtool.usd.prim_writer import PrimWriter
+from animtool.usd.point_based import CachedMesh, Row, RowWriter
 from animtool.usd.value_clips import author_clips
 from animtool.usd.xform import author_order, quaternion
 
-# Of each frame its time code, and what each prim is then, as its writer takes it.
-Rows: TypeAlias = Iterable[tuple[float, Sequence[Any]]]
+# Of each frame its time code, and what each prim is then.
+Rows: TypeAlias = Iterable[tuple[float, Sequence[Row]]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +38,6 @@ class SimulatedJob:
     Attributes:
         model: Path of the prim above all others.
         names: Of the other prims, legal and distinct.
-        writers: Of each, what writes it.
         metadata: What the layer states.
         meters_per_unit: Unit of what is below the model [m].
         turn: From y up to the up axis there ``(4,)``; None is none.
@@ -47,7 +45,6 @@ class SimulatedJob:
 
     model: str
     names: Sequence[str]
-    writers: Sequence[type[PrimWriter]]
     metadata: StageMetadata
     meters_per_unit: float
     turn: FloatArray | None = None
@@ -57,12 +54,9 @@ class SimulatedJob:
         """Where the prims are."""
         return [f"{self.model}/{name}" for name in self.names]
 
-    def made(self) -> list[PrimWriter]:
+    def writers(self) -> list[RowWriter]:
         """Return the writers at their beginning."""
-        return [
-            writer(path, self.meters_per_unit)
-            for path, writer in zip(self.paths, self.writers, strict=True)
-        ]
+        return [RowWriter(path, self.meters_per_unit) for path in self.paths]
 
 
 def simulated_layer(job: SimulatedJob, output: Path | None) -> Any:
@@ -87,7 +81,7 @@ def grow_simulated(job: SimulatedJob, rows: Rows, growing: Growing) -> list[Cach
     Raises:
         OutputError: The file cannot be written.
     """
-    writers = job.made()
+    writers = job.writers()
     for i, (code, frame) in enumerate(rows):
         if not i:
             _begin(job, writers, growing.layer, frame)
@@ -117,7 +111,7 @@ def chunk_simulated(
     Raises:
         OutputError: A file cannot be written.
     """
-    writers = job.made()
+    writers = job.writers()
     starts: list[float] = []
     code = 0.0
     with ExitStack() as last:
@@ -150,9 +144,9 @@ def chunk_simulated(
 
 def _begin(
     job: SimulatedJob,
-    writers: Sequence[PrimWriter],
+    writers: Sequence[RowWriter],
     layer: Any,
-    frame: Sequence[Any],
+    frame: Sequence[Row],
 ) -> None:
     """Write the prims, each turned as a whole where another axis is up."""
     types = Sdf.ValueTypeNames
@@ -165,18 +159,17 @@ def _begin(
 
 
 def _add(
-    writers: Sequence[PrimWriter], layer: Any, code: float, frame: Sequence[Any]
+    writers: Sequence[RowWriter], layer: Any, code: float, frame: Sequence[Row]
 ) -> int:
     """Write a frame of all; return its size in memory [byte]."""
-    before = sum(writer.report.bytes for writer in writers)
-    for writer, row in zip(writers, frame, strict=True):
-        writer.add(layer, code, row)
-    return sum(writer.report.bytes for writer in writers) - before
+    return sum(
+        writer.add(layer, code, row) for writer, row in zip(writers, frame, strict=True)
+    )
 
 
 @contextmanager
 def _chunk(
-    job: SimulatedJob, writers: Sequence[PrimWriter], layer: Any, path: Path
+    job: SimulatedJob, writers: Sequence[RowWriter], layer: Any, path: Path
 ) -> Iterator[Growing]:
     """Give a file for samples, that is whole at the end of the block."""
     with replacing(path) as temporary, growing_crate(temporary, path) as growing:
@@ -188,7 +181,7 @@ def _chunk(
         author_metadata(chunk, replace(job.metadata, first=span[0], last=span[1]))
 
 
-def _declare(layer: Any, writers: Sequence[PrimWriter], whole: Any) -> None:
+def _declare(layer: Any, writers: Sequence[RowWriter], whole: Any) -> None:
     """Make the attributes that have samples, as another layer has them."""
     for report in (writer.report for writer in writers):
         own = whole.GetPrimAtPath(report.path).attributes

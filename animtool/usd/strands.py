@@ -14,6 +14,7 @@ from animtool.usd.finite import Labels, narrowed
 from animtool.usd.layers import attribute, prim
 from animtool.usd.names import distinct_names
 from animtool.usd.paths import RigPaths
+from animtool.usd.point_based import author_linear, author_width
 
 # Below the SkelRoot, what holds the curves.
 SCOPE = "Strands"
@@ -67,12 +68,11 @@ def _curves(spec: Any, points: FloatArray, width: float) -> None:
     places, widths = Vt.Vec3fArray.FromNumpy(flat), Vt.FloatArray([width])
     extent = UsdGeom.Curves.ComputeExtent(places, widths)
     attribute(spec, "extent", _TYPES.Float3Array, extent)
-    attribute(spec, "type", _TYPES.Token, "linear", uniform=True)
-    attribute(spec, "wrap", _TYPES.Token, "nonperiodic", uniform=True)
+    author_linear(spec)
     counts = Vt.IntArray(count, length)
     attribute(spec, "curveVertexCounts", _TYPES.IntArray, counts)
     attribute(spec, "points", _TYPES.Point3fArray, places)
-    attribute(spec, "widths", _TYPES.FloatArray, widths, interpolation="constant")
+    author_width(spec, width)
 
 
 def _bound(spec: Any, token: str) -> None:

@@ -19,7 +19,7 @@ from animtool.usd.animation import round_blocks
 from animtool.usd.curves import author_curve
 from animtool.usd.finite import Labels, narrowed, rounded
 from animtool.usd.layers import attribute, new_layer, prim
-from animtool.usd.prim_writer import PrimWriter
+from animtool.usd.point_based import RowWriter
 from animtool.usd.samples import Samples
 
 TYPES = Sdf.ValueTypeNames
@@ -177,14 +177,10 @@ def test_points_beyond_float32_are_named() -> None:
 
 
 def test_a_frame_of_a_simulation_is_checked() -> None:
-    class Writer(PrimWriter):
-        def begin(self, layer: object, row: object) -> None: ...
-        def add(self, layer: object, code: float, row: object) -> None: ...
-
     layer = new_layer(Path("o.usda"))
     attribute(prim(layer, "/a", "Points"), "widths", TYPES.FloatArray)
     with pytest.raises(OutputError, match=r"/a\.widths: point 1 at frame 4 is inf"):
-        Writer("/a", 1.0).put(layer, 4.0, "widths", Vt.FloatArray([1, float("inf")]))
+        RowWriter("/a", 1.0).put(layer, 4.0, "widths", Vt.FloatArray([1, float("inf")]))
 
 
 def test_a_spline_has_finite_numbers() -> None:
@@ -199,7 +195,7 @@ def test_a_spline_has_finite_numbers() -> None:
 
 def test_every_number_goes_through_the_gate(root: Path) -> None:
     """Only these modules put values into a layer by themselves."""
-    known = {"layers.py", "samples.py", "prim_writer.py"}
+    known = {"layers.py", "samples.py", "point_based.py"}
     puts = re.compile(r"\bSetTimeSample\b|\.default = ")
     found = {
         path.relative_to(root / "animtool/usd").as_posix()

@@ -21,7 +21,7 @@ from animtool.scene.systems.simulation import Opening
 from animtool.sim.colliders import Collider, Plane, Sheet, SheetMotion
 from animtool.sim.particles.run import ParticleRun
 from animtool.sim.particles.trial import ParticleTrial
-from animtool.usd.particle_points import PointsRow
+from animtool.usd.point_based import PointsRow
 
 if TYPE_CHECKING:
     from animtool.scene.springs.setup import SpringSetup

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from animtool._types import FloatArray, IntArray
 from animtool.maths.faces import sides
 from animtool.sim.springs import Springs, Tearing, tear_surface
-from animtool.usd.simulated_points import CurvesRow, FacesRow
+from animtool.usd.point_based import CurvesRow, FacesRow
 
 Flags: TypeAlias = npt.NDArray[np.bool_]
 

@@ -32,7 +32,7 @@ from animtool.usd.jobs import UsdResult, WrittenTake, layer_span
 from animtool.usd.layers import StageMetadata, check_prim_path
 from animtool.usd.names import legal_name
 from animtool.usd.paths import RigPaths
-from animtool.usd.point_cache import CachedMesh
+from animtool.usd.point_based import CachedMesh
 from animtool.usd.simulated import (
     SimulatedJob,
     chunk_simulated,

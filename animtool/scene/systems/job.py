@@ -1,20 +1,16 @@
-"""How systems are to be written: their prims, and what writes each."""
+"""How systems are to be written: their prims."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import cast
 
 import numpy as np
 
 from animtool.errors import Fault, Severity, excerpt
-from animtool.plugins import load_object
 from animtool.scene.entries import SceneSystem
-from animtool.scene.systems.kinds import SYSTEM_KINDS
 from animtool.units import UpAxis, up_from_up
 from animtool.usd.layers import StageMetadata
 from animtool.usd.names import distinct_names, legal_name
-from animtool.usd.prim_writer import PrimWriter
 from animtool.usd.simulated import SimulatedJob
 
 
@@ -39,7 +35,6 @@ def system_job(
     return SimulatedJob(
         model,
         _prim_names(written),
-        tuple(_writer(system) for system in written),
         metadata,
         meters_per_unit,
         None if turn is None else np.array(turn),
@@ -61,7 +56,3 @@ def named_alike(systems: Sequence[SceneSystem]) -> list[Fault]:
 def _prim_names(systems: Sequence[SceneSystem]) -> list[str]:
     names = [system.name for system in systems]
     return distinct_names(names, names, names).names
-
-
-def _writer(system: SceneSystem) -> type[PrimWriter]:
-    return cast(type[PrimWriter], load_object(SYSTEM_KINDS[system.kind].writer))

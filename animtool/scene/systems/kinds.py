@@ -84,7 +84,6 @@ class SystemKind:
         reader: Returns its setup from the keys of an entry; None where faults leave
             none.
         opener: Returns systems that are simulated as one at their beginnings.
-        writer: Writes its prim.
         trial: Returns systems that are simulated as one as what can be simulated in
             several ways.
         joiner: Notes what keeps systems that are joined from being one; empty where
@@ -94,20 +93,18 @@ class SystemKind:
 
     reader: str
     opener: str
-    writer: str
     trial: str
     joiner: str = ""
     surface: bool = False
 
 
-def _springs(writer: str) -> SystemKind:
+def _springs(*, surface: bool) -> SystemKind:
     return SystemKind(
         "animtool.scene.springs.entries:read_springs",
         "animtool.scene.springs.system:open_springs",
-        f"animtool.usd.simulated_points:{writer}",
         "animtool.scene.springs.system:spring_trial",
         "animtool.scene.springs.joins:check_joins",
-        writer == "FacesWriter",
+        surface,
     )
 
 
@@ -116,11 +113,10 @@ SYSTEM_KINDS: dict[str, SystemKind] = {
     "particles": SystemKind(
         "animtool.scene.particles.entries:read_particles",
         "animtool.scene.particles.system:open_particles",
-        "animtool.usd.particle_points:PointsWriter",
         "animtool.scene.particles.system:particle_trial",
     ),
-    "rope": _springs("CurvesWriter"),
-    "strands": _springs("CurvesWriter"),
-    "cloth": _springs("FacesWriter"),
-    "volume": _springs("FacesWriter"),
+    "rope": _springs(surface=False),
+    "strands": _springs(surface=False),
+    "cloth": _springs(surface=True),
+    "volume": _springs(surface=True),
 }

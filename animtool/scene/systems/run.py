@@ -20,7 +20,7 @@ from animtool.scene.systems.simulation import (
     located_systems,
     open_systems,
 )
-from animtool.usd.point_cache import CachedMesh
+from animtool.usd.point_based import CachedMesh
 
 # Steps of one system, from its pre-roll to the last frame; more take hours.
 MAX_STEPS = 10_000_000
