@@ -1,4 +1,10 @@
-"""The ledger of a batch: who works on what, what is done, and what failed."""
+"""The ledger of a batch: who works on what, what is done, and what failed.
+
+A run of the whole batch holds `batch-NAME.lock`. Runs of some of its items each hold a
+lock and write files of their own, in `batch-NAME.d`, which the next whole run takes in.
+Locks are the system's, and end with the process that holds them; what `.owner` says of
+a run only names it to others.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""What was made of what: the records of a batch, and the manifest of its outputs."""
+"""What was made of what: the records of a batch, and the manifest of its outputs.
+
+A line each for a file that was looked at, for outputs that are about to be written, and
+for an item that was made. An item refers to files by number, and is written together
+with those that have none yet.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""Names of items and outputs, and folders that stand for others elsewhere."""
+"""Names of items and outputs, and folders that stand for others elsewhere.
+
+References:
+    Open Job Description, "pathmapping-1.0",
+    https://github.com/OpenJobDescription/openjd-specifications/wiki
+"""
 
 from __future__ import annotations
 

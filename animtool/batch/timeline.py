@@ -1,4 +1,8 @@
-"""Cut lists as editing systems write them, and what they say of media."""
+"""Cut lists as editing systems write them, and what they say of media.
+
+The parser of OpenTimelineIO has no bound on size, and ends the process where text
+nests too deeply, or where it finds a mistake in the middle of an object.
+"""
 
 from __future__ import annotations
 

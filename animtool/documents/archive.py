@@ -1,4 +1,8 @@
-"""Archives of arrays, npz files, read without trust in what they claim."""
+"""Archives of arrays, npz files, read without trust in what they claim.
+
+References:
+    numpy, ``numpy.lib.format``, NEP 1: "A Simple File Format for NumPy Arrays".
+"""
 
 from __future__ import annotations
 

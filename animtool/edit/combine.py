@@ -1,4 +1,9 @@
-"""Two motions of one rig made into one: mixed, added, with continuous signs."""
+"""Two motions of one rig made into one: mixed, added, with continuous signs.
+
+What addition means for each kind of channel is said in `animtool.maths.additive`.
+
+What moves in neither stays stored once, unless the weight changes over time.
+"""
 
 from __future__ import annotations
 

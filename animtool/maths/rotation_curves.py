@@ -1,4 +1,11 @@
-"""Rotations keyed over time: stepped, slerped, squad or a C1 spline between keys."""
+"""Rotations keyed over time: stepped, slerped, squad or a C1 spline between keys.
+
+Quaternions are unit ``(x, y, z, w)``; angular velocities are in the body frame,
+q' = q·ω/2. The formulas work on the double cover of the rotations, where q and -q
+differ: an arc runs from a sign to a sign, and so through at most a whole turn.
+Sign-aligned keys make it the short way. Every segment turns with its keys, whether
+the rotation that turns them is multiplied from the left or from the right.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Unit quaternions (x, y, z, w): products, maps, interpolation, Euler angles."""
+"""Unit quaternions (x, y, z, w): products, maps and interpolation.
+
+Every function works over leading axes that broadcast. Rotations act on column
+vectors: ``rotate(multiply(a, b), v) == rotate(a, rotate(b, v))``.
+"""
 
 from __future__ import annotations
 

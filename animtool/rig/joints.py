@@ -1,4 +1,17 @@
-"""Joint coordinates to local transforms and back, and the names of their parts."""
+"""Joint coordinates to local transforms and back, and the names of their parts.
+
+Coordinates q of a joint, in this order in one row of a ``(F, Q)`` array:
+
+========== = ==========================================================
+free       7 translation [m], quaternion (x, y, z, w)
+ball       4 quaternion (x, y, z, w)
+pin        1 angle about the axis [rad]
+prismatic  1 slide along the axis [m]
+fixed      0
+========== = ==========================================================
+
+All are relative to the rest frame: ``local = T(rest) · R(rest) · motion(q)``.
+"""
 
 from __future__ import annotations
 

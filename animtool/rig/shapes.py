@@ -1,4 +1,8 @@
-"""Combined shapes, whose weights follow from others, and the names that ARKit uses."""
+"""Combined shapes, whose weights follow from others, and the names that ARKit uses.
+
+References:
+    Apple, ARKit documentation, ``ARFaceAnchor.BlendShapeLocation``.
+"""
 
 from __future__ import annotations
 

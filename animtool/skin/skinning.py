@@ -1,4 +1,7 @@
-"""Skinning over frames: linear blend and dual quaternions, as UsdSkel does them."""
+"""Skinning over frames: linear blend and dual quaternions, as UsdSkel does them.
+
+Everything is for column vectors, in the space of the skeleton: the rig's world.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,11 @@
-"""Reports for services: JUnit, GitHub and JSON."""
+"""Reports for services: JUnit, GitHub and JSON.
+
+No times: the same files give the same bytes.
+
+References:
+    GitHub Docs, "Workflow commands for GitHub Actions", setting an error message; the
+    escapes are those of ``command.ts`` of actions/toolkit.
+"""
 
 from __future__ import annotations
 
