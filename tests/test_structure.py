@@ -276,7 +276,7 @@ def test_importing_ik_loads_none_of_it() -> None:
 def test_importing_sim_loads_none_of_it() -> None:
     assert "animtool.sim.integrating" not in loaded("import animtool.sim")
     code = "from animtool.sim import find_integrator\nfind_integrator('rk4')"
-    assert not loaded(code) & {"scipy", "pydantic", "animtool.sim.integrators.rk45"}
+    assert not loaded(code) & {"scipy", "pydantic", "animtool.sim.integrators.adaptive"}
 
 
 def test_help_loads_nothing_heavy() -> None:

@@ -10,9 +10,8 @@ from animtool.quantities import plain
 
 if TYPE_CHECKING:
     from animtool.scene.simulation_table import SimulationTable
-    from animtool.sim.trials.distances import Distances
     from animtool.sim.trials.measuring import Reference, TrialRow, TrialTable
-    from animtool.sim.trials.trial import Setting
+    from animtool.sim.trials.trial import Distances, Setting
 
 LEGEND = "> the file's own   * none as exact is faster   + to take in its place"
 

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 from animtool.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from animtool.sim.functions import ForceSystem as ForceSystem
-    from animtool.sim.functions import RateSystem as RateSystem
     from animtool.sim.integrating import integrate as integrate
     from animtool.sim.integrators import INTEGRATORS as INTEGRATORS
     from animtool.sim.integrators import find_integrator as find_integrator
@@ -16,6 +14,8 @@ if TYPE_CHECKING:
     from animtool.sim.options import IntegrateOptions as IntegrateOptions
     from animtool.sim.system import Energy as Energy
     from animtool.sim.system import FirstOrder as FirstOrder
+    from animtool.sim.system import ForceSystem as ForceSystem
+    from animtool.sim.system import RateSystem as RateSystem
     from animtool.sim.system import SecondOrder as SecondOrder
     from animtool.sim.system import System as System
     from animtool.sim.trajectory import Checkpoint as Checkpoint
@@ -28,10 +28,10 @@ _PUBLIC = {
     "Checkpoint": "animtool.sim.trajectory",
     "Energy": "animtool.sim.system",
     "FirstOrder": "animtool.sim.system",
-    "ForceSystem": "animtool.sim.functions",
+    "ForceSystem": "animtool.sim.system",
     "IntegrateOptions": "animtool.sim.options",
     "Integrator": "animtool.sim.integrators.integrator",
-    "RateSystem": "animtool.sim.functions",
+    "RateSystem": "animtool.sim.system",
     "SecondOrder": "animtool.sim.system",
     "Stats": "animtool.sim.trajectory",
     "Status": "animtool.sim.trajectory",

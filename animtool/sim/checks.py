@@ -1,14 +1,146 @@
-"""What cannot be integrated, found before the first step."""
+"""What cannot be integrated, and signs that a motion has blown up."""
 
 from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Protocol
 
 import numpy as np
 
 from animtool._types import ArrayLike, FloatArray
-from animtool.errors import Fault, OptionError
+from animtool.errors import Fault, OptionError, Severity
+from animtool.quantities import plain
+from animtool.sim.division import divide
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Control, Form, Integrator
-from animtool.sim.trajectory import Checkpoint
+from animtool.sim.modes import allowed_step
+from animtool.sim.options import IntegrateOptions
+from animtool.sim.system import Energy, System
+from animtool.sim.trajectory import Checkpoint, Stats, Status
+
+# What to take where no step of a method is stable.
+STEADY = "symplectic_euler, velocity_verlet, rk4 or implicit_euler"
+_CODES = {
+    Status.UNSTABLE: "SIM102",
+    Status.STEP_TOO_SMALL: "SIM103",
+    Status.OUT_OF_BUDGET: "SIM104",
+    Status.NOT_SOLVED: "SIM105",
+}
+
+
+def step_notices(
+    equations: Equations,
+    integrator: Integrator,
+    options: IntegrateOptions,
+    moments: FloatArray,
+    state: FloatArray,
+) -> list[Fault]:
+    """Return a warning where fixed steps to come are too long to be stable.
+
+    Only of systems that say how fast they move (`System.frequencies`).
+    """
+    step, modes = options.step, equations.system.frequencies(float(moments[0]), state)
+    if step is None or modes is None or integrator.control is not Control.FIXED:
+        return []
+    gaps = [(start, end) for start, end in pairwise(moments.tolist()) if end > start]
+    longest = max((divide(*gap, step).h for gap in gaps), default=0.0)
+    limit = allowed_step(integrator, modes)
+    if limit is None or longest <= limit:
+        return []
+    message = f"{integrator.name} is not stable with steps of {plain(longest)} s"
+    return [Fault("SIM101", message, hint=_advice(limit), severity=Severity.WARNING)]
+
+
+def ending(integrator: Integrator, options: IntegrateOptions, stats: Stats) -> Fault:
+    """Return what a motion stopped for, and what to change."""
+    verb = "blew up" if stats.status is Status.UNSTABLE else "stopped"
+    message = f"{integrator.name} {verb} at {stats.time:.6g} s: {stats.reason}"
+    advice = {
+        Status.UNSTABLE: _advice(stats.stable_step),
+        Status.STEP_TOO_SMALL: f"the floor is {options.floor:g} s: raise the "
+        "tolerance, soften what is hard there, or take radau where the system is stiff",
+        Status.OUT_OF_BUDGET: "raise the budget or the tolerance, or take lsoda or "
+        "radau where the system is stiff",
+        Status.NOT_SOLVED: "take a shorter step",
+    }
+    code, hint = _CODES[stats.status], advice[stats.status]
+    return Fault(code, message, hint=hint, severity=Severity.WARNING)
+
+
+def _advice(stable_step: float | None) -> str:
+    if stable_step is None or math.isinf(stable_step):
+        return f"take a shorter step, or {STEADY}"
+    if stable_step == 0:
+        return f"no step of it is: take {STEADY}"
+    return f"steps up to {plain(stable_step)} s are stable"
+
+
+class Signs(Protocol):
+    """What looks for signs of a blow-up."""
+
+    def sign(self, t: float, state: FloatArray) -> str:
+        """Return why a state is beyond bounds, empty where it is not."""
+        ...
+
+
+class Watch:
+    """Looks at states for numbers, energy and stretch beyond bounds.
+
+    Attributes:
+        energy: Of the state that was looked at last.
+
+    Energy counts from the start, in the largest of: the energies there, what may be
+    supplied, and the potential energy released since. A motion that starts without
+    any is not judged by it.
+    """
+
+    def __init__(self, system: System, options: IntegrateOptions) -> None:
+        self._system = system
+        self._options = options
+        self._first: Energy | None = None
+        self.energy: Energy | None = None
+        self._usual = 0.0
+
+    def start(self, t: float, state: FloatArray) -> None:
+        """Take a state for what is usual."""
+        first = self._system.energy(t, state)
+        self._first = self.energy = first
+        if first is not None:
+            self._usual = max(
+                abs(first.total), first.kinetic, abs(first.potential), first.supply
+            )
+
+    def look_at(self, system: System) -> None:
+        """Look at another system from now on, such as what is left of the first."""
+        self._system = system
+
+    def sign(self, t: float, state: FloatArray) -> str:
+        """Return why a state is beyond bounds, empty where it is not."""
+        if not np.isfinite(state).all():
+            return "its state is not finite"
+        return self._grown(t, state) or self._stretched(t, state)
+
+    def _grown(self, t: float, state: FloatArray) -> str:
+        first, now = self._first, self._system.energy(t, state)
+        self.energy = now
+        if first is None or now is None:
+            return ""
+        released = first.potential - now.potential
+        self._usual = max(self._usual, now.supply, released)
+        most = self._options.growth * self._usual
+        gained = now.total - first.total
+        if self._usual > 0 and not gained <= most:
+            return f"its energy is {now.total:.3g} J, and was {first.total:.3g} J"
+        return ""
+
+    def _stretched(self, t: float, state: FloatArray) -> str:
+        if np.isinf(self._options.stretch):
+            return ""
+        ratio = self._system.stretch(t, state)
+        if ratio is not None and not ratio <= self._options.stretch:
+            return f"a spring is {ratio:.3g} times as long as at rest"
+        return ""
 
 
 def check_times(times: ArrayLike, checkpoint: Checkpoint | None) -> FloatArray:

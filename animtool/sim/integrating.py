@@ -8,15 +8,20 @@ import numpy as np
 
 from animtool._types import ArrayLike, FloatArray
 from animtool.sim.advancing import advance, checkpoint_of, stats_of
-from animtool.sim.checks import check_fit, check_start, check_times
+from animtool.sim.checks import (
+    Watch,
+    check_fit,
+    check_start,
+    check_times,
+    ending,
+    step_notices,
+)
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Integrator
-from animtool.sim.notices import ending, step_notices
 from animtool.sim.options import IntegrateOptions, check_options, finer
 from animtool.sim.run import Run
 from animtool.sim.system import FirstOrder, SecondOrder
 from animtool.sim.trajectory import Checkpoint, Status, Trajectory
-from animtool.sim.watch import Watch
 
 
 def integrate(
@@ -47,7 +52,7 @@ def integrate(
             (SIM003); an option is out of its range (SIM004), missing or not heeded
             (SIM005); the method is not for such a system (SIM006).
 
-    >>> from animtool.sim.functions import ForceSystem
+    >>> from animtool.sim.system import ForceSystem
     >>> fall = ForceSystem(lambda t, x, v: np.full_like(x, -9.81), [[0.0]])
     >>> options = IntegrateOptions("velocity_verlet", step=0.1)
     >>> integrate(fall, [0, 1, 2], options).positions[:, 0, 0].round(3).tolist()

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from animtool.errors import Fault, OptionError
 from animtool.sim.integrators import find_integrator
-from animtool.sim.integrators.adaptive_doubling import doubled
+from animtool.sim.integrators.adaptive import doubled
 from animtool.sim.integrators.integrator import Control, Integrator
 
 # Of methods that choose their steps, where nothing else is said.

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from animtool._types import FloatArray
+from animtool.sim.checks import Signs
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Integrator, Step
 from animtool.sim.options import IntegrateOptions
 from animtool.sim.trajectory import Status
-from animtool.sim.watch import Signs
 
 # Steps between two looks for signs of a blow-up.
 LOOK_EVERY = 32

@@ -10,9 +10,8 @@ from animtool.preview.tables import ik_panels, simulation_panels
 from animtool.preview.work_precision import Curve, Panel, Point
 from animtool.scene.ik_table import IkTable, IkTableRow
 from animtool.scene.simulation_table import SimulationTable
-from animtool.sim.trials.distances import Distances
 from animtool.sim.trials.measuring import Reference, TrialRow, TrialTable
-from animtool.sim.trials.trial import Setting
+from animtool.sim.trials.trial import Distances, Setting
 
 
 def row(

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from animtool.sim import Energy, ForceSystem, IntegrateOptions
-from animtool.sim.watch import Watch
+from animtool.sim.checks import Watch
 
 STATE = np.zeros((2, 1, 1))
 

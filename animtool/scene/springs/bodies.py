@@ -13,7 +13,7 @@ from animtool._types import FloatArray, IntArray
 from animtool.documents.check import FileModel
 from animtool.documents.document import Location
 from animtool.errors import Fault, listed
-from animtool.scene.springs.family_schema import FamilyModel, LineFamilyModel
+from animtool.scene.springs.parts_schema import FamilyModel, LineFamilyModel
 from animtool.scene.springs.shapes import Shape
 from animtool.scene.systems.entries import EntryReader
 from animtool.sim.springs import Body, Family

@@ -11,9 +11,11 @@ import numpy as np
 from animtool.documents.document import Document, Location
 from animtool.errors import Fault, OptionError
 from animtool.scene.springs.bodies import SpringBody, families_of, mass_of
-from animtool.scene.springs.cloth_bodies import cloth_body
-from animtool.scene.springs.contact_schema import SelfContactModel
-from animtool.scene.springs.line_bodies import rope_body, strands_body
+from animtool.scene.springs.parts_schema import (
+    FaceWindModel,
+    SelfContactModel,
+    WindModel,
+)
 from animtool.scene.springs.pins import read_pins
 from animtool.scene.springs.schema import (
     ClothModel,
@@ -23,8 +25,12 @@ from animtool.scene.springs.schema import (
     VolumeModel,
 )
 from animtool.scene.springs.setup import SpringSetup, Wind
-from animtool.scene.springs.volume_bodies import volume_body
-from animtool.scene.springs.wind_schema import FaceWindModel, WindModel
+from animtool.scene.springs.shaped_bodies import (
+    cloth_body,
+    rope_body,
+    strands_body,
+    volume_body,
+)
 from animtool.scene.systems.entries import EntryReader
 from animtool.sim.springs import SelfContact, SpringOptions
 from animtool.sim.springs.options import check_keeping_apart, check_options

@@ -14,7 +14,7 @@ from animtool.documents.names import nearest
 from animtool.errors import AnimtoolError, Fault, listed
 from animtool.maths import so3
 from animtool.scene.springs.bodies import SpringBody
-from animtool.scene.springs.pin_schema import (
+from animtool.scene.springs.parts_schema import (
     CarryingJointModel,
     CarryingPrimModel,
     CarryingVertexModel,

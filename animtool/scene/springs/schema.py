@@ -9,14 +9,15 @@ from pydantic import Field
 
 from animtool.documents.check import FileModel
 from animtool.documents.fields import Name, Real, Vector, Whole
-from animtool.scene.springs.contact_schema import SelfContactField
-from animtool.scene.springs.family_schema import (
+from animtool.scene.springs.parts_schema import (
     ClothSpringsModel,
+    FaceWindField,
     LineSpringsModel,
+    PinModel,
+    SelfContactField,
     VolumeSpringsModel,
+    WindModel,
 )
-from animtool.scene.springs.pin_schema import PinModel
-from animtool.scene.springs.wind_schema import FaceWindField, WindModel
 from animtool.scene.systems.collider_schema import (
     CharacterModel,
     MovingMeshModel,

@@ -15,13 +15,10 @@ from animtool.errors import Fault, Severity, counted, percent
 from animtool.quantities import length_text, plain
 from animtool.scene.entries import SceneSystem
 from animtool.scene.progress import Progress
-from animtool.scene.springs.joins import join_pairs
 from animtool.scene.springs.paths import Tie, Ties, moved_to_pins, ties_of, wind_ties
-from animtool.scene.springs.run import SpringRun
-from animtool.scene.springs.setup import SpringSetup
+from animtool.scene.springs.run import SpringRun, Watched
+from animtool.scene.springs.setup import SpringSetup, join_pairs, shared
 from animtool.scene.springs.shapes import Faces, TornMesh
-from animtool.scene.springs.sharing import shared
-from animtool.scene.springs.watched import Watched
 from animtool.scene.systems.character_collider import character_colliders
 from animtool.scene.systems.simulation import Opening
 from animtool.sim.colliders import Colliders

@@ -103,7 +103,7 @@ def _springs(*, surface: bool) -> SystemKind:
         "animtool.scene.springs.entries:read_springs",
         "animtool.scene.springs.system:open_springs",
         "animtool.scene.springs.system:spring_trial",
-        "animtool.scene.springs.joins:check_joins",
+        "animtool.scene.springs.setup:check_joins",
         surface,
     )
 

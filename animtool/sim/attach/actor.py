@@ -13,7 +13,6 @@ from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 from animtool.sim.attach.bodies import Body
-from animtool.sim.attach.capsules import CapsuleContacts, depth_at_bind
 from animtool.sim.attach.network import lost_links
 from animtool.sim.attach.poses import Pose, Way, way
 from animtool.sim.attach.settings import Settings
@@ -26,7 +25,7 @@ from animtool.sim.attach.stepping import (
     cells_of,
     steps_wanted,
 )
-from animtool.sim.attach.strands import StrandStepper
+from animtool.sim.attach.strands import CapsuleContacts, StrandStepper, depth_at_bind
 from animtool.sim.colliders.on_joints import Capsules
 from animtool.sim.springs.self_contact import tangle_notices
 from animtool.units import UpAxis

@@ -18,17 +18,19 @@ from animtool.motion import Channel, Motion
 from animtool.rig.skeleton import Rig
 from animtool.sim.attach.actor import Actor, Ways, rigidly_moved, upwards
 from animtool.sim.attach.bodies import Body, ChainBody, SurfaceBody
-from animtool.sim.attach.cycle import (
+from animtool.sim.attach.poses import (
+    Pose,
     Travel,
+    extrapolated,
     onward,
+    pose_at,
     seam_weights,
     travel_between,
 )
-from animtool.sim.attach.poses import Pose, extrapolated, pose_at
 from animtool.sim.attach.saved import Saved
 from animtool.sim.attach.settings import Lead, SimulateOptions, settings_for
 from animtool.sim.attach.stepping import State
-from animtool.sim.attach.swings import chain_rotations
+from animtool.sim.attach.strands import chain_rotations
 from animtool.units import parse_length
 
 

@@ -1,4 +1,4 @@
-"""The table of integrators: one file each, imported when used."""
+"""The table of integrators: a file a family, imported when used."""
 
 from __future__ import annotations
 
@@ -11,26 +11,23 @@ from animtool.sim.integrators.integrator import Integrator
 __all__ = ["INTEGRATORS", "find_integrator"]
 
 _FOLDER = "animtool.sim.integrators"
+_FAMILIES = {
+    "explicit": ("euler", "modified_euler", "midpoint", "heun", "rk4"),
+    "symplectic": ("symplectic_euler", "velocity_verlet", "position_verlet"),
+    "adaptive": ("adaptive_doubling", "rk45", "dop853", "lsoda", "radau"),
+    "implicit": ("implicit_euler", "trapezoid", "bdf2"),
+}
+# In the order in which they are listed: from the simplest on.
+_ORDER = (
+    *("euler", "modified_euler", "midpoint", "heun", "symplectic_euler"),
+    *("velocity_verlet", "position_verlet", "rk4", "adaptive_doubling", "rk45"),
+    *("implicit_euler", "trapezoid", "bdf2", "dop853", "lsoda", "radau"),
+)
 INTEGRATORS: dict[str, str] = {
-    name: f"{_FOLDER}.{name}:INTEGRATOR"
-    for name in (
-        "euler",
-        "modified_euler",
-        "midpoint",
-        "heun",
-        "symplectic_euler",
-        "velocity_verlet",
-        "position_verlet",
-        "rk4",
-        "adaptive_doubling",
-        "rk45",
-        "implicit_euler",
-        "trapezoid",
-        "bdf2",
-        "dop853",
-        "lsoda",
-        "radau",
-    )
+    name: f"{_FOLDER}.{family}:{name.upper()}"
+    for name in _ORDER
+    for family, names in _FAMILIES.items()
+    if name in names
 }
 
 

@@ -9,10 +9,9 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.errors import Fault, Severity, ToleranceError
 from animtool.sim.advancing import advance, checkpoint_of, stats_of
-from animtool.sim.checks import check_fit, check_start
+from animtool.sim.checks import check_fit, check_start, ending, step_notices
 from animtool.sim.colliders.colliding import Colliders, Contacts, Touch
 from animtool.sim.equations import Equations
-from animtool.sim.notices import ending, step_notices
 from animtool.sim.options import check_options
 from animtool.sim.particles.divergence import DivergenceCheck
 from animtool.sim.particles.setup import Particles

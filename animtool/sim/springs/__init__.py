@@ -11,10 +11,8 @@ if TYPE_CHECKING:
     from animtool.sim.springs.body import Springs as Springs
     from animtool.sim.springs.body import join as join
     from animtool.sim.springs.body import springs_between as springs_between
-    from animtool.sim.springs.lines import rope as rope
-    from animtool.sim.springs.lines import strand as strand
-    from animtool.sim.springs.motion import SpringMotion as SpringMotion
     from animtool.sim.springs.options import Solver as Solver
+    from animtool.sim.springs.options import SpringMotion as SpringMotion
     from animtool.sim.springs.options import SpringOptions as SpringOptions
     from animtool.sim.springs.paths import Air as Air
     from animtool.sim.springs.paths import Pins as Pins
@@ -22,16 +20,18 @@ if TYPE_CHECKING:
     from animtool.sim.springs.resting import Rest as Rest
     from animtool.sim.springs.resting import find_rest as find_rest
     from animtool.sim.springs.self_contact import SelfContact as SelfContact
-    from animtool.sim.springs.sheets import sheet as sheet
+    from animtool.sim.springs.shapes import Welded as Welded
+    from animtool.sim.springs.shapes import block as block
+    from animtool.sim.springs.shapes import rope as rope
+    from animtool.sim.springs.shapes import sheet as sheet
+    from animtool.sim.springs.shapes import strand as strand
+    from animtool.sim.springs.shapes import surface as surface
+    from animtool.sim.springs.shapes import tetrahedra as tetrahedra
+    from animtool.sim.springs.shapes import weld as weld
     from animtool.sim.springs.simulating import simulate_springs as simulate_springs
-    from animtool.sim.springs.surfaces import surface as surface
     from animtool.sim.springs.system import SpringSystem as SpringSystem
     from animtool.sim.springs.tearing import Tearing as Tearing
     from animtool.sim.springs.tearing import tear_surface as tear_surface
-    from animtool.sim.springs.volumes import block as block
-    from animtool.sim.springs.volumes import tetrahedra as tetrahedra
-    from animtool.sim.springs.welding import Welded as Welded
-    from animtool.sim.springs.welding import weld as weld
 
 _PUBLIC = {
     "Air": "paths",
@@ -41,25 +41,25 @@ _PUBLIC = {
     "Pins": "paths",
     "SelfContact": "self_contact",
     "Solver": "options",
-    "SpringMotion": "motion",
+    "SpringMotion": "options",
     "SpringOptions": "options",
     "SpringSystem": "system",
     "Springs": "body",
     "Targets": "paths",
-    "Welded": "welding",
+    "Welded": "shapes",
     "Rest": "resting",
-    "block": "volumes",
+    "block": "shapes",
     "find_rest": "resting",
     "join": "body",
     "tear_surface": "tearing",
-    "rope": "lines",
-    "sheet": "sheets",
+    "rope": "shapes",
+    "sheet": "shapes",
     "simulate_springs": "simulating",
     "springs_between": "body",
-    "strand": "lines",
-    "surface": "surfaces",
-    "tetrahedra": "volumes",
-    "weld": "welding",
+    "strand": "shapes",
+    "surface": "shapes",
+    "tetrahedra": "shapes",
+    "weld": "shapes",
 }
 
 __all__ = sorted(_PUBLIC)  # noqa: PLE0605 - the table above is the list

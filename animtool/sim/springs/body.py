@@ -150,7 +150,7 @@ def built(
 def join(bodies: Sequence[Body]) -> Body:
     """Return bodies as one; particles are those of the first, the second, and so on.
 
-    >>> from animtool.sim.springs.lines import rope
+    >>> from animtool.sim.springs.shapes import rope
     >>> one = rope([0, 0, 0], [1, 0, 0], 4, Family(10.0), mass=1.0)
     >>> join([one, one]).springs.ends.tolist()[3]
     [4, 5]

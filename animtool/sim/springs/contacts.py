@@ -9,7 +9,7 @@ import numpy as np
 from animtool._types import FloatArray
 from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders
-from animtool.sim.springs.motion import Grid
+from animtool.sim.springs.options import Grid
 
 # Particles that are deeper than this are left inside [m].
 INSIDE = 1e-6

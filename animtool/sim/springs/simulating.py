@@ -11,13 +11,14 @@ import numpy as np
 from animtool._types import ArrayLike, BoolArray, FloatArray
 from animtool.errors import Fault, OptionError, Severity, counted
 from animtool.quantities import length_text, plain
-from animtool.sim.checks import check_times
+from animtool.sim.checks import Watch, check_times
 from animtool.sim.options import IntegrateOptions
 from animtool.sim.springs.choosing import Choice, choose, explicit_limit
-from animtool.sim.springs.motion import Grid, SpringMotion
 from animtool.sim.springs.options import (
     MAX_SUBSTEPS,
+    Grid,
     Solver,
+    SpringMotion,
     SpringOptions,
     check_options,
 )
@@ -25,7 +26,6 @@ from animtool.sim.springs.self_contact import Through, through_notices
 from animtool.sim.springs.solvers import ADVANCE
 from animtool.sim.springs.system import SpringSystem
 from animtool.sim.trajectory import Checkpoint, Stats, Status
-from animtool.sim.watch import Watch
 
 # A time within this share of a cell is at its start.
 ON_GRID = 1e-9

@@ -1,13 +1,84 @@
-"""Derivatives of the accelerations of springs."""
+"""Derivatives and bounds of the accelerations of springs."""
 
 from __future__ import annotations
+
+from typing import Protocol
 
 import numpy as np
 
 from animtool import _kernels
-from animtool._types import FloatArray, IntArray
-from animtool.sim.springs.loaded import LoadedBody
+from animtool._types import BoolArray, FloatArray, IntArray
+from animtool.sim.springs.body import Body
 from animtool.sim.system import Matrix
+
+
+class LoadedBody(Protocol):
+    """A body of N particles with what holds, draws and slows them."""
+
+    @property
+    def body(self) -> Body:
+        """Particles, springs and triangles."""
+
+    @property
+    def fixed(self) -> BoolArray:
+        """Which particles are held ``(N,)``."""
+
+    @property
+    def inverse_masses(self) -> FloatArray:
+        """Of particles ``(N,)`` [1/kg], 0 of those that are held."""
+
+    @property
+    def drags(self) -> FloatArray:
+        """What slows each particle, over its mass and speed ``(N,)`` [1/s]."""
+
+    @property
+    def drawn(self) -> IntArray:
+        """Particles that are drawn to targets ``(A,)``."""
+
+    @property
+    def draws(self) -> FloatArray:
+        """Stiffness [N/m] and damping [N s/m] of these targets ``(A, 2)``."""
+
+    @property
+    def gravity(self) -> FloatArray:
+        """``(3,)`` [m/s²]."""
+
+    @property
+    def pressures(self) -> tuple[float, float]:
+        """Drag and lift of triangles, over area and the square of speed."""
+
+    def wind(self, t: float) -> FloatArray:
+        """Return the velocity of the air at a time ``(1, 3)`` [m/s]."""
+
+
+def fastest(system: LoadedBody) -> FloatArray | None:
+    """Return bounds of the fastest motions (ω, ζ) ``(2, 2)``, None without springs.
+
+    The stiffness over √(m m') has no eigenvalue above the largest sum of sizes in a row
+    (Gershgorin), each spring as if along all others of its particle; the same of the
+    damping. The first motion bears all of that, the second only the drag.
+    """
+    springs = system.body.springs
+    stiffest = _largest(system, springs.stiffness, system.draws[:, 0])
+    if stiffest == 0:
+        return None
+    slowed = _largest(system, springs.damping, system.draws[:, 1])
+    slowed += float(system.drags.max(initial=0.0))
+    omega = float(np.sqrt(stiffest))
+    least = float(system.drags.min(initial=0.0))
+    return np.array([[omega, slowed / (2 * omega)], [omega, least / (2 * omega)]])
+
+
+def _largest(system: LoadedBody, pull: FloatArray, draws: FloatArray) -> float:
+    weights = system.inverse_masses
+    first, second = system.body.springs.ends.T
+    between = np.sqrt(weights[first] * weights[second])
+    rows = np.zeros(len(weights))
+    np.add.at(rows, first, pull * (weights[first] + between))
+    np.add.at(rows, second, pull * (weights[second] + between))
+    np.add.at(rows, system.drawn, draws * weights[system.drawn])
+    return float(rows.max(initial=0.0))
+
 
 # Differences of the forces of air: a share of lengths, or of speeds.
 NUDGE = 1e-5

@@ -8,8 +8,7 @@ from typing import TypeAlias
 
 from animtool import _kernels
 from animtool.sim.springs.contacts import cell_colliders
-from animtool.sim.springs.motion import Grid
-from animtool.sim.springs.options import Solver, SpringOptions
+from animtool.sim.springs.options import Grid, Solver, SpringOptions
 from animtool.sim.springs.self_contact import Through
 from animtool.sim.springs.system import SpringSystem
 

@@ -16,20 +16,19 @@ from animtool.errors import Fault
 from animtool.sim.colliders import Collider, Colliders, Contacts, collide
 from animtool.sim.colliders.collider import SPEED_LIMIT
 from animtool.sim.springs.body import Body, Springs
-from animtool.sim.springs.bounds import fastest
 from animtool.sim.springs.checks import (
     check_body,
     check_limit,
     check_path,
     start_notices,
 )
-from animtool.sim.springs.paths import Air, Pins, Targets, over_knots
+from animtool.sim.springs.paths import Air, Pins, Targets, Teleports, over_knots
 from animtool.sim.springs.self_contact import (
     SelfContact,
     check_self_contact,
     tangle_notices,
 )
-from animtool.sim.springs.teleports import Teleports
+from animtool.sim.springs.slopes import fastest
 from animtool.sim.system import Energy, Matrix, Native, SecondOrder
 
 # Of the speed of targets, where no step says over which time to take it [s].
@@ -78,7 +77,7 @@ class SpringSystem(SecondOrder):
         OptionError: What makes no sense (SIM004, SIM040 to SIM045), of colliders
             SIM020.
 
-    >>> from animtool.sim.springs.lines import rope
+    >>> from animtool.sim.springs.shapes import rope
     >>> from animtool.sim.springs.body import Family
     >>> line = rope([0, 0, 0], [1, 0, 0], 3, Family(100.0), mass=0.5)
     >>> system = SpringSystem(line, pins=Pins([0]))

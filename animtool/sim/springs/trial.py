@@ -9,8 +9,7 @@ import numpy as np
 
 from animtool._types import FloatArray
 from animtool.sim.springs.choosing import choose
-from animtool.sim.springs.motion import SpringMotion
-from animtool.sim.springs.options import Solver, SpringOptions
+from animtool.sim.springs.options import Solver, SpringMotion, SpringOptions
 from animtool.sim.springs.simulating import simulate_springs
 from animtool.sim.springs.system import SpringSystem
 from animtool.sim.system import Energy

@@ -12,14 +12,18 @@ from animtool.errors import Fault, OptionError, Severity
 from animtool.quantities import length_text
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
-from animtool.sim.trials.distances import (
+from animtool.sim.trials.trial import (
+    Cost,
     Distances,
+    Outcome,
+    Setting,
+    Trial,
+    best_of,
     distances,
     extent_of,
     order_seen,
+    recommended_of,
 )
-from animtool.sim.trials.marks import Cost, best_of, recommended_of
-from animtool.sim.trials.trial import Outcome, Setting, Trial
 
 # A motion that halving the steps does not bring nearer by a power of this is sensitive.
 LEAST_ORDER = 0.5

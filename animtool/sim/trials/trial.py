@@ -1,10 +1,13 @@
-"""What can be simulated in several ways, and what a way comes to."""
+"""What can be simulated in several ways, how far apart, and which are worth it."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
+
+import numpy as np
 
 from animtool._types import FloatArray, IntArray
 from animtool.sim.system import Energy
@@ -121,3 +124,147 @@ def ladder(value: float, shares: Sequence[float] = COARSER) -> list[float]:
     [0.12, 0.06, 0.03, 0.015]
     """
     return [value if share == 1 else float(f"{value * share:.12g}") for share in shares]
+
+
+@dataclass(frozen=True, slots=True)
+class Distances:
+    """How far points are from where others have them, over all times.
+
+    Attributes:
+        largest: [m]
+        rms: Root of the mean of squares [m].
+        median: Half of them are nearer [m].
+        apart: Share of the points that only one of the two has [1].
+    """
+
+    largest: float
+    rms: float
+    median: float
+    apart: float = 0.0
+
+    def scaled(self, factor: float) -> Distances:
+        """Return them times a factor."""
+        return Distances(
+            self.largest * factor, self.rms * factor, self.median * factor, self.apart
+        )
+
+
+def distances(truth: Sequence[Shot], found: Sequence[Shot]) -> Distances:
+    """Return how far shots are from others of the same times.
+
+    Points are compared by their ids.
+
+    >>> here, there = Shot(np.zeros((2, 3))), Shot(np.array([[0, 0, 3.0], [0, 4, 0]]))
+    >>> distances([here], [there]).largest
+    4.0
+    """
+    parts, lone, count = [np.zeros(0)], 0, 0
+    for one, other in zip(truth, found, strict=True):
+        a, b = one.points, other.points
+        if one.ids is not None and other.ids is not None:
+            _, i, j = np.intersect1d(
+                one.ids, other.ids, assume_unique=True, return_indices=True
+            )
+            lone += len(a) + len(b) - 2 * len(i)
+            count += len(a) + len(b) - len(i)
+            a, b = a[i], b[j]
+        else:
+            count += len(a)
+        parts.append(np.linalg.norm(b - a, axis=1))
+    every: FloatArray = np.concatenate(parts)
+    if not len(every):
+        return Distances(0.0, 0.0, 0.0, lone / max(count, 1))
+    # Squares of what has blown up are beyond any number.
+    with np.errstate(over="ignore"):
+        rms = math.sqrt(float(np.mean(every**2)))
+    return Distances(float(every.max()), rms, float(np.median(every)), lone / count)
+
+
+def extent_of(shots: Sequence[Shot]) -> float:
+    """Return the diagonal of the box that all points stay in [m]."""
+    every = [shot.points for shot in shots if len(shot.points)]
+    if not every:
+        return 0.0
+    low = np.min([points.min(axis=0) for points in every], axis=0)
+    high = np.max([points.max(axis=0) for points in every], axis=0)
+    return float(np.linalg.norm(high - low))
+
+
+def order_seen(coarse: float, fine: float) -> float | None:
+    """Return the power of the step that errors go with.
+
+    Args:
+        coarse: From steps to half of them, how far a motion moves [m].
+        fine: From these to half of them again [m].
+
+    None where there is nothing to tell it from.
+
+    >>> order_seen(0.4, 0.1)
+    2.0
+    """
+    if not (coarse > 0 and fine > 0 and math.isfinite(coarse / fine)):
+        return None
+    return math.log2(coarse / fine)
+
+
+# An error this much larger is as good, and a time this much shorter is worth it.
+AS_GOOD, WORTH_IT = 1.05, 0.8
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """What a setting takes, and what it gives.
+
+    Attributes:
+        seconds: Wall time [s].
+        error: [m]
+    """
+
+    seconds: float
+    error: float
+
+
+def best_of(costs: Sequence[Cost | None]) -> list[int]:
+    """Return which are as fast as any that is as exact.
+
+    Args:
+        costs: None of what did not work.
+
+    >>> best_of([Cost(1, 0.1), Cost(2, 0.01), Cost(3, 0.05), None])
+    [0, 1]
+    """
+    order = sorted(
+        (cost.seconds, cost.error, i) for i, cost in enumerate(costs) if cost
+    )
+    found, least = [], float("inf")
+    for _, error, i in order:
+        if error < least:
+            found.append(i)
+            least = error
+    return sorted(found)
+
+
+def recommended_of(
+    costs: Sequence[Cost | None], chosen: int, enough: float
+) -> int | None:
+    """Return what to take in place of the chosen setting; None where it is right.
+
+    Args:
+        costs: None of what did not work.
+        chosen: Which of them is.
+        enough: Error that will do where the chosen one does not work [m].
+
+    >>> recommended_of([Cost(1, 0.1), Cost(0.4, 0.1), Cost(0.3, 0.2)], 0, 1.0)
+    1
+    """
+    now = costs[chosen]
+    within = enough if now is None else now.error * AS_GOOD
+    most = float("inf") if now is None else now.seconds * WORTH_IT
+    fit = [
+        (cost.seconds, i)
+        for i, cost in enumerate(costs)
+        if cost is not None and cost.error <= within and cost.seconds <= most
+    ]
+    if not fit and now is None:
+        fit = [(cost.error, i) for i, cost in enumerate(costs) if cost is not None]
+    return min(fit)[1] if fit else None

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from support.attached import moved, tail_rig, take_of
 
 from animtool.maths import so3
-from animtool.sim.attach.swings import chain_rotations, least_turns
+from animtool.sim.attach.strands import chain_rotations, least_turns
 
 SEEDS = st.integers(0, 2**31)
 

@@ -14,6 +14,7 @@ from animtool.sim.springs import (
 )
 from animtool.sim.springs.choosing import (
     CELL,
+    COSTS,
     FIRST,
     LITTLE,
     SAFE,
@@ -21,8 +22,8 @@ from animtool.sim.springs.choosing import (
     Choice,
     choose,
     explicit_limit,
+    projected_rate,
 )
-from animtool.sim.springs.costs import COSTS, projected_rate
 
 
 def cloth(

@@ -14,7 +14,7 @@ from animtool.sim.springs import (
     sheet,
     simulate_springs,
 )
-from animtool.sim.springs.costs import COSTS, projected_rate
+from animtool.sim.springs.choosing import COSTS, projected_rate
 from animtool.sim.springs.solvers import SHORTEST
 
 

@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from animtool.sim.trials.distances import distances, extent_of, order_seen
-from animtool.sim.trials.trial import Shot
+from animtool.sim.trials.trial import Shot, distances, extent_of, order_seen
 
 POINTS = arrays(np.float64, (5, 3), elements=st.floats(-100, 100, width=32))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from animtool.sim.trials.marks import Cost, best_of, recommended_of
+from animtool.sim.trials.trial import Cost, best_of, recommended_of
 
 COST = st.builds(Cost, st.integers(1, 6).map(float), st.integers(1, 6).map(float))
 COSTS = st.lists(st.none() | COST, min_size=1, max_size=8)

@@ -1,4 +1,9 @@
-"""Step doubling: one step beside two half steps, until they agree."""
+"""Methods that choose their steps: step doubling, a pair, and those of scipy.
+
+References:
+    J. R. Dormand, P. J. Prince, A family of embedded Runge-Kutta formulae, Journal of
+    Computational and Applied Mathematics 6, 1980, table 2 (RK5(4)7M).
+"""
 
 from __future__ import annotations
 
@@ -9,8 +14,8 @@ from numpy.polynomial import polynomial as poly
 from animtool._types import FloatArray
 from animtool.errors import Fault, OptionError
 from animtool.sim.equations import Equations
+from animtool.sim.integrators.explicit import RK4, Tableau
 from animtool.sim.integrators.integrator import Control, Integrator, Step
-from animtool.sim.integrators.rk4 import INTEGRATOR as RK4
 from animtool.sim.stability import rate_limit
 
 
@@ -76,4 +81,71 @@ def _growth(base: tuple[float, ...], gain: float) -> tuple[float, ...]:
     return tuple(found.tolist())
 
 
-INTEGRATOR = doubled(RK4)
+ADAPTIVE_DOUBLING = doubled(RK4)
+
+
+FIFTH = (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84)
+FOURTH = (
+    5179 / 57600,
+    0.0,
+    7571 / 16695,
+    393 / 640,
+    -92097 / 339200,
+    187 / 2100,
+    1 / 40,
+)
+RK45_TABLEAU = Tableau(
+    (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0),
+    (
+        (),
+        (1 / 5,),
+        (3 / 40, 9 / 40),
+        (44 / 45, -56 / 15, 32 / 9),
+        (19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729),
+        (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
+        FIFTH,
+    ),
+    (*FIFTH, 0.0),
+    tuple(a - b for a, b in zip((*FIFTH, 0.0), FOURTH, strict=True)),
+)
+
+RK45 = Integrator(
+    "rk45",
+    "steps by their error, six rates each: for smooth motion, the first to try",
+    order=5,
+    control=Control.ADAPTIVE,
+    step=RK45_TABLEAU.step,
+    limit=rate_limit(RK45_TABLEAU.growth()),
+    growth=RK45_TABLEAU.growth(),
+    evaluations=6,
+    error_order=5,
+)
+
+
+DOP853 = Integrator(
+    "dop853",
+    "scipy's, steps by their error: for smooth motion to many digits",
+    order=8,
+    control=Control.SCIPY,
+    solver="scipy.integrate:DOP853",
+)
+
+
+LSODA = Integrator(
+    "lsoda",
+    "scipy's, changes between methods for stiff and other systems by itself",
+    order=5,
+    control=Control.SCIPY,
+    implicit=True,
+    solver="scipy.integrate:LSODA",
+)
+
+
+RADAU = Integrator(
+    "radau",
+    "scipy's, implicit, steps by their error: for stiff systems",
+    order=5,
+    control=Control.SCIPY,
+    implicit=True,
+    solver="scipy.integrate:Radau",
+)
