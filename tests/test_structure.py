@@ -48,7 +48,7 @@ LAYERS = [
     {"documents"},
     {"rig"},
     {"transforms"},
-    {"clock", "motion", "take", "take_checks"},
+    {"clock", "frames", "motion", "take", "take_checks"},
     {"passthrough"},
     {"passes", "reorient", "choices", "keyed"},
     {"clip"},

@@ -1,28 +1,29 @@
 """PointBased prims over time: meshes, curves and points, their samples and bounds.
 
-What is simulated is a row of its prim's values at each frame, and is always sampled.
+What is simulated is a record of its prim's values at each frame, and is always sampled.
 What joints deform is blocks of frames of one shape, and is sampled where it changes.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 from pxr import Sdf, Vt
 
 from animtool._types import Float32Array, FloatArray, IntArray
+from animtool.frames import CurvesFrame, Frame, MeshFrame, PointsFrame
 from animtool.maths.faces import triangulated, vertex_normals
 from animtool.usd.finite import Labels, check_value, largest, narrowed, rounded
 from animtool.usd.layers import attribute, prim
 from animtool.usd.samples import Samples
 
 _TYPES = Sdf.ValueTypeNames
+FrameT = TypeVar("FrameT", CurvesFrame, MeshFrame, PointsFrame)
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +43,6 @@ ATTRIBUTES = {
     "normals": _Kind(_TYPES.Normal3fArray, Vt.Vec3fArray.FromNumpy, "vertex"),
     "ids": _Kind(_TYPES.Int64Array, Vt.Int64Array.FromNumpy),
     "widths": _Kind(_TYPES.FloatArray, Vt.FloatArray.FromNumpy, "vertex"),
-    "primvars:age": _Kind(_TYPES.FloatArray, Vt.FloatArray.FromNumpy, "vertex"),
     "curveVertexCounts": _INTEGERS,
     "faceVertexCounts": _INTEGERS,
     "faceVertexIndices": _INTEGERS,
@@ -80,123 +80,116 @@ def author_width(spec: Any, width: float) -> None:
     attribute(spec, "widths", _TYPES.FloatArray, widths, interpolation="constant")
 
 
-class Row(ABC):
-    """One prim at one frame: points ``(N, 3)`` [m], velocities ``(N, 3)`` [m/s]."""
+class FrameForm(Generic[FrameT]):
+    """How a type of frame is written: its prim, attributes and values."""
 
     type_name: ClassVar[str]
     sampled: ClassVar[tuple[str, ...]]  # attributes that every frame has, in order
-    tears: bool = False  # whether the shape may be another at another frame
-    points: FloatArray
-    velocities: FloatArray
 
-    def shape(self) -> Mapping[str, IntArray]:
+    def shape(self, frame: FrameT) -> Mapping[str, IntArray]:  # noqa: ARG002
         """Return attributes of whole numbers that say how points are joined."""
         return {}
 
-    def describe(self, spec: Any, unit: float) -> None:  # noqa: B027
+    def tears(self, frame: FrameT) -> bool:  # noqa: ARG002
+        """Return whether the shape may be another at another frame."""
+        return False
+
+    def describe(self, spec: Any, frame: FrameT, unit: float) -> None:
         """Write what else the prim is, which no frame changes."""
 
-    @abstractmethod
     def values(
-        self, writer: RowWriter, points: Float32Array, code: float
+        self, writer: FrameWriter, frame: FrameT, points: Float32Array, code: float
     ) -> Mapping[str, npt.NDArray[Any]]:
         """Return what a frame has beside points ``(N, 3)`` and velocities."""
+        raise NotImplementedError
 
 
-@dataclass(frozen=True, slots=True)
-class CurvesRow(Row):
-    """Linear curves of one width at one frame."""
+class _Curves(FrameForm[CurvesFrame]):
+    type_name = "BasisCurves"
+    sampled = ("points", "velocities", "extent")
 
-    points: FloatArray  # one curve after the other (N, 3) [m]
-    velocities: FloatArray  # (N, 3) [m/s]
-    counts: IntArray  # points of each curve (C,)
-    width: float  # [m]
-    tears: bool = False  # whether a curve may become two
-    type_name: ClassVar[str] = "BasisCurves"
-    sampled: ClassVar[tuple[str, ...]] = ("points", "velocities", "extent")
-
-    def shape(self) -> Mapping[str, IntArray]:
+    def shape(self, frame: CurvesFrame) -> Mapping[str, IntArray]:
         """Return how many points each curve has."""
-        return {"curveVertexCounts": self.counts.astype(np.int32)}
+        return {"curveVertexCounts": frame.counts.astype(np.int32)}
 
-    def describe(self, spec: Any, unit: float) -> None:
+    def tears(self, frame: CurvesFrame) -> bool:
+        """Return whether a curve may become two."""
+        return frame.tears
+
+    def describe(self, spec: Any, frame: CurvesFrame, unit: float) -> None:
         """Write kind and width of the curves."""
         author_linear(spec)
-        author_width(spec, self.width / unit)
+        author_width(spec, frame.width / unit)
 
     def values(
         self,
-        writer: RowWriter,
+        writer: FrameWriter,
+        frame: CurvesFrame,
         points: Float32Array,
         code: float,  # noqa: ARG002
     ) -> Mapping[str, npt.NDArray[Any]]:
         """Return bounds of what is drawn."""
-        return {"extent": bounds(points, self.width / writer.unit / 2)}
+        return {"extent": bounds(points, frame.width / writer.unit / 2)}
 
 
-@dataclass(frozen=True, slots=True)
-class FacesRow(Row):
-    """A polygon mesh at one frame, with a normal at each vertex."""
+class _Mesh(FrameForm[MeshFrame]):
+    type_name = "Mesh"
+    sampled = ("points", "velocities", "extent", "normals")
 
-    points: FloatArray  # (N, 3) [m]
-    velocities: FloatArray  # (N, 3) [m/s]
-    counts: IntArray  # corners of each face (M,)
-    indices: IntArray  # corners, face by face
-    closed: bool = False  # whether only its outside is to be seen
-    type_name: ClassVar[str] = "Mesh"
-    sampled: ClassVar[tuple[str, ...]] = ("points", "velocities", "extent", "normals")
-
-    def shape(self) -> Mapping[str, IntArray]:
+    def shape(self, frame: MeshFrame) -> Mapping[str, IntArray]:
         """Return the faces."""
         return {
-            "faceVertexCounts": self.counts.astype(np.int32),
-            "faceVertexIndices": self.indices.astype(np.int32),
+            "faceVertexCounts": frame.counts.astype(np.int32),
+            "faceVertexIndices": frame.indices.astype(np.int32),
         }
 
-    def describe(self, spec: Any, unit: float) -> None:  # noqa: ARG002
-        """Write that it is no cage, and whether both sides are to be seen."""
+    def describe(self, spec: Any, frame: MeshFrame, unit: float) -> None:  # noqa: ARG002
+        """Write that it is no cage, and whether both sides are visible."""
         attribute(spec, "subdivisionScheme", _TYPES.Token, "none", uniform=True)
-        if not self.closed:
+        if not frame.closed:
             attribute(spec, "doubleSided", _TYPES.Bool, True, uniform=True)
 
     def values(
         self,
-        writer: RowWriter,
+        writer: FrameWriter,
+        frame: MeshFrame,
         points: Float32Array,
         code: float,  # noqa: ARG002
     ) -> Mapping[str, npt.NDArray[Any]]:
         """Return bounds and normals; the faces are those of the first frame."""
-        normals = vertex_normals(self.points, writer.triangles)
+        normals = vertex_normals(frame.points, writer.triangles)
         return {"extent": bounds(points, 0.0), "normals": normals.astype(np.float32)}
 
 
-@dataclass(frozen=True, slots=True)
-class PointsRow(Row):
-    """Points that come and go, at one frame."""
-
-    ids: IntArray  # (N,)
-    points: FloatArray  # (N, 3) [m]
-    velocities: FloatArray  # (N, 3) [m/s]
-    radii: FloatArray  # (N,) [m]
-    ages: FloatArray  # (N,) [s]
-    type_name: ClassVar[str] = "Points"
-    sampled: ClassVar[tuple[str, ...]] = (
-        *("points", "velocities", "ids", "widths", "primvars:age", "extent"),
-    )
+class _Points(FrameForm[PointsFrame]):
+    type_name = "Points"
+    sampled = ("points", "velocities", "ids", "widths")
 
     def values(
-        self, writer: RowWriter, points: Float32Array, code: float
+        self, writer: FrameWriter, frame: PointsFrame, points: Float32Array, code: float
     ) -> Mapping[str, npt.NDArray[Any]]:
-        """Return ids, widths, ages and bounds of the balls."""
-        widths = writer.narrowed("widths", 2 * self.radii / writer.unit, code)
-        ages = writer.narrowed("primvars:age", self.ages, code)
+        """Return ids, widths and bounds of the balls."""
+        widths = writer.narrowed("widths", 2 * frame.radii / writer.unit, code)
         extent = bounds(points, widths[:, None] / 2)
-        return {
-            "ids": self.ids,
-            "widths": widths,
-            "primvars:age": ages,
-            "extent": extent,
-        }
+        return {"ids": frame.ids, "widths": widths, "extent": extent}
+
+
+FORMS: dict[type[Frame], FrameForm[Any]] = {
+    CurvesFrame: _Curves(),
+    MeshFrame: _Mesh(),
+    PointsFrame: _Points(),
+}
+
+
+def _primvar_kind(name: str, values: npt.NDArray[Any]) -> _Kind:
+    """Return how a named array of points ``(N,)`` or ``(N, 3)`` is written."""
+    if np.issubdtype(values.dtype, np.integer):
+        return _Kind(_TYPES.IntArray, Vt.IntArray.FromNumpy, "vertex")
+    if values.ndim == 1:
+        return _Kind(_TYPES.FloatArray, Vt.FloatArray.FromNumpy, "vertex")
+    color = name == "displayColor"
+    kind = _TYPES.Color3fArray if color else _TYPES.Float3Array
+    return _Kind(kind, Vt.Vec3fArray.FromNumpy, "vertex")
 
 
 def bounds(
@@ -212,46 +205,57 @@ def bounds(
     return np.stack([low, high]).astype(np.float32)
 
 
-class RowWriter:
-    """Writes the rows of one prim: its attributes once, then all of every frame."""
+class FrameWriter:
+    """Writes the frames of one prim: its attributes once, then all of every frame."""
 
     def __init__(self, path: str, meters_per_unit: float) -> None:
         self.report = CachedMesh(path)
         self.unit = meters_per_unit  # of the layer [m]
         self._first: Any = None
+        self._kinds: dict[str, _Kind] = {}  # of what every frame has, in order
         self._last: dict[str, Any] = {}
         self._letters: dict[str, str] = {}
 
     @cached_property
     def triangles(self) -> IntArray:
-        """Faces of the first row as triangles ``(T, 3)``."""
+        """Faces of the first frame as triangles ``(T, 3)``."""
         return triangulated(self._first.counts, self._first.indices)
 
-    def begin(self, layer: Any, row: Row) -> None:
-        """Write the prim of a first row: attributes, and what no frame changes."""
-        self._first = row
-        spec = prim(layer, self.report.path, row.type_name)
-        for name in row.sampled:
-            kind = ATTRIBUTES[name]
+    def begin(self, layer: Any, frame: Frame) -> None:
+        """Write the prim of a first frame: attributes, and what no frame changes."""
+        self._first, form = frame, FORMS[type(frame)]
+        self._kinds = {name: ATTRIBUTES[name] for name in form.sampled}
+        for name, values in frame.primvars.items():
+            self._kinds[f"primvars:{name}"] = _primvar_kind(name, values)
+        self._kinds["extent"] = ATTRIBUTES["extent"]
+        spec = prim(layer, self.report.path, form.type_name)
+        for name, kind in self._kinds.items():
             attribute(spec, name, kind.type_name, interpolation=kind.interpolation)
-        self.report.sampled = list(row.sampled)
-        for name, values in row.shape().items():
+        self.report.sampled = list(self._kinds)
+        tears = form.tears(frame)
+        for name, values in form.shape(frame).items():
             kind = ATTRIBUTES[name]
-            value = None if row.tears else kind.make(values)
+            value = None if tears else kind.make(values)
             attribute(spec, name, kind.type_name, value)
-            self.report.sampled += [name] if row.tears else []
-        row.describe(spec, self.unit)
+            self.report.sampled += [name] if tears else []
+        form.describe(spec, frame, self.unit)
 
-    def add(self, layer: Any, code: float, row: Row) -> int:
+    def add(self, layer: Any, code: float, frame: Frame) -> int:
         """Write a frame to a layer that has the prim; return its size [byte]."""
-        report = self.report
-        points, error, vertex = self._rounded("points", row.points, code)
-        values = {"points": points, **row.values(self, points, code)}
-        values["velocities"] = self._rounded("velocities", row.velocities, code)[0]
-        for name in row.sampled:
-            self.put(layer, code, name, ATTRIBUTES[name].make(values[name]))
+        report, form = self.report, FORMS[type(frame)]
+        points, error, vertex = self._rounded("points", frame.points, code)
+        values = {"points": points, **form.values(self, frame, points, code)}
+        for name, array in frame.primvars.items():
+            values[f"primvars:{name}"] = (
+                array.astype(np.int32)
+                if np.issubdtype(array.dtype, np.integer)
+                else self.narrowed(f"primvars:{name}", array, code)
+            )
+        values["velocities"] = self._rounded("velocities", frame.velocities, code)[0]
+        for name, kind in self._kinds.items():
+            self.put(layer, code, name, kind.make(values[name]))
         size = sum(array.nbytes for array in values.values())
-        for name, array in row.shape().items() if row.tears else ():
+        for name, array in form.shape(frame).items() if form.tears(frame) else ():
             self.put(layer, code, name, ATTRIBUTES[name].make(array))
             size += array.nbytes
         report.vertices = max(report.vertices, len(points))
@@ -281,8 +285,10 @@ class RowWriter:
         self._last[name] = value
         layer.SetTimeSample(path, code, value)
 
-    def narrowed(self, name: str, values: FloatArray, code: float) -> Float32Array:
-        """Return values ``(N,)`` of an attribute in float32."""
+    def narrowed(
+        self, name: str, values: npt.NDArray[Any], code: float
+    ) -> Float32Array:
+        """Return values ``(N,)`` or ``(N, 3)`` of an attribute in float32."""
         labels, codes = self._labels(name), np.array([code])
         return np.asarray(narrowed(values[None], "f", labels, codes)[0], np.float32)
 

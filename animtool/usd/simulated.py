@@ -12,6 +12,7 @@ from typing import Any, TypeAlias
 from pxr import Sdf
 
 from animtool._types import FloatArray
+from animtool.frames import Frame
 from animtool.output import replacing
 from animtool.usd.clip_files import ClipFiles
 from animtool.usd.growing import Growing, growing_crate
@@ -23,12 +24,12 @@ from animtool.usd.layers import (
     new_layer,
     prim,
 )
-from animtool.usd.point_based import CachedMesh, Row, RowWriter
+from animtool.usd.point_based import CachedMesh, FrameWriter
 from animtool.usd.value_clips import author_clips
 from animtool.usd.xform import author_order, quaternion
 
 # Of each frame its time code, and what each prim is then.
-Rows: TypeAlias = Iterable[tuple[float, Sequence[Row]]]
+Rows: TypeAlias = Iterable[tuple[float, Sequence[Frame]]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,9 +55,9 @@ class SimulatedJob:
         """Where the prims are."""
         return [f"{self.model}/{name}" for name in self.names]
 
-    def writers(self) -> list[RowWriter]:
+    def writers(self) -> list[FrameWriter]:
         """Return the writers at their beginning."""
-        return [RowWriter(path, self.meters_per_unit) for path in self.paths]
+        return [FrameWriter(path, self.meters_per_unit) for path in self.paths]
 
 
 def simulated_layer(job: SimulatedJob, output: Path | None) -> Any:
@@ -144,9 +145,9 @@ def chunk_simulated(
 
 def _begin(
     job: SimulatedJob,
-    writers: Sequence[RowWriter],
+    writers: Sequence[FrameWriter],
     layer: Any,
-    frame: Sequence[Row],
+    frame: Sequence[Frame],
 ) -> None:
     """Write the prims, each turned as a whole where another axis is up."""
     types = Sdf.ValueTypeNames
@@ -159,7 +160,7 @@ def _begin(
 
 
 def _add(
-    writers: Sequence[RowWriter], layer: Any, code: float, frame: Sequence[Row]
+    writers: Sequence[FrameWriter], layer: Any, code: float, frame: Sequence[Frame]
 ) -> int:
     """Write a frame of all; return its size in memory [byte]."""
     return sum(
@@ -169,7 +170,7 @@ def _add(
 
 @contextmanager
 def _chunk(
-    job: SimulatedJob, writers: Sequence[RowWriter], layer: Any, path: Path
+    job: SimulatedJob, writers: Sequence[FrameWriter], layer: Any, path: Path
 ) -> Iterator[Growing]:
     """Give a file for samples, that is whole at the end of the block."""
     with replacing(path) as temporary, growing_crate(temporary, path) as growing:
@@ -181,7 +182,7 @@ def _chunk(
         author_metadata(chunk, replace(job.metadata, first=span[0], last=span[1]))
 
 
-def _declare(layer: Any, writers: Sequence[RowWriter], whole: Any) -> None:
+def _declare(layer: Any, writers: Sequence[FrameWriter], whole: Any) -> None:
     """Make the attributes that have samples, as another layer has them."""
     for report in (writer.report for writer in writers):
         own = whole.GetPrimAtPath(report.path).attributes

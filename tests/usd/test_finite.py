@@ -19,7 +19,7 @@ from animtool.usd.animation import round_blocks
 from animtool.usd.curves import author_curve
 from animtool.usd.finite import Labels, narrowed, rounded
 from animtool.usd.layers import attribute, new_layer, prim
-from animtool.usd.point_based import RowWriter
+from animtool.usd.point_based import FrameWriter
 from animtool.usd.samples import Samples
 
 TYPES = Sdf.ValueTypeNames
@@ -180,7 +180,9 @@ def test_a_frame_of_a_simulation_is_checked() -> None:
     layer = new_layer(Path("o.usda"))
     attribute(prim(layer, "/a", "Points"), "widths", TYPES.FloatArray)
     with pytest.raises(OutputError, match=r"/a\.widths: point 1 at frame 4 is inf"):
-        RowWriter("/a", 1.0).put(layer, 4.0, "widths", Vt.FloatArray([1, float("inf")]))
+        FrameWriter("/a", 1.0).put(
+            layer, 4.0, "widths", Vt.FloatArray([1, float("inf")])
+        )
 
 
 def test_a_spline_has_finite_numbers() -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Protocol, cast
 from animtool._types import FloatArray
 from animtool.documents.document import Location
 from animtool.errors import Fault, Severity, counted
+from animtool.frames import PointsFrame
 from animtool.scene.entries import SceneSystem
 from animtool.scene.systems.character_collider import (
     CharacterCollider,
@@ -21,7 +22,6 @@ from animtool.scene.systems.simulation import Opening
 from animtool.sim.colliders import Collider, Plane, Sheet, SheetMotion
 from animtool.sim.particles.run import ParticleRun
 from animtool.sim.particles.trial import ParticleTrial
-from animtool.usd.point_based import PointsRow
 
 if TYPE_CHECKING:
     from animtool.scene.springs.setup import SpringSetup
@@ -230,11 +230,12 @@ class RunningParticles:
         """Return nothing: what is written says it all."""
         return {}
 
-    def at(self, t: float) -> PointsRow:
+    def at(self, t: float) -> PointsFrame:
         """Return the particles at a time [s], not before the last one asked for."""
         frame = self.run.at(t)
         self._looks += 1
         self._seen += len(frame.ids)
-        return PointsRow(
-            frame.ids, frame.points, frame.velocities, frame.radii, frame.ages
+        primvars = {"age": frame.ages}
+        return PointsFrame(
+            frame.ids, frame.points, frame.velocities, frame.radii, primvars
         )

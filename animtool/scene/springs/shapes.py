@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool._types import FloatArray, IntArray
+from animtool.frames import CurvesFrame, MeshFrame
 from animtool.maths.faces import sides
 from animtool.sim.springs import Springs, Tearing, tear_surface
-from animtool.usd.point_based import CurvesRow, FacesRow
 
 Flags: TypeAlias = npt.NDArray[np.bool_]
 
@@ -39,7 +39,9 @@ class Curves:
         """Whether it may be drawn otherwise than at the start."""
         return bool(np.isfinite(self.springs.limit).any())
 
-    def row(self, points: FloatArray, velocities: FloatArray, torn: Flags) -> CurvesRow:
+    def row(
+        self, points: FloatArray, velocities: FloatArray, torn: Flags
+    ) -> CurvesFrame:
         """Return what is drawn at a frame.
 
         Args:
@@ -48,7 +50,7 @@ class Curves:
             torn: Which springs are ``(S,)``.
         """
         if not torn.any():
-            return CurvesRow(points, velocities, self.counts, self.width, self.tears)
+            return CurvesFrame(points, velocities, self.counts, self.width, self.tears)
         last = np.zeros(len(points), np.bool_)
         last[np.cumsum(self.counts) - 1] = True
         gone = torn[self._next] & (self._next >= 0)
@@ -57,7 +59,7 @@ class Curves:
         sizes = np.bincount(piece)
         drawn = sizes[piece] > 1
         counts = sizes[sizes > 1]
-        return CurvesRow(points[drawn], velocities[drawn], counts, self.width, True)
+        return CurvesFrame(points[drawn], velocities[drawn], counts, self.width, True)
 
     @cached_property
     def _next(self) -> IntArray:
@@ -88,7 +90,7 @@ class Faces:
         sides = self._sides[self._sides >= 0]
         return bool(np.isfinite(self.springs.limit[sides]).any())
 
-    def row(self, points: FloatArray, velocities: FloatArray, torn: Flags) -> FacesRow:  # noqa: ARG002
+    def row(self, points: FloatArray, velocities: FloatArray, torn: Flags) -> MeshFrame:  # noqa: ARG002
         """Return what is drawn at a frame.
 
         Args:
@@ -96,7 +98,7 @@ class Faces:
             velocities: ``(N, 3)`` [m/s].
             torn: Which springs are ``(S,)``: what is to part has a shape of its own.
         """
-        return FacesRow(points, velocities, self.counts, self.indices, self.closed)
+        return MeshFrame(points, velocities, self.counts, self.indices, self.closed)
 
     def parted(self, torn: Flags, places: FloatArray) -> TornMesh | Faces:
         """Return the surface that parts where springs along its sides tear.
@@ -139,10 +141,10 @@ class TornMesh:
 
     tearing: Tearing
 
-    def row(self, points: FloatArray, velocities: FloatArray, torn: Flags) -> FacesRow:
+    def row(self, points: FloatArray, velocities: FloatArray, torn: Flags) -> MeshFrame:
         """Return what is drawn at a frame; see `Faces.row`."""
         made = self.tearing
-        return FacesRow(
+        return MeshFrame(
             made.points(points, torn),
             made.velocities(points, velocities, torn),
             made.counts,

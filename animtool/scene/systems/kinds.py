@@ -81,6 +81,9 @@ class SystemKind:
     """A kind of system, its parts as ``module:object``.
 
     Attributes:
+        spec: The model of its keys.
+        description: What it is, for the schema.
+        example: An entry of it.
         reader: Returns its setup from the keys of an entry; None where faults leave
             none.
         opener: Returns systems that are simulated as one at their beginnings.
@@ -91,6 +94,9 @@ class SystemKind:
         surface: Whether it has faces, which others may run into.
     """
 
+    spec: str
+    description: str
+    example: dict[str, Any]
     reader: str
     opener: str
     trial: str
@@ -98,8 +104,13 @@ class SystemKind:
     surface: bool = False
 
 
-def _springs(*, surface: bool) -> SystemKind:
+def _springs(
+    model: str, description: str, example: dict[str, Any], *, surface: bool = False
+) -> SystemKind:
     return SystemKind(
+        f"animtool.scene.springs.schema:{model}",
+        description,
+        {**example, "springs": {"structural": {"stiffness": 1000}}},
         "animtool.scene.springs.entries:read_springs",
         "animtool.scene.springs.system:open_springs",
         "animtool.scene.springs.system:spring_trial",
@@ -108,15 +119,30 @@ def _springs(*, surface: bool) -> SystemKind:
     )
 
 
-# The keys of each are a field of `SystemModel`.
 SYSTEM_KINDS: dict[str, SystemKind] = {
     "particles": SystemKind(
+        "animtool.scene.particles.schema:ParticlesModel",
+        "Particles that are born, moved, stopped and removed.",
+        {"emitters": [{"rate": 100, "speed": 2, "lifetime": 1}]},
         "animtool.scene.particles.entries:read_particles",
         "animtool.scene.particles.system:open_particles",
         "animtool.scene.particles.system:particle_trial",
     ),
-    "rope": _springs(surface=False),
-    "strands": _springs(surface=False),
-    "cloth": _springs(surface=True),
-    "volume": _springs(surface=True),
+    "rope": _springs(
+        "RopeModel",
+        "A rope.",
+        {"from": [0, 2, 0], "to": [1, 2, 0], "count": 21, "mass": 0.5},
+    ),
+    "strands": _springs(
+        "StrandsModel", "Many strands.", {"points": "hair.npz#points", "mass": 0.1}
+    ),
+    "cloth": _springs(
+        "ClothModel",
+        "A sheet of cloth, or cloth of a mesh.",
+        {"across": [1.5, 0, 0], "mass": 0.3},
+        surface=True,
+    ),
+    "volume": _springs(
+        "VolumeModel", "A soft body.", {"size": [1, 0.5, 1], "mass": 2}, surface=True
+    ),
 }

@@ -2,57 +2,38 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from pydantic import Field
+from pydantic import Field, create_model
 
 from animtool.documents.check import FileModel
-from animtool.scene.particles.schema import ParticlesModel
-from animtool.scene.springs.schema import (
-    ClothModel,
-    RopeModel,
-    StrandsModel,
-    VolumeModel,
-)
-
-# Of an entry's kinds one is given; that one may not be nothing.
-_NOT_GIVEN: Any = None
-_STRUCTURAL = {"structural": {"stiffness": 1000}}
+from animtool.plugins import load_object
+from animtool.scene.systems.kinds import SYSTEM_KINDS
 
 
-class SystemModel(FileModel):
+class _SystemModel(FileModel):
     """One simulation, of one kind."""
 
-    particles: ParticlesModel = Field(
-        default=_NOT_GIVEN,
-        description="Particles that are born, moved, stopped and removed.",
-        examples=[{"emitters": [{"rate": 100, "speed": 2, "lifetime": 1}]}],
-    )
-    rope: RopeModel = Field(
-        default=_NOT_GIVEN,
-        description="A rope.",
-        examples=[
-            {
-                "from": [0, 2, 0],
-                "to": [1, 2, 0],
-                "count": 21,
-                "mass": 0.5,
-                "springs": _STRUCTURAL,
-            }
-        ],
-    )
-    strands: StrandsModel = Field(
-        default=_NOT_GIVEN,
-        description="Many strands.",
-        examples=[{"points": "hair.npz#points", "mass": 0.1, "springs": _STRUCTURAL}],
-    )
-    cloth: ClothModel = Field(
-        default=_NOT_GIVEN,
-        description="A sheet of cloth, or cloth of a mesh.",
-        examples=[{"across": [1.5, 0, 0], "mass": 0.3, "springs": _STRUCTURAL}],
-    )
-    volume: VolumeModel = Field(
-        default=_NOT_GIVEN,
-        description="A soft body.",
-        examples=[{"size": [1, 0.5, 1], "mass": 2, "springs": _STRUCTURAL}],
+
+if TYPE_CHECKING:
+    SystemModel = _SystemModel
+else:
+    # Of an entry's kinds one is given; that one may not be nothing.
+    _NOT_GIVEN: Any = None
+    SystemModel = create_model(
+        "SystemModel",
+        __base__=_SystemModel,
+        __module__=__name__,
+        __doc__=_SystemModel.__doc__,
+        **{
+            name: (
+                load_object(kind.spec),
+                Field(
+                    default=_NOT_GIVEN,
+                    description=kind.description,
+                    examples=[kind.example],
+                ),
+            )
+            for name, kind in SYSTEM_KINDS.items()
+        },
     )
