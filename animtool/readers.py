@@ -66,7 +66,7 @@ BVH = Reader(
 )
 USD = Reader(
     "USD",
-    "animtool.usd.whole_rig:read_rig",
+    "animtool.usd.stored_rig:read_rig",
     "animtool.usd.read:read_usd",
     ("prim_path", "take"),
     "animtool.usd.prims:open_prim",

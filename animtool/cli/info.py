@@ -123,6 +123,6 @@ def _scene(path: Path, given: dict[str, Any], used: set[str]) -> Any:
 
 def _rig(path: Path) -> Any:
     from animtool.report.describe_rig import describe_rig
-    from animtool.scene.rigs import open_rig
+    from animtool.scene.onto_rig import open_rig
 
     return describe_rig(path, *open_rig(path))

@@ -20,7 +20,7 @@ from animtool.placing import output_error
 from animtool.rig.skeleton import Rig
 from animtool.rig.store import StoredArrays, with_file
 from animtool.rig.write import rig_text
-from animtool.scene.rigs import open_rig
+from animtool.scene.onto_rig import open_rig
 
 RIG_SUFFIXES = (".rig.yaml", ".rig.yml", ".rig.json")
 

@@ -34,7 +34,7 @@ from animtool.scene.entries import (
     place_of_entry,
 )
 from animtool.scene.options import BakeOptions, parse_offsets
-from animtool.scene.preroll import Preroll
+from animtool.scene.retime import Preroll
 from animtool.scene.scene import Scene
 from animtool.scene.schema import OutputModel, PropModel, SceneModel, SourceModel
 from animtool.scene.sources import SourceOptions, is_usd, takes_option

@@ -65,7 +65,7 @@ def output_files(
     files = output_paths(path, form_of(options))
     if options.chunk is None:
         return files
-    from animtool.usd.clip_files import point_files, system_files
+    from animtool.usd.chunks import point_files, system_files
 
     sets = [point_files(path)] if options.deform else []
     sets += [system_files(path)] if simulated else []

@@ -38,9 +38,9 @@ from animtool.ik.tracks import TargetTracks
 from animtool.output import check_outputs, sparing_inputs
 from animtool.scene.convert import ConvertReport, convert, convert_outputs
 from animtool.scene.convert_rig import is_rig
+from animtool.scene.onto_rig import open_rig
 from animtool.scene.options import BakeOptions
 from animtool.scene.progress import Progress
-from animtool.scene.rigs import open_rig
 from animtool.scene.sources import SourceOptions, is_usd
 from animtool.scene.start import open_start, rest_take
 from animtool.take import Take, TakeStream

@@ -20,8 +20,8 @@ from animtool.placing import output_error
 from animtool.rig.store import StoredArrays
 from animtool.scene.convert_rig import write_arrays
 from animtool.scene.ik import frame_index, naming
+from animtool.scene.onto_rig import open_rig
 from animtool.scene.progress import Progress
-from animtool.scene.rigs import open_rig
 from animtool.scene.sources import SourceOptions
 from animtool.scene.start import open_start
 from animtool.take import Take

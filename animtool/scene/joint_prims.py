@@ -26,8 +26,7 @@ from animtool.usd.animation import WrittenBlock, round_blocks
 from animtool.usd.author import author, write_usd
 from animtool.usd.forms import Form
 from animtool.usd.jobs import UsdJob, UsdTake, WrittenTake
-from animtool.usd.names import UsdNames, joint_names
-from animtool.usd.paths import RigPaths
+from animtool.usd.names import RigPaths, UsdNames, joint_names
 
 if TYPE_CHECKING:
     from animtool.edit.thin import Thinned
@@ -47,7 +46,7 @@ class JointPrims:
         with closing(_usd_takes(takes, job)) as usd_takes:
             authored, result = author(job, usd_takes)
         if plan.form is Form.LIBRARY and plan.target is not None:
-            from animtool.usd.library_merge import merged_library
+            from animtool.usd.library import merged_library
 
             authored.animation = merged_library(
                 plan.target.path, authored.animation, job.paths, plan.takes[0].name

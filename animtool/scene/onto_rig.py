@@ -11,11 +11,35 @@ import numpy as np
 from animtool._types import FloatArray, IntArray
 from animtool.errors import Fault, OptionError, Severity, listed, naming
 from animtool.motion import Channel, Motion
+from animtool.readers import USD, find_reader
 from animtool.reorient import reorient
 from animtool.rig.fit import check_fit
 from animtool.rig.skeleton import Rig
-from animtool.scene.rigs import open_rig
 from animtool.take import TakeStream
+
+
+def open_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[Fault]]:
+    """Return a rig, wherever it lives, and what there is to say of it.
+
+    Args:
+        path: The file.
+        prim_path: The character, where a USD file has several.
+
+    Raises:
+        FormatError: It cannot be read or is malformed.
+        OptionError: Its suffix is none that animtool reads, or there are no prims in
+            it (CLI004).
+    """
+    if path.is_file() and find_reader(path) is USD:
+        from animtool.usd.stored_rig import read_whole_rig
+
+        return read_whole_rig(path, prim_path)
+    if prim_path is not None:
+        message = "--prim-path is for USD files, and this is none"
+        raise OptionError(Fault("CLI004", message, str(path)))
+    rig = Rig.load(path)
+    return rig, list(rig.notices)
+
 
 MAX_NAMED = 6
 LOST = "their motion is left out"

@@ -13,7 +13,7 @@ from animtool.errors import AnimtoolError, Fault, OptionError, Severity, listed
 from animtool.motion import Motion
 from animtool.output import check_outputs, sparing_inputs, together
 from animtool.output_names import name_key
-from animtool.passthrough import PassthroughTracks
+from animtool.passes import PassthroughTracks
 from animtool.placing import target
 from animtool.scene.bake import run_bake
 from animtool.scene.convert import ConvertReport, convert, convert_outputs

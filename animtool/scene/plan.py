@@ -180,7 +180,7 @@ def check_output(
     overwrite = options.overwrite or (library and path.exists())
     check_outputs(outputs, inputs + layer, overwrite=overwrite)
     if library and path.exists():
-        from animtool.usd.library_merge import check_library
+        from animtool.usd.library import check_library
 
         name = take_name(options, source)
         check_library(path, name, options.prim_path, overwrite=options.overwrite)

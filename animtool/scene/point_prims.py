@@ -19,12 +19,10 @@ from animtool.units import UpAxis
 from animtool.usd.animation import Rounding
 from animtool.usd.author_props import author_props, prop_placements
 from animtool.usd.jobs import UsdResult, WrittenTake, layer_span
-from animtool.usd.names import legal_name
-from animtool.usd.paths import RigPaths
+from animtool.usd.meshes import WIDTH
+from animtool.usd.names import RigPaths, legal_name
 from animtool.usd.point_based import CachedMesh, PointSpace
-from animtool.usd.point_cache import CacheJob, author_cache, mesh_paths
-from animtool.usd.point_chunks import write_chunks
-from animtool.usd.strands import WIDTH
+from animtool.usd.point_cache import CacheJob, author_cache, mesh_paths, write_chunks
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,8 +20,7 @@ from animtool.scene.sources import motion_bytes
 from animtool.usd.forms import Form
 from animtool.usd.jobs import WrittenTake
 from animtool.usd.layers import save_layer
-from animtool.usd.names import legal_name
-from animtool.usd.paths import RigPaths
+from animtool.usd.names import RigPaths, legal_name
 
 if TYPE_CHECKING:
     from animtool.scene.systems.character_watch import CharacterWatch

@@ -23,9 +23,8 @@ from animtool.scene.entries import (
     SceneSystem,
 )
 from animtool.scene.options import BakeOptions
-from animtool.scene.preroll import Preroll, begun_early, without_first
 from animtool.scene.progress import BlockProgress, Progress, told
-from animtool.scene.shots import in_shot
+from animtool.scene.retime import Preroll, begun_early, in_shot, without_first
 from animtool.scene.sources import SourceOptions, open_source
 from animtool.scene.stats import Meter
 from animtool.shot import Shot

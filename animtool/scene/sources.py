@@ -164,7 +164,7 @@ def open_source(
         hint = "animtool bake bakes it; its source is a file that can be read"
         raise OptionError(Fault("IO002", message, str(path), (), hint))
     if options.shot is not None:
-        from animtool.scene.shots import in_shot
+        from animtool.scene.retime import in_shot
 
         own = replace(options, shot=None)
         return in_shot(open_source(path, own, progress=progress), options.shot)

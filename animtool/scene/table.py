@@ -25,7 +25,7 @@ from animtool.scene.options import BakeOptions
 from animtool.scene.plan import plan_bake
 from animtool.scene.reading import Source, source_file
 from animtool.take import Take
-from animtool.usd.play import played_world
+from animtool.usd.skinned import played_world
 
 # Sample rates over the source's own. A source of samples is exact at its own.
 CURVE_RATES = (Fraction(1, 4), Fraction(1, 2), Fraction(1), Fraction(2), Fraction(4))

@@ -17,7 +17,7 @@ from animtool.motion import Motion
 from animtool.rig.skeleton import Rig
 from animtool.usd.finite import Labels, narrowed
 from animtool.usd.layers import attribute, prim
-from animtool.usd.paths import RigPaths
+from animtool.usd.names import RigPaths
 from animtool.usd.samples import Samples
 
 

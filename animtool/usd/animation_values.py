@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from pxr import Usd
+from pxr import Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, FormatError, counted
+from animtool.clock import time_fraction
+from animtool.errors import Fault, FormatError, Severity, counted
+from animtool.maths import so3
 from animtool.motion import Channel
+from animtool.rig.skeleton import Rig
+from animtool.usd.library import take_range
+from animtool.usd.rig_prims import decompose
 from animtool.usd.values import array_value, numbers
 
 
@@ -89,3 +98,242 @@ def _moment(time: Any) -> str:
     if time.IsEarliestTime():
         return "the only value"
     return f"time code {time.GetValue():g}"
+
+
+UNIT_SCALE_TOLERANCE = 1e-6
+
+
+def moving_carriers(skeleton: Any) -> list[Any]:
+    """Return the prims from the SkelRoot to the Skeleton, if one of them moves."""
+    chain: list[Any] = []
+    prim = skeleton
+    while prim and prim.GetPath().pathElementCount:
+        chain.append(UsdGeom.Xformable(prim))
+        if prim.IsA(UsdSkel.Root):
+            break
+        prim = prim.GetParent()
+    moves = any(mover and mover.TransformMightBeTimeVarying() for mover in chain)
+    return [mover for mover in chain if mover] if moves else []
+
+
+def _carriers(skeleton: Any, codes: list[float]) -> FloatArray:
+    """Return the Skeleton's transforms above its SkelRoot's parent ``(F, 4, 4)``."""
+    above = UsdSkel.Root.Find(skeleton).GetPrim().GetParent()
+    matrices = []
+    for code in codes:
+        cache = UsdGeom.XformCache(Usd.TimeCode(code))
+        world = cache.GetLocalToWorldTransform(skeleton)
+        matrices.append(world * cache.GetLocalToWorldTransform(above).GetInverse())
+    return np.array(matrices)
+
+
+def carry_roots(
+    rig: Rig,
+    skeleton: Any,
+    codes: list[float],
+    translations: FloatArray,
+    rotations: FloatArray,
+    scales: FloatArray,
+    where: str,
+) -> list[Fault]:
+    """Give the roots the motion of what carries them, in place.
+
+    Args:
+        rig: J joints.
+        skeleton: The Skeleton's prim, below a SkelRoot.
+        codes: F time codes.
+        translations: Of the joints, local ``(F, J, 3)`` [m].
+        rotations: Of the joints, local ``(F, J, 4)``.
+        scales: Of the joints ``(F, J, 3)``.
+        where: The animation, for messages.
+
+    Returns:
+        A warning where what it finds cannot be put into joints exactly (USD109).
+
+    Raises:
+        FormatError: A transform is not finite (USD014).
+    """
+    matrices = _carriers(skeleton, codes)
+    if not np.isfinite(matrices).all():
+        raise FormatError(
+            Fault("USD014", "the SkelRoot's transform is not finite", where)
+        )
+    moves, turns, sizes = decompose(matrices)
+    for root in rig.roots:
+        sized = sizes * translations[:, root]
+        translations[:, root] = so3.rotate(turns, sized) + moves * rig.meters_per_unit
+        rotations[:, root] = so3.multiply(turns, rotations[:, root])
+        scales[:, root] *= sizes
+    rotations[:] = so3.align_signs(rotations)
+    # Rounding of the matrices is no scale.
+    near = np.abs(scales - 1.0) < UNIT_SCALE_TOLERANCE
+    scales[near] = 1.0
+    if np.ptp(sizes, axis=-1).max() <= UNIT_SCALE_TOLERANCE:
+        return []
+    message = "the SkelRoot is scaled by different factors along its axes"
+    hint = "joints that turn under it are not read exactly"
+    return [Fault("USD109", message, where, (), hint, Severity.WARNING)]
+
+
+# Sub-frame samples about each frame make a grid finer than the samples; beyond this
+# it is no grid but a curve's own keys.
+FINEST_GRID = 8
+# More frames than any take of unevenly spaced keys: there, a key has gone astray.
+MAX_FRAMES = 100_000
+# Samples within this share of a step, or of a time code, from a frame are that frame's:
+# exporters add up float steps, which drift. Shutter offsets are many times larger.
+LARGEST_DRIFT = 0.02
+# Steps that people and exporters mean, and steps of rates that differ by a little.
+PLAIN_STEP_DENOMINATORS = (1, 2, 3, 4, 5, 6, 8, 10, 20, 50, 100)
+FINE_STEP_DENOMINATOR = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class SampleGrid:
+    """Evenly spaced time codes at which samples are read.
+
+    Attributes:
+        start: Time code of the first frame.
+        step: Time codes from one to the next.
+        count: Number of frames.
+        even: Whether samples are so spaced, or some gaps are longer.
+        drift: Largest distance of a sample from its frame [time codes].
+        drift_code: Time code of that sample.
+        between: Number of samples that fall between frames.
+    """
+
+    start: Fraction
+    step: Fraction
+    count: int
+    even: bool
+    drift: float = 0.0
+    drift_code: float = 0.0
+    between: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Span:
+    """First frame, and the last where the take or its stage states one."""
+
+    first: Fraction
+    last: Fraction | None
+
+
+def _span(stage: Any, animation: Any) -> _Span:
+    own = take_range(animation)
+    if own is not None:
+        return _Span(*own)
+    stated = stage.HasAuthoredTimeCodeRange()
+    last = time_fraction(stage.GetEndTimeCode()) if stated else None
+    return _Span(time_fraction(stage.GetStartTimeCode()), last)
+
+
+def sample_grid(
+    stage: Any, animation: Any, times: list[float], where: str
+) -> SampleGrid:
+    """Return the frames of an animation.
+
+    Args:
+        stage: Whose range holds where the animation states none.
+        animation: The SkelAnimation.
+        times: Time codes of all that moves it, ascending.
+        where: The animation, for messages.
+
+    Raises:
+        FormatError: The samples spread over more time codes than any take (USD016).
+    """
+    return _grid(times, _span(stage, animation), where)
+
+
+def _grid(times: list[float], span: _Span, where: str) -> SampleGrid:
+    if not times and span.last is not None:
+        # Nothing moves, for as long as the take or its stage lasts.
+        still = min(max(0, math.floor(span.last - span.first)), MAX_FRAMES) + 1
+        return SampleGrid(span.first, Fraction(1), still, True)
+    if len(times) < 2:
+        start = time_fraction(times[0]) if times else span.first
+        return SampleGrid(start, Fraction(1), 1, True)
+    grid = _exact_grid(times) or _drifting_grid(times)
+    return _whole_codes(times, where) if grid is None else _from_stated(grid, span)
+
+
+def _exact_grid(times: list[float]) -> SampleGrid | None:
+    """Return the coarsest grid that holds every sample; None where it is too fine."""
+    exact = [time_fraction(time) for time in times]
+    gaps = {b - a for a, b in pairwise(exact)}
+    step = _common_divisor(gaps)
+    count = int((exact[-1] - exact[0]) / step) + 1
+    if count > FINEST_GRID * len(times):
+        return None
+    return SampleGrid(exact[0], step, count, len(gaps) == 1)
+
+
+def _drifting_grid(times: list[float]) -> SampleGrid | None:
+    """Return a grid that every sample is near to; None where there is none."""
+    codes = np.array(times)
+    gaps = np.diff(codes)
+    # Attributes that drift apart have samples of one frame almost at the same time.
+    gaps = gaps[gaps > LARGEST_DRIFT * np.quantile(gaps, 0.75, method="lower")]
+    middle, mean = Fraction(float(np.median(gaps))), Fraction(float(gaps.mean()))
+    steps = [middle.limit_denominator(most) for most in PLAIN_STEP_DENOMINATORS]
+    steps.append(mean.limit_denominator(FINE_STEP_DENOMINATOR))
+    found = (_near_grid(codes, step) for step in dict.fromkeys(steps) if step > 0)
+    return next((grid for grid in found if grid is not None), None)
+
+
+def _near_grid(codes: FloatArray, step: Fraction) -> SampleGrid | None:
+    """Return the grid of a step if every sample is near one of its frames."""
+    length = float(step)
+    most = LARGEST_DRIFT * min(length, 1.0)
+    is_plain = step.denominator <= PLAIN_STEP_DENOMINATORS[-1]
+    plain = step.denominator if is_plain else 1
+    start = Fraction(round(codes[0] * plain), plain)
+    if abs(codes[0] - float(start)) > most:
+        start = time_fraction(float(codes[0]))
+    index = np.rint((codes - float(start)) / length)
+    away = np.abs(codes - (float(start) + index * length))
+    gaps = np.diff(index)
+    worst = int(away.argmax())
+    count = int(index[-1]) + 1
+    if away[worst] > most or index[0] != 0:
+        return None
+    if count > FINEST_GRID * len(codes):
+        return None
+    drift, code = float(away[worst]), float(codes[worst])
+    return SampleGrid(start, step, count, bool((gaps <= 1).all()), drift, code)
+
+
+def _whole_codes(times: list[float], where: str) -> SampleGrid:
+    """Return every time code that the samples span.
+
+    Raises:
+        FormatError: There are more than in any take (USD016).
+    """
+    exact = [time_fraction(time) for time in times]
+    first, last = math.floor(exact[0]), math.ceil(exact[-1])
+    if last - first > MAX_FRAMES:
+        message = f"{len(times)} samples spread over {last - first} time codes"
+        raise FormatError(Fault("USD016", message, where, (), "a stray sample?"))
+    between = sum(time.denominator != 1 for time in exact)
+    count = last - first + 1
+    return SampleGrid(Fraction(first), Fraction(1), count, False, between=between)
+
+
+def _from_stated(grid: SampleGrid, span: _Span) -> SampleGrid:
+    """Return a grid from the stated first frame on, where that is just after its first.
+
+    Samples within a frame before the first serve its motion blur.
+    """
+    start = span.first
+    early = (start - grid.start) / grid.step
+    if not grid.start < start < grid.start + 1:
+        return grid
+    if early.denominator != 1 or early >= grid.count:
+        return grid
+    return replace(grid, start=start, count=grid.count - int(early))
+
+
+def _common_divisor(gaps: set[Fraction]) -> Fraction:
+    """Return the largest step that every gap is a multiple of."""
+    denominator = math.lcm(*(gap.denominator for gap in gaps))
+    return Fraction(math.gcd(*(int(gap * denominator) for gap in gaps)), denominator)

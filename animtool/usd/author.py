@@ -65,7 +65,7 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[Authored, UsdResult]:
                 )
                 authored.visible = True
             if job.bones:
-                from animtool.usd.bones import author_bones
+                from animtool.usd.skeleton import author_bones
 
                 authored.visible |= author_bones(
                     authored.rig, job.rig, job.paths, job.meters_per_unit

@@ -15,11 +15,10 @@ from animtool.errors import Fault, OptionError, Severity
 from animtool.motion import Motion
 from animtool.transforms import Reference, Track, Transforms, turned_track
 from animtool.units import UpAxis, up_from_up
-from animtool.usd.layers import asset_path, prim
+from animtool.usd.layers import asset_path, author_order, prim, quaternion
 from animtool.usd.library import TAKE_SET
-from animtool.usd.paths import RigPaths
+from animtool.usd.names import RigPaths
 from animtool.usd.samples import Samples
-from animtool.usd.xform import author_order, quaternion
 
 if TYPE_CHECKING:
     from animtool.usd.target import RigTarget

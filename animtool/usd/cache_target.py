@@ -15,10 +15,9 @@ from animtool.errors import Fault, FormatError, OutputError, Severity, listed
 from animtool.rig.parts import Attachment
 from animtool.units import UpAxis
 from animtool.usd.layers import attribute, prim
-from animtool.usd.mesh_read import bound_meshes
-from animtool.usd.placement import MAX_NAMED
+from animtool.usd.mesh_read import bound_meshes, bound_strands
 from animtool.usd.point_based import PointSpace
-from animtool.usd.strand_read import bound_strands
+from animtool.usd.skinned import MAX_NAMED
 from animtool.usd.target import RigTarget, compose_check
 
 # A transform between mesh and skeleton nearer to none than this is rounding.

@@ -14,7 +14,7 @@ from animtool.errors import Fault, FormatError, counted
 from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
 from animtool.units import UpAxis
 from animtool.usd.layers import usd_errors
-from animtool.usd.mesh_read import read_meshes
+from animtool.usd.mesh_read import read_meshes, read_strands
 from animtool.usd.rig_prims import (
     SkeletonRig,
     find_skeletons,
@@ -22,7 +22,6 @@ from animtool.usd.rig_prims import (
     prim_below,
     skeleton_rig,
 )
-from animtool.usd.strand_read import read_strands
 from animtool.usd.target import RigTarget
 from animtool.usd.values import numbers
 

@@ -17,8 +17,7 @@ from animtool.rig.skeleton import Rig
 from animtool.shot import Shot
 from animtool.usd.animation import Rounding, WrittenBlock
 from animtool.usd.forms import Form
-from animtool.usd.names import UsdNames
-from animtool.usd.paths import RigPaths
+from animtool.usd.names import RigPaths, UsdNames
 
 if TYPE_CHECKING:
     from animtool.usd.author_props import PropSamples

@@ -12,8 +12,9 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from pxr import Sdf, Tf, Work
+from pxr import Gf, Sdf, Tf, Vt, Work
 
+from animtool._types import FloatArray
 from animtool.errors import Fault, FormatError, OptionError, excerpt
 from animtool.files import open_input, seen_from, too_large, unreadable
 from animtool.inputs import FileState, changed_error
@@ -299,3 +300,21 @@ def export_layer(
         raise output_error(path, NO_TEXT) from error
     if not done:
         raise output_error(path, "USD could not write it")
+
+
+def author_order(spec: Any, *names: str) -> None:
+    """Say in which order a prim's operations follow each other."""
+    order = Vt.TokenArray(names)
+    types = Sdf.ValueTypeNames
+    attribute(spec, "xformOpOrder", types.TokenArray, order, uniform=True)
+
+
+def quaternion(row: FloatArray) -> Any:
+    """Return a quaternion ``(4,)``, x y z w, as USD has it.
+
+    >>> import numpy as np
+    >>> quaternion(np.array([0.0, 0.0, 0.0, 1.0])).GetReal()
+    1.0
+    """
+    x, y, z, w = row.tolist()
+    return Gf.Quatd(w, x, y, z)

@@ -21,7 +21,11 @@ from animtool.rig.parts import AttachKind, Shape
 from animtool.take import Take, TakeStream
 from animtool.units import unit_name
 from animtool.usd.animation_values import (
+    SampleGrid,
     animated_shapes,
+    carry_roots,
+    moving_carriers,
+    sample_grid,
     sampled_values,
     scale_channel,
     shape_weights,
@@ -29,7 +33,6 @@ from animtool.usd.animation_values import (
 from animtool.usd.layers import usd_errors
 from animtool.usd.library import TakeSet, find_take_set, select_take
 from animtool.usd.mesh_read import bound_shapes
-from animtool.usd.placement import MAX_NAMED, character_paths
 from animtool.usd.rig_prims import (
     SkeletonRig,
     check_moves,
@@ -42,8 +45,7 @@ from animtool.usd.rig_prims import (
     skeleton_rig,
     up_axis,
 )
-from animtool.usd.root_carriers import carry_roots, moving_carriers
-from animtool.usd.sample_grid import SampleGrid, sample_grid
+from animtool.usd.skinned import MAX_NAMED, character_paths
 from animtool.usd.values import array_value, numbers, stored_data
 
 

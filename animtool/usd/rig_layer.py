@@ -2,23 +2,259 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, Vt
 
+from animtool._types import FloatArray
 from animtool.errors import Fault
-from animtool.rig.skeleton import Rig
+from animtool.maths import so3
+from animtool.rig.kinematics import rest_world
+from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.rig.surfaces import surfaces_of
 from animtool.usd.layers import attribute, new_layer, prim, relationship, save_layer
 from animtool.usd.meshes import author_meshes
-from animtool.usd.names import joint_names, legal_name
-from animtool.usd.paths import RigPaths
-from animtool.usd.physics import author_physics
+from animtool.usd.names import RigPaths, joint_names, legal_name
 from animtool.usd.skeleton import author_rig
+
+# Low above high is UsdPhysics' way to say that nothing moves there.
+LOCKED = (1.0, -1.0)
+# What is off an axis by less is rounding of float32.
+ON_AXIS = 1e-6
+
+_TYPES = Sdf.ValueTypeNames
+_AXES = "XYZ"
+
+
+@dataclass(frozen=True, slots=True)
+class PhysicsJoint:
+    """What a joint prim says of a joint.
+
+    Attributes:
+        name: USD name of the joint.
+        type: What it can do.
+        axis: Unit axis of a pin or prismatic joint, in the joint's rest frame.
+        limits: How far it may go [rad], [m]; None is any way.
+    """
+
+    name: str
+    type: JointType
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    limits: RangeLimit | BallLimit | None = None
+
+
+def author_physics(
+    layer: Any, model: str, rig: Rig, names: Sequence[str], meters_per_unit: float
+) -> int:
+    """Write bodies and joints below ``MODEL/Physics``; return how many joints.
+
+    Args:
+        layer: Where to.
+        model: Path of the model.
+        rig: J joints.
+        names: Their USD names.
+        meters_per_unit: Unit of the layer [m].
+    """
+    held = [i for i, joint in enumerate(rig.joints) if joint.type is not JointType.FREE]
+    bodies = sorted({*held, *(rig.joints[i].parent for i in held)} - {-1})
+    scope = f"{model}/Physics"
+    prim(layer, model, over=True)
+    for path in (scope, f"{scope}/Bodies", f"{scope}/Joints"):
+        prim(layer, path, "Scope")
+    world = rest_world(rig)
+    turns = so3.from_matrix(world.linear[0])
+    for i in bodies:
+        place = world.positions[0, i] / meters_per_unit
+        _body(layer, f"{scope}/Bodies/{names[i]}", place, turns[i])
+    for i in held:
+        _joint(layer, scope, rig, i, names, meters_per_unit)
+    return len(held)
+
+
+def _body(layer: Any, path: str, place: FloatArray, turn: FloatArray) -> None:
+    spec = prim(layer, path, "Xform")
+    _apply(spec, ["PhysicsRigidBodyAPI"])
+    attribute(spec, "physics:kinematicEnabled", _TYPES.Bool, True)
+    x, y, z, w = turn.tolist()
+    attribute(spec, "xformOp:translate", _TYPES.Double3, Gf.Vec3d(*place.tolist()))
+    attribute(spec, "xformOp:orient", _TYPES.Quatd, Gf.Quatd(w, x, y, z))
+    order = Vt.TokenArray(["xformOp:translate", "xformOp:orient"])
+    attribute(spec, "xformOpOrder", _TYPES.TokenArray, order, uniform=True)
+
+
+def _apply(spec: Any, schemas: list[str]) -> None:
+    found = Sdf.TokenListOp()
+    found.prependedItems = schemas
+    spec.SetInfo("apiSchemas", found)
+
+
+def _joint(
+    layer: Any,
+    scope: str,
+    rig: Rig,
+    index: int,
+    names: Sequence[str],
+    meters_per_unit: float,
+) -> None:
+    joint = rig.joints[index]
+    spec = prim(layer, f"{scope}/Joints/{names[index]}", _prim_type(joint))
+    token = attribute(spec, "animtool:joint", _TYPES.Token, str(joint.type))
+    token.custom = True
+    if joint.parent >= 0:
+        relationship(spec, "physics:body0", f"{scope}/Bodies/{names[joint.parent]}")
+    relationship(spec, "physics:body1", f"{scope}/Bodies/{names[index]}")
+    axis, frame = _frame(joint)
+    place = np.array(joint.translation) / meters_per_unit
+    outer = so3.multiply(np.array(joint.rotation), frame)
+    zero = Gf.Vec3f(0.0)
+    attribute(spec, "physics:localPos0", _TYPES.Point3f, Gf.Vec3f(*place.tolist()))
+    attribute(spec, "physics:localPos1", _TYPES.Point3f, zero)
+    attribute(spec, "physics:localRot0", _TYPES.Quatf, _quatf(outer))
+    attribute(spec, "physics:localRot1", _TYPES.Quatf, _quatf(frame))
+    if axis:
+        attribute(spec, "physics:axis", _TYPES.Token, axis, uniform=True)
+    if isinstance(joint.limits, RangeLimit):
+        pin = joint.type is JointType.PIN
+        scale = math.degrees(1.0) if pin else 1.0 / meters_per_unit
+        attribute(spec, "physics:lowerLimit", _TYPES.Float, joint.limits.low * scale)
+        attribute(spec, "physics:upperLimit", _TYPES.Float, joint.limits.high * scale)
+    elif isinstance(joint.limits, BallLimit):
+        _ball(spec, joint.limits)
+
+
+def _quatf(turn: FloatArray) -> Any:
+    x, y, z, w = turn.tolist()
+    return Gf.Quatf(w, x, y, z)
+
+
+def _prim_type(joint: Joint) -> str:
+    if joint.type is JointType.BALL:
+        limits = joint.limits
+        twists = isinstance(limits, BallLimit) and limits.twist is not None
+        return "PhysicsJoint" if twists else "PhysicsSphericalJoint"
+    return {
+        JointType.PIN: "PhysicsRevoluteJoint",
+        JointType.PRISMATIC: "PhysicsPrismaticJoint",
+        JointType.FIXED: "PhysicsFixedJoint",
+    }[joint.type]
+
+
+def _frame(joint: Joint) -> tuple[str, FloatArray]:
+    """Return the axis token, empty for none, and the joint's own frame in the body."""
+    if isinstance(joint.limits, BallLimit):
+        token = "" if joint.limits.twist is not None else "X"
+        return token, so3.from_matrix(joint.limits.axes.T)
+    if joint.type is JointType.BALL:
+        return "X", so3.IDENTITY
+    if joint.type is JointType.FIXED:
+        return "", so3.IDENTITY
+    for letter, basis in zip(_AXES, np.eye(3), strict=True):
+        if (basis == joint.axis).all():
+            return letter, so3.IDENTITY
+    return "X", so3.from_matrix(BallLimit(twist_axis=joint.axis).axes.T)
+
+
+def _ball(spec: Any, limits: BallLimit) -> None:
+    swing = None if limits.swing is None else np.degrees(limits.swing).tolist()
+    if limits.twist is None:
+        if swing is not None:
+            # The first cone leans towards Y, which is a turn about Z.
+            attribute(spec, "physics:coneAngle0Limit", _TYPES.Float, swing[1])
+            attribute(spec, "physics:coneAngle1Limit", _TYPES.Float, swing[0])
+        return
+    low, high = np.degrees(limits.twist).tolist()
+    ranges = {"rotX": LOCKED if low == high == 0 else (low, high)}
+    if swing is not None:
+        ranges |= {"rotY": (-swing[0], swing[0]), "rotZ": (-swing[1], swing[1])}
+    ranges |= {f"trans{axis}": LOCKED for axis in _AXES}
+    _apply(spec, [f"PhysicsLimitAPI:{name}" for name in ranges])
+    for name, (low, high) in ranges.items():
+        attribute(spec, f"limit:{name}:physics:low", _TYPES.Float, low)
+        attribute(spec, f"limit:{name}:physics:high", _TYPES.Float, high)
+
+
+def read_physics(stage: Any, meters_per_unit: float) -> dict[str, PhysicsJoint]:
+    """Return what the joint prims of a stage say, by the name of the joint.
+
+    Joints of other tools are read where they have one axis or none; where there is no
+    ``animtool:joint``, a PhysicsJoint is a ball.
+
+    Args:
+        stage: With joint prims.
+        meters_per_unit: Unit of its lengths [m].
+    """
+    found = {}
+    for made in Usd.PrimRange(stage.GetPseudoRoot()):
+        if made.IsA(UsdPhysics.Joint):
+            found[made.GetName()] = _read_joint(made, meters_per_unit)
+    return found
+
+
+_JOINT_TYPES = {
+    "PhysicsRevoluteJoint": JointType.PIN,
+    "PhysicsPrismaticJoint": JointType.PRISMATIC,
+    "PhysicsFixedJoint": JointType.FIXED,
+}
+
+
+def _read_joint(made: Any, meters_per_unit: float) -> PhysicsJoint:
+    kind = _JOINT_TYPES.get(str(made.GetTypeName()), JointType.BALL)
+    name = str(made.GetName())
+    rotation = UsdPhysics.Joint(made).GetLocalRot1Attr().Get()
+    frame = so3.normalize(np.array([*rotation.imaginary, rotation.real], np.float64))
+    if kind is JointType.FIXED:
+        return PhysicsJoint(name, kind)
+    token = made.GetAttribute("physics:axis").Get() or "X"
+    axis = _on_axis(so3.rotate(frame, np.eye(3)[_AXES.index(str(token))]))
+    if kind is JointType.BALL:
+        return PhysicsJoint(name, kind, limits=_read_ball(made, axis))
+    scale = math.radians(1.0) if kind is JointType.PIN else meters_per_unit
+    low, high = (
+        made.GetAttribute(f"physics:{side}Limit").Get() for side in ("lower", "upper")
+    )
+    limits = None
+    if low is not None and high is not None and math.isfinite(low + high):
+        limits = RangeLimit(low * scale, high * scale)
+    return PhysicsJoint(name, kind, axis, limits)
+
+
+def _on_axis(vector: FloatArray) -> tuple[float, float, float]:
+    nearest = np.round(vector)
+    whole = np.abs(vector - nearest).max() < ON_AXIS
+    x, y, z = (nearest + 0.0 if whole else vector).tolist()
+    return x, y, z
+
+
+def _read_ball(made: Any, axis: tuple[float, float, float]) -> BallLimit | None:
+    def limit(name: str) -> tuple[float, float] | None:
+        low, high = (
+            made.GetAttribute(f"limit:{name}:physics:{end}").Get()
+            for end in ("low", "high")
+        )
+        if low is None or high is None or not math.isfinite(low + high):
+            return None
+        return (0.0, 0.0) if low > high else (math.radians(low), math.radians(high))
+
+    if made.IsA(UsdPhysics.SphericalJoint):
+        first, second = (
+            made.GetAttribute(f"physics:coneAngle{i}Limit").Get() for i in (1, 0)
+        )
+        if first is None or second is None or min(first, second) < 0:
+            return None
+        return BallLimit((math.radians(first), math.radians(second)), None, axis)
+    twist, about_y, about_z = limit("rotX"), limit("rotY"), limit("rotZ")
+    swing = None
+    if about_y is not None and about_z is not None:
+        swing = (about_y[1], about_z[1])
+    return None if twist is None and swing is None else BallLimit(swing, twist, axis)
+
 
 # What USD takes where a layer says nothing; an animation over the rig adopts it.
 RATE = Fraction(24)

@@ -14,19 +14,18 @@ from pxr import Sdf
 from animtool._types import FloatArray
 from animtool.frames import Frame
 from animtool.output import replacing
-from animtool.usd.clip_files import ClipFiles
-from animtool.usd.growing import Growing, growing_crate
+from animtool.usd.chunks import ClipFiles, Growing, author_clips, growing_crate
 from animtool.usd.layers import (
     StageMetadata,
     attribute,
     author_metadata,
+    author_order,
     export_layer,
     new_layer,
     prim,
+    quaternion,
 )
 from animtool.usd.point_based import CachedMesh, FrameWriter
-from animtool.usd.value_clips import author_clips
-from animtool.usd.xform import author_order, quaternion
 
 # Of each frame its time code, and what each prim is then.
 Rows: TypeAlias = Iterable[tuple[float, Sequence[Frame]]]

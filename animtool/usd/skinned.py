@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import Kind, Sdf, Usd, UsdGeom, UsdSkel
 
 from animtool._types import FloatArray
-from animtool.errors import Fault, FormatError
+from animtool.errors import Fault, FormatError, OptionError, listed
+from animtool.rig.kinematics import WorldTransforms
 from animtool.usd.rig_prims import (
     SkeletonRig,
+    find_skeletons,
 )
 from animtool.usd.values import numbers, stored_data
 
@@ -84,3 +87,92 @@ def joint_names(query: Any, rig: SkeletonRig, at: str) -> tuple[str, ...]:
         message = f"{unknown[0]!r} is no joint of the Skeleton"
         raise FormatError(Fault("USD018", message, at))
     return tuple(rig.rig.names[index[token]] for token in tokens)
+
+
+def played_world(path: Path, codes: FloatArray) -> WorldTransforms:
+    """Return the world transforms of the first skeleton of a stage, by UsdSkel.
+
+    Args:
+        path: A stage with a skeleton.
+        codes: Time codes, between samples too ``(F,)``.
+    """
+    stage = Usd.Stage.Open(str(path))
+    prim = next(p for p in stage.Traverse() if p.IsA(UsdSkel.Skeleton))
+    root = UsdSkel.Root.Find(prim)
+    cache = UsdSkel.Cache()
+    cache.Populate(root, Usd.PrimDefaultPredicate)
+    query = cache.GetSkelQuery(UsdSkel.Skeleton(prim))
+    joints = len(query.GetJointOrder())
+    local = np.zeros((len(codes), joints, 4, 4))
+    placed = np.zeros((len(codes), 1, 4, 4))
+    # UsdSkel evaluates one time at a time.
+    for i, code in enumerate(codes.tolist()):
+        when = Usd.TimeCode(code)
+        local[i] = query.ComputeJointSkelTransforms(when)
+        placed[i] = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(when)
+    # Rows of USD's matrices are columns of ours.
+    world = np.swapaxes(local @ placed, -1, -2)
+    positions = world[..., :3, 3] * UsdGeom.GetStageMetersPerUnit(stage)
+    return WorldTransforms(
+        np.ascontiguousarray(positions), np.ascontiguousarray(world[..., :3, :3])
+    )
+
+
+MAX_NAMED = 40
+
+
+def character_paths(stage: Any) -> list[str]:
+    """Return the prims that stand for the characters of a stage.
+
+    Of each Skeleton that is the component it is part of, else its SkelRoot.
+    """
+    found = [_character(skeleton.GetPrim()) for skeleton in find_skeletons(stage)]
+    return list(dict.fromkeys(found))
+
+
+def _character(skeleton: Any) -> str:
+    root = UsdSkel.Root.Find(skeleton)
+    prim = top = root.GetPrim() if root else skeleton
+    while prim and not prim.IsPseudoRoot():
+        if Kind.Registry.IsA(Usd.ModelAPI(prim).GetKind(), Kind.Tokens.component):
+            return str(prim.GetPath())
+        prim = prim.GetParent()
+    return str(top.GetPath())
+
+
+def holds_character(stage: Any, prim_path: str, where: str) -> bool:
+    """Return whether a stage has a character at a path, or is a rig to put there.
+
+    A rig alone has one character, at the top, and nothing where the path begins: a
+    shot will have it at the path. Any other stage is the shot itself, in which the
+    path must be that of a character.
+
+    Args:
+        stage: The stage.
+        prim_path: Where the character is, or will be.
+        where: The file, for messages.
+
+    Raises:
+        OptionError: It is the shot, and the path is of no character in it (USD033).
+    """
+    if find_skeletons(stage, prim_path):
+        return True
+    characters = character_paths(stage)
+    if not characters or _is_rig_alone(stage, prim_path, characters):
+        return False
+    there = listed(characters, MAX_NAMED)
+    message = f"has no character at {prim_path}, but at {there}"
+    hint = "only a file of one rig alone may be given a path that it lacks"
+    raise OptionError(Fault("USD033", message, where, (), hint))
+
+
+def _is_rig_alone(stage: Any, prim_path: str, characters: list[str]) -> bool:
+    if stage.GetPrimAtPath(Sdf.Path(prim_path).GetPrefixes()[0]):
+        return False
+    if len(characters) > 1:
+        return False
+    prim = stage.GetPrimAtPath(characters[0])
+    # A component further down is what a shot, or a set, refers to.
+    below = Sdf.Path(characters[0]).pathElementCount > 1
+    is_model = Kind.Registry.IsA(Usd.ModelAPI(prim).GetKind(), Kind.Tokens.component)
+    return not (below and is_model)

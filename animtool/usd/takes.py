@@ -18,8 +18,7 @@ from animtool.usd.author import author, write_usd
 from animtool.usd.forms import Form, check_suffix, output_paths
 from animtool.usd.jobs import UsdJob, UsdResult, UsdTake
 from animtool.usd.layers import check_prim_path
-from animtool.usd.names import joint_names, legal_name
-from animtool.usd.paths import RigPaths
+from animtool.usd.names import RigPaths, joint_names, legal_name
 
 BLOCK_FRAMES = 512
 

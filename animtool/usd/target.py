@@ -21,9 +21,7 @@ from animtool.rig.shapes import arkit_name
 from animtool.rig.skeleton import Rig
 from animtool.units import UpAxis, unit_name
 from animtool.usd.layers import check_prim_path, usd_errors
-from animtool.usd.names import UsdNames, joint_names, legal_name
-from animtool.usd.paths import RigPaths
-from animtool.usd.placement import holds_character
+from animtool.usd.names import RigPaths, UsdNames, joint_names, legal_name
 from animtool.usd.rig_prims import (
     SkeletonRig,
     composition_notices,
@@ -34,7 +32,7 @@ from animtool.usd.rig_prims import (
     skeleton_rig,
     up_axis,
 )
-from animtool.usd.skinned import is_shown_mesh
+from animtool.usd.skinned import holds_character, is_shown_mesh
 from animtool.usd.values import array_value
 
 

@@ -279,7 +279,7 @@ def _author_animtool(data: _Samples, path: Path, *, extents: bool = False) -> An
 
     from animtool.usd.animation import AnimationWriter
     from animtool.usd.layers import new_layer, prim, save_layer
-    from animtool.usd.paths import RigPaths
+    from animtool.usd.names import RigPaths
 
     layer, paths = new_layer(path), RigPaths.below("/model")
     with Sdf.ChangeBlock():

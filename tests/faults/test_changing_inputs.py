@@ -101,7 +101,7 @@ def test_a_clock_jumps_between_runs(
 def test_a_library_that_two_add_a_take_to(
     disk: Path, monkeypatch: pytest.MonkeyPatch, record_property: Record
 ) -> None:
-    from animtool.usd import library_merge
+    from animtool.usd import library as usd_library
 
     library = disk / "library.usda"
     for i, name in enumerate(("one", "two", "three")):
@@ -112,14 +112,14 @@ def test_a_library_that_two_add_a_take_to(
         bake(disk / f"{name}.bvh", library, BakeOptions(form="library"))
 
     add("one")
-    merged = library_merge.merged_library
+    merged = usd_library.merged_library
 
     def late(*arguments: Any) -> Any:
-        monkeypatch.setattr(library_merge, "merged_library", merged)
+        monkeypatch.setattr(usd_library, "merged_library", merged)
         assert in_child(lambda: Context().run(add, "three")) == 0
         return merged(*arguments)
 
-    monkeypatch.setattr(library_merge, "merged_library", late)
+    monkeypatch.setattr(usd_library, "merged_library", late)
     with pytest.raises(FormatError) as caught:
         add("two")
     assert caught.value.code == "IO004"

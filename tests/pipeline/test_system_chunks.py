@@ -170,10 +170,10 @@ import json, os, sys
 from pathlib import Path
 from animtool import BakeOptions, bake
 from animtool.edit.frame_range import FrameRange
-from animtool.scene.memory import PeakMemory
-from animtool.usd import growing
+from animtool.scene.stats import PeakMemory
+from animtool.usd import chunks
 
-growing.HELD = 1_000_000
+chunks.HELD = 1_000_000
 scene, folder = Path(sys.argv[1]), Path(sys.argv[2])
 for chunk in json.loads(sys.argv[3]):
     child = os.fork()

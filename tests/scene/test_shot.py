@@ -18,7 +18,7 @@ from animtool import open_source
 from animtool.motion import Motion
 from animtool.passes import PASSES, Pass, PassContext, Scope
 from animtool.scene.file import load_scene
-from animtool.scene.preroll import Preroll, begun_early, without_first
+from animtool.scene.retime import Preroll, begun_early, without_first
 from animtool.take import Take, TakeStream
 from animtool.usd.layers import find_layer
 

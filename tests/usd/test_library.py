@@ -30,8 +30,7 @@ from animtool.usd.author import author, write_usd
 from animtool.usd.forms import Form
 from animtool.usd.jobs import UsdJob, UsdTake
 from animtool.usd.library import take_range
-from animtool.usd.names import joint_names
-from animtool.usd.paths import RigPaths
+from animtool.usd.names import RigPaths, joint_names
 from animtool.usd.read import read_usd
 
 FRAMES = {"walk": 13, "run": 5, "idle": 9}

@@ -23,7 +23,7 @@ from animtool.skin.deform import DeformedMesh, deform
 from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas, prepare_shapes
 from animtool.skin.skinning import Binding, SkinMethod, prepare_skin
 from animtool.usd.rig_layer import write_rig_layer
-from animtool.usd.whole_rig import read_rig, read_whole_rig
+from animtool.usd.stored_rig import read_rig, read_whole_rig
 
 Floats = npt.NDArray[np.float64]
 

@@ -25,7 +25,7 @@ from animtool.rig.skeleton import Rig
 from animtool.take import TakeStream
 from animtool.units import UpAxis
 from animtool.usd.rig_layer import write_rig_layer
-from animtool.usd.whole_rig import read_whole_rig
+from animtool.usd.stored_rig import read_whole_rig
 
 HAIR = "/hero/Rig/Strands/hair"
 

@@ -22,8 +22,7 @@ from animtool.usd.animation import round_blocks
 from animtool.usd.author import author, write_usd
 from animtool.usd.forms import Form
 from animtool.usd.jobs import UsdJob, UsdResult, UsdTake
-from animtool.usd.names import joint_names
-from animtool.usd.paths import RigPaths
+from animtool.usd.names import RigPaths, joint_names
 from animtool.usd.read import read_usd
 from animtool.usd.rig_layer import write_rig_layer
 from animtool.usd.target import map_joints, match_shapes, open_target

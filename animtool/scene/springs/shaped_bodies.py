@@ -163,7 +163,7 @@ def _mesh_cloth(
     families: Families,
     mass: float,
 ) -> SpringBody | None:
-    from animtool.usd.still_mesh import read_still_mesh
+    from animtool.usd.prims import read_still_mesh
 
     assert model.mesh is not None
     path = reader.input((*at, "mesh", "file"), model.mesh.file)

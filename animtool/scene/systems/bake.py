@@ -25,13 +25,11 @@ from animtool.transforms import Track
 from animtool.units import UpAxis
 from animtool.usd.animation import Rounding
 from animtool.usd.author_props import prop_paths
-from animtool.usd.clip_files import system_files
+from animtool.usd.chunks import Growing, save_grown, system_files
 from animtool.usd.forms import Form
-from animtool.usd.growing import Growing, save_grown
 from animtool.usd.jobs import UsdResult, WrittenTake, layer_span
 from animtool.usd.layers import StageMetadata, check_prim_path
-from animtool.usd.names import legal_name
-from animtool.usd.paths import RigPaths
+from animtool.usd.names import RigPaths, legal_name
 from animtool.usd.point_based import CachedMesh
 from animtool.usd.simulated import (
     SimulatedJob,

@@ -14,7 +14,7 @@ from animtool.sim.colliders import Sheet
 from animtool.units import UpAxis
 
 if TYPE_CHECKING:
-    from animtool.usd.still_mesh import MeshSource
+    from animtool.usd.prims import MeshSource
 
 # Times of which the points are kept: both ends of a step, and those of a look within.
 KEPT = 4
@@ -49,7 +49,7 @@ class MovingMesh:
             FormatError: The file is no USD.
             OptionError: It has no such mesh, or the mesh makes no sense (SIM051).
         """
-        from animtool.usd.still_mesh import open_mesh
+        from animtool.usd.prims import open_mesh
 
         source = open_mesh(self.file, self.prim, UpAxis.Y)
         return Sheet(

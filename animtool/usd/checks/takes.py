@@ -20,7 +20,7 @@ from animtool.rates import rate_from_float
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
 from animtool.take import Take
-from animtool.usd.animation_values import scale_channel
+from animtool.usd.animation_values import carry_roots, moving_carriers, scale_channel
 from animtool.usd.checks.animation import tokens
 from animtool.usd.checks.skeleton import own_matrices
 from animtool.usd.checks.subject import Subject
@@ -31,7 +31,6 @@ from animtool.usd.rig_prims import (
     skeleton_rig,
     up_axis,
 )
-from animtool.usd.root_carriers import carry_roots, moving_carriers
 
 
 @dataclass(frozen=True, slots=True)

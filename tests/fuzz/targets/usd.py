@@ -23,8 +23,8 @@ from animtool.usd.characters import source_meshes
 from animtool.usd.checks.run import inspect_layer
 from animtool.usd.layers import compute_alone, forget_layers
 from animtool.usd.read import read_usd
+from animtool.usd.stored_rig import read_whole_rig
 from animtool.usd.target import open_target
-from animtool.usd.whole_rig import read_whole_rig
 from fuzz.mutations import pick, spoil
 
 ABOUT = "USD layers, text and crate, read by every reader"

@@ -18,7 +18,7 @@ from support.usd import validation_errors
 from animtool.maths import so3
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.usd.physics import PhysicsJoint, author_physics, read_physics
+from animtool.usd.rig_layer import PhysicsJoint, author_physics, read_physics
 
 TURNED = (0.6, 0.0, 0.0, 0.8)
 SLANTED = (0.48, 0.64, 0.6)

@@ -8,7 +8,7 @@ from pxr import Usd, UsdGeom
 from animtool.formats.bvh import read_bvh
 from animtool.scene.bake import bake
 from animtool.scene.options import BakeOptions
-from animtool.usd.bones import bone_segments
+from animtool.usd.skeleton import bone_segments
 
 
 def test_bones_face_outwards_and_belong_to_one_joint(

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from support.sanitized import SANITIZED
 
-from animtool.scene import memory
-from animtool.scene.memory import PeakMemory
+from animtool.scene import stats
+from animtool.scene.stats import PeakMemory
 
 SIZE = 64_000_000
 
@@ -34,7 +34,7 @@ def test_each_peak_is_one_since_the_last() -> None:
 def test_systems_without_a_peak_of_their_own(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(memory, "_STATUS", str(tmp_path / "none"))
+    monkeypatch.setattr(stats, "_STATUS", str(tmp_path / "none"))
     peak = PeakMemory()
     peak.begin()
     assert (peak.base or 0) > 1_000_000

@@ -1,4 +1,4 @@
-"""Frames before a take, for passes that begin from a state of their own."""
+"""Takes at other times: frames before the first, and the frames of a shot."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from fractions import Fraction
 
 import numpy as np
 
+from animtool._types import FloatArray
 from animtool.motion import Motion
+from animtool.shot import Shot
 from animtool.take import TakeStream
 
 
@@ -77,3 +79,33 @@ def without_first(stream: TakeStream, count: int, start: Fraction | None) -> Tak
             left = max(0, left - block.frames)
 
     return replace(stream, start=start, blocks=blocks())
+
+
+def in_shot(stream: TakeStream, shot: Shot | None) -> TakeStream:
+    """Return a take whose time codes are shot frames, each sample at its own time.
+
+    Nothing is resampled or left out; a shot that does not place its media leaves the
+    take as it is.
+    """
+    if shot is None or shot.fps is None or not shot.places_media:
+        return stream
+    start = shot.frame_at(0)
+    step = stream.step / stream.fps * shot.fps / shot.speed
+    ratio = stream.step / step
+    curve, first = stream.curve, float(1 if stream.start is None else stream.start)
+
+    def shifted(times: FloatArray) -> Motion:
+        assert curve is not None
+        return curve(first + (times - float(start)) * float(ratio))
+
+    return replace(
+        stream,
+        fps=shot.fps,
+        start=start,
+        step=step,
+        curve=None if curve is None else shifted,
+        control_curves={
+            name: curves.retimed(first, float(1 / ratio), float(start))
+            for name, curves in stream.control_curves.items()
+        },
+    )

@@ -13,8 +13,8 @@ from support.drifting import author_samples
 from support.suite import examples
 
 from animtool.clock import time_codes
+from animtool.usd.animation_values import SampleGrid, _grid, _Span
 from animtool.usd.read import read_usd
-from animtool.usd.sample_grid import SampleGrid, _grid, _Span
 
 STATED = _Span(Fraction(1), None)
 

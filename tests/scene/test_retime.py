@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from animtool.formats.bvh import read_bvh
-from animtool.scene.preroll import begun_early
+from animtool.scene.retime import begun_early
 from animtool.take import TakeStream
 
 

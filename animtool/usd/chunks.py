@@ -1,0 +1,206 @@
+"""Layers that are saved while they grow: memory stays the same, however long they get.
+
+A crate that is saved now and then has its samples on disk.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pxr import Sdf, Tf, Vt
+
+from animtool.output import replacing
+from animtool.placing import output_error
+from animtool.usd.layers import save_layer, usd_reason
+
+# Samples in memory before they go to the disk [byte].
+HELD = 32_000_000
+
+
+class Growing:
+    """A layer that samples are put into.
+
+    Attributes:
+        layer: The layer.
+    """
+
+    def __init__(self, layer: Any, path: Path | None = None) -> None:
+        """Begin.
+
+        Args:
+            layer: A crate of its own file, or a layer in memory.
+            path: What the file will be called; None keeps all in memory.
+        """
+        self.layer = layer
+        self._path = path
+        self._held = 0
+
+    def added(self, size: int) -> None:
+        """Note samples of a size [byte]; bring them to the disk where they are many.
+
+        Raises:
+            OutputError: The file cannot be written.
+        """
+        self._held += size
+        if self._path is not None and self._held > HELD:
+            self.save()
+
+    def save(self) -> None:
+        """Bring to the disk what is not there.
+
+        Raises:
+            OutputError: The file cannot be written.
+        """
+        assert self._path is not None
+        with _written(self._path):
+            self.layer.Save()
+        self._held = 0
+
+
+@contextmanager
+def growing_crate(temporary: Path, path: Path) -> Iterator[Growing]:
+    """Give a crate that is whole at the end of the block.
+
+    Args:
+        temporary: Its file.
+        path: What that will be called.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    with _written(path):
+        layer = Sdf.Layer.CreateNew(str(temporary), args={"format": "usdc"})
+    growing = Growing(layer, path)
+    yield growing
+    growing.save()
+
+
+def save_grown(layer: Any, path: Path | None, grow: Callable[[Growing], object]) -> int:
+    """Write a layer and what is put into it then, whole or not at all.
+
+    Args:
+        layer: In memory.
+        path: The file; None is usda on stdout.
+        grow: Puts samples into it; what it raises leaves nothing behind.
+
+    Returns:
+        The bytes written.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    if path is None or path.suffix.lower() == ".usda":
+        grow(Growing(layer))
+        return save_layer(layer, path)
+    with replacing(path) as temporary:
+        with growing_crate(temporary, path) as growing:
+            growing.layer.TransferContent(layer)
+            grow(growing)
+        return temporary.stat().st_size
+
+
+@contextmanager
+def _written(path: Path) -> Iterator[None]:
+    """Turn what USD raises where it writes into an `OutputError`."""
+    try:
+        yield
+    except Tf.ErrorException as error:
+        raise output_error(path, usd_reason(error)) from error
+
+
+@dataclass(frozen=True, slots=True)
+class ClipFiles:
+    """The chunks and the manifest of one set of value clips.
+
+    Attributes:
+        output: The layer that joins them.
+        name: Of the set.
+        manifest: What states which attributes the chunks have.
+    """
+
+    output: Path
+    name: str
+    manifest: Path
+
+    def chunk(self, number: int) -> Path:
+        """Return a chunk, 0 being the first.
+
+        >>> system_files(Path("shot.usdc")).chunk(0).name
+        'shot.systems.0001.usdc'
+        """
+        stem = self.output.stem
+        return self.output.with_name(f"{stem}.{self.name}.{number + 1:04d}.usdc")
+
+    @property
+    def defaults(self) -> str:
+        """Asset path of the chunk with defaults, which the layer has as a sublayer.
+
+        Defaults in the layer itself would win over the clips.
+        """
+        return f"./{self.chunk(0).name}"
+
+    def there(self) -> list[Path]:
+        """Return the chunks that are there, in order."""
+        stem, folder = re.escape(self.output.stem), self.output.parent
+        name = re.compile(rf"{stem}\.{self.name}\.\d{{4,}}\.usdc")
+        paths = folder.iterdir() if folder.is_dir() else ()
+        return sorted(path for path in paths if name.fullmatch(path.name))
+
+    def remove_others(self, kept: Collection[Path]) -> None:
+        """Remove chunks that an earlier, longer bake left."""
+        for path in set(self.there()) - set(kept):
+            # What cannot be removed is in nobody's way.
+            with suppress(OSError):
+                path.unlink()
+
+
+def point_files(output: Path) -> ClipFiles:
+    """Return the files of a character's point caches.
+
+    >>> point_files(Path("shot.usdc")).manifest.name
+    'shot.manifest.usda'
+    """
+    manifest = output.with_name(f"{output.stem}.manifest.usda")
+    return ClipFiles(output, "points", manifest)
+
+
+def system_files(output: Path) -> ClipFiles:
+    """Return the files of what is simulated.
+
+    >>> system_files(Path("shot.usdc")).manifest.name
+    'shot.systems.manifest.usda'
+    """
+    manifest = output.with_name(f"{output.stem}.systems.manifest.usda")
+    return ClipFiles(output, "systems", manifest)
+
+
+def author_clips(
+    layer: Any,
+    path: str,
+    files: ClipFiles,
+    starts: Sequence[float],
+    last: float,
+) -> None:
+    """Let a prim, and what is below it, have the values of chunks.
+
+    Args:
+        layer: The layer of the prim; the files are named as it sees them.
+        path: Of the prim, the same in every chunk.
+        files: The chunks.
+        starts: First time code of each.
+        last: Last time code of all.
+    """
+    chunks = [Sdf.AssetPath(f"./{files.chunk(i).name}") for i in range(len(starts))]
+    clips = {
+        "assetPaths": Sdf.AssetPathArray(chunks),
+        "primPath": path,
+        "manifestAssetPath": Sdf.AssetPath(f"./{files.manifest.name}"),
+        "active": Vt.Vec2dArray([(code, i) for i, code in enumerate(starts)]),
+        "times": Vt.Vec2dArray([(code, code) for code in (starts[0], last)]),
+    }
+    layer.GetPrimAtPath(path).SetInfo("clips", {files.name: clips})
